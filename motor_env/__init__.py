@@ -1,0 +1,90 @@
+"""A DC motor that may be failing: simulation, Kalman filter, decision rules, diagnosis, gymnasium environments.
+
+Importing the package registers its environments with gymnasium. Everything else is loaded when first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from gymnasium.envs.registration import register
+
+if TYPE_CHECKING:
+    from motor_env.faults import Fault, FaultKind, apply_fault, apply_faults
+    from motor_env.kalman import FilterResult, KalmanFilter, run_filter
+    from motor_env.model import State, continuous_model, discretize, steady_state
+    from motor_env.parameters import (
+        CATALOGUE,
+        PAPER_MOTOR,
+        Channel,
+        MotorParameters,
+        SensorParameters,
+        SupplyParameters,
+        catalogue_motor,
+    )
+    from motor_env.recipes import RECIPES, Recipe, draw, named_recipe
+    from motor_env.simulation import Scenario, Timing, Transients, simulate, simulate_states
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "faults": ("Fault", "FaultKind", "apply_fault", "apply_faults"),
+    "kalman": ("FilterResult", "KalmanFilter", "run_filter"),
+    "model": ("State", "continuous_model", "discretize", "steady_state"),
+    "parameters": (
+        "CATALOGUE",
+        "PAPER_MOTOR",
+        "Channel",
+        "MotorParameters",
+        "SensorParameters",
+        "SupplyParameters",
+        "catalogue_motor",
+    ),
+    "recipes": ("RECIPES", "Recipe", "draw", "named_recipe"),
+    "simulation": ("Scenario", "Timing", "Transients", "simulate", "simulate_states"),
+}
+_MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
+
+__all__ = [
+    "CATALOGUE",
+    "PAPER_MOTOR",
+    "RECIPES",
+    "Channel",
+    "Fault",
+    "FaultKind",
+    "FilterResult",
+    "KalmanFilter",
+    "MotorParameters",
+    "Recipe",
+    "Scenario",
+    "SensorParameters",
+    "State",
+    "SupplyParameters",
+    "Timing",
+    "Transients",
+    "apply_fault",
+    "apply_faults",
+    "catalogue_motor",
+    "continuous_model",
+    "discretize",
+    "draw",
+    "named_recipe",
+    "run_filter",
+    "simulate",
+    "simulate_states",
+    "steady_state",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULE_OF:
+        return getattr(import_module(f"motor_env.{_MODULE_OF[name]}"), name)
+    raise AttributeError(f"module 'motor_env' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])
+
+
+register(id="motor_env/Monitor-v0", entry_point="motor_env.envs.monitor:MonitorEnv")

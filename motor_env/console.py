@@ -1,0 +1,55 @@
+"""What the three commands share: errors as one sentence with exit status 2, exit statuses of verdicts."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from enum import IntEnum
+
+from cyclopts import App, CycloptsError
+
+
+class ExitStatus(IntEnum):
+    """Exit statuses of every command."""
+
+    HEALTHY = 0
+    FAULT = 1
+    BAD_INPUT = 2
+    UNDECIDED = 3
+
+
+class InputError(ValueError):
+    """Input that cannot be used; the message is the sentence that the user reads."""
+
+
+def require_extra(module: str, extra: str) -> None:
+    """Raise `InputError` unless the module of an optional extra is installed."""
+    from importlib.util import find_spec
+
+    if find_spec(module) is None:
+        raise InputError(
+            f"this command needs {module}, which is not installed: pip install 'motor-env[{extra}]'"
+        )
+
+
+def run(app: App, arguments: Sequence[str] | None = None) -> int:
+    """Run a command line and return its exit status; bad input becomes one sentence on standard error and status 2."""
+    try:
+        status = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+    except CycloptsError as error:
+        message = " ".join(str(error).split())
+    except (InputError, ValueError, OSError) as error:
+        message = _sentence(error)
+    except KeyboardInterrupt:
+        print(f"{app.name[0]}: interrupted", file=sys.stderr)
+        return 130
+    else:
+        return int(status) if isinstance(status, int) else 0
+    print(f"{app.name[0]}: {message}", file=sys.stderr)
+    return int(ExitStatus.BAD_INPUT)
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {(error.strerror or str(error)).lower()}"
+    return str(error)

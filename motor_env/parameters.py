@@ -1,0 +1,185 @@
+"""Physical parameters of the motor, its supply and its sensors: frozen, validated, in SI units.
+
+Every numeric field of `MotorParameters` is a float, or an array whose shape is the batch: one entry a motor.
+The textbook motor (paper, part 2B; sign convention of both sources: motor operation) is
+
+    L di/dt = V - R i - Kb w
+    J dw/dt = Kt i - B w - Tload
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Floats = float | FloatArray
+
+RAD_S_PER_RPM = 2.0 * math.pi / 60.0
+
+
+class Channel(StrEnum):
+    """What a sensor measures."""
+
+    CURRENT = "current"
+    SPEED = "speed"
+
+
+def require(condition: bool, sentence: str) -> None:
+    """Raise `ValueError(sentence)` unless the condition holds."""
+    if not condition:
+        raise ValueError(sentence)
+
+
+def require_positive(name: str, value: Floats, *, zero_allowed: bool = False) -> None:
+    """Raise `ValueError` naming the field, the bound and the value, unless every entry is finite and positive."""
+    array = np.asarray(value, dtype=np.float64)
+    good = np.isfinite(array) & ((array >= 0.0) if zero_allowed else (array > 0.0))
+    if not good.all():
+        bad = array[~good].flat[0]
+        raise ValueError(f"{name} must be finite and {'>=' if zero_allowed else '>'} 0, got {bad:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class MotorParameters:
+    """The textbook brushed DC motor (paper, part 2B).
+
+    Attributes:
+        resistance_ohm: armature (terminal) resistance R.
+        inductance_h: armature inductance L.
+        back_emf_constant_v_s_per_rad: back-EMF constant Kb; it stands in the electrical equation.
+        torque_constant_n_m_per_a: torque constant Kt; it stands in the torque equation.
+        inertia_kg_m2: rotor inertia J.
+        viscous_friction_n_m_s_per_rad: viscous friction B (0 is allowed).
+
+    Raises:
+        ValueError: a value is not finite, or not positive.
+    """
+
+    resistance_ohm: Floats
+    inductance_h: Floats
+    back_emf_constant_v_s_per_rad: Floats
+    torque_constant_n_m_per_a: Floats
+    inertia_kg_m2: Floats
+    viscous_friction_n_m_s_per_rad: Floats
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            zero_allowed = field.name == "viscous_friction_n_m_s_per_rad"
+            require_positive(field.name, getattr(self, field.name), zero_allowed=zero_allowed)
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """Common shape of the fields: `()` for one motor, `(n_motors,)` for a batch."""
+        return np.broadcast_shapes(*(np.shape(getattr(self, field.name)) for field in fields(self)))
+
+    def scaled(self, **factors: Floats) -> Self:
+        """Parameters with the named fields multiplied by the given factors."""
+        return replace(self, **{name: getattr(self, name) * factor for name, factor in factors.items()})
+
+    def motor(self, index: int) -> Self:
+        """Motor `index` of a batch, with plain floats."""
+        shape = self.batch_shape
+        values = {f.name: float(np.broadcast_to(getattr(self, f.name), shape)[index]) for f in fields(self)}
+        return replace(self, **values)
+
+    @property
+    def electrical_time_constant_s(self) -> Floats:
+        """L / R."""
+        return self.inductance_h / self.resistance_ohm
+
+    @property
+    def mechanical_time_constant_s(self) -> Floats:
+        """J R / (Kt Kb + R B), with the inductance neglected."""
+        stiffness = self.torque_constant_n_m_per_a * self.back_emf_constant_v_s_per_rad
+        damping = self.resistance_ohm * self.viscous_friction_n_m_s_per_rad
+        return self.inertia_kg_m2 * self.resistance_ohm / (stiffness + damping)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorParameters:
+    """What is measured, and the standard deviation of its white noise.
+
+    Attributes:
+        channels: measured channels, in the order in which they stand in every array.
+        current_noise_a: standard deviation of a current sample.
+        speed_noise_rad_s: standard deviation of a speed sample; used where speed is measured.
+    """
+
+    channels: tuple[Channel, ...] = (Channel.CURRENT,)
+    current_noise_a: float = 0.02
+    speed_noise_rad_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "channels", tuple(Channel(channel) for channel in self.channels))
+        require(len(self.channels) > 0, "channels must name at least one of current, speed, got none")
+        require(
+            len(set(self.channels)) == len(self.channels),
+            f"channels must be distinct, got {', '.join(self.channels)}",
+        )
+        require_positive("current_noise_a", self.current_noise_a, zero_allowed=True)
+        require_positive("speed_noise_rad_s", self.speed_noise_rad_s, zero_allowed=True)
+
+    @property
+    def noise_std(self) -> FloatArray:
+        """Noise standard deviation of each channel, shape (n_channels,)."""
+        by_channel = {Channel.CURRENT: self.current_noise_a, Channel.SPEED: self.speed_noise_rad_s}
+        return np.array([by_channel[channel] for channel in self.channels])
+
+    @property
+    def observation(self) -> FloatArray:
+        """Observation matrix C of z = C x + v, shape (n_channels, 2); the paper's [1 0] for current alone."""
+        rows = {Channel.CURRENT: (1.0, 0.0), Channel.SPEED: (0.0, 1.0)}
+        return np.array([rows[channel] for channel in self.channels])
+
+
+@dataclass(frozen=True, slots=True)
+class SupplyParameters:
+    """The supply: a step of `voltage_v` at time 0.
+
+    Attributes:
+        voltage_v: level after the step.
+    """
+
+    voltage_v: Floats = 12.0
+
+    def __post_init__(self) -> None:
+        require(bool(np.isfinite(self.voltage_v).all()), f"voltage_v must be finite, got {self.voltage_v}")
+
+
+PAPER_MOTOR = MotorParameters(
+    resistance_ohm=2.18,
+    inductance_h=0.238e-3,
+    back_emf_constant_v_s_per_rad=0.02352,
+    torque_constant_n_m_per_a=0.0235,
+    inertia_kg_m2=1.07e-6,
+    viscous_friction_n_m_s_per_rad=12e-7,
+)
+"""The paper's table (part 2B); a maxon RE 25, 12 V, 10 W (order number 118743)."""
+
+PAPER_MATRICES_MOTOR = PAPER_MOTOR.scaled(resistance_ohm=2.06 / 2.18, inductance_h=10.0)
+"""The parameters from which the paper's printed discrete matrices come, at a sampling time of 10 ms (docs/paper.md)."""
+
+PAPER_MATRICES_DT_S = 10e-3
+
+CATALOGUE: dict[str, MotorParameters] = {
+    "paper": PAPER_MOTOR,
+    "paper-matrices": PAPER_MATRICES_MOTOR,
+}
+"""Catalogue presets by name."""
+
+
+def catalogue_motor(name: str) -> MotorParameters:
+    """Catalogue motor of that name.
+
+    Raises:
+        ValueError: no such motor; the sentence lists those that exist.
+    """
+    if name not in CATALOGUE:
+        raise ValueError(f"motor must be one of {', '.join(sorted(CATALOGUE))}, got {name!r}")
+    return CATALOGUE[name]
