@@ -1,0 +1,1 @@
+"""Classifiers of motor faults, and the benchmark that compares them."""

@@ -1,0 +1,1 @@
+"""Labelled transients of brushed DC motors: generated, stored, loaded."""
