@@ -1,0 +1,95 @@
+# Every command sets itself up: `make test` in a fresh clone is enough.
+# PYTHON chooses the interpreter (3.11 or newer) of the environments made here.
+
+PYTHON ?= python3
+JOBS ?= 2
+PYTEST_ARGS ?=
+
+BIN := .venv/bin
+READY := .venv/.ready
+BENCH_READY := .venv-bench/.ready
+PINS_READY := .venv-pins/.ready
+
+export PIP_DISABLE_PIP_VERSION_CHECK = 1
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help setup lint types imports unit test test-long benchmark bench docs format constraints clean distclean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+# A target named .ready appears only after everything before it has succeeded; an interrupted set-up starts again.
+define make_environment
+	rm -f $(1)/.ready
+	$(1)/bin/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(1)
+endef
+
+$(READY): pyproject.toml constraints.txt
+	$(call make_environment,.venv)
+	$(BIN)/python -m pip install --quiet --no-input -c constraints.txt -e ".[all,dev]"
+	touch $@
+
+$(BENCH_READY): pyproject.toml benchmarks/requirements.txt benchmarks/constraints.txt
+	$(call make_environment,.venv-bench)
+	.venv-bench/bin/python -m pip install --quiet --no-input -c benchmarks/constraints.txt -r benchmarks/requirements.txt -e .
+	touch $@
+
+$(PINS_READY): Makefile
+	$(call make_environment,.venv-pins)
+	.venv-pins/bin/python -m pip install --quiet --no-input "pip-tools>=7.4"
+	touch $@
+
+setup: $(READY) ## make .venv with pinned versions (the other targets do so by themselves)
+
+lint: $(READY) ## ruff: rules and format
+	$(BIN)/python -m ruff check
+	$(BIN)/python -m ruff format --check
+
+types: $(READY) ## mypy and basedpyright
+	$(BIN)/python -m mypy
+	$(BIN)/python -m basedpyright
+
+imports: $(READY) ## import-linter: imports go one way
+	$(BIN)/python -m importlinter.cli lint
+
+unit: $(READY) ## the quick tests; PYTEST_ARGS="-k kalman" narrows them
+	$(BIN)/python -m pytest -n $(JOBS) -m "not long" $(PYTEST_ARGS)
+
+test: lint types imports unit ## everything quick: lint, types, imports, tests; what CI runs
+
+test-long: test ## the same and the tests marked long
+	$(BIN)/python -m pytest -n $(JOBS) -m long $(PYTEST_ARGS)
+
+benchmark: $(READY) ## compare the classifiers; the report goes to out/benchmark
+	$(BIN)/python -m motor_classifiers benchmark --out out/benchmark
+
+bench: $(BENCH_READY) ## speed against peers, in an environment of its own; writes out/bench.json
+	.venv-bench/bin/python benchmarks/run.py --out out/bench.json $(BENCH_ARGS)
+
+docs: $(READY) ## build the documentation into docs/_build/html; warnings are errors
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+
+format: $(READY) ## let ruff format and fix what it can
+	$(BIN)/python -m ruff format
+	$(BIN)/python -m ruff check --fix
+
+# Pins of every extra. Files from a local index carry a +cpu that others cannot find; the project itself is no pin.
+# UPGRADE=--upgrade moves everything to the newest; without it only what changed in pyproject.toml moves.
+PIP_COMPILE = .venv-pins/bin/python -m piptools compile --quiet --strip-extras --no-annotate --no-header \
+	--no-emit-index-url --no-emit-find-links --no-emit-options $(UPGRADE)
+CLEAN_PINS = sed -i.bak -E -e 's/\+cpu$$//' -e '/^motor-env( |$$)/d' -e '/^(\#|-e|$$)/d'
+
+constraints: $(PINS_READY) ## pin all dependencies anew: constraints.txt and benchmarks/constraints.txt
+	$(PIP_COMPILE) --all-extras -o constraints.txt pyproject.toml
+	$(CLEAN_PINS) constraints.txt
+	$(PIP_COMPILE) -c constraints.txt -o benchmarks/constraints.txt pyproject.toml benchmarks/requirements.txt
+	$(CLEAN_PINS) benchmarks/constraints.txt
+	rm -f constraints.txt.bak benchmarks/constraints.txt.bak
+
+clean: ## remove caches and built files; out/ and the environments stay
+	rm -rf build dist docs/_build .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache .coverage htmlcov
+	find . -path './.venv*' -prune -o -name __pycache__ -type d -exec rm -rf {} +
+
+distclean: clean ## the same and the environments
+	rm -rf .venv .venv-bench .venv-pins
