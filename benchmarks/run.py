@@ -1,0 +1,117 @@
+"""Measure motor-env against its peers: `make bench`, or `python benchmarks/run.py --only kalman`.
+
+Every module ``bench_*.py`` beside this file offers ``run() -> list[Result]``. Each runs in a process of its
+own with all thread pools at 1, and both sides of a ratio are measured in that one process.
+"""
+
+import argparse
+import importlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+FOLDER = Path(__file__).resolve().parent
+ONE_THREAD = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+        "NUMEXPR_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+    ),
+    "1",
+)
+Row = dict[str, Any]
+
+
+def discover() -> list[str]:
+    """Names of the benchmarks: ``bench_kalman.py`` is ``kalman``."""
+    return sorted(path.stem.removeprefix("bench_") for path in FOLDER.glob("bench_*.py"))
+
+
+def measure_here(name: str, answer: Path) -> None:
+    """Run one benchmark in this process and leave its rows in a file."""
+    results = importlib.import_module(f"bench_{name}").run()
+    answer.write_text(json.dumps([result.as_row() for result in results]))
+
+
+def measure_apart(name: str) -> list[Row] | None:
+    """Run one benchmark in a process of its own; None if it failed."""
+    with tempfile.TemporaryDirectory() as folder:
+        answer = Path(folder) / "rows.json"
+        command = [
+            sys.executable,
+            str(Path(__file__).resolve()),
+            "--measure-here",
+            name,
+            "--out",
+            str(answer),
+        ]
+        finished = subprocess.run(command, env={**os.environ, **ONE_THREAD}, check=False)
+        if finished.returncode != 0:
+            return None
+        rows: list[Row] = json.loads(answer.read_text())
+    return rows
+
+
+def table(rows: list[Row]) -> str:
+    """Lay the rows out for a terminal."""
+    head = ("what", "ours /s", "peer /s", "peer", "ratio", "bar", "")
+    cells = [
+        (
+            row["name"],
+            f"{row['ours']:.3g}",
+            f"{row['peer']:.3g}",
+            row["peer_name"],
+            f"{row['ratio']:.3g} x",
+            f"{row['bar']:g} x",
+            "holds" if row["holds"] else "MISSED",
+        )
+        for row in rows
+    ]
+    widths = [max(map(len, column)) for column in zip(head, *cells, strict=True)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in (head, *cells)
+    )
+
+
+def main() -> int:
+    """Measure, print the table, write the file. Exit status 1 if a benchmark failed to run."""
+    parser = argparse.ArgumentParser(description="Measure motor-env against its peers.")
+    parser.add_argument(
+        "--only", metavar="NAME", action="append", choices=discover(), help="one of: %(choices)s"
+    )
+    parser.add_argument("--out", metavar="FILE", type=Path, default=Path("out/bench.json"))
+    parser.add_argument("--measure-here", metavar="NAME", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.measure_here:
+        measure_here(options.measure_here, options.out)
+        return 0
+
+    rows: list[Row] = []
+    failed: list[str] = []
+    for name in options.only or discover():
+        print(f"measuring {name} ...", file=sys.stderr, flush=True)
+        measured = measure_apart(name)
+        if measured is None:
+            failed.append(name)
+        else:
+            rows += measured
+
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(rows, indent=2) + "\n")
+    print(table(rows))
+    print(f"\nwritten: {options.out}")
+    for name in failed:
+        print(f"FAILED: bench_{name} (see above)", file=sys.stderr)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

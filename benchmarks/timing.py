@@ -1,0 +1,26 @@
+"""Rates that other work on the machine disturbs little."""
+
+import time
+from collections.abc import Callable
+
+
+def best_rate(
+    work: Callable[[], object], amount: float, *, rounds: int = 5, at_least_s: float = 0.2
+) -> float:
+    """Return ``amount`` per second of ``work()``: the best of some rounds, after one call that warms up.
+
+    A round repeats the work until ``at_least_s`` has passed, so that quick work is not lost in the clock.
+    """
+    work()
+    return max(_rate(work, amount, at_least_s) for _ in range(rounds))
+
+
+def _rate(work: Callable[[], object], amount: float, at_least_s: float) -> float:
+    start = time.perf_counter()
+    repeats = 0
+    elapsed = 0.0
+    while elapsed < at_least_s:
+        work()
+        repeats += 1
+        elapsed = time.perf_counter() - start
+    return amount * repeats / elapsed
