@@ -91,7 +91,7 @@ def apply_fault(parameters: MotorParameters, fault: Fault) -> MotorParameters:
     """Parameters of the motor with the fault at its full severity.
 
     Bearing (paper, part 4): B (1 + s). Winding contact (the paper's numbers): R (1 + s). Winding short of a
-    fraction m of the turns: R (1 - m), L (1 - m)^2, K (1 - m), both constants (Isermann 2006, table 7.1.3, for the signs).
+    fraction m of the turns: R (1 - m), L (1 - m)^2, K (1 - m), both constants (signs: Isermann 2006, table 7.1.3).
     Noise leaves the motor as it is: see `noise_variance_factor`.
     """
     severity = fault.severity

@@ -105,7 +105,8 @@ def predict(
     """Time update (paper, Table 1): x- = A x + B u, P- = A P A' + Q."""
     transition = kalman.model.transition
     predicted: FloatArray = transition @ state + kalman.model.gain @ inputs
-    return predicted, transition @ covariance @ transition.T + kalman.process_covariance
+    spread: FloatArray = transition @ covariance @ transition.T + kalman.process_covariance
+    return predicted, spread
 
 
 def gain_and_covariance(

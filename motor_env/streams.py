@@ -1,8 +1,8 @@
 """Counter-based random streams: the numbers of case n depend on (seed, stream, n) alone.
 
-Philox4x32-10 (Salmon, Moraes, Dror & Shaw 2011) is a bijection of its 128-bit counter for each 64-bit key. The key
-is the seed; the counter holds the case (64 bits), the stream (32 bits) and the block (32 bits). So no two cases, streams or
-blocks of a seed can share a number by design, and results do not depend on the number of workers, shards or batches.
+Philox4x32-10 (Salmon, Moraes, Dror & Shaw 2011) is a bijection of its 128-bit counter for each 64-bit key.
+The key is the seed; the counter holds the case (64 bits), the stream (32 bits) and the block (32 bits). So no two
+cases, streams or blocks of a seed share a counter, and results do not depend on the number of workers or shards.
 """
 
 from __future__ import annotations
