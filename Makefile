@@ -51,7 +51,7 @@ types: $(READY) ## mypy and basedpyright
 	$(BIN)/python -m basedpyright
 
 imports: $(READY) ## import-linter: imports go one way
-	$(BIN)/python -m importlinter.cli lint
+	$(BIN)/lint-imports
 
 unit: $(READY) ## the quick tests; PYTEST_ARGS="-k kalman" narrows them
 	$(BIN)/python -m pytest -n $(JOBS) -m "not long" $(PYTEST_ARGS)
