@@ -1,0 +1,124 @@
+"""The Bayes-optimal posterior over the classes of a recipe: what no classifier can beat on average.
+
+For each class the nuisance factors are integrated out by Laplace's method (Laplace 1774; MacKay 2003, ch. 27): a fit
+of the factors under their Gaussian prior, and the volume of the peak from its curvature. Only the recipe, the measured
+samples and the nominal voltage enter.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import logsumexp
+
+from motor_env.estimation import Prior, fit, fitted_residuals, step_voltage
+from motor_env.faults import NoiseSource, apply_faults, noise_variance_factor
+from motor_env.parameters import FloatArray
+from motor_env.recipes import FACTORS, FaultClass, Recipe
+from motor_env.sensitivity import Coordinates, Observed
+
+_CHUNK = 512  # cases fitted at once: bounds the memory, and keeps them in the cache
+
+
+def class_coordinates(recipe: Recipe, fault_class: FaultClass) -> Coordinates:
+    """Standard normal coordinates of the motors of a class: each factor is 1 + sd z; those without spread are fixed."""
+    free = tuple((name, float(sd)) for name, sd in zip(FACTORS, recipe.spread.std, strict=True) if sd > 0.0)
+    return Coordinates(
+        nominal=apply_faults(recipe.motor, fault_class.faults),
+        names=tuple(name for name, _ in free),
+        scales=tuple(sd for _, sd in free),
+        logarithmic=False,
+    )
+
+
+def variance_factor(fault_class: FaultClass) -> float:
+    """Factor of a class on the variance of the measurement noise."""
+    return float(noise_variance_factor(fault_class.faults, NoiseSource.MEASUREMENT, np.zeros(1))[0, 0])
+
+
+def recipe_observed(recipe: Recipe, measurements: ArrayLike, voltage_v: ArrayLike | None = None) -> Observed:
+    """The measured transients as the recipe sees them; the first part of a transient is taken for a shorter one.
+
+    Args:
+        recipe: what the cases were drawn from.
+        measurements: shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
+        voltage_v: nominal voltage; the recipe's step by default.
+    """
+    measured = np.asarray(measurements, dtype=np.float64)
+    voltage = step_voltage(recipe.timing, float(recipe.supply.voltage_v)) if voltage_v is None else voltage_v
+    shown = np.asarray(voltage)[..., : measured.shape[-1]]
+    return Observed.of(measured, shown, recipe.sensor, recipe.timing.dt_s)
+
+
+def laplace_evidence(observed: Observed, coordinates: Coordinates) -> FloatArray:
+    """Log probability density of each transient, coordinates of a standard normal prior integrated out, shape (n,)."""
+    if coordinates.size == 0:
+        exact = np.zeros((observed.n_cases, 0))
+        chi2 = np.square(fitted_residuals(observed, coordinates, exact)).sum(axis=(-2, -1))
+        likelihood: FloatArray = observed.log_normaliser - 0.5 * chi2
+        return likelihood
+    fitted = fit(observed, coordinates, Prior.of(np.ones(coordinates.size)))
+    _, log_determinant = np.linalg.slogdet(fitted.information)
+    evidence: FloatArray = observed.log_normaliser - 0.5 * (fitted.objective + log_determinant)
+    return evidence
+
+
+def class_log_evidence(
+    recipe: Recipe, measurements: ArrayLike, voltage_v: ArrayLike | None = None
+) -> FloatArray:
+    """Log probability density of each transient under each class, shape (n_cases, n_classes).
+
+    Exact for a recipe without spread: then it is the plain likelihood. A process noise fault leaves no trace here.
+
+    Args:
+        recipe: what the cases were drawn from.
+        measurements: shape (n_cases, n_channels, n_samples); fewer samples than the recipe's are its first ones.
+        voltage_v: nominal voltage, shape (n_samples,) or (n_cases, n_samples); the recipe's step by default.
+
+    Raises:
+        ValueError: shapes do not fit, a value is not finite, or the recipe's sensor has no noise.
+    """
+    observed = recipe_observed(recipe, measurements, voltage_v)
+    evidence = np.empty((observed.n_cases, len(recipe.classes)))
+    for begin in range(0, observed.n_cases, _CHUNK):
+        chosen = slice(begin, begin + _CHUNK)
+        part = observed.rows(chosen)
+        for column, fault_class in enumerate(recipe.classes):
+            noisy = part.with_variance(variance_factor(fault_class))
+            evidence[chosen, column] = laplace_evidence(noisy, class_coordinates(recipe, fault_class))
+    return evidence
+
+
+def class_probabilities(
+    recipe: Recipe, measurements: ArrayLike, voltage_v: ArrayLike | None = None
+) -> FloatArray:
+    """Posterior probability of each class, shape (n_cases, n_classes), rows summing to 1; as `class_log_evidence`."""
+    joint = class_log_evidence(recipe, measurements, voltage_v) + np.log(recipe.class_probabilities)
+    posterior: FloatArray = np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
+    return posterior
+
+
+class Limit(NamedTuple):
+    """The Bayes-optimal accuracy on given cases.
+
+    Attributes:
+        expected_accuracy: mean of the largest probabilities.
+        standard_error: its standard error.
+    """
+
+    expected_accuracy: float
+    standard_error: float
+
+
+def bayes_limit(probabilities: FloatArray) -> Limit:
+    """Best accuracy that any rule can have, from posterior probabilities of drawn cases.
+
+    The mean of the largest probability has half the standard error of counting hits, and needs no labels.
+
+    Args:
+        probabilities: shape (n_cases, n_classes), at least two cases.
+    """
+    largest = probabilities.max(axis=1)
+    return Limit(float(largest.mean()), float(largest.std(ddof=1) / np.sqrt(len(largest))))

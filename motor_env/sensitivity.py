@@ -1,0 +1,378 @@
+"""How the linear motor's measured response moves with its parameters: what every fit, bound and posterior stands on.
+
+Coordinates turn a vector of numbers into motors and supplies; `normal_equations` gives, for a batch, the weighted sum
+of squared residuals of a measured transient, its gradient and its Fisher information (Gauss 1809; Ljung 1999, ch. 10).
+The equations of the motor are those of `discretize`; only their slopes are taken here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from motor_env.model import N_STATES, Input, discretize
+from motor_env.parameters import FloatArray, MotorParameters, SensorParameters, require
+
+_FIELDS: dict[str, tuple[str, ...]] = {
+    "supply": (),
+    "resistance": ("resistance_ohm",),
+    "inductance": ("inductance_h",),
+    "constants": ("back_emf_constant_v_s_per_rad", "torque_constant_n_m_per_a"),
+    "inertia": ("inertia_kg_m2",),
+    "friction": ("viscous_friction_n_m_s_per_rad",),
+}
+
+QUANTITIES = tuple(_FIELDS)
+"""What a fit can free: a factor on the supply, or on a parameter; `constants` is one common factor on Kt and Kb."""
+
+_DIFFERENCE = (
+    1e-5  # of a relative change: truncation and rounding of a central difference are both near 1e-10
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Coordinates:
+    """Coordinates z of motors around a nominal one.
+
+    A factor is exp(scale z) where `logarithmic`, else 1 + scale z; z = 0 is the nominal motor.
+
+    Attributes:
+        nominal: the motor at z = 0.
+        names: the quantities that are free, of `QUANTITIES`; all others stay at their nominal values.
+        scales: relative change of each for a unit of its coordinate, all > 0.
+        logarithmic: whether factors are exponentials.
+    """
+
+    nominal: MotorParameters
+    names: tuple[str, ...]
+    scales: tuple[float, ...]
+    logarithmic: bool = True
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.names if name not in _FIELDS]
+        require(
+            not unknown, f"free must be among {', '.join(QUANTITIES)}, got {', '.join(map(repr, unknown))}"
+        )
+        require(
+            len(set(self.names)) == len(self.names), f"free must be distinct, got {', '.join(self.names)}"
+        )
+        require(
+            len(self.names) == len(self.scales) and all(scale > 0.0 for scale in self.scales),
+            f"scales must be one positive number for each of {', '.join(self.names)}, got {self.scales}",
+        )
+
+    @classmethod
+    def of(cls, nominal: MotorParameters, names: tuple[str, ...]) -> Coordinates:
+        """Natural logarithms of the factors."""
+        return cls(nominal, tuple(names), (1.0,) * len(names))
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return len(self.names)
+
+    def factors(self, values: FloatArray) -> FloatArray:
+        """Factors on the nominal values, shape (..., size), for coordinates of that shape."""
+        scaled = values * np.asarray(self.scales)
+        factors: FloatArray = np.exp(scaled) if self.logarithmic else 1.0 + scaled
+        return factors
+
+    def motors(self, values: FloatArray) -> tuple[MotorParameters, FloatArray]:
+        """Motors and supply factors, both of batch shape (...), for coordinates of shape (..., size)."""
+        factors = dict(zip(self.names, np.moveaxis(self.factors(values), -1, 0), strict=True))
+        supply = factors.pop("supply", np.ones(values.shape[:-1]))
+        by_field = {field: factor for name, factor in factors.items() for field in _FIELDS[name]}
+        return self.nominal.scaled(**by_field), supply
+
+
+class Model(NamedTuple):
+    """x[k+1] = `transition` x[k] + `gain` v[k], v the nominal voltage: the supply's factor is in the gain.
+
+    Attributes:
+        transition: shape (n, 2, 2).
+        gain: shape (n, 2).
+    """
+
+    transition: FloatArray
+    gain: FloatArray
+
+
+def discrete_models(coordinates: Coordinates, values: FloatArray, dt_s: float) -> Model:
+    """Exact discrete models at the coordinates, shape (..., size)."""
+    motors, supply = coordinates.motors(values)
+    model = discretize(motors, dt_s)
+    shape = values.shape[:-1]
+    transition = np.broadcast_to(model.transition, (*shape, N_STATES, N_STATES))
+    gain = np.broadcast_to(model.gain[..., Input.VOLTAGE], (*shape, N_STATES))
+    return Model(transition, gain * supply[..., None])
+
+
+def model_slopes(coordinates: Coordinates, values: FloatArray, dt_s: float) -> tuple[Model, Model]:
+    """Models at the coordinates (n, size), and their derivatives, with a second axis: (n, size, 2, 2), (n, size, 2)."""
+    steps = _DIFFERENCE / np.asarray(coordinates.scales)
+    shifts = np.concatenate([np.zeros((1, coordinates.size)), np.diag(steps), -np.diag(steps)])
+    transition, gain = discrete_models(coordinates, values[:, None, :] + shifts, dt_s)
+    up, down = slice(1, 1 + coordinates.size), slice(1 + coordinates.size, None)
+    centre = Model(np.ascontiguousarray(transition[:, 0]), np.ascontiguousarray(gain[:, 0]))
+    slope = Model(
+        (transition[:, up] - transition[:, down]) / (2.0 * steps[:, None, None]),
+        (gain[:, up] - gain[:, down]) / (2.0 * steps[:, None]),
+    )
+    return centre, slope
+
+
+@njit(cache=True)
+def _sensitivities(
+    transition: FloatArray,
+    gain: FloatArray,
+    transition_slope: FloatArray,
+    gain_slope: FloatArray,
+    voltage: FloatArray,
+    initial_state: FloatArray,
+    states: FloatArray,
+    slopes: FloatArray,
+) -> None:
+    """One motor's states, (2, n_samples), and their derivatives, (size, 2, n_samples), by the exact recursion.
+
+    s[k+1] = A s[k] + A' x[k] + b' v[k]; the initial state does not depend on the parameters.
+    """
+    a00, a01, a10, a11 = transition[0, 0], transition[0, 1], transition[1, 0], transition[1, 1]
+    b0, b1 = gain[0], gain[1]
+    x0, x1 = initial_state[0], initial_state[1]
+    for k in range(states.shape[1]):
+        v = voltage[k]
+        x0, x1 = a00 * x0 + a01 * x1 + b0 * v, a10 * x0 + a11 * x1 + b1 * v
+        states[0, k], states[1, k] = x0, x1
+    for j in range(slopes.shape[0]):
+        d00, d01 = transition_slope[j, 0, 0], transition_slope[j, 0, 1]
+        d10, d11 = transition_slope[j, 1, 0], transition_slope[j, 1, 1]
+        e0, e1 = gain_slope[j, 0], gain_slope[j, 1]
+        x0, x1 = initial_state[0], initial_state[1]
+        s0, s1 = 0.0, 0.0
+        for k in range(states.shape[1]):
+            v = voltage[k]
+            f0 = d00 * x0 + d01 * x1 + e0 * v
+            f1 = d10 * x0 + d11 * x1 + e1 * v
+            s0, s1 = a00 * s0 + a01 * s1 + f0, a10 * s0 + a11 * s1 + f1
+            slopes[j, 0, k], slopes[j, 1, k] = s0, s1
+            x0, x1 = states[0, k], states[1, k]
+
+
+@njit(cache=True)
+def _normal_equations(
+    rows: NDArray[np.int64],
+    transition: FloatArray,
+    gain: FloatArray,
+    transition_slope: FloatArray,
+    gain_slope: FloatArray,
+    voltage: FloatArray,
+    measurements: FloatArray,
+    observation: FloatArray,
+    initial_state: FloatArray,
+    chi2: FloatArray,
+    gradient: FloatArray,
+    information: FloatArray,
+) -> None:
+    """Weighted squares, J'r and J'J of each row; `observation` is C divided by the noise, as `measurements` are."""
+    n_channels, n_samples, size = measurements.shape[1], measurements.shape[2], gradient.shape[1]
+    states = np.empty((N_STATES, n_samples))
+    slopes = np.empty((size, N_STATES, n_samples))
+    residual = np.empty(n_samples)
+    jacobian = np.empty((size, n_samples))
+    for n in range(rows.shape[0]):
+        row = rows[n]
+        series = voltage[row if voltage.shape[0] > 1 else 0]
+        _sensitivities(
+            transition[n],
+            gain[n],
+            transition_slope[n],
+            gain_slope[n],
+            series,
+            initial_state,
+            states,
+            slopes,
+        )
+        chi2[n] = 0.0
+        gradient[n] = 0.0
+        information[n] = 0.0
+        for m in range(n_channels):
+            c0, c1 = observation[m, 0], observation[m, 1]
+            for k in range(n_samples):
+                residual[k] = measurements[row, m, k] - c0 * states[0, k] - c1 * states[1, k]
+            for j in range(size):
+                for k in range(n_samples):
+                    jacobian[j, k] = c0 * slopes[j, 0, k] + c1 * slopes[j, 1, k]
+            chi2[n] += np.dot(residual, residual)
+            gradient[n] += np.dot(jacobian, residual)
+            information[n] += np.dot(jacobian, jacobian.T)
+
+
+class NormalEquations(NamedTuple):
+    """At given coordinates, for each case: what a Gauss-Newton step needs.
+
+    Attributes:
+        chi2: sum of squared residuals in units of the noise, shape (n,).
+        gradient: J' r, shape (n, size): minus half the gradient of chi2.
+        information: J' J, the Fisher information, shape (n, size, size).
+    """
+
+    chi2: FloatArray
+    gradient: FloatArray
+    information: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """Measured transients in units of their noise, and what drove them.
+
+    Attributes:
+        whitened: measurements divided by the noise's standard deviation, shape (n_cases, n_channels, n_samples).
+        voltage_v: nominal voltage, shape (1 or n_cases, n_samples).
+        dt_s: sampling interval.
+        observation: C divided by the noise, shape (n_channels, 2).
+        log_normaliser: log-likelihood of a transient with chi2 = 0.
+        initial_state: state before the first interval, shape (2,).
+    """
+
+    whitened: FloatArray
+    voltage_v: FloatArray
+    dt_s: float
+    observation: FloatArray
+    log_normaliser: float
+    initial_state: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        measurements: ArrayLike,
+        voltage_v: ArrayLike,
+        sensor: SensorParameters,
+        dt_s: float,
+        initial_state: ArrayLike = (0.0, 0.0),
+    ) -> Observed:
+        """Check and whiten.
+
+        Args:
+            measurements: shape (n_cases, n_channels, n_samples), or (n_channels, n_samples) for one case.
+            voltage_v: nominal voltage held in each interval, shape (n_samples,) or (n_cases, n_samples).
+            sensor: channels, and the noise that is believed.
+            dt_s: sampling interval.
+            initial_state: known current and speed before the first interval.
+
+        Raises:
+            ValueError: shapes do not fit, a value is not finite, or a channel is believed to have no noise.
+        """
+        measured = np.asarray(measurements, dtype=np.float64)
+        measured = measured[None] if measured.ndim == 2 else measured
+        n_channels = len(sensor.channels)
+        require(
+            measured.ndim == 3 and measured.shape[1] == n_channels,
+            f"measurements must have shape (n_cases, {n_channels}, n_samples), got {np.shape(measurements)}",
+        )
+        require(bool(np.isfinite(measured).all()), "measurements must be finite, got a value that is not")
+        std = sensor.noise_std
+        require(bool((std > 0.0).all()), f"noise of each channel must be > 0, got {std}")
+        voltage = np.atleast_2d(np.asarray(voltage_v, dtype=np.float64))
+        require(
+            voltage.shape[-1] == measured.shape[-1] and voltage.shape[0] in (1, len(measured)),
+            f"voltage_v must have shape ({measured.shape[-1]},) or {(len(measured), measured.shape[-1])}, "
+            f"got {np.shape(voltage_v)}",
+        )
+        require(bool(np.isfinite(voltage).all()), "voltage_v must be finite, got a value that is not")
+        n_samples = measured.shape[-1]
+        return cls(
+            whitened=np.ascontiguousarray(measured / std[:, None]),
+            voltage_v=np.ascontiguousarray(voltage),
+            dt_s=float(dt_s),
+            observation=sensor.observation / std[:, None],
+            log_normaliser=-n_samples * float(np.log(std).sum() + 0.5 * n_channels * np.log(2.0 * np.pi)),
+            initial_state=np.asarray(initial_state, dtype=np.float64),
+        )
+
+    def with_variance(self, factor: float) -> Observed:
+        """The same transients, with the noise's variance believed to be `factor` times as large."""
+        root = float(np.sqrt(factor))
+        return replace(
+            self,
+            whitened=self.whitened / root,
+            observation=self.observation / root,
+            log_normaliser=self.log_normaliser - self.n_values * float(np.log(root)),
+        )
+
+    def rows(self, chosen: slice) -> Observed:
+        """Some of the cases."""
+        voltage = self.voltage_v if len(self.voltage_v) == 1 else self.voltage_v[chosen]
+        return replace(self, whitened=self.whitened[chosen], voltage_v=voltage)
+
+    @property
+    def n_cases(self) -> int:
+        """Number of transients."""
+        return len(self.whitened)
+
+    @property
+    def n_values(self) -> int:
+        """Numbers measured in a transient: channels times samples."""
+        _, n_channels, n_samples = self.whitened.shape
+        return int(n_channels * n_samples)
+
+
+def normal_equations(
+    observed: Observed, coordinates: Coordinates, values: FloatArray, rows: NDArray[np.int64] | None = None
+) -> NormalEquations:
+    """Squares, gradient and information at coordinates of shape (n, size), for the cases `rows` (all by default)."""
+    chosen = np.arange(observed.n_cases) if rows is None else rows
+    centre, slope = model_slopes(coordinates, values, observed.dt_s)
+    n, size = len(chosen), coordinates.size
+    result = NormalEquations(np.empty(n), np.empty((n, size)), np.empty((n, size, size)))
+    _normal_equations(
+        chosen,
+        *centre,
+        *slope,
+        observed.voltage_v,
+        observed.whitened,
+        observed.observation,
+        observed.initial_state,
+        *result,
+    )
+    return result
+
+
+def jacobian(
+    coordinates: Coordinates,
+    voltage_v: ArrayLike,
+    sensor: SensorParameters,
+    dt_s: float,
+    values: ArrayLike | None = None,
+    initial_state: ArrayLike = (0.0, 0.0),
+) -> tuple[FloatArray, FloatArray]:
+    """Response (n_channels, n_samples) of one motor and its derivative (n_channels, n_samples, size), physical units.
+
+    Args:
+        coordinates: what the derivative is taken with respect to.
+        voltage_v: nominal voltage, shape (n_samples,).
+        sensor: channels.
+        dt_s: sampling interval.
+        values: coordinates of the motor, shape (size,); the nominal motor by default.
+        initial_state: known current and speed before the first interval.
+    """
+    at = np.zeros(coordinates.size) if values is None else np.asarray(values, dtype=np.float64)
+    voltage = np.ascontiguousarray(voltage_v, dtype=np.float64)
+    centre, slope = model_slopes(coordinates, at[None], dt_s)
+    states = np.empty((N_STATES, voltage.size))
+    slopes = np.empty((coordinates.size, N_STATES, voltage.size))
+    _sensitivities(
+        centre.transition[0],
+        centre.gain[0],
+        slope.transition[0],
+        slope.gain[0],
+        voltage,
+        np.asarray(initial_state, dtype=np.float64),
+        states,
+        slopes,
+    )
+    response: FloatArray = sensor.observation @ states
+    return response, np.einsum("cs,jsk->ckj", sensor.observation, slopes)
