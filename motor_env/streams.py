@@ -34,6 +34,7 @@ class Stream(IntEnum):
     PROCESS = 4
     ONSET = 5
     SENSOR = 6
+    SPLIT = 7
 
 
 @njit(cache=True)

@@ -1,0 +1,45 @@
+"""Data sets for NumPy, torch and pandas."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from motor_datasets import storage
+from motor_datasets.arrays import Dataset
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def load(folder: str | Path, split: str | None = None) -> Dataset:
+    """Load a data set, or one split of it, ordered by case.
+
+    Raises:
+        InputError: no data set there, a file missing or damaged, an unknown or empty split.
+    """
+    path = Path(folder)
+    return storage.read_files(path, storage.read_manifest(path), split)
+
+
+def to_torch(dataset: Dataset) -> Any:
+    """The data set as `torch.utils.data.TensorDataset` of (X, class_index, severity)."""
+    import torch
+
+    return torch.utils.data.TensorDataset(
+        torch.from_numpy(dataset.X),
+        torch.from_numpy(dataset.class_index),
+        torch.from_numpy(dataset.severity),
+    )
+
+
+def to_pandas(dataset: Dataset) -> pd.DataFrame:
+    """Labels and parameters, one row a case; samples as arrays in the columns `current_a`, `speed_rad_s`."""
+    import pandas as pd
+
+    labels = ("case_id", "motor_id", "split", "class_name", "class_index", "kind", "severity")
+    columns: dict[str, Any] = {name: getattr(dataset, name) for name in labels}
+    columns.update(dataset.parameters)
+    for n, channel in enumerate(dataset.recipe.sensor.channels):
+        columns[storage.COLUMN_OF_CHANNEL[channel]] = list(dataset.X[:, n])
+    return pd.DataFrame(columns)
