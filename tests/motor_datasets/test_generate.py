@@ -65,10 +65,12 @@ def test_what_is_loaded_is_what_was_generated(tmp_path: Path) -> None:
 
 
 def files_of(folder: Path) -> dict[Path, bytes]:
-    return {path.relative_to(folder: Path) -> dict[Path, bytes]: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_the_command_writes_the_same_bytes_and_never_over_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_the_same_bytes_and_never_over_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     command = ["generate", "bench", "--cases", "30", "--seed", "2", "--duration-s", "0.01"]
     for name in ("a", "b"):
         assert main([*command, "--out", str(tmp_path / name)]) == 0
