@@ -28,8 +28,8 @@ def to_torch(dataset: Dataset) -> Any:
 
     return torch.utils.data.TensorDataset(
         torch.from_numpy(dataset.X),
-        torch.from_numpy(dataset.class_index),
-        torch.from_numpy(dataset.severity),
+        torch.tensor(dataset.class_index),
+        torch.tensor(dataset.severity),
     )
 
 
