@@ -1,0 +1,23 @@
+"""Decision rules: when does a residual count as a fault, and how often does a healthy motor alarm?
+
+Each rule has `statistic(whitened)`, `alarm_index(whitened, threshold)`, `stream()` with `update(sample)`, and
+`threshold_for(arl0=...)` or `threshold_for(false_alarm_probability=..., n_samples=...)`. They read
+`FilterResult.whitened`, shape (..., n_samples, n_channels).
+"""
+
+from motor_env.rules.base import Rule, RuleStream, Threshold, first_above
+from motor_env.rules.cusum import Cusum, ShiryaevRoberts, Sprt
+from motor_env.rules.nis import MOfN, in_a_row, nis_rule
+
+__all__ = [
+    "Cusum",
+    "MOfN",
+    "Rule",
+    "RuleStream",
+    "ShiryaevRoberts",
+    "Sprt",
+    "Threshold",
+    "first_above",
+    "in_a_row",
+    "nis_rule",
+]

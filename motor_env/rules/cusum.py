@@ -1,0 +1,213 @@
+"""Rules for an onset in mid-run: CUSUM and Shiryaev-Roberts, and Wald's test that both come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from motor_env.parameters import FloatArray, require_positive
+from motor_env.rules.base import Rule, Threshold, Wanted
+from motor_env.run_length import cusum_chain, shiryaev_roberts_chain, sprt_chain, two_sided
+
+
+def projected(whitened: FloatArray, direction: tuple[float, ...] | None) -> FloatArray:
+    """Standard normal sample along a direction of the channels, shape (n_streams,); 0 where it was not measured."""
+    values = np.nan_to_num(whitened, nan=0.0)
+    if direction is None:
+        return values[:, 0]
+    unit = np.asarray(direction, dtype=np.float64)
+    along: FloatArray = values @ (unit / np.linalg.norm(unit))
+    return along
+
+
+class _Directed(Rule):
+    """A rule on one number a sample: the whitened innovation along a direction (by default the first channel)."""
+
+    __slots__ = ()
+
+    direction: tuple[float, ...] | None
+
+    @property
+    def n_channels(self) -> int | None:
+        """As many as the direction has entries; any number where the first channel is taken."""
+        return None if self.direction is None else len(self.direction)
+
+
+@dataclass(frozen=True, slots=True)
+class Cusum(_Directed):
+    """CUSUM: S = max(0, S + r - d/2), for a shift d of the mean that begins at an unknown time (Page 1954).
+
+    With the true shift it has the least worst-case delay for its ARL0 (Moustakides 1986). The two-sided rule runs one
+    for each sign and takes the larger. Exact thresholds by integral equation (Goel & Wu 1971).
+
+    Attributes:
+        shift: d, the shift looked for, in standard deviations of the innovation; > 0.
+        two_sided: whether a fall is looked for beside a rise.
+        direction: over the channels; by default the first one.
+    """
+
+    shift: float
+    two_sided: bool = False
+    direction: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        require_positive("shift", self.shift)
+
+    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+        """Sums of 0."""
+        return np.zeros((n_streams, 2 if self.two_sided else 1))
+
+    def step(self, state: FloatArray, whitened: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The larger sum."""
+        value = projected(whitened, self.direction)[:, None]
+        signs = np.array([1.0, -1.0])[: state.shape[1]]
+        seen = ~np.isnan(whitened).all(axis=1, keepdims=True)
+        sums = np.maximum(state + seen * (signs * value - 0.5 * self.shift), 0.0)
+        return sums, sums.max(axis=1)
+
+    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
+        """Average samples to the alarm from S = 0, for samples of mean `shift`: 0 gives ARL0, d the worst-case delay.
+
+        For the two-sided rule 1/ARL is the sum over the sides (van Dobben de Bruyn 1968).
+        """
+        one = cusum_chain(0.5 * self.shift, threshold, shift).average_run_length()
+        if not self.two_sided:
+            return one
+        other = cusum_chain(0.5 * self.shift, threshold, -shift).average_run_length() if shift else one
+        return 1.0 / (1.0 / one + 1.0 / other)
+
+    def alarm_probability(self, threshold: float, n_samples: int) -> float:
+        """Probability of a false alarm within n samples."""
+        chain = cusum_chain(0.5 * self.shift, threshold)
+        if not self.two_sided:
+            return chain.alarm_probability(n_samples)
+        return 1.0 - float(two_sided(chain.survival(n_samples))[-1])
+
+    def threshold_for(
+        self,
+        *,
+        arl0: float | None = None,
+        false_alarm_probability: float | None = None,
+        n_samples: int | None = None,
+        n_channels: int = 1,
+    ) -> Threshold:
+        """Exact threshold (integral equation); `n_channels` does not matter."""
+        wanted = Wanted.checked(arl0, false_alarm_probability, n_samples)
+        value = wanted.solve(self.average_run_length, self.alarm_probability, low=1e-3, step=0.5)
+        return Threshold(value, 0.0, "exact: integral equation")
+
+
+@dataclass(frozen=True, slots=True)
+class ShiryaevRoberts(_Directed):
+    """Shiryaev-Roberts: R = (1 + R) L, with L the likelihood ratio of a shift d; the statistic is log R.
+
+    Optimal on average over onsets long after the start (Shiryaev 1963, Roberts 1966, Pollak & Tartakovsky 2009). That
+    ARL0 >= threshold is a loose bound; here it is solved exactly by integral equation.
+
+    Attributes:
+        shift: d, > 0.
+        direction: over the channels; by default the first one.
+    """
+
+    shift: float
+    direction: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        require_positive("shift", self.shift)
+
+    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+        """Log R of R = 0."""
+        return np.full((n_streams, 1), -np.inf)
+
+    def step(self, state: FloatArray, whitened: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Log R."""
+        value = projected(whitened, self.direction)
+        updated = np.logaddexp(0.0, state[:, 0]) + self.shift * (value - 0.5 * self.shift)
+        log_r = np.where(np.isnan(whitened).all(axis=1), state[:, 0], updated)
+        return log_r[:, None], log_r
+
+    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
+        """Average samples to the alarm from R = 0, for samples of mean `shift`."""
+        return shiryaev_roberts_chain(self.shift, threshold, shift).average_run_length()
+
+    def alarm_probability(self, threshold: float, n_samples: int) -> float:
+        """Probability of a false alarm within n samples."""
+        return shiryaev_roberts_chain(self.shift, threshold).alarm_probability(n_samples)
+
+    def threshold_for(
+        self,
+        *,
+        arl0: float | None = None,
+        false_alarm_probability: float | None = None,
+        n_samples: int | None = None,
+        n_channels: int = 1,
+    ) -> Threshold:
+        """Exact threshold on log R (integral equation); `n_channels` does not matter."""
+        wanted = Wanted.checked(arl0, false_alarm_probability, n_samples)
+        low = -self.shift * (0.5 * self.shift + 8.0)
+        value = wanted.solve(self.average_run_length, self.alarm_probability, low=low, step=1.0)
+        return Threshold(value, 0.0, "exact: integral equation")
+
+
+@dataclass(frozen=True, slots=True)
+class Sprt(_Directed):
+    """Wald's sequential probability ratio test of a shift d, there from the start (Wald 1945).
+
+    The statistic is the log-likelihood ratio; at `lower` the motor is accepted as healthy, and the test begins anew
+    (`restart`) or stays silent.
+
+    Attributes:
+        shift: d, > 0.
+        lower: log(missed / (1 - false alarms)) in Wald's approximation; < 0.
+        restart: whether an accepted test begins anew. Without, there is no ARL0.
+        direction: over the channels; by default the first one.
+    """
+
+    shift: float
+    lower: float = -4.6
+    restart: bool = False
+    direction: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        require_positive("shift", self.shift)
+        require_positive("-lower", -self.lower)
+
+    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+        """Ratio 1."""
+        return np.zeros((n_streams, 1))
+
+    def step(self, state: FloatArray, whitened: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins."""
+        value = projected(whitened, self.direction)
+        ratio = state[:, 0] + self.shift * (value - 0.5 * self.shift)
+        ratio = np.where(ratio <= self.lower, 0.0 if self.restart else -np.inf, ratio)
+        ratio = np.where(np.isnan(whitened).all(axis=1), state[:, 0], ratio)
+        return ratio[:, None], ratio
+
+    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
+        """Average samples to the alarm with restarts, for samples of mean `shift`; infinite without."""
+        if not self.restart:
+            return float("inf")
+        chain = sprt_chain(self.shift, self.lower, threshold, restart=True, shift=shift)
+        return chain.average_run_length()
+
+    def alarm_probability(self, threshold: float, n_samples: int, shift: float = 0.0) -> float:
+        """Probability of an alarm within n samples, for samples of mean `shift`."""
+        chain = sprt_chain(self.shift, self.lower, threshold, restart=self.restart, shift=shift)
+        return chain.alarm_probability(n_samples)
+
+    def threshold_for(
+        self,
+        *,
+        arl0: float | None = None,
+        false_alarm_probability: float | None = None,
+        n_samples: int | None = None,
+        n_channels: int = 1,
+    ) -> Threshold:
+        """Exact upper bound (integral equation); `n_channels` does not matter."""
+        wanted = Wanted.checked(arl0, false_alarm_probability, n_samples)
+        if wanted.arl0 is not None and not self.restart:
+            raise ValueError("arl0 needs restart=True: a test that stays silent has no average run length")
+        value = wanted.solve(self.average_run_length, self.alarm_probability, low=1e-3, step=0.5)
+        return Threshold(value, 0.0, "exact: integral equation")

@@ -1,0 +1,94 @@
+"""Rules on the normalised innovation squared (NIS): single, k in a row, M of N, summed over a window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from motor_env.parameters import FloatArray, require
+from motor_env.rules.base import Rule, Threshold, Wanted
+from motor_env.run_length import LONGEST_WINDOW, Chain, m_of_n_chain
+
+
+def normalised_square(whitened: FloatArray) -> FloatArray:
+    """NIS of whitened samples, shape (n_streams,); 0 where nothing was measured (Bar-Shalom, Li & Kirubarajan 2001)."""
+    nis: FloatArray = np.square(np.nan_to_num(whitened, nan=0.0)).sum(axis=-1)
+    return nis
+
+
+@dataclass(frozen=True, slots=True)
+class MOfN(Rule):
+    """Alarm when at least M of the last N samples have a NIS above the threshold.
+
+    The statistic is the M-th largest NIS of the last N, which is above the threshold exactly then. M = N = 1 is the
+    plain NIS test, M = N = k the rule of k in a row. The threshold is exact: chi-square for a hit, Markov chain for
+    the rule (Brook & Evans 1972; the rule: Schwartz 1956).
+
+    Attributes:
+        needed: M.
+        among: N.
+    """
+
+    needed: int = 3
+    among: int = 5
+
+    def __post_init__(self) -> None:
+        require(
+            1 <= self.needed <= self.among <= LONGEST_WINDOW,
+            f"needed and among must satisfy 1 <= M <= N <= {LONGEST_WINDOW}, got {self.needed} and {self.among}",
+        )
+
+    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+        """The last N squares, the oldest first; none so far."""
+        return np.zeros((n_streams, self.among))
+
+    def step(self, state: FloatArray, whitened: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """M-th largest of the last N squares."""
+        recent = np.concatenate([state[:, 1:], normalised_square(whitened)[:, None]], axis=1)
+        if self.among == 1:
+            return recent, recent[:, 0]
+        if self.needed == self.among:
+            return recent, recent.min(axis=1)
+        at = self.among - self.needed
+        return recent, np.partition(recent, at, axis=1)[:, at]
+
+    def average_run_length(self, threshold: float, n_channels: int = 1) -> float:
+        """Average samples to a false alarm."""
+        return self._chain(threshold, n_channels).average_run_length()
+
+    def alarm_probability(self, threshold: float, n_samples: int, n_channels: int = 1) -> float:
+        """Probability of a false alarm within n samples."""
+        return self._chain(threshold, n_channels).alarm_probability(n_samples)
+
+    def _chain(self, threshold: float, n_channels: int) -> Chain:
+        return m_of_n_chain(float(chi2.sf(threshold, n_channels)), self.needed, self.among)
+
+    def threshold_for(
+        self,
+        *,
+        arl0: float | None = None,
+        false_alarm_probability: float | None = None,
+        n_samples: int | None = None,
+        n_channels: int = 1,
+    ) -> Threshold:
+        """Exact threshold on the NIS (chi-square and Markov chain)."""
+        wanted = Wanted.checked(arl0, false_alarm_probability, n_samples)
+        value = wanted.solve(
+            lambda threshold: self.average_run_length(threshold, n_channels),
+            lambda threshold, count: self.alarm_probability(threshold, count, n_channels),
+            low=0.0,
+            step=1.0,
+        )
+        return Threshold(value, 0.0, "exact: chi-square and Markov chain of the last hits")
+
+
+def nis_rule() -> MOfN:
+    """The plain test of each sample's NIS (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4)."""
+    return MOfN(1, 1)
+
+
+def in_a_row(count: int) -> MOfN:
+    """`count` samples in a row with a NIS above the threshold (paper, Figure 1: confirmation; Feller 1968)."""
+    return MOfN(count, count)
