@@ -1,0 +1,1 @@
+"""Gymnasium environments: a motor that may be failing."""

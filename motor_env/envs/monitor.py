@@ -1,0 +1,57 @@
+"""`motor_env/Monitor-v0`: watch a motor that may be failing, and say so in time."""
+
+from __future__ import annotations
+
+from typing import Any, SupportsInt
+
+from gymnasium import spaces
+
+from motor_env.envs.base import Info, MotorEnv, Observation
+from motor_env.envs.options import MonitorOptions, with_changes
+
+
+class MonitorEnv(MotorEnv[SupportsInt]):
+    """A DC motor runs under the eye of a Kalman filter that believes it healthy. Say what fails, and when.
+
+    ## Description
+    The motor begins at its operating point. At an unknown time a fault of an unknown kind sets in, or none does. The
+    filter's whitened innovation is standard normal white noise until then. The agent waits, or declares a kind.
+
+    ## Action space
+    `Discrete(1 + number of kinds)`: 0 waits, the others declare one of the kinds that the recipe knows, in the order
+    bearing, winding, noise. With the default recipe: 1 bearing, 2 winding.
+
+    ## Observation space
+    `Box`, float32, finite, clipped at the space's bounds: the named features of `motor_env.envs.kernel.FEATURES`, for
+    current alone: measured current, estimated current and speed, whitened innovation, its exponentially weighted means
+    over 1 and 10 ms (scaled to a standard deviation of 1), the same of its excess of power over 10 ms, voltage, time
+    as a share of the horizon. Current is in units of the stall current, speed of the ideal no-load speed, voltage
+    of the supply's.
+
+    ## Reward
+    See `MonitorOptions`: delay costs 5 a second; right kind +1, silence to the end without a fault +1, false alarm -1,
+    wrong kind -0.5, miss -1.
+
+    ## End of an episode
+    A declaration, or the horizon (2000 samples of 0.1 ms), both as `terminated`. `truncated` is always False: the
+    environment owns its horizon, because a miss has to be charged.
+
+    ## Info
+    The truth, for those who score: `label`, `severity`, `onset_sample` (-1: no fault), `fault_active`.
+
+    Args:
+        options: the task; `MonitorOptions()` unless given.
+        render_mode: see the metadata.
+        changes: single options by name, on top.
+    """
+
+    def __init__(
+        self, options: MonitorOptions | None = None, *, render_mode: str | None = None, **changes: Any
+    ) -> None:
+        super().__init__(with_changes(options or MonitorOptions(), changes), render_mode)
+        self.action_space: spaces.Discrete = spaces.Discrete(1 + len(self.setup.kinds))
+        self._voltage_v = float(self.options.task.supply.voltage_v)
+
+    def step(self, action: SupportsInt) -> tuple[Observation, float, bool, bool, Info]:
+        """Wait (0), or declare a kind (1, 2, ...), which ends the episode."""
+        return self._advance(self._voltage_v, int(action))

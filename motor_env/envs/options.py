@@ -1,0 +1,140 @@
+"""Options of the environments: one small family, frozen and checked when made."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
+from typing import Any, TypeVar
+
+from motor_env.envs.tasks import task_recipe
+from motor_env.kalman import DEFAULT_PROCESS_NOISE_STD
+from motor_env.parameters import require, require_positive
+from motor_env.recipes import Recipe
+
+MAX_SAMPLES = 10_000_000
+
+
+class Start(StrEnum):
+    """State of the motor when an episode begins."""
+
+    RUNNING = "running"
+    STANDSTILL = "standstill"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MonitorOptions:
+    """Everything about the task that can be chosen; times in seconds, rewards in the reward's own unit.
+
+    Attributes:
+        recipe: what is drawn: nominal motor, tolerances, faults and their weights, sensor, sampling rate. The name of
+            a recipe (easy, medium, hard, or any of `motor_env.recipes`), or a `Recipe`.
+        horizon_s: length of an episode.
+        samples_per_step: sensor samples between two decisions.
+        start: `running` at the operating point, or from `standstill`.
+        load_torque_n_m: load on the shaft, known to the filter. Without load a winding fault of a running motor is all
+            but invisible; the default is half the rated torque of the default motor.
+        earliest_onset_s: before this time there is no fault.
+        mean_onset_s: mean of the (geometric) waiting time from `earliest_onset_s` to the onset; 0: always at once.
+        growth_s: time over which the fault grows to its severity; 0: abrupt.
+        growth_levels: equal steps in which it grows.
+        belief_noise_std: process noise of the filter's belief in [A, rad/s] a sample.
+        correct_reward: for declaring the right kind after the onset.
+        silent_reward: for reaching the horizon in silence when there was no fault.
+        false_alarm_cost: for a declaration when no fault had acted yet.
+        wrong_kind_cost: for declaring another kind than the fault's.
+        miss_cost: for reaching the horizon in silence when there was a fault.
+        delay_cost_per_s: for every second that passes between onset and declaration.
+        observe: names of the observed features, in this order; empty: all that the recipe's sensor gives.
+
+    Raises:
+        ValueError: a value is out of its range; the sentence says which and what would be right.
+    """
+
+    recipe: Recipe | str = "medium"
+    horizon_s: float = 0.2
+    samples_per_step: int = 1
+    start: Start = Start.RUNNING
+    load_torque_n_m: float = 0.0147
+    earliest_onset_s: float = 0.01
+    mean_onset_s: float = 0.05
+    growth_s: float = 0.0
+    growth_levels: int = 16
+    belief_noise_std: tuple[float, float] = DEFAULT_PROCESS_NOISE_STD
+    correct_reward: float = 1.0
+    silent_reward: float = 1.0
+    false_alarm_cost: float = 1.0
+    wrong_kind_cost: float = 0.5
+    miss_cost: float = 1.0
+    delay_cost_per_s: float = 5.0
+    observe: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        recipe = task_recipe(self.recipe) if isinstance(self.recipe, str) else self.recipe
+        require(isinstance(recipe, Recipe), f"recipe must be a name or a Recipe, got {recipe!r}")
+        object.__setattr__(self, "recipe", recipe)
+        require(self.start in set(Start), f"start must be one of {', '.join(Start)}, got {self.start!r}")
+        object.__setattr__(self, "start", Start(self.start))
+        require_positive("horizon_s", self.horizon_s)
+        for name in ("earliest_onset_s", "mean_onset_s", "growth_s"):
+            require_positive(name, getattr(self, name), zero_allowed=True)
+        for name in ("samples_per_step", "growth_levels"):
+            value = getattr(self, name)
+            require(
+                isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= 1000,
+                f"{name} must be a whole number from 1 to 1000, got {value!r}",
+            )
+        for field in fields(self):
+            if field.name.endswith(("_reward", "_cost", "_cost_per_s", "load_torque_n_m")):
+                value = getattr(self, field.name)
+                require(math.isfinite(value), f"{field.name} must be finite, got {value}")
+        noise = self.belief_noise_std
+        require(len(noise) == 2, f"belief_noise_std must be two numbers, got {noise!r}")
+        for value in noise:
+            require_positive("belief_noise_std", value)
+        require(
+            self.n_samples % self.samples_per_step == 0 and self.n_samples >= self.samples_per_step,
+            f"horizon_s must hold a whole number of steps of {self.samples_per_step} samples at "
+            f"{recipe.timing.sampling_rate_hz:g} Hz, got {self.horizon_s:g} s = {self.n_samples} samples",
+        )
+        require(
+            self.n_samples <= MAX_SAMPLES,
+            f"horizon_s must be at most {MAX_SAMPLES} samples long, got {self.n_samples}",
+        )
+        object.__setattr__(self, "observe", tuple(self.observe))
+
+    @property
+    def task(self) -> Recipe:
+        """The recipe itself."""
+        assert isinstance(self.recipe, Recipe)  # noqa: S101  # made so in __post_init__
+        return self.recipe
+
+    @property
+    def dt_s(self) -> float:
+        """Sampling interval."""
+        return self.task.timing.dt_s
+
+    @property
+    def n_samples(self) -> int:
+        """Samples of an episode that reaches its horizon."""
+        return round(min(self.horizon_s * self.task.timing.sampling_rate_hz, 2.0 * MAX_SAMPLES))
+
+    @property
+    def n_steps(self) -> int:
+        """Steps of an episode that reaches its horizon."""
+        return self.n_samples // self.samples_per_step
+
+
+Options = TypeVar("Options", bound=MonitorOptions)
+
+
+def with_changes(options: Options, changes: dict[str, Any]) -> Options:
+    """The options with some of them changed.
+
+    Raises:
+        ValueError: an option does not exist, or a value is out of its range.
+    """
+    known = [field.name for field in fields(options)]
+    for name in changes:
+        require(name in known, f"no option {name!r}; there are {', '.join(known)}")
+    return replace(options, **changes)

@@ -1,0 +1,241 @@
+"""From options to the numbers that the compiled step needs, and the drawing of episodes."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
+
+from motor_env.envs import kernel
+from motor_env.envs.kernel import KeyArray
+from motor_env.envs.options import MonitorOptions, Start
+from motor_env.faults import (
+    HEALTHY,
+    Fault,
+    FaultKind,
+    NoiseSource,
+    apply_faults,
+    noise_variance_factor,
+)
+from motor_env.kalman import KalmanFilter, gain_and_covariance
+from motor_env.model import Input, State, discretize, steady_state
+from motor_env.parameters import Channel, FloatArray, require
+from motor_env.recipes import draw
+from motor_env.streams import Stream, uniforms
+
+VERDICTS = ("bearing", "winding", "noise")
+VERDICT_OF = {
+    FaultKind.BEARING: "bearing",
+    FaultKind.WINDING_CONTACT: "winding",
+    FaultKind.WINDING_SHORT: "winding",
+    FaultKind.NOISE: "noise",
+}
+INNOVATION_BOUND = 10.0
+FAST_MEMORY_S = 1e-3
+SLOW_MEMORY_S = 10e-3
+
+
+class Setup(NamedTuple):
+    """What the compiled step needs to know about the task.
+
+    Attributes:
+        options: what it was made from.
+        kinds: verdicts that can be declared, in the order of the actions.
+        belief: the filter, with its gain in `constants`.
+        constants: see the kernel.
+        view: scale and bound of every feature, shape (2, n_features).
+        chosen: the observed features.
+        labels: label kind of every class of the recipe.
+        severities: severity of every class.
+    """
+
+    options: MonitorOptions
+    kinds: tuple[str, ...]
+    belief: KalmanFilter
+    constants: FloatArray
+    view: FloatArray
+    chosen: NDArray[np.int64]
+    labels: tuple[str, ...]
+    severities: tuple[float, ...]
+
+
+class Episodes(NamedTuple):
+    """Drawn episodes: the truth.
+
+    Attributes:
+        heads: onset in samples, number of the verdict that is right (0: none), supply factor, initial state, initial
+            estimate; shape (n, HEAD_LENGTH).
+        tables: the motor at each level of its fault, shape (n, levels, ROW_LENGTH).
+        keys: key of the noise, shape (n, 2).
+        class_index: class of the recipe, shape (n,).
+    """
+
+    heads: FloatArray
+    tables: FloatArray
+    keys: KeyArray
+    class_index: NDArray[np.int64]
+
+
+def converged_gain(belief: KalmanFilter) -> tuple[FloatArray, FloatArray]:
+    """Gain and innovation covariance to which the filter converges: the solution of its Riccati equation."""
+    solution = solve_discrete_are(
+        belief.model.transition.T,
+        belief.observation.T,
+        belief.process_covariance,
+        belief.measurement_covariance,
+    )
+    predicted = np.asarray(solution, dtype=np.float64)
+    gain, innovation_covariance, _ = gain_and_covariance(belief, predicted)
+    return gain, innovation_covariance
+
+
+def make_setup(options: MonitorOptions) -> Setup:
+    """Everything that follows from the options.
+
+    Raises:
+        ValueError: the recipe has no fault, or a feature cannot be observed with its sensor.
+    """
+    recipe = options.task
+    verdicts = {VERDICT_OF[c.kind] for c in recipe.classes if c.kind is not None}
+    require(bool(verdicts), f"recipe {recipe.name} must have a class with a fault, got healthy only")
+    voltage = float(recipe.supply.voltage_v)
+    rest = (0.0, 0.0)
+    if options.start is Start.RUNNING:
+        rest = tuple(steady_state(recipe.motor, voltage, options.load_torque_n_m))
+    belief = KalmanFilter.from_parameters(
+        recipe.motor,
+        recipe.sensor,
+        options.dt_s,
+        process_noise_std=options.belief_noise_std,
+        initial_state=rest,
+    )
+    view, names = _view(options)
+    for name in options.observe:
+        require(name in names, f"observe must name features among {', '.join(names)}, got {name!r}")
+    chosen = [kernel.FEATURES.index(name) for name in options.observe or names]
+    return Setup(
+        options=options,
+        kinds=tuple(kind for kind in VERDICTS if kind in verdicts),
+        belief=belief,
+        constants=_constants(options, belief),
+        view=view,
+        chosen=np.array(chosen, dtype=np.int64),
+        labels=tuple(c.label_kind for c in recipe.classes),
+        severities=tuple(c.severity for c in recipe.classes),
+    )
+
+
+def _constants(options: MonitorOptions, belief: KalmanFilter) -> FloatArray:
+    channels = [(Channel.CURRENT, Channel.SPEED).index(channel) for channel in options.task.sensor.channels]
+    gain, covariance = converged_gain(belief)
+    full_gain, whitening = np.zeros((2, 2)), np.zeros((2, 2))
+    full_gain[:, channels] = gain
+    whitening[np.ix_(channels, channels)] = np.linalg.inv(np.linalg.cholesky(covariance))
+    require(
+        channels == sorted(channels),
+        "channels of an environment's sensor must be current, then speed, got speed first",
+    )
+    p = np.zeros(kernel.N_CONSTANTS)
+    p[kernel.F00 : kernel.F11 + 1] = belief.model.transition.ravel()
+    p[[kernel.G0, kernel.G1]] = belief.model.gain[:, Input.VOLTAGE]
+    p[[kernel.H0, kernel.H1]] = belief.model.gain[:, Input.LOAD_TORQUE] * options.load_torque_n_m
+    p[kernel.K00 : kernel.K11 + 1] = full_gain.ravel()
+    p[[kernel.W00, kernel.W10, kernel.W11]] = whitening[0, 0], whitening[1, 0], whitening[1, 1]
+    p[[kernel.C0, kernel.C1]] = [float(channel in channels) for channel in State]
+    p[kernel.MEMORY_FAST] = math.exp(-options.dt_s / FAST_MEMORY_S)
+    p[kernel.MEMORY_SLOW] = math.exp(-options.dt_s / SLOW_MEMORY_S)
+    p[kernel.N_CHANNELS] = len(channels)
+    p[kernel.HORIZON] = options.n_samples
+    p[kernel.DELAY_COST] = options.delay_cost_per_s * options.dt_s
+    p[kernel.CORRECT : kernel.MISS + 1] = (
+        options.correct_reward,
+        options.silent_reward,
+        options.false_alarm_cost,
+        options.wrong_kind_cost,
+        options.miss_cost,
+    )
+    p[kernel.REST_VOLTAGE] = float(options.task.supply.voltage_v)
+    p[kernel.GROWTH] = round(options.growth_s / options.dt_s)
+    p[kernel.N_LEVELS] = n_levels(options)
+    p[kernel.DT] = options.dt_s
+    return p
+
+
+def _view(options: MonitorOptions) -> tuple[FloatArray, tuple[str, ...]]:
+    """Scale and bound of every feature, and the names of those that the sensor gives."""
+    recipe = options.task
+    voltage = float(recipe.supply.voltage_v)
+    require(voltage != 0.0, "voltage_v of the recipe's supply must not be 0")
+    current = abs(voltage) / float(recipe.motor.resistance_ohm)
+    speed = abs(voltage) / float(recipe.motor.back_emf_constant_v_s_per_rad)
+    white = 1.0 / math.sqrt(options.samples_per_step)
+    by_name: dict[str, tuple[float, float]] = {
+        "voltage": (1.0 / abs(voltage), 3.0),
+        "time": (1.0 / options.n_samples, 1.0),
+        "excess": (1.0, INNOVATION_BOUND),
+    }
+    for channel, unit in (("current", current), ("speed", speed)):
+        by_name[f"measured_{channel}"] = by_name[f"estimated_{channel}"] = (1.0 / unit, 3.0)
+        by_name[f"innovation_{channel}"] = (white, INNOVATION_BOUND)
+        by_name[f"fast_{channel}"] = by_name[f"slow_{channel}"] = (1.0, INNOVATION_BOUND)
+    unmeasured = [f"{kind}_{c}" for c in Channel if c not in recipe.sensor.channels for kind in _MEASURED]
+    names = tuple(name for name in kernel.FEATURES if name not in unmeasured)
+    return np.array([by_name[name] for name in kernel.FEATURES]).T.copy(), names
+
+
+_MEASURED = ("measured", "innovation", "fast", "slow")
+
+
+def n_levels(options: MonitorOptions) -> int:
+    """Levels that a fault takes until its full severity; 1 if it is abrupt."""
+    return options.growth_levels if round(options.growth_s / options.dt_s) > 0 else 1
+
+
+def draw_episodes(setup: Setup, seed: int, index: NDArray[np.int64], episode: NDArray[np.int64]) -> Episodes:
+    """Draw episodes `episode[n]` of sub-environments `index[n]`: each depends on (options, seed, the two) alone."""
+    options = setup.options
+    recipe = options.task
+    cases = (index << 32) | episode
+    drawn = draw(recipe, seed, cases)
+    scenario = drawn.scenario
+    levels = n_levels(options)
+    tables = np.empty((len(cases), levels + 1, kernel.ROW_LENGTH))
+    for level in range(levels + 1):
+        faults = tuple(Fault(f.kind, f.severity * (level / levels)) for f in scenario.faults)
+        model = discretize(apply_faults(scenario.parameters, faults), options.dt_s)
+        row = tables[:, level]
+        row[:, kernel.A00 : kernel.A11 + 1] = model.transition.reshape(-1, 4)
+        row[:, kernel.B0 : kernel.B1 + 1] = model.gain[..., Input.VOLTAGE]
+        row[:, kernel.D0 : kernel.D1 + 1] = model.gain[..., Input.LOAD_TORQUE] * options.load_torque_n_m
+        factor = noise_variance_factor(faults, NoiseSource.MEASUREMENT, np.zeros(1))
+        sensor = (recipe.sensor.current_noise_a, recipe.sensor.speed_noise_rad_s)
+        row[:, kernel.SIGMA_CURRENT :] = np.sqrt(factor) * np.asarray(sensor)
+    right = np.array([0 if name == HEALTHY else _action(setup, name) for name in setup.labels])
+    heads = np.zeros((len(cases), kernel.HEAD_LENGTH))
+    heads[:, kernel.HEAD_KIND] = right[drawn.class_index]
+    onset = _onsets(options, uniforms(seed, Stream.ONSET, cases, 1)[:, 0])
+    heads[:, kernel.HEAD_ONSET] = np.where(heads[:, kernel.HEAD_KIND] > 0, onset, kernel.NEVER)
+    heads[:, kernel.HEAD_SUPPLY] = drawn.factors[:, 0]
+    if options.start is Start.RUNNING:
+        rest = steady_state(scenario.parameters, scenario.supply.voltage_v, options.load_torque_n_m)
+        heads[:, kernel.HEAD_CURRENT : kernel.HEAD_SPEED + 1] = rest
+    heads[:, kernel.HEAD_EST_CURRENT :] = setup.belief.initial_state
+    words = uniforms(seed, Stream.MEASUREMENT, cases, 2) * 2.0**32
+    return Episodes(heads, tables, words.astype(np.uint64), drawn.class_index)
+
+
+def _action(setup: Setup, label: str) -> int:
+    return 1 + setup.kinds.index(VERDICT_OF[FaultKind(label)])
+
+
+def _onsets(options: MonitorOptions, uniform: FloatArray) -> FloatArray:
+    """First sample on which the fault acts: geometric after the earliest."""
+    earliest = round(options.earliest_onset_s / options.dt_s)
+    mean = options.mean_onset_s / options.dt_s
+    if mean == 0.0:
+        return np.full(uniform.shape, float(earliest))
+    onsets: FloatArray = earliest + np.floor(np.log(uniform) / math.log(mean / (1.0 + mean)))
+    return onsets
