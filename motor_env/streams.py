@@ -35,6 +35,8 @@ class Stream(IntEnum):
     ONSET = 5
     SENSOR = 6
     SPLIT = 7
+    WEAR = 8
+    WEAR_CROSSING = 9
 
 
 @njit(cache=True)
