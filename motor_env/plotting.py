@@ -10,7 +10,6 @@ A figure is made and saved inside `drawing()`, which lends matplotlib this style
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +20,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+
+from motor_env.files import replacing
 
 INK = "#1f2933"
 QUIET = "#7b8794"
@@ -82,7 +83,7 @@ STYLE: dict[str, Any] = {
 @contextmanager
 def drawing() -> Iterator[None]:
     """Lend matplotlib the shared style; its settings are as before afterwards."""
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(cast("Any", STYLE)):
         yield
 
 
@@ -136,9 +137,5 @@ def save(figure: Figure, path: Path) -> None:
     The file appears under its name only when it is complete.
     """
     metadata: dict[str, Any] = {"Date": None} if path.suffix == ".svg" else {"Software": None}
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
+    with replacing(path) as unfinished:
         figure.savefig(unfinished, format=path.suffix.removeprefix("."), metadata=metadata)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
