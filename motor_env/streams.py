@@ -7,6 +7,7 @@ cases, streams or blocks of a seed share a counter, and results do not depend on
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 
 import numpy as np
@@ -22,6 +23,21 @@ _WEYL_1 = np.uint32(0xBB67AE85)
 _LOW = np.uint64(0xFFFFFFFF)
 _HALF_WORD = np.uint64(32)
 _ROUNDS = 10
+
+NORMALS_AT_ONCE = 256
+"""How many normals are made at a time: few enough to stay in the first cache, enough to fill the vector units."""
+
+_HALF, _ONE, _MINUS_TWO = np.float32(0.5), np.float32(1.0), np.float32(-2.0)
+_TO_UNIT = np.float32(2.0**-32)
+_TO_ANGLE = np.float32(math.pi / 2.0 * 2.0**-30)
+_EIGHTH_TURN = np.uint32(1 << 29)
+_SQRT_HALF_BITS = np.uint32(0x3F3504F3)
+_LN_2 = np.float32(math.log(2.0))
+_L0, _L1, _L2 = np.float32(7.0376836292e-2), np.float32(-1.1514610310e-1), np.float32(1.1676998740e-1)
+_L3, _L4, _L5 = np.float32(-1.2420140846e-1), np.float32(1.4249322787e-1), np.float32(-1.6668057665e-1)
+_L6, _L7, _L8 = np.float32(2.0000714765e-1), np.float32(-2.4999993993e-1), np.float32(3.3333331174e-1)
+_S1, _S2, _S3 = np.float32(-1.6666654611e-1), np.float32(8.3321608736e-3), np.float32(-1.9515295891e-4)
+_C1, _C2, _C3 = np.float32(4.166664568e-2), np.float32(-1.388731625e-3), np.float32(2.443315711e-5)
 
 
 class Stream(IntEnum):
@@ -39,7 +55,7 @@ class Stream(IntEnum):
     WEAR_CROSSING = 9
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")  # a call would keep the loop around it from vectorising
 def philox(
     c0: np.uint32, c1: np.uint32, c2: np.uint32, c3: np.uint32, k0: np.uint32, k1: np.uint32
 ) -> tuple[np.uint32, np.uint32, np.uint32, np.uint32]:
@@ -70,23 +86,82 @@ def _fill_uniforms(seed: np.uint64, stream: np.uint32, cases: NDArray[np.uint64]
                     out[n, 4 * block + j] = (float(words[j]) + 0.5) * 2.0**-32
 
 
+@njit(cache=True, inline="always")  # a call would keep the loop around it from vectorising
+def _box_muller(first: np.uint32, second: np.uint32) -> tuple[np.float32, np.float32]:
+    """Two standard normals from two words (Box & Muller 1958), in float32 by polynomials that vectorise.
+
+    The logarithm, sine and cosine are those of Cephes (Moshier 1989); within 5e-6 of the exact transformation.
+    The largest normal is sqrt(66 ln 2) = 6.76.
+    """
+    u = (np.float32(first) + _HALF) * _TO_UNIT
+    bits = np.float32(u).view(np.uint32)
+    exponent = np.int32(np.uint32(bits - _SQRT_HALF_BITS)) >> np.int32(23)
+    mantissa = np.uint32(bits - np.uint32(np.uint32(exponent) << np.uint32(23))).view(np.float32)
+    x = mantissa - _ONE
+    y = ((((((((_L0 * x + _L1) * x + _L2) * x + _L3) * x + _L4) * x + _L5) * x + _L6) * x + _L7) * x) + _L8
+    logarithm = x - (_HALF * x * x - y * x * x * x) + np.float32(exponent) * _LN_2
+    radius = np.sqrt(_MINUS_TWO * logarithm)
+    # The angle is a number of quarter turns and a rest within an eighth of a turn.
+    quarters = np.uint32(np.uint32(second + _EIGHTH_TURN) >> np.uint32(30))
+    rest = (
+        np.float32(np.int32(np.uint32(second - np.uint32(quarters << np.uint32(30))))) + _HALF
+    ) * _TO_ANGLE
+    square = rest * rest
+    sine = rest + rest * square * (_S1 + square * (_S2 + square * _S3))
+    cosine = _ONE - _HALF * square + square * square * (_C1 + square * (_C2 + square * _C3))
+    odd = np.uint32(quarters & np.uint32(1)) != np.uint32(0)
+    across, along = (sine, cosine) if odd else (cosine, sine)
+    across_sign = np.uint32(np.uint32(np.uint32(quarters + np.uint32(1)) & np.uint32(2)) << np.uint32(30))
+    along_sign = np.uint32(np.uint32(quarters & np.uint32(2)) << np.uint32(30))
+    across = np.uint32(np.float32(across).view(np.uint32) ^ across_sign).view(np.float32)
+    along = np.uint32(np.float32(along).view(np.uint32) ^ along_sign).view(np.float32)
+    return radius * across, radius * along
+
+
+@njit(cache=True)
+def fill_case(
+    seed: np.uint64,
+    stream: np.uint32,
+    case: np.uint64,
+    begin: int,
+    words: NDArray[np.uint32],
+    out: NDArray[np.float32],
+) -> None:
+    """Standard normals `begin` .. `begin` + len(out) - 1 of a case; `begin` is a multiple of 4.
+
+    `words` is scratch of shape (4, NORMALS_AT_ONCE / 4); `out` holds at most NORMALS_AT_ONCE.
+    """
+    k0, k1 = np.uint32(seed & _LOW), np.uint32(seed >> _HALF_WORD)
+    case_low, case_high = np.uint32(case & _LOW), np.uint32(case >> _HALF_WORD)
+    first, count = np.uint32(begin // 4), len(out)
+    blocks = (count + 3) // 4
+    for b in range(blocks):
+        words[0, b], words[1, b], words[2, b], words[3, b] = philox(
+            np.uint32(first + np.uint32(b)), stream, case_low, case_high, k0, k1
+        )
+    for b in range(count // 4):
+        out[4 * b], out[4 * b + 1] = _box_muller(words[0, b], words[1, b])
+        out[4 * b + 2], out[4 * b + 3] = _box_muller(words[2, b], words[3, b])
+    rest, b = count % 4, count // 4
+    if rest > 0:
+        one, two = _box_muller(words[0, b], words[1, b])
+        out[4 * b] = one
+        if rest > 1:
+            out[4 * b + 1] = two
+        if rest > 2:
+            out[4 * b + 2] = _box_muller(words[2, b], words[3, b])[0]
+
+
 @njit(cache=True)
 def _fill_normals(seed: np.uint64, stream: np.uint32, cases: NDArray[np.uint64], out: FloatArray) -> None:
-    """Standard normals, four to a block (Box & Muller 1958)."""
-    k0, k1 = np.uint32(seed & _LOW), np.uint32(seed >> _HALF_WORD)
     count = out.shape[1]
+    words = np.empty((4, NORMALS_AT_ONCE // 4), dtype=np.uint32)
+    scratch = np.empty(NORMALS_AT_ONCE, dtype=np.float32)
     for n in range(out.shape[0]):
-        case_low, case_high = np.uint32(cases[n] & _LOW), np.uint32(cases[n] >> _HALF_WORD)
-        for block in range((count + 3) // 4):
-            words = philox(np.uint32(block), stream, case_low, case_high, k0, k1)
-            for pair in range(2):
-                radius = np.sqrt(-2.0 * np.log((float(words[2 * pair]) + 0.5) * 2.0**-32))
-                angle = 2.0 * np.pi * (float(words[2 * pair + 1]) + 0.5) * 2.0**-32
-                index = 4 * block + 2 * pair
-                if index < count:
-                    out[n, index] = radius * np.cos(angle)
-                if index + 1 < count:
-                    out[n, index + 1] = radius * np.sin(angle)
+        for begin in range(0, count, NORMALS_AT_ONCE):
+            part = scratch[: min(NORMALS_AT_ONCE, count - begin)]
+            fill_case(seed, stream, cases[n], begin, words, part)
+            out[n, begin : begin + len(part)] = part
 
 
 def _checked(seed: int, cases: ArrayLike) -> tuple[np.uint64, NDArray[np.uint64]]:
@@ -113,6 +188,8 @@ def uniforms(seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatAr
 
 def normals(seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatArray:
     """Standard normal numbers, shape (n_cases, count): row n belongs to case `cases[n]` alone.
+
+    They are made in float32 (24 bits), as wherever the package makes noise.
 
     Raises:
         ValueError: the seed does not fit 64 bits, or a case is negative.
