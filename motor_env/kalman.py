@@ -10,9 +10,17 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
-from numba import njit
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from motor_env.filter_kernels import (
+    AnyFloat,
+    fill_schedule,
+    filter_case_by_case,
+    filter_one_channel,
+    filter_states,
+    filter_two_channels,
+    propagate_nominal,
+)
 from motor_env.model import N_STATES, DiscreteModel, Input, discretize
 from motor_env.parameters import FloatArray, MotorParameters, SensorParameters, require
 
@@ -23,10 +31,10 @@ absorbs a fault (with Q = diag(1e-4, 0.1) the innovation hardly shows a bearing 
 
 @dataclass(frozen=True, slots=True)
 class KalmanFilter:
-    """What the filter believes: one motor's model, sensor, noise and starting point.
+    """What the filter believes: a motor's model, sensor, noise and starting point.
 
     Attributes:
-        model: discrete model of the healthy motor.
+        model: discrete model of the healthy motor; or of a batch of motors, one for each case.
         observation: C, shape (n_channels, 2).
         process_covariance: Q, shape (2, 2).
         measurement_covariance: covariance of the measurement noise (the paper's R), shape (n_channels, n_channels).
@@ -54,13 +62,11 @@ class KalmanFilter:
     ) -> Self:
         """Filter for a motor that is believed to be `parameters`, starting from rest unless told otherwise.
 
+        A batch of motors gives a filter with a model for each case: some ten times slower than a common one.
+
         Raises:
-            ValueError: a batch of motors, or a sensor without noise (a filter needs a measurement variance > 0).
+            ValueError: a sensor without noise (a filter needs a measurement variance > 0).
         """
-        require(
-            parameters.batch_shape == (),
-            f"parameters must be of one motor, got a batch {parameters.batch_shape}",
-        )
         require(
             bool((sensor.noise_std > 0.0).all()), f"noise of each channel must be > 0, got {sensor.noise_std}"
         )
@@ -75,15 +81,19 @@ class KalmanFilter:
 
 
 class FilterResult(NamedTuple):
-    """What the filter makes of measurements; the covariances are common to all cases.
+    """What the filter makes of measurements.
+
+    The covariances and the gain depend on no data, so they are common to all cases: shape (n_samples, ...). Where
+    samples are missing, or each case has its own motor, the cases' axes stand in front: shape (..., n_samples, ...).
 
     Attributes:
-        innovation: z - C x-, shape (..., n_samples, n_channels).
+        innovation: z - C x-, shape (..., n_samples, n_channels); NaN where a sample is missing.
         innovation_covariance: S, shape (n_samples, n_channels, n_channels).
         whitened: innovation times the inverse of S's Cholesky factor, white and standard normal while the belief
-            holds, shape (..., n_samples, n_channels).
-        nis: normalised innovation squared (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4), shape (..., n_samples).
-        log_likelihood: of all samples, shape (...).
+            holds, shape (..., n_samples, n_channels); NaN where a sample is missing.
+        nis: normalised innovation squared (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4), shape (..., n_samples), over
+            the channels measured; 0 where none was.
+        log_likelihood: of all samples measured, shape (...).
         state: estimate after the update, shape (..., n_samples, 2).
         covariance: its covariance P, shape (n_samples, 2, 2).
         gain: Kalman gain, shape (n_samples, 2, n_channels).
@@ -99,14 +109,27 @@ class FilterResult(NamedTuple):
     gain: FloatArray
 
 
+class Residuals(NamedTuple):
+    """Innovations of a batch and nothing that costs more, in single or double precision.
+
+    Attributes:
+        innovation: z - C x-, shape (..., n_samples, n_channels).
+        innovation_covariance: S, shape (n_samples, n_channels, n_channels), in double precision.
+        nis: normalised innovation squared, shape (..., n_samples).
+    """
+
+    innovation: AnyFloat
+    innovation_covariance: FloatArray
+    nis: AnyFloat
+
+
 def predict(
     kalman: KalmanFilter, state: FloatArray, covariance: FloatArray, inputs: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Time update (paper, Table 1): x- = A x + B u, P- = A P A' + Q."""
     transition = kalman.model.transition
     predicted: FloatArray = transition @ state + kalman.model.gain @ inputs
-    spread: FloatArray = transition @ covariance @ transition.T + kalman.process_covariance
-    return predicted, spread
+    return predicted, transition @ covariance @ transition.T + kalman.process_covariance
 
 
 def gain_and_covariance(
@@ -119,7 +142,7 @@ def gain_and_covariance(
     """
     observation, noise = kalman.observation, kalman.measurement_covariance
     innovation_covariance = observation @ covariance @ observation.T + noise
-    gain = np.linalg.solve(innovation_covariance, observation @ covariance).T
+    gain = np.linalg.solve(innovation_covariance, observation @ covariance).T.astype(np.float64, copy=False)
     left = np.eye(N_STATES) - gain @ observation
     return gain, innovation_covariance, left @ covariance @ left.T + gain @ noise @ gain.T
 
@@ -134,77 +157,78 @@ def update(
 
 
 class Schedule(NamedTuple):
-    """Gains and covariances of every sample: they depend on the belief and not on the data."""
+    """Gains and covariances of every sample: they depend on the belief and not on the data.
+
+    Attributes:
+        gain: Kalman gain, shape (n_samples, 2, n_channels).
+        innovation_covariance: S, shape (n_samples, n_channels, n_channels).
+        covariance: P after the update, shape (n_samples, 2, 2).
+        held_from: sample from which on the gain has converged and is held, or n_samples.
+    """
 
     gain: FloatArray
     innovation_covariance: FloatArray
     covariance: FloatArray
+    held_from: int
 
 
 def schedule(kalman: KalmanFilter, n_samples: int) -> Schedule:
-    """Gain, innovation covariance and covariance after the update of each of `n_samples` samples."""
-    n_channels = len(kalman.observation)
-    gains = np.empty((n_samples, N_STATES, n_channels))
-    innovation_covariances = np.empty((n_samples, n_channels, n_channels))
-    covariances = np.empty((n_samples, N_STATES, N_STATES))
-    covariance = kalman.initial_covariance
-    transition = kalman.model.transition
-    for k in range(n_samples):
-        covariance = transition @ covariance @ transition.T + kalman.process_covariance
-        gains[k], innovation_covariances[k], covariance = gain_and_covariance(kalman, covariance)
-        covariances[k] = covariance
-    return Schedule(gains, innovation_covariances, covariances)
-
-
-@njit(cache=True)
-def _filter_states(
-    transition: FloatArray,
-    gain: FloatArray,
-    observation: FloatArray,
-    kalman_gain: FloatArray,
-    initial_state: FloatArray,
-    inputs: FloatArray,
-    measurements: FloatArray,
-    innovation: FloatArray,
-    state: FloatArray,
-) -> None:
-    n_channels = observation.shape[0]
-    for n in range(measurements.shape[0]):
-        u = inputs[n if inputs.shape[0] > 1 else 0]
-        x0, x1 = initial_state[0], initial_state[1]
-        for k in range(measurements.shape[1]):
-            p0 = transition[0, 0] * x0 + transition[0, 1] * x1 + gain[0, 0] * u[k, 0] + gain[0, 1] * u[k, 1]
-            p1 = transition[1, 0] * x0 + transition[1, 1] * x1 + gain[1, 0] * u[k, 0] + gain[1, 1] * u[k, 1]
-            x0, x1 = p0, p1
-            for m in range(n_channels):
-                e = measurements[n, k, m] - observation[m, 0] * p0 - observation[m, 1] * p1
-                innovation[n, k, m] = e
-                x0 += kalman_gain[k, 0, m] * e
-                x1 += kalman_gain[k, 1, m] * e
-            state[n, k, 0], state[n, k, 1] = x0, x1
-
-
-def run_filter(
-    kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike = 0.0
-) -> FilterResult:
-    """Filter one or many measured transients.
-
-    Args:
-        kalman: the belief.
-        measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples).
-        voltage_v: believed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
-        load_torque_n_m: believed load, scalar or the shape of `voltage_v`.
+    """Gain, innovation covariance and covariance after the update of each of `n_samples` samples (paper, Table 1).
 
     Raises:
-        ValueError: shapes do not fit, or a measurement is not finite.
+        ValueError: the belief is of a batch of motors.
     """
-    measured = np.asarray(measurements, dtype=np.float64)
+    require(kalman.model.transition.ndim == 2, "schedule needs the belief of one motor, got a batch")
+    observation, noise = _padded(kalman)
+    gain = np.empty((n_samples, N_STATES, 2))
+    innovation_covariance = np.empty((n_samples, 2, 2))
+    covariance = np.empty((n_samples, N_STATES, N_STATES))
+    held_from = fill_schedule(
+        kalman.model.transition,
+        kalman.process_covariance,
+        observation,
+        noise,
+        kalman.initial_covariance,
+        gain,
+        innovation_covariance,
+        covariance,
+    )
+    m = len(kalman.observation)
+    return Schedule(
+        np.ascontiguousarray(gain[:, :, :m]),
+        np.ascontiguousarray(innovation_covariance[:, :m, :m]),
+        covariance,
+        held_from,
+    )
+
+
+def _padded(kalman: KalmanFilter) -> tuple[FloatArray, FloatArray]:
+    """C and the noise covariance of two channels; one that is not there has a zero row and unit noise."""
+    observation, noise = np.zeros((2, N_STATES)), np.eye(2)
+    m = len(kalman.observation)
+    observation[:m] = kalman.observation
+    noise[:m, :m] = kalman.measurement_covariance
+    return observation, noise
+
+
+class _Series(NamedTuple):
+    """Checked measurements, shape (n_cases, n_channels, n_samples), the batch's own shape, and the nominal states."""
+
+    measured: AnyFloat
+    batch: tuple[int, ...]
+    nominal: FloatArray
+
+
+def _series(
+    kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike
+) -> _Series:
+    given = np.asarray(measurements)
+    measured = given if given.dtype == np.float32 else given.astype(np.float64, copy=False)
     n_channels = len(kalman.observation)
     require(
         measured.ndim in (2, 3) and measured.shape[-2] == n_channels,
         f"measurements must have shape (..., {n_channels}, n_samples), got {measured.shape}",
     )
-    require(bool(np.isfinite(measured).all()), "measurements must be finite, got a value that is not")
     n_samples = measured.shape[-1]
     voltage = np.asarray(voltage_v, dtype=np.float64)
     require(
@@ -212,42 +236,254 @@ def run_filter(
         f"voltage_v must have shape (..., {n_samples}), got {voltage.shape}",
     )
     batch = measured.shape[:-2]
-    series = np.ascontiguousarray(np.moveaxis(measured, -1, -2)).reshape(-1, n_samples, n_channels)
+    flat = np.ascontiguousarray(measured).reshape(-1, n_channels, n_samples)
     inputs = np.empty((*voltage.shape, len(Input)))
     inputs[..., Input.VOLTAGE] = voltage
     inputs[..., Input.LOAD_TORQUE] = load_torque_n_m
     inputs = inputs.reshape(-1, n_samples, len(Input))
+    require(len(inputs) in (1, len(flat)), f"voltage_v must have 1 or {len(flat)} rows, got {len(inputs)}")
+    transition = kalman.model.transition.reshape(-1, N_STATES, N_STATES)
     require(
-        len(inputs) in (1, len(series)), f"voltage_v must have 1 or {len(series)} rows, got {len(inputs)}"
+        len(transition) in (1, len(flat)),
+        f"the belief must be of 1 or {len(flat)} motors, got {len(transition)}",
     )
-    plan = schedule(kalman, n_samples)
-    innovation = np.empty_like(series)
-    state = np.empty((len(series), n_samples, N_STATES))
-    _filter_states(
-        kalman.model.transition,
-        np.ascontiguousarray(kalman.model.gain),
-        kalman.observation,
-        plan.gain,
-        kalman.initial_state,
-        inputs,
-        series,
-        innovation,
-        state,
+    nominal = np.empty((max(len(inputs), len(transition)), n_samples, N_STATES))
+    gain = np.ascontiguousarray(kalman.model.gain.reshape(-1, N_STATES, len(Input)))
+    propagate_nominal(transition, gain, kalman.initial_state, inputs, nominal)
+    return _Series(flat, batch, nominal)
+
+
+def _common_gain(
+    kalman: KalmanFilter, series: _Series, plan: Schedule, dtype: type[np.floating]
+) -> tuple[AnyFloat, AnyFloat]:
+    """Innovations (n_cases, n_samples, n_channels) and NIS where all cases share the gain.
+
+    The deviation from the nominal trajectory is filtered, so that in single precision nothing large is subtracted.
+    """
+    n_cases, n_channels, n_samples = series.measured.shape
+    transition = kalman.model.transition
+    innovation = np.empty((n_cases, n_samples, n_channels), dtype=dtype)
+    nis = np.empty((n_cases, n_samples), dtype=dtype)
+    expected = series.nominal @ kalman.observation.T
+    forward = np.ascontiguousarray(transition @ plan.gain, dtype=dtype)
+    weight = np.linalg.inv(plan.innovation_covariance).astype(dtype)
+    a, c = transition.astype(dtype), kalman.observation.astype(dtype)
+    if n_channels == 1:
+        filter_one_channel(
+            a,
+            c[0],
+            forward[:, :, 0].copy(),
+            weight[:, 0, 0].copy(),
+            np.ascontiguousarray(expected[:, :, 0]),
+            series.measured[:, 0],
+            innovation[:, :, 0],
+            nis,
+        )
+    else:
+        filter_two_channels(a, c, forward, weight, expected, series.measured, innovation, nis)
+    return innovation, nis
+
+
+def filter_residuals(
+    kalman: KalmanFilter,
+    measurements: ArrayLike,
+    voltage_v: ArrayLike,
+    load_torque_n_m: ArrayLike = 0.0,
+    *,
+    dtype: type[np.float32 | np.float64] = np.float64,
+) -> Residuals:
+    """Innovations and NIS of many transients, and nothing else: the quick way (paper, Table 1).
+
+    Args:
+        kalman: the belief, of one motor.
+        measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples); float32 is read as it is.
+        voltage_v: believed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
+        load_torque_n_m: believed load, scalar or the shape of `voltage_v`.
+        dtype: precision of the answer.
+
+    Raises:
+        ValueError: shapes do not fit, or a sample is not finite (`run_filter` takes missing samples).
+    """
+    plan = schedule(kalman, np.shape(measurements)[-1])
+    series = _series(kalman, measurements, voltage_v, load_torque_n_m)
+    innovation, nis = _common_gain(kalman, series, plan, dtype)
+    # A sample that is not finite makes all later innovations of its case not finite.
+    require(
+        bool(np.isfinite(innovation[:, -1]).all()), "measurements must be finite, got a value that is not"
     )
-    factor = np.linalg.cholesky(plan.innovation_covariance)
-    whitened = np.linalg.solve(factor, innovation[..., None])[..., 0]
-    nis = np.square(whitened).sum(axis=-1)
-    log_determinant = 2.0 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum()
-    log_likelihood = -0.5 * (
-        nis.sum(axis=-1) + log_determinant + n_samples * n_channels * np.log(2.0 * np.pi)
+    n_samples = innovation.shape[1]
+    return Residuals(
+        innovation.reshape(*series.batch, n_samples, -1),
+        plan.innovation_covariance,
+        nis.reshape(*series.batch, n_samples),
     )
+
+
+def run_filter(
+    kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike = 0.0
+) -> FilterResult:
+    """Filter one or many measured transients (paper, Table 1).
+
+    Args:
+        kalman: the belief, of one motor or of one for each case.
+        measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples). NaN is a missing sample: it
+            updates nothing.
+        voltage_v: believed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
+        load_torque_n_m: believed load, scalar or the shape of `voltage_v`.
+
+    Raises:
+        ValueError: shapes do not fit, or a measurement is infinite.
+    """
+    series = _series(kalman, measurements, voltage_v, load_torque_n_m)
+    require(not bool(np.isinf(series.measured).any()), "measurements must be finite, got an infinite value")
+    own_covariance = kalman.model.transition.ndim > 2 or bool(np.isnan(series.measured).any())
+    parts = _with_own_covariance(kalman, series) if own_covariance else _with_common(kalman, series)
+    innovation, innovation_covariance, state, covariance, gain = parts
+    n_samples, n_channels = innovation.shape[1:]
+    whitened, log_determinant, missing = _whitened(innovation, innovation_covariance)
+    nis = np.square(np.where(missing, 0.0, whitened)).sum(axis=-1)
+    log_determinant = np.where(missing, 0.0, log_determinant).sum(axis=(-2, -1))
+    measured_values = (~missing).sum(axis=(-2, -1))
+    log_likelihood = -0.5 * (nis.sum(axis=-1) + log_determinant + measured_values * np.log(2.0 * np.pi))
+    batch = series.batch
+    lead = batch if own_covariance else ()
     return FilterResult(
         innovation=innovation.reshape(*batch, n_samples, n_channels),
-        innovation_covariance=plan.innovation_covariance,
+        innovation_covariance=innovation_covariance.reshape(*lead, n_samples, n_channels, n_channels),
         whitened=whitened.reshape(*batch, n_samples, n_channels),
         nis=nis.reshape(*batch, n_samples),
         log_likelihood=log_likelihood.reshape(batch),
         state=state.reshape(*batch, n_samples, N_STATES),
-        covariance=plan.covariance,
-        gain=plan.gain,
+        covariance=covariance.reshape(*lead, n_samples, N_STATES, N_STATES),
+        gain=gain.reshape(*lead, n_samples, N_STATES, n_channels),
     )
+
+
+_Parts = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+
+
+def _with_common(kalman: KalmanFilter, series: _Series) -> _Parts:
+    n_samples = series.measured.shape[-1]
+    plan = schedule(kalman, n_samples)
+    found, _ = _common_gain(kalman, series, plan, np.float64)
+    innovation = found.astype(np.float64, copy=False)
+    state = np.empty((len(innovation), n_samples, N_STATES))
+    filter_states(kalman.model.transition, plan.gain, series.nominal, innovation, state)
+    return innovation, plan.innovation_covariance, state, plan.covariance, plan.gain
+
+
+def _with_own_covariance(kalman: KalmanFilter, series: _Series) -> _Parts:
+    n_cases, m, n_samples = series.measured.shape
+    observation, noise = _padded(kalman)
+    measured = np.full((n_cases, 2, n_samples), np.nan)
+    measured[:, :m] = series.measured
+    innovation, state = np.empty((n_cases, n_samples, 2)), np.empty((n_cases, n_samples, N_STATES))
+    innovation_covariance, covariance, gain = (np.empty((n_cases, n_samples, 2, 2)) for _ in range(3))
+    filter_case_by_case(
+        np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES),
+        kalman.process_covariance,
+        observation,
+        noise,
+        kalman.initial_covariance,
+        series.nominal,
+        measured,
+        innovation,
+        innovation_covariance,
+        state,
+        covariance,
+        gain,
+    )
+    cut = innovation_covariance[..., :m, :m]
+    return innovation[..., :m], np.ascontiguousarray(cut), state, covariance, gain[..., :m]
+
+
+def _whitened(
+    innovation: FloatArray, innovation_covariance: FloatArray
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Innovation by the inverse Cholesky factor of S, log of S's pivots, and what is missing, all by channel.
+
+    Where the first of two channels is missing the second is scaled alone; S has no covariance between them then.
+    """
+    missing = np.isnan(innovation)
+    pivot = innovation_covariance[..., 0, 0]
+    whitened = np.empty_like(innovation)
+    whitened[..., 0] = innovation[..., 0] / np.sqrt(pivot)
+    log_pivot = [np.log(pivot)]
+    if innovation.shape[-1] == 2:
+        slope = innovation_covariance[..., 1, 0] / pivot
+        rest = innovation_covariance[..., 1, 1] - slope * innovation_covariance[..., 1, 0]
+        first = np.where(missing[..., 0], 0.0, innovation[..., 0])
+        whitened[..., 1] = (innovation[..., 1] - slope * first) / np.sqrt(rest)
+        log_pivot.append(np.log(rest))
+    return whitened, np.stack(log_pivot, axis=-1), missing
+
+
+class StreamSample(NamedTuple):
+    """What one sample told, for each of the streams.
+
+    Attributes:
+        innovation: shape (n_streams, n_channels).
+        whitened: the same, white and standard normal while the belief holds.
+        nis: shape (n_streams,).
+        state: updated estimate, shape (n_streams, 2).
+    """
+
+    innovation: FloatArray
+    whitened: FloatArray
+    nis: FloatArray
+    state: FloatArray
+
+
+class FilterStream:
+    """A filter in service: `update(sample)` gives what `run_filter` gives at that sample.
+
+    It filters each sample as a batch of one from the state where the last one left it.
+
+    Attributes:
+        kalman: the belief, from which it began.
+        n_streams: motors followed side by side.
+    """
+
+    def __init__(self, kalman: KalmanFilter, n_streams: int = 1) -> None:
+        shape = (n_streams, N_STATES, N_STATES)
+        self.kalman = kalman
+        self.n_streams = n_streams
+        self._transition = np.broadcast_to(kalman.model.transition, shape)
+        self._gain = np.broadcast_to(kalman.model.gain, (n_streams, N_STATES, len(Input)))
+        self._state = np.broadcast_to(kalman.initial_state, (n_streams, N_STATES)).copy()
+        self._covariance = np.broadcast_to(kalman.initial_covariance, shape).copy()
+
+    def update(
+        self, measurement: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike = 0.0
+    ) -> StreamSample:
+        """Take one more sample (paper, Table 1).
+
+        Args:
+            measurement: shape (n_streams, n_channels), or anything that reshapes to it; NaN is missing.
+            voltage_v: voltage held in the interval that the sample ends, scalar or shape (n_streams,).
+            load_torque_n_m: load torque in that interval.
+        """
+        m = len(self.kalman.observation)
+        measured = np.asarray(measurement, dtype=np.float64).reshape(self.n_streams, m)
+        missing = np.isnan(measured)
+        inputs = np.empty((self.n_streams, len(Input)))
+        inputs[:, Input.VOLTAGE] = voltage_v
+        inputs[:, Input.LOAD_TORQUE] = load_torque_n_m
+        a = self._transition
+        state = (a @ self._state[:, :, None] + self._gain @ inputs[:, :, None])[:, :, 0]
+        covariance = a @ self._covariance @ np.swapaxes(a, 1, 2) + self.kalman.process_covariance
+        c = np.where(missing[:, :, None], 0.0, self.kalman.observation)
+        off = missing[:, :, None] ^ missing[:, None, :]
+        noise = np.where(off, 0.0, self.kalman.measurement_covariance)
+        spread = c @ covariance @ np.swapaxes(c, 1, 2) + noise
+        gain = np.swapaxes(np.linalg.solve(spread, c @ covariance), 1, 2)
+        left = np.eye(N_STATES) - gain @ c
+        innovation = measured - state @ self.kalman.observation.T
+        known = np.where(missing, 0.0, innovation)
+        self._state = state + (gain @ known[:, :, None])[:, :, 0]
+        self._covariance = left @ covariance @ np.swapaxes(left, 1, 2) + gain @ noise @ np.swapaxes(
+            gain, 1, 2
+        )
+        whitened, _, _ = _whitened(innovation, spread)
+        nis = np.square(np.where(missing, 0.0, whitened)).sum(axis=-1)
+        return StreamSample(innovation, whitened, nis, self._state.copy())

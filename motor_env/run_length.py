@@ -2,8 +2,8 @@
 
 Everything here is for independent standard normal input, which whitened innovations are while the belief holds
 (Kailath 1968). A rule's state is a Markov chain; one sample takes the function `f(state)` of "what is expected from
-here on" to `kernel f`. The average run length solves (1 - kernel) L = 1; the probability of no alarm within n
-samples is kernel^n 1 (Brook & Evans 1972). For a continuous state the kernel is an integral, taken at Gauss-Legendre nodes
+here on" to `kernel f`. The average run length solves (1 - kernel) L = 1; the probability of no alarm within
+n samples is kernel^n 1 (Brook & Evans 1972). For a continuous state the kernel is an integral, at Gauss-Legendre nodes
 (Nystrom's method; Goel & Wu 1971, Crowder 1987).
 """
 
