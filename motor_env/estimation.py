@@ -99,7 +99,7 @@ def _steps(
     diagonal = np.einsum("nii->ni", information)  # a view
     diagonal *= 1.0 + _RIDGE + damping[:, None]
     diagonal += 1e-300  # a coordinate that no sample sees and no prior holds stays where it is
-    step: FloatArray = np.linalg.solve(information, equations.gradient[..., None])[..., 0]
+    step = np.asarray(np.linalg.solve(information, equations.gradient[..., None])[..., 0], dtype=np.float64)
     slope = np.asarray(coordinates.scales)
     relative = np.abs(step) * slope / (1.0 if coordinates.logarithmic else coordinates.factors(values))
     step *= np.minimum(1.0, _LARGEST_RELATIVE_STEP / np.maximum(relative.max(axis=-1), 1e-300))[:, None]
@@ -305,7 +305,11 @@ def fitted_residuals(observed: Observed, coordinates: Coordinates, values: Float
     """What a fit leaves over, in units of the noise, shape (n_cases, n_channels, n_samples)."""
     motors, supply = coordinates.motors(values)
     states = simulate_states(
-        motors, observed.voltage_v * supply[:, None], observed.dt_s, initial_state=observed.initial_state
+        motors,
+        observed.voltage_v * supply[:, None],
+        observed.dt_s,
+        load_torque_n_m=observed.load_torque_n_m,
+        initial_state=observed.initial_state,
     )
     residual: FloatArray = observed.whitened - observed.observation @ np.moveaxis(states, -1, -2)
     return residual

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.model import N_STATES, Input, discretize
+from motor_env.model import N_INPUTS, N_STATES, Input, discretize
 from motor_env.parameters import FloatArray, MotorParameters, SensorParameters, require
 
 _FIELDS: dict[str, tuple[str, ...]] = {
@@ -90,11 +90,11 @@ class Coordinates:
 
 
 class Model(NamedTuple):
-    """x[k+1] = `transition` x[k] + `gain` v[k], v the nominal voltage: the supply's factor is in the gain.
+    """x[k+1] = `transition` x[k] + `gain` [v[k], load[k]], v nominal: the supply's factor is in the gain.
 
     Attributes:
         transition: shape (n, 2, 2).
-        gain: shape (n, 2).
+        gain: shape (n, 2, 2); the columns belong to voltage and load.
     """
 
     transition: FloatArray
@@ -107,12 +107,13 @@ def discrete_models(coordinates: Coordinates, values: FloatArray, dt_s: float) -
     model = discretize(motors, dt_s)
     shape = values.shape[:-1]
     transition = np.broadcast_to(model.transition, (*shape, N_STATES, N_STATES))
-    gain = np.broadcast_to(model.gain[..., Input.VOLTAGE], (*shape, N_STATES))
-    return Model(transition, gain * supply[..., None])
+    gain = np.broadcast_to(model.gain, (*shape, N_STATES, N_INPUTS)).copy()
+    gain[..., Input.VOLTAGE] *= supply[..., None]
+    return Model(transition, gain)
 
 
 def model_slopes(coordinates: Coordinates, values: FloatArray, dt_s: float) -> tuple[Model, Model]:
-    """Models at the coordinates (n, size), and their derivatives, with a second axis: (n, size, 2, 2), (n, size, 2)."""
+    """Models at the coordinates (n, size), and their derivatives, each (n, size, 2, 2)."""
     steps = _DIFFERENCE / np.asarray(coordinates.scales)
     shifts = np.concatenate([np.zeros((1, coordinates.size)), np.diag(steps), -np.diag(steps)])
     transition, gain = discrete_models(coordinates, values[:, None, :] + shifts, dt_s)
@@ -120,7 +121,7 @@ def model_slopes(coordinates: Coordinates, values: FloatArray, dt_s: float) -> t
     centre = Model(np.ascontiguousarray(transition[:, 0]), np.ascontiguousarray(gain[:, 0]))
     slope = Model(
         (transition[:, up] - transition[:, down]) / (2.0 * steps[:, None, None]),
-        (gain[:, up] - gain[:, down]) / (2.0 * steps[:, None]),
+        (gain[:, up] - gain[:, down]) / (2.0 * steps[:, None, None]),
     )
     return centre, slope
 
@@ -132,31 +133,36 @@ def _sensitivities(
     transition_slope: FloatArray,
     gain_slope: FloatArray,
     voltage: FloatArray,
+    load: FloatArray,
     initial_state: FloatArray,
     states: FloatArray,
     slopes: FloatArray,
 ) -> None:
     """One motor's states, (2, n_samples), and their derivatives, (size, 2, n_samples), by the exact recursion.
 
-    s[k+1] = A s[k] + A' x[k] + b' v[k]; the initial state does not depend on the parameters.
+    s[k+1] = A s[k] + A' x[k] + B' u[k]; the initial state does not depend on the parameters.
     """
     a00, a01, a10, a11 = transition[0, 0], transition[0, 1], transition[1, 0], transition[1, 1]
-    b0, b1 = gain[0], gain[1]
+    b00, b01, b10, b11 = gain[0, 0], gain[0, 1], gain[1, 0], gain[1, 1]
     x0, x1 = initial_state[0], initial_state[1]
     for k in range(states.shape[1]):
-        v = voltage[k]
-        x0, x1 = a00 * x0 + a01 * x1 + b0 * v, a10 * x0 + a11 * x1 + b1 * v
+        v, t = voltage[k], load[k]
+        x0, x1 = (
+            a00 * x0 + a01 * x1 + b00 * v + b01 * t,
+            a10 * x0 + a11 * x1 + b10 * v + b11 * t,
+        )
         states[0, k], states[1, k] = x0, x1
     for j in range(slopes.shape[0]):
         d00, d01 = transition_slope[j, 0, 0], transition_slope[j, 0, 1]
         d10, d11 = transition_slope[j, 1, 0], transition_slope[j, 1, 1]
-        e0, e1 = gain_slope[j, 0], gain_slope[j, 1]
+        e00, e01 = gain_slope[j, 0, 0], gain_slope[j, 0, 1]
+        e10, e11 = gain_slope[j, 1, 0], gain_slope[j, 1, 1]
         x0, x1 = initial_state[0], initial_state[1]
         s0, s1 = 0.0, 0.0
         for k in range(states.shape[1]):
-            v = voltage[k]
-            f0 = d00 * x0 + d01 * x1 + e0 * v
-            f1 = d10 * x0 + d11 * x1 + e1 * v
+            v, t = voltage[k], load[k]
+            f0 = d00 * x0 + d01 * x1 + e00 * v + e01 * t
+            f1 = d10 * x0 + d11 * x1 + e10 * v + e11 * t
             s0, s1 = a00 * s0 + a01 * s1 + f0, a10 * s0 + a11 * s1 + f1
             slopes[j, 0, k], slopes[j, 1, k] = s0, s1
             x0, x1 = states[0, k], states[1, k]
@@ -170,6 +176,7 @@ def _normal_equations(
     transition_slope: FloatArray,
     gain_slope: FloatArray,
     voltage: FloatArray,
+    load: FloatArray,
     measurements: FloatArray,
     observation: FloatArray,
     initial_state: FloatArray,
@@ -185,13 +192,13 @@ def _normal_equations(
     jacobian = np.empty((size, n_samples))
     for n in range(rows.shape[0]):
         row = rows[n]
-        series = voltage[row if voltage.shape[0] > 1 else 0]
         _sensitivities(
             transition[n],
             gain[n],
             transition_slope[n],
             gain_slope[n],
-            series,
+            voltage[row if voltage.shape[0] > 1 else 0],
+            load[row if load.shape[0] > 1 else 0],
             initial_state,
             states,
             slopes,
@@ -236,6 +243,7 @@ class Observed:
         observation: C divided by the noise, shape (n_channels, 2).
         log_normaliser: log-likelihood of a transient with chi2 = 0.
         initial_state: state before the first interval, shape (2,).
+        load_torque_n_m: known load, shape (1 or n_cases, n_samples).
     """
 
     whitened: FloatArray
@@ -244,6 +252,7 @@ class Observed:
     observation: FloatArray
     log_normaliser: float
     initial_state: FloatArray
+    load_torque_n_m: FloatArray
 
     @classmethod
     def of(
@@ -253,6 +262,7 @@ class Observed:
         sensor: SensorParameters,
         dt_s: float,
         initial_state: ArrayLike = (0.0, 0.0),
+        load_torque_n_m: ArrayLike = 0.0,
     ) -> Observed:
         """Check and whiten.
 
@@ -262,6 +272,7 @@ class Observed:
             sensor: channels, and the noise that is believed.
             dt_s: sampling interval.
             initial_state: known current and speed before the first interval.
+            load_torque_n_m: known load, a scalar or the shape of `voltage_v`.
 
         Raises:
             ValueError: shapes do not fit, a value is not finite, or a channel is believed to have no noise.
@@ -282,7 +293,9 @@ class Observed:
             f"voltage_v must have shape ({measured.shape[-1]},) or {(len(measured), measured.shape[-1])}, "
             f"got {np.shape(voltage_v)}",
         )
-        require(bool(np.isfinite(voltage).all()), "voltage_v must be finite, got a value that is not")
+        load = np.broadcast_to(np.asarray(load_torque_n_m, dtype=np.float64), voltage.shape)
+        for name, driving in (("voltage_v", voltage), ("load_torque_n_m", load)):
+            require(bool(np.isfinite(driving).all()), f"{name} must be finite, got a value that is not")
         n_samples = measured.shape[-1]
         return cls(
             whitened=np.ascontiguousarray(measured / std[:, None]),
@@ -291,6 +304,7 @@ class Observed:
             observation=sensor.observation / std[:, None],
             log_normaliser=-n_samples * float(np.log(std).sum() + 0.5 * n_channels * np.log(2.0 * np.pi)),
             initial_state=np.asarray(initial_state, dtype=np.float64),
+            load_torque_n_m=np.ascontiguousarray(load),
         )
 
     def with_variance(self, factor: float) -> Observed:
@@ -305,8 +319,11 @@ class Observed:
 
     def rows(self, chosen: slice) -> Observed:
         """Some of the cases."""
-        voltage = self.voltage_v if len(self.voltage_v) == 1 else self.voltage_v[chosen]
-        return replace(self, whitened=self.whitened[chosen], voltage_v=voltage)
+        voltage, load = (
+            series if len(series) == 1 else series[chosen]
+            for series in (self.voltage_v, self.load_torque_n_m)
+        )
+        return replace(self, whitened=self.whitened[chosen], voltage_v=voltage, load_torque_n_m=load)
 
     @property
     def n_cases(self) -> int:
@@ -333,6 +350,7 @@ def normal_equations(
         *centre,
         *slope,
         observed.voltage_v,
+        observed.load_torque_n_m,
         observed.whitened,
         observed.observation,
         observed.initial_state,
@@ -348,6 +366,7 @@ def jacobian(
     dt_s: float,
     values: ArrayLike | None = None,
     initial_state: ArrayLike = (0.0, 0.0),
+    load_torque_n_m: ArrayLike = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Response (n_channels, n_samples) of one motor and its derivative (n_channels, n_samples, size), physical units.
 
@@ -358,6 +377,7 @@ def jacobian(
         dt_s: sampling interval.
         values: coordinates of the motor, shape (size,); the nominal motor by default.
         initial_state: known current and speed before the first interval.
+        load_torque_n_m: known load, scalar or shape (n_samples,).
     """
     at = np.zeros(coordinates.size) if values is None else np.asarray(values, dtype=np.float64)
     voltage = np.ascontiguousarray(voltage_v, dtype=np.float64)
@@ -370,6 +390,7 @@ def jacobian(
         slope.transition[0],
         slope.gain[0],
         voltage,
+        np.ascontiguousarray(np.broadcast_to(np.asarray(load_torque_n_m, dtype=np.float64), voltage.shape)),
         np.asarray(initial_state, dtype=np.float64),
         states,
         slopes,

@@ -184,3 +184,14 @@ def test_bad_input_is_named(change: dict[str, Any], sentence: str) -> None:
 def test_unknown_quantities_are_named() -> None:
     with pytest.raises(ValueError, match=r"free must be among .*, got 'mass'"):
         Coordinates.of(PAPER_MOTOR, ("resistance", "mass"))
+
+
+def test_load_enters_the_response_and_its_slopes() -> None:
+    coordinates = Coordinates.of(PAPER_MOTOR, ("resistance", "inertia", "friction"))
+    load = np.where(np.arange(1000) >= 400, 0.02, 0.0)
+    true = PAPER_MOTOR.scaled(resistance_ohm=1.1, inertia_kg_m2=0.9, viscous_friction_n_m_s_per_rad=1.3)
+    states = simulate_states(true, VOLTAGE, TIMING.dt_s, load_torque_n_m=load, initial_state=(0.5, 100.0))
+    observed = Observed.of(states.T[:1], VOLTAGE, SENSOR, TIMING.dt_s, (0.5, 100.0), load)
+    fitted = fit(observed, coordinates)
+    assert fitted.chi2[0] == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(fitted.factors[0], [1.1, 0.9, 1.3], rtol=1e-6)
