@@ -34,6 +34,7 @@ def require_extra(module: str, extra: str) -> None:
 
 def run(app: App, arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return its exit status; bad input becomes one sentence on standard error and status 2."""
+    app.suppress_keyboard_interrupt = False  # otherwise cyclopts exits before anything can be said
     try:
         status = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:

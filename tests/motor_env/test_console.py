@@ -1,0 +1,86 @@
+"""The frame of the commands: exit statuses, one sentence for bad input."""
+
+from pathlib import Path
+
+import pytest
+from cyclopts import App
+
+from motor_env import cli, console
+from motor_env.console import ExitStatus, InputError
+
+
+def _app(error: Exception | None = None, status: int | None = None) -> App:
+    app = App(name="tool")
+
+    @app.command
+    def work(count: int = 1) -> int | None:
+        if error is not None:
+            raise error
+        return None if status is None else status * count
+
+    return app
+
+
+def test_status_of_the_command_is_passed_on() -> None:
+    assert console.run(_app(status=3), ["work"]) == ExitStatus.UNDECIDED
+    assert console.run(_app(), ["work"]) == ExitStatus.HEALTHY
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (InputError("inductance_h must be > 0, got -0.1"), "tool: inductance_h must be > 0, got -0.1\n"),
+        (ValueError("no such motor"), "tool: no such motor\n"),
+        (PermissionError(13, "Permission denied", "there.csv"), "tool: there.csv: permission denied\n"),
+    ],
+)
+def test_bad_input_is_one_sentence(
+    error: Exception, sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert console.run(_app(error), ["work"]) == ExitStatus.BAD_INPUT
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ("", sentence)
+
+
+@pytest.mark.parametrize("arguments", [["work", "--count", "many"], ["work", "--colour", "red"], ["rest"]])
+def test_wrong_use_is_one_sentence(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert console.run(_app(status=0), arguments) == ExitStatus.BAD_INPUT
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("tool: ")
+    assert captured.err.count("\n") == 1
+
+
+def test_a_bug_is_no_bad_input() -> None:
+    with pytest.raises(ZeroDivisionError):
+        console.run(_app(ZeroDivisionError()), ["work"])
+
+
+def test_interrupt(capsys: pytest.CaptureFixture[str]) -> None:
+    app = App(name="tool")
+
+    @app.command
+    def work() -> None:
+        raise KeyboardInterrupt
+
+    assert console.run(app, ["work"]) == 130
+    assert capsys.readouterr().err == "tool: interrupted\n"
+
+
+def test_missing_extra_names_what_to_install() -> None:
+    with pytest.raises(InputError, match=r"pip install 'motor-env\[lab\]'"):
+        console.require_extra("no_such_module_anywhere", "lab")
+    console.require_extra("numpy", "lab")
+
+
+def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--help"]) == 0
+    assert "reproduce" in capsys.readouterr().out
+    assert cli.main(["reproduce", "--help"]) == 0
+    assert "Example: motor-env reproduce" in " ".join(capsys.readouterr().out.split())
+
+
+def test_unwritable_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert cli.main(["reproduce", "--out", str(tmp_path / "file" / "out")]) == ExitStatus.BAD_INPUT
+    assert capsys.readouterr().err.count("\n") == 1
