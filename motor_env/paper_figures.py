@@ -22,7 +22,7 @@ from motor_env.simulation import Scenario, Timing, Transients, simulate, simulat
 
 SEED = 1
 SENSOR = SensorParameters(current_noise_a=0.02)
-"""The current's noise, 20 mA: a Hall sensor's at 2 kHz (physics: docs/physics.md). The filter's R is its square."""
+"""The current's noise, 20 mA: a small Hall sensor's at 2 kHz. The filter's R is its square."""
 
 PROCESS_NOISE_STD = DEFAULT_PROCESS_NOISE_STD
 """The filter's Q is the diagonal of their squares."""

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from motor_env import recipes
 from motor_env.faults import FaultKind, apply_faults
 from motor_env.parameters import PAPER_MOTOR
 from motor_env.recipes import (
@@ -114,6 +115,4 @@ def test_named_recipe_with_changes() -> None:
 
 def test_no_factor_can_reach_zero_at_the_largest_spread() -> None:
     # The largest normal number that 32-bit words can give (Box & Muller): sqrt(-2 ln(2^-33)) = 6.76.
-    largest_normal = np.sqrt(-2.0 * np.log(2.0**-33))
-    Spread(friction=0.14)
-    assert 1.0 - 0.14 * largest_normal > 0.0
+    assert 1.0 - recipes._LARGEST_SPREAD * np.sqrt(-2.0 * np.log(2.0**-33)) > 0.0
