@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.coordinates import Coordinates
 from motor_env.parameters import FloatArray, MotorParameters, SensorParameters, require
 from motor_env.recipes import Spread
-from motor_env.sensitivity import Coordinates, NormalEquations, Observed, normal_equations
+from motor_env.sensitivity import NormalEquations, Observed, normal_equations
 from motor_env.simulation import Timing, simulate_states
 
 _LARGEST_RELATIVE_STEP = 0.5  # no factor is more than halved, or raised by half, in one step
@@ -225,7 +226,7 @@ def cramer_rao_bound(
         timing: time axis.
         sensor: channels and noise.
         voltage_v: level of a step at time 0, or the voltage of every interval, shape (n_samples,).
-        free: quantities that are not known, of `QUANTITIES`; all others are.
+        free: quantities that are not known, of `coordinates.QUANTITIES`; all others are.
         prior_std: relative standard deviations known beforehand, infinite for none: then the Bayesian bound of van
             Trees (1968), linearised at the nominal motor.
 

@@ -13,12 +13,13 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from motor_env.coordinates import QUANTITIES, Coordinates
 from motor_env.estimation import Prior, step_voltage
 from motor_env.faults import FaultKind
 from motor_env.marginal import MarginalWhitener
 from motor_env.parameters import FloatArray, Floats, MotorParameters, SensorParameters, require
 from motor_env.recipes import FACTORS, Spread
-from motor_env.sensitivity import QUANTITIES, Coordinates, jacobian
+from motor_env.sensitivity import jacobian
 from motor_env.simulation import Timing
 
 MOTOR_QUANTITIES = tuple(name for name in QUANTITIES if name != "supply")

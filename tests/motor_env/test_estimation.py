@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from motor_env.coordinates import QUANTITIES, Coordinates
 from motor_env.estimation import (
     FEATURE_NAMES,
     Prior,
@@ -23,7 +24,7 @@ from motor_env.parameters import (
     SupplyParameters,
 )
 from motor_env.recipes import draw, named_recipe
-from motor_env.sensitivity import QUANTITIES, Coordinates, Observed, jacobian
+from motor_env.sensitivity import Observed, jacobian
 from motor_env.simulation import Scenario, Timing, simulate, simulate_states
 
 TIMING = Timing(10_000.0, 0.1)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from motor_env.coordinates import QUANTITIES, Coordinates
 from motor_env.estimation import cramer_rao_bound
 from motor_env.faults import Fault, FaultKind, apply_fault
 from motor_env.identifiability import (
@@ -16,7 +17,6 @@ from motor_env.identifiability import (
 from motor_env.marginal import MatchedTest
 from motor_env.parameters import PAPER_MOTOR, Channel, SensorParameters
 from motor_env.recipes import Spread, named_recipe
-from motor_env.sensitivity import QUANTITIES, Coordinates
 from motor_env.simulation import Timing, simulate_states
 
 TIMING = Timing(10_000.0, 0.1)
