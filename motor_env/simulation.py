@@ -268,18 +268,20 @@ def simulate(scenario: Scenario, seed: int, cases: ArrayLike) -> Transients:
         timing.dt_s,
         faults=scenario.faults,
         load_torque_n_m=scenario.load_torque_n_m * driven,
-        process_noise=_process_noise(scenario, seed, case_numbers),
+        process_noise=process_noise(scenario, seed, case_numbers),
         start_s=float(begins[0]),
     )
     n_channels = len(sensor.channels)
-    noise = normals(seed, Stream.MEASUREMENT, case_numbers, n_channels * timing.n_samples)
-    noise = noise.reshape(n_cases, n_channels, timing.n_samples) * sensor.noise_std[:, None]
+    stride = 4 * ((timing.n_samples + 3) // 4)  # a channel begins with a block of its own
+    noise = normals(seed, Stream.MEASUREMENT, case_numbers, n_channels * stride)
+    noise = noise.reshape(n_cases, n_channels, stride)[..., : timing.n_samples] * sensor.noise_std[:, None]
     noise *= np.sqrt(noise_variance_factor(scenario.faults, NoiseSource.MEASUREMENT, begins))[:, None, :]
     columns = sensor.observation @ np.moveaxis(states, -1, -2)
     return Transients(timing.time_s, voltage, columns + noise, sensor.channels, states)
 
 
-def _process_noise(scenario: Scenario, seed: int, cases: ArrayLike) -> FloatArray | None:
+def process_noise(scenario: Scenario, seed: int, cases: ArrayLike) -> FloatArray | None:
+    """Noise of the state of each case, shape (n_cases, n_samples, 2); None where there is none."""
     if not any(scenario.process_noise_std):
         return None
     n_samples = scenario.timing.n_samples
