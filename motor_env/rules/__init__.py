@@ -5,18 +5,23 @@ Each rule has `statistic(whitened)`, `alarm_index(whitened, threshold)`, `stream
 `FilterResult.whitened`, shape (..., n_samples, n_channels).
 """
 
+from motor_env.rules.bank import ModelBank
 from motor_env.rules.base import Rule, RuleStream, Threshold, first_above
 from motor_env.rules.cusum import Cusum, ShiryaevRoberts, Sprt
 from motor_env.rules.nis import MOfN, in_a_row, nis_rule
+from motor_env.rules.windowed import Glr, WindowedNis
 
 __all__ = [
     "Cusum",
+    "Glr",
     "MOfN",
+    "ModelBank",
     "Rule",
     "RuleStream",
     "ShiryaevRoberts",
     "Sprt",
     "Threshold",
+    "WindowedNis",
     "first_above",
     "in_a_row",
     "nis_rule",

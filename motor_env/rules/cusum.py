@@ -15,13 +15,13 @@ def projected(whitened: FloatArray, direction: tuple[float, ...] | None) -> Floa
     """Standard normal sample along a direction of the channels, shape (n_streams,); 0 where it was not measured."""
     values = np.nan_to_num(whitened, nan=0.0)
     if direction is None:
-        return values[:, 0]
+        return values[:, 0].copy()
     unit = np.asarray(direction, dtype=np.float64)
     along: FloatArray = values @ (unit / np.linalg.norm(unit))
     return along
 
 
-class _Directed(Rule):
+class DirectedRule(Rule):
     """A rule on one number a sample: the whitened innovation along a direction (by default the first channel)."""
 
     __slots__ = ()
@@ -35,7 +35,7 @@ class _Directed(Rule):
 
 
 @dataclass(frozen=True, slots=True)
-class Cusum(_Directed):
+class Cusum(DirectedRule):
     """CUSUM: S = max(0, S + r - d/2), for a shift d of the mean that begins at an unknown time (Page 1954).
 
     With the true shift it has the least worst-case delay for its ARL0 (Moustakides 1986). The two-sided rule runs one
@@ -99,7 +99,7 @@ class Cusum(_Directed):
 
 
 @dataclass(frozen=True, slots=True)
-class ShiryaevRoberts(_Directed):
+class ShiryaevRoberts(DirectedRule):
     """Shiryaev-Roberts: R = (1 + R) L, with L the likelihood ratio of a shift d; the statistic is log R.
 
     Optimal on average over onsets long after the start (Shiryaev 1963, Roberts 1966, Pollak & Tartakovsky 2009). That
@@ -151,7 +151,7 @@ class ShiryaevRoberts(_Directed):
 
 
 @dataclass(frozen=True, slots=True)
-class Sprt(_Directed):
+class Sprt(DirectedRule):
     """Wald's sequential probability ratio test of a shift d, there from the start (Wald 1945).
 
     The statistic is the log-likelihood ratio; at `lower` the motor is accepted as healthy, and the test begins anew

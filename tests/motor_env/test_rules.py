@@ -6,7 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom, chi2
 
-from motor_env.rules import Cusum, MOfN, Rule, ShiryaevRoberts, Sprt, in_a_row, nis_rule
+from motor_env.rules import (
+    Cusum,
+    Glr,
+    ModelBank,
+    MOfN,
+    Rule,
+    ShiryaevRoberts,
+    Sprt,
+    WindowedNis,
+    in_a_row,
+    nis_rule,
+)
 from motor_env.run_length import (
     cusum_chain,
     m_of_n_chain,
@@ -153,3 +164,69 @@ def test_bad_requests_are_refused_in_one_sentence() -> None:
         Cusum(0.0)
     with pytest.raises(ValueError, match="whitened must have shape"):
         Cusum(1.0, direction=(1.0, 0.0)).statistic(np.zeros((10, 1)))
+
+
+WINDOWED: dict[str, WindowedNis | Glr | ModelBank] = {
+    "summed nis": WindowedNis(10),
+    "glr": Glr(2, 40),
+    "two-sided glr": Glr(1, 30, two_sided=True),
+    "glr of a signature": Glr(1, 25, signature=tuple(1.0 - np.exp(-np.arange(1, 21) / 6.0))),
+    "bank": ModelBank((0.5, -0.5, 1.0)),
+}
+
+
+@pytest.mark.parametrize("name", WINDOWED)
+def test_stream_of_a_windowed_rule_gives_what_the_batch_gives(name: str) -> None:
+    rule = WINDOWED[name]
+    values = np.random.default_rng(3).standard_normal((4, 90, 1))
+    values[1, 20:25] = np.nan
+    stream = rule.stream(n_streams=4)
+    streamed = np.stack([stream.update(values[:, k]) for k in range(90)], axis=1)
+    np.testing.assert_allclose(streamed, rule.statistic(values), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", WINDOWED)
+def test_simulated_thresholds_keep_their_rate(name: str) -> None:
+    rule, n_samples, wanted, runs = WINDOWED[name], 100, 0.05, 4000
+    threshold = rule.threshold_for(false_alarm_probability=wanted, n_samples=n_samples, runs=40_000)
+    assert threshold.standard_error > 0.0
+    noise = np.random.default_rng(12).standard_normal((runs, n_samples, 1))
+    alarms = int((rule.alarm_index(noise, threshold) >= 0).sum())
+    level = 0.01 / len(WINDOWED)
+    assert binom.ppf(level / 2, runs, wanted) <= alarms <= binom.ppf(1 - level / 2, runs, wanted)
+
+
+def test_simulation_finds_the_threshold_that_the_integral_equation_gives() -> None:
+    exact = ShiryaevRoberts(1.0).threshold_for(arl0=300.0).value
+    found = ModelBank((1.0,)).threshold_for(arl0=300.0, runs=2000)
+    assert found.value == pytest.approx(exact, abs=4.0 * found.standard_error)
+    assert found.standard_error < 0.05
+
+
+def test_glr_scans_every_onset_of_its_grid() -> None:
+    values = np.random.default_rng(9).standard_normal(60)
+    rule = Glr(1, 30, signature=(0.2, 0.6, 1.0))
+    shape = np.concatenate([[0.2, 0.6], np.ones(28)])
+    expected = max(
+        max(0.0, float(shape[:m] @ values[60 - m :])) ** 2 / (shape[:m] @ shape[:m])
+        for m in rule.ages.tolist()
+    )
+    assert rule.statistic(values[:, None])[-1] == pytest.approx(expected, rel=1e-12)
+
+
+def test_one_look_at_a_summed_nis_is_chi_square() -> None:
+    assert WindowedNis(10).one_look(0.01, 2).value == pytest.approx(chi2.isf(0.01, 20))
+
+
+def test_bank_posterior_is_bayes_rule_over_all_onsets() -> None:
+    hazard, shifts = 0.02, (0.7, -1.2)
+    values = np.random.default_rng(2).standard_normal(15) + 0.4
+    weights = {(-1, -1): (1.0 - hazard) ** 15}
+    for j, shift in enumerate(shifts):
+        for onset in range(15):
+            likelihood = np.exp(np.sum(shift * values[onset:] - 0.5 * shift**2))
+            weights[j, onset] = hazard / 2 * (1.0 - hazard) ** onset * likelihood
+    total = sum(weights.values())
+    expected = [sum(w for (model, _), w in weights.items() if model == j) / total for j in (-1, 0, 1)]
+    found = ModelBank(shifts).probabilities(values[:, None], hazard)[-1]
+    np.testing.assert_allclose(found, expected, rtol=1e-10)
