@@ -87,4 +87,13 @@ def __dir__() -> list[str]:
     return sorted([*globals(), *__all__])
 
 
-register(id="motor_env/Monitor-v0", entry_point="motor_env.envs.monitor:MonitorEnv")
+for _name, _module, _class in (
+    ("Monitor-v0", "monitor", "Monitor"),
+    ("Probe-v0", "probe", "Probe"),
+    ("ProbeContinuous-v0", "probe", "ProbeContinuous"),
+):
+    register(
+        id=f"motor_env/{_name}",
+        entry_point=f"motor_env.envs.{_module}:{_class}Env",
+        vector_entry_point=f"motor_env.envs.{_module}:{_class}VectorEnv",
+    )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from motor_env.envs import kernel
 from motor_env.envs.options import MonitorOptions
-from motor_env.envs.setup import Episodes, Setup, draw_episodes, make_setup
+from motor_env.envs.setup import Setup, draw_episodes, make_setup
 from motor_env.parameters import require
 
 ActType = TypeVar("ActType")
@@ -41,12 +41,16 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         self.options = options
         self.setup: Setup = make_setup(options)
         self.observation_space = observation_space(self.setup)
-        self._state = np.zeros(kernel.N_FIELDS * kernel.LANES)
+        self._state = np.zeros(kernel.N_FIELDS * kernel.LANES, dtype=options.precision)
         self._seed: int | None = None
         self._index = 0
         self._episode = 0
-        self._drawn: Episodes | None = None
+        self._truth: Info = {}
+        self._onset = kernel.NEVER
+        self._offsets_v: list[float] = self.setup.offsets_v.tolist()
+        self._declarations: list[int] = self.setup.declarations.astype(int).tolist()
         self._over = True
+        self._samples = options.samples_per_step
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -75,17 +79,24 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
     def _begin(self) -> tuple[Observation, Info]:
         assert self._seed is not None  # noqa: S101  # set by reset
         drawn = draw_episodes(self.setup, self._seed, np.array([self._index]), np.array([self._episode]))
-        self._drawn = drawn
+        which, onset = int(drawn.class_index[0]), float(drawn.heads[0, kernel.HEAD_ONSET])
+        self._onset = onset
+        self._truth = {
+            "label": self.setup.labels[which],
+            "severity": self.setup.severities[which],
+            "class_index": which,
+            "onset_sample": int(onset) if onset < kernel.NEVER else -1,
+        }
         self._table, self._key = drawn.tables[0], drawn.keys[0]
         kernel.begin_episode(self._state, 0, drawn.heads[0], self._table, self._key, self.setup.constants)
         observation = np.empty(len(self.setup.chosen), dtype=np.float32)
         kernel.observe_lane(
-            self._state, 0, self.setup.chosen, self.setup.view[0], self.setup.view[1], observation
+            self._state, 0, self.setup.chosen, self.setup.view, observation
         )
         self._over = False
         return observation, self._info()
 
-    def _advance(self, voltage_v: float, declared: int) -> tuple[Observation, float, bool, bool, Info]:
+    def _advance(self, offset_v: float, declared: int) -> tuple[Observation, float, bool, bool, Info]:
         if self._over:
             raise gym.error.ResetNeeded("call reset() before step(): the episode is over")
         setup = self.setup
@@ -95,25 +106,36 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
             self._table,
             self._key,
             setup.constants,
+            setup.bank,
             setup.view,
             setup.chosen,
-            voltage_v,
-            declared,
-            setup.options.samples_per_step,
             observation,
+            offset_v,
+            declared,
+            self._samples,
         )
         return observation, reward, self._over, False, self._info()
 
     def _info(self) -> Info:
-        """The truth, for those who score; what decides must not read it."""
-        drawn = self._drawn
-        assert drawn is not None  # noqa: S101  # set by reset
-        which = int(drawn.class_index[0])
-        onset = float(drawn.heads[0, kernel.HEAD_ONSET])
-        sample = float(self._state[kernel.SAMPLE * kernel.LANES])
-        return {
-            "label": self.setup.labels[which],
-            "severity": self.setup.severities[which],
-            "onset_sample": int(onset) if onset < kernel.NEVER else -1,
-            "fault_active": sample > onset,
-        }
+        sample = self._state.item(kernel.SAMPLE * kernel.LANES)
+        return {**self._truth, "fault_active": sample > self._onset}
+
+
+class DiscreteMotorEnv(MotorEnv[Any]):
+    """A motor with a list of actions: apply a voltage, or declare a kind."""
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
+        """Apply a voltage (waiting is one), or declare a kind, which ends the episode.
+
+        Raises:
+            ValueError: there is no such action.
+        """
+        which = int(action)
+        if not 0 <= which < len(self._offsets_v):
+            raise ValueError(f"action must be in 0 .. {len(self._offsets_v) - 1}, got {action}")
+        return self._advance(self._offsets_v[which], self._declarations[which])
+
+
+def discrete_actions(setup: Setup) -> spaces.Discrete:
+    """One action a voltage, then one a kind."""
+    return spaces.Discrete(len(setup.offsets_v))

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, SupportsInt
+from typing import Any
 
-from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
 
-from motor_env.envs.base import Info, MotorEnv, Observation
+from motor_env.envs.base import DiscreteMotorEnv, discrete_actions
 from motor_env.envs.options import MonitorOptions, with_changes
+from motor_env.envs.setup import make_setup
+from motor_env.envs.vector import DiscreteVectorEnv
 
 
-class MonitorEnv(MotorEnv[SupportsInt]):
+class MonitorEnv(DiscreteMotorEnv):
     """A DC motor runs under the eye of a Kalman filter that believes it healthy. Say what fails, and when.
 
     ## Description
@@ -49,9 +51,28 @@ class MonitorEnv(MotorEnv[SupportsInt]):
         self, options: MonitorOptions | None = None, *, render_mode: str | None = None, **changes: Any
     ) -> None:
         super().__init__(with_changes(options or MonitorOptions(), changes), render_mode)
-        self.action_space: spaces.Discrete = spaces.Discrete(1 + len(self.setup.kinds))
-        self._voltage_v = float(self.options.task.supply.voltage_v)
+        self.action_space = discrete_actions(self.setup)
 
-    def step(self, action: SupportsInt) -> tuple[Observation, float, bool, bool, Info]:
-        """Wait (0), or declare a kind (1, 2, ...), which ends the episode."""
-        return self._advance(self._voltage_v, int(action))
+
+class MonitorVectorEnv(DiscreteVectorEnv):
+    """Many of `MonitorEnv` at once: sub-environment n runs the stream of episodes (seed, n).
+
+    Args:
+        num_envs: number of sub-environments.
+        options: the task; `MonitorOptions()` unless given.
+        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
+        render_mode: None; a vector draws no pictures.
+        changes: single options by name, on top.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        options: MonitorOptions | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **changes: Any,
+    ) -> None:
+        made = with_changes(options or MonitorOptions(), changes)
+        super().__init__(num_envs, made, discrete_actions(make_setup(made)), autoreset_mode, render_mode)

@@ -17,11 +17,12 @@ from motor_env.faults import (
     Fault,
     FaultKind,
     NoiseSource,
+    apply_fault,
     apply_faults,
     noise_variance_factor,
 )
 from motor_env.kalman import KalmanFilter, gain_and_covariance
-from motor_env.model import Input, State, discretize, steady_state
+from motor_env.model import DiscreteModel, Input, State, discretize, steady_state
 from motor_env.parameters import Channel, FloatArray, require
 from motor_env.recipes import draw
 from motor_env.streams import Stream, uniforms
@@ -34,6 +35,7 @@ VERDICT_OF = {
     FaultKind.NOISE: "noise",
 }
 INNOVATION_BOUND = 10.0
+EVIDENCE_SCALE, EVIDENCE_BOUND = 0.1, 10.0  # up to a log-likelihood ratio of 100
 FAST_MEMORY_S = 1e-3
 SLOW_MEMORY_S = 10e-3
 
@@ -46,8 +48,12 @@ class Setup(NamedTuple):
         kinds: verdicts that can be declared, in the order of the actions.
         belief: the filter, with its gain in `constants`.
         constants: see the kernel.
-        view: scale and bound of every feature, shape (2, n_features).
+        bank: models of the other filters, see the kernel.
+        rest: the point at which the belief would rest, from which the kernel counts: current and speed.
+        view: scale, bound and offset of every feature, shape (3, n_features).
         chosen: the observed features.
+        offsets_v: what each discrete action adds to the supply's voltage.
+        declarations: number of the verdict that it declares, 0 for none.
         labels: label kind of every class of the recipe.
         severities: severity of every class.
     """
@@ -56,8 +62,12 @@ class Setup(NamedTuple):
     kinds: tuple[str, ...]
     belief: KalmanFilter
     constants: FloatArray
+    bank: FloatArray
+    rest: FloatArray
     view: FloatArray
     chosen: NDArray[np.int64]
+    offsets_v: FloatArray
+    declarations: FloatArray
     labels: tuple[str, ...]
     severities: tuple[float, ...]
 
@@ -101,34 +111,39 @@ def make_setup(options: MonitorOptions) -> Setup:
     recipe = options.task
     verdicts = {VERDICT_OF[c.kind] for c in recipe.classes if c.kind is not None}
     require(bool(verdicts), f"recipe {recipe.name} must have a class with a fault, got healthy only")
-    voltage = float(recipe.supply.voltage_v)
-    rest = (0.0, 0.0)
-    if options.start is Start.RUNNING:
-        rest = tuple(steady_state(recipe.motor, voltage, options.load_torque_n_m))
+    rest = steady_state(recipe.motor, float(recipe.supply.voltage_v), options.load_torque_n_m)
     belief = KalmanFilter.from_parameters(
         recipe.motor,
         recipe.sensor,
         options.dt_s,
         process_noise_std=options.belief_noise_std,
-        initial_state=rest,
+        initial_state=rest if options.start is Start.RUNNING else np.zeros(2),
     )
-    view, names = _view(options)
+    view, names = _view(options, rest)
     for name in options.observe:
         require(name in names, f"observe must name features among {', '.join(names)}, got {name!r}")
-    chosen = [kernel.FEATURES.index(name) for name in options.observe or names]
+    evidence = [f"evidence_{c.kind}" for c in recipe.classes] if options.shows_evidence else []
+    usual = tuple(name for name in names if not name.startswith("evidence") or name in evidence)
+    chosen = [kernel.FEATURES.index(name) for name in options.observe or usual]
+    kinds = tuple(kind for kind in VERDICTS if kind in verdicts)
+    offsets: tuple[float, ...] = options.offsets_v
     return Setup(
         options=options,
-        kinds=tuple(kind for kind in VERDICTS if kind in verdicts),
+        kinds=kinds,
         belief=belief,
-        constants=_constants(options, belief),
-        view=view,
+        constants=_constants(options, belief, rest).astype(options.precision),
+        bank=_bank(options, chosen, rest).astype(options.precision),
+        rest=rest,
+        view=view.astype(options.precision),
         chosen=np.array(chosen, dtype=np.int64),
+        offsets_v=np.array([*offsets, *(0.0 for _ in kinds)]),
+        declarations=np.array([0.0] * len(offsets) + [1.0 + m for m in range(len(kinds))]),
         labels=tuple(c.label_kind for c in recipe.classes),
         severities=tuple(c.severity for c in recipe.classes),
     )
 
 
-def _constants(options: MonitorOptions, belief: KalmanFilter) -> FloatArray:
+def _constants(options: MonitorOptions, belief: KalmanFilter, rest: FloatArray) -> FloatArray:
     channels = [(Channel.CURRENT, Channel.SPEED).index(channel) for channel in options.task.sensor.channels]
     gain, covariance = converged_gain(belief)
     full_gain, whitening = np.zeros((2, 2)), np.zeros((2, 2))
@@ -139,14 +154,15 @@ def _constants(options: MonitorOptions, belief: KalmanFilter) -> FloatArray:
         "channels of an environment's sensor must be current, then speed, got speed first",
     )
     p = np.zeros(kernel.N_CONSTANTS)
-    p[kernel.F00 : kernel.F11 + 1] = belief.model.transition.ravel()
-    p[[kernel.G0, kernel.G1]] = belief.model.gain[:, Input.VOLTAGE]
-    p[[kernel.H0, kernel.H1]] = belief.model.gain[:, Input.LOAD_TORQUE] * options.load_torque_n_m
+    p[: kernel.MODEL_LENGTH] = _model_row(options, belief.model, rest)
+    p[[kernel.REST_CURRENT, kernel.REST_SPEED]] = rest
     p[kernel.K00 : kernel.K11 + 1] = full_gain.ravel()
     p[[kernel.W00, kernel.W10, kernel.W11]] = whitening[0, 0], whitening[1, 0], whitening[1, 1]
     p[[kernel.C0, kernel.C1]] = [float(channel in channels) for channel in State]
-    p[kernel.MEMORY_FAST] = math.exp(-options.dt_s / FAST_MEMORY_S)
-    p[kernel.MEMORY_SLOW] = math.exp(-options.dt_s / SLOW_MEMORY_S)
+    fast, slow = math.exp(-options.dt_s / FAST_MEMORY_S), math.exp(-options.dt_s / SLOW_MEMORY_S)
+    p[[kernel.MEMORY_FAST, kernel.MEMORY_SLOW]] = fast, slow
+    p[[kernel.INTO_FAST, kernel.INTO_SLOW]] = math.sqrt(1.0 - fast**2), math.sqrt(1.0 - slow**2)
+    p[kernel.INTO_EXCESS] = math.sqrt((1.0 - slow**2) / (2.0 * len(channels)))
     p[kernel.N_CHANNELS] = len(channels)
     p[kernel.HORIZON] = options.n_samples
     p[kernel.DELAY_COST] = options.delay_cost_per_s * options.dt_s
@@ -157,14 +173,55 @@ def _constants(options: MonitorOptions, belief: KalmanFilter) -> FloatArray:
         options.wrong_kind_cost,
         options.miss_cost,
     )
+    p[kernel.PROBE_COST] = options.probe_cost_per_v2_s * options.dt_s
+    p[kernel.ENERGY_COST] = options.energy_cost_per_j * options.dt_s
     p[kernel.REST_VOLTAGE] = float(options.task.supply.voltage_v)
     p[kernel.GROWTH] = round(options.growth_s / options.dt_s)
     p[kernel.N_LEVELS] = n_levels(options)
-    p[kernel.DT] = options.dt_s
+    p[[kernel.ZERO, kernel.HALF, kernel.ONE]] = 0.0, 0.5, 1.0
     return p
 
 
-def _view(options: MonitorOptions) -> tuple[FloatArray, tuple[str, ...]]:
+def _model_row(options: MonitorOptions, model: DiscreteModel, rest: FloatArray) -> FloatArray:
+    """Transition, voltage gain and drift of a model, as the kernel takes them."""
+    return np.concatenate(
+        [model.transition.ravel(), model.gain[:, Input.VOLTAGE], _drift(options, model, rest, 1.0)]
+    )
+
+
+def _drift(
+    options: MonitorOptions, model: DiscreteModel, rest: FloatArray, supply: float | FloatArray
+) -> FloatArray:
+    """Where a motor goes in one sample from the belief's point of rest: A rest + B (V, load) - rest, shape (..., 2)."""
+    voltage = float(options.task.supply.voltage_v) * np.asarray(supply, dtype=np.float64)
+    away: FloatArray = (
+        model.transition @ rest
+        + model.gain[..., Input.VOLTAGE] * voltage[..., None]
+        + model.gain[..., Input.LOAD_TORQUE] * options.load_torque_n_m
+        - rest
+    )
+    return away
+
+
+def _bank(options: MonitorOptions, chosen: list[int], rest: FloatArray) -> FloatArray:
+    """Models of the filters whose evidence is observed, one for each kind: its smallest severity; zeros elsewhere.
+
+    Raises:
+        ValueError: evidence for a kind that the recipe does not know.
+    """
+    recipe = options.task
+    rows = np.zeros((kernel.MAX_BANK, kernel.MODEL_LENGTH))
+    for m, kind in enumerate((FaultKind.BEARING, FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT)):
+        name = f"evidence_{kind}"
+        if kernel.FEATURES.index(name) in chosen:
+            severities = [c.severity for c in recipe.classes if c.kind is kind]
+            require(bool(severities), f"observe: recipe {recipe.name} has no {kind}, so no {name}")
+            faulty = apply_fault(recipe.motor, Fault(kind, min(severities)))
+            rows[m] = _model_row(options, discretize(faulty, options.dt_s), rest)
+    return rows
+
+
+def _view(options: MonitorOptions, rest: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
     """Scale and bound of every feature, and the names of those that the sensor gives."""
     recipe = options.task
     voltage = float(recipe.supply.voltage_v)
@@ -176,6 +233,7 @@ def _view(options: MonitorOptions) -> tuple[FloatArray, tuple[str, ...]]:
         "voltage": (1.0 / abs(voltage), 3.0),
         "time": (1.0 / options.n_samples, 1.0),
         "excess": (1.0, INNOVATION_BOUND),
+        **{f"evidence_{kind}": (EVIDENCE_SCALE, EVIDENCE_BOUND) for kind in FaultKind},
     }
     for channel, unit in (("current", current), ("speed", speed)):
         by_name[f"measured_{channel}"] = by_name[f"estimated_{channel}"] = (1.0 / unit, 3.0)
@@ -183,9 +241,12 @@ def _view(options: MonitorOptions) -> tuple[FloatArray, tuple[str, ...]]:
         by_name[f"fast_{channel}"] = by_name[f"slow_{channel}"] = (1.0, INNOVATION_BOUND)
     unmeasured = [f"{kind}_{c}" for c in Channel if c not in recipe.sensor.channels for kind in _MEASURED]
     names = tuple(name for name in kernel.FEATURES if name not in unmeasured)
-    return np.array([by_name[name] for name in kernel.FEATURES]).T.copy(), names
+    offsets = {"current": float(rest[0]), "speed": float(rest[1]), "voltage": voltage}
+    offset = [offsets[name.split("_")[-1]] if name in _FROM_REST else 0.0 for name in kernel.FEATURES]
+    return np.vstack([np.array([by_name[name] for name in kernel.FEATURES]).T, offset]), names
 
 
+_FROM_REST = ("measured_current", "measured_speed", "estimated_current", "estimated_speed", "voltage")
 _MEASURED = ("measured", "innovation", "fast", "slow")
 
 
@@ -209,7 +270,7 @@ def draw_episodes(setup: Setup, seed: int, index: NDArray[np.int64], episode: ND
         row = tables[:, level]
         row[:, kernel.A00 : kernel.A11 + 1] = model.transition.reshape(-1, 4)
         row[:, kernel.B0 : kernel.B1 + 1] = model.gain[..., Input.VOLTAGE]
-        row[:, kernel.D0 : kernel.D1 + 1] = model.gain[..., Input.LOAD_TORQUE] * options.load_torque_n_m
+        row[:, kernel.D0 : kernel.D1 + 1] = _drift(options, model, setup.rest, drawn.factors[:, 0])
         factor = noise_variance_factor(faults, NoiseSource.MEASUREMENT, np.zeros(1))
         sensor = (recipe.sensor.current_noise_a, recipe.sensor.speed_noise_rad_s)
         row[:, kernel.SIGMA_CURRENT :] = np.sqrt(factor) * np.asarray(sensor)
@@ -220,11 +281,12 @@ def draw_episodes(setup: Setup, seed: int, index: NDArray[np.int64], episode: ND
     heads[:, kernel.HEAD_ONSET] = np.where(heads[:, kernel.HEAD_KIND] > 0, onset, kernel.NEVER)
     heads[:, kernel.HEAD_SUPPLY] = drawn.factors[:, 0]
     if options.start is Start.RUNNING:
-        rest = steady_state(scenario.parameters, scenario.supply.voltage_v, options.load_torque_n_m)
-        heads[:, kernel.HEAD_CURRENT : kernel.HEAD_SPEED + 1] = rest
-    heads[:, kernel.HEAD_EST_CURRENT :] = setup.belief.initial_state
+        at_rest = steady_state(scenario.parameters, scenario.supply.voltage_v, options.load_torque_n_m)
+        heads[:, kernel.HEAD_CURRENT : kernel.HEAD_SPEED + 1] = at_rest
+    heads[:, kernel.HEAD_CURRENT : kernel.HEAD_SPEED + 1] -= setup.rest
+    heads[:, kernel.HEAD_EST_CURRENT :] = setup.belief.initial_state - setup.rest
     words = uniforms(seed, Stream.MEASUREMENT, cases, 2) * 2.0**32
-    return Episodes(heads, tables, words.astype(np.uint64), drawn.class_index)
+    return Episodes(heads, tables.astype(options.precision), words.astype(np.uint64), drawn.class_index)
 
 
 def _action(setup: Setup, label: str) -> int:

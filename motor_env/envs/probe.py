@@ -1,0 +1,207 @@
+"""`motor_env/Probe-v0` and `motor_env/ProbeContinuous-v0`: excite a motor that may be failing, and say so in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+
+from motor_env.envs import vector_kernel
+from motor_env.envs.base import DiscreteMotorEnv, Info, MotorEnv, Observation, discrete_actions
+from motor_env.envs.options import MonitorOptions, with_changes
+from motor_env.envs.setup import Setup, make_setup
+from motor_env.envs.vector import DiscreteVectorEnv, MotorVectorEnv
+from motor_env.parameters import require, require_positive
+from motor_env.recipes import Recipe
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProbeOptions(MonitorOptions):
+    """The options of `MonitorOptions`, with other defaults, and what the voltage may do and costs.
+
+    Attributes:
+        recipe: see `MonitorOptions`; the default has faults of 1 to 3 %.
+        horizon_s: see `MonitorOptions`.
+        samples_per_step: see `MonitorOptions`; a decision every 2 ms.
+        load_torque_n_m: see `MonitorOptions`; none: at its operating point the motor shows next to nothing of a winding.
+        earliest_onset_s: see `MonitorOptions`.
+        mean_onset_s: see `MonitorOptions`.
+        delay_cost_per_s: see `MonitorOptions`.
+        offsets_v: what the actions of Probe-v0 add to the supply's voltage; the first is what a waiting agent does.
+        max_offset_v: the largest offset, up or down, of ProbeContinuous-v0.
+        probe_cost_per_v2_s: price of the disturbance, the square of the offset, for a second.
+        energy_cost_per_j: price of the electrical energy that the motor takes or gives.
+        observe: see `MonitorOptions`; empty: all that the sensor gives, and the evidence for each kind.
+    """
+
+    recipe: Recipe | str = "small"
+    horizon_s: float = 0.4
+    samples_per_step: int = 20
+    load_torque_n_m: float = 0.0
+    earliest_onset_s: float = 0.02
+    mean_onset_s: float = 0.1
+    delay_cost_per_s: float = 2.0
+    offsets_v: tuple[float, ...] = (0.0, -1.0, 1.0)
+    max_offset_v: float = 2.0
+    probe_cost_per_v2_s: float = 2.0
+    energy_cost_per_j: float = 0.0
+
+    @property
+    def shows_evidence(self) -> bool:
+        """Whether the usual observation has the evidence of the bank of filters."""
+        return True
+
+    def __post_init__(self) -> None:
+        MonitorOptions.__post_init__(self)
+        object.__setattr__(self, "offsets_v", tuple(float(v) for v in self.offsets_v))
+        require(
+            1 <= len(self.offsets_v) <= 1000 and bool(np.isfinite(self.offsets_v).all()),
+            f"offsets_v must be 1 to 1000 finite voltages, got {self.offsets_v}",
+        )
+        require_positive("max_offset_v", self.max_offset_v)
+        for name in ("probe_cost_per_v2_s", "energy_cost_per_j"):
+            require_positive(name, getattr(self, name), zero_allowed=True)
+
+
+def _options(options: ProbeOptions | None, changes: dict[str, Any]) -> ProbeOptions:
+    return with_changes(options or ProbeOptions(), changes)
+
+
+class ProbeEnv(DiscreteMotorEnv):
+    """A DC motor runs without load, where a winding fault does not show. Move the voltage to see it, and pay for that.
+
+    ## Description
+    As in `MonitorEnv` a fault of unknown kind sets in at an unknown time, or none does, but it is small (1 to 3 %), and
+    the agent decides every 2 ms which voltage is applied. A moving voltage makes the current flow that a changed
+    resistance changes.
+
+    ## Action space
+    `Discrete(number of offsets + number of kinds)`: the first actions add an offset to the supply's 12 V for a step (0,
+    -1 and +1 V), the others declare a kind, in the order bearing, winding, noise. By default 0 waits, 1 and 2 probe, 3
+    declares a bearing, 4 a winding.
+
+    ## Observation space
+    As in `MonitorEnv`, and for each kind of fault the evidence: the cumulative log-likelihood ratio, since it was last
+    zero, of a filter that believes in the smallest fault of that kind, a tenth of it, from 0 to 10. The voltage is
+    the one of the last step. The innovation is the sum over the step, over the root of its number of samples.
+
+    ## Reward
+    As in `MonitorEnv` with a delay cost of 2 a second; and an offset of 1 V costs 2 a second, growing with its square.
+
+    ## End of an episode
+    A declaration, or the horizon (200 steps of 2 ms), both as `terminated`.
+
+    ## Info
+    As in `MonitorEnv`.
+
+    Args:
+        options: the task; `ProbeOptions()` unless given.
+        render_mode: see the metadata.
+        changes: single options by name, on top.
+    """
+
+    def __init__(
+        self, options: ProbeOptions | None = None, *, render_mode: str | None = None, **changes: Any
+    ) -> None:
+        super().__init__(_options(options, changes), render_mode)
+        self.action_space = discrete_actions(self.setup)
+
+
+class ProbeVectorEnv(DiscreteVectorEnv):
+    """Many of `ProbeEnv` at once: sub-environment n runs the stream of episodes (seed, n).
+
+    Args:
+        num_envs: number of sub-environments.
+        options: the task; `ProbeOptions()` unless given.
+        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
+        render_mode: None; a vector draws no pictures.
+        changes: single options by name, on top.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        options: ProbeOptions | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **changes: Any,
+    ) -> None:
+        made = _options(options, changes)
+        super().__init__(num_envs, made, discrete_actions(make_setup(made)), autoreset_mode, render_mode)
+
+
+def _continuous_actions(setup: Setup) -> spaces.Box:
+    return spaces.Box(-1.0, 1.0, (1 + len(setup.kinds),), dtype=np.float32)
+
+
+class ProbeContinuousEnv(MotorEnv[Any]):
+    """`ProbeEnv` with a voltage that can take any value.
+
+    ## Action space
+    `Box(-1, 1, (1 + number of kinds,))`: the first entry is the offset in units of the largest (2 V); if the largest of
+    the others is above 0.5, its kind is declared. Values outside are clipped.
+
+    Everything else is as in `ProbeEnv`.
+
+    Args:
+        options: the task; `ProbeOptions()` unless given.
+        render_mode: see the metadata.
+        changes: single options by name, on top.
+    """
+
+    def __init__(
+        self, options: ProbeOptions | None = None, *, render_mode: str | None = None, **changes: Any
+    ) -> None:
+        made = _options(options, changes)
+        super().__init__(made, render_mode)
+        self.action_space = _continuous_actions(self.setup)
+        self._reach_v = made.max_offset_v
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
+        """Apply a voltage, or declare a kind, which ends the episode.
+
+        Raises:
+            ValueError: the action has another shape, or a value that is not finite.
+        """
+        given = _checked(action, self.action_space.shape)
+        offset_v, declared = vector_kernel.decode_continuous(given, self._reach_v)
+        return self._advance(offset_v, declared)
+
+
+class ProbeContinuousVectorEnv(MotorVectorEnv):
+    """Many of `ProbeContinuousEnv` at once: sub-environment n runs the stream of episodes (seed, n).
+
+    Args:
+        num_envs: number of sub-environments.
+        options: the task; `ProbeOptions()` unless given.
+        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
+        render_mode: None; a vector draws no pictures.
+        changes: single options by name, on top.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        options: ProbeOptions | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **changes: Any,
+    ) -> None:
+        made = _options(options, changes)
+        super().__init__(num_envs, made, _continuous_actions(make_setup(made)), autoreset_mode, render_mode)
+        self._reach_v = made.max_offset_v
+
+    def _lay_actions(self, actions: Any) -> None:
+        given = _checked(actions, self.action_space.shape)
+        vector_kernel.lay_continuous(self._state, given, self._reach_v)
+
+
+def _checked(action: Any, shape: tuple[int, ...] | None) -> np.ndarray[Any, np.dtype[np.float64]]:
+    given = np.ascontiguousarray(action, dtype=np.float64)
+    if given.shape != shape or not np.isfinite(given).all():
+        raise ValueError(f"action must be finite and have shape {shape}, got {action!r}")
+    return given

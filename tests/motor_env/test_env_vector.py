@@ -1,0 +1,181 @@
+"""The vector twins: each sub-environment is the single environment, whatever stands beside it."""
+
+import warnings
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from motor_env.envs.monitor import MonitorEnv, MonitorVectorEnv
+from motor_env.envs.probe import ProbeContinuousEnv, ProbeContinuousVectorEnv, ProbeEnv, ProbeVectorEnv
+
+IDS = ("motor_env/Monitor-v0", "motor_env/Probe-v0", "motor_env/ProbeContinuous-v0")
+SHORT = {"horizon_s": 0.02, "earliest_onset_s": 0.001, "mean_onset_s": 0.005}
+PAIRS: list[tuple[Any, Any, dict[str, Any]]] = [
+    (MonitorEnv, MonitorVectorEnv, SHORT),
+    (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard", "growth_s": 0.004, "start": "standstill"}),
+    (MonitorEnv, MonitorVectorEnv, {**SHORT, "samples_per_step": 4, "precision": "float64"}),
+    (ProbeEnv, ProbeVectorEnv, {**SHORT, "samples_per_step": 5}),
+    (ProbeContinuousEnv, ProbeContinuousVectorEnv, {**SHORT, "samples_per_step": 5}),
+]
+
+
+def random_actions(space: gym.Space[Any], steps: int, count: int, seed: int) -> NDArray[Any]:
+    """Mostly harmless actions, and now and then a declaration; shape (steps, count, ...)."""
+    rng = np.random.default_rng(seed)
+    if isinstance(space, gym.spaces.Discrete):
+        anything = rng.integers(0, space.n, (steps, count))
+        return np.where(rng.random((steps, count)) < 0.02, anything, 0)
+    assert space.shape is not None
+    actions = rng.uniform(-1.0, 0.49, (steps, count, *space.shape))
+    actions[..., 1:] += 0.6 * (rng.random((steps, count, 1)) < 0.02)
+    return actions.astype(np.float32)
+
+
+def follow(env: Any, actions: NDArray[Any], seed: int, index: int, mode: AutoresetMode) -> list[Any]:
+    """What a vector with that autoreset mode should give for one sub-environment, made with a single environment."""
+    observation, info = env.reset(seed=seed, options={"index": index})
+    trace, over = [(observation, 0.0, False, info["onset_sample"])], False
+    for action in actions:
+        if over and mode is AutoresetMode.NEXT_STEP:
+            observation, info = env.reset()
+            reward, over = 0.0, False
+        else:
+            observation, reward, over, _, info = env.step(action)
+            if over and mode is AutoresetMode.SAME_STEP:
+                observation, info = env.reset()
+        trace.append((observation, reward, over, info["onset_sample"]))
+    return trace
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize(("single", "vector", "options"), PAIRS)
+def test_every_lane_is_the_single_environment(
+    single: Any, vector: Any, options: dict[str, Any], mode: AutoresetMode
+) -> None:
+    count, steps = 70, 300  # more lanes than a block has, and several episodes
+    envs = vector(count, autoreset_mode=mode, **options)
+    actions = random_actions(envs.single_action_space, steps, count, seed=1)
+    observations, infos = envs.reset(seed=7)
+    seen = [(observations, np.zeros(count), np.zeros(count, bool), infos["onset_sample"])]
+    for action in actions:
+        observations, rewards, terminated, truncated, infos = envs.step(action)
+        assert not truncated.any()
+        seen.append((observations, rewards, terminated, infos["onset_sample"]))
+    assert sum(int(over.sum()) for _, _, over, _ in seen) > 2 * count
+    for index in (0, 3, 63, 64, 69):
+        expected = follow(single(**options), actions[:, index], 7, index, mode)
+        for (o, r, t, k), (eo, er, et, ek) in zip(seen, expected, strict=True):
+            np.testing.assert_array_equal(o[index], eo)
+            assert (r[index], t[index], k[index]) == (er, et, ek)
+
+
+@pytest.mark.parametrize("vector", [MonitorVectorEnv, ProbeVectorEnv, ProbeContinuousVectorEnv])
+def test_shared_lanes_of_vectors_of_different_sizes_are_equal_to_the_bit(vector: Any) -> None:
+    small, large = vector(5), vector(150)
+    actions = random_actions(small.single_action_space, 250, 150, seed=2)
+    first, second = small.reset(seed=3)[0], large.reset(seed=3)[0]
+    np.testing.assert_array_equal(first, second[:5])
+    for action in actions:
+        a, b = small.step(action[:5]), large.step(action)
+        for mine, theirs in zip(a[:4], b[:4], strict=True):
+            np.testing.assert_array_equal(mine, theirs[:5])
+        for name in a[4]:
+            np.testing.assert_array_equal(a[4][name], b[4][name][:5])
+
+
+def test_float32_stays_close_to_float64() -> None:
+    options = {"recipe": "hard", "start": "standstill", "horizon_s": 0.05}
+    envs = [MonitorVectorEnv(64, precision=precision, **options) for precision in ("float32", "float64")]
+    (a, _), (b, _) = (env.reset(seed=5) for env in envs)
+    wait = np.zeros(64, dtype=np.int64)
+    scale = envs[0].setup.view[1, envs[0].setup.chosen]
+    worst = 0.0
+    for _ in range(500):
+        worst = max(worst, float((np.abs(a - b) / scale).max()))
+        a, b = (env.step(wait)[0] for env in envs)
+    assert worst < 1e-5
+
+
+def test_final_observation_is_kept_when_the_next_episode_begins_at_once() -> None:
+    envs = MonitorVectorEnv(3, autoreset_mode="SameStep", **SHORT)
+    envs.reset(seed=1)
+    observation, _, terminated, _, info = envs.step(np.array([0, 1, 0]))
+    assert terminated.tolist() == [False, True, False]
+    assert info["_final_obs"].tolist() == [False, True, False]
+    assert info["final_obs"][0] is None
+    assert info["final_obs"][1][-1] > 0.0
+    assert observation[1, -1] == 0.0  # time
+    assert info["_final_info"].tolist() == [False, True, False]
+
+
+def test_disabled_autoreset_waits_for_the_mask() -> None:
+    envs = MonitorVectorEnv(3, autoreset_mode="Disabled", **SHORT)
+    before, _ = envs.reset(seed=1)
+    stepped = envs.step(np.array([0, 1, 0]))[0]
+    with pytest.raises(gym.error.ResetNeeded):
+        envs.step(np.zeros(3, dtype=np.int64))
+    mask = np.array([False, True, False])
+    after, info = envs.reset(options={"reset_mask": mask})
+    np.testing.assert_array_equal(after[[0, 2]], stepped[[0, 2]])
+    assert not np.array_equal(after[1], before[1])  # the next episode
+    assert info["_class_index"].tolist() == mask.tolist()
+    again, _ = envs.reset(seed=1, options={"reset_mask": mask})
+    np.testing.assert_array_equal(again[1], before[1])
+    envs.step(np.zeros(3, dtype=np.int64))
+
+
+def test_a_list_of_seeds_gives_the_single_environments_of_those_seeds() -> None:
+    seeds = [5, 5, 9]
+    observations, _ = MonitorVectorEnv(3).reset(seed=seeds)
+    for row, seed in zip(observations, seeds, strict=True):
+        np.testing.assert_array_equal(row, MonitorEnv().reset(seed=seed)[0])
+
+
+def test_what_a_step_returns_is_never_written_to_again() -> None:
+    envs = ProbeVectorEnv(4)
+    first = envs.reset(seed=0)
+    kept = [np.copy(first[0]), {k: np.copy(v) for k, v in first[1].items()}]
+    second = envs.step(np.array([1, 2, 3, 4]))
+    third = envs.step(np.array([1, 2, 3, 0]))
+    np.testing.assert_array_equal(first[0], kept[0])
+    for name, value in first[1].items():
+        np.testing.assert_array_equal(value, kept[1][name])
+    for mine, next_one in zip(second[:4], third[:4], strict=True):
+        assert not np.shares_memory(mine, next_one)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_make_and_make_vec(name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make(name).unwrapped)
+        envs = gym.make_vec(name, num_envs=3, horizon_s=0.1)
+        assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+        assert envs.unwrapped.options.horizon_s == 0.1
+        observations, _ = envs.reset(seed=0)
+        assert envs.observation_space.contains(np.ascontiguousarray(observations))
+        for _ in range(5):
+            observations, rewards, terminated, truncated, _ = envs.step(envs.action_space.sample())
+            assert envs.observation_space.contains(np.ascontiguousarray(observations))
+            assert (rewards.dtype, terminated.dtype, truncated.dtype) == (np.float64, np.bool_, np.bool_)
+
+
+@pytest.mark.parametrize(
+    ("actions", "sentence"),
+    [
+        (np.array([0, 9, 0]), "actions must be in 0 .. 2, got 0 .. 9"),
+        (np.array([0, -1, 0]), "actions must be in 0 .. 2, got -1 .. 0"),
+        (np.array([0.0, 0.0, 0.0]), "actions must be integers of shape"),
+        (np.array([0, 0]), "actions must be integers of shape"),
+    ],
+)
+def test_actions_that_do_not_exist_are_refused(actions: NDArray[Any], sentence: str) -> None:
+    envs = MonitorVectorEnv(3)
+    envs.reset(seed=0)
+    with pytest.raises(ValueError, match=sentence):
+        envs.step(actions)
