@@ -122,9 +122,39 @@ class ThresholdConfirmation:
         filters = tuple(class_filter(recipe, c) for c in recipe.classes)
         with_spread = any(c.kind is FaultKind.NOISE for c in recipe.classes)
         whitened = np.stack([run_filter(belief, measured, voltage).whitened for belief in filters])
-        prior = np.bincount(labels, minlength=len(filters)) / len(labels)
+        return cls.tune_on_residuals(
+            whitened,
+            labels,
+            healthy,
+            filters=filters,
+            with_spread=with_spread,
+            false_alarm_rate=false_alarm_rate,
+        )
+
+    @classmethod
+    def tune_on_residuals(
+        cls,
+        whitened: FloatArray,
+        labels: IntArray,
+        healthy: int,
+        *,
+        filters: tuple[KalmanFilter, ...] = (),
+        with_spread: bool = False,
+        false_alarm_rate: float | None = None,
+    ) -> Self:
+        """As `tune`, on residuals that are there already, whoever made them.
+
+        Args:
+            whitened: residual of each case under each class, shape (n_classes, n_cases, n_samples, n_channels).
+            labels: class of each case, shape (n_cases,).
+            healthy: position of the healthy class.
+            filters: what made the residuals; without them only `decide_on_residuals` works.
+            with_spread: whether the windows' variance is a feature beside their mean.
+            false_alarm_rate: as for `tune`.
+        """
+        prior = np.bincount(labels, minlength=len(whitened)) / len(labels)
         best, best_score = None, -np.inf
-        for edges, pairs in _choices(measured.shape[-1], with_spread):
+        for edges, pairs in _choices(whitened.shape[2], with_spread):
             features = np.stack([window_features(w, edges, with_spread) for w in whitened])
             base = cls(
                 filters, healthy, with_spread, edges, 1, 1, 1.0,
@@ -159,6 +189,10 @@ class ThresholdConfirmation:
             f"measurements must have shape (n_cases, n_channels, {self.edges[-1]}), got {measured.shape}",
         )
         whitened = np.stack([run_filter(belief, measured, voltage_v).whitened for belief in self.filters])
+        return self.decide_on_residuals(whitened)
+
+    def decide_on_residuals(self, whitened: FloatArray) -> ConfirmationResult:
+        """Decide on residuals under each class, shape (n_classes, n_cases, n_samples, n_channels)."""
         return self._decided(np.stack([window_features(w, self.edges, self.with_spread) for w in whitened]))
 
     def _decided(self, features: FloatArray) -> ConfirmationResult:
