@@ -1,0 +1,133 @@
+"""Where a start begins, and what the quiet part before it tells of the sensor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from motor_env.parameters import FloatArray
+from motor_env.recordings import Recording
+
+_FEW = 5
+_CROSSING_SHARE = 0.08
+_NOISE_MULTIPLE = 6.0
+_MAD_TO_STD = 1.4826
+
+
+class UnusableError(ValueError):
+    """A recording that can be read but not judged; the message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """The start of the motor in a recording.
+
+    Attributes:
+        onset_index: first sample that clearly belongs to the start.
+        onset_s: its time, the first guess of the onset that the fit refines.
+        n_quiet: quiet samples before it.
+        sign: +1, or -1 where the current goes negative (it is turned round for the fit).
+        offset_a: mean current of the quiet part; 0 without one.
+        noise_a: standard deviation of a current sample, from its differences.
+        level_v: voltage after the step, for a supply that was recorded or given.
+        voltage_is_measured: the voltage column holds a measured curve, not a command.
+        defects: what is wrong with the recording, in words.
+    """
+
+    onset_index: int
+    onset_s: float
+    n_quiet: int
+    sign: float
+    offset_a: float
+    noise_a: float
+    defects: tuple[str, ...] = ()
+
+
+def difference_noise(values: FloatArray) -> float:
+    """Standard deviation of white noise on a smooth curve, from its second differences; outliers do not count.
+
+    The second difference of white noise has the variance 6 sigma^2.
+    """
+    if len(values) < _FEW:
+        return 0.0
+    second = np.diff(values, n=2)
+    spread = _MAD_TO_STD * float(np.median(np.abs(second - np.median(second))))
+    return max(spread, 0.5 * float(np.std(second))) / math.sqrt(6.0)
+
+
+def align(recording: Recording) -> Alignment:
+    """Find the start.
+
+    Raises:
+        UnusableError: the current is constant, or never leaves its noise.
+    """
+    current = recording.current_a
+    span = float(np.ptp(current))
+    if span == 0.0:
+        raise UnusableError(f"the current is constant at {current[0]:g} A")
+    head = current[: max(_FEW, len(current) // 50)]
+    # A head that already moves belongs to the start: there is no quiet part, and the sensor is believed.
+    base = (
+        float(np.median(head)) if float(np.ptp(head)) < max(0.1 * span, 8.0 * difference_noise(head)) else 0.0
+    )
+    deviation = current - base
+    sign = 1.0 if deviation.max() >= -deviation.min() else -1.0
+    peak = float(np.max(sign * deviation))
+    noise = difference_noise(current)
+    if peak < _NOISE_MULTIPLE * noise:
+        raise UnusableError(
+            f"no start was found: the current never rises above its noise ({peak:.3g} A against {noise:.3g} A)"
+        )
+    smooth = (
+        np.convolve(sign * deviation, np.ones(3) / 3.0, mode="same")
+        if peak < 20.0 * noise
+        else sign * deviation
+    )
+    threshold = max(_CROSSING_SHARE * peak, min(_NOISE_MULTIPLE * noise, 0.5 * peak))
+    above = smooth > threshold
+    sustained = above[:-2] & above[1:-1] & above[2:]
+    onset = int(np.argmax(sustained)) if sustained.any() else int(np.argmax(above))
+    quiet_level = max(2.0 * noise, 0.005 * peak)
+    while onset > 0 and smooth[onset - 1] > quiet_level:
+        onset -= 1
+    quiet = current[: max(onset - 2, 0)]
+    if len(quiet) >= _FEW:
+        base, sigma = float(np.mean(quiet)), float(np.std(quiet, ddof=1))
+    else:
+        quiet, base, sigma = quiet[:0], 0.0, 0.0
+    steps = np.abs(np.diff(current))
+    quantum = float(steps[steps > 0.0].min()) if (steps > 0.0).any() else span
+    return Alignment(
+        onset_index=onset,
+        onset_s=float(recording.time_s[onset]) - 0.5 * recording.dt_s,
+        n_quiet=len(quiet),
+        sign=sign,
+        offset_a=base,
+        noise_a=max(
+            sigma if sigma > 0.0 else noise, quantum / np.sqrt(12.0) if quantum > 0.002 * span else 0.0
+        ),
+        defects=_defects(recording, onset, quantum),
+    )
+
+
+def _defects(recording: Recording, onset: int, quantum: float) -> tuple[str, ...]:
+    """Saturation, rectification and quantisation, in words."""
+    current, found = recording.current_a, []
+    span = float(np.ptp(current))
+    top = float(np.max(np.abs(current)))
+    at_top = np.abs(np.abs(current) - top) <= 1e-9 * top
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], at_top.astype(np.int8), [0]])))
+    runs = edges[1::2] - edges[::2]
+    if quantum < 0.02 * span and len(runs) and runs.max() >= _FEW:
+        first, run = int(edges[::2][np.argmax(runs)]), int(runs.max())
+        # A round peak in steps leaves its top step slowly: 5 steps at most half a run beyond. A clipped one drops.
+        beyond = np.abs(current[[max(first - run // 2, 0), min(first + run + run // 2, len(current) - 1)]])
+        if top - beyond.min() > 6.0 * quantum:
+            found.append(f"saturation: {run} samples in a row stand at {top:.4g} A")
+    if quantum > 0.005 * span:
+        found.append(f"quantisation: the current moves in steps of {quantum:.3g} A")
+    if onset > 0 and not np.any(current < 0.0) and np.mean(current == 0.0) > 0.01 and quantum < 0.02 * span:
+        found.append("rectification: no current lies below 0")
+    return tuple(found)

@@ -1,0 +1,109 @@
+"""From files to diagnoses: the steps of `motor-env diagnose`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motor_env import diagnosis_report as report
+from motor_env.alignment import UnusableError
+from motor_env.console import InputError
+from motor_env.diagnosis import DEFAULT_FALSE_ALARM_RATE, Diagnosis, diagnose, fit_healthy, learn_reference
+from motor_env.motor_file import MotorFile, StartReference, load_motor
+from motor_env.recordings import read_recording
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one file: a diagnosis, or the sentence why it could not be read."""
+
+    path: Path
+    diagnosis: Diagnosis | None
+    error: str | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """One object; a file that could not be read has the verdict unusable, and the error."""
+        if self.diagnosis is not None:
+            return report.as_json(self.diagnosis)
+        return {
+            "file": str(self.path),
+            "verdict": "unusable",
+            "severity": None,
+            "confidence": None,
+            "parameters": {},
+            "r2_current": None,
+            "error": self.error,
+        }
+
+
+def learn(healthy: Sequence[Path], motor: MotorFile | None, voltage_v: float | None) -> StartReference | None:
+    """Reference from healthy recordings.
+
+    Raises:
+        InputError: one of them cannot be read or used.
+    """
+    if not healthy:
+        return None
+    if voltage_v is None and motor is not None:
+        voltage_v = motor.nominal_voltage_v
+    constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
+    try:
+        fits = fit_healthy([read_recording(path) for path in healthy], voltage_v=voltage_v, constant=constant)
+    except UnusableError as error:
+        raise InputError(f"a healthy recording cannot be used: {error}") from None
+    if len({fit.quantity_names for fit in fits}) > 1:
+        raise InputError("the healthy recordings hold different columns; give such that agree")
+    return learn_reference(fits)
+
+
+def diagnose_files(
+    files: Sequence[Path],
+    *,
+    motor: str | None = None,
+    healthy: Sequence[Path] = (),
+    voltage_v: float | None = None,
+    false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
+    out: Path | None = None,
+    progress: Callable[[Path], None] = lambda path: None,
+) -> list[Outcome]:
+    """Diagnose each file; one that cannot be read does not stop the others.
+
+    Args:
+        files: recordings.
+        motor: motor file, or name of a catalogue motor.
+        healthy: healthy recordings of the same motor.
+        voltage_v: level of the supply, for recordings without a voltage.
+        false_alarm_rate: per healthy recording.
+        out: folder for one picture a file; none are drawn without it.
+        progress: told each file before it is read.
+
+    Raises:
+        InputError: the motor, a healthy recording or the folder cannot be used.
+    """
+    if not files:
+        raise InputError("give at least one recording")
+    if not 0.0 < false_alarm_rate < 0.5:
+        raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
+    if voltage_v is not None and not 0.0 < voltage_v < float("inf"):
+        raise InputError(f"voltage must be > 0, got {voltage_v:g}")
+    loaded = None if motor is None else load_motor(motor)
+    learned = learn(healthy, loaded, voltage_v)
+    outcomes = []
+    for number, path in enumerate(files):
+        progress(path)
+        try:
+            recording = read_recording(path)
+        except InputError as error:
+            outcomes.append(Outcome(path, None, str(error)))
+            continue
+        diagnosis = diagnose(
+            recording, loaded, learned, voltage_v=voltage_v, false_alarm_rate=false_alarm_rate
+        )
+        if out is not None:
+            report.plot(diagnosis, out / f"{number + 1:03d}-{path.stem}.png")
+        outcomes.append(Outcome(path, diagnosis))
+    return outcomes

@@ -1,0 +1,203 @@
+"""What a real start adds to the textbook motor: supply that is no step, Coulomb friction, brush drop, sensor lag.
+
+The equations of the motor stay those of `motor_env.model`; brush drop and Coulomb friction enter as inputs that
+oppose the current and the motion.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from motor_env.model import DiscreteModel, discretize, steady_state
+from motor_env.parameters import FloatArray, MotorParameters
+
+_SMALLEST_FRACTION = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Extension:
+    """What the textbook lacks; all zero is the textbook.
+
+    Attributes:
+        coulomb_friction_n_m: friction torque that opposes any motion.
+        brush_drop_v: voltage that opposes any current.
+        supply_rise_s: time in which the supply rises, in a straight line.
+        sensor_lag_s: time constant of the current sensor.
+        speed_lag_s: time constant of the speed sensor.
+    """
+
+    coulomb_friction_n_m: float = 0.0
+    brush_drop_v: float = 0.0
+    supply_rise_s: float = 0.0
+    sensor_lag_s: float = 0.0
+    speed_lag_s: float = 0.0
+
+
+@njit(cache=True)
+def _step(
+    a: FloatArray, b: FloatArray, current: float, speed: float, voltage: float, drop: float, coulomb: float
+) -> tuple[float, float]:
+    """One interval; drop and friction are implicit: they brake to zero and never beyond it."""
+    free_current = a[0, 0] * current + a[0, 1] * speed + b[0, 0] * voltage
+    free_speed = a[1, 0] * current + a[1, 1] * speed + b[1, 0] * voltage
+    new_current = free_current
+    if drop > 0.0:
+        largest = b[0, 0] * drop
+        new_current = math.copysign(max(abs(free_current) - largest, 0.0), free_current)
+        free_speed -= b[1, 0] * (free_current - new_current) / b[0, 0]
+    new_speed = free_speed
+    if coulomb > 0.0:
+        largest = -b[1, 1] * coulomb
+        new_speed = math.copysign(max(abs(free_speed) - largest, 0.0), free_speed)
+        new_current += b[0, 1] * (free_speed - new_speed) / -b[1, 1]
+    return new_current, new_speed
+
+
+@njit(cache=True)
+def _run(
+    a: FloatArray,
+    b: FloatArray,
+    first_a: FloatArray,
+    first_b: FloatArray,
+    voltage: FloatArray,
+    begin: int,
+    current: float,
+    speed: float,
+    drop: float,
+    coulomb: float,
+    out: FloatArray,
+) -> None:
+    for k in range(voltage.shape[0]):
+        if k < begin:
+            out[k, 0], out[k, 1] = current, speed
+            continue
+        if k == begin:
+            current, speed = _step(first_a, first_b, current, speed, voltage[k], drop, coulomb)
+        else:
+            current, speed = _step(a, b, current, speed, voltage[k], drop, coulomb)
+        out[k, 0], out[k, 1] = current, speed
+
+
+@njit(cache=True)
+def _low_pass(values: FloatArray, decay: float) -> None:
+    """First-order lag, in place, exact for a curve that is straight between the samples' means."""
+    previous, lagged = values[0], values[0]
+    for k in range(1, values.shape[0]):
+        lagged = decay * lagged + (1.0 - decay) * 0.5 * (previous + values[k])
+        previous = values[k]
+        values[k] = lagged
+
+
+def _mean_rise(begin_s: FloatArray, end_s: FloatArray, rise_s: float) -> FloatArray:
+    """Mean over the intervals [begin, end] of a supply that rises to 1 in `rise_s`; of a step for 0."""
+    if rise_s <= 0.0:
+        return np.ones_like(begin_s)
+
+    def integral(time_s: FloatArray) -> FloatArray:
+        out: FloatArray = np.where(time_s < rise_s, 0.5 * time_s**2 / rise_s, time_s - 0.5 * rise_s)
+        return out
+
+    mean: FloatArray = (integral(end_s) - integral(begin_s)) / (end_s - begin_s)
+    return mean
+
+
+def rise_of_supply(extension: Extension, time_s: FloatArray, onset_s: float) -> FloatArray:
+    """Mean of the supply over each interval between the sample times, 1 being its final level, shape (n - 1,)."""
+    elapsed = time_s - onset_s
+    return _mean_rise(elapsed[:-1], elapsed[1:], extension.supply_rise_s)
+
+
+def step_start(
+    parameters: MotorParameters,
+    extension: Extension,
+    time_s: FloatArray,
+    onset_s: float,
+    voltage_v: float,
+) -> FloatArray:
+    """Current and speed at the sample times of a start from rest: a step of the supply at `onset_s`.
+
+    The onset may lie between two samples; the first, shorter interval has a discrete model of its own.
+
+    Args:
+        parameters: one motor.
+        extension: what to add to the textbook.
+        time_s: evenly spaced, shape (n_samples,).
+        onset_s: time of the step.
+        voltage_v: level of the supply.
+
+    Returns:
+        Shape (n_samples, 2).
+    """
+    dt_s = float((time_s[-1] - time_s[0]) / (len(time_s) - 1))
+    begin = int(np.searchsorted(time_s, onset_s, side="right"))
+    model = discretize(parameters, dt_s)
+    if begin >= len(time_s):
+        return np.zeros((len(time_s), 2))
+    starts = np.concatenate([[onset_s], time_s[begin:-1]]) - onset_s
+    ends = time_s[begin:] - onset_s
+    ends[0] = max(ends[0], _SMALLEST_FRACTION * dt_s)
+    voltage = np.zeros(len(time_s))
+    voltage[begin:] = voltage_v * _mean_rise(starts, ends, extension.supply_rise_s)
+    first = discretize(parameters, float(ends[0]))
+    return _integrate(model, first, voltage, begin, (0.0, 0.0), extension, dt_s)
+
+
+def driven(
+    parameters: MotorParameters, extension: Extension, voltage_v: FloatArray, dt_s: float, *, from_rest: bool
+) -> FloatArray:
+    """Current and speed under a measured voltage; between two samples it is taken as their mean.
+
+    Args:
+        parameters: one motor.
+        extension: what to add to the textbook; the supply's rise is not used.
+        voltage_v: voltage at the sample times, shape (n_samples,).
+        dt_s: sampling interval.
+        from_rest: start from rest, or from the steady state of the first voltage.
+
+    Returns:
+        Shape (n_samples, 2), at the sample times.
+    """
+    model = discretize(parameters, dt_s)
+    voltage = np.concatenate([[voltage_v[0]], 0.5 * (voltage_v[1:] + voltage_v[:-1])])
+    state = (0.0, 0.0)
+    if not from_rest:
+        drop = math.copysign(min(extension.brush_drop_v, abs(float(voltage_v[0]))), float(voltage_v[0]))
+        load = math.copysign(extension.coulomb_friction_n_m, float(voltage_v[0]))
+        steady = steady_state(parameters, float(voltage_v[0]) - drop, load)
+        state = (float(steady[0]), float(steady[1]))
+    return _integrate(model, model, voltage, 1, state, extension, dt_s)
+
+
+def _integrate(
+    model: DiscreteModel,
+    first: DiscreteModel,
+    voltage: FloatArray,
+    begin: int,
+    state: tuple[float, float],
+    extension: Extension,
+    dt_s: float,
+) -> FloatArray:
+    out = np.empty((len(voltage), 2))
+    _run(
+        model.transition,
+        np.ascontiguousarray(model.gain),
+        first.transition,
+        np.ascontiguousarray(first.gain),
+        voltage,
+        begin,
+        state[0],
+        state[1],
+        extension.brush_drop_v,
+        extension.coulomb_friction_n_m,
+        out,
+    )
+    for column, lag_s in enumerate((extension.sensor_lag_s, extension.speed_lag_s)):
+        if lag_s > 0.0:
+            lagged = out[:, column].copy()
+            _low_pass(lagged, math.exp(-dt_s / lag_s))
+            out[:, column] = lagged
+    return out

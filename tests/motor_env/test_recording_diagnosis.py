@@ -1,0 +1,244 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_env import Fault, FaultKind, Scenario, SensorParameters, SupplyParameters, Timing, cli, simulate
+from motor_env.alignment import UnusableError
+from motor_env.diagnosis import Verdict, diagnose, fit_healthy, learn_reference
+from motor_env.diagnosis_files import diagnose_files
+from motor_env.identification import identify, prepare
+from motor_env.motor_file import load_motor
+from motor_env.recipes import RECIPES, apply_factors
+from motor_env.recordings import Recording, read_recording
+from motor_env.streams import Stream, normals
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+MOTOR = load_motor(EXAMPLES / "motor.toml")
+recordings_path = os.environ.get("MOTOR_ENV_RECORDINGS")
+needs_recordings = pytest.mark.skipif(
+    recordings_path is None, reason="MOTOR_ENV_RECORDINGS does not point to the recordings of real motors"
+)
+RECORDINGS = Path(recordings_path or "recordings")
+
+
+def captures(
+    count: int,
+    *faults: Fault,
+    seed: int = 11,
+    quiet_s: float = 0.05,
+    channels: tuple[str, ...] = ("current",),
+    known_voltage: bool = True,
+    offset_a: float = 0.0,
+) -> list[Recording]:
+    recipe = RECIPES["bench"]
+    factors = 1.0 + recipe.spread.std * normals(seed, Stream.MOTOR, np.arange(count), 5)
+    scenario = Scenario(
+        apply_factors(MOTOR.parameters, factors),
+        faults,
+        SupplyParameters(12.0 * factors[:, 0]),
+        SensorParameters(channels, 0.02, 1.0),  # type: ignore[arg-type]  # names become channels
+        Timing(10_000.0, 0.2, quiet_s),
+    )
+    starts = simulate(scenario, seed, np.arange(count))
+    voltage = np.where(starts.time_s > 1e-9, 12.0, 0.0)
+    return [
+        Recording(
+            Path(f"simulated-{n}"),
+            starts.time_s,
+            starts.measurements[n, 0] + offset_a,
+            voltage if known_voltage else None,
+            starts.measurements[n, 1] if len(channels) > 1 else None,
+        )
+        for n in range(count)
+    ]
+
+
+def verdicts(recordings: list[Recording]) -> list[Verdict]:
+    return [diagnose(recording, MOTOR).verdict for recording in recordings]
+
+
+@pytest.mark.parametrize("channels", [("current",), ("current", "speed")])
+@pytest.mark.parametrize(
+    ("fault", "verdict"),
+    [
+        (None, Verdict.HEALTHY),
+        (Fault(FaultKind.BEARING, 0.35), Verdict.BEARING),
+        (Fault(FaultKind.WINDING_CONTACT, 0.35), Verdict.WINDING),
+        (Fault(FaultKind.WINDING_SHORT, 0.15), Verdict.WINDING),
+        (Fault(FaultKind.NOISE, 2.0), Verdict.NOISE),
+    ],
+)
+def test_verdicts_against_the_data_sheet(
+    channels: tuple[str, ...], fault: Fault | None, verdict: Verdict
+) -> None:
+    faults = () if fault is None else (fault,)
+    assert verdicts(captures(3, *faults, channels=channels)) == [verdict] * 3
+
+
+def test_a_weak_magnet_is_other_and_names_the_direction() -> None:
+    recording = captures(1)[0]
+    weak = MOTOR.parameters.scaled(back_emf_constant_v_s_per_rad=0.7, torque_constant_n_m_per_a=0.7)
+    start = simulate(Scenario(weak, timing=Timing(10_000.0, 0.2, 0.05)), 3, [0])
+    changed = Recording(recording.path, start.time_s, start.measurements[0, 0], recording.voltage_v)
+    diagnosis = diagnose(changed, MOTOR)
+    assert diagnosis.verdict is Verdict.OTHER
+    assert "K^2/J is down" in diagnosis.reasons[0]
+
+
+def test_severity_interval_holds_the_truth() -> None:
+    found = [diagnose(r, MOTOR) for r in captures(8, Fault(FaultKind.WINDING_CONTACT, 0.40))]
+    inside = [(d.severity_low or 0.0) <= 0.40 <= (d.severity_high or 0.0) for d in found]
+    assert sum(inside) >= 7
+    assert np.mean([d.severity or 0.0 for d in found]) == pytest.approx(0.40, abs=0.03)
+
+
+def test_standard_errors_agree_with_the_scatter_of_repetitions() -> None:
+    """Repetitions of one motor: the estimates scatter as the standard errors say, and about the truth."""
+    starts = simulate(Scenario(MOTOR.parameters, timing=Timing(10_000.0, 0.1, 0.05)), 5, np.arange(24))
+    voltage = np.where(starts.time_s > 1e-9, 12.0, 0.0)
+    fits = [
+        identify(prepare(Recording(Path("x"), starts.time_s, row[0], voltage))) for row in starts.measurements
+    ]
+    z = (np.array([f.log_values for f in fits]) - np.log(true_quantities())) / np.sqrt(
+        np.array([np.diag(f.log_covariance) for f in fits])
+    )
+    assert np.all(np.abs(z.mean(axis=0)) < 4.0 / np.sqrt(24))
+    assert np.all((z.std(axis=0) > 0.6) & (z.std(axis=0) < 1.5))
+
+
+def true_quantities() -> list[float]:
+    p = MOTOR.parameters
+    k2 = np.multiply(p.back_emf_constant_v_s_per_rad, p.torque_constant_n_m_per_a)
+    ratios = (p.resistance_ohm, p.inductance_h, k2 / p.inertia_kg_m2)
+    return [float(q) for q in (*ratios, np.divide(p.viscous_friction_n_m_s_per_rad, p.inertia_kg_m2))]
+
+
+def test_an_offset_is_taken_off() -> None:
+    fits = [identify(prepare(r)) for r in captures(3, offset_a=0.25)]
+    assert np.mean([f.offset_a for f in fits]) == pytest.approx(0.25, abs=0.002)
+
+
+def test_without_a_voltage_only_ratios_are_told_and_the_sheet_is_no_reference() -> None:
+    recording = captures(1, known_voltage=False)[0]
+    alone = diagnose(recording)
+    assert alone.verdict is Verdict.NO_REFERENCE
+    assert alone.identified is not None
+    assert alone.identified.quantity_names == ("R/V", "L/V", "K^2/(J V)", "B/J")
+    np.testing.assert_allclose(alone.identified.values[0], 2.18 / 12.0, rtol=0.05)
+
+
+def test_healthy_recordings_as_reference() -> None:
+    healthy = learn_reference(fit_healthy(captures(5, known_voltage=False)))
+    assert diagnose(captures(6, known_voltage=False)[5], None, healthy).verdict is Verdict.HEALTHY
+    worn = captures(2, Fault(FaultKind.WINDING_CONTACT, 0.4), known_voltage=False)
+    assert [diagnose(r, None, healthy).verdict for r in worn] == [Verdict.WINDING] * 2
+
+
+def test_the_filter_is_consistent_with_its_belief() -> None:
+    check = diagnose(captures(1)[0], MOTOR).filter_check
+    assert check is not None
+    assert check.mean_nis == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_capture_without_a_start_is_unusable_and_never_healthy() -> None:
+    rng = np.random.default_rng(0)
+    time = np.linspace(0.0, 0.1, 1000)
+    noise = Recording(Path("x"), time, 0.02 * rng.standard_normal(1000))
+    with pytest.raises(UnusableError):
+        prepare(noise)
+    assert diagnose(noise, MOTOR).verdict is Verdict.UNUSABLE
+
+
+@pytest.mark.parametrize(
+    ("content", "needle"),
+    [
+        (b"", "is empty"),
+        (b"time_s,current_a\n0,0\n", "at least 20 samples, got 1"),
+        (b"time_s,amps\n0,0\n", "line 1: the column current_a is missing"),
+        (
+            b"time_s,current_a\n0,0\n1,nan\n",
+            "line 3: the column current_a must hold finite numbers, got 'nan'",
+        ),
+        (b"time_s,current_a\n0,0\n1,x\n", "line 3: the column current_a must hold numbers, got 'x'"),
+        (b"time_s,current_a\n0,0\n1\n", "line 3"),
+        (b"\xff\xfe\x00\x80" * 40, "is not"),
+        (b"\x00" * 300, "is not"),
+        (
+            b"time_s,current_a\n" + b"".join(b"%d,0\n" % n for n in [*range(20), 5]),
+            "line 22: the column time_s must rise, got 5 after 19",
+        ),
+    ],
+)
+def test_bad_recordings_get_one_sentence(tmp_path: Path, content: bytes, needle: str) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"bad\.csv") as error:
+        read_recording(path)
+    assert needle in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_exit_status_and_json_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capture, motor = str(EXAMPLES / "startup_capture.csv"), str(EXAMPLES / "motor.toml")
+    assert cli.main(["diagnose", capture, "--motor", motor, "--json", "--out", str(tmp_path)]) == 1
+    (answer,) = json.loads(capsys.readouterr().out)
+    assert answer["verdict"] == "bearing"
+    assert answer["severity_interval"][0] < 0.30 < answer["severity_interval"][1]
+    assert {"file", "verdict", "severity", "confidence", "parameters", "r2_current"} <= set(answer)
+    assert [p.suffix for p in tmp_path.iterdir()] == [".png"]
+    assert cli.main(["diagnose", capture]) == 3
+    assert cli.main(["diagnose", capture, "nosuch.csv", "--motor", motor]) == 2
+    printed = capsys.readouterr()
+    assert "bearing" in printed.out
+    assert "nosuch.csv: no such file" in printed.err
+
+
+def test_an_unwritable_folder_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    status = cli.main(
+        ["diagnose", str(EXAMPLES / "startup_capture.csv"), "--out", str(tmp_path / "file" / "deep")]
+    )
+    assert status == 2
+    assert "cannot be written" in capsys.readouterr().err
+
+
+def test_the_example_is_what_its_script_writes(tmp_path: Path) -> None:
+    script = tmp_path / "make_startup_capture.py"
+    script.write_bytes((EXAMPLES / "make_startup_capture.py").read_bytes())
+    (tmp_path / "motor.toml").write_bytes((EXAMPLES / "motor.toml").read_bytes())
+    subprocess.run([sys.executable, str(script)], check=True)
+    assert (tmp_path / "startup_capture.csv").read_bytes() == (EXAMPLES / "startup_capture.csv").read_bytes()
+
+
+@needs_recordings
+@pytest.mark.parametrize(
+    ("file", "r2"),
+    [("lieskjur/startup_120v.csv", 0.995), ("oscillo_lab/startup_F0001.csv", 0.97)],
+)
+def test_real_starts_are_fitted(file: str, r2: float) -> None:
+    (outcome,) = diagnose_files([RECORDINGS / file])
+    assert outcome.diagnosis is not None
+    assert outcome.diagnosis.verdict is Verdict.NO_REFERENCE
+    assert outcome.diagnosis.identified is not None
+    assert outcome.diagnosis.identified.r2_current >= r2
+
+
+@needs_recordings
+def test_production_line_starts() -> None:
+    folder = RECORDINGS / "production_line"
+    healthy = [folder / f"ok_{n:02d}.csv" for n in range(1, 6)]
+    others = [folder / f"{name}.csv" for name in ("ok_06", "ok_08", "ng_01", "ng_05")]
+    found = [o.diagnosis for o in diagnose_files(others, healthy=healthy) if o.diagnosis is not None]
+    assert [d.verdict.is_fault for d in found] == [False, False, True, True]
+    assert all(d.identified is not None and d.identified.r2_current >= 0.99 for d in found)
+    for faulty in found[2:]:
+        moved = {c.name: c.ratio for c in faulty.changes if c.significant}
+        assert moved["R/V"] > 1.05
+        assert moved["K^2/(J V)"] > 1.05
