@@ -33,7 +33,8 @@ MEASURED_CURRENT, MEASURED_SPEED, WHITE_CURRENT, WHITE_SPEED = range(19, 23)  # 
 SAMPLE, ONSET, NEXT_CHANGE, LEVEL, KIND, SUPPLY = range(23, 29)  # the episode
 VOLTAGE, DECLARED, COST, REWARD, DONE = range(29, 34)  # the step
 INNOVATION_0, INNOVATION_1 = range(34, 36)  # whitened, of the last sample
-BANK = 36  # three fields for each filter of the bank: its current, its speed, its evidence
+CARRY, ESTIMATED_CARRY = range(36, 38)  # what rounding took from the speeds
+BANK = 38  # three fields for each filter of the bank: its current, its speed, its evidence
 BANK_LENGTH = 3
 MAX_BANK = 3
 N_FIELDS = BANK + BANK_LENGTH * MAX_BANK
@@ -106,7 +107,8 @@ def advance(s: FloatArray, j: int, p: Constants, n0: float, n1: float, with_spee
     """One sample of lane j of the block s: plant, measurement, filter, statistics, cost of waiting.
 
     States, measurements and the voltage u stand as deviations from the point at which the belief would rest: float32 has
-    little to spare beside a speed of 500 rad/s. n0 and n1 are the standard normals of the sample. Without a speed sensor its part is left out (`with_speed` is a
+    little to spare beside a speed of 500 rad/s. The rows of the speed hold A - I, and what rounding takes from a speed
+    is carried over to the next sample (Kahan 1965), for a speed moves by a hair a sample. n0 and n1 are the standard normals of the sample. Without a speed sensor its part is left out (`with_speed` is a
     literal where this is called, so the compiler drops it).
 
     x[k+1] = A x[k] + B u[k]; z = x[k+1] + v; then predict and update with the gain that the filter converges to, and
@@ -116,28 +118,34 @@ def advance(s: FloatArray, j: int, p: Constants, n0: float, n1: float, with_spee
     w = u * s[j + SUPPLY * LANES]
     x0, x1 = s[j + CURRENT * LANES], s[j + SPEED * LANES]
     y0 = s[j + A00 * LANES] * x0 + s[j + A01 * LANES] * x1 + s[j + B0 * LANES] * w + s[j + D0 * LANES]
-    y1 = s[j + A10 * LANES] * x0 + s[j + A11 * LANES] * x1 + s[j + B1 * LANES] * w + s[j + D1 * LANES]
+    rise = s[j + A10 * LANES] * x0 + s[j + A11 * LANES] * x1 + s[j + B1 * LANES] * w + s[j + D1 * LANES]
+    rise -= s[j + CARRY * LANES]
+    y1 = x1 + rise
+    s[j + CARRY * LANES] = (y1 - x1) - rise
     s[j + CURRENT * LANES], s[j + SPEED * LANES] = y0, y1
     z0 = y0 + s[j + SIGMA_CURRENT * LANES] * n0
     s[j + MEASURED_CURRENT * LANES] = z0
 
     v0, v1 = s[j + ESTIMATED_CURRENT * LANES], s[j + ESTIMATED_SPEED * LANES]
     q0 = p[F00] * v0 + p[F01] * v1 + p[G0] * u
-    q1 = p[F10] * v0 + p[F11] * v1 + p[G1] * u
+    rise = p[F10] * v0 + p[F11] * v1 + p[G1] * u
     d0 = p[C0] * (z0 - q0)
     r0 = p[W00] * d0
-    q0, q1, power = q0 + p[K00] * d0, q1 + p[K10] * d0, r0 * r0
+    q0, correction, power = q0 + p[K00] * d0, p[K10] * d0, r0 * r0
     fast, slow = p[MEMORY_FAST], p[MEMORY_SLOW]
     if with_speed:
         z1 = y1 + s[j + SIGMA_SPEED * LANES] * n1
         s[j + MEASURED_SPEED * LANES] = z1
-        d1 = z1 - (p[F10] * v0 + p[F11] * v1 + p[G1] * u)
+        d1 = z1 - v1 - rise
         r1 = p[W10] * d0 + p[W11] * d1
-        q0, q1, power = q0 + p[K01] * d1, q1 + p[K11] * d1, power + r1 * r1
+        q0, correction, power = q0 + p[K01] * d1, correction + p[K11] * d1, power + r1 * r1
         s[j + WHITE_SPEED * LANES] += r1
         s[j + INNOVATION_1 * LANES] = r1
         s[j + FAST_SPEED * LANES] = fast * s[j + FAST_SPEED * LANES] + p[INTO_FAST] * r1
         s[j + SLOW_SPEED * LANES] = slow * s[j + SLOW_SPEED * LANES] + p[INTO_SLOW] * r1
+    rise += correction - s[j + ESTIMATED_CARRY * LANES]
+    q1 = v1 + rise
+    s[j + ESTIMATED_CARRY * LANES] = (q1 - v1) - rise
     s[j + ESTIMATED_CURRENT * LANES], s[j + ESTIMATED_SPEED * LANES] = q0, q1
     s[j + WHITE_CURRENT * LANES] += r0
     s[j + INNOVATION_0 * LANES] = r0
@@ -162,7 +170,7 @@ def weigh(s: FloatArray, j: int, m: int, p: Constants, model: Constants) -> None
     at0, at1, evidence = j + m * LANES, j + (m + 1) * LANES, j + (m + 2) * LANES
     u = s[j + VOLTAGE * LANES]
     q0 = model[F00] * s[at0] + model[F01] * s[at1] + model[G0] * u + model[H0]
-    q1 = model[F10] * s[at0] + model[F11] * s[at1] + model[G1] * u + model[H1]
+    q1 = s[at1] + model[F10] * s[at0] + model[F11] * s[at1] + model[G1] * u + model[H1]
     d0, d1 = p[C0] * (s[j + MEASURED_CURRENT * LANES] - q0), p[C1] * (s[j + MEASURED_SPEED * LANES] - q1)
     r0 = p[W00] * d0
     r1 = p[W10] * d0 + p[W11] * d1

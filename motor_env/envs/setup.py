@@ -182,10 +182,16 @@ def _constants(options: MonitorOptions, belief: KalmanFilter, rest: FloatArray) 
     return p
 
 
+def _transition_row(model: DiscreteModel) -> FloatArray:
+    """A, with A - I in the row of the speed, shape (..., 4)."""
+    row: FloatArray = model.transition.reshape(*model.transition.shape[:-2], 4) - [0.0, 0.0, 0.0, 1.0]
+    return row
+
+
 def _model_row(options: MonitorOptions, model: DiscreteModel, rest: FloatArray) -> FloatArray:
     """Transition, voltage gain and drift of a model, as the kernel takes them."""
     return np.concatenate(
-        [model.transition.ravel(), model.gain[:, Input.VOLTAGE], _drift(options, model, rest, 1.0)]
+        [_transition_row(model), model.gain[:, Input.VOLTAGE], _drift(options, model, rest, 1.0)]
     )
 
 
@@ -268,7 +274,7 @@ def draw_episodes(setup: Setup, seed: int, index: NDArray[np.int64], episode: ND
         faults = tuple(Fault(f.kind, f.severity * (level / levels)) for f in scenario.faults)
         model = discretize(apply_faults(scenario.parameters, faults), options.dt_s)
         row = tables[:, level]
-        row[:, kernel.A00 : kernel.A11 + 1] = model.transition.reshape(-1, 4)
+        row[:, kernel.A00 : kernel.A11 + 1] = _transition_row(model)
         row[:, kernel.B0 : kernel.B1 + 1] = model.gain[..., Input.VOLTAGE]
         row[:, kernel.D0 : kernel.D1 + 1] = _drift(options, model, setup.rest, drawn.factors[:, 0])
         factor = noise_variance_factor(faults, NoiseSource.MEASUREMENT, np.zeros(1))
