@@ -123,3 +123,34 @@ def bayes_limit(probabilities: FloatArray) -> Limit:
     """
     largest = probabilities.max(axis=1)
     return Limit(float(largest.mean()), float(largest.std(ddof=1) / np.sqrt(len(largest))))
+
+
+class Excess(NamedTuple):
+    """How far a classifier's accuracy lies above the Bayes-optimal one on the same cases.
+
+    Attributes:
+        excess: accuracy minus that of the most probable class; at most 0 on average for every honest classifier.
+        standard_error: of the excess, from the cases on which the two are not both right or both wrong.
+    """
+
+    excess: float
+    standard_error: float
+
+    @property
+    def is_suspicious(self) -> bool:
+        """Whether the excess is above three standard errors: then the classifier saw what it must not see."""
+        return self.excess > 3.0 * self.standard_error and self.excess > 0.0
+
+
+def excess_over_limit(probabilities: FloatArray, class_index: ArrayLike, predicted: ArrayLike) -> Excess:
+    """Compare a classifier with the limit in pairs, case by case (McNemar 1947).
+
+    Args:
+        probabilities: posterior probabilities of the cases, shape (n_cases, n_classes).
+        class_index: true classes, shape (n_cases,).
+        predicted: the classifier's, shape (n_cases,).
+    """
+    truth = np.asarray(class_index)
+    best = probabilities.argmax(axis=1) == truth
+    difference = (np.asarray(predicted) == truth).astype(np.float64) - best
+    return Excess(float(difference.mean()), float(difference.std(ddof=1) / np.sqrt(len(difference))))

@@ -15,6 +15,7 @@ from motor_env.posterior import (
     class_coordinates,
     class_log_evidence,
     class_probabilities,
+    excess_over_limit,
     recipe_observed,
     variance_factor,
 )
@@ -98,7 +99,7 @@ def test_limit_of_the_bench_recipe(rate_hz: float, noise_a: float, expected: flo
     recipe = named_recipe(
         "bench", sensor=SensorParameters(current_noise_a=noise_a), timing=Timing(rate_hz, 0.1)
     )
-    drawn, measured = drawn_measurements(recipe, 800)
+    drawn, measured = drawn_measurements(recipe, 400)
     probabilities = class_probabilities(recipe, measured)
     limit = bayes_limit(probabilities)
     assert abs(limit.expected_accuracy - expected) < 4.0 * limit.standard_error
@@ -150,3 +151,17 @@ def test_probabilities_do_not_depend_on_the_batch() -> None:
     together = class_probabilities(BENCH_1KHZ, measured)
     np.testing.assert_allclose(class_probabilities(BENCH_1KHZ, measured[4:5])[0], together[4], atol=1e-9)
     np.testing.assert_allclose(together.sum(axis=1), 1.0)
+
+
+def test_a_classifier_that_saw_the_labels_is_suspicious_and_an_honest_one_is_not() -> None:
+    drawn, measured = drawn_measurements(BENCH_1KHZ, 600)
+    probabilities = class_probabilities(BENCH_1KHZ, measured)
+    honest = class_probabilities(BENCH_1KHZ, measured[..., :30]).argmax(axis=1)
+    below = excess_over_limit(probabilities, drawn.class_index, honest)
+    assert below.excess < 0.0
+    assert not below.is_suspicious
+    equal = excess_over_limit(probabilities, drawn.class_index, probabilities.argmax(axis=1))
+    assert equal == (0.0, 0.0)
+    assert not equal.is_suspicious
+    peeked = np.where(np.arange(600) % 4 == 0, drawn.class_index, probabilities.argmax(axis=1))
+    assert excess_over_limit(probabilities, drawn.class_index, peeked).is_suspicious

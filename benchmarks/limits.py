@@ -1,0 +1,143 @@
+"""Print the tables of docs/limits.md: `python benchmarks/limits.py [CASES]`, 20,000 cases and some ten minutes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+
+import numpy as np
+
+from motor_env.estimation import cramer_rao_bound
+from motor_env.faults import Fault, FaultKind
+from motor_env.limits import class_limits, severity_limit
+from motor_env.marginal import MatchedTest
+from motor_env.parameters import PAPER_MOTOR, Channel, SensorParameters
+from motor_env.recipes import Recipe, Spread, draw, named_recipe
+from motor_env.severity import SeverityPrior
+from motor_env.simulation import Timing, simulate
+
+SEED = 11
+RATES_HZ = (10_000.0, 1_000.0)
+NOISES_A = (0.005, 0.02, 0.1)
+BENCH = named_recipe("bench")
+
+
+def bench(rate_hz: float, noise_a: float) -> Recipe:
+    """The recipe `bench` at another rate and noise."""
+    sensor = SensorParameters(current_noise_a=noise_a)
+    return named_recipe("bench", sensor=sensor, timing=Timing(rate_hz, 0.1))
+
+
+def table(title: str, header: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
+    """Print one table, row by row as it comes."""
+    names = list(header)
+    print(f"\n## {title}\n\n| {' | '.join(names)} |\n|{'---|' * len(names)}")
+    for row in rows:
+        print(f"| {' | '.join(row)} |", flush=True)
+
+
+def accuracy(n_cases: int) -> Iterable[Iterable[str]]:
+    """Bayes-optimal accuracy by rate and noise."""
+    for rate_hz in RATES_HZ:
+        for noise_a in NOISES_A:
+            ((limit, error), hits), *_ = class_limits(bench(rate_hz, noise_a), SEED, n_cases)
+            yield f"{rate_hz:g} Hz", f"{1e3 * noise_a:g} mA", f"{limit:.4f} ± {error:.4f}", f"{hits:.4f}"
+
+
+def variants(n_cases: int) -> Iterable[Iterable[str]]:
+    """The same when more or less is known of the motor, or the speed is measured."""
+    own = Spread(supply=0.01, resistance=0.003, constants=0.002, inertia=0.002, friction=0.002)
+    both = SensorParameters(channels=(Channel.CURRENT, Channel.SPEED), speed_noise_rad_s=1.0)
+    wide = (
+        Spread(0.01, 0.04, 0.01, 0.02, 0.02),
+        Spread(0.01, 0.01, 0.01, 0.02, 0.05),
+        Spread(0.01, 0.01, 0.01, 0.02, 0.10),
+    )
+    changes = (
+        ("`bench`", {}),
+        ("the motor's own parameters known: R 0.3 %, K, J, B 0.2 %", {"spread": own}),
+        ("the same at 1 kHz", {"spread": own, "timing": Timing(1_000.0, 0.1)}),
+        ("R 4 %", {"spread": wide[0]}),
+        ("B 5 %", {"spread": wide[1]}),
+        ("B 10 %", {"spread": wide[2]}),
+        ("speed beside the current, 1 rad/s", {"sensor": both}),
+    )
+    for name, change in changes:
+        ((limit, error), _), *_ = class_limits(named_recipe("bench", **change), SEED, n_cases)
+        yield name, f"{limit:.4f} ± {error:.4f}"
+
+
+def early(n_cases: int) -> Iterable[Iterable[str]]:
+    """The same by the samples seen."""
+    seen_ms = (1, 2, 5, 10, 20, 40, 60, 80, 100)
+    limits = class_limits(BENCH, SEED, n_cases, [10 * ms for ms in seen_ms])
+    for ms, ((limit, error), _) in zip(seen_ms, limits, strict=True):
+        yield f"{ms} ms", f"{limit:.4f} ± {error:.4f}"
+
+
+def severity(n_cases: int) -> Iterable[Iterable[str]]:
+    """Errors of the severities."""
+    for kind in (FaultKind.BEARING, FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT):
+        for rate_hz in RATES_HZ:
+            for noise_a in NOISES_A:
+                got = severity_limit(bench(rate_hz, noise_a), SeverityPrior(kind), SEED, n_cases)
+                points = (f"{100.0 * value:.2f}" for value in (got.expected_rmse, got.rmse))
+                yield str(kind), f"{rate_hz:g} Hz", f"{1e3 * noise_a:g} mA", *points, f"{got.coverage:.3f}"
+
+
+def power(n_cases: int) -> Iterable[Iterable[str]]:
+    """False alarms over healthy motors, and powers."""
+    faults = (
+        Fault(FaultKind.BEARING, 0.10),
+        Fault(FaultKind.WINDING_CONTACT, 0.005),
+        Fault(FaultKind.WINDING_CONTACT, 0.02),
+        Fault(FaultKind.WINDING_CONTACT, 0.05),
+    )
+    for name in ("paper", "bench"):
+        recipe = named_recipe(name)
+        healthy = recipe.classes[:1]
+        drawn = [
+            draw(named_recipe(name, classes=healthy), SEED, np.arange(b, b + 2000))
+            for b in range(0, n_cases, 2000)
+        ]
+        for fault in faults:
+            test = MatchedTest.of(recipe, fault)
+            statistic = np.concatenate(
+                [test.statistic(simulate(part.scenario, SEED, part.cases).measurements) for part in drawn]
+            )
+            for two_sided in (False, True):
+                size = np.abs(statistic) if two_sided else statistic
+                alarms = (size > test.threshold_for(0.01, two_sided=two_sided)).mean()
+                yield (
+                    name,
+                    f"{fault.kind} +{100.0 * float(fault.severity):g} %",
+                    "two" if two_sided else "one",
+                    f"{100.0 * alarms:.2f} %",
+                    f"{100.0 * test.power(0.01, two_sided=two_sided):.1f} %",
+                )
+
+
+def bounds() -> Iterable[Iterable[str]]:
+    """Cramer-Rao bounds, other parameters known."""
+    for noise_a in (0.0034, 0.02, 0.04):
+        covariance = cramer_rao_bound(PAPER_MOTOR, Timing(), SensorParameters(current_noise_a=noise_a), 12.0)
+        yield f"{1e3 * noise_a:g} mA", *(f"{100.0 * np.sqrt(v):.3f} %" for v in np.diag(covariance))
+
+
+def main() -> None:
+    """Print all tables."""
+    n_cases = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
+    table("Bounds", ("noise", "R", "B"), bounds())
+    table("Accuracy", ("rate", "noise", "limit", "hits"), accuracy(n_cases))
+    table("Variants", ("setting", "limit"), variants(n_cases))
+    table("Early verdicts", ("seen", "limit"), early(n_cases))
+    table(
+        "Severity",
+        ("kind", "rate", "noise", "expected", "measured", "coverage"),
+        severity(max(n_cases // 4, 100)),
+    )
+    table("Matched tests", ("recipe", "fault", "sides", "false alarms", "power"), power(n_cases))
+
+
+if __name__ == "__main__":
+    main()
