@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
-from sklearn.utils.validation import check_array, validate_data
+from sklearn.utils.multiclass import check_classification_targets
+from sklearn.utils.validation import (
+    assert_all_finite,
+    check_array,
+    check_consistent_length,
+    column_or_1d,
+    validate_data,
+)
 
 from motor_env.parameters import FloatArray
 from motor_env.recipes import Recipe, named_recipe
@@ -70,3 +77,23 @@ def severities_of(recipe: Recipe, names: NDArray[np.str_]) -> FloatArray:
     if unknown:
         raise ValueError(f"class must be one of {', '.join(by_name)}, got {unknown[0]!r}")
     return np.array([by_name[name] for name in names.tolist()])
+
+
+def labelled_cases(estimator: BaseEstimator, X: Any, y: Any) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Check cases and labels of a fit, set `classes_`, and return flat cases and label indices.
+
+    Raises:
+        ValueError: fewer than two classes, labels that are no classes, or shapes that do not fit.
+    """
+    flat = flat_cases(estimator, X, reset=True)
+    if y is None:
+        raise ValueError("requires y to be passed, but the target y is None")
+    checked = column_or_1d(y, warn=True)
+    if checked.dtype.kind == "f":
+        assert_all_finite(checked, input_name="y")
+    check_consistent_length(flat, checked)
+    check_classification_targets(checked)
+    estimator.classes_, labels = np.unique(checked, return_inverse=True)
+    if len(estimator.classes_) < 2:
+        raise ValueError(f"y must hold at least two classes, got 1 class: {estimator.classes_[0]!r}")
+    return flat, labels.astype(np.int64)

@@ -1,8 +1,4 @@
-"""Scores of decisions and probabilities, each with a bootstrap interval over the same resampled cases.
-
-Every interval resamples whole test cases (Efron 1979), and every method sees the same resamples, so differences are
-compared in pairs.
-"""
+"""Scores of decisions, all from the confusion matrix, each with a bootstrap interval; comparison in pairs."""
 
 from __future__ import annotations
 
@@ -10,147 +6,147 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binom
 
 from motor_env.faults import HEALTHY
 from motor_env.parameters import FloatArray
+from motor_env.recipes import Recipe
 
 IntArray = NDArray[np.int64]
 
+N_RESAMPLES = 2000
+LEVEL = 0.95
+"""Of every interval."""
 
-class Interval(NamedTuple):
-    """A figure with its 95 % bootstrap interval."""
+
+class Score(NamedTuple):
+    """A score and the ends of its 95 % bootstrap interval (percentile method: Efron & Tibshirani 1993, ch. 13)."""
 
     value: float
     low: float
     high: float
 
 
-class Classes(NamedTuple):
-    """What the metrics need to know of the classes, each of shape (n_classes,).
+class Scores(NamedTuple):
+    """Scores of one method; rates are shares, 0 to 1.
 
     Attributes:
-        names: labels.
-        kinds: healthy, or the fault's kind.
-        severities: level of the fault, 0 for healthy.
+        accuracy: share of right decisions.
+        macro_f1: mean over the classes of F1.
+        recall: of each class, in the recipe's order.
+        false_alarm_rate: share of healthy motors that are called faulty.
+        missed_detection_rate: share of faulty motors that are called healthy.
+        level_error: mean absolute error of the decided severity, 0.01 for a point; of a wrong kind both
+            severities count, the missed and the invented one.
+        confusion: cases by true (row) and decided (column) class.
     """
 
-    names: tuple[str, ...]
-    kinds: tuple[str, ...]
-    severities: FloatArray
+    accuracy: Score
+    macro_f1: Score
+    recall: tuple[Score, ...]
+    false_alarm_rate: Score
+    missed_detection_rate: Score
+    level_error: Score
+    confusion: IntArray
 
 
-def resamples(n_cases: int, n_resamples: int, generator: np.random.Generator) -> FloatArray:
-    """How often each case stands in each resample, shape (n_resamples, n_cases), float32."""
-    weights = generator.multinomial(n_cases, np.full(n_cases, 1.0 / n_cases), size=n_resamples)
-    return weights.astype(np.float32)
+def confusion_matrices(truth: IntArray, decided: IntArray, n_classes: int, weights: FloatArray) -> FloatArray:
+    """Weighted confusion matrices, shape (n_resamples, n_classes, n_classes), for weights (n_resamples, n_cases)."""
+    cells = truth * n_classes + decided
+    order = np.argsort(cells, kind="stable")
+    filled, begins = np.unique(cells[order], return_index=True)
+    matrices = np.zeros((len(weights), n_classes * n_classes))
+    matrices[:, filled] = np.add.reduceat(weights[:, order], begins, axis=1)
+    return matrices.reshape(len(weights), n_classes, n_classes)
 
 
-def confusion(true: IntArray, decided: IntArray, n_classes: int) -> IntArray:
-    """Counts, true classes in rows and decided ones in columns, shape (n_classes, n_classes)."""
-    counts = np.zeros((n_classes, n_classes), dtype=np.int64)
-    np.add.at(counts, (true, decided), 1)
-    return counts
+def level_distance(recipe: Recipe) -> FloatArray:
+    """|decided - true| severity between classes, summed over kinds, shape (n_classes, n_classes)."""
+    kinds = sorted({c.label_kind for c in recipe.classes} - {HEALTHY})
+    severity = np.array([[c.severity * (c.label_kind == kind) for kind in kinds] for c in recipe.classes])
+    distance: FloatArray = np.abs(severity[:, None] - severity[None]).sum(axis=-1)
+    return distance
 
 
-def _confusions(true: IntArray, decided: IntArray, n_classes: int, weights: FloatArray) -> FloatArray:
-    """Weighted confusion of each resample, shape (n_resamples, n_classes, n_classes)."""
-    cells = np.zeros((len(true), n_classes * n_classes), dtype=np.float32)
-    cells[np.arange(len(true)), true * n_classes + decided] = 1.0
-    counts: FloatArray = (weights @ cells).astype(np.float64)
-    return counts.reshape(-1, n_classes, n_classes)
+def resampling_weights(n_cases: int, random_state: int, n_resamples: int = N_RESAMPLES) -> FloatArray:
+    """How often each case is drawn, shape (1 + n_resamples, n_cases); the first row counts each case once.
 
-
-def scores_of(counts: FloatArray, classes: Classes) -> dict[str, FloatArray]:
-    """Scores of confusion matrices of shape (..., n_classes, n_classes); each of shape (...).
-
-    accuracy: share of right decisions. macro_f1: mean of the classes' F1. false_alarm_rate: healthy cases called
-    faulty. missed_detection_rate: faulty cases called healthy. level_error: mean absolute difference of the decided
-    class's severity from the true one, where the fault's kind is right, in points. recall_NAME: of each class. A rate
-    whose cases are missing in a resample is nan there.
+    The same weights for all methods make their intervals comparable in pairs.
     """
-    diagonal = np.diagonal(counts, axis1=-2, axis2=-1)
-    actual, called = counts.sum(axis=-1), counts.sum(axis=-2)
-    kinds = np.array(classes.kinds)
-    healthy = kinds == HEALTHY
-    same_fault = (kinds[:, None] == kinds) & ~healthy[:, None]
-    distance = 100.0 * np.abs(classes.severities[:, None] - classes.severities)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        f1 = np.where(actual + called > 0.0, 2.0 * diagonal / (actual + called), np.nan)
-        right_kind = counts * same_fault
-        scores = {
-            "accuracy": diagonal.sum(axis=-1) / actual.sum(axis=-1),
-            "macro_f1": np.nanmean(f1, axis=-1),
-            "false_alarm_rate": counts[..., healthy, :][..., ~healthy].sum(axis=(-2, -1))
-            / actual[..., healthy].sum(axis=-1),
-            "missed_detection_rate": counts[..., ~healthy, :][..., healthy].sum(axis=(-2, -1))
-            / actual[..., ~healthy].sum(axis=-1),
-            "level_error_points": (right_kind * distance).sum(axis=(-2, -1)) / right_kind.sum(axis=(-2, -1)),
-        }
-        for index, name in enumerate(classes.names):
-            scores[f"recall_{name}"] = diagonal[..., index] / actual[..., index]
-    return scores
+    rng = np.random.default_rng(random_state)
+    drawn = rng.multinomial(n_cases, np.full(n_cases, 1.0 / n_cases), size=n_resamples)
+    return np.vstack([np.ones((1, n_cases)), drawn])
 
 
-def score_intervals(
-    true: IntArray, decided: IntArray, classes: Classes, weights: FloatArray
-) -> dict[str, Interval]:
-    """Every score of decisions with its interval.
+def _ratio(part: FloatArray, whole: FloatArray) -> FloatArray:
+    return np.divide(part, whole, out=np.full(np.shape(part), np.nan), where=whole > 0.0)
+
+
+def _interval(values: FloatArray) -> Score:
+    rest = values[1:][np.isfinite(values[1:])]
+    if not np.isfinite(values[0]) or not len(rest):
+        return Score(float("nan"), float("nan"), float("nan"))
+    low, high = np.quantile(rest, [0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0])
+    return Score(float(values[0]), float(low), float(high))
+
+
+def scores(recipe: Recipe, truth: IntArray, decided: IntArray, weights: FloatArray) -> Scores:
+    """Scores of decisions.
 
     Args:
-        true: class index of each case, shape (n_cases,).
-        decided: decided class index, shape (n_cases,).
-        classes: names, kinds and levels.
-        weights: resamples of the cases, from `resamples`.
+        recipe: its classes.
+        truth: true class of each case as an index into `recipe.classes`, shape (n_cases,).
+        decided: decided class, likewise.
+        weights: from `resampling_weights`.
     """
-    n_classes = len(classes.names)
-    value = scores_of(confusion(true, decided, n_classes).astype(np.float64), classes)
-    spread = scores_of(_confusions(true, decided, n_classes, weights), classes)
-    return {name: _interval(float(value[name]), spread[name]) for name in value}
+    n_classes = len(recipe.classes)
+    matrices = confusion_matrices(truth, decided, n_classes, weights)
+    total = matrices.sum(axis=(1, 2))
+    hits = np.diagonal(matrices, axis1=1, axis2=2)
+    actual, called = matrices.sum(axis=2), matrices.sum(axis=1)
+    recall = _ratio(hits, actual)
+    f1 = np.nan_to_num(_ratio(2.0 * hits, actual + called))
+    healthy = np.array([c.kind is None for c in recipe.classes])
+    faulty = matrices[:, ~healthy]
+    return Scores(
+        accuracy=_interval(hits.sum(axis=1) / total),
+        macro_f1=_interval(f1.mean(axis=1)),
+        recall=tuple(_interval(recall[:, n]) for n in range(n_classes)),
+        false_alarm_rate=_interval(
+            _ratio(
+                matrices[:, healthy][:, :, ~healthy].sum(axis=(1, 2)), matrices[:, healthy].sum(axis=(1, 2))
+            )
+        ),
+        missed_detection_rate=_interval(
+            _ratio(faulty[:, :, healthy].sum(axis=(1, 2)), faulty.sum(axis=(1, 2)))
+        ),
+        level_error=_interval((matrices * level_distance(recipe)).sum(axis=(1, 2)) / total),
+        confusion=matrices[0].astype(np.int64),
+    )
 
 
-def mean_interval(values: FloatArray, weights: FloatArray) -> Interval:
-    """Mean of a figure over the cases, with its interval; `values` of shape (n_cases,)."""
-    return _interval(float(values.mean()), (weights @ values) / weights.sum(axis=1))
-
-
-def _interval(value: float, spread: FloatArray) -> Interval:
-    known = spread[np.isfinite(spread)]
-    if not len(known):
-        return Interval(value, float("nan"), float("nan"))
-    low, high = np.quantile(known, (0.025, 0.975))
-    return Interval(value, float(low), float(high))
-
-
-class PairedExcess(NamedTuple):
-    """How far a method's expected accuracy lies above the limit's on the same cases.
+class Comparison(NamedTuple):
+    """Two methods on the same cases.
 
     Attributes:
-        difference: mean over the cases of the method's hit less the limit's hit.
-        p_value: of the hypothesis that the method is no better than the limit's own decisions, by the exact
-            one-sided sign test on the cases where one of them is right and the other is not (McNemar 1947).
-        expected_gap: mean posterior probability of the limit's decision less that of the method's: the accuracy
-            that the method gives away, without the noise of the labels; never negative.
+        difference: accuracy of the first minus that of the second, with its paired bootstrap interval.
+        only_first: cases that only the first decides rightly.
+        only_second: cases that only the second decides rightly.
+        p_above: probability of so many wins of the first, or more, if both were equally good (exact one-sided
+            McNemar test, 1947).
     """
 
-    difference: float
-    p_value: float
-    expected_gap: float
+    difference: Score
+    only_first: int
+    only_second: int
+    p_above: float
 
 
-def paired_excess(true: IntArray, decided: IntArray, posterior: FloatArray) -> PairedExcess:
-    """Compare decisions with the Bayes-optimal ones on the same cases.
-
-    Args:
-        true: class index of each case, shape (n_cases,).
-        decided: the method's decisions, shape (n_cases,).
-        posterior: Bayes-optimal probabilities, shape (n_cases, n_classes).
-    """
-    from scipy.stats import binom
-
-    best = posterior.argmax(axis=1)
-    ours, limits = decided == true, best == true
-    wins, losses = int((ours & ~limits).sum()), int((~ours & limits).sum())
-    p_value = float(binom.sf(wins - 1, wins + losses, 0.5)) if wins else 1.0
-    rows = np.arange(len(true))
-    gap = posterior[rows, best] - posterior[rows, decided]
-    return PairedExcess(float(ours.mean() - limits.mean()), p_value, float(gap.mean()))
+def compare(
+    first_right: NDArray[np.bool_], second_right: NDArray[np.bool_], weights: FloatArray
+) -> Comparison:
+    """Compare in pairs; arguments are hits on the same cases, shape (n_cases,)."""
+    gain = first_right.astype(np.float64) - second_right
+    only_first, only_second = int((gain > 0).sum()), int((gain < 0).sum())
+    p_above = float(binom.sf(only_first - 1, only_first + only_second, 0.5)) if only_first else 1.0
+    return Comparison(_interval(weights @ gain / len(gain)), only_first, only_second, p_above)

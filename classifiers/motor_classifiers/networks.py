@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
@@ -15,11 +16,10 @@ import torch
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.utils import check_random_state
-from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted
 from torch import nn
 
-from motor_classifiers.cases import flat_cases
+from motor_classifiers.cases import flat_cases, labelled_cases
 from motor_classifiers.features import ResidualProjection
 from motor_env.parameters import FloatArray
 from motor_env.recipes import Recipe
@@ -29,7 +29,7 @@ _LARGEST_SEED = 2**31 - 1
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """torch on one thread: quicker for small networks, and sums are always taken in the same order."""
+    """Torch on one thread: quicker for small networks, and sums are always taken in the same order."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -42,7 +42,7 @@ def perceptron(n_in: int, n_hidden: int, n_layers: int, n_out: int) -> nn.Sequen
     """Fully connected layers with SiLU between, float64, weights not yet set."""
     sizes = [n_in, *[n_hidden] * n_layers]
     layers: list[nn.Module] = []
-    for before, after in zip(sizes, sizes[1:], strict=False):
+    for before, after in pairwise(sizes):
         layers += [nn.utils.skip_init(nn.Linear, before, after, dtype=torch.float64), nn.SiLU()]
     layers.append(nn.utils.skip_init(nn.Linear, sizes[-1], n_out, dtype=torch.float64))
     return nn.Sequential(*layers)
@@ -67,7 +67,7 @@ def train(
     learning_rate: float,
     weight_decay: float,
 ) -> None:
-    """Minimise the cross-entropy by AdamW with one cosine cycle (Loshchilov & Hutter 2019); the last, short batch counts."""
+    """Minimise the cross-entropy by AdamW with one cosine cycle (Loshchilov & Hutter 2019)."""
     optimiser = torch.optim.AdamW(network.parameters(), lr=learning_rate, weight_decay=weight_decay)
     batches = -(-len(inputs) // batch_size)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -114,13 +114,13 @@ class NetworkClassifier(ClassifierMixin, BaseEstimator):
     def __init__(
         self,
         recipe: Recipe | None = None,
-        n_components: int = 8,
+        n_components: int = 6,
         n_hidden: int = 32,
         n_layers: int = 2,
-        epochs: int = 60,
+        epochs: int = 40,
         batch_size: int = 64,
         learning_rate: float = 0.01,
-        weight_decay: float = 0.01,
+        weight_decay: float = 0.1,
         random_state: int | np.random.RandomState | None = None,
     ) -> None:
         self.recipe = recipe
@@ -177,7 +177,8 @@ class NetworkClassifier(ClassifierMixin, BaseEstimator):
 
     def predict(self, X: Any) -> NDArray[Any]:
         """Most probable class of each case, shape (n_cases,)."""
-        labels: NDArray[Any] = self.classes_[self._logits(X).argmax(axis=1)]
+        most = self._logits(X).argmax(axis=1)
+        labels: NDArray[Any] = self.classes_[most]
         return labels
 
     def _logits(self, X: Any) -> FloatArray:
@@ -187,23 +188,3 @@ class NetworkClassifier(ClassifierMixin, BaseEstimator):
         with one_thread(), torch.inference_mode():
             logits: FloatArray = self.network_(torch.from_numpy(components)).numpy()
         return logits
-
-
-def labelled_cases(estimator: BaseEstimator, X: Any, y: Any) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Check cases and labels of a fit, set `classes_`, and return flat cases and label indices.
-
-    Raises:
-        ValueError: fewer than two classes, labels that are no classes, or shapes that do not fit.
-    """
-    from sklearn.utils.validation import _check_y, check_consistent_length
-
-    flat = flat_cases(estimator, X, reset=True)
-    if y is None:
-        raise ValueError("requires y to be passed, but the target y is None")
-    checked = _check_y(y, estimator=estimator)
-    check_consistent_length(flat, checked)
-    check_classification_targets(checked)
-    estimator.classes_, labels = np.unique(checked, return_inverse=True)
-    if len(estimator.classes_) < 2:
-        raise ValueError(f"y must hold at least two classes, got 1 class: {estimator.classes_[0]!r}")
-    return flat, labels.astype(np.int64)

@@ -1,0 +1,226 @@
+"""Models on disk without pickle: one file a model, which tells its recipe.
+
+A scikit-learn pipeline is a skops archive with our own `motor.json` beside its schema. The confirmation and the network
+are safetensors with the same JSON in the header. A file that holds anything else is refused.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from copy import copy
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+from sklearn.base import BaseEstimator
+from sklearn.pipeline import FeatureUnion, Pipeline
+
+from motor_classifiers.features import PhysicalFeatures, ResidualProjection
+from motor_classifiers.networks import NetworkClassifier, perceptron
+from motor_classifiers.threshold import ConfirmationClassifier
+from motor_env.confirmation import ThresholdConfirmation, class_filter
+from motor_env.console import InputError
+from motor_env.files import replacing
+from motor_env.recipe_file import recipe_from_dict, recipe_to_dict
+from motor_env.recipes import Recipe
+
+FORMAT = "motor-classifiers"
+VERSION = 1
+LARGEST_FILE_BYTES = 200_000_000
+_MEMBER = "motor.json"
+_SKOPS_TRUSTED = [
+    "motor_classifiers.features.PhysicalFeatures",
+    "motor_classifiers.features.ResidualProjection",
+    "sklearn.tree._tree.Tree",
+]
+_RULE_ARRAYS = ("healthy_scale", "own_scale", "prior")
+
+
+def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path) -> None:
+    """Write a fitted model; the file appears whole or not at all.
+
+    Raises:
+        TypeError: a model of another kind than those of `methods`.
+        InputError: the file cannot be written.
+    """
+    head: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "method": method,
+        "recipe": recipe_to_dict(recipe),
+        "classes": [str(name) for name in model.classes_],
+    }
+    if isinstance(model, Pipeline):
+        content = _pipeline_bytes(model, head)
+    elif isinstance(model, ConfirmationClassifier):
+        content = _confirmation_bytes(model, head)
+    elif isinstance(model, NetworkClassifier):
+        content = _network_bytes(model, head)
+    else:
+        raise TypeError(f"model must be a pipeline, a confirmation or a network, got {type(model).__name__}")
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def load_model(path: Path) -> tuple[BaseEstimator, Recipe, str]:
+    """Read a model, the recipe it was trained for, and its method's name.
+
+    Raises:
+        InputError: no such file, not one of ours, damaged, or with content that is not allowed.
+    """
+    try:
+        if path.stat().st_size > LARGEST_FILE_BYTES:
+            raise InputError(
+                f"{path}: is larger than {LARGEST_FILE_BYTES // 1_000_000} MB, not a model of ours"
+            )
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
+    try:
+        if zipfile.is_zipfile(io.BytesIO(content)):
+            return _load_pipeline(content)
+        return _load_tensors(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except (
+        ValueError, KeyError, TypeError, AttributeError, IndexError, RuntimeError,
+        ImportError, zipfile.BadZipFile, SafetensorError, NotImplementedError, EOFError,
+    ) as error:  # fmt: skip
+        reason = " ".join(str(error).split())[:150]
+        raise InputError(f"{path}: is no model of motor-classifiers, or damaged ({reason})") from None
+
+
+def _checked_head(text: str) -> tuple[dict[str, Any], Recipe]:
+    head = json.loads(text)
+    if head["format"] != FORMAT or head["version"] != VERSION:
+        raise InputError(
+            f"is of format {head['format']!r} version {head['version']!r}, not {FORMAT} {VERSION}"
+        )
+    recipe = recipe_from_dict(head["recipe"])
+    unknown = set(head["classes"]) - set(recipe.class_names)
+    if unknown:
+        raise InputError(f"names the class {min(unknown)!r}, which its recipe does not know")
+    return head, recipe
+
+
+def _with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
+    """The same fitted model whose physical steps hold another recipe; the given one stays as it is."""
+    if isinstance(model, Pipeline):
+        changed = copy(model)
+        changed.steps = [(name, _with_recipe(step, recipe)) for name, step in model.steps]
+        return changed
+    if isinstance(model, FeatureUnion):
+        changed = copy(model)
+        changed.transformer_list = [(n, _with_recipe(step, recipe)) for n, step in model.transformer_list]
+        return changed
+    if isinstance(model, PhysicalFeatures | ResidualProjection):
+        changed = copy(model)
+        changed.recipe = recipe
+        return changed
+    return model
+
+
+def _pipeline_bytes(model: Pipeline, head: dict[str, Any]) -> bytes:
+    import skops.io
+
+    buffer = io.BytesIO(skops.io.dumps(_with_recipe(model, None)))
+    with zipfile.ZipFile(buffer, "a") as archive:
+        archive.writestr(_MEMBER, json.dumps(head))
+    return buffer.getvalue()
+
+
+def _load_pipeline(content: bytes) -> tuple[BaseEstimator, Recipe, str]:
+    import skops.io
+
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        if sum(member.file_size for member in archive.infolist()) > 4 * LARGEST_FILE_BYTES:
+            raise InputError("unpacks to more than a model of ours needs")
+        if _MEMBER not in archive.namelist():
+            raise InputError("is no model of motor-classifiers")
+        head, recipe = _checked_head(archive.read(_MEMBER).decode())
+    foreign = sorted(set(skops.io.get_untrusted_types(data=content)) - set(_SKOPS_TRUSTED))
+    if foreign:
+        raise InputError(f"is refused: it would load {', '.join(foreign)}, which no model of ours needs")
+    model = skops.io.loads(content, trusted=_SKOPS_TRUSTED)
+    if not isinstance(model, Pipeline):
+        raise InputError(f"holds a {type(model).__name__}, not a pipeline")
+    return _with_recipe(model, recipe), recipe, str(head["method"])
+
+
+def _tensor_bytes(tensors: dict[str, Any], head: dict[str, Any]) -> bytes:
+    arrays = {name: np.ascontiguousarray(values) for name, values in tensors.items()}
+    return save_tensors(arrays, metadata={FORMAT: json.dumps(head)})
+
+
+def _confirmation_bytes(model: ConfirmationClassifier, head: dict[str, Any]) -> bytes:
+    rule = model.rule_
+    plain = {f.name: getattr(rule, f.name) for f in fields(rule) if f.name not in ("filters", *_RULE_ARRAYS)}
+    head |= {"kind": "confirmation", "rule": plain, "false_alarm_rate": model.false_alarm_rate}
+    return _tensor_bytes({name: getattr(rule, name) for name in _RULE_ARRAYS}, head)
+
+
+def _network_bytes(model: NetworkClassifier, head: dict[str, Any]) -> bytes:
+    parameters = {name: value for name, value in model.get_params().items() if name != "recipe"}
+    parameters["random_state"] = (
+        parameters["random_state"] if isinstance(parameters["random_state"], int) else None
+    )
+    head |= {"kind": "network", "parameters": parameters}
+    tensors = {f"network.{name}": values.numpy() for name, values in model.network_.state_dict().items()}
+    tensors |= {"weights": model.projection_.weights_, "offset": model.projection_.offset_}
+    tensors |= {"center": model.center_, "scale": model.scale_}
+    return _tensor_bytes(tensors, head)
+
+
+def _load_tensors(content: bytes) -> tuple[BaseEstimator, Recipe, str]:
+    tensors = load_tensors(content)
+    length = int.from_bytes(content[:8], "little")
+    metadata = json.loads(content[8 : 8 + length])["__metadata__"]
+    head, recipe = _checked_head(metadata[FORMAT])
+    load = {"confirmation": _load_confirmation, "network": _load_network}[head["kind"]]
+    return load(head, tensors, recipe), recipe, str(head["method"])
+
+
+def _n_features(recipe: Recipe) -> int:
+    return len(recipe.sensor.channels) * recipe.timing.n_samples
+
+
+def _load_confirmation(head: dict[str, Any], tensors: dict[str, Any], recipe: Recipe) -> BaseEstimator:
+    model = ConfirmationClassifier(recipe, head["false_alarm_rate"])
+    rule = {**head["rule"], "edges": tuple(int(edge) for edge in head["rule"]["edges"])}
+    arrays = {name: tensors[name] for name in _RULE_ARRAYS}
+    filters = tuple(class_filter(recipe, c) for c in recipe.classes)
+    model.rule_ = ThresholdConfirmation(filters=filters, **rule, **arrays)
+    model.templates_ = None
+    model.classes_ = np.array(head["classes"])
+    model.n_features_in_ = _n_features(recipe)
+    return model
+
+
+def _load_network(head: dict[str, Any], tensors: dict[str, Any], recipe: Recipe) -> BaseEstimator:
+    import torch
+
+    model = NetworkClassifier(recipe, **head["parameters"])
+    model.classes_ = np.array(head["classes"])
+    model.n_features_in_ = _n_features(recipe)
+    projection = ResidualProjection(recipe, model.n_components)
+    projection.weights_, projection.offset_ = tensors["weights"], tensors["offset"]
+    projection.n_features_in_ = model.n_features_in_
+    if projection.weights_.shape != (len(projection.offset_), model.n_features_in_):
+        raise ValueError(f"weights of shape {projection.weights_.shape} do not fit its recipe")
+    model.projection_ = projection
+    model.center_, model.scale_ = tensors["center"], tensors["scale"]
+    network = perceptron(len(projection.offset_), model.n_hidden, model.n_layers, len(model.classes_))
+    state = {
+        name.removeprefix("network."): torch.from_numpy(values)
+        for name, values in tensors.items()
+        if name.startswith("network.")
+    }
+    network.load_state_dict(state)
+    model.network_ = network.eval()
+    return model

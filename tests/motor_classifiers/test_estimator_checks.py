@@ -1,0 +1,42 @@
+"""scikit-learn's own checks over every estimator, and what all of them must do with transients."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from sklearn.base import BaseEstimator, clone
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+from motor_classifiers.features import PhysicalFeatures, ResidualProjection
+from motor_classifiers.networks import NetworkClassifier
+from motor_classifiers.threshold import ConfirmationClassifier
+
+ESTIMATORS = [
+    ConfirmationClassifier(),
+    NetworkClassifier(epochs=15),
+    PhysicalFeatures(),
+    ResidualProjection(),
+]
+
+
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
+@parametrize_with_checks(ESTIMATORS)
+def test_scikit_learn_checks(estimator: BaseEstimator, check: Callable[[Any], None]) -> None:
+    check(estimator)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS, ids=lambda e: type(e).__name__)
+def test_flattened_transients_are_the_same(estimator: BaseEstimator) -> None:
+    rng = np.random.default_rng(3)
+    labels = np.repeat(["healthy", "worn"], 20)
+    X = rng.normal(size=(40, 2, 15)).astype(np.float32)
+    X[20:] += 1.0
+    before = X.copy()
+    method = "transform" if hasattr(estimator, "transform") else "predict_proba"
+    if hasattr(estimator, "random_state"):
+        estimator = clone(estimator).set_params(random_state=5)
+    cubic = getattr(clone(estimator).fit(X, labels), method)(X)
+    flat = getattr(clone(estimator).fit(X.reshape(40, -1), labels), method)(X.reshape(40, -1))
+    np.testing.assert_array_equal(cubic, flat)
+    np.testing.assert_array_equal(X, before)
