@@ -16,6 +16,7 @@ from motor_env.nonlinear import Effects, integrate, substeps
 from motor_env.parameters import Channel, FloatArray, MotorParameters, require
 from motor_env.sensor_chain import SensorChain, read_sensors
 from motor_env.simulation import Scenario, process_noise, simulate_states
+from motor_env.streams import Stream, uniforms
 
 _NO_CHAIN = np.empty((0, 5))
 
@@ -111,6 +112,9 @@ def measure(
         _propagate_onsets(scenario, seed, numbers, is_current, out)
     rows = _NO_CHAIN if chain is None else chain.rows(n_cases, timing.dt_s)
     read_sensors(out, is_current, rows, _noise_std(scenario), np.uint64(seed), numbers)
+    if chain is not None and chain.missing_fraction > 0.0:
+        lost = uniforms(seed, Stream.MISSING, numbers, timing.n_samples) < chain.missing_fraction
+        out[np.broadcast_to(lost[:, None], out.shape)] = np.nan
     return out
 
 

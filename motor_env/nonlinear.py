@@ -105,8 +105,8 @@ class Effects:
 
 (
     _R, _INVERSE_L, _KB, _KT, _INVERSE_J, _B, _DRY, _STRIBECK, _INVERSE_WS, _BRUSH, _SOURCE_R, _RAMP_RATE, _RIPPLE,
-    _RIPPLE_RAD_S, _COMMUTATION, _COMMUTATION_TURN, _BEARING, _BEARING_TURN, _DELAY, _INVERSE_C, _LEAK, _VOLTAGE, _NO_RAMP,
-    _CURRENT, _SPEED, _ANGLE, _HEAT, _TIME, _STEP,
+    _RIPPLE_RAD_S, _COMMUTATION, _COMMUTATION_TURN, _BEARING, _BEARING_TURN, _DELAY, _INVERSE_C, _LEAK, _VOLTAGE,
+    _NO_RAMP, _CURRENT, _SPEED, _ANGLE, _HEAT, _TIME, _STEP,
 ) = range(29)  # fmt: skip
 """Rows of the table of a group of cases: constants of the right-hand side, then the states, the time and the step."""
 _N_CONSTANTS, _N_ROWS = _CURRENT, _STEP + 1
@@ -190,9 +190,7 @@ def _cosine(x: float) -> float:
 def _derivative(
     p: FloatArray, n: int, t: float, current: float, speed: float, angle: float, heat: float
 ) -> tuple[float, float, float, float]:
-    """Right-hand side of lane n at time t since its step; p is one group of `parameter_rows`, flat: a flat array lets
-    the compiler see that nothing overlaps.
-    """
+    """Right-hand side of lane n at time t since its step; p is one group of `parameter_rows`, flat."""
     resistance = p[n + 8 * _R] * (1.0 + COPPER_PER_K * heat)
     r = t * p[n + 8 * _RAMP_RATE] + p[n + 8 * _NO_RAMP]
     r = r if r < 1.0 else 1.0

@@ -1,4 +1,4 @@
-"""What a sensor does to a quantity: lag, gain, offset, noise, range, converter, missing samples; in float32, compiled."""
+"""What a sensor does to a quantity: lag, gain, offset, noise, range, converter; compiled, in float32."""
 
 from __future__ import annotations
 

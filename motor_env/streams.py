@@ -53,6 +53,10 @@ class Stream(IntEnum):
     SPLIT = 7
     WEAR = 8
     WEAR_CROSSING = 9
+    FIELD_MOTOR = 10
+    FIELD_START = 11
+    SEVERITY = 12
+    MISSING = 13
 
 
 @njit(cache=True, inline="always")  # a call would keep the loop around it from vectorising

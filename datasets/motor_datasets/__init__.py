@@ -10,12 +10,14 @@ if TYPE_CHECKING:
     from motor_datasets.generate import generate_arrays, generate_dataset
     from motor_datasets.loaders import load, to_pandas, to_torch
     from motor_datasets.splits import Split, split_of
+    from motor_datasets.streaming import stream, to_torch_iterable
 
 _HOME = {
     "arrays": ("Dataset",),
     "generate": ("generate_arrays", "generate_dataset"),
     "loaders": ("load", "to_pandas", "to_torch"),
     "splits": ("Split", "split_of"),
+    "streaming": ("stream", "to_torch_iterable"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
@@ -26,8 +28,10 @@ __all__ = [
     "generate_dataset",
     "load",
     "split_of",
+    "stream",
     "to_pandas",
     "to_torch",
+    "to_torch_iterable",
 ]
 
 

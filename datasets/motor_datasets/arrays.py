@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from motor_env.parameters import FloatArray
 from motor_env.recipes import Recipe
 
-PARAMETERS = (
+MOTOR_PARAMETERS = (
     "resistance_ohm",
     "inductance_h",
     "back_emf_constant_v_s_per_rad",
@@ -20,7 +20,25 @@ PARAMETERS = (
     "viscous_friction_n_m_s_per_rad",
     "voltage_v",
 )
-"""Sampled physical parameters, each a label of a case: the motor's without its fault, and the supply's."""
+EFFECTS = (
+    "coulomb_friction_n_m",
+    "stribeck_friction_n_m",
+    "brush_drop_v",
+    "temperature_rise_k",
+    "supply_resistance_ohm",
+    "ramp_s",
+    "ripple_v",
+    "load_torque_n_m",
+    "commutation_ripple",
+    "bearing_ripple_n_m",
+    "delay_s",
+)
+SENSOR_ERRORS = ("gain", "offset_a")
+
+
+def parameter_names(recipe: Recipe) -> tuple[str, ...]:
+    """Names of the sampled physical parameters, each a label of a case."""
+    return MOTOR_PARAMETERS if recipe.field is None else MOTOR_PARAMETERS + EFFECTS + SENSOR_ERRORS
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +50,9 @@ class Dataset:
         class_name: label, shape (n_cases,).
         class_index: index into `class_names`, shape (n_cases,).
         kind: healthy or the fault's kind, shape (n_cases,).
-        severity: relative size of the fault, 0 for healthy, shape (n_cases,).
-        parameters: each sampled physical parameter by name (`PARAMETERS`), shape (n_cases,), of the motor without
-            its fault.
+        severity: relative size of the fault (of joint faults the sum), 0 for healthy, shape (n_cases,).
+        parameters: each sampled physical parameter by name (`parameter_names`), shape (n_cases,), of the motor
+            without its fault.
         case_id: case numbers, shape (n_cases,).
         motor_id: the motor of each case, shape (n_cases,); motors never stand in two splits.
         split: train, validation or test, shape (n_cases,).

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,8 @@ from motor_env import __version__, console
 if TYPE_CHECKING:
     from motor_env.parameters import MotorParameters
     from motor_env.recipes import Recipe
+
+Flag = Annotated[bool, Parameter(negative=())]
 
 app = App(name="motor-datasets", help="Labelled transients of your motor.", version=__version__)
 
@@ -34,15 +37,20 @@ def generate(
     current_noise_a: float | None = None,
     channels: str | None = None,
     motor: str | None = None,
+    workers: int = 1,
+    backend: str | None = None,
+    scheduler: str | None = None,
+    resume: Flag = False,
     json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
-    dry_run: Annotated[bool, Parameter(negative=())] = False,
+    dry_run: Flag = False,
 ) -> int:
     """Write labelled start-up transients to a new folder. The same seed gives the same bytes.
 
     Example: motor-datasets generate bench --cases 4000 --seed 1 --out out/bench
 
     Args:
-        recipe: What is sampled: paper (noise only) or bench (every motor and start differs by its tolerances).
+        recipe: What is sampled: paper (noise only), bench (tolerances), bench-full (all fault kinds), field (dry
+            friction, temperature, supply, load, sensor errors), or a recipe TOML.
         cases: Number of transients.
         seed: Random seed, 0 .. 2^64 - 1.
         out: New folder. An existing one is never overwritten.
@@ -52,6 +60,10 @@ def generate(
         current_noise_a: Standard deviation of a current sample.
         channels: Measured channels, comma between: current, or current,speed.
         motor: Catalogue name (paper), or a motor TOML.
+        workers: Processes that write.
+        backend: Where they run: joblib's own processes, or dask.
+        scheduler: Address of the Dask scheduler, such as tcp://10.0.0.1:8786.
+        resume: Finish what an interrupted generation began.
         json_: Print a summary as JSON.
         dry_run: Print what would be written, write nothing.
     """
@@ -72,20 +84,127 @@ def generate(
         "files": len(plan.files),
         "bytes_uncompressed": plan.bytes_uncompressed,
     }
-    if not dry_run:
-        with _progress(cases) as advance:
-            manifest = generate_dataset(chosen, cases, seed, out, on_progress=advance)
+    if dry_run:
+        summary["seconds"] = round(_seconds(chosen, seed, plan.cases_of_all) / workers, 1)
+    else:
+        with _progress(plan.cases_of_all) as advance, _backend(backend, scheduler):
+            start = time.perf_counter()
+            manifest = generate_dataset(
+                chosen, cases, seed, out, workers=workers, resume=resume, on_progress=advance
+            )
         summary["bytes"] = manifest.bytes
+        summary["seconds"] = round(time.perf_counter() - start, 3)
     if json_:
         print(json.dumps(summary))
-    else:
-        verb = "would write" if dry_run else "wrote"
-        size = plan.bytes_uncompressed if dry_run else manifest.bytes
+    elif dry_run:
         print(
-            f"{verb} {cases} cases of {chosen.timing.n_samples} samples in {len(plan.files)} files,"
-            f" {size / 1e6:.1f} MB{' before compression' if dry_run else ''}: {out}"
+            f"would write {plan.cases_of_all} cases of {chosen.timing.n_samples} samples in {len(plan.files)} files to"
+            f" {out}: {plan.bytes_uncompressed / 1e6:.1f} MB before compression, some {summary['seconds']} s"
+        )
+    else:
+        print(
+            f"wrote {plan.cases_of_all} cases of {chosen.timing.n_samples} samples in {len(plan.files)} files,"
+            f" {manifest.bytes / 1e6:.1f} MB: {out}"
         )
     return 0
+
+
+@app.command
+def verify(folder: Path, /, *, json_: Annotated[bool, Parameter(name="--json", negative=())] = False) -> int:
+    """Check every file of a data set against its digest. Exit status 1 if one is missing, damaged or foreign.
+
+    Example: motor-datasets verify out/bench
+
+    Args:
+        folder: A data set.
+        json_: Print the findings as a JSON array.
+    """
+    console.require_extra("pyarrow", "datasets")
+    from motor_datasets import storage
+
+    found = storage.problems(folder)
+    if json_:
+        print(json.dumps(found))
+    else:
+        print("\n".join(found) if found else f"{folder}: every file is whole")
+    return 1 if found else 0
+
+
+@app.command
+def describe(recipe: str, /, *, picture: Path | None = None, seed: int = 0) -> int:
+    """Print what a recipe, or the recipe of a data set, samples, and draw a sheet of examples.
+
+    Example: motor-datasets describe field --picture out/field.png
+
+    Args:
+        recipe: Name of a recipe, a recipe TOML, or the folder of a data set.
+        picture: PNG or SVG to draw examples to.
+        seed: Random seed of the examples.
+    """
+    from motor_datasets import describe as describing
+    from motor_env.recipe_file import load_recipe
+
+    if Path(recipe).is_dir():
+        console.require_extra("pyarrow", "datasets")
+        from motor_datasets.storage import read_manifest
+
+        chosen = read_manifest(Path(recipe)).recipe
+    else:
+        chosen = load_recipe(recipe)
+    print(describing.describe(chosen))
+    if picture is not None:
+        console.require_extra("pyarrow", "datasets")
+        from motor_env.files import replacing
+
+        with replacing(picture) as temporary:
+            describing.draw_sheet(chosen, seed, temporary)
+    return 0
+
+
+@app.command
+def export(folder: Path, file: Path, /, *, split: str | None = None) -> int:
+    """Write a data set, or one split of it, as .npz (NumPy) or .mat (MATLAB, Octave).
+
+    Example: motor-datasets export out/bench out/bench_test.mat --split test
+
+    Args:
+        folder: A data set.
+        file: New file, .npz or .mat.
+        split: train, validation, test or shift_NAME; train, validation and test together where it is left out.
+    """
+    console.require_extra("pyarrow", "datasets")
+    from motor_datasets import export as exporting
+    from motor_datasets.loaders import load
+
+    dataset = load(folder, split)
+    exporting.export(dataset, file)
+    print(f"wrote {len(dataset)} cases: {file}")
+    return 0
+
+
+def _seconds(recipe: Recipe, seed: int, cases: int) -> float:
+    """Time that one worker needs: measured on a thousand cases written to a temporary file."""
+    from motor_datasets.storage import seconds_per_case
+
+    return cases * seconds_per_case(recipe, seed)
+
+
+@contextmanager
+def _backend(name: str | None, scheduler: str | None) -> Iterator[None]:
+    """Joblib's own processes, or the workers of a Dask cluster."""
+    if name is None and scheduler is None:
+        yield
+        return
+    if name not in (None, "dask"):
+        raise console.InputError(f"backend must be dask, got {name!r}")
+    if scheduler is None:
+        raise console.InputError("backend dask needs --scheduler, the address of its scheduler")
+    console.require_extra("distributed", "dask")
+    import joblib
+    from distributed import Client
+
+    with Client(scheduler), joblib.parallel_config(backend="dask"):
+        yield
 
 
 def _recipe(
@@ -99,9 +218,9 @@ def _recipe(
 ) -> Recipe:
     from dataclasses import replace
 
-    from motor_env.recipes import named_recipe
+    from motor_env.recipe_file import load_recipe
 
-    recipe = named_recipe(name)
+    recipe = load_recipe(name)
     times = {"sampling_rate_hz": sampling_rate_hz, "duration_s": duration_s, "quiet_s": quiet_s}
     sensor = {
         "current_noise_a": current_noise_a,

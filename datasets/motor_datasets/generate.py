@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_datasets import storage
-from motor_datasets.arrays import Dataset
+from motor_datasets.arrays import EFFECTS, SENSOR_ERRORS, Dataset
 from motor_datasets.splits import split_of
+from motor_env.console import InputError
 from motor_env.parameters import require
-from motor_env.recipes import Draw, Recipe, draw
-from motor_env.simulation import simulate
+from motor_env.recipes import Draw, Recipe, draw, measure_draw
 
-_CASES_AT_ONCE = 1024  # bounds the memory of the float64 intermediates
+_CASES_AT_ONCE = 512  # what is drawn and measured together stays in the cache
 
 
 def generate_arrays(recipe: Recipe, seed: int, cases: int | ArrayLike) -> Dataset:
@@ -29,36 +30,66 @@ def generate_arrays(recipe: Recipe, seed: int, cases: int | ArrayLike) -> Datase
     Raises:
         ValueError: fewer than one case, or a seed out of range.
     """
-    numbers = np.arange(cases) if isinstance(cases, int) else np.atleast_1d(np.asarray(cases, dtype=np.int64))
-    require(numbers.size >= 1, f"cases must be >= 1, got {numbers.size}")
+    if isinstance(cases, int):
+        require(cases >= 1, f"cases must be >= 1, got {cases}")
+        numbers = np.arange(cases, dtype=np.int64)
+    else:
+        numbers = np.atleast_1d(np.asarray(cases, dtype=np.int64))
+        require(numbers.size >= 1, "cases must name at least one case, got none")
     drawn = draw(recipe, seed, numbers)
     X = np.empty((len(numbers), len(recipe.sensor.channels), recipe.timing.n_samples), dtype=np.float32)
     for begin in range(0, len(numbers), _CASES_AT_ONCE):
         part = slice(begin, begin + _CASES_AT_ONCE)
-        X[part] = simulate(draw(recipe, seed, numbers[part]).scenario, seed, numbers[part]).measurements
+        measure_draw(draw(recipe, seed, numbers[part]), recipe, seed, X[part])
     return _labelled(X, drawn, recipe, seed)
 
 
 def _labelled(X: NDArray[np.float32], drawn: Draw, recipe: Recipe, seed: int) -> Dataset:
-    classes = recipe.classes
     index = drawn.class_index
     parameters, n_cases = drawn.scenario.parameters, len(drawn.cases)
     values = {name: getattr(parameters, name) for name in type(parameters).__dataclass_fields__}
     values["voltage_v"] = drawn.scenario.supply.voltage_v
-    motor_id = drawn.cases
+    if drawn.effects is not None:
+        values.update({name: getattr(drawn.effects, name) for name in EFFECTS})
+        values.update({name: getattr(drawn.chain, name) for name in SENSOR_ERRORS})
     return Dataset(
         X=X,
         class_name=np.array(recipe.class_names)[index],
         class_index=index,
-        kind=np.array([fault_class.label_kind for fault_class in classes])[index],
-        severity=np.array([fault_class.severity for fault_class in classes])[index],
+        kind=np.array([fault_class.label_kind for fault_class in recipe.classes])[index],
+        severity=drawn.severity,
         parameters={name: np.broadcast_to(np.asarray(v, float), n_cases) for name, v in values.items()},
         case_id=drawn.cases,
-        motor_id=motor_id,
-        split=split_of(seed, motor_id),
+        motor_id=drawn.motor_id,
+        split=split_of(seed, drawn.motor_id),
         recipe=recipe,
         seed=seed,
     )
+
+
+def _make_file(folder: Path, file: storage.PlannedFile, recipe: Recipe, seed: int) -> storage.Entry:
+    """Generate and write one file: all that a worker does."""
+    own = recipe if file.shift is None else recipe.shifted(file.shift)
+    dataset = generate_arrays(own, seed, file.case_id(recipe, seed))
+    return storage.write_file(folder, file, dataset)
+
+
+def _run(
+    jobs: list[storage.PlannedFile], folder: Path, plan: storage.Plan, workers: int
+) -> Iterator[storage.Entry]:
+    if workers == 1:
+        yield from (_make_file(folder, job, plan.recipe, plan.seed) for job in jobs)
+        return
+    from joblib import Parallel, delayed
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    pool: Any = Parallel(n_jobs=workers, return_as="generator_unordered")
+    try:
+        yield from pool(delayed(_make_file)(folder, job, plan.recipe, plan.seed) for job in jobs)
+    except TerminatedWorkerError:
+        raise InputError(
+            f"a worker was killed (out of memory?); what is whole in {folder} stays: resume it"
+        ) from None
 
 
 def generate_dataset(
@@ -67,25 +98,41 @@ def generate_dataset(
     seed: int,
     out: Path,
     *,
+    workers: int = 1,
+    resume: bool = False,
     on_progress: Callable[[int], object] = lambda _: None,
 ) -> storage.Manifest:
-    """Write a data set to a new folder.
+    """Write a data set to a folder. The bytes do not depend on the workers, nor on interruptions.
 
     Args:
         recipe: what to draw from.
-        cases: how many cases.
+        cases: how many cases, those of the recipe's shifts aside.
         seed: the random seed.
-        out: folder; it must not exist, or be empty.
+        out: folder; it must not exist, be empty, or (with `resume`) hold the unfinished same data set.
+        workers: processes; inside `joblib.parallel_config(backend="dask")` those of that backend.
+        resume: finish what an interrupted generation began.
         on_progress: called with the number of cases just written.
 
     Raises:
-        ValueError: fewer than one case, or a seed out of range.
-        InputError: `out` is there and not empty.
+        ValueError: fewer than one case or worker, or a seed out of range.
+        InputError: `out` holds something else, or a worker was killed.
     """
+    require(workers >= 1, f"workers must be >= 1, got {workers}")
     plan = storage.make_plan(recipe, cases, seed)
-    with storage.new_folder(out) as folder:
-        entries = []
-        for file in plan.files:
-            entries.append(storage.write_file(folder, file, generate_arrays(recipe, seed, file.case_id)))
-            on_progress(len(file.case_id))
-        return storage.write_manifest(folder, plan, entries)
+    finished = storage.open_folder(out, plan, resume=resume)
+    if finished is not None:
+        on_progress(plan.cases_of_all)
+        return finished
+    entries: dict[str, storage.Entry] = {}
+    jobs = []
+    for file in plan.files:
+        entry = storage.existing_entry(out, file) if resume else None
+        if entry is None:
+            jobs.append(file)
+        else:
+            entries[file.path] = entry
+            on_progress(entry.rows)
+    for entry in _run(jobs, out, plan, workers):
+        entries[entry.path] = entry
+        on_progress(entry.rows)
+    return storage.finish_folder(out, plan, [entries[file.path] for file in plan.files])

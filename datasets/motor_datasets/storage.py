@@ -10,11 +10,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +22,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from motor_datasets.arrays import PARAMETERS, Dataset
-from motor_datasets.splits import Split, split_of
+from motor_datasets.arrays import Dataset, parameter_names
+from motor_datasets.card import data_card
+from motor_datasets.splits import BLOCK, Split, split_of
 from motor_env.console import InputError
 from motor_env.parameters import Channel, require
 from motor_env.recipe_file import recipe_from_dict, recipe_to_dict
@@ -33,27 +33,34 @@ from motor_env.recipes import Recipe
 FORMAT = "motor-datasets"
 FORMAT_VERSION = 1
 MANIFEST = "dataset.json"
+CARD = "README.md"
 COLUMN_OF_CHANNEL = {Channel.CURRENT: "current_a", Channel.SPEED: "speed_rad_s"}
 
-_SHARD_BYTES = 64 * 2**20
+UNFINISHED = "unfinished.json"
+SHIFT_CASES = 2**40
+"""Case numbers of the n-th shift begin at n times this, n counting from 1: they meet no others."""
+
+_SHARD_BYTES = 32 * 2**20
 _ROW_GROUP_BYTES = 8 * 2**20
+_SHARE_OF_SHIFT = 10  # a shift has a tenth of the cases
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedFile:
-    """One Parquet file: the cases `begin` .. `end` - 1 whose motors belong to `split`."""
+    """One Parquet file: the cases `begin` .. `end` - 1, or those of them whose motors belong to `split`."""
 
     path: str
     split: str
     begin: int
     end: int
-    seed: int
+    shift: str | None = None
 
-    @property
-    def case_id(self) -> NDArray[np.int64]:
+    def case_id(self, recipe: Recipe, seed: int) -> NDArray[np.int64]:
         """Case numbers of the file."""
-        cases = np.arange(self.begin, self.end)
-        mine: NDArray[np.int64] = cases[split_of(self.seed, cases) == self.split]
+        cases = np.arange(self.begin, self.end, dtype=np.int64)
+        if self.shift is not None:
+            return cases
+        mine: NDArray[np.int64] = cases[split_of(seed, recipe.motor_id(cases)) == self.split]
         return mine
 
 
@@ -67,9 +74,14 @@ class Plan:
     files: tuple[PlannedFile, ...]
 
     @property
+    def cases_of_all(self) -> int:
+        """Cases, with those of the shifts."""
+        return self.cases + sum(file.end - file.begin for file in self.files if file.shift is not None)
+
+    @property
     def bytes_uncompressed(self) -> int:
         """Bytes of all samples and labels before compression."""
-        return self.cases * bytes_of_case(self.recipe)
+        return self.cases_of_all * bytes_of_case(self.recipe)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,57 +109,153 @@ class Manifest:
         """Bytes of all files."""
         return sum(entry.bytes for entry in self.files)
 
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Splits that have cases, shifts among them."""
+        return tuple(dict.fromkeys(entry.split for entry in self.files))
+
 
 def bytes_of_case(recipe: Recipe) -> int:
     """Bytes of one case before compression."""
-    return 4 * len(recipe.sensor.channels) * recipe.timing.n_samples + 8 * (len(PARAMETERS) + 4)
+    labels = 8 * (len(parameter_names(recipe)) + 4)
+    return 4 * len(recipe.sensor.channels) * recipe.timing.n_samples + labels
 
 
 def make_plan(recipe: Recipe, cases: int, seed: int) -> Plan:
-    """Lay the cases out over files.
+    """Lay the cases out over files of some 32 MB.
 
     Raises:
-        ValueError: fewer than one case, or a seed out of range.
+        ValueError: fewer than one case, too many, or a seed out of range.
     """
-    require(cases >= 1, f"cases must be >= 1, got {cases}")
+    require(1 <= cases < SHIFT_CASES, f"cases must be in 1 .. 2^40 - 1, got {cases}")
     require(0 <= seed < 2**64, f"seed must be in 0 .. 2^64 - 1, got {seed}")
     per_shard = max(1, _SHARD_BYTES // bytes_of_case(recipe))
     files = []
     for shard, begin in enumerate(range(0, cases, per_shard)):
-        for split in Split:
-            file = PlannedFile(
-                f"data/{split}-{shard:06d}.parquet", str(split), begin, min(begin + per_shard, cases), seed
+        end = min(begin + per_shard, cases)
+        files += [
+            PlannedFile(f"data/{split}-{shard:06d}.parquet", split, begin, end)
+            for split in _splits_of_range(recipe, seed, begin, end)
+        ]
+    per_shift = max(1, cases // _SHARE_OF_SHIFT)
+    for number, shift in enumerate(recipe.shifts, start=1):
+        first = number * SHIFT_CASES
+        for shard, begin in enumerate(range(first, first + per_shift, per_shard)):
+            name = f"shift_{shift.name}"
+            path = f"data/{name}-{shard:06d}.parquet"
+            files.append(
+                PlannedFile(path, name, begin, min(begin + per_shard, first + per_shift), shift.name)
             )
-            if len(file.case_id):
-                files.append(file)
     return Plan(recipe, seed, cases, tuple(files))
 
 
-@contextmanager
-def new_folder(out: Path) -> Iterator[Path]:
-    """A folder under a temporary name, which becomes `out` when the block ends well and vanishes otherwise.
+def _splits_of_range(recipe: Recipe, seed: int, begin: int, end: int) -> list[str]:
+    if end - begin >= 2 * BLOCK * recipe.starts_per_motor:  # a whole block lies inside: all splits are there
+        return [str(split) for split in Split]
+    present = set(split_of(seed, recipe.motor_id(np.arange(begin, end, dtype=np.int64))).tolist())
+    return [str(split) for split in Split if str(split) in present]
+
+
+def open_folder(out: Path, plan: Plan, *, resume: bool) -> Manifest | None:
+    """Make or reopen the folder of a data set; the manifest, if it is finished already.
+
+    A note `unfinished.json` says what is being made; it goes when the manifest comes.
 
     Raises:
-        InputError: `out` is there and is not an empty folder.
+        InputError: the folder holds something that is not overwritten.
     """
-    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
-        raise InputError(f"{out} exists already and is not overwritten: give another folder, or remove it")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    note = out / UNFINISHED
+    wanted = (
+        json.dumps({"recipe": recipe_to_dict(plan.recipe), "seed": plan.seed, "cases": plan.cases}) + "\n"
+    )
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        (out / "data").mkdir(parents=True, exist_ok=True)
+        _write_whole(note, wanted.encode())
+        return None
+    if not resume:
+        hint = "add --resume to finish it" if note.is_file() else "give another folder, or remove it"
+        raise InputError(f"{out} exists already and is not overwritten: {hint}")
+    if (out / MANIFEST).is_file():
+        manifest = read_manifest(out)
+        if (manifest.recipe, manifest.seed, manifest.cases) != (plan.recipe, plan.seed, plan.cases):
+            raise InputError(f"{out} holds another data set and is not overwritten: give another folder")
+        note.unlink(missing_ok=True)
+        return manifest
+    # Killed before the note was whole: the folder holds nothing but its beginnings.
+    names = {path.name for path in out.iterdir()}
+    only_begun = names <= {"data", f".{UNFINISHED}.partial"} and not any((out / "data").glob("*"))
+    if not only_begun and (not note.is_file() or note.read_text() != wanted):
+        raise InputError(f"{out} holds something other than this data set unfinished, and is not touched")
+    (out / "data").mkdir(exist_ok=True)
+    _write_whole(note, wanted.encode())
+    for partial in out.rglob(".*.partial"):
+        partial.unlink()
+    return None
+
+
+def _write_whole(path: Path, content: bytes) -> None:
+    temporary = path.with_name(f".{path.name}.partial")
+    with temporary.open("wb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
+    temporary.replace(path)
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def existing_entry(folder: Path, file: PlannedFile) -> Entry | None:
+    """The file that an interrupted generation left whole; None if there is none."""
+    path = folder / file.path
+    if not path.is_file():
+        return None
     try:
-        (temporary / "data").mkdir()
-        yield temporary
-        temporary.chmod(0o777 & ~_umask())
-        temporary.replace(out)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
+        rows = pq.read_metadata(path).num_rows
+    except pa.ArrowInvalid:
+        return None
+    return Entry(file.path, file.split, rows, path.stat().st_size, _digest(path))
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def finish_folder(folder: Path, plan: Plan, entries: Sequence[Entry]) -> Manifest:
+    """Write the card and then the manifest: with it the data set is complete."""
+    manifest = Manifest(plan.recipe, plan.seed, plan.cases, tuple(entries))
+    content = {
+        "format": FORMAT,
+        "version": FORMAT_VERSION,
+        "recipe": recipe_to_dict(plan.recipe),
+        "seed": plan.seed,
+        "cases": plan.cases,
+        "files": [asdict(entry) for entry in entries],
+    }
+    _write_whole(folder / CARD, data_card(manifest).encode())
+    _write_whole(folder / MANIFEST, (json.dumps(content, indent=1) + "\n").encode())
+    (folder / UNFINISHED).unlink(missing_ok=True)
+    return manifest
+
+
+def problems(folder: Path) -> list[str]:
+    """One sentence for each file that is missing, damaged or foreign.
+
+    Raises:
+        InputError: no data set there.
+    """
+    manifest = read_manifest(folder)
+    found = []
+    for entry in manifest.files:
+        path = folder / entry.path
+        if not path.is_file():
+            found.append(f"{entry.path} is missing")
+        elif path.stat().st_size != entry.bytes or _digest(path) != entry.sha256:
+            found.append(f"{entry.path} is damaged: its digest is not that of the manifest")
+    known = {entry.path for entry in manifest.files}
+    for path in sorted((folder / "data").glob("*")):
+        name = path.relative_to(folder).as_posix()
+        if name not in known:
+            found.append(f"{name} is foreign: the manifest does not name it")
+    return found
 
 
 def _schema(recipe: Recipe, seed: int) -> pa.Schema:
@@ -161,7 +269,7 @@ def _schema(recipe: Recipe, seed: int) -> pa.Schema:
         "class_index": pa.int64(),
         "kind": text,
         "severity": pa.float64(),
-        **dict.fromkeys(PARAMETERS, pa.float64()),
+        **dict.fromkeys(parameter_names(recipe), pa.float64()),
         **{
             COLUMN_OF_CHANNEL[channel]: pa.list_(sample, recipe.timing.n_samples)
             for channel in recipe.sensor.channels
@@ -219,28 +327,17 @@ def write_file(folder: Path, file: PlannedFile, dataset: Dataset) -> Entry:
     """Write one file of a data set: it appears whole, under its name, or not at all."""
     target = folder / file.path
     temporary = target.with_name(f".{target.name}.partial")
-    write_table(to_table(dataset), temporary)
-    with temporary.open("rb") as stream:
-        digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    size = temporary.stat().st_size
-    temporary.replace(target)
+    dataset = replace(dataset, split=np.full(len(dataset), file.split))
+    try:
+        write_table(to_table(dataset), temporary)
+        with temporary.open("rb") as stream:
+            os.fsync(stream.fileno())
+        digest, size = _digest(temporary), temporary.stat().st_size
+        temporary.replace(target)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
     return Entry(file.path, file.split, len(dataset), size, digest)
-
-
-def write_manifest(folder: Path, plan: Plan, entries: Sequence[Entry]) -> Manifest:
-    """Write the manifest: with it the data set is complete."""
-    content = {
-        "format": FORMAT,
-        "version": FORMAT_VERSION,
-        "recipe": recipe_to_dict(plan.recipe),
-        "seed": plan.seed,
-        "cases": plan.cases,
-        "files": [asdict(entry) for entry in entries],
-    }
-    temporary = folder / f".{MANIFEST}.partial"
-    temporary.write_text(json.dumps(content, indent=1) + "\n")
-    temporary.replace(folder / MANIFEST)
-    return Manifest(plan.recipe, plan.seed, plan.cases, tuple(entries))
 
 
 def read_manifest(folder: Path) -> Manifest:
@@ -266,19 +363,22 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def read_files(folder: Path, manifest: Manifest, split: str | None = None) -> Dataset:
-    """Read the files of one split, or all, ordered by case.
+    """Read the files of one split, or train, validation and test, ordered by case.
 
     Raises:
         InputError: a file is missing or cannot be read, or the split is unknown or empty.
     """
-    if split is not None and split not in list(Split):
-        raise InputError(f"split must be one of {', '.join(Split)}, got {split!r}")
-    entries = [entry for entry in manifest.files if split in (None, entry.split)]
+    if split is not None and split not in (*Split, *manifest.splits):
+        raise InputError(f"split must be one of {', '.join(manifest.splits)}, got {split!r}")
+    wanted = set(Split) if split is None else {split}
+    entries = [entry for entry in manifest.files if entry.split in wanted]
     if not entries:
         raise InputError(f"{folder} holds no case of split {split}")
     tables = [_read_table(folder / entry.path) for entry in entries]
     rows = sum(len(table) for table in tables)
     recipe = manifest.recipe
+    if split is not None and split.startswith("shift_"):
+        recipe = recipe.shifted(split.removeprefix("shift_"))
     X = np.empty((rows, len(recipe.sensor.channels), recipe.timing.n_samples), dtype=np.float32)
     labels = pa.concat_tables(
         table.drop_columns([COLUMN_OF_CHANNEL[c] for c in recipe.sensor.channels]) for table in tables
@@ -292,7 +392,7 @@ def read_files(folder: Path, manifest: Manifest, split: str | None = None) -> Da
     values = {name: _column(labels, name) for name in labels.column_names}
     dataset = Dataset(
         X=X,
-        parameters={name: values.pop(name) for name in PARAMETERS},
+        parameters={name: values.pop(name) for name in parameter_names(recipe)},
         recipe=recipe,
         seed=manifest.seed,
         **values,
@@ -316,3 +416,16 @@ def _read_table(path: Path) -> pa.Table:
         return pq.read_table(path)
     except pa.ArrowInvalid as error:
         raise InputError(f"{path} cannot be read: {error}") from error
+
+
+def seconds_per_case(recipe: Recipe, seed: int) -> float:
+    """Time to make and write one case here, measured on a thousand."""
+    from motor_datasets.generate import generate_arrays
+
+    count = 1024
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "some.parquet"
+        write_table(to_table(generate_arrays(recipe, seed, 8)), path)  # compiles, or loads what was compiled
+        start = time.perf_counter()
+        write_table(to_table(generate_arrays(recipe, seed, count)), path)
+        return (time.perf_counter() - start) / count

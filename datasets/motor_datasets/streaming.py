@@ -1,0 +1,83 @@
+"""Batches made while training eats them: nothing is stored, and the same (recipe, seed) gives the same batches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import count
+from typing import Any
+
+import numpy as np
+
+from motor_datasets.arrays import Dataset
+from motor_datasets.generate import generate_arrays
+from motor_datasets.splits import BLOCK, split_of
+from motor_env.parameters import require
+from motor_env.recipes import Recipe
+
+
+def stream(
+    recipe: Recipe,
+    seed: int,
+    batch_size: int = 256,
+    *,
+    split: str | None = None,
+    batches: int | None = None,
+    share: tuple[int, int] = (0, 1),
+) -> Iterator[Dataset]:
+    """Endless batches of fresh cases; batch n depends on (recipe, seed, batch_size, split, n) alone.
+
+    Args:
+        recipe: what to draw from.
+        seed: the random seed.
+        batch_size: cases of a batch.
+        split: only motors of this split; None for all.
+        batches: end after so many; None for never.
+        share: (n, m): only every m-th batch, beginning with the n-th; for m workers.
+
+    Raises:
+        ValueError: fewer than one case a batch, or an unknown split.
+    """
+    require(batch_size >= 1, f"batch_size must be >= 1, got {batch_size}")
+    require(
+        split in (None, "train", "validation", "test"),
+        f"split must be one of train, validation, test, got {split!r}",
+    )
+    numbers = count() if batches is None else range(batches)
+    offsets = _case_blocks(recipe, seed, batch_size, split)
+    for number, cases in zip(numbers, offsets, strict=False):
+        if number % share[1] == share[0]:
+            yield generate_arrays(recipe, seed, cases)
+
+
+def _case_blocks(
+    recipe: Recipe, seed: int, batch_size: int, split: str | None
+) -> Iterator[np.ndarray[Any, np.dtype[np.int64]]]:
+    if split is None:
+        for number in count():
+            yield np.arange(number * batch_size, (number + 1) * batch_size, dtype=np.int64)
+    held = np.empty(0, dtype=np.int64)
+    width = BLOCK * recipe.starts_per_motor * max(1, batch_size // BLOCK)
+    for number in count():
+        cases = np.arange(number * width, (number + 1) * width, dtype=np.int64)
+        held = np.concatenate([held, cases[split_of(seed, recipe.motor_id(cases)) == split]])
+        while len(held) >= batch_size:
+            yield held[:batch_size]
+            held = held[batch_size:]
+
+
+def to_torch_iterable(recipe: Recipe, seed: int, batch_size: int = 256, **options: Any) -> Any:
+    """`torch.utils.data.IterableDataset` of (X, class_index, severity) batches; workers of a loader share them."""
+    import torch
+
+    class _Batches(torch.utils.data.IterableDataset[Any]):
+        def __iter__(self) -> Iterator[Any]:
+            info = torch.utils.data.get_worker_info()
+            share = (0, 1) if info is None else (info.id, info.num_workers)
+            for batch in stream(recipe, seed, batch_size, share=share, **options):
+                yield (
+                    torch.from_numpy(batch.X),
+                    torch.tensor(batch.class_index),
+                    torch.tensor(batch.severity),
+                )
+
+    return _Batches()
