@@ -280,9 +280,8 @@ def draw_episodes(setup: Setup, seed: int, index: NDArray[np.int64], episode: ND
         factor = noise_variance_factor(faults, NoiseSource.MEASUREMENT, np.zeros(1))
         sensor = (recipe.sensor.current_noise_a, recipe.sensor.speed_noise_rad_s)
         row[:, kernel.SIGMA_CURRENT :] = np.sqrt(factor) * np.asarray(sensor)
-    right = np.array([0 if name == HEALTHY else _action(setup, name) for name in setup.labels])
     heads = np.zeros((len(cases), kernel.HEAD_LENGTH))
-    heads[:, kernel.HEAD_KIND] = right[drawn.class_index]
+    heads[:, kernel.HEAD_KIND] = right_declarations(setup)[drawn.class_index]
     onset = _onsets(options, uniforms(seed, Stream.ONSET, cases, 1)[:, 0])
     heads[:, kernel.HEAD_ONSET] = np.where(heads[:, kernel.HEAD_KIND] > 0, onset, kernel.NEVER)
     heads[:, kernel.HEAD_SUPPLY] = drawn.factors[:, 0]
@@ -295,8 +294,14 @@ def draw_episodes(setup: Setup, seed: int, index: NDArray[np.int64], episode: ND
     return Episodes(heads, tables.astype(options.precision), words.astype(np.uint64), drawn.class_index)
 
 
-def _action(setup: Setup, label: str) -> int:
-    return 1 + setup.kinds.index(VERDICT_OF[FaultKind(label)])
+def right_declarations(setup: Setup) -> NDArray[np.int64]:
+    """Number of the kind that is right for every class, counted from 1; 0 for healthy."""
+    return np.array(
+        [
+            0 if label == HEALTHY else 1 + setup.kinds.index(VERDICT_OF[FaultKind(label)])
+            for label in setup.labels
+        ]
+    )
 
 
 def _onsets(options: MonitorOptions, uniform: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from motor_env.envs import kernel, vector_kernel
 from motor_env.envs.base import Info, Observation, observation_space
 from motor_env.envs.options import MonitorOptions
-from motor_env.envs.setup import Setup, draw_episodes, make_setup, n_levels
+from motor_env.envs.setup import Setup, draw_episodes, make_setup, n_levels, right_declarations
 from motor_env.envs.vector_kernel import BLOCK, BoolArray, IntArray, Now, Outcome, Store
 from motor_env.parameters import FloatArray, require
 
@@ -59,6 +59,11 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
     def labels(self) -> tuple[str, ...]:
         """Label kind of every class: what the info's `class_index` points at."""
         return self.setup.labels
+
+    @property
+    def right_declaration(self) -> NDArray[np.int64]:
+        """Number of the kind that is right for every class, 0 for healthy, as `setup.declarations` counts them."""
+        return right_declarations(self.setup)
 
     def _allocate(self) -> None:
         lanes = -(-self.num_envs // kernel.LANES) * kernel.LANES
