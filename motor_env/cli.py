@@ -104,6 +104,64 @@ def diagnose(
     return report.exit_status(diagnoses, unreadable=len(diagnoses) < len(outcomes))
 
 
+@app.command
+def trend(
+    paths: list[Path],
+    *,
+    limit: Annotated[list[str] | None, Parameter(negative=())] = None,
+    level: float = 0.9,
+    voltage: float | None = None,
+    date: str = "name",
+    reference_count: int = 3,
+    out: Path = Path("out/trend.html"),
+    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+) -> int:
+    """Trends of a motor's quantities over its starts, and the time to a limit where there is a trend.
+
+    Example: motor-env trend recordings/ --limit B/J=1.5 --limit R=0.9,1.1
+
+    Exit status: 0 no trend, 1 a limit is reached or trended to, 2 input that cannot be used.
+
+    Args:
+        paths: A table of estimates (CSV or JSON), or a folder of recordings whose names hold a date.
+        limit: Limits as factors on the mean of the first estimates, QUANTITY=FACTOR[,FACTOR]; 0.75,1.25 by default.
+        level: Probability that the interval of the remaining life holds.
+        voltage: Level of the supply in volt, for recordings without a voltage.
+        date: name (2026-01-31, 2026-01-31T11-00-14, Jan-31-2026_11-00-14), or modified: the file's own date.
+        reference_count: Number of first estimates whose mean is the reference.
+        out: The page, one self-contained HTML file.
+        json_: Print one array with one object a quantity.
+    """
+    from rich.console import Console
+
+    from motor_env import trend_files as trends
+    from motor_env.files import write_text
+    from motor_env.trend import parse_limits
+    from motor_env.trend_page import page, status
+
+    sources = [str(source) for source in trends.DateSource]
+    if date not in sources:
+        raise console.InputError(f"date must be one of {', '.join(sources)}, got {date!r}")
+    with Console(stderr=True).status("reading") as progress:
+        judged, notes = trends.trends_of(
+            paths,
+            parse_limits(limit or ()),
+            level=level,
+            voltage_v=voltage,
+            date=trends.DateSource(date),
+            reference_count=reference_count,
+            progress=lambda path: progress.update(f"fitting {path}"),
+        )
+    write_text(out, page(judged, notes))
+    for note in notes:
+        print(f"motor-env: {note}", file=sys.stderr)
+    if json_:
+        print(json.dumps([trends.as_json(one) for one in judged], ensure_ascii=False, indent=1))
+    else:
+        print(f"{trends.as_text(judged)}\n{out}")
+    return int(any(status(one) in ("reached", "trending") for one in judged))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `motor-env` and return its exit status."""
     return console.run(app, arguments)
