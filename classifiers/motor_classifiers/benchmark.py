@@ -252,9 +252,9 @@ def write_results(result: BenchmarkResult, folder: Path) -> Path:
     from motor_classifiers.report import render_report
 
     write_text(folder / "results.json", json.dumps(result_rows(result), indent=1) + "\n")
-    write_text(
-        folder / "recipe.json", json.dumps(recipe_to_dict(result.options.recipe), indent=1) + "\n"
-    )
+    write_text(folder / "recipe.json", json.dumps(recipe_to_dict(result.options.recipe), indent=1) + "\n")
     report = folder / "report.html"
-    write_text(report, render_report(result, machine=f"{platform.machine()}, Python {platform.python_version()}"))
+    write_text(
+        report, render_report(result, machine=f"{platform.machine()}, Python {platform.python_version()}")
+    )
     return report
