@@ -1,0 +1,181 @@
+"""The filter over many transients, 2,000 x 1,000 samples: innovations and NIS, against the packages that compute them.
+
+Every peer has the same belief with a start that is not known, so that the gain varies. Ours and the jitted JAX scan
+give innovations and NIS; dynamax, simdkalman and filterpy are asked for the filtered states that they are made for.
+Those without a known input get measurements from which it has been taken out beforehand.
+"""
+
+import os
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+# Before jax is imported: one thread for it as for all others.
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+
+import dynamax.linear_gaussian_ssm as dynamax  # noqa: E402
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+import simdkalman  # noqa: E402
+from filterpy.kalman import KalmanFilter as FilterpyFilter  # noqa: E402
+from result import Result  # noqa: E402
+from timing import best_rate  # noqa: E402
+
+from motor_env.kalman import KalmanFilter, filter_residuals, run_filter, schedule  # noqa: E402
+from motor_env.model import Input  # noqa: E402
+from motor_env.parameters import PAPER_MOTOR, FloatArray, SensorParameters  # noqa: E402
+from motor_env.simulation import Scenario, Timing, simulate  # noqa: E402
+
+jax.config.update("jax_enable_x64", True)
+
+N_CASES = 2000
+N_SAMPLES = 1000
+FEWER = 5
+"""Cases for filterpy, because it is slow; its rate does not depend on their number."""
+
+
+class Work(NamedTuple):
+    """What all filter."""
+
+    belief: KalmanFilter
+    measurements: FloatArray
+    voltage_v: FloatArray
+    nominal: FloatArray
+    """The state without noise, shape (n_samples, 2)."""
+
+
+def make_work() -> Work:
+    """Noisy starts of the paper's motor, and the belief that it is healthy."""
+    timing = Timing(sampling_rate_hz=10_000.0, duration_s=N_SAMPLES / 10_000.0)
+    transients = simulate(Scenario(PAPER_MOTOR, timing=timing), seed=1, cases=range(N_CASES))
+    belief = KalmanFilter.from_parameters(
+        PAPER_MOTOR, SensorParameters(), timing.dt_s, initial_std=(1e-2, 1.0)
+    )
+    voltage = transients.voltage_v[0]
+    nominal = np.empty((N_SAMPLES, 2))
+    state = belief.initial_state
+    for k in range(N_SAMPLES):
+        state = belief.model.transition @ state + belief.model.gain @ np.array([voltage[k], 0.0])
+        nominal[k] = state
+    return Work(belief, transients.measurements, voltage, nominal)
+
+
+def jax_scan(work: Work, dtype: Any) -> Callable[[], Any]:
+    """A hand-written jitted scan over time, all cases side by side; the gains are computed beforehand.
+
+    The fastest of the ways tried: deviations from the nominal trajectory, each sample a fused operation on a row of
+    cases, measurements laid out with time first (the transposition is not counted).
+    """
+    belief = work.belief
+    plan = schedule(belief, N_SAMPLES)
+    a = [[dtype(x) for x in row] for row in belief.model.transition]
+    gains = jnp.asarray(plan.gain[:, :, 0], dtype=dtype)
+    weight = jnp.asarray(1.0 / plan.innovation_covariance[:, 0, 0], dtype=dtype)
+    deviations = jnp.asarray((work.measurements[:, 0] - work.nominal[:, 0]).T, dtype=dtype)
+
+    def step(carry: Any, given: Any) -> Any:
+        d0, d1 = carry
+        sample, gain, w = given
+        innovation = sample - d0
+        u0, u1 = d0 + gain[0] * innovation, d1 + gain[1] * innovation
+        after = (a[0][0] * u0 + a[0][1] * u1, a[1][0] * u0 + a[1][1] * u1)
+        return after, (innovation, innovation * innovation * w)
+
+    @jax.jit
+    def run(samples: Any) -> Any:
+        start = jnp.zeros(N_CASES, dtype=dtype)
+        return jax.lax.scan(step, (start, start), (samples, gains, weight), unroll=4)[1]
+
+    return lambda: jax.block_until_ready(run(deviations))
+
+
+def with_dynamax(work: Work) -> Callable[[], Any]:
+    """Dynamax, jitted and mapped over the cases, deviations from the nominal trajectory."""
+    belief = work.belief
+    model = dynamax.LinearGaussianSSM(2, 1)
+    a = belief.model.transition
+    parameters, _ = model.initialize(
+        jax.random.PRNGKey(0),
+        initial_mean=jnp.zeros(2),
+        initial_covariance=jnp.asarray(a @ belief.initial_covariance @ a.T + belief.process_covariance),
+        dynamics_weights=jnp.asarray(a),
+        dynamics_covariance=jnp.asarray(belief.process_covariance),
+        emission_weights=jnp.asarray(belief.observation),
+        emission_covariance=jnp.asarray(belief.measurement_covariance),
+    )
+    deviations = jnp.asarray((work.measurements[:, 0] - work.nominal[:, 0])[..., None])
+    run = jax.jit(jax.vmap(lambda y: dynamax.lgssm_filter(parameters, y).filtered_means))
+    return lambda: jax.block_until_ready(run(deviations))
+
+
+def with_simdkalman(work: Work) -> FloatArray:
+    """Filtered deviations of all cases from the nominal state."""
+    belief = work.belief
+    a = belief.model.transition
+    peer = simdkalman.KalmanFilter(
+        a, belief.process_covariance, belief.observation, belief.measurement_covariance
+    )
+    answer = peer.compute(
+        work.measurements[:, 0] - work.nominal[:, 0],
+        n_test=0,
+        initial_value=np.zeros(2),
+        initial_covariance=a @ belief.initial_covariance @ a.T + belief.process_covariance,
+        filtered=True,
+        smoothed=False,
+        covariances=False,
+        observations=False,
+    )
+    deviations: FloatArray = answer.filtered.states.mean
+    return deviations
+
+
+def with_filterpy(work: Work) -> FloatArray:
+    """Filtered states of the first cases."""
+    belief = work.belief
+    states = np.empty((FEWER, N_SAMPLES, 2))
+    for n, measured in enumerate(work.measurements[:FEWER, 0]):
+        peer = FilterpyFilter(dim_x=2, dim_z=1, dim_u=len(Input))
+        peer.F, peer.B, peer.H = belief.model.transition, belief.model.gain, belief.observation
+        peer.Q, peer.R = belief.process_covariance, belief.measurement_covariance
+        peer.x, peer.P = belief.initial_state.copy(), belief.initial_covariance.copy()
+        for k, value in enumerate(measured):
+            peer.predict(u=np.array([work.voltage_v[k], 0.0]))
+            peer.update(value)
+            states[n, k] = peer.x
+    return states
+
+
+def run() -> list[Result]:
+    """Check that all agree, then measure them. Rates are samples filtered a second."""
+    work = make_work()
+    ours = filter_residuals(work.belief, work.measurements, work.voltage_v)
+    states = run_filter(work.belief, work.measurements, work.voltage_v).state
+    np.testing.assert_allclose(with_filterpy(work), states[:FEWER], rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(with_simdkalman(work) + work.nominal, states, rtol=1e-6, atol=1e-8)
+    mapped = with_dynamax(work)
+    # dynamax adds a little to the diagonal of what it inverts
+    np.testing.assert_allclose(np.asarray(mapped()) + work.nominal, states, rtol=1e-4, atol=1e-4)
+    scans = {kind: jax_scan(work, kind) for kind in (np.float64, np.float32)}
+    innovation, nis = scans[np.float64]()
+    np.testing.assert_allclose(np.asarray(innovation).T, ours.innovation[:, :, 0], atol=1e-10)
+    np.testing.assert_allclose(np.asarray(nis).T, ours.nis, rtol=1e-6, atol=1e-9)
+
+    amount = N_CASES * N_SAMPLES
+    single = work.measurements.astype(np.float32)
+    rate = best_rate(lambda: filter_residuals(work.belief, work.measurements, work.voltage_v), amount)
+    rate_32 = best_rate(
+        lambda: filter_residuals(work.belief, single, work.voltage_v, dtype=np.float32), amount
+    )
+    name = f"filter, {N_CASES} transients x {N_SAMPLES} samples"
+    peers = [
+        ("filterpy", best_rate(lambda: with_filterpy(work), FEWER * N_SAMPLES, rounds=3), 1000.0),
+        ("simdkalman", best_rate(lambda: with_simdkalman(work), amount, rounds=2), 50.0),
+        ("dynamax, jit + vmap", best_rate(mapped, amount, rounds=3), 10.0),
+        ("jitted JAX scan", best_rate(scans[np.float64], amount), 0.8),
+    ]
+    results = [Result(name, ours=rate, peer=peer, peer_name=who, bar=bar) for who, peer, bar in peers]
+    scan_32 = best_rate(scans[np.float32], amount)
+    return [
+        *results,
+        Result(f"{name}, float32", ours=rate_32, peer=scan_32, peer_name="jitted JAX scan", bar=0.8),
+    ]
