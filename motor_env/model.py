@@ -145,9 +145,11 @@ def discretize(parameters: MotorParameters, dt_s: float) -> DiscreteModel:
 
 def steady_state(parameters: MotorParameters, voltage_v: Floats, load_torque_n_m: Floats = 0.0) -> FloatArray:
     """Current and speed at rest of the dynamics, shape (..., 2): -A^-1 B u."""
-    model = continuous_model(parameters)
-    inputs = np.stack(
-        np.broadcast_arrays(np.asarray(voltage_v, float), np.asarray(load_torque_n_m, float)), axis=-1
-    )
-    forcing = np.einsum("...ij,...j->...i", model.gain, inputs)
-    return -np.linalg.solve(model.transition, forcing[..., None])[..., 0]
+    p = parameters
+    # -A^-1 B u written out: the determinant of A is (R B + Kt Kb) / (L J).
+    stiffness = p.torque_constant_n_m_per_a * p.back_emf_constant_v_s_per_rad
+    total = p.resistance_ohm * p.viscous_friction_n_m_s_per_rad + stiffness
+    voltage, load = np.asarray(voltage_v, dtype=np.float64), np.asarray(load_torque_n_m, dtype=np.float64)
+    current = (p.viscous_friction_n_m_s_per_rad * voltage + p.back_emf_constant_v_s_per_rad * load) / total
+    speed = (p.torque_constant_n_m_per_a * voltage - p.resistance_ohm * load) / total
+    return np.stack(np.broadcast_arrays(current, speed), axis=-1)

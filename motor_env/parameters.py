@@ -36,6 +36,14 @@ def require(condition: bool, sentence: str) -> None:
         raise ValueError(sentence)
 
 
+def require_finite(name: str, value: Floats) -> None:
+    """Raise `ValueError` naming the field and the value, unless every entry is finite."""
+    array = np.asarray(value, dtype=np.float64)
+    good = np.isfinite(array)
+    if not good.all():
+        raise ValueError(f"{name} must be finite, got {array[~good].flat[0]:g}")
+
+
 def require_positive(name: str, value: Floats, *, zero_allowed: bool = False) -> None:
     """Raise `ValueError` naming the field, the bound and the value, unless every entry is finite and positive."""
     array = np.asarray(value, dtype=np.float64)
@@ -149,7 +157,7 @@ class SupplyParameters:
     voltage_v: Floats = 12.0
 
     def __post_init__(self) -> None:
-        require(bool(np.isfinite(self.voltage_v).all()), f"voltage_v must be finite, got {self.voltage_v}")
+        require_finite("voltage_v", self.voltage_v)
 
 
 PAPER_MOTOR = MotorParameters(

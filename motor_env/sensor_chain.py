@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from motor_env.parameters import FloatArray, Floats, require, require_positive
+from motor_env.parameters import FloatArray, Floats, require, require_finite, require_positive
 from motor_env.streams import NORMALS_AT_ONCE, Stream, fill_case
 
 MAXIMUM_BITS = 24
@@ -36,7 +36,7 @@ class SensorChain:
 
     def __post_init__(self) -> None:
         require_positive("gain", self.gain)
-        require(bool(np.isfinite(self.offset_a).all()), f"offset_a must be finite, got {self.offset_a}")
+        require_finite("offset_a", self.offset_a)
         require_positive("lag_s", self.lag_s, zero_allowed=True)
         require_positive("range_a", self.range_a, zero_allowed=True)
         require(

@@ -330,8 +330,6 @@ def write_file(folder: Path, file: PlannedFile, dataset: Dataset) -> Entry:
     dataset = replace(dataset, split=np.full(len(dataset), file.split))
     try:
         write_table(to_table(dataset), temporary)
-        with temporary.open("rb") as stream:
-            os.fsync(stream.fileno())
         digest, size = _digest(temporary), temporary.stat().st_size
         temporary.replace(target)
     except BaseException:
