@@ -12,19 +12,19 @@ from typing import Any, NamedTuple
 # Before jax is imported: one thread for it as for all others.
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 
-import dynamax.linear_gaussian_ssm as dynamax  # noqa: E402
-import jax  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
-import simdkalman  # noqa: E402
-from filterpy.kalman import KalmanFilter as FilterpyFilter  # noqa: E402
-from result import Result  # noqa: E402
-from timing import best_rate  # noqa: E402
+import dynamax.linear_gaussian_ssm as dynamax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import simdkalman
+from filterpy.kalman import KalmanFilter as FilterpyFilter
+from result import Result
+from timing import best_rate
 
-from motor_env.kalman import KalmanFilter, filter_residuals, run_filter, schedule  # noqa: E402
-from motor_env.model import Input  # noqa: E402
-from motor_env.parameters import PAPER_MOTOR, FloatArray, SensorParameters  # noqa: E402
-from motor_env.simulation import Scenario, Timing, simulate  # noqa: E402
+from motor_env.kalman import KalmanFilter, filter_residuals, run_filter, schedule
+from motor_env.model import Input
+from motor_env.parameters import PAPER_MOTOR, FloatArray, SensorParameters
+from motor_env.simulation import Scenario, Timing, simulate
 
 jax.config.update("jax_enable_x64", True)
 
