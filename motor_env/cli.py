@@ -59,6 +59,7 @@ def diagnose(
     voltage: float | None = None,
     false_alarm_rate: float = 0.01,
     out: Path | None = None,
+    column: list[str] | None = None,
     json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
 ) -> int:
     """Verdict on recorded starts: healthy, bearing, winding, noise, other, no_reference or unusable.
@@ -68,12 +69,14 @@ def diagnose(
     Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
 
     Args:
-        files: CSV recordings with the columns time_s, current_a, and voltage_v, speed_rad_s where measured.
+        files: Recordings (CSV and other text, .mat, .npy, .npz, .parquet) with time, current, and voltage, speed
+            where measured; e.g. columns time_s, current_a, voltage_v, speed_rad_s.
         motor: Motor file (TOML), or the name of a catalogue motor.
         healthy: Recordings of the healthy motor to compare with, after the option: --healthy A.csv B.csv C.csv
         voltage: Level of the supply in volt, for recordings without a voltage.
         false_alarm_rate: How often a healthy recording may be called faulty.
         out: Folder for one picture a file.
+        column: A column that its header does not tell, e.g. --column current=CH2:mA (may be repeated).
         json_: Print one array with one object a file.
     """
     from rich.console import Console
@@ -89,6 +92,7 @@ def diagnose(
             voltage_v=voltage,
             false_alarm_rate=false_alarm_rate,
             out=out,
+            columns=column or (),
             progress=lambda path: status.update(f"diagnosing {path}"),
         )
     for outcome in outcomes:
@@ -160,6 +164,103 @@ def trend(
     else:
         print(f"{trends.as_text(judged)}\n{out}")
     return int(any(status(one) in ("reached", "trending") for one in judged))
+
+
+@app.command
+def identify(
+    files: list[Path],
+    *,
+    voltage: float | None = None,
+    column: list[str] | None = None,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    name: str = "identified motor",
+    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+) -> int:
+    """Parameters of a motor from recorded starts, with standard errors, and the model that the evidence prefers.
+
+    Example: motor-env identify examples/startup_capture.csv -o out/motor.toml
+
+    Args:
+        files: Recordings of one motor.
+        voltage: Level of the supply in volt, for recordings without a voltage.
+        column: A column that its header does not tell, e.g. --column current=CH2:mA (may be repeated).
+        output: Motor file to write (TOML).
+        name: Name of the motor in that file.
+        json_: Print one array with one object a file.
+    """
+    from motor_env import commission as steps
+    from motor_env.motor_file import save_motor
+    from motor_env.recordings import ColumnChoice
+
+    choices = [ColumnChoice.parse(text) for text in column or ()]
+    found = [(path, *steps.identify_file(path, choices, voltage_v=voltage)) for path in files]
+    if output is not None:
+        save_motor(steps.to_motor([fit for _, _, fit in found], name), output)
+    if json_:
+        print(json.dumps([steps.identified_json(*one) for one in found], ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(steps.identified_text(*one) for one in found))
+    return 0
+
+
+@app.command
+def commission(
+    files: list[Path],
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    voltage: float | None = None,
+    column: list[str] | None = None,
+    false_alarm_rate: float = 0.01,
+    name: str = "commissioned motor",
+) -> int:
+    """Learn a motor from three or more healthy starts, for `motor-env diagnose --motor`.
+
+    Example: motor-env commission healthy_1.csv healthy_2.csv healthy_3.csv -o out/motor.toml
+
+    Args:
+        files: Recordings of healthy starts of one motor.
+        output: Motor file to write (TOML).
+        voltage: Level of the supply in volt, for recordings without a voltage.
+        column: A column that its header does not tell, e.g. --column current=CH2:mA (may be repeated).
+        false_alarm_rate: For the intervals that are printed.
+        name: Name of the motor in that file.
+    """
+    from motor_env import commission as steps
+    from motor_env.motor_file import save_motor
+    from motor_env.recordings import ColumnChoice
+
+    if not 0.0 < false_alarm_rate < 0.5:
+        raise console.InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
+    choices = [ColumnChoice.parse(text) for text in column or ()]
+    result = steps.commission(files, name, choices, voltage_v=voltage, false_alarm_rate=false_alarm_rate)
+    save_motor(result.motor, output)
+    print(steps.commissioned_text(result, false_alarm_rate))
+    print(f"written: {output}")
+    return 0
+
+
+@app.command
+def lab(*, port: int = 0, browser: bool = True) -> int:
+    """A page in the browser: faults, noise and motor by sliders, residual, rule and verdict; drop a recording on it.
+
+    Example: motor-env lab
+
+    It runs on this machine only (127.0.0.1), needs no network, and ends with Ctrl-C.
+
+    Args:
+        port: Port to listen on; 0 takes a free one.
+        browser: Open the page.
+    """
+    import webbrowser
+
+    from motor_env import lab_server
+
+    with lab_server.make_server(port) as server:
+        print(f"{lab_server.address(server)}  (Ctrl-C ends it)", flush=True)
+        if browser:
+            webbrowser.open(lab_server.address(server))
+        server.serve_forever()
+    return 0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

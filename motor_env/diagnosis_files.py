@@ -14,7 +14,7 @@ from motor_env.alignment import UnusableError
 from motor_env.console import InputError
 from motor_env.diagnosis import DEFAULT_FALSE_ALARM_RATE, Diagnosis, diagnose, fit_healthy, learn_reference
 from motor_env.motor_file import MotorFile, StartReference, load_motor
-from motor_env.recordings import read_recording
+from motor_env.recordings import ColumnChoice, read_recording
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,12 @@ class Outcome:
         }
 
 
-def learn(healthy: Sequence[Path], motor: MotorFile | None, voltage_v: float | None) -> StartReference | None:
+def learn(
+    healthy: Sequence[Path],
+    motor: MotorFile | None,
+    voltage_v: float | None,
+    columns: Sequence[ColumnChoice] = (),
+) -> StartReference | None:
     """Reference from healthy recordings.
 
     Raises:
@@ -52,7 +57,9 @@ def learn(healthy: Sequence[Path], motor: MotorFile | None, voltage_v: float | N
         voltage_v = motor.nominal_voltage_v
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
     try:
-        fits = fit_healthy([read_recording(path) for path in healthy], voltage_v=voltage_v, constant=constant)
+        fits = fit_healthy(
+            [read_recording(path, columns) for path in healthy], voltage_v=voltage_v, constant=constant
+        )
     except UnusableError as error:
         raise InputError(f"a healthy recording cannot be used: {error}") from None
     if len({fit.quantity_names for fit in fits}) > 1:
@@ -68,6 +75,7 @@ def diagnose_files(
     voltage_v: float | None = None,
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
     out: Path | None = None,
+    columns: Sequence[str] = (),
     progress: Callable[[Path], None] = lambda path: None,
 ) -> list[Outcome]:
     """Diagnose each file; one that cannot be read does not stop the others.
@@ -79,6 +87,7 @@ def diagnose_files(
         voltage_v: level of the supply, for recordings without a voltage.
         false_alarm_rate: per healthy recording.
         out: folder for one picture a file; none are drawn without it.
+        columns: columns named by the user, see `ColumnChoice.parse`.
         progress: told each file before it is read.
 
     Raises:
@@ -91,12 +100,13 @@ def diagnose_files(
     if voltage_v is not None and not 0.0 < voltage_v < float("inf"):
         raise InputError(f"voltage must be > 0, got {voltage_v:g}")
     loaded = None if motor is None else load_motor(motor)
-    learned = learn(healthy, loaded, voltage_v)
+    choices = [ColumnChoice.parse(text) for text in columns]
+    learned = learn(healthy, loaded, voltage_v, choices)
     outcomes = []
     for number, path in enumerate(files):
         progress(path)
         try:
-            recording = read_recording(path)
+            recording = read_recording(path, choices)
         except InputError as error:
             outcomes.append(Outcome(path, None, str(error)))
             continue

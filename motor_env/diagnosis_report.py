@@ -65,6 +65,7 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "mean_nis": None if check is None else _number(check.mean_nis),
         "sensor_noise_a": None if check is None else _number(check.sensor_noise_a),
         "model_error_a": None if check is None else _number(check.model_error_a),
+        "columns": list(diagnosis.recording.columns),
         "defects": [] if fit is None else list(fit.start.alignment.defects),
     }
 
@@ -102,6 +103,7 @@ def as_text(diagnosis: Diagnosis) -> str:
     """What a maintenance engineer reads."""
     lines = [f"{diagnosis.recording.path}: {headline(diagnosis)}"]
     lines += [f"  {reason}." for reason in diagnosis.reasons]
+    lines.append("  read: " + "; ".join(diagnosis.recording.columns))
     fit, check = diagnosis.identified, diagnosis.filter_check
     if fit is not None:
         changes = {change.name: change for change in diagnosis.changes}

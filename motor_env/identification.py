@@ -29,6 +29,7 @@ drop and the supply, can hardly be told apart in one start, and would take the f
 _CORE = ("R", "L", "K", "J", "B")
 _LARGEST_LOG = 12.0
 _FIT_SAMPLES = 40_000
+_REST_SHARE = 0.05
 _OFFSET_SD_WITHOUT_QUIET = (
     0.0002  # of the current's span: without a quiet part the sensor is believed to be nulled
 )
@@ -47,6 +48,7 @@ class Start:
         level_v: level of the step; 1 where the voltage is unknown (everything is then per volt).
         voltage_known: whether volts are volts.
         alignment: onset and quiet part.
+        from_rest: whether the motor stands before; else it runs steadily under the first voltage.
     """
 
     time_s: FloatArray
@@ -56,6 +58,7 @@ class Start:
     level_v: float
     voltage_known: bool
     alignment: Alignment
+    from_rest: bool = True
 
     @property
     def dt_s(self) -> float:
@@ -141,19 +144,21 @@ def prepare(recording: Recording, voltage_v: float | None = None) -> Start:
     if recording.voltage_v is not None:
         level, measured, sign = _supply(recording.voltage_v, sign)
         known = True
+    elif recording.duty is not None:
+        scale = 1.0 if voltage_v is None else abs(voltage_v)
+        level, measured, sign = _supply(scale * recording.duty, sign)
+        known = voltage_v is not None
     elif voltage_v is not None:
         level, known = abs(voltage_v), True
     speed = None
     if recording.speed_rad_s is not None and np.ptp(recording.speed_rad_s) > 0.0:
         speed = recording.speed_rad_s * (1.0 if _mean_tail(recording.speed_rad_s) >= 0.0 else -1.0)
+    from_rest = measured is None or abs(float(measured[0])) < _REST_SHARE * float(np.max(np.abs(measured)))
+    alignment = replace(alignment, sign=sign, offset_a=sign * alignment.offset_a)
+    if not from_rest:
+        alignment = replace(alignment, offset_a=0.0, n_quiet=0)
     return Start(
-        recording.time_s,
-        sign * recording.current_a,
-        speed,
-        measured,
-        level,
-        known,
-        replace(alignment, sign=sign, offset_a=sign * alignment.offset_a),
+        recording.time_s, sign * recording.current_a, speed, measured, level, known, alignment, from_rest
     )
 
 
@@ -165,7 +170,7 @@ def _supply(voltage: FloatArray, sign: float) -> tuple[float, FloatArray | None,
     """Level of a commanded step, or the measured curve: a command takes at most two values."""
     levels = np.unique(voltage)
     tail = float(np.median(voltage[-max(len(voltage) // 4, 1) :]))
-    if len(levels) <= 2:
+    if len(levels) == 1 or (len(levels) == 2 and 0.0 in levels):
         if tail == 0.0:
             raise UnusableError("the voltage is 0 at the end: this is no start under voltage")
         return abs(tail), None, sign
@@ -338,7 +343,7 @@ class _Problem:
         if start.voltage_v is None:
             states = step_start(parameters, extension, start.time_s, onset, start.level_v)
         else:
-            states = driven(parameters, extension, start.voltage_v, start.dt_s, from_rest=True)
+            states = driven(parameters, extension, start.voltage_v, start.dt_s, from_rest=start.from_rest)
         states[:, 0] += offset
         return states
 

@@ -26,6 +26,7 @@ needs_recordings = pytest.mark.skipif(
     recordings_path is None, reason="MOTOR_ENV_RECORDINGS does not point to the recordings of real motors"
 )
 RECORDINGS = Path(recordings_path or "recordings")
+HEAD = b"time_s,current_a\n" + b"".join(b"%d,%d\n" % (n, n % 3) for n in range(30))
 
 
 def captures(
@@ -161,14 +162,15 @@ def test_a_capture_without_a_start_is_unusable_and_never_healthy() -> None:
     [
         (b"", "is empty"),
         (b"time_s,current_a\n0,0\n", "at least 20 samples, got 1"),
-        (b"time_s,amps\n0,0\n", "line 1: the column current_a is missing"),
+        (b"time_s,volts\n0,0\n1,0\n", "line 1: the column current_a is missing"),
         (
-            b"time_s,current_a\n0,0\n1,nan\n",
-            "line 3: the column current_a must hold finite numbers, got 'nan'",
+            HEAD + b"30,nan\n",
+            "line 32: the column current_a must hold finite numbers, got 'nan'",
         ),
-        (b"time_s,current_a\n0,0\n1,x\n", "line 3: the column current_a must hold numbers, got 'x'"),
-        (b"time_s,current_a\n0,0\n1\n", "line 3"),
-        (b"\xff\xfe\x00\x80" * 40, "is not"),
+        (HEAD + b"30,x\n", "line 32: the column current_a must hold numbers, got 'x'"),
+        (HEAD + b"30\n", "line 32: the column current_a has no value"),
+        (b"time_s,current_a\n0,x\n" + HEAD[18:], "line 2: the column current_a must hold numbers"),
+        (b"\x89PNG\x01\x02\x03" * 40, "is not"),
         (b"\x00" * 300, "is not"),
         (
             b"time_s,current_a\n" + b"".join(b"%d,0\n" % n for n in [*range(20), 5]),
