@@ -19,6 +19,7 @@ from motor_classifiers.methods import METHODS, make_method
 from motor_classifiers.metrics import Comparison, Scores, compare, resampling_weights, scores
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
+from motor_env.console import InputError
 from motor_env.files import write_text
 from motor_env.parameters import FloatArray
 from motor_env.posterior import class_probabilities
@@ -258,3 +259,33 @@ def write_results(result: BenchmarkResult, folder: Path) -> Path:
         report, render_report(result, machine=f"{platform.machine()}, Python {platform.python_version()}")
     )
     return report
+
+
+def evaluate_model(model: BaseEstimator, recipe: Recipe, test: Dataset, seed: int) -> dict[str, Any]:
+    """Scores of a fitted model on a data set, beside the Bayes limit for the recipe that the cases came from.
+
+    Raises:
+        InputError: the data set has other channels or another time axis than the model's recipe, or a class that it
+            does not know.
+    """
+    theirs = test.recipe
+    if (theirs.timing, theirs.sensor.channels) != (recipe.timing, recipe.sensor.channels):
+        raise InputError("the data set has another time axis or other channels than the model was trained on")
+    if theirs.class_names != recipe.class_names:
+        raise InputError(
+            f"the data set has the classes {', '.join(theirs.class_names)}, the model {', '.join(recipe.class_names)}"
+        )
+    weights = resampling_weights(len(test), seed)
+    probabilities = in_recipe_order(model, model.predict_proba(test.X), recipe)
+    limit = class_probabilities(theirs, test.X)
+    right = limit.argmax(axis=1) == test.class_index
+    decided = probabilities.argmax(axis=1)
+    comparison = compare(decided == test.class_index, right, weights)
+    return {
+        "n_test": len(test),
+        **_score_fields(recipe, scores(recipe, test.class_index, decided, weights)),
+        "log_loss": _log_loss(probabilities, test.class_index),
+        "bayes_accuracy": float(right.mean()),
+        "bayes_log_loss": _log_loss(limit, test.class_index),
+        "p_above_bayes": comparison.p_above,
+    }

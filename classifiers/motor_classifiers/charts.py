@@ -56,7 +56,8 @@ def interval_chart(bars: Sequence[Bar], limit: float, limit_label: str) -> str:
         f'<line class="limit" x1="{x(limit):.1f}" x2="{x(limit):.1f}" y1="{top - 6}" y2="{bottom}"/>'
     )
     parts.append(
-        f'<text class="limit-label" x="{x(limit) + 4:.1f}" y="{top - 13}" text-anchor="{anchor}">{escape(limit_label)}</text>'
+        f'<text class="limit-label" x="{x(limit) + 4:.1f}" y="{top - 13}" text-anchor="{anchor}">'
+        f"{escape(limit_label)}</text>"
     )
     for n, bar in enumerate(bars):
         y = top + row * (n + 0.5)
@@ -119,9 +120,8 @@ def trace_chart(
         )
     if with_time:
         for tick in _ticks(begin, end, 6):
-            parts.append(
-                f'<text class="tick" x="{x(tick):.1f}" y="{height - 14}" text-anchor="middle">{tick:g}</text>'
-            )
+            place = f'x="{x(tick):.1f}" y="{height - 14}" text-anchor="middle"'
+            parts.append(f'<text class="tick" {place}>{tick:g}</text>')
         parts.append(f'<text class="tick" x="{width - right}" y="{height - 2}" text-anchor="end">ms</text>')
     parts.append(f'<text class="tick" x="2" y="{top + 4}">{escape(unit)}</text>')
     for trace in traces:
@@ -129,9 +129,8 @@ def trace_chart(
         points = " ".join(f"{x(t):.1f},{y(v):.1f}" for t, v in zip(time, values, strict=True))
         parts.append(f'<polyline class="{escape(trace.style)}" points="{points}"/>')
     for level in levels:
-        parts.append(
-            f'<line class="threshold" x1="{left}" x2="{width - right}" y1="{y(level):.1f}" y2="{y(level):.1f}"/>'
-        )
+        at = f'y1="{y(level):.1f}" y2="{y(level):.1f}"'
+        parts.append(f'<line class="threshold" x1="{left}" x2="{width - right}" {at}/>')
     if mark_ms is not None:
         parts.append(
             f'<line class="mark" x1="{x(mark_ms):.1f}" x2="{x(mark_ms):.1f}" y1="{top}" y2="{height - bottom}"/>'
@@ -141,7 +140,7 @@ def trace_chart(
 
 
 def reliability_chart(confidence: FloatArray, right: FloatArray, n_bins: int = 10) -> str:
-    """Share of right decisions against the largest probability, in bins of equal count; the dot's size shows nothing."""
+    """Share of right decisions against the largest probability, in bins of equal count."""
     size, left, bottom = 190, 34, 26
     order = np.argsort(confidence, kind="stable")
 

@@ -12,6 +12,7 @@ from motor_classifiers.features import whitened_residual
 from motor_classifiers.methods import METHODS
 from motor_classifiers.metrics import Score
 from motor_env.confirmation import nominal_voltage
+from motor_env.faults import HEALTHY
 from motor_env.parameters import Channel, FloatArray
 from motor_env.simulation import simulate_states
 
@@ -25,6 +26,14 @@ def readable(name: str) -> str:
     return (
         f"{stem.replace('_', ' ')} {level} %" if level.replace(".", "").isdigit() else name.replace("_", " ")
     )
+
+
+def _short(name: str) -> str:
+    """A class name for narrow columns: B 10, WC 25."""
+    stem, _, level = name.rpartition("_")
+    if not level.replace(".", "").isdigit():
+        return "ok" if name == HEALTHY else name[:3]
+    return f"{''.join(word[0].upper() for word in stem.split('_'))} {level}"
 
 
 def render_report(result: BenchmarkResult, machine: str) -> str:
@@ -62,6 +71,7 @@ def render_report(result: BenchmarkResult, machine: str) -> str:
         leaks=result.leaks,
         significance=SIGNIFICANCE,
         noise_ma=1e3 * recipe.sensor.current_noise_a,
+        short_titles=[_short(name) for name in recipe.class_names],
         class_titles=[readable(name) for name in recipe.class_names],
         accuracy_chart=interval_chart(
             [Bar(m.name, METHODS[m.name].family, *m.scores.accuracy) for m in ranked],
@@ -123,7 +133,7 @@ def _examples(result: BenchmarkResult, best: MethodResult) -> list[dict[str, Any
         np.minimum(np.arange(1, whitened.shape[1] + 1), _SMOOTH)
     )
     threshold = _threshold(recipe.timing.n_samples)
-    reach = float(np.clip(1.1 * np.abs(smooth).max(), 2.0 * threshold, 40.0))
+    reach = float(np.clip(1.1 * np.abs(smooth).max(), 2.0 * threshold, 16.0))
     top = 1.06 * float(max(nominal.max(), cases[:, column].max()))
     examples = []
     for row, (n, case) in enumerate(chosen):

@@ -1,0 +1,181 @@
+"""The learned opinion on recordings: aligned, resampled, and refused where the model cannot know."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from sklearn.base import BaseEstimator
+
+from motor_classifiers.benchmark import in_recipe_order
+from motor_env.alignment import Alignment, UnusableError, align
+from motor_env.confirmation import nominal_voltage
+from motor_env.console import ExitStatus
+from motor_env.estimation import FEATURE_NAMES, physical_features
+from motor_env.faults import HEALTHY, FaultKind
+from motor_env.parameters import Channel, FloatArray
+from motor_env.recipes import Recipe
+from motor_env.recordings import Recording, read_recording
+
+UNDECIDED = "unusable"
+"""Verdict where the model has no say: another motor, another supply, too short, too coarse."""
+
+LEAST_PROBABILITY = 0.5
+"""Of the decided verdict; below it the opinion is undecided."""
+
+_SHIFTS = np.arange(-3.0, 3.25, 0.25)  # in samples, around the first guess of the onset
+_LARGEST_MISFIT = (
+    5.0  # standard deviations of chi2 beyond which the start is not of a motor that the model knows
+)
+_VOLTAGE_TOLERANCE = 0.05
+
+
+class Opinion(NamedTuple):
+    """What a model says of a start.
+
+    Attributes:
+        verdict: healthy, bearing, winding, noise, or unusable.
+        class_name: most probable class; empty where unusable.
+        probability: of the verdict.
+        severity: mean over the posterior of the classes of the verdict.
+        probabilities: of each class by name.
+        reason: why there is no opinion, else empty.
+    """
+
+    verdict: str
+    class_name: str = ""
+    probability: float = 0.0
+    severity: float = 0.0
+    probabilities: dict[str, float] = {}  # noqa: RUF012  # a tuple's default, never changed
+    reason: str = ""
+
+    @property
+    def status(self) -> ExitStatus:
+        """Exit status that this opinion alone gives."""
+        if self.verdict == UNDECIDED or self.probability < LEAST_PROBABILITY:
+            return ExitStatus.UNDECIDED
+        return ExitStatus.HEALTHY if self.verdict == HEALTHY else ExitStatus.FAULT
+
+    def as_json(self) -> dict[str, Any]:
+        """For --json."""
+        return {
+            "verdict": self.verdict,
+            "class": self.class_name or None,
+            "probability": self.probability,
+            "severity": self.severity,
+            "probabilities": self.probabilities,
+            "undecided": self.status is ExitStatus.UNDECIDED,
+            "reason": self.reason or None,
+        }
+
+
+def verdict_of(label_kind: str) -> str:
+    """Verdict for a fault kind: both winding faults are winding."""
+    windings = (FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT)
+    return "winding" if label_kind in windings else str(label_kind)
+
+
+def opinions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Opinion]:
+    """Opinion on each case, X of shape (n_cases, n_channels, n_timepoints)."""
+    probabilities = in_recipe_order(model, model.predict_proba(X), recipe)
+    verdicts = [verdict_of(c.label_kind) for c in recipe.classes]
+    severity = np.array([c.severity for c in recipe.classes])
+    found = []
+    for row in probabilities:
+        best = int(row.argmax())
+        mine = np.array([verdict == verdicts[best] for verdict in verdicts])
+        share = float(row[mine].sum())
+        found.append(
+            Opinion(
+                verdict=verdicts[best],
+                class_name=recipe.class_names[best],
+                probability=share,
+                severity=float((row * severity)[mine].sum() / share),
+                probabilities=dict(zip(recipe.class_names, row.tolist(), strict=True)),
+            )
+        )
+    return found
+
+
+def overall_status(given: list[Opinion]) -> ExitStatus:
+    """Fault before undecided before healthy."""
+    statuses = [opinion.status for opinion in given]
+    for status in (ExitStatus.FAULT, ExitStatus.UNDECIDED):
+        if status in statuses:
+            return status
+    return ExitStatus.HEALTHY
+
+
+def predict_recording(model: BaseEstimator, recipe: Recipe, path: Path) -> Opinion:
+    """Opinion on one recording.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    recording = read_recording(path)
+    try:
+        case = aligned_case(recording, recipe)
+    except UnusableError as error:
+        return Opinion(UNDECIDED, reason=str(error))
+    return opinions(model, recipe, case)[0]
+
+
+def aligned_case(recording: Recording, recipe: Recipe) -> FloatArray:
+    """The recording on the recipe's time axis, shape (1, n_channels, n_samples).
+
+    The onset is the shift at which the recipe's motor, parameters free, fits best. The mean of the quiet part
+    before the start is taken off the current; nothing else is normalised.
+
+    Raises:
+        UnusableError: the model was trained for other motors, supplies, channels or time axes than this.
+    """
+    start = align(recording)
+    _check_comparable(recording, recipe, start)
+    shifted = np.stack([_resampled(recording, recipe, start, shift) for shift in _SHIFTS])
+    features = physical_features(
+        shifted,
+        nominal_voltage(recipe),
+        recipe.motor,
+        recipe.spread,
+        recipe.sensor,
+        recipe.timing.dt_s,
+    )
+    misfit = features[:, FEATURE_NAMES.index("reduced_chi2")]
+    best = int(misfit.argmin())
+    n_values = shifted[0].size
+    noisiest = max([c.severity for c in recipe.classes if c.kind is FaultKind.NOISE], default=0.0)
+    largest = (1.0 + noisiest) * (1.0 + _LARGEST_MISFIT * np.sqrt(2.0 / n_values))
+    if misfit[best] > largest:
+        raise UnusableError(
+            "no motor that the model knows fits this start: "
+            f"the squared residual is {misfit[best]:.3g} times the noise's"
+        )
+    return shifted[best : best + 1]
+
+
+def _check_comparable(recording: Recording, recipe: Recipe, start: Alignment) -> None:
+    timing = recipe.timing
+    if Channel.SPEED in recipe.sensor.channels and recording.speed_rad_s is None:
+        raise UnusableError("the model wants the speed, which was not recorded")
+    if recording.dt_s > 1.5 * timing.dt_s:
+        raise UnusableError(
+            f"sampled at {1.0 / recording.dt_s:.4g} Hz, the model wants {timing.sampling_rate_hz:g} Hz"
+        )
+    left = float(recording.time_s[-1]) - start.onset_s
+    if left < timing.duration_s - 0.5 * timing.dt_s:
+        raise UnusableError(f"{left:.3g} s after the start, the model wants {timing.duration_s:g} s")
+    if recording.voltage_v is not None:
+        level = float(np.median(np.abs(recording.voltage_v[start.onset_index + 1 :])))
+        wanted = float(np.asarray(recipe.supply.voltage_v))
+        if abs(level - wanted) > _VOLTAGE_TOLERANCE * wanted:
+            raise UnusableError(f"the supply is at {level:.4g} V, the model was trained at {wanted:g} V")
+
+
+def _resampled(recording: Recording, recipe: Recipe, start: Alignment, shift: float) -> FloatArray:
+    """Channels of the recipe on its time axis, the onset moved by `shift` of its samples."""
+    at = start.onset_s + shift * recipe.timing.dt_s + recipe.timing.time_s
+    columns = {Channel.CURRENT: start.sign * (recording.current_a - start.offset_a)}
+    if recording.speed_rad_s is not None:
+        columns[Channel.SPEED] = start.sign * recording.speed_rad_s
+    return np.stack([np.interp(at, recording.time_s, columns[channel]) for channel in recipe.sensor.channels])
