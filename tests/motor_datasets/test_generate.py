@@ -5,11 +5,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import loadmat
 
-from motor_datasets import generate_arrays, generate_dataset, load, split_of, to_pandas, to_torch
+from motor_datasets import (
+    generate_arrays,
+    generate_dataset,
+    load,
+    split_of,
+    stream,
+    to_pandas,
+    to_torch,
+    to_torch_iterable,
+)
 from motor_datasets.cli import main
+from motor_datasets.export import export
+from motor_env.console import InputError
+from motor_env.faults import FaultKind
 from motor_env.parameters import Channel, SensorParameters
-from motor_env.recipes import RECIPES
+from motor_env.recipes import RECIPES, FaultClass
 from motor_env.simulation import Timing
 
 SHORT = replace(RECIPES["bench"], timing=Timing(duration_s=0.01))
@@ -100,3 +113,81 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
     assert said in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_the_starts_of_a_motor_share_its_parameters_and_begin_healthy() -> None:
+    recipe = replace(RECIPES["field"], timing=Timing(duration_s=0.002))
+    data = generate_arrays(recipe, 1, 400)
+    by_motor = data.motor_id.reshape(80, 5)
+    assert (by_motor == by_motor[:, :1]).all()
+    for name in ("resistance_ohm", "coulomb_friction_n_m", "gain"):
+        values = data.parameters[name].reshape(80, 5)
+        if name != "coulomb_friction_n_m":  # a bearing fault raises it
+            assert (values == values[:, :1]).all(), name
+        assert len(np.unique(values[:, 0])) == 80
+    for name in ("voltage_v", "temperature_rise_k", "offset_a"):
+        assert len(np.unique(data.parameters[name])) == 400, name
+    kinds = data.kind.reshape(80, 5)
+    assert (kinds[:, :3] == "healthy").all()
+    assert (kinds[:, 3] == kinds[:, 4]).all()
+    assert 45 <= (kinds[:, 4] != "healthy").sum() <= 78
+
+
+def test_shifts_have_their_own_conditions_motors_and_files(tmp_path: Path) -> None:
+    recipe = replace(RECIPES["field"], timing=Timing(duration_s=0.002))
+    generate_dataset(recipe, 200, 1, tmp_path / "set")
+    main, hot = load(tmp_path / "set"), load(tmp_path / "set", "shift_hotter")
+    assert len(hot) == 20
+    assert main.parameters["temperature_rise_k"].max() < 15.0 < hot.parameters["temperature_rise_k"].min()
+    unseen = load(tmp_path / "set", "shift_unseen_kind")
+    assert set(unseen.kind) <= {"healthy", "winding_short", "noise"}
+    assert not set(main.kind) & {"winding_short", "noise"}
+    assert np.array_equal(unseen.class_name, np.array(unseen.class_names)[unseen.class_index])
+    assert not set(main.motor_id) & (set(hot.motor_id) | set(unseen.motor_id))
+
+
+def test_continuous_and_joint_severities() -> None:
+    wide = FaultClass(FaultKind.BEARING, 0.05, severity_to=0.3)
+    joint = FaultClass(FaultKind.BEARING, 0.1, also=(FaultClass(FaultKind.WINDING_CONTACT, 0.25),))
+    recipe = replace(SHORT, classes=(FaultClass(), wide, joint), spread=RECIPES["paper"].spread)
+    data = generate_arrays(recipe, 1, 3000)
+    bearings = data.severity[data.class_name == "bearing"]
+    assert 0.05 <= bearings.min() < 0.06 < 0.29 < bearings.max() <= 0.3
+    assert abs(bearings.mean() - 0.175) < 4.0 * 0.25 / np.sqrt(12.0 * len(bearings))
+    assert joint.name == "bearing_10+winding_contact_25"
+    peak = data.X[:, 0].max(axis=1)
+    contact = replace(SHORT, classes=(FaultClass(FaultKind.WINDING_CONTACT, 0.25),), spread=recipe.spread)
+    expected = generate_arrays(contact, 2, 500).X[:, 0].max(axis=1).mean()
+    assert peak[data.class_name == joint.name].mean() == pytest.approx(expected, abs=0.005)
+
+
+def test_a_stream_repeats_and_is_shared_among_workers() -> None:
+    whole = list(stream(SHORT, 1, 16, split="train", batches=6))
+    again = list(stream(SHORT, 1, 16, split="train", batches=6))
+    parts = [list(stream(SHORT, 1, 16, split="train", batches=6, share=(n, 2))) for n in range(2)]
+    for n, batch in enumerate(whole):
+        assert set(batch.split) == {"train"}
+        assert np.array_equal(batch.X, again[n].X)
+        assert np.array_equal(batch.X, parts[n % 2][n // 2].X)
+    cases = np.concatenate([batch.case_id for batch in whole])
+    assert len(np.unique(cases)) == 96
+    transients, labels, _ = next(iter(to_torch_iterable(SHORT, 1, 16, split="train")))
+    assert np.array_equal(transients.numpy(), whole[0].X)
+    assert np.array_equal(labels.numpy(), whole[0].class_index)
+
+
+def test_exports_hold_the_same_numbers(tmp_path: Path) -> None:
+    data = generate_arrays(SHORT, 1, 20)
+    export(data, tmp_path / "a.npz")
+    export(data, tmp_path / "a.mat")
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as archive:
+        assert np.array_equal(archive["X"], data.X)
+        assert np.array_equal(archive["class_name"], data.class_name)
+    matlab = loadmat(tmp_path / "a.mat", squeeze_me=True, chars_as_strings=True)
+    assert np.array_equal(matlab["X"], data.X[:, 0])
+    assert matlab["class_name"].tolist() == data.class_name.tolist()
+    assert np.array_equal(
+        matlab["back_emf_constant_v_s_per_rad"], data.parameters["back_emf_constant_v_s_per_rad"]
+    )
+    with pytest.raises(InputError, match="not overwritten"):
+        export(data, tmp_path / "a.mat")

@@ -1,0 +1,150 @@
+"""Interrupted, damaged, shared among workers: the bytes stay the same, or it is said what is wrong."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from motor_datasets import generate_dataset, load, storage
+from motor_datasets.cli import main
+from motor_env.console import InputError
+from motor_env.recipes import RECIPES
+from motor_env.simulation import Timing
+
+SHORT = replace(RECIPES["bench"], timing=Timing(duration_s=0.01))
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
+    }
+
+
+@pytest.fixture
+def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(storage, "_SHARD_BYTES", 50_000)
+
+
+class Stopped(Exception):  # noqa: N818 - it is no error, it stops the writing
+    """Raised in the middle of a generation."""
+
+
+@pytest.mark.usefixtures("small_shards")
+@pytest.mark.parametrize("after", [1, 4, 9])
+def test_an_interrupted_generation_ends_byte_identical(tmp_path: Path, after: int) -> None:
+    generate_dataset(SHORT, 400, 1, tmp_path / "whole")
+    seen = []
+
+    def stop(count: int) -> None:
+        seen.append(count)
+        if len(seen) == after:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        generate_dataset(SHORT, 400, 1, tmp_path / "cut", on_progress=stop)
+    # What a kill leaves beside whole files: a partial file, and a damaged one.
+    (tmp_path / "cut/data/.test-000001.parquet.partial").write_bytes(b"half")
+    first = sorted((tmp_path / "cut/data").glob("*.parquet"))[0]
+    first.write_bytes(first.read_bytes()[:1000])
+    with pytest.raises(InputError, match="no data set"):
+        load(tmp_path / "cut")
+    with pytest.raises(InputError, match="--resume"):
+        generate_dataset(SHORT, 400, 1, tmp_path / "cut")
+    with pytest.raises(InputError, match="something other"):
+        generate_dataset(SHORT, 400, 2, tmp_path / "cut", resume=True)
+    generate_dataset(SHORT, 400, 1, tmp_path / "cut", resume=True)
+    assert files_of(tmp_path / "cut") == files_of(tmp_path / "whole")
+    assert len(files_of(tmp_path / "whole")) > 12
+    generate_dataset(SHORT, 400, 1, tmp_path / "cut", resume=True)  # finished already: nothing happens
+    with pytest.raises(InputError, match="another data set"):
+        generate_dataset(SHORT, 401, 1, tmp_path / "cut", resume=True)
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_a_full_disk_leaves_whole_files_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    generate_dataset(SHORT, 200, 1, tmp_path / "whole")
+    write = pq.write_table
+    written: list[Path] = []
+
+    def write_until_full(table: pa.Table, path: Path, **options: object) -> None:
+        if len(written) == 5:
+            path.write_bytes(b"PAR1")
+            raise OSError(28, "No space left on device", str(path))
+        written.append(path)
+        write(table, path, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pq, "write_table", write_until_full)
+        with pytest.raises(OSError, match="No space"):
+            generate_dataset(SHORT, 200, 1, tmp_path / "cut")
+    assert len(list((tmp_path / "cut/data").iterdir())) == 5
+    generate_dataset(SHORT, 200, 1, tmp_path / "cut", resume=True)
+    assert files_of(tmp_path / "cut") == files_of(tmp_path / "whole")
+
+
+@pytest.mark.long
+def test_killed_at_ten_moments_and_whatever_the_workers(tmp_path: Path) -> None:
+    """kill -9 of the whole process group, then --resume: byte-identical to one worker left in peace."""
+    command = [sys.executable, "-m", "motor_datasets", "generate", "bench", "--cases", "60000", "--seed", "3"]
+    start = time.perf_counter()
+    subprocess.run([*command, "--out", str(tmp_path / "whole")], check=True)
+    needed = time.perf_counter() - start
+    whole = files_of(tmp_path / "whole")
+    killed = 0
+    for n, moment in enumerate(np.random.default_rng(1).uniform(0.2, 0.95, 10)):
+        out = tmp_path / "cut"
+        options = ["--out", str(out), "--workers", str(1 + n % 3), "--resume"]
+        process = subprocess.Popen([*command, *options], start_new_session=True)
+        try:
+            process.wait(timeout=moment * needed)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            killed += 1
+        subprocess.run([*command, *options], check=True)
+        assert files_of(out) == whole
+        shutil.rmtree(out)
+    assert killed >= 8
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_verify_names_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    generate_dataset(SHORT, 200, 1, tmp_path / "set")
+    assert main(["verify", str(tmp_path / "set")]) == 0
+    data = tmp_path / "set/data"
+    content = bytearray((data / "train-000001.parquet").read_bytes())
+    content[500] ^= 1
+    (data / "train-000001.parquet").write_bytes(content)
+    (data / "test-000000.parquet").unlink()
+    (data / "extra.parquet").write_bytes(b"")
+    capsys.readouterr()
+    assert main(["verify", str(tmp_path / "set"), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert len(found) == 3
+    for name, what in (("train-000001", "damaged"), ("test-000000", "missing"), ("extra", "foreign")):
+        assert any(name in sentence and what in sentence for sentence in found)
+    assert main(["verify", str(tmp_path)]) == 2
+
+
+def test_other_tools_read_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hugging Face's datasets, offline and by the card; pandas."""
+    huggingface = pytest.importorskip("datasets")
+    pandas = pytest.importorskip("pandas")
+    monkeypatch.setenv("HF_HOME", str(tmp_path / "cache"))
+    generate_dataset(SHORT, 60, 1, tmp_path / "set")
+    ours = load(tmp_path / "set", "test")
+    theirs = huggingface.load_dataset(str(tmp_path / "set"), split="test", cache_dir=str(tmp_path / "cache"))
+    assert np.array_equal(np.array(theirs["current_a"], dtype=np.float32), ours.X[:, 0])
+    assert list(theirs["class_name"]) == ours.class_name.tolist()
+    frame = pandas.read_parquet(tmp_path / "set/data/test-000000.parquet")
+    assert np.array_equal(np.stack(frame["current_a"].to_list()), ours.X[:, 0])
