@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -95,16 +96,14 @@ def power(n_cases: int) -> Iterable[Iterable[str]]:
     )
     for name in ("paper", "bench"):
         recipe = named_recipe(name)
-        healthy = recipe.classes[:1]
-        drawn = [
-            draw(named_recipe(name, classes=healthy), SEED, np.arange(b, b + 2000))
-            for b in range(0, n_cases, 2000)
-        ]
-        for fault in faults:
-            test = MatchedTest.of(recipe, fault)
-            statistic = np.concatenate(
-                [test.statistic(simulate(part.scenario, SEED, part.cases).measurements) for part in drawn]
-            )
+        sound = replace(recipe, classes=recipe.classes[:1])
+        tests = [MatchedTest.of(recipe, fault) for fault in faults]
+        chunks = []
+        for begin in range(0, n_cases, 2000):
+            part = draw(sound, SEED, np.arange(begin, min(begin + 2000, n_cases)))
+            measured = simulate(part.scenario, SEED, part.cases).measurements
+            chunks.append([test.statistic(measured) for test in tests])
+        for fault, test, statistic in zip(faults, tests, np.concatenate(chunks, axis=1), strict=True):
             for two_sided in (False, True):
                 size = np.abs(statistic) if two_sided else statistic
                 alarms = (size > test.threshold_for(0.01, two_sided=two_sided)).mean()
@@ -134,7 +133,7 @@ def main() -> None:
     table(
         "Severity",
         ("kind", "rate", "noise", "expected", "measured", "coverage"),
-        severity(max(n_cases // 4, 100)),
+        severity(max(n_cases // 10, 100)),
     )
     table("Matched tests", ("recipe", "fault", "sides", "false alarms", "power"), power(n_cases))
 
