@@ -1,6 +1,6 @@
 """Score the baselines of Monitor-v0: thresholds tuned on one seed, scores from another.
 
-    python examples/baselines.py --recipe medium --episodes 2000 --out out/baselines.json
+python examples/baselines.py --recipe medium --episodes 2000 --out out/baselines.json
 """
 
 import argparse

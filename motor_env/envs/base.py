@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 
 from motor_env.envs import kernel
 from motor_env.envs.options import MonitorOptions
-from motor_env.envs.setup import Setup, draw_episodes, make_setup
+from motor_env.envs.rendering import Scope, Window
+from motor_env.envs.setup import Episodes, Setup, draw_episodes, make_setup, whole_bank
+from motor_env.model import State
 from motor_env.parameters import require
 
 ActType = TypeVar("ActType")
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
-RENDER_MODES: tuple[str, ...] = ()
+AHEAD = 16
+RENDER_MODES = ("rgb_array", "human")
 
 
 def observation_space(setup: Setup) -> spaces.Space[Observation]:
@@ -35,7 +38,7 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
     def __init__(self, options: MonitorOptions, render_mode: str | None) -> None:
         require(
             render_mode is None or render_mode in RENDER_MODES,
-            f"render_mode must be one of None {' '.join(RENDER_MODES)}, got {render_mode!r}",
+            f"render_mode must be None or one of {', '.join(RENDER_MODES)}, got {render_mode!r}",
         )
         self.render_mode = render_mode
         self.options = options
@@ -45,10 +48,14 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         self._seed: int | None = None
         self._index = 0
         self._episode = 0
+        self._drawn: Episodes | None = None
         self._truth: Info = {}
         self._onset = kernel.NEVER
         self._offsets_v: list[float] = self.setup.offsets_v.tolist()
         self._declarations: list[int] = self.setup.declarations.astype(int).tolist()
+        self._scope = Scope(self.setup) if render_mode is not None else None
+        self._window: Any = None
+        self._bank = self.setup.bank if render_mode is None else whole_bank(self.setup)
         self._over = True
         self._samples = options.samples_per_step
 
@@ -72,29 +79,39 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         if seed is not None or self._seed is None:
             self._seed = seed if seed is not None else int(self.np_random.integers(2**63))
             self._index, self._episode = int(index or 0), 0
+            self._drawn = None
         else:
             self._episode += 1
         return self._begin()
 
     def _begin(self) -> tuple[Observation, Info]:
-        assert self._seed is not None  # noqa: S101  # set by reset
-        drawn = draw_episodes(self.setup, self._seed, np.array([self._index]), np.array([self._episode]))
-        which, onset = int(drawn.class_index[0]), float(drawn.heads[0, kernel.HEAD_ONSET])
+        setup, place = self.setup, self._episode % AHEAD
+        if self._drawn is None or place == 0:
+            self._drawn = self._draw_ahead()
+        drawn = self._drawn
+        which, onset = int(drawn.class_index[place]), float(drawn.heads[place, kernel.HEAD_ONSET])
         self._onset = onset
         self._truth = {
-            "label": self.setup.labels[which],
-            "severity": self.setup.severities[which],
+            "label": setup.labels[which],
+            "severity": setup.severities[which],
             "class_index": which,
             "onset_sample": int(onset) if onset < kernel.NEVER else -1,
         }
-        self._table, self._key = drawn.tables[0], drawn.keys[0]
-        kernel.begin_episode(self._state, 0, drawn.heads[0], self._table, self._key, self.setup.constants)
+        self._table, self._key = drawn.tables[place], drawn.keys[place]
+        kernel.begin_episode(self._state, 0, drawn.heads[place], self._table, self._key, self.setup.constants)
         observation = np.empty(len(self.setup.chosen), dtype=np.float32)
-        kernel.observe_lane(
-            self._state, 0, self.setup.chosen, self.setup.view, observation
-        )
+        kernel.observe_lane(self._state, 0, self.setup.chosen, self.setup.view, observation)
         self._over = False
+        if self._scope is not None:
+            self._scope.clear()
+            self._show()
         return observation, self._info()
+
+    def _draw_ahead(self) -> Episodes:
+        """Draw some episodes of the stream at once: one costs as much as many."""
+        assert self._seed is not None  # noqa: S101  # set by reset
+        episodes = self._episode - self._episode % AHEAD + np.arange(AHEAD)
+        return draw_episodes(self.setup, self._seed, np.full(AHEAD, self._index), episodes)
 
     def _advance(self, offset_v: float, declared: int) -> tuple[Observation, float, bool, bool, Info]:
         if self._over:
@@ -106,7 +123,7 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
             self._table,
             self._key,
             setup.constants,
-            setup.bank,
+            self._bank,
             setup.view,
             setup.chosen,
             observation,
@@ -114,7 +131,54 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
             declared,
             self._samples,
         )
+        if self._scope is not None:
+            self._show()
+            if declared > 0:
+                self._scope.verdict = f"{setup.kinds[declared - 1]} declared"
         return observation, reward, self._over, False, self._info()
+
+    def _show(self) -> None:
+        """Let the scope see the sample; in a window, draw it."""
+        scope = self._scope
+        assert scope is not None  # noqa: S101  # the caller looked
+        state, rest = self._state[:: kernel.LANES].tolist(), self.setup.rest
+        scope.add(
+            state[kernel.MEASURED_CURRENT] + rest[State.CURRENT],
+            state[kernel.ESTIMATED_CURRENT] + rest[State.CURRENT],
+            state[kernel.ESTIMATED_SPEED] + rest[State.SPEED],
+            state[kernel.VOLTAGE] + float(self.options.task.supply.voltage_v),
+            state[kernel.WHITE_CURRENT] / self._samples**0.5,
+            *state[kernel.BANK + 2 :: kernel.BANK_LENGTH],
+        )
+        if self._onset < kernel.NEVER:
+            scope.onset_step = int(self._onset) // self._samples
+        if self.render_mode == "human" and scope.step % scope.per_column == 0:
+            self.render()
+
+    def render(self) -> Any:
+        """The screen as an array of shape (height, width, 3), or None where it went to the window.
+
+        Raises:
+            DependencyNotInstalled: a window is wanted and pygame is not there.
+        """
+        if self._scope is None:
+            gym.logger.warn(
+                "render() without a render_mode: give gym.make a render_mode, for example rgb_array"
+            )
+            return None
+        frame = self._scope.draw()
+        if self.render_mode == "rgb_array":
+            return frame
+        if self._window is None:
+            self._window = Window(frame.shape[1], frame.shape[0], self.metadata["render_fps"])
+        self._window.show(frame)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
 
     def _info(self) -> Info:
         sample = self._state.item(kernel.SAMPLE * kernel.LANES)

@@ -12,7 +12,6 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from motor_env.envs.options import MonitorOptions, Start
 from motor_env.envs.policies import Actions, Observations, Policy, column
@@ -43,7 +42,12 @@ def signatures(setup: Setup, n_samples: int) -> FloatArray:
 
 @njit(cache=True, error_model="numpy")
 def _update(
-    weights: FloatArray, begun: int, deviation: FloatArray, signature: FloatArray, prior: float, mass: FloatArray
+    weights: FloatArray,
+    begun: int,
+    deviation: FloatArray,
+    signature: FloatArray,
+    prior: float,
+    mass: FloatArray,
 ) -> None:
     """One more sample: weights[lane, class, age] are prior times likelihood ratio; the last age gathers the old ones.
 

@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
-
 from numba.np.unsafe.ndarray import to_fixed_tuple
+from numpy.typing import NDArray
 
 from motor_env.envs.noise import normal_pair
 from motor_env.parameters import FloatArray
@@ -237,7 +236,9 @@ def begin_episode(
 
 
 @njit(cache=True, error_model="numpy")
-def observe_lane(s: FloatArray, j: int, chosen: NDArray[np.int64], view: FloatArray, out: Float32Array) -> None:
+def observe_lane(
+    s: FloatArray, j: int, chosen: NDArray[np.int64], view: FloatArray, out: Float32Array
+) -> None:
     """Write the chosen features of lane j, scaled and clipped."""
     for m in range(chosen.shape[0]):
         feature = chosen[m]

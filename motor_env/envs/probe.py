@@ -17,6 +17,7 @@ from motor_env.envs.vector import DiscreteVectorEnv, MotorVectorEnv
 from motor_env.parameters import require, require_positive
 from motor_env.recipes import Recipe
 
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeOptions(MonitorOptions):
     """The options of `MonitorOptions`, with other defaults, and what the voltage may do and costs.

@@ -195,6 +195,14 @@ def _model_row(options: MonitorOptions, model: DiscreteModel, rest: FloatArray) 
     )
 
 
+def whole_bank(setup: Setup) -> FloatArray:
+    """The bank with a filter for every kind of the recipe, observed or not: what the picture shows."""
+    recipe = setup.options.task
+    known = {f"evidence_{c.kind}" for c in recipe.classes}
+    chosen = [m for m, name in enumerate(kernel.FEATURES) if name in known]
+    return _bank(setup.options, chosen, setup.rest).astype(setup.options.precision)
+
+
 def _drift(
     options: MonitorOptions, model: DiscreteModel, rest: FloatArray, supply: float | FloatArray
 ) -> FloatArray:

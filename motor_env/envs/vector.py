@@ -16,7 +16,7 @@ from motor_env.envs import kernel, vector_kernel
 from motor_env.envs.base import Info, Observation, observation_space
 from motor_env.envs.options import MonitorOptions
 from motor_env.envs.setup import Setup, draw_episodes, make_setup, n_levels, right_declarations
-from motor_env.envs.vector_kernel import BLOCK, BoolArray, IntArray, Now, Outcome, Store
+from motor_env.envs.vector_kernel import BLOCK, DEPTH, BoolArray, IntArray, Now, Outcome, Store
 from motor_env.parameters import FloatArray, require
 
 Step = tuple[Observation, FloatArray, BoolArray, BoolArray, Info]
@@ -74,14 +74,14 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         by_field[:, [kernel.ONSET, kernel.NEXT_CHANGE]] = kernel.NEVER  # lanes that fill the last block
         self._low, self._high = np.zeros((2, lanes), dtype=np.uint64)
         self._store = Store(
-            heads=np.zeros((2, lanes, kernel.HEAD_LENGTH)),
-            tables=np.zeros((2, lanes, levels, kernel.ROW_LENGTH), dtype=precision),
-            keys=np.zeros((2, lanes, 2), dtype=np.uint64),
-            class_index=np.zeros((2, lanes), dtype=np.int64),
+            heads=np.zeros((DEPTH, lanes, kernel.HEAD_LENGTH)),
+            tables=np.zeros((DEPTH, lanes, levels, kernel.ROW_LENGTH), dtype=precision),
+            keys=np.zeros((DEPTH, lanes, 2), dtype=np.uint64),
+            class_index=np.zeros((DEPTH, lanes), dtype=np.int64),
         )
         self._now = Now(
             slot=np.zeros(lanes, dtype=np.int64),
-            ready=np.ones(lanes, dtype=np.bool_),
+            ready=np.zeros(lanes, dtype=np.int64),
             over=np.zeros(lanes, dtype=np.bool_),
             class_index=np.zeros(lanes, dtype=np.int64),
             onset=np.zeros(lanes, dtype=np.int64),
@@ -111,7 +111,8 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         require(not chosen, f"reset knows the option reset_mask, got {', '.join(map(repr, chosen))}")
         super().reset(seed=seed if isinstance(seed, int | np.integer) else None)
         self._take_seeds(seed, mask)
-        self._draw()
+        if (self._now.ready[: self.num_envs][mask] == 0).any():
+            self._draw()
         vector_kernel.begin_lanes(
             self._state, mask, self._low, self._high, self.setup.constants, self._store, self._now
         )
@@ -145,31 +146,32 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             indices = everywhere
         else:
             seeds, indices = list(seed), np.zeros(self.num_envs, dtype=np.int64)
-            require(
-                len(seeds) == self.num_envs, f"seed must list {self.num_envs} seeds, got {len(seeds)}"
-            )
+            require(len(seeds) == self.num_envs, f"seed must list {self.num_envs} seeds, got {len(seeds)}")
         for n in everywhere[mask]:
             given = seeds[n]
             if given is not None:
                 self._seeds[n], self._indices[n] = given, indices[n]
-                self._now.episode[n], self._now.ready[n] = -1, False
+                self._now.episode[n], self._now.ready[n] = -1, 0
 
     def _draw(self) -> None:
-        """Draw the next episode of every lane that has none: many at once, which costs little a lane."""
+        """Fill the rings of episodes: many at once, which costs little a lane."""
         assert self._seeds is not None  # noqa: S101  # set by reset
-        missing = np.flatnonzero(~self._now.ready)
-        seeds = self._seeds[missing]
+        now = self._now
+        missing = DEPTH - 1 - now.ready[: self.num_envs]
+        lanes = np.repeat(np.arange(self.num_envs), missing)
+        first = np.repeat(np.cumsum(missing) - missing, missing)
+        ahead = now.ready[lanes] + 1 + np.arange(len(lanes)) - first
+        seeds = self._seeds[lanes]
         for seed in np.unique(seeds):
-            lanes = missing[seeds == seed]
-            drawn = draw_episodes(
-                self.setup, int(seed), self._indices[lanes], self._now.episode[lanes] + 1
-            )
-            free = 1 - self._now.slot[lanes]
-            self._store.heads[free, lanes] = drawn.heads
-            self._store.tables[free, lanes] = drawn.tables
-            self._store.keys[free, lanes] = drawn.keys
-            self._store.class_index[free, lanes] = drawn.class_index
-        self._now.ready[missing] = True
+            chosen = seeds == seed
+            some, offset = lanes[chosen], ahead[chosen]
+            drawn = draw_episodes(self.setup, int(seed), self._indices[some], now.episode[some] + offset)
+            place = (now.slot[some] + offset) % DEPTH
+            self._store.heads[place, some] = drawn.heads
+            self._store.tables[place, some] = drawn.tables
+            self._store.keys[place, some] = drawn.keys
+            self._store.class_index[place, some] = drawn.class_index
+        now.ready[: self.num_envs] = DEPTH - 1
 
     def _lay_actions(self, actions: Any) -> None:
         raise NotImplementedError

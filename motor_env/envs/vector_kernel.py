@@ -17,14 +17,15 @@ from motor_env.envs.kernel import (
     DECLARED,
     DONE,
     F11,
-    HEAD_ONSET,
-    NEVER,
     FIELD_OF_FEATURE,
+    HEAD_ONSET,
     LANES,
     MODEL_LENGTH,
     N_CONSTANTS,
     N_FIELDS,
+    NEVER,
     NEXT_CHANGE,
+    ONE,
     ONSET,
     REWARD,
     SAMPLE,
@@ -32,7 +33,6 @@ from motor_env.envs.kernel import (
     WHITE_CURRENT,
     WHITE_SPEED,
     ZERO,
-    ONE,
     Float32Array,
     KeyArray,
     advance,
@@ -46,19 +46,22 @@ from motor_env.envs.noise import normal, normal_pair
 from motor_env.parameters import FloatArray
 
 BLOCK = N_FIELDS * LANES
+DEPTH = 4
 DECLARE_ABOVE = 0.5
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 
 class Store(NamedTuple):
-    """Two episodes a lane: the one that runs, and the next one where it has been drawn.
+    """A ring of `DEPTH` episodes a lane: the one that runs, and the next ones as far as they have been drawn.
+
+    Several, so that many episodes are drawn at once: drawing one costs as much as drawing a hundred.
 
     Attributes:
-        heads: shape (2, lanes, HEAD_LENGTH).
-        tables: shape (2, lanes, levels + 1, ROW_LENGTH).
-        keys: shape (2, lanes, 2).
-        class_index: shape (2, lanes).
+        heads: shape (DEPTH, lanes, HEAD_LENGTH).
+        tables: shape (DEPTH, lanes, levels + 1, ROW_LENGTH).
+        keys: shape (DEPTH, lanes, 2).
+        class_index: shape (DEPTH, lanes).
     """
 
     heads: FloatArray
@@ -71,8 +74,8 @@ class Now(NamedTuple):
     """Where each lane stands.
 
     Attributes:
-        slot: which of its two episodes runs.
-        ready: whether the other one has been drawn.
+        slot: which episode of its ring runs.
+        ready: how many after it have been drawn.
         over: whether its episode is over.
         class_index: class of the running episode.
         onset: its onset in samples, -1 without a fault.
@@ -80,7 +83,7 @@ class Now(NamedTuple):
     """
 
     slot: IntArray
-    ready: BoolArray
+    ready: IntArray
     over: BoolArray
     class_index: IntArray
     onset: IntArray
@@ -183,9 +186,9 @@ def begin_lane(
     state: FloatArray, n: int, low: KeyArray, high: KeyArray, constants: FloatArray, store: Store, now: Now
 ) -> None:
     """Let lane n begin the episode that has been drawn for it."""
-    which = 1 - now.slot[n]
+    which = (now.slot[n] + 1) % DEPTH
     now.slot[n] = which
-    now.ready[n] = False
+    now.ready[n] -= 1
     head, key = store.heads[which, n], store.keys[which, n]
     s = state[(n // LANES) * BLOCK : (n // LANES + 1) * BLOCK]
     begin_episode(s, n % LANES, head, store.tables[which, n], key, constants)
@@ -297,9 +300,13 @@ def step_vector(
                     begin_lane(state, n, low, high, constants, store, now)
         _observe_block(s, chosen, view, out.observation, first, last)
         _finish_block(
-            s, out.reward[first:last], out.terminated[first:last], out.active[first:last], now.over[first:last]
+            s,
+            out.reward[first:last],
+            out.terminated[first:last],
+            out.active[first:last],
+            now.over[first:last],
         )
     for n in range(n_lanes):
         n_over += now.over[n]
-        n_unready += now.over[n] and not now.ready[n]
+        n_unready += now.over[n] and now.ready[n] == 0
     return n_over, n_unready
