@@ -311,7 +311,7 @@ def degradation(time: ArrayLike, estimate: ArrayLike, standard_error: ArrayLike,
 def _grid(times: FloatArray, typical_error: float, distance: float) -> _Grid:
     """All combinations of onset, diffusion and scatter, with their prior: independent.
 
-    Onsets are equally likely; the drift is nearly flat; diffusion and scatter are half-Cauchy (Gelman 2006).
+    Onsets are equally likely; the drift is Gaussian about 0; diffusion and scatter are half-Cauchy (Gelman 2006).
     """
     n_onsets = min(len(times) - 1, _MOST_ONSETS)
     onsets = np.unique(np.linspace(0.0, len(times) - 2.0, n_onsets).round())
