@@ -31,7 +31,7 @@ def _ticks(low: float, high: float, about: int = 5) -> FloatArray:
         if span / (step * factor) <= about:
             step *= factor
             break
-    return np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step
+    return np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step + 0.0  # no -0
 
 
 def interval_chart(bars: Sequence[Bar], limit: float, limit_label: str) -> str:

@@ -79,7 +79,8 @@ def resampling_weights(n_cases: int, random_state: int, n_resamples: int = N_RES
 
 
 def _ratio(part: FloatArray, whole: FloatArray) -> FloatArray:
-    return np.divide(part, whole, out=np.full(np.shape(part), np.nan), where=whole > 0.0)
+    ratio: FloatArray = np.divide(part, whole, out=np.full(np.shape(part), np.nan), where=whole > 0.0)
+    return ratio
 
 
 def _interval(values: FloatArray) -> Score:

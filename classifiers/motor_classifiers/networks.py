@@ -43,9 +43,15 @@ def perceptron(n_in: int, n_hidden: int, n_layers: int, n_out: int) -> nn.Sequen
     sizes = [n_in, *[n_hidden] * n_layers]
     layers: list[nn.Module] = []
     for before, after in pairwise(sizes):
-        layers += [nn.utils.skip_init(nn.Linear, before, after, dtype=torch.float64), nn.SiLU()]
-    layers.append(nn.utils.skip_init(nn.Linear, sizes[-1], n_out, dtype=torch.float64))
+        layers += [_unset_linear(before, after), nn.SiLU()]
+    layers.append(_unset_linear(sizes[-1], n_out))
     return nn.Sequential(*layers)
+
+
+def _unset_linear(n_in: int, n_out: int) -> nn.Module:
+    """A layer that takes no number from torch's global generator."""
+    layer: nn.Module = nn.utils.skip_init(nn.Linear, n_in, n_out, dtype=torch.float64)  # type: ignore[no-untyped-call]  # torch leaves it untyped
+    return layer
 
 
 def initialise(network: nn.Module, generator: torch.Generator) -> None:
@@ -76,7 +82,7 @@ def train(
     network.train()
     for _ in range(epochs):
         order = torch.randperm(len(inputs), generator=generator)
-        for batch in order.split(batch_size):
+        for batch in torch.split(order, batch_size):
             optimiser.zero_grad()
             loss = nn.functional.cross_entropy(network(inputs[batch]), labels[batch])
             loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped

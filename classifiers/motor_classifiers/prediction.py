@@ -24,7 +24,11 @@ UNDECIDED = "unusable"
 LEAST_PROBABILITY = 0.5
 """Of the decided verdict; below it the opinion is undecided."""
 
-_SHIFTS = np.arange(-3.0, 3.25, 0.25)  # in samples, around the first guess of the onset
+_WHOLE_SHIFTS = np.arange(-4.0, 5.0)
+_FINE_SHIFTS = np.arange(-3.0, 3.02, 0.05)
+_COARSEST_TO_INTERPOLATE = (
+    0.25  # of the model's sampling interval: the rise of a start is too quick for coarser lines
+)
 _LARGEST_MISFIT = (
     5.0  # standard deviations of chi2 beyond which the start is not of a motor that the model knows
 )
@@ -132,7 +136,9 @@ def aligned_case(recording: Recording, recipe: Recipe) -> FloatArray:
     """
     start = align(recording)
     _check_comparable(recording, recipe, start)
-    shifted = np.stack([_resampled(recording, recipe, start, shift) for shift in _SHIFTS])
+    same_rate = abs(recording.dt_s / recipe.timing.dt_s - 1.0) < 1e-3
+    shifts = _WHOLE_SHIFTS if same_rate else _FINE_SHIFTS
+    shifted = np.stack([_resampled(recording, recipe, start, shift) for shift in shifts])
     features = physical_features(
         shifted,
         nominal_voltage(recipe),
@@ -158,9 +164,11 @@ def _check_comparable(recording: Recording, recipe: Recipe, start: Alignment) ->
     timing = recipe.timing
     if Channel.SPEED in recipe.sensor.channels and recording.speed_rad_s is None:
         raise UnusableError("the model wants the speed, which was not recorded")
-    if recording.dt_s > 1.5 * timing.dt_s:
+    ratio = recording.dt_s / timing.dt_s
+    if abs(ratio - 1.0) >= 1e-3 and ratio > _COARSEST_TO_INTERPOLATE:
         raise UnusableError(
-            f"sampled at {1.0 / recording.dt_s:.4g} Hz, the model wants {timing.sampling_rate_hz:g} Hz"
+            f"sampled at {1.0 / recording.dt_s:.4g} Hz, "
+            f"the model wants {timing.sampling_rate_hz:g} Hz, or four times that and more"
         )
     left = float(recording.time_s[-1]) - start.onset_s
     if left < timing.duration_s - 0.5 * timing.dt_s:
@@ -174,7 +182,8 @@ def _check_comparable(recording: Recording, recipe: Recipe, start: Alignment) ->
 
 def _resampled(recording: Recording, recipe: Recipe, start: Alignment, shift: float) -> FloatArray:
     """Channels of the recipe on its time axis, the onset moved by `shift` of its samples."""
-    at = start.onset_s + shift * recipe.timing.dt_s + recipe.timing.time_s
+    onset_s = recording.time_s[start.onset_index]  # on the grid: equal rates need no interpolation
+    at = onset_s + shift * recipe.timing.dt_s + recipe.timing.time_s
     columns = {Channel.CURRENT: start.sign * (recording.current_a - start.offset_a)}
     if recording.speed_rad_s is not None:
         columns[Channel.SPEED] = start.sign * recording.speed_rad_s

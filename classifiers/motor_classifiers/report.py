@@ -155,7 +155,7 @@ def _examples(result: BenchmarkResult, best: MethodResult) -> list[dict[str, Any
                 "level": trace_chart(
                     [
                         Trace("measured", time_ms, 1e3 * running_mean(cases[row, column], _SMOOTH)),
-                        Trace("nominal", time_ms, 1e3 * nominal),
+                        Trace("nominal", time_ms, 1e3 * running_mean(nominal, _SMOOTH)),
                     ],
                     "mA",
                     span=(0.0, 80.0),

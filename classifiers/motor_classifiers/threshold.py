@@ -45,7 +45,9 @@ class ConfirmationClassifier(ClassifierMixin, BaseEstimator):
         flat, labels = labelled_cases(self, X, y)
         if self.recipe is None:
             healthy = self.classes_.tolist().index(HEALTHY) if HEALTHY in self.classes_ else 0
-            self.templates_ = np.stack([flat[labels == n].mean(axis=0) for n in range(len(self.classes_))])
+            self.templates_: FloatArray | None = np.stack(
+                [flat[labels == n].mean(axis=0) for n in range(len(self.classes_))]
+            )
             self.rule_ = ThresholdConfirmation.tune_on_residuals(
                 self._from_templates(flat), labels, healthy, false_alarm_rate=self.false_alarm_rate
             )
@@ -82,8 +84,9 @@ class ConfirmationClassifier(ClassifierMixin, BaseEstimator):
         top = graded[rows, largest].copy()
         graded[rows, largest] = graded[rows, result.class_index]
         graded[rows, result.class_index] = top
-        probabilities: FloatArray = graded[:, columns]
-        return probabilities / probabilities.sum(axis=1, keepdims=True)
+        chosen = graded[:, columns]
+        probabilities: FloatArray = chosen / chosen.sum(axis=1, keepdims=True)
+        return probabilities
 
     def predict(self, X: Any) -> NDArray[Any]:
         """The rule's decision, shape (n_cases,)."""
@@ -92,7 +95,8 @@ class ConfirmationClassifier(ClassifierMixin, BaseEstimator):
         return decided
 
     def _from_templates(self, flat: FloatArray) -> FloatArray:
-        return (flat - self.templates_[:, None])[..., None]
+        residual: FloatArray = (flat - np.asarray(self.templates_)[:, None])[..., None]
+        return residual
 
     def _recipe_index(self) -> NDArray[np.int64]:
         names = list(self.recipe.class_names) if self.recipe is not None else []

@@ -1,4 +1,7 @@
-"""scikit-learn's own checks over every estimator, and what all of them must do with transients."""
+"""scikit-learn's own checks over every estimator, and what all of them must do with transients.
+
+Skipped: check_array_api_input, for which scikit-learn wants SCIPY_ARRAY_API set; our estimators take NumPy arrays only.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -21,7 +24,7 @@ ESTIMATORS = [
 
 
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
-@parametrize_with_checks(ESTIMATORS)
+@parametrize_with_checks(ESTIMATORS)  # type: ignore[untyped-decorator]  # scikit-learn has no types
 def test_scikit_learn_checks(estimator: BaseEstimator, check: Callable[[Any], None]) -> None:
     check(estimator)
 
