@@ -110,10 +110,11 @@ def _unscented(
     a, b = _models(motor, names, flat[:, 2:], dt_s)
     ahead = flat.copy()
     ahead[:, :2] = np.einsum("nij,nj->ni", a, flat[:, :2]) + b * voltage
-    ahead = ahead.reshape(points.shape)
-    centre = ahead.mean(axis=1)
-    off = ahead - centre[:, None]
-    return centre, np.einsum("npi,npj->nij", off, off) / (2 * size)
+    moved: FloatArray = ahead.reshape(points.shape)
+    centre: FloatArray = moved.mean(axis=1)
+    off = moved - centre[:, None]
+    spread: FloatArray = np.einsum("npi,npj->nij", off, off) / (2 * size)
+    return centre, spread
 
 
 def joint_filter(
