@@ -11,7 +11,9 @@ from motor_env.parameters import FloatArray
 from motor_env.recordings import Recording
 
 _FEW = 5
+_FEWEST_FOR_RIPPLE = 64
 _CROSSING_SHARE = 0.08
+_QUANTISED_SHARE = 0.005
 _NOISE_MULTIPLE = 6.0
 _MAD_TO_STD = 1.4826
 
@@ -31,8 +33,8 @@ class Alignment:
         sign: +1, or -1 where the current goes negative (it is turned round for the fit).
         offset_a: mean current of the quiet part; 0 without one.
         noise_a: standard deviation of a current sample, from its differences.
-        level_v: voltage after the step, for a supply that was recorded or given.
-        voltage_is_measured: the voltage column holds a measured curve, not a command.
+        quantum_a: smallest step of the current.
+        rectified: the sensor shows no current below 0.
         defects: what is wrong with the recording, in words.
     """
 
@@ -42,6 +44,8 @@ class Alignment:
     sign: float
     offset_a: float
     noise_a: float
+    quantum_a: float = 0.0
+    rectified: bool = False
     defects: tuple[str, ...] = ()
 
 
@@ -99,6 +103,12 @@ def align(recording: Recording) -> Alignment:
         quiet, base, sigma = quiet[:0], 0.0, 0.0
     steps = np.abs(np.diff(current))
     quantum = float(steps[steps > 0.0].min()) if (steps > 0.0).any() else span
+    rectified = onset > 0 and not np.any(current < 0.0) and float(np.mean(current[:onset] == 0.0)) > 0.2
+    # The noise that is seen where none is thrown away: a current that leaves 0 for good is never rectified.
+    rectified = rectified and quantum < 0.02 * span
+    if rectified:
+        # Half of a rectified normal number's second moment is left; its mean is no offset.
+        base, sigma = 0.0, float(np.sqrt(2.0 * np.mean(current[: max(onset - 2, 1)] ** 2)))
     return Alignment(
         onset_index=onset,
         onset_s=float(recording.time_s[onset]) - 0.5 * recording.dt_s,
@@ -106,15 +116,20 @@ def align(recording: Recording) -> Alignment:
         sign=sign,
         offset_a=base,
         noise_a=max(
-            sigma if sigma > 0.0 else noise, quantum / np.sqrt(12.0) if quantum > 0.002 * span else 0.0
+            sigma if sigma > 0.0 else noise, quantum / math.sqrt(12.0) if quantum > 0.002 * span else 0.0
         ),
-        defects=_defects(recording, onset, quantum),
+        quantum_a=quantum if quantum > _QUANTISED_SHARE * span else 0.0,
+        rectified=rectified,
+        defects=(
+            *_defects(current, quantum),
+            *(["rectification: no current lies below 0"] if rectified else []),
+        ),
     )
 
 
-def _defects(recording: Recording, onset: int, quantum: float) -> tuple[str, ...]:
-    """Saturation, rectification and quantisation, in words."""
-    current, found = recording.current_a, []
+def _defects(current: FloatArray, quantum: float) -> tuple[str, ...]:
+    """Saturation and quantisation, in words."""
+    found = []
     span = float(np.ptp(current))
     top = float(np.max(np.abs(current)))
     at_top = np.abs(np.abs(current) - top) <= 1e-9 * top
@@ -126,8 +141,26 @@ def _defects(recording: Recording, onset: int, quantum: float) -> tuple[str, ...
         beyond = np.abs(current[[max(first - run // 2, 0), min(first + run + run // 2, len(current) - 1)]])
         if top - beyond.min() > 6.0 * quantum:
             found.append(f"saturation: {run} samples in a row stand at {top:.4g} A")
-    if quantum > 0.005 * span:
+    if quantum > _QUANTISED_SHARE * span:
         found.append(f"quantisation: the current moves in steps of {quantum:.3g} A")
-    if onset > 0 and not np.any(current < 0.0) and np.mean(current == 0.0) > 0.01 and quantum < 0.02 * span:
-        found.append("rectification: no current lies below 0")
     return tuple(found)
+
+
+def ripple(residual: FloatArray, dt_s: float) -> tuple[float, float] | None:
+    """Frequency and amplitude of a line that stands out of the upper spectrum of a residual: a converter's PWM.
+
+    A line is called so where it holds more than a third of the power above an eighth of the sampling rate. Aliased
+    lines keep their power and lose their true frequency.
+    """
+    n = len(residual)
+    if n < _FEWEST_FOR_RIPPLE:
+        return None
+    window = np.hanning(n)
+    power = np.abs(np.fft.rfft((residual - residual.mean()) * window)) ** 2
+    power[: n // 8] = 0.0
+    peak = int(np.argmax(power))
+    line = float(power[max(peak - 2, 0) : peak + 3].sum())
+    if line < power.sum() / 3.0:
+        return None
+    amplitude = 2.0 * math.sqrt(float(power[peak])) / float(window.sum())
+    return peak / (n * dt_s), amplitude

@@ -152,7 +152,7 @@ def identified_text(path: Path, recording: Recording, fit: Identified) -> str:
     lines.append(
         f"  R2 of the current {fit.r2_current:.4f}{speed}; residual's autocorrelation at one sample {fit.lag_one:.2f}"
     )
-    lines += [f"  noticed: {defect}" for defect in fit.start.alignment.defects]
+    lines += [f"  noticed: {defect}" for defect in fit.defects]
     lines += [f"  note: {sentence}" for sentence in not_told(fit)]
     return "\n".join(lines)
 
@@ -178,7 +178,7 @@ def identified_json(path: Path, recording: Recording, fit: Identified) -> dict[s
         "onset_s": fit.onset_s,
         "offset_a": fit.offset_a,
         "columns": list(recording.columns),
-        "defects": list(fit.start.alignment.defects),
+        "defects": list(fit.defects),
         "not_told": not_told(fit),
     }
 
@@ -190,10 +190,11 @@ def commissioned_text(result: Commissioned, rate: float) -> str:
         return ""
     freedom = reference.degrees_of_freedom
     half = float(stats.t.isf(rate / 2.0, freedom)) * np.sqrt(np.diag(reference.log_covariance))
-    lines = [
-        f"{reference.starts} healthy starts, model {' + '.join(['textbook', *reference.model])};"
-        f" prediction interval of the next healthy start ({1.0 - rate:.0%}, Student t with {freedom:.0f} degrees)"
-    ]
+    model = " + ".join(["textbook", *reference.model])
+    interval = (
+        f"prediction interval of the next healthy start ({1.0 - rate:.0%}, Student t, {freedom:.0f} degrees)"
+    )
+    lines = [f"{reference.starts} healthy starts, model {model}; {interval}"]
     for name, value, h in zip(reference.quantities, reference.values, half, strict=True):
         lines.append(
             f"  {name:<11} {value:11.4g} {UNITS[name]:<12} {math.exp(-h) - 1.0:+.1%} to {math.exp(h) - 1.0:+.1%}"

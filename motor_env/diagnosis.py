@@ -418,7 +418,7 @@ def _decide(
     candidates = _candidates(difference, inverse, exponents)
     omnibus = _fisher(float(difference @ inverse @ difference), n, freedom)
     noise_z = 0.0
-    if reference.log_noise is not None:
+    if reference.log_noise is not None and not _noise_is_hidden(fit, reference):
         noise_z = (math.log(max(fit.noise_a, 1e-12)) - reference.log_noise) / reference.log_noise_sd
     changes = _changes(fit.quantity_names, difference, covariance, freedom, limit)
     probability = _posterior(difference, covariance, exponents, freedom)
@@ -474,6 +474,18 @@ def _called(base: Diagnosis, best: _Candidate, quantile: float, probability: dic
         confidence=sum(probability[kind] for kind, word in _VERDICT_OF.items() if word is verdict),
         fault_kind=best.kind,
     )
+
+
+def _noise_is_hidden(fit: Identified, reference: Reference) -> bool:
+    """Coarse steps, a rectifier and a converter's ripple change the noise that is seen: it tells nothing then.
+
+    Healthy starts were recorded with the same sensor, and hold the same.
+    """
+    if reference.includes_fit_error:
+        return False
+    alignment = fit.start.alignment
+    coarse = alignment.quantum_a > math.exp(reference.log_noise or 0.0)
+    return coarse or alignment.rectified or any(defect.startswith("PWM") for defect in fit.defects)
 
 
 def _fisher(squared: float, n: int, freedom: float) -> float:

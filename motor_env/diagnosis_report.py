@@ -66,7 +66,7 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "sensor_noise_a": None if check is None else _number(check.sensor_noise_a),
         "model_error_a": None if check is None else _number(check.model_error_a),
         "columns": list(diagnosis.recording.columns),
-        "defects": [] if fit is None else list(fit.start.alignment.defects),
+        "defects": [] if fit is None else list(fit.defects),
     }
 
 
@@ -119,7 +119,7 @@ def as_text(diagnosis: Diagnosis) -> str:
         lines.append(
             f"  fit: R2 of the current {fit.r2_current:.4f}{speed}; model {' + '.join(['textbook', *fit.model])}"
         )
-        lines += [f"  noticed: {defect}" for defect in fit.start.alignment.defects]
+        lines += [f"  noticed: {defect}" for defect in fit.defects]
     if check is not None:
         lines.append(
             f"  filter: sensor noise {check.sensor_noise_a:.3g} A, model error {check.model_error_a:.3g} A,"

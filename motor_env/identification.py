@@ -14,9 +14,10 @@ from itertools import product
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import fftconvolve
+from scipy.special import ndtr
 
 from motor_env import quantities
-from motor_env.alignment import Alignment, UnusableError, align, difference_noise
+from motor_env.alignment import Alignment, UnusableError, align, difference_noise, ripple
 from motor_env.motion import Extension, driven, step_start
 from motor_env.parameters import FloatArray, MotorParameters
 from motor_env.recordings import Recording
@@ -109,6 +110,22 @@ class Identified:
     lag_one: float
     fitted_extension: dict[str, tuple[float, float]]
     unknowns: FloatArray
+
+    @property
+    def defects(self) -> tuple[str, ...]:
+        """What is wrong with the recording, and what of the model it shows, in words."""
+        found = list(self.start.alignment.defects)
+        line = ripple(self.residual_a[self.start.alignment.onset_index :], self.start.dt_s)
+        if line is not None:
+            found.append(f"PWM ripple of {line[1]:.3g} A at {line[0]:.4g} Hz (or an alias of it)")
+        if "supply_ramp" in self.fitted_extension:
+            found.append(f"supply ramp: it rises in {1e3 * self.fitted_extension['supply_ramp'][0]:.3g} ms")
+        found += [
+            f"{name.replace('_', ' ')} of {1e3 * self.fitted_extension[name][0]:.3g} ms"
+            for name in ("sensor_lag", "speed_lag")
+            if name in self.fitted_extension
+        ]
+        return tuple(found)
 
     @property
     def residual_a(self) -> FloatArray:
@@ -344,7 +361,10 @@ class _Problem:
             states = step_start(parameters, extension, start.time_s, onset, start.level_v)
         else:
             states = driven(parameters, extension, start.voltage_v, start.dt_s, from_rest=start.from_rest)
-        states[:, 0] += offset
+        if start.alignment.rectified:
+            states[:, 0] = _rectified_mean(states[:, 0], start.alignment.noise_a)
+        else:
+            states[:, 0] += offset
         return states
 
     def residuals(self, unknowns: FloatArray) -> FloatArray:
@@ -408,6 +428,15 @@ class _Problem:
             fitted_extension=extras,
             unknowns=unknowns,
         )
+
+
+def _rectified_mean(current: FloatArray, noise_a: float) -> FloatArray:
+    """Mean of max(i + noise, 0): what a sensor shows that cannot go below 0."""
+    if noise_a <= 0.0:
+        return np.maximum(current, 0.0)
+    z = np.clip(current / noise_a, -40.0, 40.0)
+    mean: FloatArray = current * ndtr(z) + noise_a * np.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi)
+    return mean
 
 
 def _r2(measured: FloatArray, left: FloatArray) -> float:

@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -252,7 +252,7 @@ def _mat(path: Path, content: bytes) -> dict[str, Any]:
     from scipy.io import loadmat
 
     try:
-        variables = loadmat(io.BytesIO(content), simplify_cells=True)
+        variables = loadmat(cast("Any", io.BytesIO(content)), simplify_cells=True)
     except Exception as error:  # noqa: BLE001  # a damaged file makes scipy raise anything, struct.error to MemoryError
         reason = "it is of version 7.3; save it with -v7" if content[:19] == b"MATLAB 7.3 MAT-file" else error
         raise InputError(f"{path}: is not a MATLAB file that can be read ({_short(reason)})") from None
