@@ -31,7 +31,10 @@ def _ticks(low: float, high: float, about: int = 5) -> FloatArray:
         if span / (step * factor) <= about:
             step *= factor
             break
-    return np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step + 0.0  # no -0
+    ticks: FloatArray = (
+        np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step + 0.0
+    )  # no -0
+    return ticks
 
 
 def interval_chart(bars: Sequence[Bar], limit: float, limit_label: str) -> str:
@@ -148,7 +151,7 @@ def reliability_chart(confidence: FloatArray, right: FloatArray, n_bins: int = 1
         inner = size - left - 8
         return left + inner * p, 8 + (size - bottom - 8) * (1.0 - q)
 
-    low = max(0.0, np.floor(10.0 * min(confidence.min(), 0.9)) / 10.0)
+    low = max(0.0, float(np.floor(10.0 * min(float(confidence.min()), 0.9))) / 10.0)
 
     def scale(value: float) -> float:
         return (value - low) / (1.0 - low)
