@@ -80,7 +80,7 @@ def test_verdicts_against_the_data_sheet(
     channels: tuple[str, ...], fault: Fault | None, verdict: Verdict
 ) -> None:
     faults = () if fault is None else (fault,)
-    assert verdicts(captures(3, *faults, channels=channels)) == [verdict] * 3
+    assert verdicts(captures(2, *faults, channels=channels)) == [verdict] * 2
 
 
 def test_a_weak_magnet_is_other_and_names_the_direction() -> None:
@@ -94,9 +94,9 @@ def test_a_weak_magnet_is_other_and_names_the_direction() -> None:
 
 
 def test_severity_interval_holds_the_truth() -> None:
-    found = [diagnose(r, MOTOR) for r in captures(8, Fault(FaultKind.WINDING_CONTACT, 0.40))]
+    found = [diagnose(r, MOTOR) for r in captures(6, Fault(FaultKind.WINDING_CONTACT, 0.40))]
     inside = [(d.severity_low or 0.0) <= 0.40 <= (d.severity_high or 0.0) for d in found]
-    assert sum(inside) >= 7
+    assert sum(inside) >= 5
     assert np.mean([d.severity or 0.0 for d in found]) == pytest.approx(0.40, abs=0.03)
 
 
