@@ -32,9 +32,7 @@ TREND_PROBABILITY = 0.95
 
 _DIFFUSIONS = np.geomspace(0.004, 2.5, 12)  # in units of distance to the limit / sqrt(time observed)
 _DIFFUSION_SCALE = 0.3  # of the half-Cauchy prior, in the same units
-_DRIFT_SCALE = (
-    4.0  # prior standard deviation of the drift, in units of distance to the limit / time since the onset
-)
+_DRIFT_SCALE = 0.7  # prior standard deviation of the drift, in distances to the limit / time since the onset
 _SCATTERS = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])  # in units of the typical standard error
 _MOST_ONSETS = 20
 _PRIOR_STEADY = 0.5

@@ -154,7 +154,7 @@ class _Axes:
         return _LEFT + share * (_WIDTH - _LEFT - _RIGHT)
 
     def y(self, value: float) -> float:
-        share = float(np.clip((value - self.low) / (self.high - self.low), 0.0, 1.0))
+        share = (value - self.low) / (self.high - self.low)
         return _HEIGHT - _BOTTOM - share * (_HEIGHT - _TOP - _BOTTOM)
 
     def frame(self, unit: str, start: object) -> str:
@@ -190,9 +190,11 @@ def _fan(axes: _Axes, time: FloatArray, mean: FloatArray, half: FloatArray) -> s
     upper = [f"{axes.x(t):.1f},{axes.y(m + h):.1f}" for t, m, h in zip(time, mean, half, strict=True)]
     lower = [f"{axes.x(t):.1f},{axes.y(m - h):.1f}" for t, m, h in zip(time, mean, half, strict=True)]
     line = " ".join(f"{axes.x(t):.1f},{axes.y(m):.1f}" for t, m in zip(time, mean, strict=True))
+    plot = f'x="{_LEFT}" y="{_TOP}" width="{_WIDTH - _LEFT - _RIGHT}" height="{_HEIGHT - _TOP - _BOTTOM}"'
     return (
+        f'<clipPath id="plot"><rect {plot}/></clipPath><g clip-path="url(#plot)">'
         f'<polygon points="{" ".join(upper + lower[::-1])}" fill="var(--fan)" fill-opacity=".18"/>'
-        f'<polyline points="{line}" fill="none" stroke="var(--fan)" stroke-width="2"/>'
+        f'<polyline points="{line}" fill="none" stroke="var(--fan)" stroke-width="2"/></g>'
     )
 
 

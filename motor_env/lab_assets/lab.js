@@ -106,7 +106,7 @@ async function judge(mine, body) {
     const told = await ask("/api/verdict", body);
     if (mine !== round) return;
     say("verdict", words(told), tone(told.verdict));
-    $("verdict-detail").textContent = told.reasons.join(". ");
+    $("verdict-detail").textContent = sentences(told.reasons);
     $("verdict-card").classList.remove("waiting");
     document.body.dataset.judged = String(mine);
   } catch (error) { say("verdict", error.message, "unsure"); }
@@ -116,8 +116,12 @@ function words(told) {
   const percent = (x) => `${Math.round(100 * x)} %`;
   const size = told.severity ? `, ${percent(told.severity)}` : "";
   const between = told.severity && told.severity_interval ? ` (${told.severity_interval.map(percent).join(" to ")})` : "";
-  const sure = told.confidence ? `, ${percent(told.confidence)} sure` : "";
+  const sure = told.confidence ? `, ${told.confidence > 0.99 ? "over 99 %" : percent(told.confidence)} sure` : "";
   return `${told.verdict.replace("_", " ")}${size}${between}${sure}`;
+}
+
+function sentences(reasons) {
+  return reasons.map((reason) => `${reason[0].toUpperCase()}${reason.slice(1)}.`).join(" ");
 }
 
 async function take(file) {
@@ -133,7 +137,7 @@ async function take(file) {
     const query = new URLSearchParams({ name: file.name, motor: $("reference").value, voltage: $("voltage").value });
     const told = await ask(`/api/diagnose?${query}`, file);
     say("recording-verdict", words(told), tone(told.verdict));
-    $("recording-reasons").textContent = told.reasons.join(". ");
+    $("recording-reasons").textContent = sentences(told.reasons);
     if (told.curves) {
       const c = told.curves;
       draw($("recording-current"), c.time_ms, [{ name: "measured", values: c.measured_a, label: "measured", at: 30 }, { name: "expected", values: c.fitted_a, label: "fitted", at: 50 }], { unit: " A" });

@@ -66,9 +66,9 @@ def request(
 def test_healthy_starts_alarm_as_often_as_they_should() -> None:
     for rule in lab.RULES:
         alarms = sum(
-            lab.simulated(lab.Settings(rule=rule, seed=seed))["alarm_ms"] is not None for seed in range(25)
+            lab.simulated(lab.Settings(rule=rule, seed=seed))["alarm_ms"] is not None for seed in range(12)
         )
-        assert alarms <= 2  # 1 % each: three or more in 25 have a probability of 0.2 %
+        assert alarms <= 2  # 1 % each: three or more in 12 have a probability of 0.02 %
 
 
 def test_residual_is_the_filters() -> None:
