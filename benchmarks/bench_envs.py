@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -43,15 +44,10 @@ def vector_rate(name: str, count: int) -> float:
     if name.startswith("motor_env"):
         anything = np.where(rng.random((500, count)) < WAITING, 0, anything)
     envs.reset(seed=0)
-    actions = iter(())
+    actions = cycle(anything)
 
     def step() -> None:
-        nonlocal actions
-        action = next(actions, None)
-        if action is None:
-            actions = iter(anything)
-            action = next(actions)
-        envs.step(action)
+        envs.step(next(actions))
 
     return rate_of(step, count, 2_000_000 // count)
 

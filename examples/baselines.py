@@ -28,17 +28,17 @@ def candidates(envs: MonitorVectorEnv) -> dict[str, tuple[Build, list[float]]]:
     tried: dict[str, tuple[Build, list[float]]] = {
         "never": (lambda _: Never(), [0.0]),
         "random": (lambda p: Random(len(setup.offsets_v), np.random.default_rng(0), p), [1e-3]),
-        "NIS": (lambda h: RulePolicy(setup, nis_rule(), h), [11.0, 14.0, 17.0, 21.0, 26.0]),
-        "3 of 5 NIS": (lambda h: RulePolicy(setup, MOfN(3, 5), h), [4.0, 5.0, 6.0, 7.5, 9.0]),
+        "NIS": (lambda h: RulePolicy(setup, nis_rule(), h), [14.0, 17.0, 21.0]),
+        "3 of 5 NIS": (lambda h: RulePolicy(setup, MOfN(3, 5), h), [5.0, 6.0, 7.5]),
         "CUSUM": (
             lambda h: RulePolicy(setup, Cusum(shift, two_sided=True), h),
-            [15.0, 20.0, 25.0, 30.0, 40.0, 55.0],
+            [25.0, 40.0, 55.0, 75.0],
         ),
-        "GLR of a step": (lambda h: RulePolicy(setup, glr, h), [10.0, 12.0, 14.0, 17.0, 20.0, 25.0]),
-        "bank of filters": (lambda h: BankPolicy(setup, h), [3.0, 4.0, 5.0, 6.5, 8.0]),
+        "GLR of a step": (lambda h: RulePolicy(setup, glr, h), [15.0, 20.0, 25.0, 30.0]),
+        "bank of filters": (lambda h: BankPolicy(setup, h), [6.0, 8.0, 10.0, 13.0]),
     }
     if not envs.options.task.spread.std.any():
-        tried["Bayes posterior"] = (lambda v: BayesPolicy(setup, v), [0.8, 0.9, 0.95, 0.98, 0.99])
+        tried["Bayes posterior"] = (lambda v: BayesPolicy(setup, v), [0.8, 0.9, 0.95, 0.98])
     return tried
 
 

@@ -105,10 +105,11 @@ def next_sample(s: FloatArray, j: int) -> np.uint64:
 def advance(s: FloatArray, j: int, p: Constants, n0: float, n1: float, with_speed: bool) -> None:
     """One sample of lane j of the block s: plant, measurement, filter, statistics, cost of waiting.
 
-    States, measurements and the voltage u stand as deviations from the point at which the belief would rest: float32 has
-    little to spare beside a speed of 500 rad/s. The rows of the speed hold A - I, and what rounding takes from a speed
-    is carried over to the next sample (Kahan 1965), for a speed moves by a hair a sample. n0 and n1 are the standard normals of the sample. Without a speed sensor its part is left out (`with_speed` is a
-    literal where this is called, so the compiler drops it).
+    States, measurements and the voltage u stand as deviations from the point at which the belief would rest: float32
+    has little to spare beside a speed of 500 rad/s. The rows of the speed hold A - I, and what rounding takes from a
+    speed is carried over to the next sample (Kahan 1965), for a speed moves by a hair a sample. n0 and n1 are the
+    standard normals of the sample. Without a speed sensor its part is left out (`with_speed` is a literal where this
+    is called, so the compiler drops it).
 
     x[k+1] = A x[k] + B u[k]; z = x[k+1] + v; then predict and update with the gain that the filter converges to, and
     exponentially weighted means of the whitened innovation, each scaled to a standard deviation of 1.

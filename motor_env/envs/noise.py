@@ -97,4 +97,5 @@ def normal_pair(sample: Word, key_low: Word, key_high: Word) -> tuple[np.float32
 def normal(sample: Word, key_low: Word, key_high: Word) -> np.float32:
     """The first number of `normal_pair`, where the second is not needed."""
     a, b = words(sample, key_low, key_high)
-    return np.sqrt(_TWO * _minus_log(a)) * _sine(abs(_from_one(b) - _ONE - _HALF) - _QUARTER)
+    turned: np.float32 = np.sqrt(_TWO * _minus_log(a)) * _sine(abs(_from_one(b) - _ONE - _HALF) - _QUARTER)
+    return turned

@@ -52,8 +52,9 @@ class MonitorOptions:
         wrong_kind_cost: for declaring another kind than the fault's.
         miss_cost: for reaching the horizon in silence when there was a fault.
         delay_cost_per_s: for every second that passes between onset and declaration.
-        precision: `float32` or `float64` inside the step; observations are float32 in any case. float32 is twice as fast
-            in a vector, and 1e-5 of an observation's scale away; choose float64 below 10 microseconds of sampling.
+        precision: `float32` or `float64` inside the step; observations are float32 in any case. float32 is
+            quicker in a vector, and about 1e-5 of an observation's scale away; choose float64 below
+            10 microseconds of sampling.
         observe: names of the observed features, in this order; empty: all that the recipe's sensor gives.
 
     Raises:

@@ -3,8 +3,8 @@
     policy.start(n)                     forget everything; n sub-environments begin
     actions = policy.act(observations)  one action for each
 
-A rule says that something is wrong; which kind, the bank of filters says (`evidence_*` in the observation): the kind with
-the largest evidence. So an environment for these baselines observes `BASELINE_FEATURES`, see `baseline_features`.
+A rule says that something is wrong; which kind, the bank of filters says: the one with the largest `evidence_*`
+in the observation. So an environment for these baselines observes `BASELINE_FEATURES`, see `baseline_features`.
 """
 
 from __future__ import annotations
@@ -103,7 +103,8 @@ class _Isolating(Policy):
         self._action = np.array([self._first_declaration + setup.kinds.index(v) for v in verdicts])
 
     def _isolate(self, observations: Observations) -> Actions:
-        return self._action[observations[:, self._columns].argmax(axis=1)]
+        actions: Actions = self._action[observations[:, self._columns].argmax(axis=1)]
+        return actions
 
 
 class RulePolicy(_Isolating):

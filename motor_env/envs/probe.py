@@ -26,7 +26,7 @@ class ProbeOptions(MonitorOptions):
         recipe: see `MonitorOptions`; the default has faults of 1 to 3 %.
         horizon_s: see `MonitorOptions`.
         samples_per_step: see `MonitorOptions`; a decision every 2 ms.
-        load_torque_n_m: see `MonitorOptions`; none: at its operating point the motor shows next to nothing of a winding.
+        load_torque_n_m: see `MonitorOptions`; none, so that a motor left alone shows nothing of a winding.
         earliest_onset_s: see `MonitorOptions`.
         mean_onset_s: see `MonitorOptions`.
         delay_cost_per_s: see `MonitorOptions`.

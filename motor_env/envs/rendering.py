@@ -50,8 +50,9 @@ def text_image(text: str, size_px: int = 13) -> FloatArray:
         family="DejaVu Sans Mono" if len(text) == 1 else "DejaVu Sans",
         color="black",
     )
-    canvas.draw()
-    shade = 1.0 - np.asarray(canvas.buffer_rgba())[..., 0] / 255.0
+    canvas.draw()  # type: ignore[no-untyped-call]  # matplotlib's
+    pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]  # matplotlib's
+    shade = 1.0 - pixels[..., 0] / 255.0
     used = np.flatnonzero(shade.any(axis=0))
     image: FloatArray = shade[:, : (used[-1] + 2 if len(used) else 1)]
     return image

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -93,7 +93,7 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
     def _out(self, values: NDArray[Any]) -> NDArray[Any]:
         return values[: self.num_envs].copy()
 
-    def reset(  # type: ignore[override]  # gymnasium's own vectors take lists of seeds, too
+    def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Info]:
         """Begin episodes.
@@ -241,7 +241,7 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
     def _active(self) -> BoolArray:
         by_field = self._state.reshape(-1, kernel.N_FIELDS, kernel.LANES)
         active = by_field[:, kernel.SAMPLE] > by_field[:, kernel.ONSET]
-        return cast("BoolArray", active.ravel()[: self.num_envs])
+        return active.ravel()[: self.num_envs]
 
     def _info(self, active: BoolArray, mask: BoolArray | None = None) -> Info:
         """The truth, for those who score; what decides must not read it."""

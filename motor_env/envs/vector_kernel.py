@@ -118,7 +118,7 @@ def decode_discrete(
 
 @njit(cache=True, error_model="numpy")
 def decode_continuous(action: FloatArray, reach_v: float) -> tuple[float, int]:
-    """Offset of the voltage, and declaration, of an action (offset, then one entry a kind), each entry clipped to -1 .. 1."""
+    """Offset of the voltage, and declaration, of an action (offset, then one entry a kind), clipped to -1 .. 1."""
     best, declared = DECLARE_ABOVE, 0
     for m in range(1, action.shape[0]):
         if action[m] > best:
@@ -135,6 +135,28 @@ def lay_continuous(state: FloatArray, actions: FloatArray, reach_v: float) -> No
         offset_v, declared = decode_continuous(actions[n], reach_v)
         state[at + VOLTAGE * LANES] = offset_v
         state[at + DECLARED * LANES] = declared
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _change_levels(s: FloatArray, p: tuple[float, ...], tables: FloatArray, slot: IntArray) -> None:
+    """Let the faults of a block grow: seldom one does, so first look at all lanes at once."""
+    due = 0
+    for j in range(LANES):
+        due += s[j + NEXT_CHANGE * LANES] <= s[j + SAMPLE * LANES]
+    if due > 0:
+        for j in range(LANES):
+            if s[j + NEXT_CHANGE * LANES] <= s[j + SAMPLE * LANES]:
+                change_level(s, j, tables[slot[j], j], p)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _weigh_all(s: FloatArray, p: tuple[float, ...], bank: FloatArray) -> None:
+    """The filters of the bank that are in use."""
+    for m in range(bank.shape[0]):
+        if bank[m, F11] != 0.0:
+            model = to_fixed_tuple(bank[m], MODEL_LENGTH)
+            for j in range(LANES):
+                weigh(s, j, BANK + BANK_LENGTH * m, p, model)
 
 
 @njit(cache=True, error_model="numpy")
@@ -155,13 +177,7 @@ def step_block(
     for j in range(LANES):
         s[j + COST * LANES], s[j + WHITE_CURRENT * LANES], s[j + WHITE_SPEED * LANES] = zero, zero, zero
     for _ in range(samples):
-        due = 0
-        for j in range(LANES):
-            due += s[j + NEXT_CHANGE * LANES] <= s[j + SAMPLE * LANES]
-        if due > 0:
-            for j in range(LANES):
-                if s[j + NEXT_CHANGE * LANES] <= s[j + SAMPLE * LANES]:
-                    change_level(s, j, tables[slot[j], j], p)
+        _change_levels(s, p, tables, slot)
         if p[C1] > 0.0:
             for j in range(LANES):
                 n0[j], n1[j] = normal_pair(next_sample(s, j), low[j], high[j])
@@ -172,11 +188,7 @@ def step_block(
                 n0[j] = normal(next_sample(s, j), low[j], high[j])
             for j in range(LANES):
                 advance(s, j, p, n0[j], p[ZERO], False)
-        for m in range(bank.shape[0]):
-            if bank[m, F11] != 0.0:
-                model = to_fixed_tuple(bank[m], MODEL_LENGTH)
-                for j in range(LANES):
-                    weigh(s, j, BANK + BANK_LENGTH * m, p, model)
+        _weigh_all(s, p, bank)
     for j in range(LANES):
         settle(s, j, p, typed_samples)
 
@@ -270,8 +282,7 @@ def step_vector(
 ) -> tuple[int, int]:
     """A step of all lanes.
 
-    Args:
-        next_step: lanes that were over begin their next episode instead.
+    `next_step`: lanes that were over begin their next episode instead.
 
     Returns:
         How many lanes are over now, and how many of those have no next episode drawn.
