@@ -106,6 +106,9 @@ def predict(files: list[Path], /, *, model: Path, split: str | None = None, json
 
     Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
 
+    The step of the supply must fall on a sample: a step between two samples can give a wrong opinion with no warning
+    (docs/classifiers.md). For captures of real motors use motor-env diagnose.
+
     Args:
         files: Recordings with columns time_s, current_a and, where measured, voltage_v and speed_rad_s; or folders
             of data sets.
