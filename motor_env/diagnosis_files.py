@@ -110,9 +110,15 @@ def diagnose_files(
         except InputError as error:
             outcomes.append(Outcome(path, None, str(error)))
             continue
-        diagnosis = diagnose(
-            recording, loaded, learned, voltage_v=voltage_v, false_alarm_rate=false_alarm_rate
-        )
+        try:
+            diagnosis = diagnose(
+                recording, loaded, learned, voltage_v=voltage_v, false_alarm_rate=false_alarm_rate
+            )
+        except (
+            ValueError
+        ) as error:  # values so far from any motor that the numerics give up; the others go on
+            outcomes.append(Outcome(path, None, f"{path}: cannot be judged ({' '.join(str(error).split())})"))
+            continue
         if out is not None:
             report.plot(diagnosis, out / f"{number + 1:03d}-{path.stem}.png")
         outcomes.append(Outcome(path, diagnosis))
