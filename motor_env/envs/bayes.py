@@ -3,7 +3,8 @@
 A motor at its operating point whose own parameters are known is deterministic but for the sensor's noise: fault c with
 onset k puts the signature s_c[age] on the current, whatever else. So the likelihood ratio of every hypothesis (c, k) is
 a product over the samples, and the posterior a sum over the geometric prior of the onset (Shiryaev 1963, with a
-signature and several faults). Onsets older than `LONGEST_AGE_S` are kept together: the transient is over, their signatures agree.
+signature and several faults). Onsets older than `LONGEST_AGE_S` are kept together: the transient is over, their
+signatures agree.
 """
 
 from __future__ import annotations
