@@ -263,6 +263,39 @@ def lab(*, port: int = 0, browser: bool = True) -> int:
     return 0
 
 
+@app.command
+def coastdown(file: Path, *, json_: Annotated[bool, Parameter(name="--json", negative=())] = False) -> int:
+    """Viscous and Coulomb friction from a coast-down: the speed of a motor whose voltage was taken away.
+
+    Example: motor-env coastdown coastdown.csv
+
+    Args:
+        file: Recording with time, current and speed.
+        json_: Print one object.
+    """
+    from dataclasses import asdict
+
+    from motor_env.alignment import UnusableError
+    from motor_env.coastdown import fit_coastdown
+    from motor_env.recordings import read_recording
+
+    recording = read_recording(file)
+    try:
+        found = fit_coastdown(recording)
+    except UnusableError as error:
+        raise console.InputError(f"{file}: {error}") from None
+    if json_:
+        print(json.dumps(asdict(found)))
+    else:
+        print(
+            f"{file}: B/J {found.viscous_per_s:.4g} 1/s, Coulomb friction Tc/J {found.coulomb_rad_s2:.4g} rad/s2"
+        )
+        print(
+            f"  R2 {found.r2:.4f}; with viscous friction alone {found.r2_viscous:.4f}; evidence {found.evidence:.0f}"
+        )
+    return 0
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `motor-env` and return its exit status."""
     return console.run(app, arguments)
