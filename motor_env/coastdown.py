@@ -66,9 +66,12 @@ def fit_coastdown(recording: Recording) -> CoastDown:
         out: FloatArray = (start + coulomb / rate) * np.exp(-rate * time) - coulomb / rate
         return out
 
-    viscous = least_squares(lambda x: curve(x) - fall, [fall[0], 2.0 / length], x_scale="jac")
+    def residual(unknowns: FloatArray) -> FloatArray:
+        return curve(unknowns) - fall
+
+    viscous = least_squares(residual, [fall[0], 2.0 / length], x_scale="jac")
     both = least_squares(
-        lambda x: curve(x) - fall,
+        residual,
         [fall[0], 0.2 / length, 0.9 * fall[0] / length],
         bounds=([-np.inf, 0.0, 0.0], np.inf),
         x_scale="jac",
