@@ -30,7 +30,8 @@ def bank(
         result = run_filter(belief, measured, voltage)
         mean_square = result.nis.mean(axis=1)
         scores.append(-0.5 * measured.shape[-1] * np.log(mean_square) if adaptive else result.log_likelihood)
-    return np.argmax(scores, axis=0)
+    best: IntArray = np.argmax(scores, axis=0)
+    return best
 
 
 def held(belief: KalmanFilter) -> KalmanFilter:
@@ -57,7 +58,8 @@ def nearest(recipe: Recipe, result: JointResult) -> IntArray:
     )
     off = result.log_factor[:, -1, None] - wanted
     weighted = np.einsum("nci,nij,ncj->nc", off, np.linalg.inv(result.covariance[:, -1]), off)
-    return np.argmin(weighted, axis=1)
+    best: IntArray = np.argmin(weighted, axis=1)
+    return best
 
 
 def row(name: str, found: IntArray, labels: IntArray, result: JointResult | None = None) -> str:

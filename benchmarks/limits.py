@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +55,7 @@ def variants(n_cases: int) -> Iterable[Iterable[str]]:
         Spread(0.01, 0.01, 0.01, 0.02, 0.05),
         Spread(0.01, 0.01, 0.01, 0.02, 0.10),
     )
-    changes = (
+    changes: tuple[tuple[str, dict[str, Any]], ...] = (
         ("`bench`", {}),
         ("the motor's own parameters known: R 0.3 %, K, J, B 0.2 %", {"spread": own}),
         ("the same at 1 kHz", {"spread": own, "timing": Timing(1_000.0, 0.1)}),

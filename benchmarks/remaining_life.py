@@ -40,10 +40,8 @@ def main() -> None:
     for name in options.recipe:
         result = remaining_life_coverage(REGIMES[name], options.seed, np.arange(options.runs))
         told = result.reported
-        early, late = result.life > result.high, result.life < result.low
-        covered, early, late = (
-            100.0 * part[told].mean() if told.any() else np.nan for part in (result.covered, early, late)
-        )
+        parts = (result.covered, result.life > result.high, result.life < result.low)
+        covered, early, late = (100.0 * float(part[told].mean()) if told.any() else np.nan for part in parts)
         print(
             f"| {name} | {options.runs} | {100 * result.covered.mean():.1f} % | {100 * told.mean():.0f} % "
             f"| {covered:.1f} % | {early:.1f} / {late:.1f} % |",
