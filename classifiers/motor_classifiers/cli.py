@@ -42,7 +42,7 @@ def train(
 
     Args:
         dataset: Folder made by motor-datasets generate.
-        out: File of the model.
+        out: New file of the model. An existing one is never overwritten.
         method: threshold, physical-lda, physical-forest, residual-qda, raw-logistic or network.
         seed: Random state of methods that need one.
         json_: Print a summary as JSON.
@@ -52,6 +52,8 @@ def train(
     from motor_classifiers.persistence import save_model
     from motor_datasets.loaders import load
 
+    if out.exists():
+        raise console.InputError(f"{out}: exists already, and is not overwritten; give another name")
     cases = load(dataset, "train")
     model = make_method(method, cases.recipe, seed)
     with _status(f"training {method} on {len(cases)} cases"):

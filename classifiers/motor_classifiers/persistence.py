@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+import zlib
 from copy import copy
 from dataclasses import fields
 from pathlib import Path
@@ -27,12 +28,15 @@ from motor_classifiers.threshold import ConfirmationClassifier
 from motor_env.confirmation import ThresholdConfirmation, class_filter
 from motor_env.console import InputError
 from motor_env.files import replacing
+from motor_env.parameters import require
 from motor_env.recipe_file import recipe_from_dict, recipe_to_dict
 from motor_env.recipes import Recipe
 
 FORMAT = "motor-classifiers"
 VERSION = 1
 LARGEST_FILE_BYTES = 200_000_000
+MOST_FEATURES = 10_000_000
+"""Values of a case: a recipe that asks for more comes from a damaged file, not from a motor."""
 _MEMBER = "motor.json"
 _SKOPS_TRUSTED = [
     "motor_classifiers.features.PhysicalFeatures",
@@ -83,17 +87,31 @@ def load_model(path: Path) -> tuple[BaseEstimator, Recipe, str]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
     try:
-        if zipfile.is_zipfile(io.BytesIO(content)):
-            return _load_pipeline(content)
-        return _load_tensors(content)
+        is_archive = zipfile.is_zipfile(io.BytesIO(content))
+        model, recipe, method = _load_pipeline(content) if is_archive else _load_tensors(content)
+        _try_out(model, recipe)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except (
         ValueError, KeyError, TypeError, AttributeError, IndexError, RuntimeError,
-        ImportError, zipfile.BadZipFile, SafetensorError, NotImplementedError, EOFError,
+        ImportError, zipfile.BadZipFile, zlib.error, SafetensorError, ArithmeticError, MemoryError, EOFError,
     ) as error:  # fmt: skip
         reason = " ".join(str(error).split())[:150]
         raise InputError(f"{path}: is no model of motor-classifiers, or damaged ({reason})") from None
+    return model, recipe, method
+
+
+def _try_out(model: BaseEstimator, recipe: Recipe) -> None:
+    """Judge one quiet case: a file whose parts do not fit each other fails here, and not in the user's hands.
+
+    Raises:
+        ValueError: classes or probabilities are not what the recipe needs.
+    """
+    probabilities = model.predict_proba(np.zeros((1, _n_features(recipe))))
+    require(probabilities.shape == (1, len(model.classes_)), "it gives no probability for each class")
+    require(bool(np.isfinite(probabilities).all()), "its probabilities are not finite")
+    foreign = {str(name) for name in model.classes_} - set(recipe.class_names)
+    require(not foreign, f"its recipe does not know the class {min(foreign, default='')!r}")
 
 
 def _checked_head(text: str) -> tuple[dict[str, Any], Recipe]:
@@ -103,9 +121,17 @@ def _checked_head(text: str) -> tuple[dict[str, Any], Recipe]:
             f"is of format {head['format']!r} version {head['version']!r}, not {FORMAT} {VERSION}"
         )
     recipe = recipe_from_dict(head["recipe"])
-    unknown = set(head["classes"]) - set(recipe.class_names)
+    classes = head["classes"]
+    require(isinstance(head["method"], str), f"method must be text, got {head['method']!r}")
+    require(
+        isinstance(classes, list) and all(isinstance(name, str) for name in classes),
+        f"classes must be a list of names, got {classes!r}",
+    )
+    unknown = set(classes) - set(recipe.class_names)
     if unknown:
         raise InputError(f"names the class {min(unknown)!r}, which its recipe does not know")
+    require(classes == sorted(set(classes)) and len(classes) >= 2, "classes must be two or more, sorted")
+    require(_n_features(recipe) <= MOST_FEATURES, f"a case has more than {MOST_FEATURES} values")
     return head, recipe
 
 
@@ -150,7 +176,26 @@ def _load_pipeline(content: bytes) -> tuple[BaseEstimator, Recipe, str]:
     model = skops.io.loads(content, trusted=_SKOPS_TRUSTED)
     if not isinstance(model, Pipeline):
         raise InputError(f"holds a {type(model).__name__}, not a pipeline")
+    _check_trees(model)
     return _with_recipe(model, recipe), recipe, str(head["method"])
+
+
+def _check_trees(model: Pipeline) -> None:
+    """Compiled code follows a tree's children without looking: a poisoned one would read beside the arrays.
+
+    Raises:
+        ValueError: a child that is no later node, or a feature that does not exist.
+    """
+    for grown in getattr(model.steps[-1][1], "estimators_", ()):
+        tree = grown.tree_
+        nodes = np.arange(tree.node_count)
+        left, right = tree.children_left, tree.children_right
+        inner = left != -1
+        for child in (left[inner], right[inner]):
+            later = (child > nodes[inner]) & (child < tree.node_count)
+            require(bool(later.all()), "a tree has a child that does not exist")
+        feature = tree.feature[inner]
+        require(bool(((feature >= 0) & (feature < tree.n_features)).all()), "a tree asks for no feature")
 
 
 def _tensor_bytes(tensors: dict[str, Any], head: dict[str, Any]) -> bytes:
@@ -193,6 +238,25 @@ def _n_features(recipe: Recipe) -> int:
 def _load_confirmation(head: dict[str, Any], tensors: dict[str, Any], recipe: Recipe) -> BaseEstimator:
     model = ConfirmationClassifier(recipe, head["false_alarm_rate"])
     rule = {**head["rule"], "edges": tuple(int(edge) for edge in head["rule"]["edges"])}
+    edges, n_classes = np.array(rule["edges"]), len(recipe.classes)
+    require(
+        edges[0] == 0 and bool((np.diff(edges) > 0).all()) and edges[-1] == recipe.timing.n_samples,
+        "its windows do not fill its recipe's time axis",
+    )
+    counts = (rule["needed"], rule["among"], rule["healthy_index"])
+    require(all(type(count) is int for count in counts), f"M, N and class must be integers, got {counts!r}")
+    require(
+        1 <= counts[0] <= counts[1] < len(edges),
+        f"M of N must fit {len(edges) - 1} windows, got {counts[:2]}",
+    )
+    require(0 <= counts[2] < n_classes, f"healthy_index must be a class, got {counts[2]}")
+    require(
+        type(rule["with_spread"]) is bool, f"with_spread must be true or false, got {rule['with_spread']!r}"
+    )
+    for name in ("threshold", "temperature", "slope", "intercept"):
+        require(isinstance(rule[name], float), f"{name} must be a number, got {rule[name]!r}")
+    rate = head["false_alarm_rate"]
+    require(rate is None or isinstance(rate, float), f"false_alarm_rate must be a number, got {rate!r}")
     arrays = {name: tensors[name] for name in _RULE_ARRAYS}
     filters = tuple(class_filter(recipe, c) for c in recipe.classes)
     model.rule_ = ThresholdConfirmation(filters=filters, **rule, **arrays)
@@ -215,6 +279,18 @@ def _load_network(head: dict[str, Any], tensors: dict[str, Any], recipe: Recipe)
         raise ValueError(f"weights of shape {projection.weights_.shape} do not fit its recipe")
     model.projection_ = projection
     model.center_, model.scale_ = tensors["center"], tensors["scale"]
+    # The sizes are believed only once the file holds as much: memory for a false one would be taken before a look.
+    n_layers, n_hidden = model.n_layers, model.n_hidden
+    weights = sum(name.startswith("network.") and name.endswith(".weight") for name in tensors)
+    require(
+        type(n_layers) is int and n_layers >= 0 and weights == n_layers + 1,
+        f"n_layers is {n_layers!r}, the file holds {weights} matrices",
+    )
+    first = tensors["network.0.weight"].shape
+    require(
+        type(n_hidden) is int and first[0] == (n_hidden if n_layers else len(model.classes_)),
+        f"n_hidden is {n_hidden!r}, the first matrix has shape {first}",
+    )
     network = perceptron(len(projection.offset_), model.n_hidden, model.n_layers, len(model.classes_))
     state = {
         name.removeprefix("network."): torch.from_numpy(values)

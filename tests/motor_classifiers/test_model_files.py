@@ -1,0 +1,188 @@
+"""Damaged and forged model files: refused with one sentence at loading, never a surprise at predicting."""
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import load, save
+from sklearn.base import BaseEstimator
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import FunctionTransformer
+
+from motor_classifiers.cli import main
+from motor_classifiers.methods import make_method
+from motor_classifiers.persistence import FORMAT, load_model, save_model
+from motor_datasets import generate_arrays, generate_dataset
+from motor_env.console import InputError
+from motor_env.recipes import named_recipe
+from motor_env.simulation import Timing
+
+RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+TRAIN = generate_arrays(RECIPE, 1, 200)
+METHODS = ("threshold", "network", "residual-qda", "physical-forest")
+
+
+@pytest.fixture(scope="module")
+def fitted() -> dict[str, BaseEstimator]:
+    return {name: make_method(name, RECIPE, 0).fit(TRAIN.X, TRAIN.class_name) for name in METHODS}
+
+
+@pytest.fixture(scope="module")
+def contents(fitted: dict[str, BaseEstimator], tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("models")
+    for name, model in fitted.items():
+        save_model(model, RECIPE, name, folder / name)
+    return {name: (folder / name).read_bytes() for name in METHODS}
+
+
+def refusal(content: bytes, folder: Path) -> str:
+    """The sentence with which a file is refused."""
+    path = folder / "forged.model"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        load_model(path)
+    sentence = str(caught.value)
+    assert sentence.startswith(f"{path}: ")
+    assert "\n" not in sentence
+    return sentence
+
+
+@pytest.mark.parametrize("name", ["threshold", "network", "residual-qda"])
+def test_any_cut_is_refused(name: str, contents: dict[str, bytes], tmp_path: Path) -> None:
+    content = contents[name]
+    for end in np.linspace(0, len(content) - 1, 12).astype(int):
+        refusal(content[:end], tmp_path)
+
+
+@pytest.mark.parametrize("name", ["threshold", "network", "residual-qda"])
+def test_a_flipped_byte_is_refused_or_harmless(name: str, contents: dict[str, bytes], tmp_path: Path) -> None:
+    """No other error than the sentence, at loading or at predicting."""
+    rng = np.random.default_rng(0)
+    path = tmp_path / "flipped.model"
+    for position in rng.integers(min(len(contents[name]), 4000), size=25):
+        damaged = bytearray(contents[name])
+        damaged[position] ^= int(rng.integers(1, 256))
+        path.write_bytes(damaged)
+        try:
+            model = load_model(path)[0]
+        except InputError:
+            continue
+        assert model.predict_proba(TRAIN.X[:2]).shape == (2, 5)
+
+
+def with_head(content: bytes, changes: dict[str, Any]) -> bytes:
+    """A safetensors model with another head; nested tables are merged."""
+    length = int.from_bytes(content[:8], "little")
+    head = json.loads(json.loads(content[8 : 8 + length])["__metadata__"][FORMAT])
+    for key, value in changes.items():
+        head[key] = {**head[key], **value} if isinstance(value, dict) else value
+    return save(load(content), metadata={FORMAT: json.dumps(head)})
+
+
+def test_an_unchanged_head_loads(contents: dict[str, bytes], tmp_path: Path) -> None:
+    (tmp_path / "same").write_bytes(with_head(contents["threshold"], {}))
+    assert load_model(tmp_path / "same")[2] == "threshold"
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("threshold", {"rule": {"needed": "two"}}),
+        ("threshold", {"rule": {"among": 99}}),
+        ("threshold", {"rule": {"threshold": None}}),
+        ("threshold", {"rule": {"healthy_index": 77}}),
+        ("threshold", {"rule": {"edges": [0, 10**12]}}),
+        ("threshold", {"rule": {"with_spread": 3}}),
+        ("threshold", {"rule": {"unheard_of": 1}}),
+        ("threshold", {"false_alarm_rate": "rare"}),
+        ("threshold", {"kind": "sculpture"}),
+        ("threshold", {"method": ["threshold"]}),
+        ("threshold", {"classes": "healthy"}),
+        ("threshold", {"classes": [1, 2]}),
+        ("threshold", {"classes": ["healthy", "stolen"]}),
+        ("network", {"classes": ["bearing_10", "healthy"]}),
+        ("network", {"parameters": {"n_hidden": "wide"}}),
+        ("network", {"parameters": {"n_hidden": 10**9}}),
+        ("network", {"parameters": {"n_layers": 10**9}}),
+        ("network", {"parameters": {"unheard_of": 1}}),
+        ("network", {"recipe": {"timing": {"sampling_rate_hz": "fast"}}}),
+        ("network", {"recipe": {"timing": {"sampling_rate_hz": 1e4, "duration_s": 1e9}}}),
+        ("network", {"version": 2}),
+    ],
+    ids=str,
+)
+def test_json_with_wrong_types_or_values_is_refused(
+    name: str, changes: dict[str, Any], contents: dict[str, bytes], tmp_path: Path
+) -> None:
+    refusal(with_head(contents[name], changes), tmp_path)
+
+
+def test_tensors_of_another_shape_are_refused(contents: dict[str, bytes], tmp_path: Path) -> None:
+    content = contents["network"]
+    length = int.from_bytes(content[:8], "little")
+    metadata = json.loads(content[8 : 8 + length])["__metadata__"]
+    for key, values in (
+        ("center", np.zeros(3)),
+        ("scale", np.full(6, np.nan)),
+        ("network.0.weight", np.zeros((32, 5))),
+    ):
+        refusal(save({**load(content), key: values}, metadata=metadata), tmp_path)
+
+
+def test_a_function_in_a_pipeline_is_refused_by_name(contents: dict[str, bytes], tmp_path: Path) -> None:
+    """Skops would load `os.getcwd` as a step; it is no type of ours."""
+    import os
+
+    import skops.io
+
+    archive = io.BytesIO(skops.io.dumps(Pipeline([("call", FunctionTransformer(os.getcwd))])))
+    with zipfile.ZipFile(io.BytesIO(contents["residual-qda"])) as good, zipfile.ZipFile(archive, "a") as bad:
+        bad.writestr("motor.json", good.read("motor.json"))
+    assert "getcwd" in refusal(archive.getvalue(), tmp_path)
+
+
+def test_a_tree_that_points_outside_is_refused(fitted: dict[str, BaseEstimator], tmp_path: Path) -> None:
+    """Compiled code would read beside the arrays."""
+    forged = tmp_path / "forged.model"
+    model = fitted["physical-forest"]
+    tree = model.steps[-1][1].estimators_[0].tree_
+    kept = tree.children_left[0]
+    tree.children_left[0] = 10**6
+    save_model(model, RECIPE, "physical-forest", forged)
+    tree.children_left[0] = kept
+    assert "child that does not exist" in refusal(forged.read_bytes(), tmp_path)
+
+
+def test_train_evaluate_predict_and_no_overwriting(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dataset, model = str(tmp_path / "bench"), tmp_path / "qda.model"
+    generate_dataset(RECIPE, 300, 4, Path(dataset))
+    assert main(["train", dataset, "--out", str(model), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "method": "residual-qda",
+        "n_train": 210,
+        "out": str(model),
+    }
+    before = model.read_bytes()
+    assert main(["train", dataset, "--out", str(model)]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert model.read_bytes() == before
+
+    assert main(["evaluate", str(model), dataset, "--json"]) == 0
+    scored = json.loads(capsys.readouterr().out)
+    assert scored["n_test"] == 45 == np.sum(scored["confusion"])
+    assert scored["accuracy"] == np.trace(scored["confusion"]) / 45
+    assert 0.6 < scored["bayes_accuracy"] < 0.95
+
+    missing = str(tmp_path / "missing.csv")
+    assert main(["predict", dataset, missing, "--model", str(model), "--split", "test", "--json"]) == 2
+    rows = json.loads(capsys.readouterr().out)
+    assert len(rows) == 46
+    assert rows[-1]["error"].startswith(missing)
+    assert sum(rows[0]["probabilities"].values()) == pytest.approx(1.0)
+    assert main(["predict", dataset, "--model", str(model), "--split", "test"]) == 1
