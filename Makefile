@@ -46,9 +46,8 @@ lint: $(READY) ## ruff: rules and format
 	$(BIN)/python -m ruff check
 	$(BIN)/python -m ruff format --check
 
-types: $(READY) ## mypy and basedpyright
+types: $(READY) ## mypy, strict
 	$(BIN)/python -m mypy
-	$(BIN)/python -m basedpyright
 
 imports: $(READY) ## import-linter: imports go one way
 	$(BIN)/lint-imports
