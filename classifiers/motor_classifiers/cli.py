@@ -108,8 +108,8 @@ def predict(files: list[Path], /, *, model: Path, split: str | None = None, json
 
     Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
 
-    The step of the supply must fall on a sample: a step between two samples can give a wrong opinion with no warning
-    (docs/classifiers.md). For captures of real motors use motor-env diagnose.
+    A model knows the motors of its recipe and no others (docs/classifiers.md); for captures of real motors, whose
+    supply ramps and whose brushes drop a voltage, ask motor-env diagnose too.
 
     Args:
         files: Recordings with columns time_s, current_a and, where measured, voltage_v and speed_rad_s; or folders

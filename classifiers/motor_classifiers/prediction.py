@@ -14,9 +14,12 @@ from motor_env.confirmation import nominal_voltage
 from motor_env.console import ExitStatus
 from motor_env.estimation import FEATURE_NAMES, physical_features
 from motor_env.faults import HEALTHY, FaultKind
+from motor_env.identification import identify, prepare
+from motor_env.model import State
 from motor_env.parameters import Channel, FloatArray
 from motor_env.recipes import Recipe
 from motor_env.recordings import Recording, read_recording
+from motor_env.simulation import simulate_states
 
 UNDECIDED = "unusable"
 """Verdict where the model has no say: another motor, another supply, too short, too coarse."""
@@ -24,7 +27,6 @@ UNDECIDED = "unusable"
 LEAST_PROBABILITY = 0.5
 """Of the decided verdict; below it the opinion is undecided."""
 
-_WHOLE_SHIFTS = np.arange(-4.0, 5.0)
 _FINE_SHIFTS = np.arange(-3.0, 3.02, 0.05)
 _COARSEST_TO_INTERPOLATE = (
     0.25  # of the model's sampling interval: the rise of a start is too quick for coarser lines
@@ -128,17 +130,20 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, path: Path) -> Opini
 def aligned_case(recording: Recording, recipe: Recipe) -> FloatArray:
     """The recording on the recipe's time axis, shape (1, n_channels, n_samples).
 
-    The onset is the shift at which the recipe's motor, parameters free, fits best. The mean of the quiet part
-    before the start is taken off the current; nothing else is normalised.
+    At equal rates the start is fitted with its onset free, and moved onto a sample by what the fit says: a step
+    between two samples looks like another motor, for the current rises by amperes in a sample. A faster recording is
+    interpolated at the shift where the recipe's motor, parameters free, fits best. The mean of the quiet part before
+    the start is taken off the current; nothing else is normalised.
 
     Raises:
         UnusableError: the model was trained for other motors, supplies, channels or time axes than this.
     """
     start = align(recording)
     _check_comparable(recording, recipe, start)
-    same_rate = abs(recording.dt_s / recipe.timing.dt_s - 1.0) < 1e-3
-    shifts = _WHOLE_SHIFTS if same_rate else _FINE_SHIFTS
-    shifted = np.stack([_resampled(recording, recipe, start, shift) for shift in shifts])
+    if abs(recording.dt_s / recipe.timing.dt_s - 1.0) < 1e-3:
+        shifted = _moved_onto_a_sample(recording, recipe)
+    else:
+        shifted = np.stack([_resampled(recording, recipe, start, shift) for shift in _FINE_SHIFTS])
     features = physical_features(
         shifted,
         nominal_voltage(recipe),
@@ -158,6 +163,26 @@ def aligned_case(recording: Recording, recipe: Recipe) -> FloatArray:
             f"the squared residual is {misfit[best]:.3g} times the noise's"
         )
     return shifted[best : best + 1]
+
+
+def _moved_onto_a_sample(recording: Recording, recipe: Recipe) -> FloatArray:
+    """What the fit leaves over, on top of the fitted motor's response to a step at a sample: shape (1, ...)."""
+    timing = recipe.timing
+    fitted = identify(prepare(recording, float(np.asarray(recipe.supply.voltage_v))))
+    start = fitted.start
+    step = int(np.abs(start.time_s - fitted.onset_s).argmin())
+    rows = np.arange(timing.n_samples) + step + 1 - timing.n_quiet
+    if rows[0] < 0 or rows[-1] >= len(start.time_s):
+        raise UnusableError(
+            f"the model wants {timing.quiet_s:g} s before the start and {timing.duration_s:g} s after it"
+        )
+    voltage = start.level_v * (np.arange(timing.n_samples) >= timing.n_quiet)
+    response = simulate_states(fitted.parameters, voltage, timing.dt_s)
+    left = {Channel.CURRENT: fitted.residual_a[rows]}
+    if start.speed_rad_s is not None:
+        left[Channel.SPEED] = (start.speed_rad_s - fitted.expected[:, 1])[rows]
+    columns = {Channel.CURRENT: response[:, State.CURRENT], Channel.SPEED: response[:, State.SPEED]}
+    return np.stack([left[channel] + columns[channel] for channel in recipe.sensor.channels])[None]
 
 
 def _check_comparable(recording: Recording, recipe: Recipe, start: Alignment) -> None:
@@ -182,7 +207,7 @@ def _check_comparable(recording: Recording, recipe: Recipe, start: Alignment) ->
 
 def _resampled(recording: Recording, recipe: Recipe, start: Alignment, shift: float) -> FloatArray:
     """Channels of the recipe on its time axis, the onset moved by `shift` of its samples."""
-    onset_s = recording.time_s[start.onset_index]  # on the grid: equal rates need no interpolation
+    onset_s = recording.time_s[start.onset_index]
     at = onset_s + shift * recipe.timing.dt_s + recipe.timing.time_s
     columns = {Channel.CURRENT: start.sign * (recording.current_a - start.offset_a)}
     if recording.speed_rad_s is not None:

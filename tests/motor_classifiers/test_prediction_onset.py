@@ -1,0 +1,51 @@
+"""A supply that steps between two samples must not look like another motor."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_classifiers.methods import make_method
+from motor_classifiers.prediction import UNDECIDED, predict_recording
+from motor_datasets.generate import generate_arrays
+from motor_env.faults import apply_faults
+from motor_env.recipes import draw, named_recipe
+from motor_env.simulation import simulate_states
+
+RECIPE = named_recipe("bench")
+FINE = 10  # simulated steps in a sampling interval
+N_STARTS = 20
+
+
+def capture(path: Path, index: int, position: float, generator: np.random.Generator) -> Path:
+    """A start whose supply steps `position` of a sample after a sample, 0.1 s of quiet before it, as CSV."""
+    scenario = draw(RECIPE, 77, np.arange(N_STARTS)).scenario
+    fault_class = RECIPE.classes[int(draw(RECIPE, 77, np.arange(N_STARTS)).class_index[index])]
+    dt_s = RECIPE.timing.dt_s
+    voltage = np.zeros(2300 * FINE)
+    voltage[1000 * FINE + round(position * FINE) :] = np.asarray(scenario.supply.voltage_v)[index]
+    motor = apply_faults(scenario.parameters.motor(index), fault_class.faults)
+    current = simulate_states(motor, voltage, dt_s / FINE)[FINE - 1 :: FINE, 0]
+    current = current + RECIPE.sensor.current_noise_a * generator.standard_normal(len(current))
+    time_s = np.arange(len(current)) * dt_s
+    np.savetxt(
+        path, np.column_stack([time_s, current]), delimiter=",", header="time_s,current_a", comments=""
+    )
+    return path
+
+
+@pytest.mark.parametrize("position", [0.0, 0.2, 0.5, 0.8])
+def test_the_step_may_fall_between_samples(position: float, tmp_path: Path) -> None:
+    training = generate_arrays(RECIPE, 3, 1400)
+    model = make_method("residual-qda", RECIPE, 0).fit(training.X, training.class_name)
+    truth = draw(RECIPE, 77, np.arange(N_STARTS)).class_index
+    generator = np.random.default_rng(5)
+    found = [
+        predict_recording(model, RECIPE, capture(tmp_path / "start.csv", n, position, generator))
+        for n in range(N_STARTS)
+    ]
+    assert all(opinion.verdict != UNDECIDED for opinion in found)
+    right = [RECIPE.class_names[truth[n]] == opinion.class_name for n, opinion in enumerate(found)]
+    # An offset that must be estimated costs bearings some accuracy (docs/limits.md); without the shift onto a sample
+    # three quarters are wrong at 0.2 and all are refused at 0.5.
+    assert np.mean(right) >= 0.7
