@@ -30,7 +30,7 @@ def generate(
     *,
     cases: int,
     seed: int,
-    out: Path,
+    out: str,
     sampling_rate_hz: float | None = None,
     duration_s: float | None = None,
     quiet_s: float | None = None,
@@ -53,7 +53,7 @@ def generate(
             friction, temperature, supply, load, sensor errors), or a recipe TOML.
         cases: Number of transients.
         seed: Random seed, 0 .. 2^64 - 1.
-        out: New folder. An existing one is never overwritten.
+        out: New folder, or a URL such as s3://bucket/prefix. An existing one is never overwritten.
         sampling_rate_hz: Samples a second.
         duration_s: Time recorded after the step of the supply.
         quiet_s: Time recorded before the step, on top of the duration.
@@ -70,11 +70,13 @@ def generate(
     console.require_extra("pyarrow", "datasets")
     from motor_datasets import storage
     from motor_datasets.generate import generate_dataset
+    from motor_datasets.remote import folder_of
 
     chosen = _recipe(recipe, sampling_rate_hz, duration_s, quiet_s, current_noise_a, channels, motor)
     plan = storage.make_plan(chosen, cases, seed)
+    folder = folder_of(out)
     summary: dict[str, object] = {
-        "out": str(out),
+        "out": str(folder),
         "recipe": chosen.name,
         "seed": seed,
         "cases": cases,
@@ -90,7 +92,7 @@ def generate(
         with _progress(plan.cases_of_all) as advance, _backend(backend, scheduler):
             start = time.perf_counter()
             manifest = generate_dataset(
-                chosen, cases, seed, out, workers=workers, resume=resume, on_progress=advance
+                chosen, cases, seed, folder, workers=workers, resume=resume, on_progress=advance
             )
         summary["bytes"] = manifest.bytes
         summary["seconds"] = round(time.perf_counter() - start, 3)
@@ -99,30 +101,31 @@ def generate(
     elif dry_run:
         print(
             f"would write {plan.cases_of_all} cases of {chosen.timing.n_samples} samples in {len(plan.files)} files to"
-            f" {out}: {plan.bytes_uncompressed / 1e6:.1f} MB before compression, some {summary['seconds']} s"
+            f" {folder}: {plan.bytes_uncompressed / 1e6:.1f} MB before compression, some {summary['seconds']} s"
         )
     else:
         print(
             f"wrote {plan.cases_of_all} cases of {chosen.timing.n_samples} samples in {len(plan.files)} files,"
-            f" {manifest.bytes / 1e6:.1f} MB: {out}"
+            f" {manifest.bytes / 1e6:.1f} MB: {folder}"
         )
     return 0
 
 
 @app.command
-def verify(folder: Path, /, *, json_: Annotated[bool, Parameter(name="--json", negative=())] = False) -> int:
+def verify(folder: str, /, *, json_: Annotated[bool, Parameter(name="--json", negative=())] = False) -> int:
     """Check every file of a data set against its digest. Exit status 1 if one is missing, damaged or foreign.
 
     Example: motor-datasets verify out/bench
 
     Args:
-        folder: A data set.
+        folder: A data set: its folder or URL.
         json_: Print the findings as a JSON array.
     """
     console.require_extra("pyarrow", "datasets")
     from motor_datasets import storage
+    from motor_datasets.remote import folder_of
 
-    found = storage.problems(folder)
+    found = storage.problems(folder_of(folder))
     if json_:
         print(json.dumps(found))
     else:
@@ -137,18 +140,19 @@ def describe(recipe: str, /, *, picture: Path | None = None, seed: int = 0) -> i
     Example: motor-datasets describe field --picture out/field.png
 
     Args:
-        recipe: Name of a recipe, a recipe TOML, or the folder of a data set.
+        recipe: Name of a recipe, a recipe TOML, or the folder or URL of a data set.
         picture: PNG or SVG to draw examples to.
         seed: Random seed of the examples.
     """
     from motor_datasets import describe as describing
     from motor_env.recipe_file import load_recipe
 
-    if Path(recipe).is_dir():
+    if "://" in recipe or Path(recipe).is_dir():
         console.require_extra("pyarrow", "datasets")
+        from motor_datasets.remote import folder_of
         from motor_datasets.storage import read_manifest
 
-        chosen = read_manifest(Path(recipe)).recipe
+        chosen = read_manifest(folder_of(recipe)).recipe
     else:
         chosen = load_recipe(recipe)
     print(describing.describe(chosen))
@@ -162,13 +166,13 @@ def describe(recipe: str, /, *, picture: Path | None = None, seed: int = 0) -> i
 
 
 @app.command
-def export(folder: Path, file: Path, /, *, split: str | None = None) -> int:
+def export(folder: str, file: Path, /, *, split: str | None = None) -> int:
     """Write a data set, or one split of it, as .npz (NumPy) or .mat (MATLAB, Octave).
 
     Example: motor-datasets export out/bench out/bench_test.mat --split test
 
     Args:
-        folder: A data set.
+        folder: A data set: its folder or URL.
         file: New file, .npz or .mat.
         split: train, validation, test or shift_NAME; train, validation and test together where it is left out.
     """

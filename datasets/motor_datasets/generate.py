@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from motor_datasets import storage
 from motor_datasets.arrays import EFFECTS, SENSOR_ERRORS, Dataset
+from motor_datasets.remote import Folder, RemotePath, folder_of
 from motor_datasets.splits import split_of
 from motor_env.console import InputError
 from motor_env.parameters import require
@@ -67,7 +68,7 @@ def _labelled(X: NDArray[np.float32], drawn: Draw, recipe: Recipe, seed: int) ->
     )
 
 
-def _make_file(folder: Path, file: storage.PlannedFile, recipe: Recipe, seed: int) -> storage.Entry:
+def _make_file(folder: Folder, file: storage.PlannedFile, recipe: Recipe, seed: int) -> storage.Entry:
     """Generate and write one file: all that a worker does."""
     own = recipe if file.shift is None else recipe.shifted(file.shift)
     dataset = generate_arrays(own, seed, file.case_id(recipe, seed))
@@ -75,7 +76,7 @@ def _make_file(folder: Path, file: storage.PlannedFile, recipe: Recipe, seed: in
 
 
 def _run(
-    jobs: list[storage.PlannedFile], folder: Path, plan: storage.Plan, workers: int
+    jobs: list[storage.PlannedFile], folder: Folder, plan: storage.Plan, workers: int
 ) -> Iterator[storage.Entry]:
     if workers == 1:
         yield from (_make_file(folder, job, plan.recipe, plan.seed) for job in jobs)
@@ -96,7 +97,7 @@ def generate_dataset(
     recipe: Recipe,
     cases: int,
     seed: int,
-    out: Path,
+    out: str | Path | RemotePath,
     *,
     workers: int = 1,
     resume: bool = False,
@@ -108,31 +109,37 @@ def generate_dataset(
         recipe: what to draw from.
         cases: how many cases, those of the recipe's shifts aside.
         seed: the random seed.
-        out: folder; it must not exist, be empty, or (with `resume`) hold the unfinished same data set.
+        out: folder, or a URL for fsspec (`s3://bucket/prefix`); it must not exist, be empty, or (with `resume`) hold
+            the unfinished same data set.
         workers: processes; inside `joblib.parallel_config(backend="dask")` those of that backend.
         resume: finish what an interrupted generation began.
         on_progress: called with the number of cases just written.
 
     Raises:
         ValueError: fewer than one case or worker, or a seed out of range.
-        InputError: `out` holds something else, or a worker was killed.
+        InputError: `out` holds something else or cannot be used, or a worker was killed.
     """
     require(workers >= 1, f"workers must be >= 1, got {workers}")
     plan = storage.make_plan(recipe, cases, seed)
-    finished = storage.open_folder(out, plan, resume=resume)
+    folder = folder_of(out)
+    if isinstance(folder, RemotePath) and not folder.shared:
+        require(
+            workers == 1, f"workers must be 1 for {folder}, which other processes do not see, got {workers}"
+        )
+    finished = storage.open_folder(folder, plan, resume=resume)
     if finished is not None:
         on_progress(plan.cases_of_all)
         return finished
     entries: dict[str, storage.Entry] = {}
     jobs = []
     for file in plan.files:
-        entry = storage.existing_entry(out, file) if resume else None
+        entry = storage.existing_entry(folder, file) if resume else None
         if entry is None:
             jobs.append(file)
         else:
             entries[file.path] = entry
             on_progress(entry.rows)
-    for entry in _run(jobs, out, plan, workers):
+    for entry in _run(jobs, folder, plan, workers):
         entries[entry.path] = entry
         on_progress(entry.rows)
-    return storage.finish_folder(out, plan, [entries[file.path] for file in plan.files])
+    return storage.finish_folder(folder, plan, [entries[file.path] for file in plan.files])

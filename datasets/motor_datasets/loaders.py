@@ -7,18 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 from motor_datasets import storage
 from motor_datasets.arrays import Dataset
+from motor_datasets.remote import RemotePath, folder_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-def load(folder: str | Path, split: str | None = None) -> Dataset:
-    """Load a data set, or one split of it, ordered by case.
+def load(folder: str | Path | RemotePath, split: str | None = None) -> Dataset:
+    """Load a data set, or one split of it, ordered by case, from a folder or a URL such as `s3://bucket/prefix`.
 
     Raises:
         InputError: no data set there, a file missing or damaged, an unknown or empty split.
     """
-    path = Path(folder)
+    path = folder_of(folder)
     return storage.read_files(path, storage.read_manifest(path), split)
 
 

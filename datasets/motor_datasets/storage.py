@@ -3,6 +3,7 @@
 A data set is a folder: `dataset.json` (the manifest: recipe, seed, every file with its digest) and Parquet files
 `data/<split>-<shard>.parquet`. A channel is a column of fixed-size lists of float32, one row a case; recipe and seed
 also stand in the metadata of each file. The manifest is written last and files appear whole or not at all.
+A folder is a local path, or a prefix on object storage (`remote`); there a file is made locally and then put.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 
 from motor_datasets.arrays import Dataset, parameter_names
 from motor_datasets.card import data_card
+from motor_datasets.remote import Folder, RemotePath
 from motor_datasets.splits import BLOCK, Split, split_of
 from motor_env.console import InputError
 from motor_env.parameters import Channel, require
@@ -156,7 +158,7 @@ def _splits_of_range(recipe: Recipe, seed: int, begin: int, end: int) -> list[st
     return [str(split) for split in Split if str(split) in present]
 
 
-def open_folder(out: Path, plan: Plan, *, resume: bool) -> Manifest | None:
+def open_folder(out: Folder, plan: Plan, *, resume: bool) -> Manifest | None:
     """Make or reopen the folder of a data set; the manifest, if it is finished already.
 
     A note `unfinished.json` says what is being made; it goes when the manifest comes.
@@ -169,7 +171,7 @@ def open_folder(out: Path, plan: Plan, *, resume: bool) -> Manifest | None:
         json.dumps({"recipe": recipe_to_dict(plan.recipe), "seed": plan.seed, "cases": plan.cases}) + "\n"
     )
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
-        (out / "data").mkdir(parents=True, exist_ok=True)
+        _make_folders(out)
         _write_whole(note, wanted.encode())
         return None
     if not resume:
@@ -179,21 +181,37 @@ def open_folder(out: Path, plan: Plan, *, resume: bool) -> Manifest | None:
         manifest = read_manifest(out)
         if (manifest.recipe, manifest.seed, manifest.cases) != (plan.recipe, plan.seed, plan.cases):
             raise InputError(f"{out} holds another data set and is not overwritten: give another folder")
-        note.unlink(missing_ok=True)
+        _remove(note)
         return manifest
     # Killed before the note was whole: the folder holds nothing but its beginnings.
     names = {path.name for path in out.iterdir()}
     only_begun = names <= {"data", f".{UNFINISHED}.partial"} and not any((out / "data").glob("*"))
     if not only_begun and (not note.is_file() or note.read_text() != wanted):
         raise InputError(f"{out} holds something other than this data set unfinished, and is not touched")
-    (out / "data").mkdir(exist_ok=True)
+    _make_folders(out)
     _write_whole(note, wanted.encode())
-    for partial in out.rglob(".*.partial"):
-        partial.unlink()
+    if isinstance(out, Path):
+        for partial in out.rglob(".*.partial"):
+            partial.unlink()
     return None
 
 
-def _write_whole(path: Path, content: bytes) -> None:
+def _make_folders(out: Folder) -> None:
+    if isinstance(out, Path):  # object storage has none
+        (out / "data").mkdir(parents=True, exist_ok=True)
+
+
+def _remove(path: Folder) -> None:
+    if isinstance(path, RemotePath):
+        path.unlink()
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _write_whole(path: Folder, content: bytes) -> None:
+    if isinstance(path, RemotePath):
+        path.write_bytes(content)
+        return
     temporary = path.with_name(f".{path.name}.partial")
     with temporary.open("wb") as stream:
         stream.write(content)
@@ -202,24 +220,33 @@ def _write_whole(path: Path, content: bytes) -> None:
     temporary.replace(path)
 
 
-def _digest(path: Path) -> str:
-    with path.open("rb") as stream:
+def _open(path: Folder) -> Any:
+    return path.open() if isinstance(path, RemotePath) else path.open("rb")
+
+
+def _size(path: Folder) -> int:
+    return path.size() if isinstance(path, RemotePath) else path.stat().st_size
+
+
+def _digest(path: Folder) -> str:
+    with _open(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def existing_entry(folder: Path, file: PlannedFile) -> Entry | None:
+def existing_entry(folder: Folder, file: PlannedFile) -> Entry | None:
     """The file that an interrupted generation left whole; None if there is none."""
     path = folder / file.path
     if not path.is_file():
         return None
     try:
-        rows = pq.read_metadata(path).num_rows
+        with _open(path) as stream:
+            rows = pq.read_metadata(stream).num_rows
     except pa.ArrowInvalid:
         return None
-    return Entry(file.path, file.split, rows, path.stat().st_size, _digest(path))
+    return Entry(file.path, file.split, rows, _size(path), _digest(path))
 
 
-def finish_folder(folder: Path, plan: Plan, entries: Sequence[Entry]) -> Manifest:
+def finish_folder(folder: Folder, plan: Plan, entries: Sequence[Entry]) -> Manifest:
     """Write the card and then the manifest: with it the data set is complete."""
     manifest = Manifest(plan.recipe, plan.seed, plan.cases, tuple(entries))
     content = {
@@ -232,11 +259,11 @@ def finish_folder(folder: Path, plan: Plan, entries: Sequence[Entry]) -> Manifes
     }
     _write_whole(folder / CARD, data_card(manifest).encode())
     _write_whole(folder / MANIFEST, (json.dumps(content, indent=1) + "\n").encode())
-    (folder / UNFINISHED).unlink(missing_ok=True)
+    _remove(folder / UNFINISHED)
     return manifest
 
 
-def problems(folder: Path) -> list[str]:
+def problems(folder: Folder) -> list[str]:
     """One sentence for each file that is missing, damaged or foreign.
 
     Raises:
@@ -248,13 +275,11 @@ def problems(folder: Path) -> list[str]:
         path = folder / entry.path
         if not path.is_file():
             found.append(f"{entry.path} is missing")
-        elif path.stat().st_size != entry.bytes or _digest(path) != entry.sha256:
+        elif _size(path) != entry.bytes or _digest(path) != entry.sha256:
             found.append(f"{entry.path} is damaged: its digest is not that of the manifest")
     known = {entry.path for entry in manifest.files}
-    for path in sorted((folder / "data").glob("*")):
-        name = path.relative_to(folder).as_posix()
-        if name not in known:
-            found.append(f"{name} is foreign: the manifest does not name it")
+    present = {f"data/{path.name}" for path in (folder / "data").glob("*")}
+    found += [f"{name} is foreign: the manifest does not name it" for name in sorted(present - known)]
     return found
 
 
@@ -323,8 +348,15 @@ def write_table(table: pa.Table, path: Path) -> None:
     )
 
 
-def write_file(folder: Path, file: PlannedFile, dataset: Dataset) -> Entry:
+def write_file(folder: Folder, file: PlannedFile, dataset: Dataset) -> Entry:
     """Write one file of a data set: it appears whole, under its name, or not at all."""
+    if isinstance(folder, RemotePath):
+        with tempfile.TemporaryDirectory() as name:
+            local = Path(name)
+            _make_folders(local)
+            entry = write_file(local, file, dataset)
+            (folder / file.path).upload(local / file.path)
+        return entry
     target = folder / file.path
     temporary = target.with_name(f".{target.name}.partial")
     dataset = replace(dataset, split=np.full(len(dataset), file.split))
@@ -338,7 +370,7 @@ def write_file(folder: Path, file: PlannedFile, dataset: Dataset) -> Entry:
     return Entry(file.path, file.split, len(dataset), size, digest)
 
 
-def read_manifest(folder: Path) -> Manifest:
+def read_manifest(folder: Folder) -> Manifest:
     """The manifest of a data set.
 
     Raises:
@@ -360,7 +392,7 @@ def read_manifest(folder: Path) -> Manifest:
         raise InputError(f"{path} cannot be read as a data set's manifest: {error}") from error
 
 
-def read_files(folder: Path, manifest: Manifest, split: str | None = None) -> Dataset:
+def read_files(folder: Folder, manifest: Manifest, split: str | None = None) -> Dataset:
     """Read the files of one split, or train, validation and test, ordered by case.
 
     Raises:
@@ -407,10 +439,13 @@ def _column(table: pa.Table, name: str) -> NDArray[Any]:
     return values
 
 
-def _read_table(path: Path) -> pa.Table:
+def _read_table(path: Folder) -> pa.Table:
     if not path.is_file():
         raise InputError(f"{path} is missing")
     try:
+        if isinstance(path, RemotePath):
+            with path.open() as stream:
+                return pq.read_table(stream)
         return pq.read_table(path)
     except pa.ArrowInvalid as error:
         raise InputError(f"{path} cannot be read: {error}") from error

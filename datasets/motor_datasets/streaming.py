@@ -67,17 +67,6 @@ def _case_blocks(
 
 def to_torch_iterable(recipe: Recipe, seed: int, batch_size: int = 256, **options: Any) -> Any:
     """`torch.utils.data.IterableDataset` of (X, class_index, severity) batches; workers of a loader share them."""
-    import torch
+    from motor_datasets.torch_batches import TorchBatches
 
-    class _Batches(torch.utils.data.IterableDataset[Any]):
-        def __iter__(self) -> Iterator[Any]:
-            info = torch.utils.data.get_worker_info()
-            share = (0, 1) if info is None else (info.id, info.num_workers)
-            for batch in stream(recipe, seed, batch_size, share=share, **options):
-                yield (
-                    torch.from_numpy(batch.X),
-                    torch.tensor(batch.class_index),
-                    torch.tensor(batch.severity),
-                )
-
-    return _Batches()
+    return TorchBatches(recipe, seed, batch_size, options)
