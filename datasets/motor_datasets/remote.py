@@ -100,7 +100,7 @@ def folder_of(where: str | Path | RemotePath) -> Folder:
     """The folder that a plain path or a URL such as `s3://bucket/prefix` names; `file://` is a local folder.
 
     Raises:
-        InputError: no such protocol, or the package for it is not installed.
+        InputError: no such protocol, the package for it is not installed, or the storage does not answer.
     """
     if not isinstance(where, str) or "://" not in where:
         return where if isinstance(where, RemotePath) else Path(where)
@@ -113,6 +113,10 @@ def folder_of(where: str | Path | RemotePath) -> Folder:
     if "file" in _protocols(filesystem):
         return Path(path)
     filesystem.invalidate_cache()  # another process may have written since
+    try:
+        filesystem.exists(path)
+    except Exception as error:  # no credentials, no network: drivers' errors have no common base
+        raise InputError(f"{where} cannot be reached: {' '.join(str(error).split())}") from error
     return RemotePath(filesystem, path)
 
 

@@ -50,7 +50,7 @@ def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Stopped(Exception):  # noqa: N818 - it is no error, it stops the writing
-    """Raised in the middle of a generation."""
+    """Raised in the middle of a generation, or in place of a driver's own error."""
 
 
 @pytest.mark.usefixtures("small_shards")
@@ -172,6 +172,15 @@ def test_a_url_that_cannot_be_used_is_one_sentence(
         assert error.count("\n") == 1
     assert main(["verify", url]) == 2
     assert "is no data set" in capsys.readouterr().err
+
+    def deny(*_: Any) -> bool:
+        raise Stopped("no credentials")
+
+    monkeypatch.setattr(type(fsspec.filesystem("memory")), "exists", deny)
+    assert main([*OPTIONS, "--out", url]) == 2
+    error = capsys.readouterr().err
+    assert "cannot be reached: no credentials" in error
+    assert error.count("\n") == 1
 
 
 def test_local_folders_need_no_fsspec(tmp_path: Path) -> None:
