@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -168,7 +169,9 @@ def aligned_case(recording: Recording, recipe: Recipe) -> FloatArray:
 def _moved_onto_a_sample(recording: Recording, recipe: Recipe) -> FloatArray:
     """What the fit leaves over, on top of the fitted motor's response to a step at a sample: shape (1, ...)."""
     timing = recipe.timing
-    fitted = identify(prepare(recording, float(np.asarray(recipe.supply.voltage_v))))
+    prepared = prepare(recording, float(np.asarray(recipe.supply.voltage_v)))
+    # The recipe's supply is a step; a measured voltage would also bring its noise, and pin the onset to its samples.
+    fitted = identify(replace(prepared, voltage_v=None))
     start = fitted.start
     step = int(np.abs(start.time_s - fitted.onset_s).argmin())
     rows = np.arange(timing.n_samples) + step + 1 - timing.n_quiet

@@ -17,7 +17,9 @@ FINE = 10  # simulated steps in a sampling interval
 N_STARTS = 20
 
 
-def capture(path: Path, index: int, position: float, generator: np.random.Generator) -> Path:
+def capture(
+    path: Path, index: int, position: float, generator: np.random.Generator, *, with_voltage: bool
+) -> Path:
     """A start whose supply steps `position` of a sample after a sample, 0.1 s of quiet before it, as CSV."""
     scenario = draw(RECIPE, 77, np.arange(N_STARTS)).scenario
     fault_class = RECIPE.classes[int(draw(RECIPE, 77, np.arange(N_STARTS)).class_index[index])]
@@ -28,20 +30,28 @@ def capture(path: Path, index: int, position: float, generator: np.random.Genera
     current = simulate_states(motor, voltage, dt_s / FINE)[FINE - 1 :: FINE, 0]
     current = current + RECIPE.sensor.current_noise_a * generator.standard_normal(len(current))
     time_s = np.arange(len(current)) * dt_s
-    np.savetxt(
-        path, np.column_stack([time_s, current]), delimiter=",", header="time_s,current_a", comments=""
-    )
+    columns = {"time_s": time_s, "current_a": current}
+    if with_voltage:
+        columns["voltage_v"] = voltage[FINE - 1 :: FINE] + 0.02 * generator.standard_normal(len(current))
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="")
     return path
 
 
-@pytest.mark.parametrize("position", [0.0, 0.2, 0.5, 0.8])
-def test_the_step_may_fall_between_samples(position: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("position", "with_voltage"), [(0.0, False), (0.2, False), (0.5, False), (0.8, False), (0.2, True)]
+)
+def test_the_step_may_fall_between_samples(position: float, with_voltage: bool, tmp_path: Path) -> None:
     training = generate_arrays(RECIPE, 3, 1400)
     model = make_method("residual-qda", RECIPE, 0).fit(training.X, training.class_name)
     truth = draw(RECIPE, 77, np.arange(N_STARTS)).class_index
     generator = np.random.default_rng(5)
     found = [
-        predict_recording(model, RECIPE, capture(tmp_path / "start.csv", n, position, generator))
+        predict_recording(
+            model,
+            RECIPE,
+            capture(tmp_path / "start.csv", n, position, generator, with_voltage=with_voltage),
+        )
         for n in range(N_STARTS)
     ]
     assert all(opinion.verdict != UNDECIDED for opinion in found)
