@@ -26,7 +26,7 @@ from motor_env.sensor_chain import SensorChain
 from motor_env.simulation import Scenario, Timing
 from motor_env.streams import Stream, normals, uniforms
 
-_LARGEST_SPREAD = (
+LARGEST_SPREAD = (
     0.14  # a normal number of the streams stays below 6.77, so a factor 1 + 0.14 z stays positive
 )
 
@@ -49,8 +49,8 @@ class Spread:
         for f in fields(self):
             require_positive(f"spread of {f.name}", getattr(self, f.name), zero_allowed=True)
             require(
-                getattr(self, f.name) <= _LARGEST_SPREAD,
-                f"spread of {f.name} must be <= {_LARGEST_SPREAD}, got {getattr(self, f.name):g}",
+                getattr(self, f.name) <= LARGEST_SPREAD,
+                f"spread of {f.name} must be <= {LARGEST_SPREAD}, got {getattr(self, f.name):g}",
             )
 
     @property
