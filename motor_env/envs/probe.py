@@ -23,7 +23,7 @@ class ProbeOptions(MonitorOptions):
     """The options of `MonitorOptions`, with other defaults, and what the voltage may do and costs.
 
     Attributes:
-        recipe: see `MonitorOptions`; the default has faults of 1 to 3 %.
+        recipe: see `MonitorOptions`; the default has windings worse by 0.5 to 3 %.
         horizon_s: see `MonitorOptions`.
         samples_per_step: see `MonitorOptions`; a decision every 2 ms.
         load_torque_n_m: see `MonitorOptions`; none, so that a motor left alone shows nothing of a winding.
@@ -74,7 +74,7 @@ class ProbeEnv(DiscreteMotorEnv):
     """A DC motor runs without load, where a winding fault does not show. Move the voltage to see it, and pay for that.
 
     ## Description
-    As in `MonitorEnv` a fault of unknown kind sets in at an unknown time, or none does, but it is small (1 to 3 %), and
+    As in `MonitorEnv` a fault of unknown kind sets in at an unknown time, or none does, but it is small (0.5 to 3 %), and
     the agent decides every 2 ms which voltage is applied. A moving voltage makes the current flow that a changed
     resistance changes.
 

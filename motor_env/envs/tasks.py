@@ -50,6 +50,7 @@ SMALL = Recipe(
     name="small",
     classes=(
         FaultClass(weight=3.0),
+        FaultClass(FaultKind.WINDING_CONTACT, 0.005),
         FaultClass(FaultKind.WINDING_CONTACT, 0.01),
         FaultClass(FaultKind.WINDING_CONTACT, 0.02),
         FaultClass(FaultKind.WINDING_CONTACT, 0.03),
@@ -57,7 +58,7 @@ SMALL = Recipe(
     ),
     sensor=SensorParameters(current_noise_a=0.01),
 )
-"""Windings worse by 1 to 3 %, which only a moving voltage shows, and a bearing that shows by itself."""
+"""Windings worse by 0.5 to 3 %, which only a moving voltage shows, and a bearing that shows by itself."""
 
 TASKS = {recipe.name: recipe for recipe in (EASY, MEDIUM, HARD, SMALL)}
 
