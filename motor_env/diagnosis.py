@@ -223,6 +223,11 @@ def learn_reference(fits: list[Identified]) -> StartReference:
         log_noise=float(noise.mean()),
         log_noise_sd=math.sqrt(noise_variance),
         model=fits[0].model,
+        model_low=tuple(min(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
+        model_high=tuple(max(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
+        sampling_rate_hz=1.0 / float(np.mean([fit.start.dt_s for fit in fits])),
+        duration_s=min(float(fit.start.time_s[-1]) - fit.onset_s for fit in fits),
+        quiet_s=max(min(fit.onset_s - float(fit.start.time_s[0]) for fit in fits), 0.0),
     )
 
 

@@ -113,6 +113,11 @@ class _ReferenceTable(_Table):
     log_noise: Finite
     log_noise_sd: Positive
     model: list[str] = []
+    model_low: list[Positive] = []
+    model_high: list[Positive] = []
+    sampling_rate_hz: Positive | None = None
+    duration_s: Positive | None = None
+    quiet_s: NotNegative | None = None
 
 
 class _File(_Table):
@@ -155,6 +160,11 @@ class StartReference:
         log_noise: mean logarithm of the noise of the current in A.
         log_noise_sd: standard deviation of the next start's logarithm of the noise.
         model: extensions of the textbook model that the fits used.
+        model_low: smallest value of each extension over the starts.
+        model_high: largest value of each.
+        sampling_rate_hz: of the starts; None where unknown.
+        duration_s: what the shortest start holds after its onset.
+        quiet_s: what the shortest start holds before it.
     """
 
     starts: int
@@ -165,6 +175,11 @@ class StartReference:
     log_noise: float
     log_noise_sd: float
     model: tuple[str, ...] = ()
+    model_low: tuple[float, ...] = ()
+    model_high: tuple[float, ...] = ()
+    sampling_rate_hz: float | None = None
+    duration_s: float | None = None
+    quiet_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,6 +341,10 @@ def _to_reference(table: _ReferenceTable, path: Path) -> StartReference:
         raise InputError(
             f"{path}: reference names {n} quantities; values and log_covariance must have that size"
         )
+    if any(len(bound) not in (0, len(table.model)) for bound in (table.model_low, table.model_high)):
+        raise InputError(
+            f"{path}: reference.model_low and model_high must have one value for each of reference.model"
+        )
     if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
         raise InputError(f"{path}: reference.log_covariance must be symmetric and positive definite")
     return StartReference(
@@ -337,6 +356,11 @@ def _to_reference(table: _ReferenceTable, path: Path) -> StartReference:
         log_noise=table.log_noise,
         log_noise_sd=table.log_noise_sd,
         model=tuple(table.model),
+        model_low=tuple(table.model_low),
+        model_high=tuple(table.model_high),
+        sampling_rate_hz=table.sampling_rate_hz,
+        duration_s=table.duration_s,
+        quiet_s=table.quiet_s,
     )
 
 
