@@ -115,4 +115,4 @@ def test_named_recipe_with_changes() -> None:
 
 def test_no_factor_can_reach_zero_at_the_largest_spread() -> None:
     # The largest normal number that 32-bit words can give (Box & Muller): sqrt(-2 ln(2^-33)) = 6.76.
-    assert 1.0 - recipes._LARGEST_SPREAD * np.sqrt(-2.0 * np.log(2.0**-33)) > 0.0
+    assert 1.0 - recipes.LARGEST_SPREAD * np.sqrt(-2.0 * np.log(2.0**-33)) > 0.0
