@@ -11,12 +11,14 @@ import pytest
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
+from motor_classifiers.conformal import ConformalClassifier
 from motor_classifiers.features import PhysicalFeatures, ResidualProjection
 from motor_classifiers.networks import NetworkClassifier
 from motor_classifiers.threshold import ConfirmationClassifier
 
 ESTIMATORS = [
     ConfirmationClassifier(),
+    ConformalClassifier(),
     NetworkClassifier(epochs=15),
     PhysicalFeatures(),
     ResidualProjection(),
