@@ -27,11 +27,11 @@ _LARGEST_DAMPING = 1e9
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Independent Gaussian prior on coordinates.
+    """Gaussian prior on coordinates.
 
     Attributes:
-        mean: shape (size,).
-        precision: one over the variance, shape (size,); 0 where nothing is known.
+        mean: shape (size,), or (n, size) where each case has its own.
+        precision: inverse covariance, shape (size, size) or (n, size, size); 0 where nothing is known.
     """
 
     mean: FloatArray
@@ -40,16 +40,32 @@ class Prior:
     @classmethod
     def flat(cls, size: int) -> Prior:
         """Nothing is known: maximum likelihood."""
-        return cls(np.zeros(size), np.zeros(size))
+        return cls(np.zeros(size), np.zeros((size, size)))
 
     @classmethod
     def of(cls, std: ArrayLike, mean: ArrayLike = 0.0) -> Prior:
-        """From standard deviations, infinite where nothing is known."""
+        """Independent, from standard deviations, infinite where nothing is known."""
         deviations = np.asarray(std, dtype=np.float64)
         require(
             bool((deviations > 0.0).all()), f"standard deviations of a prior must be > 0, got {deviations}"
         )
-        return cls(np.broadcast_to(np.asarray(mean, float), deviations.shape), 1.0 / np.square(deviations))
+        return cls(
+            np.broadcast_to(np.asarray(mean, float), deviations.shape), np.diag(1.0 / np.square(deviations))
+        )
+
+    def rows(self, chosen: NDArray[np.int64]) -> Prior:
+        """The prior of some of the cases."""
+        return Prior(
+            self.mean[chosen] if self.mean.ndim > 1 else self.mean,
+            self.precision[chosen] if self.precision.ndim > 2 else self.precision,
+        )
+
+    def pull(self, values: FloatArray) -> FloatArray:
+        """Precision times the distance from the mean, shape (n, size): half the gradient of the prior's squares."""
+        off = values - self.mean
+        common = self.precision.ndim == 2
+        pulled: FloatArray = off @ self.precision if common else np.einsum("nij,nj->ni", self.precision, off)
+        return pulled
 
 
 class Fit(NamedTuple):
@@ -84,11 +100,11 @@ class Fit(NamedTuple):
 
 def _with_prior(equations: NormalEquations, values: FloatArray, prior: Prior) -> NormalEquations:
     """The prior is one more measurement of each coordinate: chi2 becomes the objective."""
-    off = values - prior.mean
+    pull = prior.pull(values)
     return NormalEquations(
-        equations.chi2 + (np.square(off) * prior.precision).sum(axis=-1),
-        equations.gradient - off * prior.precision,
-        equations.information + np.diag(prior.precision),
+        equations.chi2 + ((values - prior.mean) * pull).sum(axis=-1),
+        equations.gradient - pull,
+        equations.information + prior.precision,
     )
 
 
@@ -140,7 +156,8 @@ def fit(
         step, gain = _steps(here, damping[active], coordinates, values[active])
         # The last step is taken too: near the minimum it squares what is left of the error.
         tried = values[active] + step
-        trial = _with_prior(normal_equations(observed, coordinates, tried, active), tried, belief)
+        equations = normal_equations(observed, coordinates, tried, active)
+        trial = _with_prior(equations, tried, belief.rows(active))
         small = np.abs(gain) <= _TOLERANCE
         better = (trial.chi2 < here.chi2) & np.isfinite(trial.gradient).all(axis=-1)
         moved = active[better]
@@ -155,7 +172,7 @@ def fit(
         active = active[~small & (damping[active] < _LARGEST_DAMPING)]
         if active.size == 0:
             break
-    chi2 = best.chi2 - (np.square(values - belief.mean) * belief.precision).sum(axis=-1)
+    chi2 = best.chi2 - ((values - belief.mean) * belief.pull(values)).sum(axis=-1)
     return Fit(
         values=values,
         factors=coordinates.factors(values),
@@ -238,7 +255,7 @@ def cramer_rao_bound(
     """
     information = fisher_information(Coordinates.of(parameters, free), timing, sensor, voltage_v)
     if prior_std is not None:
-        information = information + np.diag(Prior.of(np.broadcast_to(prior_std, len(free))).precision)
+        information = information + Prior.of(np.broadcast_to(prior_std, len(free))).precision
     return _inverse(information, free)
 
 

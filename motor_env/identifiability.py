@@ -148,7 +148,7 @@ def identifiability(
     """
     slopes = experiment.slopes(parameters, free)
     precision = Prior.of(np.broadcast_to(prior_std, len(free))).precision
-    rows = np.concatenate([slopes, np.diag(np.sqrt(precision))])
+    rows = np.concatenate([slopes, np.sqrt(precision)])  # the precision is diagonal
     _, singular, directions = np.linalg.svd(rows, full_matrices=False)
     seen = singular > _UNSEEN
     open_directions = _reduced(directions[~seen])

@@ -53,16 +53,27 @@ def recipe_observed(recipe: Recipe, measurements: ArrayLike, voltage_v: ArrayLik
     return Observed.of(measured, shown, recipe.sensor, recipe.timing.dt_s)
 
 
-def laplace_evidence(observed: Observed, coordinates: Coordinates) -> FloatArray:
-    """Log probability density of each transient, coordinates of a standard normal prior integrated out, shape (n,)."""
+def laplace_evidence(observed: Observed, coordinates: Coordinates, prior: Prior | None = None) -> FloatArray:
+    """Log probability density of each transient, coordinates integrated out, shape (n,).
+
+    Args:
+        observed: the measured transients.
+        coordinates: the nuisances.
+        prior: of the coordinates; standard normal by default.
+    """
     if coordinates.size == 0:
         exact = np.zeros((observed.n_cases, 0))
         chi2 = np.square(fitted_residuals(observed, coordinates, exact)).sum(axis=(-2, -1))
         likelihood: FloatArray = observed.log_normaliser - 0.5 * chi2
         return likelihood
-    fitted = fit(observed, coordinates, Prior.of(np.ones(coordinates.size)))
+    belief = Prior.of(np.ones(coordinates.size)) if prior is None else prior
+    fitted = fit(observed, coordinates, belief)
+    # The peak's volume over the prior's.
     _, log_determinant = np.linalg.slogdet(fitted.information)
-    evidence: FloatArray = observed.log_normaliser - 0.5 * (fitted.objective + log_determinant)
+    _, log_precision = np.linalg.slogdet(belief.precision)
+    evidence: FloatArray = observed.log_normaliser - 0.5 * (
+        fitted.objective + log_determinant - log_precision
+    )
     return evidence
 
 
