@@ -145,9 +145,14 @@ def to_disk() -> list[Result]:
     tables = [
         storage.to_table(generate_arrays(recipe, SEED, file.case_id(recipe, SEED))) for file in plan.files
     ]
+    ours = peer = 0.0
     with tempfile.TemporaryDirectory() as folder:
-        ours = best_rate(lambda: _to_disk(Path(folder) / "ours"), N_CASES_TO_DISK, rounds=3)
-        peer = best_rate(lambda: _write_ready(tables, Path(folder) / "peer"), N_CASES_TO_DISK, rounds=3)
+        for _ in range(5):  # in turns: a disk is not equally quick all the time
+            ours = max(ours, best_rate(lambda: _to_disk(Path(folder) / "ours"), N_CASES_TO_DISK, rounds=2))
+            peer = max(
+                peer,
+                best_rate(lambda: _write_ready(tables, Path(folder) / "peer"), N_CASES_TO_DISK, rounds=2),
+            )
     return [Result("bench recipe to disk", ours, peer, "pyarrow, ready arrays", bar=0.6)]
 
 

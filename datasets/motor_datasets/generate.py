@@ -17,7 +17,7 @@ from motor_env.console import InputError
 from motor_env.parameters import require
 from motor_env.recipes import Draw, Recipe, draw, measure_draw
 
-_CASES_AT_ONCE = 512  # what is drawn and measured together stays in the cache
+_CASES_AT_ONCE = 4096  # bounds the memory of what only some recipes need; more gains nothing
 
 
 def generate_arrays(recipe: Recipe, seed: int, cases: int | ArrayLike) -> Dataset:

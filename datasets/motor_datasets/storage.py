@@ -318,12 +318,7 @@ def to_table(dataset: Dataset) -> pa.Table:
             flat = pa.array(np.ascontiguousarray(dataset.X[:, samples[field.name]]).reshape(-1))
             arrays.append(pa.FixedSizeListArray.from_arrays(flat, type=field.type))
         elif pa.types.is_dictionary(field.type):
-            values, indices = np.unique(getattr(dataset, field.name), return_inverse=True)
-            arrays.append(
-                pa.DictionaryArray.from_arrays(
-                    indices.astype(np.int16), pa.array(values.tolist(), pa.string())
-                )
-            )
+            arrays.append(pa.array(getattr(dataset, field.name)).dictionary_encode().cast(field.type))
         else:
             arrays.append(pa.array(columns[field.name], field.type))
     return pa.Table.from_arrays(arrays, schema=schema)
