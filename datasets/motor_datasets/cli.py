@@ -252,11 +252,20 @@ def _motor(name_or_path: str) -> MotorParameters:
 def _progress(cases: int) -> Iterator[Callable[[int], object]]:
     """A progress bar with rate and time left, on standard error and only on a terminal."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        """Cases a second."""
+
+        def render(self, task: Task) -> Text:
+            rate = task.finished_speed or task.speed
+            return Text("" if rate is None else f"{rate:.0f} a second")
 
     columns = (
         BarColumn(),
         TextColumn("{task.completed:.0f} / {task.total:.0f} cases"),
+        Rate(),
         TimeRemainingColumn(),
     )
     console_of_errors = Console(stderr=True)

@@ -344,7 +344,11 @@ def write_table(table: pa.Table, path: Path) -> None:
 
 
 def write_file(folder: Folder, file: PlannedFile, dataset: Dataset) -> Entry:
-    """Write one file of a data set: it appears whole, under its name, or not at all."""
+    """Write one file of a data set: it appears whole, under its name, or not at all.
+
+    Raises:
+        InputError: it cannot be written, the disk is full for example.
+    """
     if isinstance(folder, RemotePath):
         with tempfile.TemporaryDirectory() as name:
             local = Path(name)
@@ -359,8 +363,11 @@ def write_file(folder: Folder, file: PlannedFile, dataset: Dataset) -> Entry:
         write_table(to_table(dataset), temporary)
         digest, size = _digest(temporary), temporary.stat().st_size
         temporary.replace(target)
-    except BaseException:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            why = (os.strerror(error.errno) if error.errno else str(error)).lower()
+            raise InputError(f"{target} cannot be written: {why}; what is whole stays, resume it") from error
         raise
     return Entry(file.path, file.split, len(dataset), size, digest)
 

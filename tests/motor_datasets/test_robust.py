@@ -86,7 +86,7 @@ def test_a_full_disk_leaves_whole_files_only(tmp_path: Path, monkeypatch: pytest
 
     with monkeypatch.context() as patch:
         patch.setattr(pq, "write_table", write_until_full)
-        with pytest.raises(OSError, match="No space"):
+        with pytest.raises(InputError, match=r"parquet cannot be written: no space.* resume"):
             generate_dataset(SHORT, 200, 1, tmp_path / "cut")
     assert len(list((tmp_path / "cut/data").iterdir())) == 5
     generate_dataset(SHORT, 200, 1, tmp_path / "cut", resume=True)
@@ -144,14 +144,22 @@ def test_verify_names_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_other_tools_read_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hugging Face's datasets, offline and by the card; pandas."""
+    """Hugging Face's datasets, offline and by the card; pandas, polars and DuckDB."""
     huggingface = pytest.importorskip("datasets")
     pandas = pytest.importorskip("pandas")
+    polars = pytest.importorskip("polars")
+    duckdb = pytest.importorskip("duckdb")
     monkeypatch.setenv("HF_HOME", str(tmp_path / "cache"))
     generate_dataset(SHORT, 60, 1, tmp_path / "set")
     ours = load(tmp_path / "set", "test")
     theirs = huggingface.load_dataset(str(tmp_path / "set"), split="test", cache_dir=str(tmp_path / "cache"))
     assert np.array_equal(np.array(theirs["current_a"], dtype=np.float32), ours.X[:, 0])
     assert list(theirs["class_name"]) == ours.class_name.tolist()
-    frame = pandas.read_parquet(tmp_path / "set/data/test-000000.parquet")
+    file = tmp_path / "set/data/test-000000.parquet"
+    frame = pandas.read_parquet(file)
     assert np.array_equal(np.stack(frame["current_a"].to_list()), ours.X[:, 0])
+    column = polars.read_parquet(file)["current_a"]
+    assert np.array_equal(column.to_numpy(), ours.X[:, 0])
+    rows = duckdb.read_parquet(str(file)).order("case_id").fetchnumpy()
+    assert np.array_equal(np.stack(rows["current_a"]), ours.X[:, 0])
+    assert np.array_equal(rows["severity"], ours.severity)
