@@ -14,11 +14,14 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 from motor_classifiers.conformal import ConformalClassifier
 from motor_classifiers.features import PhysicalFeatures, ResidualProjection
 from motor_classifiers.networks import NetworkClassifier
+from motor_classifiers.novelty import FaultFamilyDetector, OpenSetClassifier
 from motor_classifiers.threshold import ConfirmationClassifier
 
 ESTIMATORS = [
     ConfirmationClassifier(),
     ConformalClassifier(),
+    FaultFamilyDetector(),
+    OpenSetClassifier(),
     NetworkClassifier(epochs=15),
     PhysicalFeatures(),
     ResidualProjection(),
@@ -38,7 +41,8 @@ def test_flattened_transients_are_the_same(estimator: BaseEstimator) -> None:
     X = rng.normal(size=(40, 2, 15)).astype(np.float32)
     X[20:] += 1.0
     before = X.copy()
-    method = "transform" if hasattr(estimator, "transform") else "predict_proba"
+    methods = ("transform", "predict_proba", "decision_function")
+    method = next(name for name in methods if hasattr(estimator, name))
     if hasattr(estimator, "random_state"):
         estimator = clone(estimator).set_params(random_state=5)
     cubic = getattr(clone(estimator).fit(X, labels), method)(X)
