@@ -34,7 +34,7 @@ def candidates(envs: MonitorVectorEnv) -> dict[str, tuple[Build, list[float]]]:
             lambda h: RulePolicy(setup, Cusum(shift, two_sided=True), h),
             [25.0, 40.0, 55.0, 75.0],
         ),
-        "GLR of a step": (lambda h: RulePolicy(setup, glr, h), [15.0, 20.0, 25.0, 30.0]),
+        "GLR of a step": (lambda h: RulePolicy(setup, glr, h), [20.0, 25.0, 30.0, 36.0]),
         "bank of filters": (lambda h: BankPolicy(setup, h), [6.0, 8.0, 10.0, 13.0]),
     }
     if not envs.options.task.spread.std.any():

@@ -1,14 +1,18 @@
 """Decision rules: when does a residual count as a fault, and how often does a healthy motor alarm?
 
 Each rule has `statistic(whitened)`, `alarm_index(whitened, threshold)`, `stream()` with `update(sample)`, and
-`threshold_for(arl0=...)` or `threshold_for(false_alarm_probability=..., n_samples=...)`. They read
-`FilterResult.whitened`, shape (..., n_samples, n_channels).
+`threshold_for(arl0=...)`, `threshold_for(false_alarm_probability=..., n_samples=...)` or
+`threshold_for(false_alarm_probability=..., recipe=...)`. They read whitened innovations, shape (..., n_samples,
+n_channels): `FilterResult.whitened` of a known motor, `TolerantFilter.white` of one known up to its tolerances.
 """
 
 from motor_env.rules.bank import ModelBank
-from motor_env.rules.base import Rule, RuleStream, Threshold, first_above
+from motor_env.rules.base import Rule, RuleStream, first_above
+from motor_env.rules.calibration import recipe_thresholds, run_lengths
 from motor_env.rules.cusum import Cusum, ShiryaevRoberts, Sprt
 from motor_env.rules.nis import MOfN, in_a_row, nis_rule
+from motor_env.rules.thresholds import Threshold
+from motor_env.rules.tolerant import TolerantFilter
 from motor_env.rules.windowed import Glr, WindowedNis
 
 __all__ = [
@@ -21,8 +25,11 @@ __all__ = [
     "ShiryaevRoberts",
     "Sprt",
     "Threshold",
+    "TolerantFilter",
     "WindowedNis",
     "first_above",
     "in_a_row",
     "nis_rule",
+    "recipe_thresholds",
+    "run_lengths",
 ]

@@ -3,35 +3,23 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from motor_env.parameters import FloatArray, require
+from motor_env.rules.calibration import CALIBRATION_SEED, recipe_thresholds, simulated_threshold
+from motor_env.rules.thresholds import Threshold, Wanted
 
-
-class Threshold(NamedTuple):
-    """A solved threshold.
-
-    Attributes:
-        value: the rule alarms where its statistic is larger.
-        standard_error: 0 where the threshold is exact, else that of the calibrating simulation.
-        method: how it was found.
-    """
-
-    value: float
-    standard_error: float
-    method: str
+if TYPE_CHECKING:
+    from motor_env.recipes import Recipe
 
 
 class Rule(ABC):
     """A decision rule on whitened innovations, which are white and standard normal while the belief holds.
 
-    A rule is a value: it holds settings and no running state. `start` and `step` define it; the batch and the stream
+    A rule is a value: it holds settings and no running state. `start` and `scan` define it; the batch and the stream
     both call them, so they cannot disagree.
     """
 
@@ -45,13 +33,19 @@ class Rule(ABC):
         """State before the first sample, shape (n_streams, width)."""
 
     @abstractmethod
-    def step(self, state: FloatArray, whitened: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """New state, and statistic of shape (n_streams,), from samples of shape (n_streams, n_channels).
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """Statistic after each sample, shape (n_streams, n_samples); the state is carried on in place.
 
-        A channel that is NaN was not measured: the rule takes no notice of it.
+        Args:
+            state: as `start` gives it.
+            whitened: shape (n_streams, n_samples, n_channels). A channel that is NaN was not measured: the rule takes
+                no notice of it.
         """
 
-    @abstractmethod
+    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold | None:
+        """Threshold by theory, None where there is none and it has to be simulated."""
+        return None
+
     def threshold_for(
         self,
         *,
@@ -59,18 +53,40 @@ class Rule(ABC):
         false_alarm_probability: float | None = None,
         n_samples: int | None = None,
         n_channels: int = 1,
+        recipe: Recipe | None = None,
+        runs: int | None = None,
+        seed: int = CALIBRATION_SEED,
     ) -> Threshold:
-        """Threshold for a wanted rate of false alarms; give one of the two.
+        """Threshold for a wanted rate of false alarms: exact where theory gives it, else by calibrated simulation.
+
+        Give `arl0`, or `false_alarm_probability` with `n_samples` or a `recipe`. The recipe's healthy motors are known
+        only up to their tolerances: its threshold is for the residuals that `TolerantFilter.of(recipe)` whitens.
 
         Args:
             arl0: average number of samples between false alarms.
-            false_alarm_probability: probability of a false alarm in a transient of `n_samples`.
-            n_samples: length of the transient.
-            n_channels: measured channels.
+            false_alarm_probability: probability of a false alarm in a transient.
+            n_samples: length of the transient; that of the recipe where there is one.
+            n_channels: measured channels; those of the recipe where there is one.
+            recipe: what healthy motors are drawn from; its fault classes are not looked at.
+            runs: healthy runs of a calibrating simulation, where one is needed; by default 100,000 transients, and
+                10,000 runs to an alarm (or as many as make 3e8 samples, at least 1,000).
+            seed: of that simulation. It is the same each time, so that a threshold is a number and not a draw.
 
         Raises:
-            ValueError: both or none is given, or the rule has no threshold of that kind.
+            ValueError: both or none is given, a recipe comes with `arl0`, `n_samples` or `n_channels`, the rule has no
+                threshold of that kind, or there are too few runs.
         """
+        if recipe is not None:
+            require(
+                arl0 is None and n_samples is None and n_channels == 1,
+                "recipe goes with false_alarm_probability alone: a start has an end, a length and channels of its own",
+            )
+            wanted = Wanted.checked(None, false_alarm_probability, recipe.timing.n_samples)
+            [threshold] = recipe_thresholds([self], recipe, wanted.probability or 0.0, runs=runs, seed=seed)
+            return threshold
+        wanted = Wanted.checked(arl0, false_alarm_probability, n_samples)
+        exact = self.exact_threshold(wanted, n_channels)
+        return exact or simulated_threshold(self, wanted, runs=runs, n_channels=n_channels, seed=seed)
 
     def statistic(self, whitened: ArrayLike) -> FloatArray:
         """Statistic after each sample.
@@ -86,14 +102,8 @@ class Rule(ABC):
             values.ndim >= 2 and self.n_channels in (None, values.shape[-1]),
             f"whitened must have shape (..., n_samples, {self.n_channels or 'n_channels'}), got {values.shape}",
         )
-        batch, (n_samples, n_channels) = values.shape[:-2], values.shape[-2:]
-        flat = values.reshape(-1, n_samples, n_channels)
-        by_time = np.ascontiguousarray(np.moveaxis(flat, 1, 0))
-        state = self.start(len(flat), n_channels)
-        answer = np.empty((n_samples, len(flat)))
-        for k in range(n_samples):
-            state, answer[k] = self.step(state, by_time[k])
-        return np.ascontiguousarray(answer.T).reshape(*batch, n_samples)
+        flat = np.ascontiguousarray(values.reshape(-1, *values.shape[-2:]))
+        return self.scan(self.start(len(flat), flat.shape[-1]), flat).reshape(values.shape[:-1])
 
     def alarm_index(self, whitened: ArrayLike, threshold: float | Threshold) -> NDArray[np.int64]:
         """First sample at which the statistic is above the threshold, -1 where there is none; shape (...)."""
@@ -125,8 +135,7 @@ class RuleStream:
     def update(self, whitened: ArrayLike) -> FloatArray:
         """Statistic after one more sample, shape (n_streams,), from shape (n_streams, n_channels)."""
         values = np.asarray(whitened, dtype=np.float64).reshape(self._shape)
-        self.state, statistic = self.rule.step(self.state, values)
-        return statistic
+        return self.rule.scan(self.state, values[:, None, :])[:, 0]
 
     def reset(self, streams: NDArray[np.bool_] | None = None) -> None:
         """Begin anew: all streams, or those where the mask is true."""
@@ -139,64 +148,3 @@ def first_above(statistic: FloatArray, threshold: float) -> NDArray[np.int64]:
     above = statistic > threshold
     index: NDArray[np.int64] = np.where(above.any(axis=-1), above.argmax(axis=-1), -1).astype(np.int64)
     return index
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """What a threshold is asked for: an average run length, or a probability within some samples."""
-
-    arl0: float | None
-    probability: float | None
-    n_samples: int
-
-    @classmethod
-    def checked(
-        cls, arl0: float | None, false_alarm_probability: float | None, n_samples: int | None
-    ) -> Wanted:
-        """The request, refused in one sentence unless exactly one of the two is given and sensible."""
-        require(
-            (arl0 is None) != (false_alarm_probability is None),
-            "give one of arl0 and false_alarm_probability, got " + ("none" if arl0 is None else "both"),
-        )
-        if arl0 is not None:
-            require(np.isfinite(arl0) and arl0 > 1.0, f"arl0 must be > 1 sample, got {arl0:g}")
-            return cls(float(arl0), None, 0)
-        probability = float(false_alarm_probability or 0.0)
-        require(
-            0.0 < probability < 1.0, f"false_alarm_probability must lie between 0 and 1, got {probability:g}"
-        )
-        require(
-            n_samples is not None and n_samples >= 1,
-            f"false_alarm_probability needs the transient's n_samples >= 1, got {n_samples}",
-        )
-        return cls(None, probability, int(n_samples or 0))
-
-    def solve(
-        self,
-        average_run_length: Callable[[float], float],
-        alarm_probability: Callable[[float, int], float],
-        low: float,
-        step: float,
-    ) -> float:
-        """Threshold that meets the request; both functions are monotonic in it.
-
-        Args:
-            average_run_length: of a threshold.
-            alarm_probability: of a threshold and a number of samples.
-            low: threshold that is surely too low.
-            step: first step upwards from there; the steps grow by a half each.
-        """
-
-        def excess(threshold: float) -> float:
-            if self.arl0 is not None:
-                return float(np.log(average_run_length(threshold)) - np.log(self.arl0))
-            assert self.probability is not None  # noqa: S101  # one of the two is given: see `checked`
-            return float(
-                np.log(self.probability) - np.log(max(alarm_probability(threshold, self.n_samples), 1e-300))
-            )
-
-        high = low + step
-        while excess(high) < 0.0:
-            low, high, step = high, high + 1.5 * step, 1.5 * step
-        root = brentq(excess, low, high, xtol=1e-10, rtol=1e-12) if excess(low) < 0.0 else low
-        return float(root)

@@ -7,18 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from motor_env.parameters import FloatArray, require_positive
-from motor_env.rules.base import Rule, Threshold, Wanted
+from motor_env.rules import kernels
+from motor_env.rules.base import Rule
+from motor_env.rules.thresholds import Threshold, Wanted
 from motor_env.run_length import cusum_chain, shiryaev_roberts_chain, sprt_chain, two_sided
-
-
-def projected(whitened: FloatArray, direction: tuple[float, ...] | None) -> FloatArray:
-    """Standard normal sample along a direction of the channels, shape (n_streams,); 0 where it was not measured."""
-    values = np.nan_to_num(whitened, nan=0.0)
-    if direction is None:
-        return values[:, 0].copy()
-    unit = np.asarray(direction, dtype=np.float64)
-    along: FloatArray = values @ (unit / np.linalg.norm(unit))
-    return along
 
 
 class DirectedRule(Rule):
@@ -32,6 +24,14 @@ class DirectedRule(Rule):
     def n_channels(self) -> int | None:
         """As many as the direction has entries; any number where the first channel is taken."""
         return None if self.direction is None else len(self.direction)
+
+    def series(self, whitened: FloatArray) -> FloatArray:
+        """Standard normal samples along the direction, shape (n_streams, n_samples); NaN where nothing was measured."""
+        if self.direction is None:
+            return np.ascontiguousarray(whitened[..., 0])
+        unit, along = np.asarray(self.direction, dtype=np.float64), np.empty(whitened.shape[:2])
+        kernels.project(whitened, unit / np.linalg.norm(unit), along)
+        return along
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,13 +58,11 @@ class Cusum(DirectedRule):
         """Sums of 0."""
         return np.zeros((n_streams, 2 if self.two_sided else 1))
 
-    def step(self, state: FloatArray, whitened: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """The larger sum."""
-        value = projected(whitened, self.direction)[:, None]
-        signs = np.array([1.0, -1.0])[: state.shape[1]]
-        seen = ~np.isnan(whitened).all(axis=1, keepdims=True)
-        sums = np.maximum(state + seen * (signs * value - 0.5 * self.shift), 0.0)
-        return sums, sums.max(axis=1)
+        answer = np.empty(whitened.shape[:2])
+        kernels.cusum(self.series(whitened), 0.5 * self.shift, state, answer)
+        return answer
 
     def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
         """Average samples to the alarm from S = 0, for samples of mean `shift`: 0 gives ARL0, d the worst-case delay.
@@ -84,16 +82,8 @@ class Cusum(DirectedRule):
             return chain.alarm_probability(n_samples)
         return 1.0 - float(two_sided(chain.survival(n_samples))[-1])
 
-    def threshold_for(
-        self,
-        *,
-        arl0: float | None = None,
-        false_alarm_probability: float | None = None,
-        n_samples: int | None = None,
-        n_channels: int = 1,
-    ) -> Threshold:
+    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
         """Exact threshold (integral equation); `n_channels` does not matter."""
-        wanted = Wanted.checked(arl0, false_alarm_probability, n_samples)
         value = wanted.solve(self.average_run_length, self.alarm_probability, low=1e-3, step=0.5)
         return Threshold(value, 0.0, "exact: integral equation")
 
@@ -117,15 +107,12 @@ class ShiryaevRoberts(DirectedRule):
         require_positive("shift", self.shift)
 
     def start(self, n_streams: int, n_channels: int) -> FloatArray:
-        """Log R of R = 0."""
-        return np.full((n_streams, 1), -np.inf)
+        """R = 0."""
+        return np.zeros((n_streams, 1))
 
-    def step(self, state: FloatArray, whitened: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Log R."""
-        value = projected(whitened, self.direction)
-        updated = np.logaddexp(0.0, state[:, 0]) + self.shift * (value - 0.5 * self.shift)
-        log_r = np.where(np.isnan(whitened).all(axis=1), state[:, 0], updated)
-        return log_r[:, None], log_r
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """Log R, a bank of one model."""
+        return kernels.mixture(self.series(whitened), np.array([self.shift]), np.ones(1), state)
 
     def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
         """Average samples to the alarm from R = 0, for samples of mean `shift`."""
@@ -135,16 +122,8 @@ class ShiryaevRoberts(DirectedRule):
         """Probability of a false alarm within n samples."""
         return shiryaev_roberts_chain(self.shift, threshold).alarm_probability(n_samples)
 
-    def threshold_for(
-        self,
-        *,
-        arl0: float | None = None,
-        false_alarm_probability: float | None = None,
-        n_samples: int | None = None,
-        n_channels: int = 1,
-    ) -> Threshold:
+    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
         """Exact threshold on log R (integral equation); `n_channels` does not matter."""
-        wanted = Wanted.checked(arl0, false_alarm_probability, n_samples)
         low = -self.shift * (0.5 * self.shift + 8.0)
         value = wanted.solve(self.average_run_length, self.alarm_probability, low=low, step=1.0)
         return Threshold(value, 0.0, "exact: integral equation")
@@ -160,7 +139,9 @@ class Sprt(DirectedRule):
     Attributes:
         shift: d, > 0.
         lower: log(missed / (1 - false alarms)) in Wald's approximation; < 0.
-        restart: whether an accepted test begins anew. Without, there is no ARL0.
+        restart: whether an accepted test begins anew. Without, there is no ARL0: most healthy motors are accepted
+            once and for all, so the average time to a false alarm is infinite. With `lower` towards 0 the repeated
+            test is the CUSUM (Page 1954).
         direction: over the channels; by default the first one.
     """
 
@@ -177,13 +158,11 @@ class Sprt(DirectedRule):
         """Ratio 1."""
         return np.zeros((n_streams, 1))
 
-    def step(self, state: FloatArray, whitened: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins."""
-        value = projected(whitened, self.direction)
-        ratio = state[:, 0] + self.shift * (value - 0.5 * self.shift)
-        ratio = np.where(ratio <= self.lower, 0.0 if self.restart else -np.inf, ratio)
-        ratio = np.where(np.isnan(whitened).all(axis=1), state[:, 0], ratio)
-        return ratio[:, None], ratio
+        answer = np.empty(whitened.shape[:2])
+        kernels.sprt(self.series(whitened), self.shift, self.lower, self.restart, state, answer)
+        return answer
 
     def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
         """Average samples to the alarm with restarts, for samples of mean `shift`; infinite without."""
@@ -197,16 +176,8 @@ class Sprt(DirectedRule):
         chain = sprt_chain(self.shift, self.lower, threshold, restart=self.restart, shift=shift)
         return chain.alarm_probability(n_samples)
 
-    def threshold_for(
-        self,
-        *,
-        arl0: float | None = None,
-        false_alarm_probability: float | None = None,
-        n_samples: int | None = None,
-        n_channels: int = 1,
-    ) -> Threshold:
+    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
         """Exact upper bound (integral equation); `n_channels` does not matter."""
-        wanted = Wanted.checked(arl0, false_alarm_probability, n_samples)
         if wanted.arl0 is not None and not self.restart:
             raise ValueError("arl0 needs restart=True: a test that stays silent has no average run length")
         value = wanted.solve(self.average_run_length, self.alarm_probability, low=1e-3, step=0.5)

@@ -8,13 +8,16 @@ import numpy as np
 from scipy.stats import chi2
 
 from motor_env.parameters import FloatArray, require
-from motor_env.rules.base import Rule, Threshold, Wanted
+from motor_env.rules import kernels
+from motor_env.rules.base import Rule
+from motor_env.rules.thresholds import Threshold, Wanted
 from motor_env.run_length import LONGEST_WINDOW, Chain, m_of_n_chain
 
 
 def normalised_square(whitened: FloatArray) -> FloatArray:
-    """NIS of whitened samples, shape (n_streams,); 0 where nothing was measured (Bar-Shalom, Li & Kirubarajan 2001)."""
-    nis: FloatArray = np.square(np.nan_to_num(whitened, nan=0.0)).sum(axis=-1)
+    """NIS, shape (n_streams, n_samples); 0 where nothing was measured (Bar-Shalom, Li & Kirubarajan 2001)."""
+    nis = np.empty(whitened.shape[:2])
+    kernels.square(whitened, nis)
     return nis
 
 
@@ -41,18 +44,17 @@ class MOfN(Rule):
         )
 
     def start(self, n_streams: int, n_channels: int) -> FloatArray:
-        """The last N squares, the oldest first; none so far."""
-        return np.zeros((n_streams, self.among))
+        """A ring of the last N squares, none so far, and the place of the oldest."""
+        return np.zeros((n_streams, self.among + 1))
 
-    def step(self, state: FloatArray, whitened: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """M-th largest of the last N squares."""
-        recent = np.concatenate([state[:, 1:], normalised_square(whitened)[:, None]], axis=1)
+        squares = normalised_square(whitened)
         if self.among == 1:
-            return recent, recent[:, 0]
-        if self.needed == self.among:
-            return recent, recent.min(axis=1)
-        at = self.among - self.needed
-        return recent, np.partition(recent, at, axis=1)[:, at]
+            return squares
+        answer = np.empty_like(squares)
+        kernels.m_of_n(squares, self.needed, state, answer)
+        return answer
 
     def average_run_length(self, threshold: float, n_channels: int = 1) -> float:
         """Average samples to a false alarm."""
@@ -65,16 +67,8 @@ class MOfN(Rule):
     def _chain(self, threshold: float, n_channels: int) -> Chain:
         return m_of_n_chain(float(chi2.sf(threshold, n_channels)), self.needed, self.among)
 
-    def threshold_for(
-        self,
-        *,
-        arl0: float | None = None,
-        false_alarm_probability: float | None = None,
-        n_samples: int | None = None,
-        n_channels: int = 1,
-    ) -> Threshold:
+    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
         """Exact threshold on the NIS (chi-square and Markov chain)."""
-        wanted = Wanted.checked(arl0, false_alarm_probability, n_samples)
         value = wanted.solve(
             lambda threshold: self.average_run_length(threshold, n_channels),
             lambda threshold, count: self.alarm_probability(threshold, count, n_channels),

@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from motor_env.parameters import FloatArray
-from motor_env.rules.base import Rule, Threshold, first_above
+from motor_env.rules.base import Rule, first_above
 from motor_env.rules.cusum import Cusum, ShiryaevRoberts
+from motor_env.rules.thresholds import Threshold
 
 
 def plot_rules(

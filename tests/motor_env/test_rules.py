@@ -203,15 +203,23 @@ def test_simulation_finds_the_threshold_that_the_integral_equation_gives() -> No
     assert found.standard_error < 0.05
 
 
-def test_glr_scans_every_onset_of_its_grid() -> None:
-    values = np.random.default_rng(9).standard_normal(60)
-    rule = Glr(1, 30, signature=(0.2, 0.6, 1.0))
-    shape = np.concatenate([[0.2, 0.6], np.ones(28)])
-    expected = max(
-        max(0.0, float(shape[:m] @ values[60 - m :])) ** 2 / (shape[:m] @ shape[:m])
-        for m in rule.ages.tolist()
-    )
-    assert rule.statistic(values[:, None])[-1] == pytest.approx(expected, rel=1e-12)
+@pytest.mark.parametrize("two_sided", [False, True])
+@pytest.mark.parametrize("signature", [None, (0.2, 0.6, 1.0)])
+def test_glr_scans_every_onset_of_its_grid(signature: tuple[float, ...] | None, two_sided: bool) -> None:
+    """Against sums over every age at every sample, over more samples than the rule holds at a time."""
+    values = np.random.default_rng(9).standard_normal(1200)
+    rule = Glr(3, 30, signature=signature, two_sided=two_sided)
+    shape = np.ones(30) if signature is None else np.concatenate([[0.2, 0.6], np.ones(28)])
+    found = rule.statistic(values[:, None])
+    assert (found[:2] == -np.inf).all()
+    for k in (2, 3, 40, 600, 1199):
+        along = {
+            m: shape[:m] @ values[k + 1 - m : k + 1] / np.linalg.norm(shape[:m])
+            for m in rule.ages.tolist()
+            if m <= k + 1
+        }
+        expected = max((abs(x) if two_sided else x) * abs(x) + 2.0 * np.log(m) for m, x in along.items())
+        assert found[k] == pytest.approx(expected, rel=1e-9)
 
 
 def test_one_look_at_a_summed_nis_is_chi_square() -> None:

@@ -1,0 +1,104 @@
+"""The residual of a motor that is known only up to its tolerances, made white for the rules."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from motor_env.estimation import step_voltage
+from motor_env.kalman import KalmanFilter, run_filter
+from motor_env.marginal import MarginalWhitener
+from motor_env.parameters import FloatArray
+from motor_env.posterior import class_coordinates
+from motor_env.recipes import FaultClass, Recipe
+from motor_env.simulation import simulate_states
+
+_UNSEEN = (
+    0.01  # standard deviations of the noise: a direction of the tolerances that moves the residual by less
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TolerantFilter:
+    """Filter of a recipe's nominal motor, and a whitening that takes out what the recipe's tolerances explain.
+
+    Attributes:
+        belief: filter of the nominal motor.
+        voltage_v: nominal voltage, shape (n_samples,).
+        bias: what the tolerances add to the whitened innovation on average, shape (n_samples, n_channels).
+        whitener: whitens with S + J P J' (`motor_env.marginal`).
+    """
+
+    belief: KalmanFilter
+    voltage_v: FloatArray
+    bias: FloatArray
+    whitener: MarginalWhitener
+
+    @classmethod
+    def of(cls, recipe: Recipe) -> Self:
+        """From the recipe's motor, supply, tolerances, sensor and timing; its fault classes are not looked at."""
+        belief = KalmanFilter.from_parameters(
+            recipe.motor, recipe.sensor, recipe.timing.dt_s, process_noise_std=(0.0, 0.0)
+        )
+        bias, slopes = second_order(recipe, belief)
+        voltage = step_voltage(recipe.timing, float(np.asarray(recipe.supply.voltage_v)))
+        return cls(belief, voltage, bias, MarginalWhitener.of(_seen(slopes)))
+
+    def white(self, measurements: ArrayLike) -> FloatArray:
+        """Residuals for the rules, white for healthy motors of the recipe, shape (..., n_samples, n_channels).
+
+        Args:
+            measurements: whole transients, shape (..., n_channels, n_samples).
+        """
+        innovation = run_filter(self.belief, measurements, self.voltage_v).whitened
+        return self.whitener.whiten(innovation - self.bias)
+
+
+def second_order(recipe: Recipe, belief: KalmanFilter) -> tuple[FloatArray, FloatArray]:
+    """Mean of the whitened innovation over the recipe's healthy motors, and its slopes, to second order.
+
+    With tolerances z ~ N(0, 1) the innovation is r = G z + z'Hz / 2 + e. The products z_i z_j and (z_i^2 - 1) / sqrt(2)
+    are uncorrelated with z and with each other and have unit variance, so their slopes stand beside G as if they were
+    further tolerances (second-order filter: Athans, Wishner & Bertolini 1968).
+
+    Returns:
+        Mean, shape (n_samples, n_channels); slopes, shape (n_samples, n_channels, n_slopes).
+    """
+    coordinates = class_coordinates(recipe, FaultClass())
+    voltage = step_voltage(recipe.timing, float(np.asarray(recipe.supply.voltage_v)))
+    size = coordinates.size
+
+    def response(values: FloatArray) -> FloatArray:
+        motors, supply = coordinates.motors(values)
+        states = simulate_states(motors, supply[:, None] * voltage, recipe.timing.dt_s)
+        measured = recipe.sensor.observation @ np.moveaxis(states, -1, -2)
+        return run_filter(belief, measured, voltage).whitened
+
+    middle = response(np.zeros((1, size)))[0]
+    if size == 0:
+        return middle, np.zeros((*middle.shape, 0))
+    unit = np.eye(size)
+    up, down = response(unit), response(-unit)
+    bent = up + down - 2.0 * middle
+    first, second = np.triu_indices(size, 1)
+    mixed = 0.25 * (
+        response(unit[first] + unit[second])
+        - response(unit[first] - unit[second])
+        - response(unit[second] - unit[first])
+        + response(-unit[first] - unit[second])
+    )
+    slopes = np.concatenate([0.5 * (up - down), bent / np.sqrt(2.0), mixed])
+    return middle + 0.5 * bent.sum(axis=0), np.moveaxis(slopes, 0, -1)
+
+
+def _seen(slopes: FloatArray) -> FloatArray:
+    """The same covariance from the directions that the noise does not hide: principal components (Hotelling 1933)."""
+    if slopes.shape[-1] == 0:
+        return slopes
+    left, sizes, _ = np.linalg.svd(slopes.reshape(-1, slopes.shape[-1]), full_matrices=False)
+    count = int((sizes > _UNSEEN).sum())
+    seen: FloatArray = (left[:, :count] * sizes[:count]).reshape(*slopes.shape[:-1], count)
+    return seen
