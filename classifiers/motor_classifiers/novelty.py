@@ -50,6 +50,7 @@ _ANY_SEVERITY = 1.0  # of t: 0.7 sd for a fault that doubles its parameter
 _LEAST_TOLERANCE = 1e-4  # where the recipe has none: below what a start can tell
 _SURE = float(ndtri(0.99))  # a severity is out of range when it is so with this probability
 _AT_ONCE = 512
+_MOST_STEPS = 12  # of a fit: a motor needs five or so, what is none need not be fitted well
 
 
 class FamilyFit(NamedTuple):
@@ -86,7 +87,9 @@ def family_fit(recipe: Recipe, measurements: ArrayLike) -> FamilyFit:
 
 def _fit_part(recipe: Recipe, observed: Observed) -> FamilyFit:
     coordinates = Coordinates.of(recipe.motor, QUANTITIES)
-    loose = fit(observed, coordinates, Prior.of(np.full(len(QUANTITIES), _ANY_MOTOR)))
+    loose = fit(
+        observed, coordinates, Prior.of(np.full(len(QUANTITIES), _ANY_MOTOR)), max_iterations=_MOST_STEPS
+    )
     # Any motor, and noise of any variance above the believed one: n log f + chi2 / f is least at f = chi2 / n.
     n_values = observed.n_values
     noise = np.maximum(loose.chi2 / n_values, 1.0)
@@ -140,7 +143,9 @@ class _Hypothesis:
         rays = np.array([RAYS[kind] for kind in self.kinds]).reshape(-1, len(QUANTITIES))
         covariance = self.tolerances + _ANY_SEVERITY**2 * rays.T @ rays
         precision = np.linalg.inv(covariance)
-        fitted = fit(observed, coordinates, Prior(np.zeros(len(QUANTITIES)), precision))
+        fitted = fit(
+            observed, coordinates, Prior(np.zeros(len(QUANTITIES)), precision), max_iterations=_MOST_STEPS
+        )
         objective = fitted.objective
         if self.noisy:
             objective = objective - fitted.chi2 + fitted.chi2 / noise + observed.n_values * np.log(noise)
