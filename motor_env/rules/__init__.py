@@ -9,7 +9,7 @@ n_channels): `FilterResult.whitened` of a known motor, `TolerantFilter.white` of
 from motor_env.rules.bank import ModelBank
 from motor_env.rules.base import Rule, RuleStream, first_above
 from motor_env.rules.calibration import recipe_thresholds, run_lengths
-from motor_env.rules.cusum import Cusum, ShiryaevRoberts, Sprt
+from motor_env.rules.cusum import Cusum, ShiryaevRoberts, SignatureCusum, Sprt
 from motor_env.rules.nis import MOfN, in_a_row, nis_rule
 from motor_env.rules.thresholds import Threshold
 from motor_env.rules.tolerant import TolerantFilter
@@ -23,6 +23,7 @@ __all__ = [
     "Rule",
     "RuleStream",
     "ShiryaevRoberts",
+    "SignatureCusum",
     "Sprt",
     "Threshold",
     "TolerantFilter",

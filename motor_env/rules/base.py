@@ -9,11 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_env.parameters import FloatArray, require
-from motor_env.rules.calibration import CALIBRATION_SEED, recipe_thresholds, simulated_threshold
+from motor_env.rules.calibration import (
+    CALIBRATION_SEED,
+    recipe_thresholds,
+    run_lengths,
+    simulated_threshold,
+)
 from motor_env.rules.thresholds import Threshold, Wanted
 
 if TYPE_CHECKING:
     from motor_env.recipes import Recipe
+
+
+_RUNS = 2_000
 
 
 class Rule(ABC):
@@ -45,6 +53,13 @@ class Rule(ABC):
     def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold | None:
         """Threshold by theory, None where there is none and it has to be simulated."""
         return None
+
+    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
+        """Average samples to the alarm, from the start, for samples of one channel and of mean `shift`.
+
+        A shift of 0 gives ARL0. Exact where theory gives it, else the mean of 2,000 simulated runs.
+        """
+        return float(run_lengths(self, threshold, _RUNS, mean=shift).mean())
 
     def threshold_for(
         self,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motor_env.parameters import FloatArray, require_positive
+from motor_env.parameters import FloatArray, require, require_positive
 from motor_env.rules import kernels
 from motor_env.rules.base import Rule
 from motor_env.rules.thresholds import Threshold, Wanted
@@ -86,6 +86,38 @@ class Cusum(DirectedRule):
         """Exact threshold (integral equation); `n_channels` does not matter."""
         value = wanted.solve(self.average_run_length, self.alarm_probability, low=1e-3, step=0.5)
         return Threshold(value, 0.0, "exact: integral equation")
+
+
+@dataclass(frozen=True, slots=True)
+class SignatureCusum(DirectedRule):
+    """CUSUM matched to a fault that grows: the largest log-likelihood ratio over the onsets.
+
+    After an onset the mean of the innovation is s_1, s_2, ...; the statistic is the largest over m of
+    sum_i (s_i r_i - s_i^2 / 2), i = 1 .. m samples since the onset (Lorden 1971; Nikiforov 1983), and 0 where no onset
+    is likely. With a constant signature it is the CUSUM. Its threshold is simulated.
+
+    Attributes:
+        signature: s_1, s_2, ... in standard deviations of the innovation; beyond its end the last value stays.
+        direction: over the channels; by default the first one.
+    """
+
+    signature: tuple[float, ...]
+    direction: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        require(len(self.signature) > 0 and any(self.signature), "signature must not be empty or all zero")
+
+    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+        """No onset so far: of no age, nor older than the signature."""
+        return np.full((n_streams, len(self.signature) + 1), -np.inf)
+
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """Largest log-likelihood ratio over the onsets."""
+        answer = np.empty(whitened.shape[:2])
+        kernels.signature_cusum(
+            self.series(whitened), np.asarray(self.signature, dtype=np.float64), state, answer
+        )
+        return answer
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,6 +62,29 @@ def cusum(series: FloatArray, half: float, sums: FloatArray, out: FloatArray) ->
 
 
 @njit(cache=True)
+def signature_cusum(series: FloatArray, shape: FloatArray, state: FloatArray, out: FloatArray) -> None:
+    """Largest sum of s r - s^2 / 2 over the onsets; the state is that sum for each age, and the older onsets' best."""
+    count, last = len(shape), shape[-1]
+    half = 0.5 * shape * shape
+    earlier, now = np.empty(count), np.empty(count)
+    for n in range(series.shape[0]):
+        earlier[:] = state[n, :count]
+        older = state[n, count]
+        for k in range(series.shape[1]):
+            value = series[n, k]
+            if np.isnan(value):
+                out[n, k] = max(0.0, older, earlier.max())
+                continue
+            older = max(older, earlier[count - 1]) + last * (value - 0.5 * last)
+            now[0] = shape[0] * value - half[0]
+            advance(earlier[: count - 1], shape[1:], half[1:], value, now[1:])
+            out[n, k] = max(0.0, older, largest(now))
+            earlier, now = now, earlier
+        state[n, :count] = earlier
+        state[n, count] = older
+
+
+@njit(cache=True)
 def sprt(
     series: FloatArray, shift: float, lower: float, restart: bool, ratios: FloatArray, out: FloatArray
 ) -> None:
@@ -198,7 +221,29 @@ def glr(
         state[n, room], state[n, room + 1] = held, seen
 
 
-# Each a plain loop over contiguous samples, so that it vectorises.
+# Each a plain loop over contiguous values, so that it vectorises.
+
+
+@njit(cache=True)
+def advance(earlier: FloatArray, shape: FloatArray, half: FloatArray, value: float, now: FloatArray) -> None:
+    """Each onset's sum, one sample older."""
+    for i in range(len(now)):
+        now[i] = earlier[i] + (shape[i] * value - half[i])
+
+
+@njit(cache=True)
+def largest(values: FloatArray) -> float:
+    """Largest value, eight at a time: a single running maximum would not vectorise."""
+    lanes = np.full(8, -np.inf)
+    whole = len(values) - len(values) % 8
+    for i in range(0, whole, 8):
+        for j in range(8):
+            value, held = values[i + j], lanes[j]
+            lanes[j] = value if value > held else held
+    best = float(lanes.max())
+    for i in range(whole, len(values)):
+        best = max(best, values[i])
+    return best
 
 
 @njit(cache=True)

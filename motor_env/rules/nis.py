@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, ncx2
 
 from motor_env.parameters import FloatArray, require
 from motor_env.rules import kernels
@@ -56,21 +56,22 @@ class MOfN(Rule):
         kernels.m_of_n(squares, self.needed, state, answer)
         return answer
 
-    def average_run_length(self, threshold: float, n_channels: int = 1) -> float:
-        """Average samples to a false alarm."""
-        return self._chain(threshold, n_channels).average_run_length()
+    def average_run_length(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> float:
+        """Average samples to the alarm, for innovations whose mean has the length `shift`; 0 gives ARL0."""
+        return self._chain(threshold, n_channels, shift).average_run_length()
 
     def alarm_probability(self, threshold: float, n_samples: int, n_channels: int = 1) -> float:
         """Probability of a false alarm within n samples."""
         return self._chain(threshold, n_channels).alarm_probability(n_samples)
 
-    def _chain(self, threshold: float, n_channels: int) -> Chain:
-        return m_of_n_chain(float(chi2.sf(threshold, n_channels)), self.needed, self.among)
+    def _chain(self, threshold: float, n_channels: int, shift: float = 0.0) -> Chain:
+        law = ncx2(n_channels, shift**2) if shift else chi2(n_channels)
+        return m_of_n_chain(float(law.sf(threshold)), self.needed, self.among)
 
     def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
         """Exact threshold on the NIS (chi-square and Markov chain)."""
         value = wanted.solve(
-            lambda threshold: self.average_run_length(threshold, n_channels),
+            lambda threshold: self.average_run_length(threshold, n_channels=n_channels),
             lambda threshold, count: self.alarm_probability(threshold, count, n_channels),
             low=0.0,
             step=1.0,

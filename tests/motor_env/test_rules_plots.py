@@ -19,7 +19,8 @@ def test_pictures_hold_thresholds_alarms_and_curves() -> None:
     legend = figure.axes[1].get_legend()
     assert legend is not None
     assert "alarm at" in legend.get_texts()[0].get_text()
-    curves = plot_delay_curves(1.0, arl0=(1e2, 1e4)).axes[0].get_lines()
+    curves = plot_delay_curves(1.0, {"NIS": nis_rule()}, arl0=(1e2, 1e4)).axes[0].get_lines()
+    assert [line.get_label() for line in curves][1] == "NIS"
     assert abs(float(np.asarray(curves[0].get_ydata())[1]) - 15.1) < 0.1
     bank = plot_bank(time, ModelBank((1.0, -1.0)).probabilities(white, 1e-3), ("healthy", "up", "down"))
     assert len(bank.axes[0].collections) == 3
