@@ -1,4 +1,4 @@
-"""A small torch network behind scikit-learn's interface: a class of our own over a plain loop.
+"""Small torch networks behind scikit-learn's interface: a class of our own over a plain loop.
 
 One thread and a generator of its own make the training repeatable to the bit; torch's global random state and its
 number of threads are as they were afterwards.
@@ -91,7 +91,38 @@ def train(
     network.eval()
 
 
-class NetworkClassifier(ClassifierMixin, BaseEstimator):
+class LogitClassifier(ClassifierMixin, BaseEstimator):
+    """What classifiers share whose `_logits` are logarithms of probabilities up to a constant of each case."""
+
+    def decision_function(self, X: Any) -> FloatArray:
+        """Logits, shape (n_cases, n_classes); for two classes the second's over the first's, shape (n_cases,)."""
+        logits = self._logits(X)
+        return logits[:, 1] - logits[:, 0] if len(self.classes_) == 2 else logits
+
+    def predict_proba(self, X: Any) -> FloatArray:
+        """Probability of each class, shape (n_cases, n_classes)."""
+        logits = self._logits(X)
+        share = np.exp(logits - logits.max(axis=1, keepdims=True))
+        probabilities: FloatArray = share / share.sum(axis=1, keepdims=True)
+        return probabilities
+
+    def predict(self, X: Any) -> NDArray[Any]:
+        """Most probable class of each case, shape (n_cases,)."""
+        most = self._logits(X).argmax(axis=1)
+        labels: NDArray[Any] = self.classes_[most]
+        return labels
+
+    def _logits(self, X: Any) -> FloatArray:
+        """Shape (n_cases, n_classes), in the order of `classes_`."""
+        raise NotImplementedError
+
+
+def seed_of(random_state: int | np.random.RandomState | None) -> int:
+    """A seed below 2^31 from what scikit-learn takes for one."""
+    return int(check_random_state(random_state).randint(_LARGEST_SEED))
+
+
+class NetworkClassifier(LogitClassifier):
     """A perceptron on the filter's residual along the model's own signal directions.
 
     The first linear map is `ResidualProjection`, so the network sees the whole waveform through the directions that can
@@ -146,8 +177,7 @@ class NetworkClassifier(ClassifierMixin, BaseEstimator):
             ValueError: fewer than two classes, labels that are no classes, or shapes that do not fit.
         """
         flat, labels = labelled_cases(self, X, y)
-        seed = int(check_random_state(self.random_state).randint(_LARGEST_SEED))
-        generator = torch.Generator().manual_seed(seed)
+        generator = torch.Generator().manual_seed(seed_of(self.random_state))
         self.projection_ = ResidualProjection(self.recipe, self.n_components).fit(flat)
         components = self.projection_.transform(flat)
         self.center_ = components.mean(axis=0)
@@ -168,24 +198,6 @@ class NetworkClassifier(ClassifierMixin, BaseEstimator):
             )
         self.network_ = network
         return self
-
-    def decision_function(self, X: Any) -> FloatArray:
-        """Logits, shape (n_cases, n_classes); for two classes the second's over the first's, shape (n_cases,)."""
-        logits = self._logits(X)
-        return logits[:, 1] - logits[:, 0] if len(self.classes_) == 2 else logits
-
-    def predict_proba(self, X: Any) -> FloatArray:
-        """Probability of each class, shape (n_cases, n_classes)."""
-        logits = self._logits(X)
-        share = np.exp(logits - logits.max(axis=1, keepdims=True))
-        probabilities: FloatArray = share / share.sum(axis=1, keepdims=True)
-        return probabilities
-
-    def predict(self, X: Any) -> NDArray[Any]:
-        """Most probable class of each case, shape (n_cases,)."""
-        most = self._logits(X).argmax(axis=1)
-        labels: NDArray[Any] = self.classes_[most]
-        return labels
 
     def _logits(self, X: Any) -> FloatArray:
         check_is_fitted(self)
