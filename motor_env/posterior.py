@@ -78,7 +78,10 @@ def laplace_evidence(observed: Observed, coordinates: Coordinates, prior: Prior 
 
 
 def class_log_evidence(
-    recipe: Recipe, measurements: ArrayLike, voltage_v: ArrayLike | None = None
+    recipe: Recipe,
+    measurements: ArrayLike,
+    voltage_v: ArrayLike | None = None,
+    prior: Prior | None = None,
 ) -> FloatArray:
     """Log probability density of each transient under each class, shape (n_cases, n_classes).
 
@@ -88,6 +91,8 @@ def class_log_evidence(
         recipe: what the cases were drawn from.
         measurements: shape (n_cases, n_channels, n_samples); fewer samples than the recipe's are its first ones.
         voltage_v: nominal voltage, shape (n_samples,) or (n_cases, n_samples); the recipe's step by default.
+        prior: of the nuisances, in the coordinates of `class_coordinates`, such as `prior_from_starts` gives; standard
+            normal by default.
 
     Raises:
         ValueError: shapes do not fit, a value is not finite, or the recipe's sensor has no noise.
@@ -97,19 +102,61 @@ def class_log_evidence(
     for begin in range(0, observed.n_cases, _CHUNK):
         chosen = slice(begin, begin + _CHUNK)
         part = observed.rows(chosen)
+        own = None if prior is None else prior.rows(np.arange(begin, begin + part.n_cases))
         for column, fault_class in enumerate(recipe.classes):
             noisy = part.with_variance(variance_factor(fault_class))
-            evidence[chosen, column] = laplace_evidence(noisy, class_coordinates(recipe, fault_class))
+            evidence[chosen, column] = laplace_evidence(noisy, class_coordinates(recipe, fault_class), own)
     return evidence
 
 
 def class_probabilities(
-    recipe: Recipe, measurements: ArrayLike, voltage_v: ArrayLike | None = None
+    recipe: Recipe,
+    measurements: ArrayLike,
+    voltage_v: ArrayLike | None = None,
+    prior: Prior | None = None,
 ) -> FloatArray:
     """Posterior probability of each class, shape (n_cases, n_classes), rows summing to 1; as `class_log_evidence`."""
-    joint = class_log_evidence(recipe, measurements, voltage_v) + np.log(recipe.class_probabilities)
+    joint = class_log_evidence(recipe, measurements, voltage_v, prior) + np.log(recipe.class_probabilities)
     posterior: FloatArray = np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
     return posterior
+
+
+def prior_from_starts(recipe: Recipe, starts: ArrayLike) -> Prior:
+    """What healthy starts of the same motor tell of its next one: the prior of its nuisances then.
+
+    Start by start the posterior of the motor's own factors becomes their next prior; the supply is another one in each
+    start, and forgotten. Each posterior is taken for Gaussian, as in Laplace's method.
+
+    Args:
+        recipe: what the motors are drawn from.
+        starts: healthy starts of each motor, shape (n_motors, n_starts, n_channels, n_samples); n_starts may be 0.
+
+    Returns:
+        A prior of each motor's own, in the coordinates of `class_coordinates`.
+    """
+    measured = np.asarray(starts, dtype=np.float64)
+    coordinates = class_coordinates(recipe, FaultClass())
+    n_motors, size = len(measured), coordinates.size
+    mean, covariance = np.zeros((n_motors, size)), np.tile(np.eye(size), (n_motors, 1, 1))
+    for start in np.moveaxis(measured, 1, 0) if size else ():
+        observed = recipe_observed(recipe, start)
+        believed = Prior(mean.copy(), _inverse(covariance))
+        for begin in range(0, n_motors, _CHUNK):
+            chosen = slice(begin, begin + _CHUNK)
+            part = observed.rows(chosen)
+            fitted = fit(part, coordinates, believed.rows(np.arange(begin, begin + part.n_cases)))
+            mean[chosen], covariance[chosen] = fitted.values, fitted.covariance
+        if "supply" in coordinates.names:
+            supply = coordinates.names.index("supply")
+            mean[:, supply] = 0.0
+            covariance[:, supply, :] = covariance[:, :, supply] = 0.0
+            covariance[:, supply, supply] = 1.0
+    return Prior(mean, _inverse(covariance))
+
+
+def _inverse(covariance: FloatArray) -> FloatArray:
+    precision: FloatArray = np.linalg.inv(covariance).astype(np.float64)
+    return precision
 
 
 class Limit(NamedTuple):

@@ -15,6 +15,7 @@ from motor_classifiers.conformal import ConformalClassifier
 from motor_classifiers.features import PhysicalFeatures, ResidualProjection
 from motor_classifiers.networks import NetworkClassifier
 from motor_classifiers.novelty import FaultFamilyDetector, OpenSetClassifier
+from motor_classifiers.reference import ReferencedProjection
 from motor_classifiers.threshold import ConfirmationClassifier
 
 ESTIMATORS = [
@@ -25,6 +26,7 @@ ESTIMATORS = [
     NetworkClassifier(epochs=15),
     PhysicalFeatures(),
     ResidualProjection(),
+    ReferencedProjection(),
 ]
 
 

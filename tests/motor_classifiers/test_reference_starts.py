@@ -1,0 +1,117 @@
+"""Reference starts: the posterior against one joint fit of all starts, the limits known, and features that use them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
+from sklearn.pipeline import make_pipeline
+
+from motor_classifiers.features import ResidualProjection
+from motor_classifiers.reference import (
+    ReferencedProjection,
+    referenced_probabilities,
+    referenced_starts,
+    split_starts,
+)
+from motor_datasets.generate import generate_arrays
+from motor_env.estimation import step_voltage
+from motor_env.faults import apply_faults
+from motor_env.parameters import FloatArray, MotorParameters
+from motor_env.posterior import class_probabilities, prior_from_starts
+from motor_env.recipes import FaultClass, Recipe, Spread, apply_factors, named_recipe
+from motor_env.simulation import Timing, simulate_states
+
+BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+
+
+def _current(recipe: Recipe, motor: MotorParameters, own: FloatArray, supply: float) -> FloatArray:
+    factors = 1.0 + recipe.spread.std * np.concatenate([[0.0], own])
+    voltage = (1.0 + recipe.spread.supply * supply) * step_voltage(recipe.timing, 12.0)
+    states: FloatArray = simulate_states(apply_factors(motor, factors), voltage, recipe.timing.dt_s)
+    return states[:, 0]
+
+
+def _joint_log_evidence(recipe: Recipe, starts: FloatArray, fault_class: FaultClass) -> float:
+    """Laplace's method over all starts at once: own factors common to all, a supply for each; up to a constant."""
+    faulty = apply_faults(recipe.motor, fault_class.faults)
+
+    def residuals(values: FloatArray) -> FloatArray:
+        own, supplies = values[:4], values[4:]
+        off = [
+            start - _current(recipe, faulty if n == 0 else recipe.motor, own, supply)
+            for n, (start, supply) in enumerate(zip(starts, supplies, strict=True))
+        ]
+        return np.concatenate([np.concatenate(off) / recipe.sensor.current_noise_a, values])
+
+    found = least_squares(residuals, np.zeros(4 + len(starts)))
+    jacobian = np.asarray(found.jac)
+    _, log_determinant = np.linalg.slogdet(jacobian.T @ jacobian)
+    return float(-found.cost - 0.5 * log_determinant)
+
+
+@pytest.mark.parametrize("n_references", [1, 3])
+def test_the_posterior_is_that_of_all_starts_at_once(n_references: int) -> None:
+    drawn = referenced_starts(BENCH, 4, np.arange(6), n_references)
+    got = referenced_probabilities(BENCH, drawn.X)
+    starts = split_starts(drawn.X, BENCH)[:, :, 0].astype(np.float64)
+    for case, probabilities in zip(starts, got, strict=True):
+        evidence = np.array([_joint_log_evidence(BENCH, case, fault) for fault in BENCH.classes])
+        expected = np.exp(evidence - evidence.max())
+        np.testing.assert_allclose(probabilities, expected / expected.sum(), atol=0.006)
+
+
+def test_without_references_nothing_changes() -> None:
+    drawn = referenced_starts(BENCH, 4, np.arange(20), 0)
+    plain = generate_arrays(BENCH, 4, 20)
+    np.testing.assert_array_equal(drawn.X, plain.X)
+    np.testing.assert_array_equal(drawn.class_name, plain.class_name)
+    expected = class_probabilities(BENCH, plain.X)
+    np.testing.assert_allclose(referenced_probabilities(BENCH, drawn.X), expected, atol=1e-9)
+
+
+def test_references_are_healthy_starts_of_the_same_motor() -> None:
+    recipe = replace(BENCH, sensor=replace(BENCH.sensor, current_noise_a=0.005))
+    n = 200
+    drawn = referenced_starts(recipe, 4, np.arange(n), 2)
+    prior = prior_from_starts(recipe, split_starts(drawn.X, recipe)[:, 1:])
+    several = replace(recipe, starts_per_motor=3, healthy_starts=2)
+    truth = generate_arrays(several, 4, np.arange(n) * 3 + 2)
+    resistance = truth.parameters["resistance_ohm"] / recipe.motor.resistance_ohm
+    error = prior.mean[:, 1] * recipe.spread.resistance + 1.0 - resistance
+    std = recipe.spread.resistance * np.sqrt(np.linalg.inv(prior.precision)[:, 1, 1])
+    assert std.max() < 0.9 * recipe.spread.resistance
+    assert np.square(error / std).mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / n))
+    # The supply of the next start is another one.
+    np.testing.assert_allclose(prior.mean[:, 0], 0.0)
+    np.testing.assert_allclose(prior.precision[:, 0], np.tile(np.eye(5)[0], (n, 1)), atol=1e-9)
+
+
+def test_the_limit_rises_towards_that_of_a_known_motor() -> None:
+    recipe = replace(BENCH, timing=Timing(2_000.0, 0.1))
+    known = replace(
+        recipe, spread=Spread(supply=0.01, resistance=0.003, constants=0.002, inertia=0.002, friction=0.002)
+    )
+    few = [
+        referenced_probabilities(recipe, referenced_starts(recipe, 5, np.arange(600), k).X).max(axis=1)
+        for k in (0, 1, 5)
+    ]
+    best = class_probabilities(known, generate_arrays(known, 5, 600).X).max(axis=1)
+    expected = [share.mean() for share in (*few, best)]
+    error = 4.0 * max(share.std() for share in few) / np.sqrt(600)
+    assert expected[0] + 0.005 < expected[2] < expected[3] + error
+    assert expected[0] - error < expected[1] < expected[2] + error
+
+
+def test_the_classifier_learns_how_much_of_the_references_to_take_off() -> None:
+    recipe = named_recipe("bench", timing=Timing(5_000.0, 0.1))
+    train, test = (referenced_starts(recipe, 6, np.arange(1500) + first, 3) for first in (0, 10_000))
+    with_references = make_pipeline(ReferencedProjection(recipe), LinearDiscriminantAnalysis())
+    alone = make_pipeline(ResidualProjection(recipe, 6), LinearDiscriminantAnalysis())
+    judged = len(recipe.sensor.channels)
+    one = with_references.fit(train.X, train.class_name).score(test.X, test.class_name)
+    other = alone.fit(train.X[:, :judged], train.class_name).score(test.X[:, :judged], test.class_name)
+    assert one > other + 0.005
+    with pytest.raises(ValueError, match="a case must be starts of 1 x 500 values"):
+        split_starts(test.X[:, :, :-1], recipe)
