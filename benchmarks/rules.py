@@ -1,0 +1,165 @@
+"""Print the tables of delays in docs/rules.md and draw its picture: `python benchmarks/rules.py`, some ten minutes.
+
+Thresholds are solved for ARL0 10,000; delays count from an onset at the start of the rule, and in mid-run from one after
+1,000 healthy samples without an alarm. Each row is printed as soon
+as it is known. `--runs` (2,000) are the simulated delays of a row, `--calibration` (10,000) the healthy runs behind a
+simulated threshold.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from motor_env.rules import (
+    Cusum,
+    Glr,
+    ModelBank,
+    MOfN,
+    Rule,
+    ShiryaevRoberts,
+    SignatureCusum,
+    Sprt,
+    Threshold,
+    WindowedNis,
+    in_a_row,
+    nis_rule,
+    run_lengths,
+)
+from motor_env.rules.plots import plot_delay_curves
+
+ARL0 = 1e4
+HEALTHY = 1_000
+SHIFTS = (1.0, 0.5, 0.13)
+RAMPS = (100, 400, 1_600)
+PICTURE = Path(__file__).parents[1] / "docs" / "images" / "rules_delay.svg"
+BANK = "bank 1/8, 1/4, 1/2, 1"
+BLIND: dict[str, Rule] = {
+    "GLR": Glr(),
+    "GLR, two-sided": Glr(two_sided=True),
+    BANK: ModelBank((0.125, 0.25, 0.5, 1.0)),
+    "NIS over 20": WindowedNis(20),
+    "3 of 5": MOfN(3, 5),
+    "3 in a row": in_a_row(3),
+    "NIS": nis_rule(),
+}
+"""Rules that do not know the fault's size."""
+
+
+@cache
+def threshold_of(rule: Rule, calibration: int) -> Threshold:
+    """For the wanted average run length; solved once."""
+    return rule.threshold_for(arl0=ARL0, runs=calibration)
+
+
+def informed(shift: float) -> dict[str, Rule]:
+    """Rules that are told the fault's size, or about its size."""
+    return {
+        "CUSUM, true shift": Cusum(shift),
+        "CUSUM, half the shift": Cusum(0.5 * shift),
+        "CUSUM, twice the shift": Cusum(2.0 * shift),
+        "CUSUM, true shift, two-sided": Cusum(shift, two_sided=True),
+        "Shiryaev-Roberts": ShiryaevRoberts(shift),
+        "SPRT, repeated": Sprt(shift, restart=True),
+        "bank of half, true, twice": ModelBank((0.5 * shift, shift, 2.0 * shift)),
+    }
+
+
+def simulated(rule: Rule, threshold: float, runs: int, mean: ArrayLike) -> tuple[float, float]:
+    """Mean delay and its standard error."""
+    lengths = run_lengths(rule, threshold, runs, seed=3, mean=mean)
+    return float(lengths.mean()), float(lengths.std() / np.sqrt(runs))
+
+
+def delays(runs: int, calibration: int) -> Iterable[Iterable[str]]:
+    """Of every rule, over the exact one of the matched CUSUM; and of an onset after a thousand healthy samples."""
+    for shift in SHIFTS:
+        least = Cusum(shift).average_run_length(threshold_of(Cusum(shift), calibration).value, shift)
+        for name, rule in {**informed(shift), **BLIND}.items():
+            value, error, _ = threshold_of(rule, calibration)
+            if error:
+                mean, of_mean = simulated(rule, value, runs, shift)
+                delay = f"{mean:.1f} ± {of_mean:.1f}"
+            else:
+                mean = rule.average_run_length(value, shift)
+                delay = f"{mean:.1f}"
+            later = run_lengths(rule, value, runs, seed=4, mean=[0.0] * HEALTHY + [shift])[:, 0]
+            after = later[later > HEALTHY] - HEALTHY
+            mid_run = f"{after.mean():.1f} ± {after.std() / np.sqrt(len(after)):.1f}"
+            solved = f"{value:.2f} ± {error:.2f}" if error else f"{value:.2f}"
+            yield f"{shift:g}", name, solved, delay, f"{mean / least:.2f}", mid_run
+
+
+def growth(runs: int, calibration: int) -> Iterable[Iterable[str]]:
+    """Delays for a fault of 0.5 sigma that grows linearly, over the simulated one of the CUSUM matched to it."""
+    shift = 0.5
+    for length in RAMPS:
+        signature = tuple((shift * np.arange(1, length + 1) / length).tolist())
+        rules = {
+            "CUSUM of the signature": SignatureCusum(signature),
+            "CUSUM of the final shift": Cusum(shift),
+            "Shiryaev-Roberts of the final shift": ShiryaevRoberts(shift),
+            "GLR of the signature, size unknown": Glr(signature=signature),
+            BANK: BLIND[BANK],
+            "GLR": BLIND["GLR"],
+        }
+        least = 0.0
+        for name, rule in rules.items():
+            slow = isinstance(rule, SignatureCusum) or (isinstance(rule, Glr) and rule.signature is not None)
+            threshold = threshold_of(rule, calibration // 5 if slow else calibration)
+            mean, error = simulated(rule, threshold.value, runs, signature)
+            least = least or mean
+            yield f"{length}", name, f"{mean:.0f} ± {error:.0f}", f"{mean / least:.2f}"
+
+
+def print_table(title: str, header: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
+    """Print one table, row by row as it comes."""
+    names = list(header)
+    print(f"\n## {title}\n\n| {' | '.join(names)} |\n|{'---|' * len(names)}")
+    for row in rows:
+        print(f"| {' | '.join(row)} |", flush=True)
+
+
+def draw() -> None:
+    """Draw delay against ARL0 of every rule for a shift of half a sigma."""
+    shift = 0.5
+    rules: dict[str, Rule] = {
+        "Shiryaev-Roberts, true shift": ShiryaevRoberts(shift),
+        "SPRT repeated, true shift": Sprt(shift, restart=True),
+        "CUSUM, twice the shift": Cusum(2.0 * shift),
+        BANK: BLIND[BANK],
+        "GLR, size unknown": BLIND["GLR"],
+        "NIS over 20": BLIND["NIS over 20"],
+        "3 of 5": BLIND["3 of 5"],
+        "3 in a row": BLIND["3 in a row"],
+        "NIS": BLIND["NIS"],
+    }
+    figure = plot_delay_curves(shift, rules)
+    figure.savefig(PICTURE, metadata={"Date": None})
+    print(f"drawn: {PICTURE}")
+
+
+def main() -> None:
+    """Delays, growing faults, picture."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=2_000)
+    parser.add_argument("--calibration", type=int, default=10_000)
+    parser.add_argument("--only", choices=("delays", "growth", "picture"), default=None)
+    given = parser.parse_args()
+    if given.only in (None, "delays"):
+        header = ("shift", "rule", "threshold", "delay", "of least", "delay in mid-run")
+        print_table("Delays at ARL0 10,000", header, delays(given.runs, given.calibration))
+    if given.only in (None, "growth"):
+        header_of_growth = ("samples to full size", "rule", "delay", "of the matched")
+        print_table("Growing faults", header_of_growth, growth(given.runs, given.calibration))
+    if given.only in (None, "picture"):
+        draw()
+
+
+if __name__ == "__main__":
+    main()
