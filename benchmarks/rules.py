@@ -1,9 +1,8 @@
 """Print the tables of delays in docs/rules.md and draw its picture: `python benchmarks/rules.py`, some ten minutes.
 
-Thresholds are solved for ARL0 10,000; delays count from an onset at the start of the rule, and in mid-run from one after
-1,000 healthy samples without an alarm. Each row is printed as soon
-as it is known. `--runs` (2,000) are the simulated delays of a row, `--calibration` (10,000) the healthy runs behind a
-simulated threshold.
+Thresholds are solved for ARL0 10,000; delays count from an onset at the start of the rule, and in mid-run from one
+after 1,000 healthy samples without an alarm. Each row is printed as soon as it is known. `--runs` (2,000) are the
+simulated delays of a row, `--calibration` (10,000) the healthy runs behind a simulated threshold.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from gymnasium.envs.registration import register
 
 if TYPE_CHECKING:
     from motor_env.faults import Fault, FaultKind, apply_fault, apply_faults
+    from motor_env.isolation import Isolator
     from motor_env.kalman import FilterResult, KalmanFilter, run_filter
     from motor_env.model import State, continuous_model, discretize, steady_state
     from motor_env.parameters import (
@@ -24,12 +25,29 @@ if TYPE_CHECKING:
         catalogue_motor,
     )
     from motor_env.recipes import RECIPES, Recipe, draw, named_recipe
+    from motor_env.rules import (
+        Cusum,
+        Glr,
+        ModelBank,
+        MOfN,
+        Rule,
+        ShiryaevRoberts,
+        SignatureCusum,
+        Sprt,
+        Threshold,
+        TolerantFilter,
+        WindowedNis,
+        in_a_row,
+        nis_rule,
+        recipe_thresholds,
+    )
     from motor_env.simulation import Scenario, Timing, Transients, simulate, simulate_states
 
 __version__ = "0.1.0"
 
 _HOME = {
     "faults": ("Fault", "FaultKind", "apply_fault", "apply_faults"),
+    "isolation": ("Isolator",),
     "kalman": ("FilterResult", "KalmanFilter", "run_filter"),
     "model": ("State", "continuous_model", "discretize", "steady_state"),
     "parameters": (
@@ -42,6 +60,22 @@ _HOME = {
         "catalogue_motor",
     ),
     "recipes": ("RECIPES", "Recipe", "draw", "named_recipe"),
+    "rules": (
+        "Cusum",
+        "Glr",
+        "MOfN",
+        "ModelBank",
+        "Rule",
+        "ShiryaevRoberts",
+        "SignatureCusum",
+        "Sprt",
+        "Threshold",
+        "TolerantFilter",
+        "WindowedNis",
+        "in_a_row",
+        "nis_rule",
+        "recipe_thresholds",
+    ),
     "simulation": ("Scenario", "Timing", "Transients", "simulate", "simulate_states"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
@@ -51,25 +85,40 @@ __all__ = [
     "PAPER_MOTOR",
     "RECIPES",
     "Channel",
+    "Cusum",
     "Fault",
     "FaultKind",
     "FilterResult",
+    "Glr",
+    "Isolator",
     "KalmanFilter",
+    "MOfN",
+    "ModelBank",
     "MotorParameters",
     "Recipe",
+    "Rule",
     "Scenario",
     "SensorParameters",
+    "ShiryaevRoberts",
+    "SignatureCusum",
+    "Sprt",
     "State",
     "SupplyParameters",
+    "Threshold",
     "Timing",
+    "TolerantFilter",
     "Transients",
+    "WindowedNis",
     "apply_fault",
     "apply_faults",
     "catalogue_motor",
     "continuous_model",
     "discretize",
     "draw",
+    "in_a_row",
     "named_recipe",
+    "nis_rule",
+    "recipe_thresholds",
     "run_filter",
     "simulate",
     "simulate_states",
