@@ -59,7 +59,7 @@ def nominal_voltage(recipe: Recipe) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class ThresholdConfirmation:
-    """The tuned rule. Make one with `ThresholdConfirmation.tune(recipe, measurements, class_index)`.
+    """The tuned rule (paper, Figure 1). Make one with `ThresholdConfirmation.tune(recipe, measurements, class_index)`.
 
     Attributes:
         filters: a filter for each class of the recipe, in the recipe's order.
@@ -261,7 +261,7 @@ class ThresholdConfirmation:
 
 
 def class_filter(recipe: Recipe, fault_class: FaultClass) -> KalmanFilter:
-    """The filter that believes in one class of the recipe at its nominal parameters."""
+    """The filter that believes in one class of the recipe at its nominal parameters (Magill 1965)."""
     sensor = recipe.sensor
     if fault_class.kind is FaultKind.NOISE:
         factor = float(np.sqrt(1.0 + fault_class.severity))
@@ -276,7 +276,7 @@ def class_filter(recipe: Recipe, fault_class: FaultClass) -> KalmanFilter:
 
 
 def window_features(whitened: FloatArray, edges: tuple[int, ...], with_spread: bool) -> FloatArray:
-    """Mean, and if wanted the variance, of white noise in windows, scaled to standard normal.
+    """Mean, and if wanted the variance, of white noise in windows, scaled to standard normal (Mehra & Peschon 1971).
 
     Args:
         whitened: shape (n, n_samples, n_channels).

@@ -132,7 +132,7 @@ def fit(
     start: FloatArray | None = None,
     max_iterations: int = 40,
 ) -> Fit:
-    """Most likely, or most probable, coordinates of each case.
+    """Most likely, or most probable, coordinates of each case (Levenberg 1944; Marquardt 1963).
 
     Args:
         observed: the measured transients.
@@ -283,7 +283,7 @@ def physical_features(
     dt_s: float,
     fault_std: float = 0.3,
 ) -> FloatArray:
-    """Features for classifiers: most probable factors, their errors, and what the fit leaves over.
+    """Features for classifiers: most probable factors, their errors, what the fit leaves over (Isermann 1984).
 
     R and B are held by a wide prior (`fault_std`), the supply, K and J by their tolerances; L is nominal.
 

@@ -138,7 +138,7 @@ def identifiability(
     free: tuple[str, ...] = MOTOR_QUANTITIES,
     prior_std: ArrayLike = np.inf,
 ) -> Identifiability:
-    """Bounds, correlations and open directions of the free quantities.
+    """Bounds (Rao 1945), correlations and open directions (Bellman & Astrom 1970) of the free quantities.
 
     Args:
         parameters: the motor around which the response is linearised.
@@ -199,6 +199,8 @@ def isolability(
     parameters: MotorParameters, experiment: Experiment, spread: Spread, severity: float = 0.10
 ) -> Isolability:
     """Detectability and isolability of the motor's faults, to first order in the severity and the tolerances.
+
+    Distances of linear hypotheses (Basseville & Nikiforov 1993, ch. 7).
 
     Args:
         parameters: the nominal motor.

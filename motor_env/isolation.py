@@ -114,7 +114,7 @@ class Isolation(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Isolator:
-    """Explains residuals of one motor in one experiment. Make one with `Isolator.of`.
+    """Explains residuals of one motor in one experiment (Willsky & Jones 1976). Make one with `Isolator.of`.
 
     Attributes:
         coordinates: logarithms of factors on the motor's quantities and the supply.

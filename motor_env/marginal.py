@@ -62,6 +62,8 @@ def _whiten(
 class MarginalWhitener:
     """Takes the nuisances' share out of residuals, sample by sample, and leaves them white with unit variance.
 
+    Recursive least squares (Plackett 1950); the nuisances are states that a filter only considers (Schmidt 1966).
+
     Attributes:
         slopes: change of the unit-variance residual for one standard deviation of each nuisance, G, shape
             (n_samples * n_channels, n_nuisances): samples in time order, the channels of a sample side by side.
@@ -102,6 +104,8 @@ class MarginalWhitener:
 
 def innovation_slopes(recipe: Recipe, belief: KalmanFilter) -> FloatArray:
     """Change of the filter's whitened innovations for one standard deviation of each of the recipe's nuisances.
+
+    Their covariance is 1 + G G' with these slopes as G (Kay 1993, ch. 10).
 
     The filter is linear in what is measured, so its answer to the motor's slopes is the slope of its answer.
 

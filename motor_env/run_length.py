@@ -29,7 +29,7 @@ _MOST_NODES = 3000
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """A rule without its alarm: where it goes from each state while it stays silent.
+    """A rule without its alarm: where it goes from each state while it stays silent (Brook & Evans 1972).
 
     Attributes:
         kernel: weights from each state to each state, shape (n_states, n_states); rows sum to less than 1.

@@ -27,6 +27,8 @@ _RUNS = 2_000
 class Rule(ABC):
     """A decision rule on whitened innovations, which are white and standard normal while the belief holds.
 
+    That they are: Kailath 1968; that faults show in them: Mehra & Peschon 1971.
+
     A rule is a value: it holds settings and no running state. `start` and `scan` define it; the batch and the stream
     both call them, so they cannot disagree.
     """

@@ -71,6 +71,7 @@ def recipe_thresholds(
 ) -> list[Threshold]:
     """Thresholds of several rules from the same simulated healthy motors of a recipe; one: `Rule.threshold_for`.
 
+    Monte Carlo critical values (Barnard 1963), with the standard error of an order statistic (Mosteller 1946).
     Whitened to second order in the tolerances (`TolerantFilter`) the residual is white, but not quite normal, so no
     threshold is exact; without tolerances it is white noise, and the rules' own thresholds are taken.
 
@@ -136,7 +137,7 @@ def run_lengths(
     seed: int = CALIBRATION_SEED,
     mean: ArrayLike = 0.0,
 ) -> IntArray:
-    """Samples to the alarm of simulated runs, each followed to its alarm, shape (runs, n_levels).
+    """Samples to the alarm of simulated runs, each followed to its alarm, shape (runs, n_levels) (Page 1954).
 
     Args:
         rule: the rule.

@@ -44,7 +44,7 @@ def square(whitened: FloatArray, out: FloatArray) -> None:
 
 @njit(cache=True)
 def cusum(series: FloatArray, half: float, sums: FloatArray, out: FloatArray) -> None:
-    """S <- max(0, S +- r - d/2); one column of `sums` for each sign."""
+    """S <- max(0, S +- r - d/2); one column of `sums` for each sign (Page 1954)."""
     two_sided = sums.shape[1] == 2
     for n in range(series.shape[0]):
         up = sums[n, 0]
@@ -63,7 +63,10 @@ def cusum(series: FloatArray, half: float, sums: FloatArray, out: FloatArray) ->
 
 @njit(cache=True)
 def signature_cusum(series: FloatArray, shape: FloatArray, state: FloatArray, out: FloatArray) -> None:
-    """Largest sum of s r - s^2 / 2 over the onsets; the state is that sum for each age, and the older onsets' best."""
+    """Largest sum of s r - s^2 / 2 over the onsets (Lorden 1971).
+
+    The state is that sum for each age, and the best of the onsets that are older than the signature.
+    """
     count, last = len(shape), shape[-1]
     half = 0.5 * shape * shape
     earlier, now = np.empty(count), np.empty(count)
@@ -88,7 +91,7 @@ def signature_cusum(series: FloatArray, shape: FloatArray, state: FloatArray, ou
 def sprt(
     series: FloatArray, shift: float, lower: float, restart: bool, ratios: FloatArray, out: FloatArray
 ) -> None:
-    """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins."""
+    """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins (Wald 1945)."""
     accepted = 0.0 if restart else -np.inf
     for n in range(series.shape[0]):
         ratio = ratios[n, 0]
@@ -103,7 +106,7 @@ def sprt(
 
 
 def mixture(series: FloatArray, shifts: FloatArray, weights: FloatArray, odds: FloatArray) -> FloatArray:
-    """Log of the sum over j of the odds O_j <- (O_j + w_j) L_j, L_j the likelihood ratio of the shift d_j."""
+    """Log of the summed odds O_j <- (O_j + w_j) L_j, L_j the likelihood ratio of the shift d_j (Shiryaev 1963)."""
     total = np.zeros(series.shape)
     for j, (shift, weight) in enumerate(zip(shifts, weights, strict=True)):
         _add_odds(np.exp(shift * (series - 0.5 * shift)), weight, odds[:, j], total)
@@ -125,7 +128,7 @@ def _add_odds(ratios: FloatArray, weight: float, odds: FloatArray, total: FloatA
 
 @njit(cache=True)
 def m_of_n(squares: FloatArray, needed: int, recent: FloatArray, out: FloatArray) -> None:
-    """M-th largest of the last N; `recent` is a ring of them, and the place of the oldest."""
+    """M-th largest of the last N (Schwartz 1956); `recent` is a ring of them, and the place of the oldest."""
     among = recent.shape[1] - 1
     largest = np.empty(needed)
     for n in range(squares.shape[0]):
@@ -148,7 +151,7 @@ def m_of_n(squares: FloatArray, needed: int, recent: FloatArray, out: FloatArray
 
 @njit(cache=True)
 def windowed_sum(squares: FloatArray, recent: FloatArray, out: FloatArray) -> None:
-    """Sum of the last w; `recent` is a ring of them, the place of the oldest, and the sum."""
+    """Sum of the last w (Bar-Shalom, Li & Kirubarajan 2001); `recent`: a ring, the place of the oldest, the sum."""
     window = recent.shape[1] - 2
     for n in range(squares.shape[0]):
         oldest, total = int(recent[n, window]), recent[n, window + 1]
@@ -174,6 +177,7 @@ def glr(
 ) -> None:
     """Largest x|x| + bonus over the ages, or x^2 + bonus; x = sum of shape * sample over the root of that of shape^2.
 
+    Willsky & Jones 1976; the grid of ages: Lai 1995.
     The state holds the last samples (their running sums for a step: `shape` is empty), then how many it holds and how
     many there have been. When it is full, all but the last that are needed are dropped.
     """

@@ -20,7 +20,7 @@ def plot_rules(
     rules: Mapping[str, tuple[Rule, Threshold]],
     onset_s: float | None = None,
 ) -> Figure:
-    """Whitened residual of one transient, and each rule's statistic over its threshold, on one time axis.
+    """Whitened residual of one transient, and each rule's statistic and threshold, on one time axis (Shewhart 1931).
 
     Args:
         time_s: shape (n_samples,).
@@ -89,7 +89,7 @@ def plot_delay_curves(
 
 
 def plot_bank(time_s: ArrayLike, probabilities: FloatArray, names: Sequence[str]) -> Figure:
-    """Posterior of a bank over time, as `ModelBank.probabilities` gives it for one transient.
+    """Posterior of a bank over time (Magill 1965), as `ModelBank.probabilities` gives it for one transient.
 
     Args:
         time_s: shape (n_samples,).

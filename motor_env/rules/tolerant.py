@@ -25,6 +25,8 @@ _UNSEEN = (
 class TolerantFilter:
     """Filter of a recipe's nominal motor, and a whitening that takes out what the recipe's tolerances explain.
 
+    The tolerances are further states that the filter only considers (Schmidt 1966; second order: Athans et al. 1968).
+
     Attributes:
         belief: filter of the nominal motor.
         voltage_v: nominal voltage, shape (n_samples,).
