@@ -116,6 +116,20 @@ def test_average_run_lengths_are_kept(arl0: float) -> None:
     check_run_lengths(arl0, 20_000, WITH_ARL0)
 
 
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("shift", [1.0, 0.5, 0.13])
+def test_delays_at_ten_thousand_are_near_the_matched_cusums(shift: float) -> None:
+    """The GLR, which does not know the size, and a bank within 25 %; the CUSUM itself within 3 %, simulated."""
+    matched = Cusum(shift)
+    least = matched.average_run_length(matched.threshold_for(arl0=1e4).value, shift)
+    bank = ModelBank((0.5 * shift, shift, 2.0 * shift))
+    for rule, bar in ((matched, 1.03), (Glr(), 1.25), (bank, 1.25)):
+        threshold = rule.threshold_for(arl0=1e4, runs=4_000).value
+        lengths = run_lengths(rule, threshold, 4_000, seed=SEED, mean=shift)[:, 0]
+        assert lengths.mean() < bar * least
+
+
 def test_a_recipe_without_tolerances_gets_the_exact_threshold() -> None:
     recipe = named_recipe("paper")
     exact = Cusum(0.5).threshold_for(false_alarm_probability=WANTED, n_samples=recipe.timing.n_samples)
