@@ -108,7 +108,6 @@ def propagate_nominal(
 @njit(cache=True)
 def filter_one_channel(
     a: AnyFloat,
-    c: AnyFloat,
     gain: AnyFloat,
     weight: AnyFloat,
     expected: FloatArray,
@@ -118,44 +117,34 @@ def filter_one_channel(
 ) -> None:
     """Innovations and NIS of one channel, of the deviation from the expected output; four cases at a time.
 
-    With d the predicted deviation: e = z - expected - c d, d <- A (d + K e). `gain` is A K, shape (n_samples, 2), and
-    `weight` is 1 / S. Four chains side by side hide the latency of one; the arithmetic of a case is the same
-    in any company. The difference from the expected output is taken in double precision, all else in the precision
-    of `innovation`.
+    In the coordinates of `kalman.output_coordinates` the state is (p, q), p the deviation predicted of the output:
+    e = z - expected - p, p <- a[0] p + q + g e, q <- a[1] p + a[2] q + h e. `gain` holds (g, h) of each sample and
+    `weight` is 1 / S. Four chains side by side hide the latency of one; where fewer cases are left the last one
+    is computed again, so that the arithmetic of a case is the same in any company. The difference from the expected
+    output is taken in double precision, all else in the precision of `innovation`.
     """
     count, length = measured.shape
-    a00, a01, a10, a11, c0, c1 = a[0, 0], a[0, 1], a[1, 0], a[1, 1], c[0], c[1]
-    zero = innovation.dtype.type(0.0)
-    last = expected.shape[0] - 1
-    whole = count - count % 4
-    for n in range(0, whole, 4):
-        m0, m1, m2, m3 = measured[n], measured[n + 1], measured[n + 2], measured[n + 3]
-        e0, e1, e2, e3 = innovation[n], innovation[n + 1], innovation[n + 2], innovation[n + 3]
-        x0, x1 = expected[min(n, last)], expected[min(n + 1, last)]
-        x2, x3 = expected[min(n + 2, last)], expected[min(n + 3, last)]
-        p0 = p1 = q0 = q1 = r0 = r1 = s0 = s1 = zero
+    number = innovation.dtype.type
+    a0, a1, a2 = a[0], a[1], a[2]
+    end, last = count - 1, expected.shape[0] - 1
+    for n in range(0, count, 4):
+        i1, i2, i3 = min(n + 1, end), min(n + 2, end), min(n + 3, end)
+        m0, m1, m2, m3 = measured[n], measured[i1], measured[i2], measured[i3]
+        e0, e1, e2, e3 = innovation[n], innovation[i1], innovation[i2], innovation[i3]
+        s0, s1, s2, s3 = nis[n], nis[i1], nis[i2], nis[i3]
+        x0, x1 = expected[min(n, last)], expected[min(i1, last)]
+        x2, x3 = expected[min(i2, last)], expected[min(i3, last)]
+        p0 = p1 = p2 = p3 = q0 = q1 = q2 = q3 = number(0.0)
         for k in range(length):
-            g0, g1 = gain[k, 0], gain[k, 1]
-            f0 = innovation.dtype.type(m0[k] - x0[k]) - (c0 * p0 + c1 * p1)
-            f1 = innovation.dtype.type(m1[k] - x1[k]) - (c0 * q0 + c1 * q1)
-            f2 = innovation.dtype.type(m2[k] - x2[k]) - (c0 * r0 + c1 * r1)
-            f3 = innovation.dtype.type(m3[k] - x3[k]) - (c0 * s0 + c1 * s1)
+            g, h, w = gain[k, 0], gain[k, 1], weight[k]
+            f0, f1 = number(m0[k] - x0[k]) - p0, number(m1[k] - x1[k]) - p1
+            f2, f3 = number(m2[k] - x2[k]) - p2, number(m3[k] - x3[k]) - p3
             e0[k], e1[k], e2[k], e3[k] = f0, f1, f2, f3
-            p0, p1 = a00 * p0 + a01 * p1 + g0 * f0, a10 * p0 + a11 * p1 + g1 * f0
-            q0, q1 = a00 * q0 + a01 * q1 + g0 * f1, a10 * q0 + a11 * q1 + g1 * f1
-            r0, r1 = a00 * r0 + a01 * r1 + g0 * f2, a10 * r0 + a11 * r1 + g1 * f2
-            s0, s1 = a00 * s0 + a01 * s1 + g0 * f3, a10 * s0 + a11 * s1 + g1 * f3
-        for j in range(n, n + 4):
-            for k in range(length):
-                nis[j, k] = innovation[j, k] * innovation[j, k] * weight[k]
-    for n in range(whole, count):
-        x = expected[min(n, last)]
-        p0 = p1 = zero
-        for k in range(length):
-            f = innovation.dtype.type(measured[n, k] - x[k]) - (c0 * p0 + c1 * p1)
-            innovation[n, k] = f
-            nis[n, k] = f * f * weight[k]
-            p0, p1 = a00 * p0 + a01 * p1 + gain[k, 0] * f, a10 * p0 + a11 * p1 + gain[k, 1] * f
+            s0[k], s1[k], s2[k], s3[k] = f0 * f0 * w, f1 * f1 * w, f2 * f2 * w, f3 * f3 * w
+            p0, q0 = (a0 * p0 + q0) + g * f0, (a1 * p0 + a2 * q0) + h * f0
+            p1, q1 = (a0 * p1 + q1) + g * f1, (a1 * p1 + a2 * q1) + h * f1
+            p2, q2 = (a0 * p2 + q2) + g * f2, (a1 * p2 + a2 * q2) + h * f2
+            p3, q3 = (a0 * p3 + q3) + g * f3, (a1 * p3 + a2 * q3) + h * f3
 
 
 @njit(cache=True)

@@ -253,6 +253,21 @@ def _series(
     return _Series(flat, batch, nominal)
 
 
+def output_coordinates(
+    transition: FloatArray, row: FloatArray, forward: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Motion (a, b, d) and gains (g, h) of a state (p, q) whose p is the output `row` x (Luenberger 1967).
+
+    p <- a p + q + g e and q <- b p + d q + h e: three factors instead of six, and the output without any.
+    `forward` is A K of each sample, shape (n_samples, 2), and so are the gains.
+    """
+    basis = np.array([row, [-row[1], row[0]]])
+    moved = basis @ transition @ np.linalg.inv(basis)
+    gain = forward @ basis.T
+    couple = moved[0, 1]
+    return np.array([moved[0, 0], couple * moved[1, 0], moved[1, 1]]), gain * np.array([1.0, couple])
+
+
 def _common_gain(
     kalman: KalmanFilter, series: _Series, plan: Schedule, dtype: type[np.floating]
 ) -> tuple[AnyFloat, AnyFloat]:
@@ -262,17 +277,20 @@ def _common_gain(
     """
     n_cases, n_channels, n_samples = series.measured.shape
     transition = kalman.model.transition
-    innovation = np.empty((n_cases, n_samples, n_channels), dtype=dtype)
-    nis = np.empty((n_cases, n_samples), dtype=dtype)
+    # One block for both: two arrays of some megabytes would go back to the system after each call, and their pages
+    # be zeroed anew in the next one, which took longer than to filter.
+    size = n_cases * n_samples
+    block = np.empty(size * (n_channels + 1), dtype=dtype)
+    innovation = block[: size * n_channels].reshape(n_cases, n_samples, n_channels)
+    nis = block[size * n_channels :].reshape(n_cases, n_samples)
     expected = series.nominal @ kalman.observation.T
-    forward = np.ascontiguousarray(transition @ plan.gain, dtype=dtype)
+    forward = transition @ plan.gain
     weight = np.linalg.inv(plan.innovation_covariance).astype(dtype)
-    a, c = transition.astype(dtype), kalman.observation.astype(dtype)
     if n_channels == 1:
+        a, gain = output_coordinates(transition, kalman.observation[0], forward[:, :, 0])
         filter_one_channel(
-            a,
-            c[0],
-            forward[:, :, 0].copy(),
+            a.astype(dtype),
+            gain.astype(dtype),
             weight[:, 0, 0].copy(),
             np.ascontiguousarray(expected[:, :, 0]),
             series.measured[:, 0],
@@ -280,7 +298,16 @@ def _common_gain(
             nis,
         )
     else:
-        filter_two_channels(a, c, forward, weight, expected, series.measured, innovation, nis)
+        filter_two_channels(
+            transition.astype(dtype),
+            kalman.observation.astype(dtype),
+            np.ascontiguousarray(forward, dtype=dtype),
+            weight,
+            expected,
+            series.measured,
+            innovation,
+            nis,
+        )
     return innovation, nis
 
 
