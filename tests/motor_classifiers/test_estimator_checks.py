@@ -12,6 +12,7 @@ from sklearn.base import BaseEstimator, clone
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from motor_classifiers.conformal import ConformalClassifier
+from motor_classifiers.early import EarlyClassifier
 from motor_classifiers.features import PhysicalFeatures, ResidualProjection
 from motor_classifiers.networks import NetworkClassifier
 from motor_classifiers.novelty import FaultFamilyDetector, OpenSetClassifier
@@ -21,6 +22,7 @@ from motor_classifiers.threshold import ConfirmationClassifier
 ESTIMATORS = [
     ConfirmationClassifier(),
     ConformalClassifier(),
+    EarlyClassifier(),
     FaultFamilyDetector(),
     OpenSetClassifier(),
     NetworkClassifier(epochs=15),
