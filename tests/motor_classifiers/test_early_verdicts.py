@@ -37,8 +37,8 @@ def test_honest_probabilities_keep_the_stated_error() -> None:
     time_s = np.arange(1, 401) * 1e-3
     scores = [stopping_score(stop_when_sure(probabilities, e), truth, time_s) for e in (0.2, 0.05, 0.01)]
     for error, score in zip((0.2, 0.05, 0.01), scores, strict=True):
-        assert 0.5 * error < score.error < error
-        assert score.error_low < score.error < score.error_high
+        assert score.error_low < error  # no more than stated
+        assert 0.4 * error < score.error < score.error_high  # and not far less
     assert scores[0].mean_time_s < scores[1].mean_time_s < scores[2].mean_time_s
     # Wald's approximation of the expected length, an overshoot short, for those that stop well before the end.
     log_odds = np.log(0.8 / 0.2)
