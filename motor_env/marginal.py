@@ -87,6 +87,8 @@ class MarginalWhitener:
     def whiten(self, residual: ArrayLike) -> FloatArray:
         """White residuals, in the shape given: (..., n_samples, n_channels), the layout of `FilterResult.whitened`.
 
+        A value that is NaN was not measured: it stays NaN, and teaches nothing about the nuisances.
+
         Raises:
             ValueError: the last two axes do not hold as many values as the slopes.
         """
@@ -98,7 +100,16 @@ class MarginalWhitener:
         )
         flat = np.ascontiguousarray(given.reshape(-1, n_values))
         out = np.empty_like(flat)
-        _whiten(flat, self.slopes, self.gain, self.scale, out)
+        missing = np.isnan(flat)
+        if not missing.any():
+            _whiten(flat, self.slopes, self.gain, self.scale, out)
+            return out.reshape(given.shape)
+        gain, scale = np.empty_like(self.gain), np.empty_like(self.scale)
+        for row, absent, white in zip(flat, missing, out, strict=True):
+            seen = np.where(absent[:, None], 0.0, self.slopes)  # what was not measured depends on nothing
+            _gains(seen, gain, scale)
+            _whiten(np.nan_to_num(row)[None], seen, gain, scale, white[None])
+            white[absent] = np.nan
         return out.reshape(given.shape)
 
 

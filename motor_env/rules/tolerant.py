@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motor_env.estimation import step_voltage
-from motor_env.kalman import KalmanFilter, run_filter
+from motor_env.kalman import FilterStream, KalmanFilter, run_filter
 from motor_env.marginal import MarginalWhitener
-from motor_env.parameters import FloatArray
+from motor_env.parameters import FloatArray, require
 from motor_env.posterior import class_coordinates
 from motor_env.recipes import FaultClass, Recipe
 from motor_env.simulation import simulate_states
@@ -57,6 +57,53 @@ class TolerantFilter:
         """
         innovation = run_filter(self.belief, measurements, self.voltage_v).whitened
         return self.whitener.whiten(innovation - self.bias)
+
+    def stream(self, n_streams: int = 1) -> TolerantStream:
+        """A running copy of the filter, fed one sample at a time from the start of a transient."""
+        return TolerantStream(self, n_streams)
+
+
+class TolerantStream:
+    """A tolerant filter in service: `update(sample)` gives what `TolerantFilter.white` gives at that sample.
+
+    What it knows about each motor's place within the tolerances is a mean and a covariance, updated value by value
+    (recursive least squares: Plackett 1950).
+
+    Attributes:
+        tolerant: the filter.
+        n_streams: motors followed side by side.
+    """
+
+    def __init__(self, tolerant: TolerantFilter, n_streams: int) -> None:
+        size = tolerant.whitener.slopes.shape[-1]
+        self.tolerant, self.n_streams = tolerant, n_streams
+        self._slopes = tolerant.whitener.slopes.reshape(*tolerant.bias.shape, size)
+        self._filter = FilterStream(tolerant.belief, n_streams)
+        self._mean = np.zeros((n_streams, size))
+        self._covariance = np.broadcast_to(np.eye(size), (n_streams, size, size)).copy()
+        self._at = 0
+
+    def update(self, measurement: ArrayLike) -> FloatArray:
+        """White residual of one more sample, shape (n_streams, n_channels), from measurements of that shape.
+
+        Raises:
+            ValueError: the transient is over.
+        """
+        end = len(self.tolerant.bias)
+        require(self._at < end, f"a transient of the recipe has {end} samples, got one more")
+        innovation = self._filter.update(measurement, self.tolerant.voltage_v[self._at]).whitened
+        residual, white = innovation - self.tolerant.bias[self._at], np.full(innovation.shape, np.nan)
+        for channel, slope in enumerate(self._slopes[self._at]):
+            seen = ~np.isnan(residual[:, channel])
+            ahead = self._covariance @ slope
+            variance = 1.0 + ahead @ slope
+            error = np.where(seen, residual[:, channel] - self._mean @ slope, 0.0)
+            ahead *= (seen / np.sqrt(variance))[:, None]
+            self._mean += ahead * (error / np.sqrt(variance))[:, None]
+            self._covariance -= ahead[:, :, None] * ahead[:, None, :]
+            white[seen, channel] = (error / np.sqrt(variance))[seen]
+        self._at += 1
+        return white
 
 
 def second_order(recipe: Recipe, belief: KalmanFilter) -> tuple[FloatArray, FloatArray]:

@@ -33,6 +33,13 @@ def test_whitening_is_the_cholesky_factor_of_the_dense_covariance() -> None:
     factor = np.linalg.cholesky(np.eye(60) + flat @ flat.T)
     expected = np.linalg.solve(factor, residual.reshape(3, 60).T).T.reshape(3, 30, 2)
     np.testing.assert_allclose(MarginalWhitener.of(slopes).whiten(residual), expected, atol=1e-9)
+    residual[1, 10, 0] = residual[1, 20:25, 1] = np.nan
+    seen = ~np.isnan(residual[1].ravel())
+    factor = np.linalg.cholesky(np.eye(seen.sum()) + flat[seen] @ flat[seen].T)
+    found = MarginalWhitener.of(slopes).whiten(residual)[1].ravel()
+    expected = np.linalg.solve(factor, residual[1].ravel()[seen])
+    np.testing.assert_allclose(found[seen], expected, atol=1e-9)
+    assert np.isnan(found[~seen]).all()
     with pytest.raises(ValueError, match="residual must hold 60 values a case, got 58"):
         MarginalWhitener.of(slopes).whiten(residual[:, :29])
 

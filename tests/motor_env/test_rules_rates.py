@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, norm
 
+from motor_env.parameters import Channel, SensorParameters
 from motor_env.recipes import named_recipe
 from motor_env.rules import (
     Cusum,
@@ -154,6 +155,24 @@ def test_run_lengths_do_not_depend_on_the_other_runs_and_follow_the_mean() -> No
     assert shifted.max() == 3
     exact = rule.average_run_length(3.0)
     assert many[:, 1].mean() == pytest.approx(exact, abs=4.0 * many[:, 1].std() / 30.0)
+
+
+def test_the_tolerant_stream_gives_what_the_batch_gives() -> None:
+    both = SensorParameters(
+        channels=(Channel.CURRENT, Channel.SPEED), current_noise_a=0.02, speed_noise_rad_s=2.0
+    )
+    recipe = named_recipe("bench", timing=Timing(1_000.0, 0.05), sensor=both)
+    measurements = healthy_measurements(recipe, 3, np.arange(4)).astype(np.float64)
+    measurements[1, 0, 20:25] = np.nan
+    measurements[2, :, 30] = np.nan
+    tolerant = TolerantFilter.of(recipe)
+    white = tolerant.white(measurements)
+    stream = tolerant.stream(4)
+    streamed = np.stack([stream.update(measurements[..., k]) for k in range(50)], axis=1)
+    np.testing.assert_allclose(streamed, white, rtol=1e-7, atol=1e-7)
+    np.testing.assert_array_equal(np.isnan(white), np.isnan(np.moveaxis(measurements, 1, 2)))
+    with pytest.raises(ValueError, match="has 50 samples, got one more"):
+        stream.update(measurements[..., 0])
 
 
 def test_bad_requests_for_a_recipe_are_refused() -> None:
