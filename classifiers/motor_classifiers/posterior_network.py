@@ -62,9 +62,10 @@ def severity_priors(recipe: Recipe) -> tuple[SeverityPrior, ...]:
     From 0 to 30 %, or to 1.2 times the largest severity among the recipe's classes.
     """
     largest: dict[FaultKind, float] = dict.fromkeys(_ALWAYS, _LEAST_RANGE)
-    for part in (part for c in recipe.classes for part in c.parts if part.kind is not None):
-        top = _BEYOND * (part.severity if part.severity_to is None else part.severity_to)
-        largest[part.kind] = max(largest.get(part.kind, 0.0), top)
+    for part in (part for c in recipe.classes for part in c.parts):
+        if part.kind is not None:
+            top = _BEYOND * (part.severity if part.severity_to is None else part.severity_to)
+            largest[part.kind] = max(largest.get(part.kind, 0.0), top)
     largest[FaultKind.WINDING_SHORT] = min(largest[FaultKind.WINDING_SHORT], _LARGEST_SHORT)
     return tuple(SeverityPrior(kind, 0.0, to) for kind, to in largest.items())
 
@@ -145,7 +146,8 @@ class PosteriorNetwork(LogitClassifier):
         Raises:
             ValueError: no recipe, a recipe with fewer than two classes, or a noise range that does not fit.
         """
-        require(self.recipe is not None, "fit_stream needs a recipe, got None")
+        if self.recipe is None:
+            raise ValueError("fit_stream needs a recipe, got None")
         recipe = _with_noise(self.recipe, self._checked_noise()[0])
         require(len(recipe.classes) >= 2, f"recipe {recipe.name} must have two classes or more, got one")
         self.n_features_in_ = len(recipe.sensor.channels) * recipe.timing.n_samples
@@ -266,7 +268,8 @@ class PosteriorNetwork(LogitClassifier):
         for begin in range(0, len(flat), _CHUNK):
             chosen = slice(begin, begin + _CHUNK)
             with one_thread(), torch.inference_mode():
-                densities = self.severity_(torch.from_numpy(flat[chosen])).unflatten(1, (len(names), -1))
+                outputs = self.severity_(torch.from_numpy(flat[chosen]))
+                densities = outputs.reshape(len(outputs), len(names), -1)
                 own = densities[torch.arange(len(densities)), torch.from_numpy(column[chosen])]
                 share = severity_density.weights(own)
                 bounds = (severity_density.quantile(share, p) for p in (tail, 1.0 - tail))
@@ -284,7 +287,8 @@ class PosteriorNetwork(LogitClassifier):
             for part in by_name[label].parts:
                 if part.kind is not None:
                     share[:, names.index(str(part.kind))] += probability
-        return share.argmax(axis=1)
+        column: NDArray[np.int64] = share.argmax(axis=1)
+        return column
 
     def _logits(self, X: Any) -> FloatArray:
         check_is_fitted(self)
@@ -332,6 +336,6 @@ def _severity_loss(outputs: torch.Tensor, targets: torch.Tensor) -> torch.Tensor
         outputs: shape (n, n_kinds * 2).
         targets: index of the kind and position in its range, shape (n, 2).
     """
-    densities = outputs.unflatten(1, (-1, severity_density.PARAMETERS))
+    densities = outputs.reshape(len(outputs), -1, severity_density.PARAMETERS)
     own = densities[torch.arange(len(outputs)), targets[:, 0].long()]
     return severity_density.negative_log_likelihood(own, targets[:, 1]).mean()

@@ -70,9 +70,10 @@ class SignalSpace(nn.Module):
         silent = replace(recipe, sensor=replace(recipe.sensor, current_noise_a=0.0, speed_noise_rad_s=0.0))
         sound = replace(silent, spread=Spread(), classes=(FaultClass(),), healthy_starts=0, field=None)
         nominal = generate_arrays(sound, _FAMILY_SEED, 1).X.reshape(-1).astype(np.float64)
-        family = generate_arrays(silent, _FAMILY_SEED, _FAMILY_SIZE).X.reshape(_FAMILY_SIZE, -1)
+        family = generate_arrays(silent, _FAMILY_SEED, _FAMILY_SIZE).X
         noise = np.repeat(recipe.sensor.noise_std, recipe.timing.n_samples)
-        return cls._spanned(family, nominal, noise, n_components, sees_noise=sees_noise)
+        deviation = family.reshape(_FAMILY_SIZE, -1) - nominal
+        return cls._spanned(deviation, nominal, noise, n_components, sees_noise=sees_noise)
 
     @classmethod
     def of_cases(cls, flat: FloatArray, n_components: int) -> SignalSpace:
@@ -82,19 +83,20 @@ class SignalSpace(nn.Module):
         singular = np.linalg.svd(scatter, compute_uv=False)
         left = np.sqrt(np.square(singular[n_components:]).sum() / flat.size)
         noise = max(float(left), _SMALLEST_NOISE * float(np.sqrt(np.square(scatter).mean())), 1e-30)
-        return cls._spanned(flat, nominal, np.full(flat.shape[1], noise), n_components, sees_noise=False)
+        return cls._spanned(scatter, nominal, np.full(flat.shape[1], noise), n_components, sees_noise=False)
 
     @classmethod
     def _spanned(
         cls,
-        family: FloatArray,
+        scatter: FloatArray,
         nominal: FloatArray,
         noise: FloatArray,
         n_components: int,
         *,
         sees_noise: bool,
     ) -> SignalSpace:
-        deviation = (family - nominal) / noise
+        """From deviations of noise-free starts, shape (n_starts, n_features)."""
+        deviation = scatter / noise
         directions = np.linalg.svd(deviation, full_matrices=False)[2]
         directions = directions[: min(n_components, len(noise) - sees_noise)]
         # Within those, the principal axes of the coefficients: then one number each makes them comparable.
