@@ -103,5 +103,5 @@ def plot_bank(time_s: ArrayLike, probabilities: FloatArray, names: Sequence[str]
     axis.set_ylabel("probability")
     axis.set_ylim(0.0, 1.0)
     axis.margins(x=0.0)
-    axis.legend(loc="upper left", frameon=True)
+    figure.legend(loc="outside upper center", ncols=len(names), frameon=False)
     return figure
