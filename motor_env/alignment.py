@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from motor_env.parameters import FloatArray
 from motor_env.recordings import Recording
@@ -16,6 +17,10 @@ _CROSSING_SHARE = 0.08
 _QUANTISED_SHARE = 0.005
 _NOISE_MULTIPLE = 6.0
 _MAD_TO_STD = 1.4826
+_FEWEST_FOR_WILD = 50
+_WILD_NOISES = 10.0
+_WILD_SHARE = 0.05
+_MOST_LINES = 8
 
 
 class UnusableError(ValueError):
@@ -36,6 +41,7 @@ class Alignment:
         quantum_a: smallest step of the current.
         rectified: the sensor shows no current below 0.
         defects: what is wrong with the recording, in words.
+        wild: single samples far off both neighbours; they do not count.
     """
 
     onset_index: int
@@ -47,6 +53,19 @@ class Alignment:
     quantum_a: float = 0.0
     rectified: bool = False
     defects: tuple[str, ...] = ()
+    wild: tuple[int, ...] = ()
+
+    @property
+    def unseen_level_a(self) -> float:
+        """Standard deviation of the error that a coarse converter leaves in a steady current, however long it is.
+
+        Noise dithers it away: the bias falls as exp(-2 pi^2 (noise / step)^2) (Widrow & Kollar 2008, ch. 4).
+        """
+        if self.quantum_a <= 0.0:
+            return 0.0
+        variance = max(self.noise_a**2 - self.quantum_a**2 / 12.0, 0.0)
+        dither = math.exp(-2.0 * math.pi**2 * variance / self.quantum_a**2)
+        return self.quantum_a / math.sqrt(12.0) * dither
 
 
 def difference_noise(values: FloatArray) -> float:
@@ -61,6 +80,24 @@ def difference_noise(values: FloatArray) -> float:
     return max(spread, 0.5 * float(np.std(second))) / math.sqrt(6.0)
 
 
+def wild_samples(current: FloatArray) -> tuple[int, ...]:
+    """Single samples that stand far off two neighbours on each side, which agree among themselves.
+
+    Where there are more than one in a thousand they are the nature of the signal, and none is called wild.
+    """
+    if len(current) < _FEWEST_FOR_WILD:
+        return ()
+    around = np.stack([current[:-4], current[1:-3], current[3:-1], current[4:]])
+    off = np.abs(current[2:-2] - np.median(around, axis=0))
+    second = np.diff(current, n=2)
+    noise = _MAD_TO_STD * float(np.median(np.abs(second - np.median(second)))) / math.sqrt(6.0)
+    threshold = max(
+        _WILD_NOISES * noise, _WILD_SHARE * float(np.percentile(np.abs(current - np.median(current)), 99))
+    )
+    found = np.flatnonzero((off > threshold) & (np.ptp(around, axis=0) < 0.2 * off)) + 2
+    return tuple(found.tolist()) if len(found) <= len(current) / 1000 else ()
+
+
 def align(recording: Recording) -> Alignment:
     """Find the start.
 
@@ -68,6 +105,11 @@ def align(recording: Recording) -> Alignment:
         UnusableError: the current is constant, or never leaves its noise.
     """
     current = recording.current_a
+    wild = wild_samples(current)
+    if wild:
+        current = current.copy()
+        for k in wild:
+            current[k] = 0.5 * (current[k - 1] + current[k + 1])
     span = float(np.ptp(current))
     if span == 0.0:
         raise UnusableError(f"the current is constant at {current[0]:g} A")
@@ -123,7 +165,12 @@ def align(recording: Recording) -> Alignment:
         defects=(
             *_defects(current, quantum),
             *(["rectification: no current lies below 0"] if rectified else []),
+            *(
+                f"a wild sample of {recording.current_a[k]:.3g} A at {recording.time_s[k]:.6g} s, left out"
+                for k in wild
+            ),
         ),
+        wild=wild,
     )
 
 
@@ -146,21 +193,65 @@ def _defects(current: FloatArray, quantum: float) -> tuple[str, ...]:
     return tuple(found)
 
 
-def ripple(residual: FloatArray, dt_s: float) -> tuple[float, float] | None:
-    """Frequency and amplitude of a line that stands out of the upper spectrum of a residual: a converter's PWM.
+@dataclass(frozen=True, slots=True)
+class PeriodicLine:
+    """Ripple of constant frequency: cosine_a cos(2 pi f t) + sine_a sin(2 pi f t)."""
 
-    A line is called so where it holds more than a third of the power above an eighth of the sampling rate. Aliased
-    lines keep their power and lose their true frequency.
+    frequency_hz: float
+    cosine_a: float
+    sine_a: float
+
+    @property
+    def amplitude_a(self) -> float:
+        """Amplitude."""
+        return math.hypot(self.cosine_a, self.sine_a)
+
+    def current_a(self, time_s: FloatArray) -> FloatArray:
+        """The ripple at some times."""
+        phase = 2.0 * math.pi * self.frequency_hz * time_s
+        out: FloatArray = self.cosine_a * np.cos(phase) + self.sine_a * np.sin(phase)
+        return out
+
+
+def periodic_lines(residual: FloatArray, time_s: FloatArray) -> tuple[PeriodicLine, ...]:
+    """Lines that stand out of the upper spectrum of a residual, the strongest first: a converter's PWM.
+
+    A line is called so where it holds more than a third of the power above a sixteenth of the sampling rate, what
+    the stronger lines leave. Aliased lines keep their power and lose their true frequency.
     """
+    left, found = residual - residual.mean(), []
+    while len(found) < _MOST_LINES:
+        line = _strongest_line(left, time_s)
+        if line is None:
+            break
+        found.append(line)
+        left = left - line.current_a(time_s)
+    return tuple(found)
+
+
+def _strongest_line(residual: FloatArray, time_s: FloatArray) -> PeriodicLine | None:
     n = len(residual)
     if n < _FEWEST_FOR_RIPPLE:
         return None
+    dt_s = float(time_s[-1] - time_s[0]) / (n - 1)
     window = np.hanning(n)
     power = np.abs(np.fft.rfft((residual - residual.mean()) * window)) ** 2
-    power[: n // 8] = 0.0
+    power[: n // 16] = 0.0
     peak = int(np.argmax(power))
     line = float(power[max(peak - 2, 0) : peak + 3].sum())
     if line < power.sum() / 3.0:
         return None
-    amplitude = 2.0 * math.sqrt(float(power[peak])) / float(window.sum())
-    return peak / (n * dt_s), amplitude
+
+    def fit(frequency_hz: float) -> tuple[float, FloatArray]:
+        phase = 2.0 * math.pi * frequency_hz * time_s
+        columns = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+        amplitudes = np.linalg.lstsq(columns, residual, rcond=None)[0]
+        return float(np.sum((residual - columns @ amplitudes) ** 2)), amplitudes
+
+    near = (max(peak - 1, 0) / (n * dt_s), min((peak + 1) / n, 0.5) / dt_s)
+    best = minimize_scalar(
+        lambda f: fit(f)[0], bounds=near, method="bounded", options={"xatol": 1e-5 / (n * dt_s)}
+    )
+    frequency = float(best.x)
+    cosine, sine = fit(frequency)[1]
+    return PeriodicLine(frequency, float(cosine), float(sine))

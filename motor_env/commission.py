@@ -16,10 +16,11 @@ from motor_env.alignment import UnusableError
 from motor_env.console import InputError
 from motor_env.diagnosis import DEFAULT_FALSE_ALARM_RATE, fit_healthy, learn_reference, smallest_changes
 from motor_env.diagnosis_report import EXTENSION_UNITS, UNITS
-from motor_env.identification import EXTENSIONS, Identified, identify_best, prepare
+from motor_env.identification import EXTENSIONS, Identified, identify_best
 from motor_env.motor_file import MotorFile, StartReference
 from motor_env.parameters import MotorParameters
 from motor_env.recordings import ColumnChoice, Recording, read_recording
+from motor_env.starts import prepare
 
 FEWEST_STARTS = 3
 

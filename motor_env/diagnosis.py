@@ -22,12 +22,13 @@ from scipy import stats
 from motor_env import quantities
 from motor_env.alignment import UnusableError
 from motor_env.faults import FaultKind
-from motor_env.identification import NUISANCES, Identified, identify, identify_best, prepare
+from motor_env.identification import NUISANCES, Identified, identify, identify_best
 from motor_env.kalman import FilterResult, KalmanFilter, run_filter
 from motor_env.motion import rise_of_supply
 from motor_env.motor_file import MotorFile, StartReference
 from motor_env.parameters import FloatArray, SensorParameters
 from motor_env.recordings import Recording
+from motor_env.starts import Circuit, Start, prepare
 
 DEFAULT_FALSE_ALARM_RATE = 0.01
 START_SPREAD_PRIOR = 0.02
@@ -238,19 +239,31 @@ def _white_error(fit: Identified) -> FloatArray:
 
 
 def fit_healthy(
-    recordings: list[Recording], *, voltage_v: float | None = None, constant: float | None = None
+    recordings: list[Recording],
+    *,
+    voltage_v: float | None = None,
+    constant: float | None = None,
+    circuit: Circuit | None = None,
 ) -> list[Identified]:
     """Fit healthy starts with one common model: the one that the evidence prefers in most of them.
+
+    All are fitted twice, the second time from the median of the first fits, so that no start is left in an optimum
+    of its own, and an ambiguous inductance is the same in all.
 
     Raises:
         UnusableError: a recording cannot be judged.
     """
-    starts = [prepare(recording, voltage_v) for recording in recordings]
+    starts = [prepare(recording, voltage_v, circuit) for recording in recordings]
     chosen = [identify_best(start, NUISANCES, constant=constant).model for start in starts[:3]]
     model = tuple(
         name for name in NUISANCES if sum(name in candidate for candidate in chosen) > 0.5 * len(chosen)
     )
-    return [identify(start, model, constant=constant) for start in starts]
+    first = [identify(start, model, constant=constant) for start in starts]
+    if len({fit.quantity_names for fit in first}) > 1:
+        return first
+    middle = np.exp(np.median([fit.log_values for fit in first], axis=0))
+    typical = dict(zip(first[0].quantity_names, middle.tolist(), strict=True))
+    return [identify(start, model, constant=constant, typical=typical) for start in starts]
 
 
 def diagnose(
@@ -260,6 +273,7 @@ def diagnose(
     *,
     voltage_v: float | None = None,
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
+    circuit: Circuit | None = None,
 ) -> Diagnosis:
     """Fit, filter, compare, decide.
 
@@ -269,29 +283,27 @@ def diagnose(
         learned: what healthy recordings taught; it comes before the motor.
         voltage_v: level of the supply where the recording has none; the motor's nominal voltage otherwise.
         false_alarm_rate: per healthy recording.
+        circuit: what is known of the measuring circuit.
     """
     if voltage_v is None and motor is not None and motor.reference is None:
         voltage_v = motor.nominal_voltage_v
-    known = learned or (motor.reference if motor is not None else None)
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
     try:
-        start = prepare(recording, voltage_v)
-        if known is None:
-            fit = identify_best(start, NUISANCES, constant=constant)
+        start = prepare(recording, voltage_v, circuit)
+        reference = _reference(start, motor, learned)
+        typical = None
+        if reference is not None:
+            typical = dict(zip(reference.names, np.exp(reference.log_values).tolist(), strict=True))
+        if reference is None or reference.model is None:
+            fit = identify_best(start, NUISANCES, constant=constant, typical=typical)
         else:
-            fit = identify(start, known.model, constant=constant)
+            fit = identify(start, reference.model, constant=constant, typical=typical)
     except UnusableError as error:
         return Diagnosis(recording, Verdict.UNUSABLE, (str(error),))
     check = filter_check(fit)
     trouble = _trouble(fit)
     if trouble:
         return Diagnosis(recording, Verdict.UNUSABLE, (trouble,), identified=fit, filter_check=check)
-    reference = None
-    which = {"has_voltage": start.voltage_known, "has_speed": start.speed_rad_s is not None}
-    if learned is not None:
-        reference = _from_starts(learned, fit.quantity_names, "this motor")
-    elif motor is not None:
-        reference = reference_from_motor(motor, **which)
     if reference is None:
         given = motor is not None or learned is not None
         reason = (
@@ -301,6 +313,14 @@ def diagnose(
         )
         return Diagnosis(recording, Verdict.NO_REFERENCE, (reason,), identified=fit, filter_check=check)
     return _decide(recording, fit, reference, check, false_alarm_rate)
+
+
+def _reference(start: Start, motor: MotorFile | None, learned: StartReference | None) -> Reference | None:
+    """What there is to compare a start with."""
+    which = {"has_voltage": start.voltage_known, "has_speed": start.speed_rad_s is not None}
+    if learned is not None:
+        return _from_starts(learned, quantities.names(**which), "this motor")
+    return None if motor is None else reference_from_motor(motor, **which)
 
 
 def _trouble(fit: Identified) -> str | None:
@@ -340,12 +360,16 @@ def filter_check(fit: Identified) -> FilterCheck:
     else:
         voltage = 0.5 * (voltage[1:] + voltage[:-1])
     sensor = SensorParameters(current_noise_a=noise)
-    measured = (start.current_a[begin + 1 :] - fit.offset_a)[None, :]
-    state = fit.expected[begin] - np.array([fit.offset_a, 0.0])
+    seen = np.where(start.counted, start.current_a - start.ripple_a - fit.offset_a, np.nan)
+    measured = seen[None, begin + 1 :]
+    state = fit.expected[begin] - np.array([fit.offset_a + start.ripple_a[begin], 0.0])
+    motor = fit.parameters.scaled(
+        resistance_ohm=1.0 + start.circuit.shunt_ohm / fit.parameters.resistance_ohm
+    )
 
     def run(process: float) -> FilterResult:
         belief = KalmanFilter.from_parameters(
-            fit.parameters,
+            motor,
             sensor,
             start.dt_s,
             process_noise_std=(process, process * abs(state[1]) / max(abs(state[0]), 1e-9)),
@@ -358,16 +382,16 @@ def filter_check(fit: Identified) -> FilterCheck:
     process = slow * math.sqrt(2.0 * start.dt_s / decay_s)
     result = run(process)
     for _ in range(_FILTER_TUNING):
-        if float(np.mean(result.nis)) < _CONSISTENT_NIS:
+        if float(np.nanmean(result.nis)) < _CONSISTENT_NIS:
             break
-        process *= math.sqrt(float(np.mean(result.nis)))
+        process *= math.sqrt(float(np.nanmean(result.nis)))
         result = run(process)
     return FilterCheck(
         result=result,
         sensor_noise_a=noise,
         model_error_a=slow,
-        mean_nis=float(np.mean(result.nis)),
-        sensor_only_nis=float(np.mean(alone.nis)),
+        mean_nis=float(np.nanmean(result.nis)),
+        sensor_only_nis=float(np.nanmean(alone.nis)),
     )
 
 

@@ -84,6 +84,7 @@ def _parameters(fit: Identified) -> dict[str, Any]:
 
 EXTENSION_UNITS = {
     "supply_ramp": "s",
+    "supply_curve": "of the rise (its middle)",
     "sensor_lag": "s",
     "speed_lag": "s",
     "coulomb": "N m",

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.linalg import expm
+from scipy.signal import lfilter
 
-from motor_env.model import DiscreteModel, discretize, steady_state
+from motor_env.model import DiscreteModel, continuous_model, discretize, steady_state
 from motor_env.parameters import FloatArray, MotorParameters
 
 _SMALLEST_FRACTION = 1e-6
@@ -25,7 +27,8 @@ class Extension:
     Attributes:
         coulomb_friction_n_m: friction torque that opposes any motion.
         brush_drop_v: voltage that opposes any current.
-        supply_rise_s: time in which the supply rises, in a straight line.
+        supply_rise_s: time in which the supply rises.
+        supply_shares: how much of the rise falls on each of as many equal parts of that time; none for a straight line.
         sensor_lag_s: time constant of the current sensor.
         speed_lag_s: time constant of the speed sensor.
     """
@@ -33,6 +36,7 @@ class Extension:
     coulomb_friction_n_m: float = 0.0
     brush_drop_v: float = 0.0
     supply_rise_s: float = 0.0
+    supply_shares: tuple[float, ...] = ()
     sensor_lag_s: float = 0.0
     speed_lag_s: float = 0.0
 
@@ -92,14 +96,20 @@ def _low_pass(values: FloatArray, decay: float) -> None:
         values[k] = lagged
 
 
-def _mean_rise(begin_s: FloatArray, end_s: FloatArray, rise_s: float) -> FloatArray:
-    """Mean over the intervals [begin, end] of a supply that rises to 1 in `rise_s`; of a step for 0."""
+def _mean_rise(extension: Extension, begin_s: FloatArray, end_s: FloatArray) -> FloatArray:
+    """Mean over the intervals [begin, end] of a supply that rises to 1, piece by piece in straight lines."""
+    rise_s = extension.supply_rise_s
     if rise_s <= 0.0:
         return np.ones_like(begin_s)
+    shares = np.array(extension.supply_shares or (1.0,))
+    part_s = rise_s / len(shares)
 
     def integral(time_s: FloatArray) -> FloatArray:
-        out: FloatArray = np.where(time_s < rise_s, 0.5 * time_s**2 / rise_s, time_s - 0.5 * rise_s)
-        return out
+        total = np.zeros_like(time_s)
+        for n, share in enumerate(shares):
+            since = np.maximum(time_s - n * part_s, 0.0)
+            total += share * np.where(since < part_s, 0.5 * since**2 / part_s, since - 0.5 * part_s)
+        return total
 
     mean: FloatArray = (integral(end_s) - integral(begin_s)) / (end_s - begin_s)
     return mean
@@ -108,7 +118,7 @@ def _mean_rise(begin_s: FloatArray, end_s: FloatArray, rise_s: float) -> FloatAr
 def rise_of_supply(extension: Extension, time_s: FloatArray, onset_s: float) -> FloatArray:
     """Mean of the supply over each interval between the sample times, 1 being its final level, shape (n - 1,)."""
     elapsed = time_s - onset_s
-    return _mean_rise(elapsed[:-1], elapsed[1:], extension.supply_rise_s)
+    return _mean_rise(extension, elapsed[:-1], elapsed[1:])
 
 
 def step_start(
@@ -141,9 +151,9 @@ def step_start(
     ends = time_s[begin:] - onset_s
     ends[0] = max(ends[0], _SMALLEST_FRACTION * dt_s)
     voltage = np.zeros(len(time_s))
-    voltage[begin:] = voltage_v * _mean_rise(starts, ends, extension.supply_rise_s)
+    voltage[begin:] = voltage_v * _mean_rise(extension, starts, ends)
     first = discretize(parameters, float(ends[0]))
-    return _integrate(model, first, voltage, begin, (0.0, 0.0), extension, dt_s)
+    return _integrate(parameters, model, first, voltage, begin, (0.0, 0.0), extension)
 
 
 def driven(
@@ -169,17 +179,17 @@ def driven(
         load = math.copysign(extension.coulomb_friction_n_m, float(voltage_v[0]))
         steady = steady_state(parameters, float(voltage_v[0]) - drop, load)
         state = (float(steady[0]), float(steady[1]))
-    return _integrate(model, model, voltage, 1, state, extension, dt_s)
+    return _integrate(parameters, model, model, voltage, 1, state, extension)
 
 
 def _integrate(
+    parameters: MotorParameters,
     model: DiscreteModel,
     first: DiscreteModel,
     voltage: FloatArray,
     begin: int,
     state: tuple[float, float],
     extension: Extension,
-    dt_s: float,
 ) -> FloatArray:
     out = np.empty((len(voltage), 2))
     _run(
@@ -195,9 +205,48 @@ def _integrate(
         extension.coulomb_friction_n_m,
         out,
     )
-    for column, lag_s in enumerate((extension.sensor_lag_s, extension.speed_lag_s)):
-        if lag_s > 0.0:
-            lagged = out[:, column].copy()
-            _low_pass(lagged, math.exp(-dt_s / lag_s))
-            out[:, column] = lagged
+    if extension.sensor_lag_s > 0.0:
+        out[:, 0] = _sensed(parameters, model, first, out, begin, extension.sensor_lag_s)
+    if extension.speed_lag_s > 0.0:
+        lagged = out[:, 1].copy()
+        _low_pass(lagged, math.exp(-model.dt_s / extension.speed_lag_s))
+        out[:, 1] = lagged
     return out
+
+
+def _lag_row(parameters: MotorParameters, model: DiscreteModel, lag_s: float) -> FloatArray:
+    """Weights of [current before, speed before, current after] in what a lagging sensor shows after an interval.
+
+    Exact for a voltage held over the interval (matrix exponential of motor, sensor and held input; Van Loan 1978). The
+    voltage follows from the current after it, so that brush drop and friction are in it.
+    """
+    plant = np.zeros((4, 4))
+    continuous = continuous_model(parameters)
+    plant[:2, :2], plant[:2, 2] = continuous.transition, continuous.gain[:, 0]
+    plant[3, 0], plant[3, 3] = 1.0 / lag_s, -1.0 / lag_s
+    current, speed, voltage = expm(plant * model.dt_s)[3, :3]
+    a, b = model.transition, model.gain[0, 0]
+    return np.array([current - voltage * a[0, 0] / b, speed - voltage * a[0, 1] / b, voltage / b])
+
+
+def _sensed(
+    parameters: MotorParameters,
+    model: DiscreteModel,
+    first: DiscreteModel,
+    states: FloatArray,
+    begin: int,
+    lag_s: float,
+) -> FloatArray:
+    """The current as a sensor with a first-order lag shows it, shape (n_samples,); it begins in its steady state."""
+    rows = np.concatenate([states[:-1], states[1:, :1]], axis=1)
+    entering = np.zeros(len(states))
+    entering[1:] = rows @ _lag_row(parameters, model, lag_s)
+    decay = math.exp(-model.dt_s / lag_s)
+    steady = states[max(begin - 1, 0), 0]
+    if begin < len(states):
+        before = states[begin - 1] if begin > 0 else np.array([steady, states[0, 1]])
+        step = np.array([before[0], before[1], states[begin, 0]])
+        entering[begin] = step @ _lag_row(parameters, first, lag_s) + math.exp(-first.dt_s / lag_s) * steady
+    shown = np.full(len(states), steady)
+    shown[begin:] = lfilter([1.0], [1.0, -decay], entering[begin:])
+    return shown

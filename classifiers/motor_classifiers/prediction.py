@@ -9,17 +9,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from motor_classifiers.benchmark import in_recipe_order
+from motor_classifiers.judging import in_recipe_order
 from motor_env.alignment import Alignment, UnusableError, align
 from motor_env.confirmation import nominal_voltage
 from motor_env.console import ExitStatus
 from motor_env.estimation import FEATURE_NAMES, physical_features
 from motor_env.faults import HEALTHY, FaultKind
-from motor_env.identification import identify, prepare
+from motor_env.identification import identify
 from motor_env.model import State
 from motor_env.parameters import Channel, FloatArray
 from motor_env.recipes import Recipe
 from motor_env.recordings import Recording, read_recording
+from motor_env.starts import prepare
 from motor_env.simulation import simulate_states
 
 UNDECIDED = "unusable"
