@@ -108,7 +108,7 @@ class PosteriorNetwork(LogitClassifier):
         n_components: int = 10,
         n_hidden: int = 64,
         n_layers: int = 2,
-        steps: int = 3000,
+        steps: int = 2000,
         batch_size: int = 512,
         learning_rate: float = 0.01,
         noise_range: tuple[float, float] | None = None,

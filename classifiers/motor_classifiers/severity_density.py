@@ -14,7 +14,7 @@ import torch
 PARAMETERS = 2
 """Numbers of a density: where it lies, and the logarithm of how wide it is."""
 
-_GRID = 301
+_GRID = 201
 _MIDDLE, _LOG_WIDTH = 0.5, -1.0  # of a network's zeros
 
 
