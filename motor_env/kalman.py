@@ -179,7 +179,7 @@ def schedule(kalman: KalmanFilter, n_samples: int) -> Schedule:
         ValueError: the belief is of a batch of motors.
     """
     require(kalman.model.transition.ndim == 2, "schedule needs the belief of one motor, got a batch")
-    observation, noise = _padded(kalman)
+    observation, noise = padded_sensor(kalman)
     gain = np.empty((n_samples, N_STATES, 2))
     innovation_covariance = np.empty((n_samples, 2, 2))
     covariance = np.empty((n_samples, N_STATES, N_STATES))
@@ -202,7 +202,7 @@ def schedule(kalman: KalmanFilter, n_samples: int) -> Schedule:
     )
 
 
-def _padded(kalman: KalmanFilter) -> tuple[FloatArray, FloatArray]:
+def padded_sensor(kalman: KalmanFilter) -> tuple[FloatArray, FloatArray]:
     """C and the noise covariance of two channels; one that is not there has a zero row and unit noise."""
     observation, noise = np.zeros((2, N_STATES)), np.eye(2)
     m = len(kalman.observation)
@@ -326,11 +326,13 @@ def filter_residuals(
         measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples); float32 is read as it is.
         voltage_v: believed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
         load_torque_n_m: believed load, scalar or the shape of `voltage_v`.
-        dtype: precision of the answer.
+        dtype: precision of innovations and NIS. Covariances are in double precision always: they depend on no data,
+            so that costs nothing.
 
     Raises:
-        ValueError: shapes do not fit, or a sample is not finite (`run_filter` takes missing samples).
+        ValueError: shapes do not fit, a sample is not finite (`run_filter` takes missing samples), or another dtype.
     """
+    require(dtype in {np.float32, np.float64}, f"dtype must be float32 or float64, got {np.dtype(dtype)}")
     plan = schedule(kalman, np.shape(measurements)[-1])
     series = _series(kalman, measurements, voltage_v, load_torque_n_m)
     innovation, nis = _common_gain(kalman, series, plan, dtype)
@@ -349,12 +351,12 @@ def filter_residuals(
 def run_filter(
     kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike = 0.0
 ) -> FilterResult:
-    """Filter one or many measured transients (paper, Table 1).
+    """Filter one or many measured transients (paper, Table 1); `motor_env.smoothing.smooth` looks back from there.
 
     Args:
         kalman: the belief, of one motor or of one for each case.
         measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples). NaN is a missing sample: it
-            updates nothing.
+            updates nothing. The answer is in double precision, also for float32.
         voltage_v: believed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
         load_torque_n_m: believed load, scalar or the shape of `voltage_v`.
 
@@ -401,7 +403,7 @@ def _with_common(kalman: KalmanFilter, series: _Series) -> _Parts:
 
 def _with_own_covariance(kalman: KalmanFilter, series: _Series) -> _Parts:
     n_cases, m, n_samples = series.measured.shape
-    observation, noise = _padded(kalman)
+    observation, noise = padded_sensor(kalman)
     measured = np.full((n_cases, 2, n_samples), np.nan)
     measured[:, :m] = series.measured
     innovation, state = np.empty((n_cases, n_samples, 2)), np.empty((n_cases, n_samples, N_STATES))
