@@ -2,290 +2,322 @@
 
 from __future__ import annotations
 
-import json
-import platform
-import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from sklearn.base import BaseEstimator
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # comes with scikit-learn, without types
 
-from motor_classifiers.methods import METHODS, make_method
-from motor_classifiers.metrics import Comparison, Scores, compare, resampling_weights, scores
+from motor_classifiers.calibration import CalibrationScores, calibration_scores
+from motor_classifiers.judging import (
+    LIMIT,
+    Answer,
+    Cell,
+    answer_key,
+    judge_apart,
+    load_answer,
+    posterior,
+    save_answer,
+)
+from motor_classifiers.methods import ESTIMATE, METHODS
+from motor_classifiers.metrics import (
+    Comparison,
+    IntArray,
+    Score,
+    Scores,
+    compare,
+    resampling_weights,
+    root_mean_square,
+    scores,
+)
+from motor_classifiers.peers import Peers, read_peers
 from motor_datasets.arrays import Dataset
-from motor_datasets.generate import generate_arrays
-from motor_env.console import InputError
-from motor_env.files import write_text
-from motor_env.parameters import FloatArray
-from motor_env.posterior import class_probabilities
-from motor_env.recipe_file import recipe_to_dict
+from motor_env.parameters import FloatArray, require
 from motor_env.recipes import Recipe
 
 SIGNIFICANCE = 0.01
-"""Of the check that no method beats the limit: shared among the methods (Bonferroni), one-sided."""
+"""Of the check that no method beats the limit: shared among all comparisons of a run (Bonferroni), one-sided."""
 
-TRAIN_FIRST_CASE = 0
-TEST_FIRST_CASE = 1_000_000_000
-"""Training and test motors are different cases of one seed, so they never meet."""
-
-_TIMING_ROUNDS = 3
+REFERENCE = {"recipe": "bench", "sampling_rate_hz": 10_000.0, "current_noise_a": 0.02, "n_train": 2000}
+"""The setting that is told in full where there are several."""
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
-    """What is run.
+class Plan:
+    """What is run: each method in each setting.
 
     Attributes:
-        recipe: what motors are drawn from.
+        cells: settings.
         methods: names of `METHODS`.
-        n_train: training motors.
-        n_test: test motors.
-        seed: of motors, noise, training and bootstrap.
+        peers: file with answers of peers; they join where its starts are those of a setting.
     """
 
-    recipe: Recipe
+    cells: tuple[Cell, ...]
     methods: tuple[str, ...] = tuple(METHODS)
-    n_train: int = 2000
-    n_test: int = 2000
-    seed: int = 0
+    peers: Path | None = None
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.methods if name not in METHODS]
-        if unknown:
-            raise ValueError(f"method must be one of {', '.join(METHODS)}, got {unknown[0]!r}")
-        for name, least in (("n_train", 50), ("n_test", 50)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} must be >= {least}, got {getattr(self, name)}")
+        for name in self.methods:
+            require(name in METHODS, f"method must be one of {', '.join(METHODS)}, got {name!r}")
+        require(len(set(self.methods)) == len(self.methods), "methods must differ")
+
+    @property
+    def n_comparisons(self) -> int:
+        """Comparisons with the limit."""
+        return len(self.cells) * len(self.methods)
+
+    @property
+    def reference(self) -> int:
+        """Index of the setting that is told in full: the one nearest to `REFERENCE`."""
+        likeness = [
+            sum(_setting(cell)[name] == value for name, value in REFERENCE.items()) for cell in self.cells
+        ]
+        return int(np.argmax(likeness))
+
+
+def _setting(cell: Cell) -> dict[str, Any]:
+    recipe = cell.recipe
+    return {
+        "recipe": recipe.name,
+        "sampling_rate_hz": recipe.timing.sampling_rate_hz,
+        "current_noise_a": recipe.sensor.current_noise_a,
+        "n_train": cell.n_train,
+    }
+
+
+def make_cells(
+    recipes: tuple[Recipe, ...],
+    rates_hz: tuple[float, ...],
+    noises_a: tuple[float, ...],
+    train_sizes: tuple[int, ...],
+    n_test: int,
+    seed: int,
+) -> tuple[Cell, ...]:
+    """Settings of a sweep: recipes, rates and noises crossed, and training sizes at the usual noise.
+
+    Args:
+        recipes: what motors are drawn from.
+        rates_hz: of each recipe; its own where empty.
+        noises_a: of each recipe; its own where empty.
+        train_sizes: the first is that of the sweep over rates and noises.
+        n_test: starts to be judged on.
+        seed: of everything.
+    """
+    cells: dict[Cell, None] = {}
+    for recipe in recipes:
+        rates = rates_hz or (recipe.timing.sampling_rate_hz,)
+        noises = noises_a or (recipe.sensor.current_noise_a,)
+        usual = REFERENCE["current_noise_a"] if REFERENCE["current_noise_a"] in noises else noises[0]
+        for rate, noise, n_train in product(rates, noises, train_sizes):
+            if n_train == train_sizes[0] or noise == usual:
+                own = replace(
+                    recipe,
+                    timing=replace(recipe.timing, sampling_rate_hz=rate),
+                    sensor=replace(recipe.sensor, current_noise_a=noise),
+                )
+                cells[Cell(own, n_train, n_test, seed)] = None
+    return tuple(cells)
+
+
+class Unit(NamedTuple):
+    """One answer to be had.
+
+    Attributes:
+        cell: setting.
+        name: method, or `LIMIT`.
+        key: of its answer.
+        seconds: about how long it takes.
+    """
+
+    cell: Cell
+    name: str
+    key: str
+    seconds: float
+
+
+def units(plan: Plan) -> tuple[Unit, ...]:
+    """All answers that a plan needs, each once: the limit does not depend on the training starts."""
+    found: dict[str, Unit] = {}
+    for cell in plan.cells:
+        for name in (LIMIT, *plan.methods):
+            key = answer_key(name, cell)
+            found.setdefault(key, Unit(cell, name, key, _expected_seconds(name, cell)))
+    return tuple(found.values())
+
+
+def _expected_seconds(name: str, cell: Cell) -> float:
+    samples = cell.recipe.timing.n_samples / 1000.0
+    if name == LIMIT and cell.recipe.field is None:
+        return 0.5 + 1e-3 * cell.n_test * samples * len(cell.recipe.classes) / 5.0
+    method = METHODS[ESTIMATE if name == LIMIT else name]
+    size = 0.5 if method.from_stream else 0.5 * (cell.n_train + cell.n_test) / 2000.0
+    return 1.0 + method.seconds * size * (0.2 + 0.8 * samples)
+
+
+class AnswerStore:
+    """Answers by key: in memory, and, given a folder, as files that a later run finds again.
+
+    Args:
+        folder: where files are kept; None for none.
+        fresh: whether files of earlier runs are overwritten instead of read.
+    """
+
+    def __init__(self, folder: Path | None = None, *, fresh: bool = False) -> None:
+        self._folder = folder
+        self._fresh = fresh
+        self._held: dict[str, Answer] = {}
+
+    def get(self, unit: Unit) -> Answer | None:
+        """The answer, or None."""
+        if unit.key not in self._held and self._folder is not None and not self._fresh:
+            found = load_answer(self._folder / f"{unit.key}.npz", unit.cell)
+            if found is not None:
+                self._held[unit.key] = found
+        return self._held.get(unit.key)
+
+    def put(self, unit: Unit, answer: Answer) -> None:
+        """Keep an answer."""
+        self._held[unit.key] = answer
+        if self._folder is not None:
+            save_answer(answer, self._folder / f"{unit.key}.npz")
+
+
+class Judged(NamedTuple):
+    """An answer and its scores.
+
+    Attributes:
+        answer: what was said of each test start.
+        scores: of the decisions, with intervals.
+        calibration: of the probabilities; None for a method that only decides.
+        severity_rmse: root mean square error of the severity, 0.01 for a point.
+    """
+
+    answer: Answer
+    scores: Scores
+    calibration: CalibrationScores | None
+    severity_rmse: Score
 
 
 class MethodResult(NamedTuple):
-    """One method on the test cases.
+    """One method in one setting.
 
     Attributes:
-        name: of `METHODS`.
-        scores: with intervals.
-        against_limit: compared in pairs with the Bayes-optimal decisions.
+        name: of `METHODS` or `PEERS`.
+        judged: answer and scores.
+        against_limit: compared in pairs with the limit's decisions.
         above_limit: whether it is significantly better than what is possible: then something leaks.
-        log_loss: mean negative log probability of the true class, in nats.
-        train_s: seconds of training.
-        microseconds_per_transient: of `predict_proba` on all test cases in one batch on one thread, least of three.
-        decided: index of the decided class of each case.
-        probabilities: shape (n_test, n_classes), in the recipe's order.
+        origin: where a peer's answers come from; empty for methods that this run judged.
     """
 
     name: str
-    scores: Scores
+    judged: Judged
     against_limit: Comparison
     above_limit: bool
-    log_loss: float
-    train_s: float
-    microseconds_per_transient: float
-    decided: NDArray[np.int64]
-    probabilities: FloatArray
+    origin: str = ""
 
 
-class BenchmarkResult(NamedTuple):
-    """All of a benchmark.
+class CellResult(NamedTuple):
+    """All of one setting.
 
     Attributes:
-        options: what was run.
-        test: test cases with the truth.
-        limit_probabilities: Bayes-optimal posterior of each test case.
-        limit: scores of the Bayes-optimal decisions on the test cases.
-        limit_log_loss: its log-loss.
-        limit_microseconds: time of the posterior for a transient.
-        methods: in the order asked.
+        cell: setting.
+        truth: index of the true class of each test start.
+        severity: true severity of each.
+        limit: the Bayes-optimal posterior, or its estimate.
+        limit_is_estimate: whether it is one: where the likelihood has no closed form, nothing better is known.
+        methods: in the order asked, then the peers.
+        weights: of the bootstrap, shape (1 + n_resamples, n_test).
     """
 
-    options: Options
-    test: Dataset
-    limit_probabilities: FloatArray
-    limit: Scores
-    limit_log_loss: float
-    limit_microseconds: float
+    cell: Cell
+    truth: IntArray
+    severity: FloatArray
+    limit: Judged
+    limit_is_estimate: bool
     methods: tuple[MethodResult, ...]
+    weights: FloatArray
 
     @property
     def leaks(self) -> tuple[str, ...]:
         """Names of the methods that are significantly above the limit."""
         return tuple(method.name for method in self.methods if method.above_limit)
 
+    def ranked(self) -> tuple[MethodResult, ...]:
+        """Methods, the most accurate first."""
+        return tuple(sorted(self.methods, key=lambda method: -method.judged.scores.accuracy.value))
 
-def run_benchmark(options: Options, on_step: Callable[[str], object] = lambda _: None) -> BenchmarkResult:
-    """Train and judge.
+    def difference(self, first: str, second: str) -> Comparison:
+        """Two methods compared in pairs."""
+        right = {m.name: m.judged.answer.decided == self.truth for m in self.methods}
+        return compare(right[first], right[second], self.weights)
+
+
+def run_plan(
+    plan: Plan,
+    store: AnswerStore | None = None,
+    on_unit: Callable[[Unit, bool], object] = lambda unit, known: None,
+) -> tuple[CellResult, ...]:
+    """Have all answers, then score them setting by setting.
 
     Args:
-        options: what to run.
-        on_step: called with a sentence before each step; `count_steps` says how many there are.
+        plan: what to run.
+        store: where answers are kept and looked up; in memory by default.
+        on_unit: called before each unit, with whether its answer is already there.
     """
-    recipe = options.recipe
-    on_step(f"drawing {options.n_train} + {options.n_test} motors")
-    train = generate_arrays(recipe, options.seed, np.arange(options.n_train) + TRAIN_FIRST_CASE)
-    test = generate_arrays(recipe, options.seed, np.arange(options.n_test) + TEST_FIRST_CASE)
-    weights = resampling_weights(options.n_test, options.seed)
-    on_step("Bayes-optimal posterior of the test motors")
-    begin = time.perf_counter()
-    with threadpool_limits(1):
-        limit_probabilities = class_probabilities(recipe, test.X)
-    limit_s = time.perf_counter() - begin
-    limit_decided = limit_probabilities.argmax(axis=1)
+    kept = AnswerStore() if store is None else store
+    for unit in units(plan):
+        known = kept.get(unit) is not None
+        on_unit(unit, known)
+        if not known:
+            kept.put(unit, _have(unit))
+    return tuple(_score_cell(plan, cell, kept) for cell in plan.cells)
+
+
+def _have(unit: Unit) -> Answer:
+    if unit.name != LIMIT:
+        return judge_apart(unit.name, unit.cell)
+    return posterior(unit.cell) if unit.cell.recipe.field is None else judge_apart(ESTIMATE, unit.cell)
+
+
+def _score_cell(plan: Plan, cell: Cell, store: AnswerStore) -> CellResult:
+    test = cell.test()
+    weights = resampling_weights(cell.n_test, cell.seed, groups=test.motor_id)
+    answers: dict[str, Answer] = {}
+    for name in (LIMIT, *plan.methods):
+        found = store.get(Unit(cell, name, answer_key(name, cell), 0.0))
+        if found is None:
+            raise RuntimeError(f"the answer of {name} is missing")
+        answers[name] = found
+    limit = _judged(cell.recipe, answers[LIMIT], test, weights, graded=True)
+    right = answers[LIMIT].decided == test.class_index
+    is_estimate = cell.recipe.field is not None
     results = []
-    for name in options.methods:
-        on_step(f"{name}: training and judging")
-        results.append(_judge(name, options, train, test, weights, limit_decided == test.class_index))
-    return BenchmarkResult(
-        options=options,
-        test=test,
-        limit_probabilities=limit_probabilities,
-        limit=scores(recipe, test.class_index, limit_decided, weights),
-        limit_log_loss=_log_loss(limit_probabilities, test.class_index),
-        limit_microseconds=1e6 * limit_s / options.n_test,
-        methods=tuple(results),
+    for name in plan.methods:
+        comparison = compare(answers[name].decided == test.class_index, right, weights)
+        above = not is_estimate and comparison.p_above < SIGNIFICANCE / plan.n_comparisons
+        judged = _judged(cell.recipe, answers[name], test, weights, graded=True)
+        results.append(MethodResult(name, judged, comparison, above))
+    peers = None if plan.peers is None else read_peers(plan.peers, cell)
+    if peers is not None:
+        results += _peer_results(peers, cell.recipe, test, weights, right)
+    return CellResult(cell, test.class_index, test.severity, limit, is_estimate, tuple(results), weights)
+
+
+def _peer_results(
+    peers: Peers, recipe: Recipe, test: Dataset, weights: FloatArray, limit_right: Any
+) -> Iterator[MethodResult]:
+    for name, answer in peers.answers.items():
+        comparison = compare(answer.decided == test.class_index, limit_right, weights)
+        judged = _judged(recipe, answer, test, weights, graded=name in peers.graded)
+        yield MethodResult(name, judged, comparison, False, peers.origin)
+
+
+def _judged(recipe: Recipe, answer: Answer, test: Dataset, weights: FloatArray, *, graded: bool) -> Judged:
+    return Judged(
+        answer,
+        scores(recipe, test.class_index, answer.decided, weights),
+        calibration_scores(answer.probabilities, test.class_index) if graded else None,
+        root_mean_square(answer.severity - test.severity, weights),
     )
-
-
-def count_steps(options: Options) -> int:
-    """How often `run_benchmark` calls `on_step`."""
-    return 2 + len(options.methods)
-
-
-def _judge(
-    name: str,
-    options: Options,
-    train: Dataset,
-    test: Dataset,
-    weights: FloatArray,
-    limit_right: NDArray[np.bool_],
-) -> MethodResult:
-    recipe = options.recipe
-    with threadpool_limits(1):
-        begin = time.perf_counter()
-        model = make_method(name, recipe, options.seed % 2**32).fit(train.X, train.class_name)
-        train_s = time.perf_counter() - begin
-        times = []
-        for _ in range(_TIMING_ROUNDS):
-            begin = time.perf_counter()
-            raw = model.predict_proba(test.X)
-            times.append(time.perf_counter() - begin)
-        probabilities = in_recipe_order(model, raw, recipe)
-    decided = probabilities.argmax(axis=1)
-    comparison = compare(decided == test.class_index, limit_right, weights)
-    return MethodResult(
-        name=name,
-        scores=scores(recipe, test.class_index, decided, weights),
-        against_limit=comparison,
-        above_limit=comparison.p_above < SIGNIFICANCE / len(options.methods),
-        log_loss=_log_loss(probabilities, test.class_index),
-        train_s=train_s,
-        microseconds_per_transient=1e6 * min(times) / options.n_test,
-        decided=decided,
-        probabilities=probabilities,
-    )
-
-
-def in_recipe_order(model: BaseEstimator, probabilities: FloatArray, recipe: Recipe) -> FloatArray:
-    """Columns of probabilities in the order of the recipe's classes; 0 for a class never trained on."""
-    ordered = np.zeros((len(probabilities), len(recipe.classes)))
-    names = list(recipe.class_names)
-    ordered[:, [names.index(str(name)) for name in model.classes_]] = probabilities
-    return ordered
-
-
-def _log_loss(probabilities: FloatArray, truth: NDArray[np.int64]) -> float:
-    right = probabilities[np.arange(len(truth)), truth]
-    return float(-np.log(np.maximum(right, 1e-15)).mean())
-
-
-def result_rows(result: BenchmarkResult) -> list[dict[str, Any]]:
-    """One row a method, for results.json."""
-    recipe = result.options.recipe
-    return [
-        {
-            "recipe": recipe.name,
-            "sampling_rate_hz": recipe.timing.sampling_rate_hz,
-            "duration_s": recipe.timing.duration_s,
-            "noise_a": recipe.sensor.current_noise_a,
-            "channels": [str(channel) for channel in recipe.sensor.channels],
-            "method": method.name,
-            "family": METHODS[method.name].family,
-            "n_train": result.options.n_train,
-            "n_test": result.options.n_test,
-            "seed": result.options.seed,
-            **_score_fields(recipe, method.scores),
-            "log_loss": method.log_loss,
-            "bayes_accuracy": result.limit.accuracy.value,
-            "bayes_expected_accuracy": float(result.limit_probabilities.max(axis=1).mean()),
-            "bayes_log_loss": result.limit_log_loss,
-            "below_bayes": -method.against_limit.difference.value,
-            "below_bayes_low": -method.against_limit.difference.high,
-            "below_bayes_high": -method.against_limit.difference.low,
-            "p_above_bayes": method.against_limit.p_above,
-            "above_bayes": method.above_limit,
-            "train_s": method.train_s,
-            "microseconds_per_transient": method.microseconds_per_transient,
-        }
-        for method in result.methods
-    ]
-
-
-def _score_fields(recipe: Recipe, scored: Scores) -> dict[str, Any]:
-    names = ("accuracy", "macro_f1", "false_alarm_rate", "missed_detection_rate", "level_error")
-    row: dict[str, Any] = {}
-    for name in names:
-        score = getattr(scored, name)
-        for suffix, value in (("", score.value), ("_low", score.low), ("_high", score.high)):
-            row[name + suffix] = None if np.isnan(value) else value
-    row["recall"] = {
-        label: {"value": recall.value, "low": recall.low, "high": recall.high}
-        for label, recall in zip(recipe.class_names, scored.recall, strict=True)
-    }
-    row["confusion"] = scored.confusion.tolist()
-    return row
-
-
-def write_results(result: BenchmarkResult, folder: Path) -> Path:
-    """Write results.json and report.html to a folder, each whole or not at all; the report's path."""
-    from motor_classifiers.report import render_report
-
-    write_text(folder / "results.json", json.dumps(result_rows(result), indent=1) + "\n")
-    write_text(folder / "recipe.json", json.dumps(recipe_to_dict(result.options.recipe), indent=1) + "\n")
-    report = folder / "report.html"
-    write_text(
-        report, render_report(result, machine=f"{platform.machine()}, Python {platform.python_version()}")
-    )
-    return report
-
-
-def evaluate_model(model: BaseEstimator, recipe: Recipe, test: Dataset, seed: int) -> dict[str, Any]:
-    """Scores of a fitted model on a data set, beside the Bayes limit for the recipe that the cases came from.
-
-    Raises:
-        InputError: the data set has other channels or another time axis than the model's recipe, or a class that it
-            does not know.
-    """
-    theirs = test.recipe
-    if (theirs.timing, theirs.sensor.channels) != (recipe.timing, recipe.sensor.channels):
-        raise InputError("the data set has another time axis or other channels than the model was trained on")
-    if theirs.class_names != recipe.class_names:
-        raise InputError(
-            f"the data set has the classes {', '.join(theirs.class_names)}, the model {', '.join(recipe.class_names)}"
-        )
-    weights = resampling_weights(len(test), seed)
-    probabilities = in_recipe_order(model, model.predict_proba(test.X), recipe)
-    limit = class_probabilities(theirs, test.X)
-    right = limit.argmax(axis=1) == test.class_index
-    decided = probabilities.argmax(axis=1)
-    comparison = compare(decided == test.class_index, right, weights)
-    return {
-        "n_test": len(test),
-        **_score_fields(recipe, scores(recipe, test.class_index, decided, weights)),
-        "log_loss": _log_loss(probabilities, test.class_index),
-        "bayes_accuracy": float(right.mean()),
-        "bayes_log_loss": _log_loss(limit, test.class_index),
-        "p_above_bayes": comparison.p_above,
-    }

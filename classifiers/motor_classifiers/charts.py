@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from motor_classifiers.calibration import Reliability
 from motor_env.parameters import FloatArray
 
 _POINTS = 700  # of a drawn curve
@@ -37,19 +38,21 @@ def _ticks(low: float, high: float, about: int = 5) -> FloatArray:
     return ticks
 
 
-def interval_chart(bars: Sequence[Bar], limit: float, limit_label: str) -> str:
-    """Accuracy of each method with its interval, and the limit as a line."""
-    left, width, row, top = 150, 760, 34, 34
+def interval_chart(
+    bars: Sequence[Bar], limit: float, limit_label: str, *, width: int = 760, left: int = 170, title: str = ""
+) -> str:
+    """A score of each method with its interval, and the limit as a line."""
+    row, top = 28, 34
     low = min([*(bar.low for bar in bars), limit]) - 0.01
     high = min(1.0, max([*(bar.high for bar in bars), limit]) + 0.01)
 
     def x(value: float) -> float:
-        return left + (width - left - 70) * (value - low) / (high - low)
+        return left + (width - left - 54) * (value - low) / (high - low)
 
-    height = top + row * len(bars) + 34
+    height = top + row * len(bars) + 30
     bottom = top + row * len(bars)
-    parts = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="Accuracy of each method">']
-    for tick in _ticks(low, high, 6):
+    parts = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title or limit_label)}">']
+    for tick in _ticks(low, high, 6 if width > 500 else 3):
         parts.append(f'<line class="grid" x1="{x(tick):.1f}" x2="{x(tick):.1f}" y1="{top}" y2="{bottom}"/>')
         parts.append(
             f'<text class="tick" x="{x(tick):.1f}" y="{bottom + 18}" text-anchor="middle">{100 * tick:g} %</text>'
@@ -68,9 +71,135 @@ def interval_chart(bars: Sequence[Bar], limit: float, limit_label: str) -> str:
             f'<text class="name" x="{left - 12}" y="{y + 4:.1f}" text-anchor="end">{escape(bar.label)}</text>'
         )
         parts.append(f'<line class="range" x1="{x(bar.low):.1f}" x2="{x(bar.high):.1f}" y1="{y}" y2="{y}"/>')
-        parts.append(f'<circle class="dot {escape(bar.family)}" cx="{x(bar.value):.1f}" cy="{y}" r="6"/>')
+        parts.append(f'<circle class="dot {escape(bar.family)}" cx="{x(bar.value):.1f}" cy="{y}" r="5.5"/>')
         parts.append(
             f'<text class="value" x="{x(bar.high) + 8:.1f}" y="{y + 4:.1f}">{100 * bar.value:.1f}</text>'
+        )
+    parts.append("</svg>")
+    return "".join(parts)
+
+
+class Line(NamedTuple):
+    """A method along a sweep: label, style class (`limit` or s0, s1, ...), positions and values."""
+
+    label: str
+    style: str
+    x: Sequence[float]
+    y: Sequence[float]
+
+
+def line_chart(lines: Sequence[Line], x_title: str, *, width: int = 520, height: int = 400) -> str:
+    """Accuracies over a logarithmic axis; each line is named at its right end."""
+    left, right, top, bottom = 52, 132, 12, 40
+    positions = sorted({value for line in lines for value in line.x})
+    values = [value for line in lines for value in line.y]
+    low, high = min(values) - 0.01, min(1.0, max(values) + 0.01)
+    begin, end = np.log(positions[0]), np.log(positions[-1])
+
+    def x(value: float) -> float:
+        return left + (width - left - right) * float((np.log(value) - begin) / max(end - begin, 1e-9))
+
+    def y(value: float) -> float:
+        return top + (height - top - bottom) * (high - value) / (high - low)
+
+    parts = [
+        f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="Accuracy against {escape(x_title)}">'
+    ]
+    for tick in _ticks(low, high, 6):
+        parts.append(
+            f'<line class="grid" x1="{left}" x2="{width - right}" y1="{y(tick):.1f}" y2="{y(tick):.1f}"/>'
+        )
+        parts.append(
+            f'<text class="tick" x="{left - 6}" y="{y(tick) + 4:.1f}" text-anchor="end">{100 * tick:g} %</text>'
+        )
+    parts += [
+        f'<text class="tick" x="{x(position):.1f}" y="{height - 22}" text-anchor="middle">{position:g}</text>'
+        for position in positions
+    ]
+    middle = (left + width - right) / 2
+    parts.append(
+        f'<text class="tick" x="{middle}" y="{height - 6}" text-anchor="middle">{escape(x_title)}</text>'
+    )
+    ends = [y(line.y[-1]) for line in lines]
+    for line, label_y in zip(lines, _spread_out(ends, 13.0, top + 4.0, height - bottom + 14.0), strict=True):
+        points = " ".join(f"{x(p):.1f},{y(v):.1f}" for p, v in zip(line.x, line.y, strict=True))
+        style = escape(line.style)
+        parts.append(f'<g class="series {style}"><polyline points="{points}"/>')
+        parts += [
+            f'<circle cx="{x(p):.1f}" cy="{y(v):.1f}" r="3"><title>{escape(line.label)}, {p:g}: {100 * v:.1f} %</title>'
+            "</circle>"
+            for p, v in zip(line.x, line.y, strict=True)
+        ]
+        tip = x(line.x[-1])
+        parts.append(
+            f'<polyline class="lead" points="{tip:.1f},{y(line.y[-1]):.1f} {tip + 12:.1f},{label_y:.1f}"/>'
+        )
+        parts.append(f'<text x="{tip + 15:.1f}" y="{label_y + 4:.1f}">{escape(line.label)}</text></g>')
+    parts.append("</svg>")
+    return "".join(parts)
+
+
+def _spread_out(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
+    """Places near the wanted ones, `gap` apart, so that no label covers another."""
+    order = np.argsort(wanted, kind="stable")
+    placed = np.asarray(wanted, dtype=np.float64)[order]
+    for n in range(len(placed)):
+        placed[n] = max(placed[n], low if n == 0 else placed[n - 1] + gap)
+    for n in range(len(placed) - 1, -1, -1):
+        placed[n] = min(placed[n], high if n == len(placed) - 1 else placed[n + 1] - gap)
+    result = np.empty(len(placed))
+    result[order] = placed
+    return [float(value) for value in result]
+
+
+class Boxes(NamedTuple):
+    """Estimates of one method: label, style class, and of each class the quantiles 5, 25, 50, 75, 95 %."""
+
+    label: str
+    style: str
+    quantiles: Sequence[Sequence[float]]
+
+
+def severity_chart(names: Sequence[str], truth: Sequence[float], methods: Sequence[Boxes]) -> str:
+    """Estimated severities of each true class, a bar a method; the true severity as a mark."""
+    width, left, right, top, thick = 760, 170, 20, 10, 13
+    row = thick * len(methods) + 12
+    most = [quantile for method in methods for row_ in method.quantiles for quantile in row_]
+    low, high = min(0.0, *most), max(*truth, *most) * 1.03
+
+    def x(value: float) -> float:
+        return left + (width - left - right) * (value - low) / (high - low)
+
+    height = top + row * len(names) + 40
+    floor = top + row * len(names)
+    parts = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="Estimated severity of each class">']
+    for tick in _ticks(low, high, 8):
+        parts.append(f'<line class="grid" x1="{x(tick):.1f}" x2="{x(tick):.1f}" y1="{top}" y2="{floor}"/>')
+        parts.append(
+            f'<text class="tick" x="{x(tick):.1f}" y="{floor + 18}" text-anchor="middle">{100 * tick:g}</text>'
+        )
+    parts.append(
+        f'<text class="tick" x="{(left + width) / 2}" y="{floor + 34}" text-anchor="middle">points</text>'
+    )
+    for n, (name, true) in enumerate(zip(names, truth, strict=True)):
+        begin = top + row * n + 6
+        middle = begin + thick * len(methods) / 2
+        parts.append(
+            f'<text class="name" x="{left - 12}" y="{middle + 4:.1f}" text-anchor="end">{escape(name)}</text>'
+        )
+        for m, method in enumerate(methods):
+            y = begin + thick * (m + 0.5)
+            q = [x(value) for value in method.quantiles[n]]
+            style = escape(method.style)
+            told = f"{method.label}: median {100 * method.quantiles[n][2]:.1f} points"
+            parts.append(
+                f'<g class="boxes {style}"><title>{escape(told)}</title>'
+                f'<line x1="{q[0]:.1f}" x2="{q[4]:.1f}" y1="{y:.1f}" y2="{y:.1f}"/>'
+                f'<rect x="{q[1]:.1f}" y="{y - 4:.1f}" width="{max(q[3] - q[1], 1.5):.1f}" height="8" rx="2"/></g>'
+            )
+        parts.append(
+            f'<line class="mark" x1="{x(true):.1f}" x2="{x(true):.1f}" y1="{begin - 2}" '
+            f'y2="{begin + thick * len(methods) + 2}"/>'
         )
     parts.append("</svg>")
     return "".join(parts)
@@ -142,34 +271,41 @@ def trace_chart(
     return "".join(parts)
 
 
-def reliability_chart(confidence: FloatArray, right: FloatArray, n_bins: int = 10) -> str:
-    """Share of right decisions against the largest probability, in bins of equal count."""
+def reliability_chart(binned: Reliability, low: float) -> str:
+    """Share of right decisions against the largest probability, with bars of one standard error.
+
+    Args:
+        binned: from `calibration.reliability`.
+        low: where both axes begin.
+    """
     size, left, bottom = 190, 34, 26
-    order = np.argsort(confidence, kind="stable")
 
     def at(p: float, q: float) -> tuple[float, float]:
         inner = size - left - 8
-        return left + inner * p, 8 + (size - bottom - 8) * (1.0 - q)
+        clipped = [min(max((value - low) / (1.0 - low), 0.0), 1.0) for value in (p, q)]
+        return left + inner * clipped[0], 8 + (size - bottom - 8) * (1.0 - clipped[1])
 
-    low = max(0.0, float(np.floor(10.0 * min(float(confidence.min()), 0.9))) / 10.0)
-
-    def scale(value: float) -> float:
-        return (value - low) / (1.0 - low)
-
-    (x0, y0), (x1, y1) = at(0.0, 0.0), at(1.0, 1.0)
+    (x0, y0), (x1, y1) = at(low, low), at(1.0, 1.0)
     parts = [f'<svg viewBox="0 0 {size} {size}" role="img" aria-label="Reliability">']
     parts.append(f'<line class="threshold" x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}"/>')
     for tick in (low, 1.0):
-        x, y = at(scale(tick), scale(tick))
+        x, y = at(tick, tick)
         parts.append(f'<text class="tick" x="{x:.1f}" y="{size - 10}" text-anchor="middle">{tick:g}</text>')
         parts.append(f'<text class="tick" x="{left - 5}" y="{y + 4:.1f}" text-anchor="end">{tick:g}</text>')
-    points = []
-    for part in np.array_split(order, n_bins):
-        x, y = at(scale(float(confidence[part].mean())), max(0.0, scale(float(right[part].mean()))))
-        points.append((x, y))
-    parts.append(
-        '<polyline class="estimate" points="' + " ".join(f"{x:.1f},{y:.1f}" for x, y in points) + '"/>'
-    )
-    parts += [f'<circle class="dot" cx="{x:.1f}" cy="{y:.1f}" r="3.5"/>' for x, y in points]
+    seen = np.flatnonzero(binned.n_cases > 0)
+    points = [at(float(binned.confidence[n]), float(binned.accuracy[n])) for n in seen]
+    curve = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    parts.append(f'<polyline class="estimate" points="{curve}"/>')
+    most = float(binned.n_cases.max())
+    for n, (x, y) in zip(seen, points, strict=True):
+        share = float(binned.accuracy[n])
+        error = float(np.sqrt(share * (1.0 - share) / binned.n_cases[n]))
+        above, below = at(0.0, share + error)[1], at(0.0, share - error)[1]
+        parts.append(f'<line class="range" x1="{x:.1f}" x2="{x:.1f}" y1="{above:.1f}" y2="{below:.1f}"/>')
+        radius = 1.8 + 2.4 * float(np.sqrt(binned.n_cases[n] / most))
+        parts.append(
+            f'<circle class="dot" cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}"><title>{binned.n_cases[n]:.0f} starts</title>'
+            "</circle>"
+        )
     parts.append("</svg>")
     return "".join(parts)

@@ -14,7 +14,7 @@ from cyclopts import App, Parameter
 from motor_env import __version__, console
 
 if TYPE_CHECKING:
-    from motor_classifiers.benchmark import BenchmarkResult
+    from motor_classifiers.benchmark import AnswerStore, CellResult, Plan, Unit
     from motor_classifiers.prediction import Opinion
     from motor_env.recipes import Recipe
 
@@ -25,6 +25,7 @@ app = App(
 )
 
 Json = Annotated[bool, Parameter(name="--json", negative=())]
+Flag = Annotated[bool, Parameter(negative=())]
 
 
 def _require_extras() -> None:
@@ -65,38 +66,33 @@ def train(
 
 
 @app.command
-def evaluate(
-    model: Path, dataset: Path, /, *, split: str = "test", seed: int = 0, json_: Json = False
-) -> int:
+def evaluate(model: Path, dataset: str, /, *, split: str = "test", seed: int = 0, json_: Json = False) -> int:
     """Judge a model on a split of a data set, beside the Bayes limit on the same cases.
 
     Example: motor-classifiers evaluate out/network.model out/bench
 
     Args:
         model: File made by motor-classifiers train.
-        dataset: Folder made by motor-datasets generate.
+        dataset: Folder made by motor-datasets generate, or its URL (s3://..., https://...).
         split: train, validation or test.
         seed: Of the bootstrap.
         json_: Print the scores as JSON.
     """
     _require_extras()
-    from motor_classifiers.benchmark import evaluate_model
+    from motor_classifiers.evaluation import evaluate_model, evaluation_lines
     from motor_classifiers.persistence import load_model
     from motor_datasets.loaders import load
 
     fitted, recipe, method = load_model(model)
     with _status("judging"):
         scored = evaluate_model(fitted, recipe, load(dataset, split), seed)
-    scored = {"model": str(model), "method": method, "dataset": str(dataset), "split": split, **scored}
     if json_:
-        print(json.dumps(scored))
+        print(
+            json.dumps({"model": str(model), "method": method, "dataset": dataset, "split": split, **scored})
+        )
     else:
         print(f"{method} on {scored['n_test']} cases of split {split}")
-        for name in ("accuracy", "macro_f1", "false_alarm_rate", "missed_detection_rate", "level_error"):
-            if scored[name] is not None:
-                low, high = scored[f"{name}_low"], scored[f"{name}_high"]
-                print(f"  {name.replace('_', ' '):22} {scored[name]:7.4f}   {low:.4f} to {high:.4f}")
-        print(f"  {'Bayes limit accuracy':22} {scored['bayes_accuracy']:7.4f}   on the same cases")
+        print("\n".join(evaluation_lines(recipe, scored)))
     return 0
 
 
@@ -184,67 +180,154 @@ def _print_opinions(path: Path, found: list[Opinion]) -> None:
 def benchmark(
     *,
     out: Path = Path("out/benchmark"),
-    recipe: str = "bench",
+    full: Flag = False,
+    recipe: str | None = None,
+    sampling_rate_hz: str | None = None,
+    current_noise_a: str | None = None,
+    n_train: str | None = None,
     methods: str | None = None,
-    n_train: int = 2000,
     n_test: int = 2000,
     seed: int = 0,
-    sampling_rate_hz: float | None = None,
     duration_s: float | None = None,
-    current_noise_a: float | None = None,
     channels: str | None = None,
+    peers: Path | None = None,
+    fresh: Flag = False,
+    dry_run: Flag = False,
     json_: Json = False,
 ) -> int:
     """Train all methods, judge all on the same unseen motors beside the Bayes limit; write a report.
 
     Example: motor-classifiers benchmark --out out/benchmark
 
+    Where an option takes several values, commas stand between them: recipes, rates and noises are crossed, and
+    training sizes tried at the usual noise. Such a sweep can be interrupted: the same command goes on where it stopped.
+
     Exit status: 0 done, 1 a method scored significantly above the Bayes limit (then something leaks), 2 wrong use.
 
     Args:
-        out: Folder for report.html and results.json.
-        recipe: What motors are drawn from: bench or paper.
+        out: Folder for report.html, results.json, results.csv and recipes.json; answers of a sweep are kept below it.
+        full: Sweep over all recipes, 1 and 10 kHz, 5, 20 and 100 mA, 200 to 8000 training starts: hours.
+        recipe: What motors are drawn from: bench, bench-full, paper or field; several with commas. Default bench.
+        sampling_rate_hz: Samples a second; the recipe's by default.
+        current_noise_a: Standard deviation of a current sample; the recipe's by default.
+        n_train: Starts to learn from, 2000 by default; the first of several is that of the sweep over rates and noises.
         methods: Names with commas between; all by default.
-        n_train: Motors to learn from.
-        n_test: Motors to be judged on.
+        n_test: Starts to be judged on.
         seed: Random seed.
-        sampling_rate_hz: Samples a second.
         duration_s: Time recorded after the step of the supply.
-        current_noise_a: Standard deviation of a current sample.
         channels: Measured channels: current, or current,speed.
+        peers: Answers of other packages' classifiers (make peers-anew); those of the default setting are shipped.
+        fresh: Have all answers of a sweep again.
+        dry_run: Only tell what would be run, and about how long it takes.
         json_: Print what stands in results.json.
     """
     _require_extras()
+    from motor_classifiers.benchmark import AnswerStore, Plan, make_cells
+    from motor_classifiers.methods import METHODS
+    from motor_classifiers.peers import shipped_peers
+    from motor_classifiers.results import result_rows, write_results
+
+    usual = FULL_SWEEP if full else {}
+    recipes = tuple(
+        _recipe(name, duration_s, channels) for name in (recipe or usual.get("recipe", "bench")).split(",")
+    )
+    cells = make_cells(
+        recipes,
+        _numbers("sampling-rate-hz", sampling_rate_hz or usual.get("sampling_rate_hz")),
+        _numbers("current-noise-a", current_noise_a or usual.get("current_noise_a")),
+        tuple(int(n) for n in _numbers("n-train", n_train or usual.get("n_train", "2000"))),
+        n_test,
+        seed,
+    )
+    plan = Plan(cells, tuple(methods.split(",")) if methods else tuple(METHODS), peers or shipped_peers())
+    folder = out / "answers" if len(cells) > 1 else None
+    if peers is not None and not peers.is_file():
+        raise console.InputError(f"{peers}: no such file of answers of peers")
+    if dry_run:
+        _print_plan(plan, AnswerStore(None if fresh else folder), json_)
+        return 0
+    _check_writable(out)
+    results = _run_with_progress(plan, AnswerStore(folder, fresh=fresh))
+    page = write_results(plan, results, out)
+    if json_:
+        print(json.dumps(result_rows(results)))
+    else:
+        _print_table(results[plan.reference])
+        print(f"report: {page}")
+    leaks = [(name, result.cell) for result in results for name in result.leaks]
+    for name, cell in leaks:
+        print(
+            f"motor-classifiers: check failed: {name} scored above the Bayes limit on {cell.title}",
+            file=sys.stderr,
+        )
+    return 1 if leaks else 0
+
+
+FULL_SWEEP = {
+    "recipe": "bench,bench-full,paper,field",
+    "sampling_rate_hz": "10000,1000",
+    "current_noise_a": "0.02,0.005,0.1",
+    "n_train": "2000,200,500,1000,8000",
+}
+"""Options of `benchmark --full`."""
+
+
+def _recipe(name: str, duration_s: float | None, channels: str | None) -> Recipe:
     from dataclasses import replace
 
-    from motor_classifiers.benchmark import Options, result_rows, write_results
-    from motor_classifiers.methods import METHODS
+    from motor_env.parameters import Channel
     from motor_env.recipes import named_recipe
 
-    chosen = named_recipe(recipe)
-    timing = {"sampling_rate_hz": sampling_rate_hz, "duration_s": duration_s}
-    sensor: dict[str, Any] = {
-        "current_noise_a": current_noise_a,
-        "channels": tuple(channels.split(",")) if channels else None,
-    }
-    chosen = replace(
-        chosen,
-        timing=replace(chosen.timing, **{k: v for k, v in timing.items() if v is not None}),
-        sensor=replace(chosen.sensor, **{k: v for k, v in sensor.items() if v is not None}),
+    chosen = named_recipe(name)
+    if duration_s is not None:
+        chosen = replace(chosen, timing=replace(chosen.timing, duration_s=duration_s))
+    if channels is not None:
+        measured = tuple(Channel(part) for part in channels.split(","))
+        chosen = replace(chosen, sensor=replace(chosen.sensor, channels=measured))
+    return chosen
+
+
+def _numbers(option: str, text: str | None) -> tuple[float, ...]:
+    if text is None:
+        return ()
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise console.InputError(f"--{option} must be numbers with commas between, got {text!r}") from None
+    if len(set(values)) != len(values):
+        raise console.InputError(f"--{option} must not name a value twice, got {text!r}")
+    return values
+
+
+def _print_plan(plan: Plan, store: AnswerStore, as_json: bool) -> None:
+    from motor_classifiers.benchmark import units
+
+    rows = [
+        {
+            "setting": unit.cell.title,
+            "method": unit.name,
+            "done": store.get(unit) is not None,
+            "about_s": unit.seconds,
+        }
+        for unit in units(plan)
+    ]
+    open_s = sum(unit.seconds for unit, row in zip(units(plan), rows, strict=True) if not row["done"])
+    if as_json:
+        print(json.dumps(rows))
+        return
+    for setting, done in _by_setting(rows).items():
+        print(f"{setting:58} {done[0]:3} of {done[1]:3} answers there")
+    print(
+        f"{len(plan.cells)} settings, {len(rows)} answers, about {open_s / 60.0:.0f} minutes of one core to go"
     )
-    names = tuple(methods.split(",")) if methods else tuple(METHODS)
-    options = Options(chosen, names, n_train, n_test, seed)
-    _check_writable(out)
-    result = _run_with_progress(options)
-    report = write_results(result, out)
-    if json_:
-        print(json.dumps(result_rows(result)))
-    else:
-        _print_table(result)
-        print(f"report: {report}")
-    for name in result.leaks:
-        print(f"motor-classifiers: check failed: {name} scored above the Bayes limit", file=sys.stderr)
-    return 1 if result.leaks else 0
+
+
+def _by_setting(rows: list[dict[str, Any]]) -> dict[str, tuple[int, int]]:
+    counted: dict[str, tuple[int, int]] = {}
+    for row in rows:
+        done, total = counted.get(row["setting"], (0, 0))
+        counted[row["setting"]] = (done + row["done"], total + 1)
+    return counted
 
 
 def _check_writable(out: Path) -> None:
@@ -259,44 +342,49 @@ def _check_writable(out: Path) -> None:
     probe.unlink()
 
 
-def _run_with_progress(options: Any) -> BenchmarkResult:
+def _run_with_progress(plan: Plan, store: AnswerStore) -> tuple[CellResult, ...]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    from motor_classifiers.benchmark import count_steps, run_benchmark
+    from motor_classifiers.benchmark import run_plan, units
 
-    columns = (BarColumn(30), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    todo = units(plan)
+    columns = (BarColumn(30), TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
     errors = Console(stderr=True)
     with Progress(*columns, console=errors, disable=not errors.is_terminal) as bar:
-        task = bar.add_task("starting", total=count_steps(options))
-        begun = 0
+        task = bar.add_task("starting", total=sum(unit.seconds for unit in todo))
+        begun, before = 0, 0.0
 
-        def step(sentence: str) -> None:
-            nonlocal begun
-            bar.update(task, completed=begun, description=sentence)
+        def step(unit: Unit, known: bool) -> None:
+            nonlocal begun, before
             begun += 1
+            sentence = f"{begun} of {len(todo)}: {unit.name} on {unit.cell.title}"
+            bar.update(task, advance=before, description=sentence)
+            before = unit.seconds
             if not errors.is_terminal:
-                print(f"[{begun}/{count_steps(options)}] {sentence}", file=sys.stderr, flush=True)
+                print(f"{sentence}{' (known)' if known else ''}", file=sys.stderr, flush=True)
 
-        result = run_benchmark(options, step)
-        bar.update(task, completed=begun, description="done")
-    return result
+        results = run_plan(plan, store, step)
+        bar.update(task, advance=before, description="done")
+    return results
 
 
-def _print_table(result: BenchmarkResult) -> None:
-    heads = f"{'accuracy':>9}{'95 % interval':>17}{'below limit':>13}{'macro-F1':>10}"
-    print(f"{'method':17}{heads}{'false alarms':>14}{'missed':>8}{'us':>8}")
-    bayes = ("Bayes limit", result.limit, 0.0, result.limit_microseconds)
+def _print_table(result: CellResult) -> None:
+    print(result.cell.title)
+    heads = f"{'accuracy':>9}{'95 % interval':>17}{'below limit':>13}{'winding':>9}{'bearing':>9}{'level':>8}"
+    print(f"{'method':18}{heads}{'us':>9}{'MB':>7}")
+    limit = result.limit
     rows = [
-        (m.name, m.scores, -m.against_limit.difference.value, m.microseconds_per_transient)
-        for m in result.methods
+        ("Bayes estimate" if result.limit_is_estimate else "Bayes limit", limit, 0.0),
+        *((m.name, m.judged, -m.against_limit.difference.value) for m in result.ranked()),
     ]
-    for name, scored, below, microseconds in (bayes, *rows):
-        accuracy = scored.accuracy
+    for name, judged, below in rows:
+        accuracy, cost = judged.scores.accuracy, judged.answer
+        memory = cost.inference.memory_mb
         print(
-            f"{name:17}{accuracy.value:9.4f}{accuracy.low:9.4f}..{accuracy.high:.4f}{below:13.4f}"
-            f"{scored.macro_f1.value:10.4f}{scored.false_alarm_rate.value:14.4f}"
-            f"{scored.missed_detection_rate.value:8.4f}{microseconds:8.1f}"
+            f"{name:18}{accuracy.value:9.4f}{accuracy.low:9.4f}..{accuracy.high:.4f}{below:13.4f}"
+            f"{judged.scores.winding.value:9.4f}{judged.scores.bearing.value:9.4f}{judged.scores.level.value:8.4f}"
+            f"{cost.microseconds_per_transient:9.1f}{'' if memory is None else f'{memory:7.0f}'}"
         )
 
 

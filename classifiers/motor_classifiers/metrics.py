@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from motor_env.faults import HEALTHY
+from motor_env.faults import HEALTHY, FaultKind
 from motor_env.parameters import FloatArray
 from motor_env.recipes import Recipe
 
@@ -17,6 +17,10 @@ IntArray = NDArray[np.int64]
 N_RESAMPLES = 2000
 LEVEL = 0.95
 """Of every interval."""
+
+WINDING = frozenset({FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT})
+BEARING = frozenset({FaultKind.BEARING})
+"""Kinds of the sub-scores."""
 
 
 class Score(NamedTuple):
@@ -38,6 +42,9 @@ class Scores(NamedTuple):
         missed_detection_rate: share of faulty motors that are called healthy.
         level_error: mean absolute error of the decided severity, 0.01 for a point; of a wrong kind both
             severities count, the missed and the invented one.
+        winding: sub-score: a winding fault or none, mean of the shares of both that are told (balanced accuracy).
+        bearing: the same of bearing faults.
+        level: sub-score: of the faulty motors whose kind is told, the share whose level is told too.
         confusion: cases by true (row) and decided (column) class.
     """
 
@@ -47,6 +54,9 @@ class Scores(NamedTuple):
     false_alarm_rate: Score
     missed_detection_rate: Score
     level_error: Score
+    winding: Score
+    bearing: Score
+    level: Score
     confusion: IntArray
 
 
@@ -68,14 +78,25 @@ def level_distance(recipe: Recipe) -> FloatArray:
     return distance
 
 
-def resampling_weights(n_cases: int, random_state: int, n_resamples: int = N_RESAMPLES) -> FloatArray:
+def resampling_weights(
+    n_cases: int, random_state: int, n_resamples: int = N_RESAMPLES, groups: IntArray | None = None
+) -> FloatArray:
     """How often each case is drawn, shape (1 + n_resamples, n_cases); the first row counts each case once.
 
     The same weights for all methods make their intervals comparable in pairs.
+
+    Args:
+        n_cases: cases to be resampled.
+        random_state: of the draws.
+        n_resamples: draws.
+        groups: motor of each case, shape (n_cases,): starts of one motor are no independent witnesses, so motors are
+            drawn, each with all its starts; every case is a motor of its own by default.
     """
+    motors = np.arange(n_cases) if groups is None else np.unique(groups, return_inverse=True)[1]
+    n_motors = int(motors.max()) + 1
     rng = np.random.default_rng(random_state)
-    drawn = rng.multinomial(n_cases, np.full(n_cases, 1.0 / n_cases), size=n_resamples)
-    return np.vstack([np.ones((1, n_cases)), drawn])
+    drawn = rng.multinomial(n_motors, np.full(n_motors, 1.0 / n_motors), size=n_resamples)
+    return np.vstack([np.ones((1, n_cases)), drawn[:, motors]])
 
 
 def _ratio(part: FloatArray, whole: FloatArray) -> FloatArray:
@@ -109,6 +130,8 @@ def scores(recipe: Recipe, truth: IntArray, decided: IntArray, weights: FloatArr
     f1 = np.nan_to_num(_ratio(2.0 * hits, actual + called))
     healthy = np.array([c.kind is None for c in recipe.classes])
     faulty = matrices[:, ~healthy]
+    kinds = np.array([c.label_kind for c in recipe.classes])
+    same_kind = (kinds[:, None] == kinds) & ~healthy
     return Scores(
         accuracy=_interval(hits.sum(axis=1) / total),
         macro_f1=_interval(f1.mean(axis=1)),
@@ -122,8 +145,29 @@ def scores(recipe: Recipe, truth: IntArray, decided: IntArray, weights: FloatArr
             _ratio(faulty[:, :, healthy].sum(axis=(1, 2)), faulty.sum(axis=(1, 2)))
         ),
         level_error=_interval((matrices * level_distance(recipe)).sum(axis=(1, 2)) / total),
+        winding=_interval(_told(matrices, _classes_with(recipe, WINDING))),
+        bearing=_interval(_told(matrices, _classes_with(recipe, BEARING))),
+        level=_interval(_ratio(hits[:, ~healthy].sum(axis=1), (matrices * same_kind).sum(axis=(1, 2)))),
         confusion=matrices[0].astype(np.int64),
     )
+
+
+def root_mean_square(errors: FloatArray, weights: FloatArray) -> Score:
+    """Root mean square of errors of the cases, shape (n_cases,)."""
+    return _interval(np.sqrt(weights @ np.square(errors) / weights.sum(axis=1)))
+
+
+def _classes_with(recipe: Recipe, kinds: frozenset[FaultKind]) -> NDArray[np.bool_]:
+    return np.array([any(part.kind in kinds for part in c.parts) for c in recipe.classes])
+
+
+def _told(matrices: FloatArray, of_group: NDArray[np.bool_]) -> FloatArray:
+    """Balanced accuracy of "of this group or not", shape (n_resamples,); nan where a recipe has only one of both."""
+    inside, outside = matrices[:, of_group], matrices[:, ~of_group]
+    sensitivity = _ratio(inside[:, :, of_group].sum(axis=(1, 2)), inside.sum(axis=(1, 2)))
+    specificity = _ratio(outside[:, :, ~of_group].sum(axis=(1, 2)), outside.sum(axis=(1, 2)))
+    balanced: FloatArray = 0.5 * (sensitivity + specificity)
+    return balanced
 
 
 class Comparison(NamedTuple):
@@ -150,4 +194,4 @@ def compare(
     gain = first_right.astype(np.float64) - second_right
     only_first, only_second = int((gain > 0).sum()), int((gain < 0).sum())
     p_above = float(binom.sf(only_first - 1, only_first + only_second, 0.5)) if only_first else 1.0
-    return Comparison(_interval(weights @ gain / len(gain)), only_first, only_second, p_above)
+    return Comparison(_interval(weights @ gain / weights.sum(axis=1)), only_first, only_second, p_above)

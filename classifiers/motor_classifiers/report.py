@@ -2,45 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from motor_classifiers.benchmark import SIGNIFICANCE, BenchmarkResult, MethodResult
-from motor_classifiers.charts import Bar, Trace, interval_chart, reliability_chart, trace_chart
-from motor_classifiers.features import whitened_residual
+from motor_classifiers.benchmark import SIGNIFICANCE, CellResult, Judged, MethodResult, Plan
+from motor_classifiers.charts import (
+    Bar,
+    Boxes,
+    Line,
+    interval_chart,
+    line_chart,
+    reliability_chart,
+    severity_chart,
+)
+from motor_classifiers.examples import ALARM_RATE, examples
+from motor_classifiers.judging import Cell
 from motor_classifiers.methods import METHODS
 from motor_classifiers.metrics import Score
-from motor_env.confirmation import nominal_voltage
-from motor_env.faults import HEALTHY
-from motor_env.parameters import Channel, FloatArray
-from motor_env.simulation import simulate_states
+from motor_classifiers.names import readable, short
+from motor_classifiers.peers import PEERS
+from motor_classifiers.results import family
 
-_ALARM_RATE = 0.01  # of the thresholds drawn in the examples, for a transient of a motor known exactly
-_SMOOTH = 50  # samples of the running mean in the examples
-
-
-def readable(name: str) -> str:
-    """A class name for people: bearing_10 becomes bearing 10 %."""
-    stem, _, level = name.rpartition("_")
-    return (
-        f"{stem.replace('_', ' ')} {level} %" if level.replace(".", "").isdigit() else name.replace("_", " ")
-    )
+_QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
+_LINES = 10  # styles of lines, s0 to s9; more methods are drawn in a quiet colour
 
 
-def _short(name: str) -> str:
-    """A class name for narrow columns: B 10, WC 25."""
-    stem, _, level = name.rpartition("_")
-    if not level.replace(".", "").isdigit():
-        return "ok" if name == HEALTHY else name[:3]
-    return f"{''.join(word[0].upper() for word in stem.split('_'))} {level}"
-
-
-def render_report(result: BenchmarkResult, machine: str) -> str:
+def render_report(plan: Plan, results: Sequence[CellResult], machine: str) -> str:
     """The page as HTML.
 
     Args:
-        result: of `run_benchmark`.
+        plan: what was run.
+        results: of `run_plan`.
         machine: what it ran on, in words.
     """
     import jinja2
@@ -52,37 +46,44 @@ def render_report(result: BenchmarkResult, machine: str) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["share"] = _share
-    recipe, options = result.options.recipe, result.options
-    limit = result.limit.accuracy
-    ranked = sorted(result.methods, key=lambda method: -method.scores.accuracy.value)
+    environment.filters |= {"share": _share, "points": _points, "quantity": _quantity}
+    result = results[plan.reference]
+    recipe, ranked = result.cell.recipe, result.ranked()
+    ours = [method for method in ranked if not method.origin]
     return environment.get_template("report.html.j2").render(
+        cell=result.cell,
         recipe=recipe,
-        options=options,
         machine=machine,
-        best=ranked[0],
-        titles={name: method.title for name, method in METHODS.items()},
-        families={name: method.family for name, method in METHODS.items()},
+        best=ours[0],
+        best_peer=next((method for method in ranked if method.origin), None),
+        origins=sorted({method.origin for method in ranked if method.origin}),
+        titles={name: method.title for name, method in METHODS.items()} | PEERS,
+        families={method.name: family(method) for method in ranked},
         methods=ranked,
         limit=result.limit,
-        limit_expected=float(result.limit_probabilities.max(axis=1).mean()),
-        limit_microseconds=result.limit_microseconds,
-        limit_log_loss=result.limit_log_loss,
-        leaks=result.leaks,
+        estimated=result.limit_is_estimate,
+        limit_name="Best estimate of the limit" if result.limit_is_estimate else "Bayes limit",
+        limit_expected=float(result.limit.answer.probabilities.max(axis=1).mean()),
+        leaks=[(name, other.cell.title) for other in results for name in other.leaks],
         significance=SIGNIFICANCE,
-        noise_ma=1e3 * recipe.sensor.current_noise_a,
-        short_titles=[_short(name) for name in recipe.class_names],
+        n_comparisons=plan.n_comparisons,
+        short_titles=[short(name) for name in recipe.class_names],
         class_titles=[readable(name) for name in recipe.class_names],
-        accuracy_chart=interval_chart(
-            [Bar(m.name, METHODS[m.name].family, *m.scores.accuracy) for m in ranked],
-            limit.value,
-            f"Bayes limit on these motors: {100.0 * limit.value:.1f} %",
-        ),
-        confusions=[_confusion(method) for method in ranked],
-        reliability=[_reliability(result, method) for method in ranked],
-        examples=_examples(result, ranked[0]),
-        smooth_ms=1e3 * _SMOOTH * recipe.timing.dt_s,
-        alarm_rate=_ALARM_RATE,
+        accuracy_chart=_score_chart(result, ranked, "accuracy", "Bayes limit on these motors"),
+        sub_charts=_sub_charts(result, ranked),
+        confusions=[_confusion("limit", result.limit), *(_confusion(m.name, m.judged) for m in ranked)],
+        reliability=_reliability(result, ranked),
+        severity_chart=_severity_chart(result, _severity_methods(ranked)),
+        severity_methods=[method.name for method in _severity_methods(ranked)],
+        examples=examples(result, ours[0]),
+        alarm_rate=ALARM_RATE,
+        sweep=_sweep(plan, results) if len(results) > 1 else None,
+        settings=[_setting(other) for other in results],
+        against=[
+            (method.name, result.difference(ours[0].name, method.name))
+            for method in ranked
+            if method is not ours[0]
+        ],
     )
 
 
@@ -90,92 +91,152 @@ def _share(score: Score, digits: int = 1) -> str:
     return "–" if np.isnan(score.value) else f"{100.0 * score.value:.{digits}f}"
 
 
-def _confusion(method: MethodResult) -> dict[str, Any]:
-    counts = method.scores.confusion
+def _points(value: float, digits: int = 2) -> str:
+    text = f"{100.0 * value:.{digits}f}"
+    return text.replace("-", "−") if float(text) else f"{0.0:.{digits}f}"
+
+
+def _quantity(value: float | None) -> str:
+    """Three figures of a time or size; a dash for what is not known."""
+    if value is None or np.isnan(value):
+        return "–"
+    return f"{value:.0f}" if value >= 20.0 else f"{value:.1f}"
+
+
+def _score_chart(
+    result: CellResult, ranked: Sequence[MethodResult], name: str, label: str, **shape: Any
+) -> str:
+    limit: Score = getattr(result.limit.scores, name)
+    bars = [Bar(m.name, family(m), *getattr(m.judged.scores, name)) for m in ranked]
+    told = label.replace("Bayes limit", "Estimated limit") if result.limit_is_estimate else label
+    return interval_chart(bars, limit.value, f"{told}: {100.0 * limit.value:.1f} %", **shape)
+
+
+def _sub_charts(result: CellResult, ranked: Sequence[MethodResult]) -> list[dict[str, str]]:
+    told = {
+        "winding": ("Winding", "a winding fault or none"),
+        "bearing": ("Bearing", "a bearing fault or none"),
+        "level": ("Severity", "the level, where the kind is told"),
+    }
+    return [
+        {
+            "title": title,
+            "what": what,
+            "chart": _score_chart(result, ranked, name, "limit", width=400, left=130, title=title),
+        }
+        for name, (title, what) in told.items()
+        if not np.isnan(getattr(result.limit.scores, name).value)
+    ]
+
+
+def _confusion(name: str, judged: Judged) -> dict[str, Any]:
+    counts = judged.scores.confusion
     totals = np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    return {"name": method.name, "counts": counts.tolist(), "shares": (100.0 * counts / totals).tolist()}
+    return {"name": name, "counts": counts.tolist(), "shares": (100.0 * counts / totals).tolist()}
 
 
-def _reliability(result: BenchmarkResult, method: MethodResult) -> dict[str, Any]:
-    right = (method.decided == result.test.class_index).astype(np.float64)
-    confidence = method.probabilities.max(axis=1)
+def _reliability(result: CellResult, ranked: Sequence[MethodResult]) -> list[dict[str, Any]]:
+    judged = [("limit", result.limit), *((method.name, method.judged) for method in ranked)]
+    graded = [(name, one.calibration) for name, one in judged if one.calibration is not None]
+    lowest = min(float(np.nanmin(told.reliability.confidence)) for _, told in graded)
+    low = max(0.0, np.floor(10.0 * lowest) / 10.0)
+    return [
+        {"name": name, "chart": reliability_chart(told.reliability, low), "told": told}
+        for name, told in graded
+    ]
+
+
+def _severity_methods(ranked: Sequence[MethodResult]) -> list[MethodResult]:
+    """The most exact of ours, and of the peers that grade."""
+    graded = sorted(
+        (method for method in ranked if method.judged.calibration is not None),
+        key=lambda method: method.judged.severity_rmse.value,
+    )
+    ours = [method for method in graded if not method.origin][:1]
+    return ours + [method for method in graded if method.origin][:1]
+
+
+def _severity_chart(result: CellResult, chosen: Sequence[MethodResult]) -> str:
+    recipe = result.cell.recipe
+    told = [("limit", "limit", result.limit), *((m.name, f"s{n}", m.judged) for n, m in enumerate(chosen))]
+    present = [n for n in range(len(recipe.classes)) if (result.truth == n).any()]
+    boxes = [
+        Boxes(
+            name,
+            style,
+            [np.quantile(judged.answer.severity[result.truth == n], _QUANTILES).tolist() for n in present],
+        )
+        for name, style, judged in told
+    ]
+    truth = [float(result.severity[result.truth == n].mean()) for n in present]
+    return severity_chart([readable(recipe.class_names[n]) for n in present], truth, boxes)
+
+
+def _setting(result: CellResult) -> dict[str, Any]:
+    """A setting's figures for the table of all settings."""
+    recipe = result.cell.recipe
     return {
-        "name": method.name,
-        "chart": reliability_chart(confidence, right),
-        "confidence": float(confidence.mean()),
-        "log_loss": method.log_loss,
+        "recipe": recipe.name,
+        "rate_khz": recipe.timing.sampling_rate_hz / 1e3,
+        "noise_ma": 1e3 * recipe.sensor.current_noise_a,
+        "n_train": result.cell.n_train,
+        "limit": result.limit.scores.accuracy.value,
+        "estimated": result.limit_is_estimate,
+        "methods": {m.name: m for m in result.methods},
     }
 
 
-def running_mean(values: FloatArray, count: int) -> FloatArray:
-    """Mean of the last `count` samples (of fewer at the begin), over the last axis."""
-    total = np.cumsum(values, axis=-1)
-    total[..., count:] = total[..., count:] - total[..., :-count].copy()
-    lengths = np.minimum(np.arange(1, values.shape[-1] + 1), count)
-    mean: FloatArray = total / lengths
-    return mean
+def _sweep(plan: Plan, results: Sequence[CellResult]) -> dict[str, Any]:
+    """Charts of a sweep: learning curves by recipe and rate, accuracies by noise."""
+    style = {name: f"s{n}" if n < _LINES else "rest" for n, name in enumerate(plan.methods)}
+    recipes = dict.fromkeys(result.cell.recipe.name for result in results)
+    rates = sorted({result.cell.recipe.timing.sampling_rate_hz for result in results}, reverse=True)
+    learning, noise = [], []
+    for recipe in recipes:
+        for rate in rates:
+            here = [r for r in results if _at(r.cell, recipe, rate)]
+            by_size = _same_noise(here)
+            if len(by_size) > 1:
+                learning.append(_panel(by_size, style, lambda c: float(c.n_train), "training starts"))
+            size = here[0].cell.n_train if here else 0
+            by_noise = sorted(
+                (r for r in here if r.cell.n_train == size),
+                key=lambda r: r.cell.recipe.sensor.current_noise_a,
+            )
+            if len(by_noise) > 1:
+                noise.append(
+                    _panel(by_noise, style, lambda c: 1e3 * c.recipe.sensor.current_noise_a, "noise, mA")
+                )
+    return {"learning": learning, "noise": noise, "methods": plan.methods, "style": style}
 
 
-def _examples(result: BenchmarkResult, best: MethodResult) -> list[dict[str, Any]]:
-    """One transient a class: measured current, and the filter's residual with a threshold."""
-    recipe, test = result.options.recipe, result.test
-    if Channel.CURRENT not in recipe.sensor.channels:
+def _at(cell: Cell, recipe: str, rate_hz: float) -> bool:
+    return cell.recipe.name == recipe and cell.recipe.timing.sampling_rate_hz == rate_hz
+
+
+def _same_noise(results: Sequence[CellResult]) -> list[CellResult]:
+    """Those at the noise at which most training sizes were tried, by size."""
+    noises = [result.cell.recipe.sensor.current_noise_a for result in results]
+    if not noises:
         return []
-    column = recipe.sensor.channels.index(Channel.CURRENT)
-    time_ms = 1e3 * recipe.timing.time_s
-    nominal = simulate_states(recipe.motor, nominal_voltage(recipe), recipe.timing.dt_s)[:, 0]
-    rows = [np.flatnonzero(test.class_index == n) for n in range(len(recipe.classes))]
-    chosen = [(n, int(members[0])) for n, members in enumerate(rows) if len(members)]
-    cases = test.X[[case for _, case in chosen]].astype(np.float64)
-    n_channels = cases.shape[1]
-    whitened = whitened_residual(recipe, cases).reshape(len(cases), -1, n_channels)[..., column]
-    smooth = running_mean(whitened, _SMOOTH) * np.sqrt(
-        np.minimum(np.arange(1, whitened.shape[1] + 1), _SMOOTH)
-    )
-    threshold = _threshold(recipe.timing.n_samples)
-    reach = float(np.clip(1.1 * np.abs(smooth).max(), 2.0 * threshold, 16.0))
-    top = 1.06 * float(max(nominal.max(), cases[:, column].max()))
-    examples = []
-    for row, (n, case) in enumerate(chosen):
-        beyond = np.flatnonzero(np.abs(smooth[row]) > threshold)
-        alarm_ms = float(time_ms[beyond[0]]) if len(beyond) else None
-        examples.append(
-            {
-                "truth": readable(recipe.class_names[n]),
-                "decided": readable(recipe.class_names[int(best.decided[case])]),
-                "right": int(best.decided[case]) == n,
-                "probability": float(best.probabilities[case].max()),
-                "limit_probability": float(result.limit_probabilities[case, n]),
-                "alarm_ms": alarm_ms,
-                "current": trace_chart(
-                    [Trace("measured", time_ms, cases[row, column]), Trace("nominal", time_ms, nominal)],
-                    "A",
-                    span=(min(-0.1, float(cases[:, column].min())), top),
-                ),
-                "level": trace_chart(
-                    [
-                        Trace("measured", time_ms, 1e3 * running_mean(cases[row, column], _SMOOTH)),
-                        Trace("nominal", time_ms, 1e3 * running_mean(nominal, _SMOOTH)),
-                    ],
-                    "mA",
-                    span=(0.0, 80.0),
-                ),
-                "residual": trace_chart(
-                    [Trace("residual", time_ms, smooth[row])],
-                    "σ",
-                    span=(-reach, reach),
-                    levels=(-threshold, threshold),
-                    mark_ms=alarm_ms,
-                    with_time=True,
-                ),
-            }
-        )
-    return examples
+    usual = max(noises, key=noises.count)
+    chosen = (r for r, noise in zip(results, noises, strict=True) if noise == usual)
+    return sorted(chosen, key=lambda r: r.cell.n_train)
 
 
-def _threshold(n_samples: int) -> float:
-    """Two-sided normal quantile for the wanted rate, shared among the windows that do not overlap."""
-    from scipy.stats import norm
+def _panel(
+    results: Sequence[CellResult], style: dict[str, str], position: Any, x_title: str
+) -> dict[str, str]:
+    xs = [position(result.cell) for result in results]
+    lines = [Line(name, style[name], xs, [_accuracy(result, name) for result in results]) for name in style]
+    limit_name = "estimate" if results[0].limit_is_estimate else "Bayes limit"
+    lines.append(Line(limit_name, "limit", xs, [r.limit.scores.accuracy.value for r in results]))
+    cell = results[0].cell
+    return {
+        "title": f"{cell.recipe.name}, {cell.recipe.timing.sampling_rate_hz / 1e3:g} kHz",
+        "chart": line_chart(lines, x_title),
+    }
 
-    windows = max(1, n_samples // _SMOOTH)
-    return float(norm.isf(0.5 * _ALARM_RATE / windows))
+
+def _accuracy(result: CellResult, name: str) -> float:
+    return next(m.judged.scores.accuracy.value for m in result.methods if m.name == name)

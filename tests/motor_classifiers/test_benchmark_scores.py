@@ -1,25 +1,31 @@
-"""Scores against scikit-learn's and by hand, the check against the limit, and the commands."""
+"""Scores against scikit-learn's and by hand."""
 
-import json
-import re
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import binomtest
-from sklearn.metrics import accuracy_score, confusion_matrix, f1_score, recall_score
+from sklearn.metrics import (
+    accuracy_score,
+    balanced_accuracy_score,
+    confusion_matrix,
+    f1_score,
+    recall_score,
+)
 
-from motor_classifiers import benchmark as benchmark_module
-from motor_classifiers.cli import main
-from motor_classifiers.metrics import compare, level_distance, resampling_weights, scores
+from motor_classifiers.metrics import (
+    compare,
+    level_distance,
+    resampling_weights,
+    root_mean_square,
+    scores,
+)
 from motor_classifiers.networks import NetworkClassifier
 from motor_datasets.generate import generate_arrays
-from motor_env.posterior import class_probabilities
 from motor_env.recipes import named_recipe
 from motor_env.simulation import Timing
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
-FAST = ["benchmark", "--sampling-rate-hz", "1000", "--n-train", "300", "--n-test", "200"]
 
 
 def test_scores_agree_with_scikit_learn() -> None:
@@ -71,49 +77,43 @@ def test_the_network_repeats_itself_to_the_bit_and_learns() -> None:
     assert first.score(test.X, test.class_name) > 0.65  # the limit at 1 kHz is 0.80
 
 
-def test_benchmark_writes_a_page_that_needs_nothing_else(tmp_path: Path) -> None:
-    methods = ["threshold", "residual-qda", "network"]
-    assert main([*FAST, "--methods", ",".join(methods), "--out", str(tmp_path)]) == 0
-    rows = json.loads((tmp_path / "results.json").read_text())
-    assert [row["method"] for row in rows] == methods
-    for row in rows:
-        assert row["accuracy_low"] <= row["accuracy"] <= row["accuracy_high"]
-        assert (row["recipe"], row["sampling_rate_hz"], row["noise_a"]) == ("bench", 1000.0, 0.02)
-        assert 0.7 < row["bayes_accuracy"] < 0.9
-        assert row["accuracy"] < row["bayes_accuracy"] + 0.05
-    page = (tmp_path / "report.html").read_text()
-    assert not re.search(r"(?:src|href)\s*=|@import|url\(|https?://", page)
-    assert page.count("<svg") >= 1 + 3 + 15
+def test_sub_scores_are_the_balanced_accuracies_of_kinds() -> None:
+    rng = np.random.default_rng(1)
+    truth = rng.integers(0, 5, 800)
+    decided = np.where(rng.random(800) < 0.6, truth, rng.integers(0, 5, 800))
+    found = scores(RECIPE, truth, decided, resampling_weights(800, 1, 50))
+    kinds = np.array([c.label_kind for c in RECIPE.classes])
+    for kind, score in (("bearing", found.bearing), ("winding_contact", found.winding)):
+        expected = balanced_accuracy_score(kinds[truth] == kind, kinds[decided] == kind)
+        assert score.value == pytest.approx(expected)
+        assert score.low < score.value < score.high
+    told = (kinds[truth] == kinds[decided]) & (truth > 0)
+    assert found.level.value == pytest.approx((truth == decided)[told].mean())
 
 
-def test_a_method_above_the_limit_fails_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The limit is made worse here, so that an honest method stands above it."""
-    monkeypatch.setattr(
-        benchmark_module,
-        "class_probabilities",
-        lambda recipe, X: np.roll(class_probabilities(recipe, X), 1, axis=1),
-    )
-    assert main([*FAST, "--methods", "residual-qda", "--out", str(tmp_path)]) == 1
-    assert "residual-qda scored above the Bayes limit" in capsys.readouterr().err
-    assert "Failing check: residual-qda" in (tmp_path / "report.html").read_text()
+def test_a_recipe_without_windings_has_no_winding_score() -> None:
+    bearings = replace(RECIPE, classes=RECIPE.classes[:3])
+    truth = np.arange(90) % 3
+    found = scores(bearings, truth, truth, resampling_weights(90, 0, 20))
+    assert np.isnan(found.winding.value)
+    assert found.bearing.value == 1.0
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["benchmark", "--methods", "none"],
-        ["benchmark", "--recipe", "none"],
-        ["benchmark", "--n-train", "3"],
-        ["train", "none", "--out", "x"],
-        ["predict", "none.csv", "--model", "none"],
-    ],
-)
-def test_wrong_use_is_one_sentence(
-    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(arguments) == 2
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1
-    assert not list(tmp_path.iterdir())
+def test_starts_of_one_motor_are_drawn_together() -> None:
+    groups = np.repeat(np.arange(50), 4)
+    weights = resampling_weights(200, 0, 300, groups=groups)
+    by_motor = weights.reshape(301, 50, 4)
+    assert (by_motor == by_motor[..., :1]).all()
+    assert (by_motor[..., 0].sum(axis=1) == 50).all()
+    hits = np.repeat(np.random.default_rng(0).random(50) < 0.7, 4)
+    alone = compare(hits, np.zeros(200, bool), resampling_weights(200, 0, 300)).difference
+    grouped = compare(hits, np.zeros(200, bool), weights).difference
+    # Four starts that always agree are worth one: the interval is twice as wide.
+    assert (grouped.high - grouped.low) / (alone.high - alone.low) == pytest.approx(2.0, rel=0.25)
+
+
+def test_root_mean_square_is_that_of_numpy() -> None:
+    errors = np.random.default_rng(2).normal(size=400)
+    found = root_mean_square(errors, resampling_weights(400, 0, 500))
+    assert found.value == pytest.approx(np.sqrt(np.square(errors).mean()))
+    assert found.low < 1.0 < found.high

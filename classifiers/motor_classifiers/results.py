@@ -1,0 +1,161 @@
+"""The benchmark's figures as files: JSON and CSV, one row a method and setting, and the page beside them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from motor_classifiers.benchmark import CellResult, Judged, MethodResult, Plan
+from motor_classifiers.methods import METHODS
+from motor_classifiers.metrics import Comparison, Score, Scores
+from motor_env.files import write_text
+from motor_env.recipe_file import recipe_to_dict
+from motor_env.recipes import Recipe
+
+SCORES = (
+    "accuracy",
+    "macro_f1",
+    "false_alarm_rate",
+    "missed_detection_rate",
+    "level_error",
+    "winding",
+    "bearing",
+    "level",
+)
+"""Scores with an interval, as they stand in the rows."""
+
+
+def _number(value: float | None) -> float | None:
+    """JSON knows no nan."""
+    return None if value is None or math.isnan(value) else value
+
+
+def _interval_fields(name: str, score: Score) -> dict[str, float | None]:
+    return {
+        name: _number(score.value),
+        f"{name}_low": _number(score.low),
+        f"{name}_high": _number(score.high),
+    }
+
+
+def score_fields(recipe: Recipe, scored: Scores) -> dict[str, Any]:
+    """Scores as fields of a row."""
+    row: dict[str, Any] = {}
+    for name in SCORES:
+        row |= _interval_fields(name, getattr(scored, name))
+    row["recall"] = {
+        label: {"value": _number(recall.value), "low": _number(recall.low), "high": _number(recall.high)}
+        for label, recall in zip(recipe.class_names, scored.recall, strict=True)
+    }
+    row["confusion"] = scored.confusion.tolist()
+    return row
+
+
+def comparison_fields(against_limit: Comparison) -> dict[str, Any]:
+    """The comparison with the limit as fields of a row; differences are the limit's accuracy minus the method's."""
+    return {
+        "below_bayes": -against_limit.difference.value,
+        "below_bayes_low": -against_limit.difference.high,
+        "below_bayes_high": -against_limit.difference.low,
+        "only_method_right": against_limit.only_first,
+        "only_bayes_right": against_limit.only_second,
+        "p_above_bayes": against_limit.p_above,
+    }
+
+
+def _judged_fields(recipe: Recipe, judged: Judged) -> dict[str, Any]:
+    told, cost = judged.calibration, judged.answer
+    return {
+        **score_fields(recipe, judged.scores),
+        **_interval_fields("severity_rmse", judged.severity_rmse),
+        "log_loss": None if told is None else told.log_loss,
+        "ece": None if told is None else told.ece,
+        "brier": None if told is None else told.brier,
+        "microseconds_per_transient": cost.microseconds_per_transient,
+        "inference_memory_mb": cost.inference.memory_mb,
+        "train_s": cost.train.seconds,
+        "train_memory_mb": cost.train.memory_mb,
+    }
+
+
+def result_rows(results: Sequence[CellResult]) -> list[dict[str, Any]]:
+    """One row a method and setting; the limit is a method of its own name."""
+    rows = []
+    for result in results:
+        cell, recipe = result.cell, result.cell.recipe
+        setting = {
+            "recipe": recipe.name,
+            "sampling_rate_hz": recipe.timing.sampling_rate_hz,
+            "duration_s": recipe.timing.duration_s,
+            "noise_a": recipe.sensor.current_noise_a,
+            "channels": [str(channel) for channel in recipe.sensor.channels],
+            "n_train": cell.n_train,
+            "n_test": cell.n_test,
+            "seed": cell.seed,
+        }
+        limit = result.limit
+        told = limit.calibration
+        of_limit = {
+            "bayes_accuracy": limit.scores.accuracy.value,
+            "bayes_expected_accuracy": float(limit.answer.probabilities.max(axis=1).mean()),
+            "bayes_log_loss": None if told is None else told.log_loss,
+            "bayes_ece": None if told is None else told.ece,
+            "bayes_severity_rmse": limit.severity_rmse.value,
+            "bayes_is_estimate": result.limit_is_estimate,
+        }
+        kind = "Bayes estimate" if result.limit_is_estimate else "Bayes limit"
+        rows.append(
+            {"method": kind, "family": "limit", **setting, **_judged_fields(recipe, limit), **of_limit}
+        )
+        rows += [
+            {
+                "method": method.name,
+                "family": family(method),
+                **setting,
+                **_judged_fields(recipe, method.judged),
+                **of_limit,
+                **comparison_fields(method.against_limit),
+                "above_bayes": method.above_limit,
+                "origin": method.origin or "this run",
+            }
+            for method in result.methods
+        ]
+    return rows
+
+
+def family(method: MethodResult) -> str:
+    """Family of a method: threshold, scikit-learn, torch or peer."""
+    return METHODS[method.name].family if method.name in METHODS else "peer"
+
+
+def as_csv(rows: Sequence[dict[str, Any]]) -> str:
+    """Rows without what has parts of its own (recalls, confusion matrix)."""
+    columns = dict.fromkeys(
+        name for row in rows for name, value in row.items() if not isinstance(value, list | dict)
+    )
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(columns), extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def write_results(plan: Plan, results: Sequence[CellResult], folder: Path) -> Path:
+    """Write results.json, results.csv, recipes.json and report.html, each whole or not at all; the page's path."""
+    from motor_classifiers.report import render_report
+
+    rows = result_rows(results)
+    recipes = {cell.recipe.name: recipe_to_dict(cell.recipe) for cell in reversed(plan.cells)}
+    write_text(folder / "results.json", json.dumps(rows, indent=1) + "\n")
+    write_text(folder / "results.csv", as_csv(rows))
+    write_text(folder / "recipes.json", json.dumps(recipes, indent=1) + "\n")
+    page = folder / "report.html"
+    machine = f"{platform.machine()}, Python {platform.python_version()}"
+    write_text(page, render_report(plan, results, machine))
+    return page
