@@ -26,7 +26,8 @@ class RuleStatistics(TransformerMixin, BaseEstimator):
     """Largest statistic over the transient of a NIS rule and a CUSUM, and a matched test for each fault of the recipe.
 
     All see the residual whitened for the recipe's tolerances, so that healthy motors give the same distribution
-    whatever the recipe. A linear classifier on the matched tests is the bank of filters to first order in the tolerances.
+    whatever the recipe. A linear classifier on the matched tests is the bank of filters to first order in the
+    tolerances.
 
     Args:
         recipe: nominal motor, tolerances, faults, sensor and timing; without one, the paper's motor at 10 kHz.
