@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sklearn.base import BaseEstimator
+from sklearn.base import BaseEstimator, clone
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis, QuadraticDiscriminantAnalysis
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import roc_auc_score
@@ -48,7 +48,7 @@ from motor_env.simulation import Timing
 SEED = 0
 TRAIN, CALIBRATE, TEST = 0, 500_000, 1_000_000  # first cases
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
-SETTINGS = ((10_000.0, 0.02), (1_000.0, 0.02))
+SETTINGS = ((1_000.0, 0.02), (10_000.0, 0.02))
 
 
 def bench(rate_hz: float, noise_a: float = 0.02, name: str = "bench") -> Recipe:
@@ -181,7 +181,7 @@ def other(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
     """Foreign faults told by distance and by confidence; the threshold is set on other motors."""
     for name, rate_hz in (("bench", 1_000.0), ("bench-full", 1_000.0), ("bench", 10_000.0)):
         recipe = bench(rate_hz, name=name)
-        count = n_cases if rate_hz < 5_000.0 else n_cases // 4
+        count = n_cases if (name, rate_hz) == ("bench", 1_000.0) else n_cases // 8
         known = cases(recipe, TEST, count)
         detector = FaultFamilyDetector(recipe).fit(cases(recipe, TRAIN, count // 2).X)
         scores = detector.score_samples(known.X)
@@ -189,7 +189,7 @@ def other(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
         confidence = class_probabilities(recipe, known.X).max(axis=1)
         curves = {}
         for fault in FOREIGN:
-            X = foreign_starts(recipe, fault, SEED, np.arange(count // 2) + TEST)
+            X = foreign_starts(recipe, fault, SEED, np.arange(count // 4) + TEST)
             foreign, trust = detector.score_samples(X), class_probabilities(recipe, X).max(axis=1)
             truth = np.repeat([0, 1], [len(scores), len(foreign)])
             if fault in UNKNOWN_FAULTS:
@@ -211,8 +211,8 @@ def out_of_range(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
     """Severities beyond the trained ones, through the wrapper around the discriminant analysis."""
     for rate_hz, noise_a in SETTINGS:
         recipe = bench(rate_hz, noise_a)
-        count = n_cases if rate_hz < 5_000.0 else n_cases // 4
-        train = cases(recipe, TRAIN, count // 2)
+        count = n_cases // 8
+        train = cases(recipe, TRAIN, count)
         model = OpenSetClassifier(qda(recipe), recipe).fit(train.X, train.class_name)
         for kind, severity in (
             (FaultKind.BEARING, 0.25),
@@ -237,12 +237,12 @@ def out_of_range(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
 SEEN_MS = (1, 2, 3, 5, 7, 10, 14, 20, 25, 30, 35, 40, 50, 60, 70, 80, 90, 100)
 
 
-def early(n_cases: int = 4000) -> None:
+def early(n_cases: int = 3000) -> None:
     """Accuracy by what was seen, the stopping rule, and the sequential rules on the same axis."""
     recipe = bench(10_000.0)
     samples = tuple(10 * ms for ms in SEEN_MS)
     time_s = np.array(SEEN_MS) / 1e3
-    test, train = cases(recipe, TEST, n_cases), cases(recipe, TRAIN, 10_000)
+    test, train = cases(recipe, TEST, n_cases), cases(recipe, TRAIN, 5_000)
     model = EarlyClassifier(qda(recipe), samples).fit(train.X, train.class_name)
     columns = [list(model.classes_).index(name) for name in recipe.class_names]
     probabilities = {
@@ -348,24 +348,24 @@ def _plot_early(curves: dict[str, list[tuple[float, float]]]) -> None:
         save(figure, IMAGES / "early-verdicts.svg")
 
 
-def references(n_cases: int = 6000) -> Iterable[Iterable[str]]:
+def references(n_cases: int = 4000) -> Iterable[Iterable[str]]:
     """Limit and methods given k healthy starts of the same motor."""
     methods = {
         "LDA": LinearDiscriminantAnalysis(),
         "logistic regression": LogisticRegression(max_iter=2000),
         "QDA": QuadraticDiscriminantAnalysis(),
-        "perceptron": None,
     }
     for rate_hz in (10_000.0, 1_000.0):
         recipe = bench(rate_hz)
         for k in (0, 1, 3):
-            train = referenced_starts(recipe, SEED, np.arange(20_000) + TRAIN, k)
+            train = referenced_starts(recipe, SEED, np.arange(10_000) + TRAIN, k)
             test = referenced_starts(recipe, SEED, np.arange(n_cases) + TEST, k)
             probabilities = referenced_probabilities(recipe, test.X)
             best = probabilities.argmax(axis=1) == test.class_index
             cells = []
             for model in methods.values():
-                fitted = _referenced(recipe, model).fit(train.X, train.class_name)
+                pipeline = make_pipeline(ReferencedProjection(recipe), StandardScaler(), clone(model))
+                fitted = pipeline.fit(train.X, train.class_name)
                 right = fitted.predict(test.X) == test.class_name
                 error = (right.astype(float) - best).std() / np.sqrt(n_cases)
                 cells.append(
@@ -379,26 +379,18 @@ def references(n_cases: int = 6000) -> Iterable[Iterable[str]]:
             )  # fmt: skip
 
 
-def _referenced(recipe: Recipe, model: BaseEstimator | None) -> Pipeline:
-    if model is None:
-        from sklearn.neural_network import MLPClassifier
-
-        model = MLPClassifier((32, 32), alpha=1e-3, max_iter=40, early_stopping=True, random_state=SEED)
-    return make_pipeline(ReferencedProjection(recipe), StandardScaler(), model)
-
-
-def shifts(n_cases: int = 4000) -> Iterable[Iterable[str]]:
+def shifts(n_cases: int = 3000) -> Iterable[Iterable[str]]:
     """Models under other conditions than in training."""
     alone = replace(named_recipe("field"), starts_per_motor=1, healthy_starts=0)
     for recipe, conditions in (
-        (bench(10_000.0), textbook_shifts(bench(10_000.0))),
+        (bench(1_000.0), textbook_shifts(bench(1_000.0))),
         (alone, {shift.name: alone.shifted(shift.name) for shift in alone.shifts}),
     ):
         known = cases(recipe, CALIBRATE, n_cases)
         detector = FaultFamilyDetector(recipe).fit(known.X)
         train = cases(recipe, TRAIN, 10_000)
         models = {
-            "posterior network": PosteriorNetwork(alone, steps=500, random_state=SEED).fit_stream()
+            "posterior network": PosteriorNetwork(alone, steps=300, random_state=SEED).fit_stream()
             if recipe is alone
             else network(recipe),
             "residual-qda": qda(recipe).fit(train.X, train.class_name),
@@ -412,7 +404,7 @@ def shifts(n_cases: int = 4000) -> Iterable[Iterable[str]]:
                 recipe,
                 {"as in training": recipe, **conditions},
                 sets=sets,
-                detector=detector,
+                detector=detector if name == "posterior network" else None,
                 reference=lambda other: trained_qda(other, 10_000),
                 seed=SEED,
                 cases=np.arange(n_cases) + TEST,
@@ -420,7 +412,8 @@ def shifts(n_cases: int = 4000) -> Iterable[Iterable[str]]:
             for got in scores:
                 yield (
                     recipe.name, name, got.name, f"{got.accuracy:.3f}", f"{got.limit:.3f}", f"{got.ece:.3f}",
-                    f"{100.0 * got.coverage:.1f} %", f"{got.set_size:.2f}", f"{100.0 * got.other:.1f} %",
+                    f"{100.0 * got.coverage:.1f} %", f"{got.set_size:.2f}",
+                    "" if np.isnan(got.other) else f"{100.0 * got.other:.1f} %",
                 )  # fmt: skip
 
 
@@ -448,7 +441,7 @@ def print_other() -> None:
 
 def print_references() -> None:
     """Section references."""
-    header = ("rate", "k", "limit", "hits", "LDA", "logistic regression", "QDA", "perceptron")
+    header = ("rate", "k", "limit", "hits", "LDA", "logistic regression", "QDA")
     table("Reference starts", header, references())
 
 
