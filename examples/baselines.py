@@ -1,76 +1,232 @@
-"""Score the baselines of Monitor-v0: thresholds tuned on one seed, scores from another.
+"""Score the baselines of the environments: designs and thresholds tuned on one seed, scores from others.
 
-python examples/baselines.py --recipe medium --episodes 2000 --out out/baselines.json
+python examples/baselines.py --task Monitor-v0/medium --out out/baselines.json
+python examples/baselines.py --task all --episodes 1000
 """
 
 import argparse
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from motor_env.envs.bayes import BayesPolicy
-from motor_env.envs.evaluation import Score, score
+from motor_env.envs.bounds import upper_bound
+from motor_env.envs.evaluation import Runs, joined, score, sweep
 from motor_env.envs.monitor import MonitorVectorEnv
-from motor_env.envs.policies import BankPolicy, Never, Policy, Random, RulePolicy, baseline_features
-from motor_env.envs.tasks import task_recipe
-from motor_env.rules import Cusum, Glr, MOfN, nis_rule
+from motor_env.envs.policies import (
+    BankPolicy,
+    Never,
+    Random,
+    RulePolicy,
+    ThresholdPolicy,
+    baseline_features,
+)
+from motor_env.envs.probe import ProbeVectorEnv
+from motor_env.envs.probing import Bursts, OnDemand, OpenLoop, RatioTest, WorthTest
+from motor_env.envs.setup import Setup
+from motor_env.envs.tasks import TASKS, task_recipe
+from motor_env.envs.vector import MotorVectorEnv
+from motor_env.parameters import FloatArray
+from motor_env.rules import Cusum, Glr, MOfN, Rule, nis_rule
 
-Build = Callable[[float], Policy]
-
-
-def candidates(envs: MonitorVectorEnv) -> dict[str, tuple[Build, list[float]]]:
-    """Each baseline as a function of its threshold, and the thresholds to try."""
-    setup = envs.setup
-    shift = 0.12  # of the smallest bearing fault at 20 mA, in standard deviations
-    glr = Glr(shortest=5, longest=400, two_sided=True)
-    tried: dict[str, tuple[Build, list[float]]] = {
-        "never": (lambda _: Never(), [0.0]),
-        "random": (lambda p: Random(len(setup.offsets_v), np.random.default_rng(0), p), [1e-3]),
-        "NIS": (lambda h: RulePolicy(setup, nis_rule(), h), [14.0, 17.0, 21.0]),
-        "3 of 5 NIS": (lambda h: RulePolicy(setup, MOfN(3, 5), h), [5.0, 6.0, 7.5]),
-        "CUSUM": (
-            lambda h: RulePolicy(setup, Cusum(shift, two_sided=True), h),
-            [25.0, 40.0, 55.0, 75.0],
-        ),
-        "GLR of a step": (lambda h: RulePolicy(setup, glr, h), [20.0, 25.0, 30.0, 36.0]),
-        "bank of filters": (lambda h: BankPolicy(setup, h), [6.0, 8.0, 10.0, 13.0]),
-    }
-    if not envs.options.task.spread.std.any():
-        tried["Bayes posterior"] = (lambda v: BayesPolicy(setup, v), [0.8, 0.9, 0.95, 0.98])
-    return tried
+TASK_NAMES = (*(f"Monitor-v0/{recipe}" for recipe in TASKS), "Probe-v0/small", "Probe-v0/medium")
+N_THRESHOLDS = 24
+TUNING_SEED = 100
+EVALUATION_SEEDS = (1, 2, 3, 4, 5)
+SHORTLIST = 6
 
 
-def best(envs: MonitorVectorEnv, build: Build, thresholds: list[float], seed: int) -> tuple[float, Score]:
-    """Threshold with the largest mean return on episodes of one seed; score on those of the next."""
-    chosen = thresholds[0]
-    if len(thresholds) > 1:
-        chosen = max(thresholds, key=lambda h: score(envs, build(h), seed).mean_return)
-    return chosen, score(envs, build(chosen), seed + 1)
+class Design(NamedTuple):
+    """One way to build a policy, and the thresholds to try with it; offsets of the voltage where it moves it."""
+
+    label: str
+    build: Callable[[Setup], ThresholdPolicy]
+    thresholds: FloatArray
+    level_v: float = 1.0
+
+
+class Tuned(NamedTuple):
+    """What the tuning chose, and its mean return there."""
+
+    mean_return: float
+    design: Design
+    threshold: float
+
+
+def geometric(low: float, high: float) -> FloatArray:
+    """The thresholds that are tried, in equal ratios."""
+    return np.geomspace(low, high, N_THRESHOLDS)
+
+
+WORTHS = 1.0 - geometric(0.002, 1.0)
+RATIOS = geometric(2.0, 60.0)
+
+
+def rule(label: str, of: Rule, thresholds: FloatArray) -> Design:
+    """A rule on the innovation."""
+    return Design(label, lambda setup: RulePolicy(setup, of, 0.0), thresholds)
+
+
+def passive(samples_per_step: int) -> Iterator[tuple[str, list[Design]]]:
+    """Rules that never move the voltage; shifts and windows are scaled to the samples of a step."""
+    n = samples_per_step
+    rng = np.random.default_rng(0)
+    yield "never", [Design("", lambda _: Never(), np.ones(1))]
+    yield "random", [Design("", lambda setup: Random(setup, rng, 0.0), 1.0 - geometric(1e-5, 3e-2))]
+    yield "NIS", [rule("", nis_rule(), geometric(3.0, 90.0))]
+    counts = ((2, 3), (3, 5), (5, 10), (6, 14))
+    yield "M of N", [rule(f"{m} of {k}", MOfN(m, k), geometric(0.5, 60.0)) for m, k in counts]
+    shifts = [d * n**0.5 for d in (0.06, 0.12, 0.24, 0.48)]
+    yield "CUSUM", [rule(f"shift {d:.2g}", Cusum(d, two_sided=True), RATIOS / d) for d in shifts]
+    windows = [(max(1, a // n), b // n) for a, b in ((1, 100), (5, 400), (20, 800), (40, 1600))]
+    yield "GLR of a step", [rule(f"{a} to {b}", Glr(a, b, two_sided=True), RATIOS) for a, b in windows]
+    yield "bank of filters", [Design("", lambda setup: BankPolicy(setup, 0.0), RATIOS)]
+
+
+def bursts(n_steps: int) -> list[Bursts]:
+    """Open-loop probes to try at 1 V: start, period, length (all of it: one burst), sides changed each step or two."""
+    periods = (6, 8, 10, 12, 15, 20, 40, n_steps)
+    tried = product((10, 20), periods, (1, 2, 3, 4, 6), (1, 2))
+    return [Bursts(*design) for design in tried if design[2] <= design[1]]
+
+
+def open_loop(test: type[RatioTest], probe: Bursts, thresholds: FloatArray, level_v: float) -> Design:
+    """A test under an open-loop probe."""
+    label = (
+        f"{level_v:g} V, {probe.length} of {probe.period} steps from {probe.start}, sides {probe.half_period}"
+    )
+
+    def build(setup: Setup) -> ThresholdPolicy:
+        return OpenLoop(test(setup, 0.0), probe.actions(setup.options.n_steps))
+
+    return Design(label, build, thresholds, level_v)
+
+
+def on_demand(above: float, level_v: float) -> Design:
+    """The posterior asks for the probe."""
+    label = f"{level_v:g} V above {above:g}"
+    return Design(label, lambda setup: OnDemand(WorthTest(setup, 0.0), above), WORTHS, level_v)
+
+
+class Bench:
+    """Tunes and scores policies on one task.
+
+    Args:
+        name: environment and recipe, for example Monitor-v0/medium.
+        episodes: of a seed.
+    """
+
+    def __init__(self, name: str, episodes: int) -> None:
+        self.environment, recipe = name.split("/")
+        self.recipe, self.episodes = task_recipe(recipe), episodes
+        self._made: dict[tuple[int, float], MotorVectorEnv] = {}
+        self.envs = self.vector(episodes)
+
+    def vector(self, count: int, level_v: float = 1.0) -> MotorVectorEnv:
+        """So many sub-environments with that level of the voltage's offsets."""
+        if (count, level_v) not in self._made:
+            options: dict[str, Any] = {"recipe": self.recipe, "observe": baseline_features(self.recipe)}
+            probes = self.environment == "Probe-v0"
+            self._made[count, level_v] = (
+                ProbeVectorEnv(count, **options, offsets_v=(0.0, -level_v, level_v))
+                if probes
+                else MonitorVectorEnv(count, **options)
+            )
+        return self._made[count, level_v]
+
+    def tune(self, designs: Sequence[Design], episodes: int) -> list[Tuned]:
+        """The best threshold of every design, best design first, on the tuning seed."""
+        found = []
+        for design in designs:
+            envs = self.vector(episodes, design.level_v)
+            runs = sweep(envs, design.build(envs.setup), list(design.thresholds), TUNING_SEED)
+            means = [float(run.returns.mean()) for run in runs]
+            best = int(np.argmax(means))
+            found.append(Tuned(means[best], design, float(design.thresholds[best])))
+        return sorted(found, key=lambda tuned: -tuned.mean_return)
+
+    def evaluate(self, policy: ThresholdPolicy, threshold: float, level_v: float = 1.0) -> Runs:
+        """What it does on the evaluation seeds."""
+        envs = self.vector(self.episodes, level_v)
+        return joined([sweep(envs, policy, [threshold], seed)[0] for seed in EVALUATION_SEEDS])
+
+    def row(self, name: str, label: str, threshold: float, runs: Runs) -> dict[str, Any]:
+        """A line of the table, which it prints."""
+        found = score(self.envs, runs)
+        print(  # noqa: T201
+            f"| {name} | {label} | {threshold:.4g} | {found.mean_return:+.3f} ± {found.return_half_width:.3f} | "
+            f"{found.false_alarm_share:.1%} | {found.detected_share:.1%} | {found.isolated_share:.1%} | "
+            f"{1e3 * found.median_delay_s:.1f} ms | {found.probing_share:.1%} | {found.late_share:.1%} |",
+            flush=True,
+        )
+        task = f"{self.environment}/{self.recipe.name}"
+        return {"task": task, "policy": name, "design": label, "threshold": threshold, **found.as_row()}
+
+    def tuned_row(self, name: str, designs: Sequence[Design]) -> dict[str, Any]:
+        """The best of the designs on the tuning seed, scored on the others."""
+        _, design, threshold = self.tune(designs, 2 * self.episodes)[0]
+        policy = design.build(self.vector(self.episodes, design.level_v).setup)
+        return self.row(name, design.label, threshold, self.evaluate(policy, threshold, design.level_v))
+
+    def passive_rows(self) -> Iterator[dict[str, Any]]:
+        """Policies that do not move the voltage."""
+        setup = self.envs.setup
+        for name, designs in passive(setup.options.samples_per_step):
+            yield self.tuned_row(name, designs)
+        if self.recipe.spread.std.any():
+            return  # no posterior: the motor is not known
+        test = WorthTest if self.environment == "Probe-v0" else BayesPolicy
+        yield self.tuned_row("Bayes posterior", [Design("", lambda setup: test(setup, 0.0), WORTHS)])
+
+    def probing_rows(self) -> Iterator[dict[str, Any]]:
+        """Policies that move the voltage: all bursts on few episodes at 1 V, the best of them at all levels on many."""
+        tried = bursts(self.envs.options.n_steps)
+        first = self.tune([open_loop(WorthTest, probe, WORTHS, 1.0) for probe in tried], self.episodes // 2)
+        labels = {open_loop(WorthTest, probe, WORTHS, 1.0).label: probe for probe in tried}
+        short = [labels[tuned.design.label] for tuned in first[:SHORTLIST]]
+        levels = (0.7, 1.0, 1.4)
+        for name, test, thresholds in (
+            ("open loop, matched GLR", RatioTest, RATIOS),
+            ("open loop, Bayes posterior", WorthTest, WORTHS),
+        ):
+            yield self.tuned_row(
+                name, [open_loop(test, probe, thresholds, level) for probe in short for level in levels]
+            )
+        yield self.tuned_row(
+            "on demand", [on_demand(p, level) for p in (0.03, 0.045, 0.06, 0.08) for level in levels]
+        )
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """All lines of the task's table."""
+        yield from self.passive_rows()
+        if self.environment == "Probe-v0":
+            yield from self.probing_rows()
 
 
 def main() -> None:
-    """Print the table and write it."""
-    parser = argparse.ArgumentParser(description="Score the baselines of Monitor-v0.")
-    parser.add_argument("--recipe", default="medium")
-    parser.add_argument("--episodes", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=1)
+    """Print the tables and write them."""
+    parser = argparse.ArgumentParser(description="Score the baselines of the environments.")
+    parser.add_argument("--task", default="Monitor-v0/medium", choices=[*TASK_NAMES, "all"])
+    parser.add_argument("--episodes", type=int, default=1000, help="of each of the five evaluation seeds")
+    parser.add_argument("--bound", action="store_true", help="add an upper bound where it is known (minutes)")
     parser.add_argument("--out", type=Path, default=Path("out/baselines.json"))
     given = parser.parse_args()
-    recipe = task_recipe(given.recipe)
-    envs = MonitorVectorEnv(given.episodes, recipe=recipe, observe=baseline_features(recipe))
-    rows = []
-    print("policy            threshold  return          false alarms  detected  isolated  median delay")  # noqa: T201
-    for name, (build, thresholds) in candidates(envs).items():
-        threshold, found = best(envs, build, thresholds, given.seed)
-        rows.append({"policy": name, "recipe": recipe.name, "threshold": threshold, **found.as_row()})
+    rows: list[dict[str, Any]] = []
+    for task in TASK_NAMES if given.task == "all" else (given.task,):
         print(  # noqa: T201
-            f"{name:<18}{threshold:<10g} {found.mean_return:+.3f} ± {found.return_half_width:.3f}"
-            f"  {found.false_alarm_share:<12.3f}  {found.detected_share:<8.3f}  {found.isolated_share:<8.3f}"
-            f"  {1e3 * found.median_delay_s:.1f} ms",
-            flush=True,
+            f"\n{task}\n\n| policy | design | threshold | return | false alarms | detected | right kind | "
+            "median delay | probing | too late |\n|---|---|---|---|---|---|---|---|---|---|"
         )
+        bench = Bench(task, given.episodes)
+        rows.extend(bench.rows())
+        if given.bound and not bench.recipe.spread.std.any():
+            bound = upper_bound(bench.envs.options)
+            rows.append({"task": task, "policy": "upper bound", "mean_return": bound})
+            print(f"| upper bound | | | {bound:+.3f} | | | | | | |")  # noqa: T201
     given.out.parent.mkdir(parents=True, exist_ok=True)
     given.out.write_text(json.dumps(rows, indent=2) + "\n")
 

@@ -9,20 +9,21 @@ signatures agree.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 
-from motor_env.envs.options import MonitorOptions, Start
-from motor_env.envs.policies import Actions, Observations, Policy, column
-from motor_env.envs.setup import VERDICT_OF, Setup
-from motor_env.faults import FaultKind, apply_faults
+from motor_env.envs.belief import worth
+from motor_env.envs.hypotheses import kind_matrix, known_faults
+from motor_env.envs.policies import Actions, Observations, ThresholdPolicy, column, declarations
+from motor_env.envs.setup import Setup
+from motor_env.faults import apply_faults
 from motor_env.model import State
-from motor_env.parameters import Channel, FloatArray, require
+from motor_env.parameters import FloatArray, require
 from motor_env.simulation import simulate_states
 
 LONGEST_AGE_S = 20e-3
+LARGEST_EXPONENT = 600.0
+LARGEST_WEIGHT = 1e40  # before it times exp(LARGEST_EXPONENT) is more than a float holds
 
 
 def signatures(setup: Setup, n_samples: int) -> FloatArray:
@@ -47,7 +48,7 @@ def _update(
     begun: int,
     deviation: FloatArray,
     signature: FloatArray,
-    prior: float,
+    prior: FloatArray,
     mass: FloatArray,
 ) -> None:
     """One more sample: weights[lane, class, age] are prior times likelihood ratio; the last age gathers the old ones.
@@ -57,7 +58,7 @@ def _update(
         begun: number of ages in use.
         deviation: of the current from rest, in standard deviations, shape (n_lanes,).
         signature: shape (n_classes, n_ages).
-        prior: probability that the fault set in with this sample.
+        prior: probability that the fault set in with this sample, in the unit of the weights, shape (n_lanes,).
         mass: sum of the weights over the onsets, shape (n_lanes, n_classes).
     """
     n_ages = weights.shape[2]
@@ -68,40 +69,43 @@ def _update(
             row[n_ages - 1] += row[n_ages - 2]
             for age in range(min(begun, n_ages - 2), 0, -1):
                 row[age] = row[age - 1]
-            row[0] = prior
+            row[0] = prior[n]
             total = 0.0
             for age in range(min(begun + 1, n_ages)):
-                row[age] *= np.exp(shape[age] * (e - 0.5 * shape[age]))
+                row[age] *= np.exp(min(shape[age] * (e - 0.5 * shape[age]), LARGEST_EXPONENT))
                 total += row[age]
             mass[n, c] = total
 
 
-class BayesPolicy(Policy):
-    """Declares the kind whose declaration is worth enough in expectation under the exact posterior.
+class BayesPolicy(ThresholdPolicy):
+    """Declares the kind whose declaration is worth a threshold in expectation under the exact posterior.
 
-    Optimal stopping has no closed form here; the rule declares once the expected reward of declaring exceeds a level,
-    and at the last step whatever is worth more than silence. The level is to be tuned on other seeds.
+    At the last step it declares whatever is worth more than silence. A fixed threshold is not the solved
+    problem of optimal stopping: it gives a lower bound of the best return, `motor_env.envs.bounds` an upper one.
 
     Args:
         setup: of a Monitor-v0 that starts running, with an abrupt fault and a recipe without spread or noise faults.
-        level: of the expected reward.
+        threshold: of the expected reward.
 
     Raises:
         ValueError: the task is another one.
+
+    Attributes:
+        quiet: posterior probability that nothing has happened yet, shape (count,).
+        kinds: of each kind of fault, shape (count, n_kinds).
     """
 
-    def __init__(self, setup: Setup, level: float) -> None:
+    def __init__(self, setup: Setup, threshold: float) -> None:
+        fault = known_faults(setup)
         options = setup.options
-        _require_known_motor(options)
-        self.setup, self.level = setup, level
+        require(options.samples_per_step == 1, "samples_per_step must be 1 for the posterior of every sample")
+        self.setup, self.threshold = setup, threshold
         recipe = options.task
-        fault = [m for m, c in enumerate(recipe.classes) if c.kind is not None]
-        probabilities = recipe.class_probabilities
-        self._class_prior = probabilities[fault]
+        self._class_prior = recipe.class_probabilities[fault]
         self._healthy_prior = float(1.0 - self._class_prior.sum())
         self._signature = signatures(setup, round(LONGEST_AGE_S / options.dt_s))[fault]
-        verdict = [VERDICT_OF[FaultKind(setup.labels[m])] for m in fault]
-        self._kind_of = np.array([[v == kind for kind in setup.kinds] for v in verdict], dtype=np.float64)
+        self._kind_of = kind_matrix(setup, fault)
+        self._declarations = declarations(setup)
         self._measured = column(setup, "measured_current")
         stall = 1.0 / float(setup.view[0, 0])
         self._to_stds = stall / recipe.sensor.current_noise_a
@@ -116,49 +120,36 @@ class BayesPolicy(Policy):
         n_classes, n_ages = self._signature.shape
         self._weights = np.zeros((count, n_classes, n_ages))
         self._mass = np.zeros((count, n_classes))
+        self._unit = np.ones(count)  # of the weights, so that they stay finite
         self._sample, self._begun, self._unborn = -1, 0, 1.0
 
-    def posterior(self) -> tuple[FloatArray, FloatArray]:
-        """Probability that nothing has happened yet, shape (count,), and of each kind, shape (count, n_kinds)."""
-        faulty = self._mass * self._class_prior
-        quiet = self._healthy_prior + (1.0 - self._healthy_prior) * self._unborn
-        total = quiet + faulty.sum(axis=1)
-        return quiet / total, (faulty @ self._kind_of) / total[:, None]
-
-    def act(self, observations: Observations) -> Actions:
-        """Wait until a declaration is worth enough."""
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """Worth of the best declaration, and that."""
         self._sample += 1
         interval = self._sample - 1  # the interval at whose end this sample was read; none for the first
         if interval >= self._earliest:
             born = self._unborn * self._hazard
             self._unborn -= born
             stds = observations[:, self._measured].astype(np.float64) * self._to_stds - self._rest_stds
-            _update(self._weights, self._begun, stds, self._signature, born, self._mass)
+            _update(self._weights, self._begun, stds, self._signature, born / self._unit, self._mass)
             self._begun += 1
+        self._rescale()
+        faulty = self._mass * self._class_prior
+        quiet = (self._healthy_prior + (1.0 - self._healthy_prior) * self._unborn) / self._unit
+        total = quiet + faulty.sum(axis=1)
+        self.quiet, self.kinds = quiet / total, (faulty @ self._kind_of) / total[:, None]
         options = self.setup.options
-        quiet, kinds = self.posterior()
-        faulty = kinds.sum(axis=1, keepdims=True)
-        worth = (
-            kinds * options.correct_reward
-            - (faulty - kinds) * options.wrong_kind_cost
-            - quiet[:, None] * options.false_alarm_cost
-        )
-        best = worth.argmax(axis=1)
-        value = worth.max(axis=1)
-        if self._sample < options.n_samples - 1:
-            declare = value >= self.level
-        else:
-            declare = value > quiet * options.silent_reward - faulty[:, 0] * options.miss_cost
-        return np.where(declare, 1 + best, 0)
+        value, silence = worth(options, self.quiet, self.kinds)
+        if self._sample >= options.n_samples - 1:
+            value = np.where(value > silence, np.inf, -np.inf)
+        return value, self._declarations[self.kinds.argmax(axis=1)]
 
-
-def _require_known_motor(options: MonitorOptions) -> None:
-    recipe = options.task
-    kinds: set[FaultKind | None] = {c.kind for c in recipe.classes}
-    require(not recipe.spread.std.any(), f"recipe {recipe.name} must have no spread for the exact posterior")
-    require(FaultKind.NOISE not in kinds, "the exact posterior knows no noise faults")
-    require(options.start is Start.RUNNING, "start must be running for the exact posterior")
-    require(options.growth_s == 0.0, f"growth_s must be 0 for the exact posterior, got {options.growth_s:g}")
-    require(options.samples_per_step == 1, "samples_per_step must be 1 for the exact posterior")
-    require(recipe.sensor.channels == (Channel.CURRENT,), "the exact posterior reads the current alone")
-    require(options.mean_onset_s > 0.0 and math.isfinite(options.mean_onset_s), "mean_onset_s must be > 0")
+    def _rescale(self) -> None:
+        """Let the weights of a lane be counted in a larger unit where they have become large."""
+        largest = self._mass.max(axis=1)
+        large = largest > LARGEST_WEIGHT
+        if large.any():
+            with np.errstate(over="ignore"):
+                self._unit[large] *= largest[large]
+            self._weights[large] /= largest[large, None, None]
+            self._mass[large] /= largest[large, None]

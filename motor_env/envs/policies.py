@@ -10,7 +10,6 @@ in the observation. So an environment for these baselines observes `BASELINE_FEA
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from motor_env.envs import kernel
 from motor_env.envs.setup import VERDICT_OF, Setup
 from motor_env.faults import FaultKind
-from motor_env.parameters import require
+from motor_env.parameters import FloatArray, require
 from motor_env.recipes import Recipe
 from motor_env.rules import Rule, RuleStream
 
@@ -36,6 +35,11 @@ def baseline_features(recipe: Recipe) -> tuple[str, ...]:
         "time",
         *(f"evidence_{kind}" for kind in FaultKind if kind in kinds),
     )
+
+
+def declarations(setup: Setup) -> Actions:
+    """The action that declares each kind."""
+    return len(setup.offsets_v) - len(setup.kinds) + np.arange(len(setup.kinds))
 
 
 def column(setup: Setup, name: str) -> int:
@@ -61,46 +65,66 @@ class Policy(ABC):
         """One action for each sub-environment, from observations of shape (count, n_features)."""
 
 
-@dataclass
-class Never(Policy):
-    """Waits."""
-
-    def act(self, observations: Observations) -> Actions:
-        """Wait everywhere."""
-        return np.zeros(len(observations), dtype=np.int64)
-
-
-@dataclass
-class Random(Policy):
-    """Takes any action but waiting with a small probability.
+class ThresholdPolicy(Policy):
+    """Declares once a statistic reaches a threshold. Until then neither statistic nor voltage depends on it.
 
     Attributes:
-        n_actions: number of actions.
-        rng: source of randomness.
-        probability: of not waiting.
+        threshold: of the statistic.
     """
 
-    n_actions: int
-    rng: np.random.Generator
-    probability: float = 1e-3
+    threshold: float
+
+    @abstractmethod
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """Statistic, and the declaration to make where it is large; both of shape (count,)."""
+
+    def probe(self) -> Actions:
+        """Actions where nothing is declared after `judge`: wait."""
+        return np.zeros(self.count, dtype=np.int64)
 
     def act(self, observations: Observations) -> Actions:
-        """Wait nearly everywhere."""
-        anything = self.rng.integers(1, self.n_actions, len(observations))
-        acts = self.rng.random(len(observations)) < self.probability
-        return np.where(acts, anything, 0)
+        """Declare where the statistic reaches the threshold."""
+        statistic, declaration = self.judge(observations)
+        return np.where(statistic >= self.threshold, declaration, self.probe())
 
 
-class _Isolating(Policy):
+class Never(ThresholdPolicy):
+    """Waits."""
+
+    threshold = 1.0
+
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """Nothing is ever seen."""
+        return np.zeros(self.count), np.zeros(self.count, dtype=np.int64)
+
+
+class Random(ThresholdPolicy):
+    """Declares any kind with a small probability a step.
+
+    Args:
+        setup: of the environment.
+        rng: source of randomness.
+        probability: of a declaration.
+    """
+
+    def __init__(self, setup: Setup, rng: np.random.Generator, probability: float) -> None:
+        self._declarations = declarations(setup)
+        self._rng, self.threshold = rng, 1.0 - probability
+
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """A number from 0 to 1, and any kind."""
+        return self._rng.random(self.count), self._rng.choice(self._declarations, self.count)
+
+
+class _Isolating(ThresholdPolicy):
     """Names the kind with the largest evidence."""
 
     def __init__(self, setup: Setup) -> None:
-        self._first_declaration = len(setup.offsets_v) - len(setup.kinds)
         names = [kernel.FEATURES[m] for m in setup.chosen]
         self._columns = [m for m, name in enumerate(names) if name.startswith("evidence_")]
         require(bool(self._columns), "this policy needs an environment that observes evidence")
         verdicts = [VERDICT_OF[FaultKind(names[m].removeprefix("evidence_"))] for m in self._columns]
-        self._action = np.array([self._first_declaration + setup.kinds.index(v) for v in verdicts])
+        self._action = declarations(setup)[[setup.kinds.index(v) for v in verdicts]]
 
     def _isolate(self, observations: Observations) -> Actions:
         actions: Actions = self._action[observations[:, self._columns].argmax(axis=1)]
@@ -108,7 +132,7 @@ class _Isolating(Policy):
 
 
 class RulePolicy(_Isolating):
-    """Declares when a rule on the whitened innovation passes its threshold.
+    """Declares when a rule on the whitened innovation reaches its threshold.
 
     Args:
         setup: of the environment.
@@ -127,17 +151,17 @@ class RulePolicy(_Isolating):
         super().start(count)
         self._stream = None
 
-    def act(self, observations: Observations) -> Actions:
-        """Wait until the rule alarms. The first observation follows no sample, so the rule does not see it."""
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """The rule's statistic. The first observation follows no sample, so the rule does not see it."""
+        declaration = self._isolate(observations)
         if self._stream is None:
             self._stream = self.rule.stream(self.count, 1)
-            return np.zeros(self.count, dtype=np.int64)
-        statistic = self._stream.update(observations[:, [self._innovation]].astype(np.float64))
-        return np.where(statistic >= self.threshold, self._isolate(observations), 0)
+            return np.full(self.count, -np.inf), declaration
+        return self._stream.update(observations[:, [self._innovation]].astype(np.float64)), declaration
 
 
 class BankPolicy(_Isolating):
-    """Declares the kind whose evidence passes a threshold first: a matched CUSUM for each kind.
+    """Declares the kind whose evidence reaches a threshold first: a matched CUSUM for each kind.
 
     Args:
         setup: of the environment.
@@ -149,7 +173,7 @@ class BankPolicy(_Isolating):
         self.threshold = threshold
         self._scale = float(setup.view[0, kernel.FEATURES.index("evidence_bearing")])
 
-    def act(self, observations: Observations) -> Actions:
-        """Wait until a filter of the bank is believed."""
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """The largest log-likelihood ratio."""
         evidence = observations[:, self._columns].max(axis=1) / self._scale
-        return np.where(evidence >= self.threshold, self._isolate(observations), 0)
+        return evidence.astype(np.float64), self._isolate(observations)

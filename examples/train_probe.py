@@ -1,0 +1,294 @@
+"""Train an agent to probe a motor and to declare its fault, by PPO of Stable-Baselines3 (extra rl), and score it.
+
+python examples/train_probe.py --steps 1500000 --out out/probe-agent
+
+The agent sees the summary of a posterior (`motor_env.envs.belief`), which is made from what the environment shows and
+nothing else. It first copies a textbook rule (probe where a fault is likely enough), then improves by PPO (Schulman et
+al. 2017) on the reward that the posterior expects. It is scored on other seeds beside that rule and the best open-loop
+probe that examples/baselines.py finds, all on the same episodes. Minutes on one core.
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from matplotlib import pyplot as plt
+from numpy.typing import NDArray
+from PIL import Image
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnvWrapper
+
+from motor_env.envs.adapters import StableBaselinesVecEnv
+from motor_env.envs.belief import ProbeBelief
+from motor_env.envs.evaluation import Runs, interval, joined, run_episodes, score
+from motor_env.envs.policies import Actions, Observations, Policy
+from motor_env.envs.probe import ProbeEnv, ProbeVectorEnv
+from motor_env.envs.probing import Bursts, OnDemand, OpenLoop, WorthTest
+from motor_env.envs.setup import Setup
+
+COPY_SEED, TRAINING_SEED, VALIDATION_SEED = 900, 1000, 800
+EVALUATION_SEEDS = (1, 2, 3, 4, 5)
+OPEN_LOOP, OPEN_LOOP_THRESHOLD = Bursts(start=20, period=10, length=2), 0.93
+ON_DEMAND_ABOVE, ON_DEMAND_THRESHOLD = 0.065, 0.97
+Rewards = NDArray[np.float32]
+
+
+def open_loop(setup: Setup) -> Policy:
+    """The best open-loop probe and its test, as tuned by examples/baselines.py."""
+    return OpenLoop(WorthTest(setup, OPEN_LOOP_THRESHOLD), OPEN_LOOP.actions(setup.options.n_steps))
+
+
+def on_demand(setup: Setup) -> OnDemand:
+    """The textbook rule that the agent begins with."""
+    return OnDemand(WorthTest(setup, ON_DEMAND_THRESHOLD), ON_DEMAND_ABOVE)
+
+
+class BeliefVecEnv(VecEnvWrapper):
+    """The environment as an agent with a posterior sees it: its summary, and the reward that it expects."""
+
+    def __init__(self, envs: ProbeVectorEnv) -> None:
+        self.belief = ProbeBelief(envs.setup)
+        self.belief.start(envs.num_envs)
+        width = self.belief.summary().shape[1]
+        super().__init__(StableBaselinesVecEnv(envs), gym.spaces.Box(-4.0, 4.0, (width,), dtype=np.float32))
+
+    def reset(self) -> NDArray[np.float32]:
+        """Begin episodes everywhere."""
+        self.venv.reset()
+        self.belief.start(self.num_envs)
+        return self.belief.summary()
+
+    def step_async(self, actions: Actions) -> None:
+        """Expect a reward, then step."""
+        self._reward = self.belief.expected_reward(actions).astype(np.float32)
+        self.venv.step_async(actions)
+
+    def step_wait(self) -> tuple[NDArray[np.float32], Rewards, NDArray[np.bool_], list[dict[str, Any]]]:
+        """Learn from what followed. What an episode ends with is not looked at: none is truncated."""
+        observations, _, over, infos = self.venv.step_wait()
+        assert isinstance(observations, np.ndarray)  # noqa: S101  # no dictionary
+        self.belief.update(observations)
+        self.belief.restart(over)
+        summary = self.belief.summary()
+        for n in np.flatnonzero(over):
+            infos[n]["terminal_observation"] = summary[n]
+        return summary, self._reward, over, infos
+
+
+class Agent(Policy):
+    """What was learned, as a policy: the likeliest action, without chance."""
+
+    def __init__(self, setup: Setup, model: PPO) -> None:
+        self.belief, self._model, self._seen = ProbeBelief(setup), model, False
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        super().start(count)
+        self.belief.start(count)
+        self._seen = False
+
+    def act(self, observations: Observations) -> Actions:
+        """The likeliest action. The first observation follows no step."""
+        if self._seen:
+            self.belief.update(observations)
+        self._seen = True
+        return self._model.predict(self.belief.summary(), deterministic=True)[0].astype(np.int64)
+
+
+def copy_rule(model: PPO, episodes: int, epochs: int = 12) -> None:
+    """Teach the network what the textbook rule does in each situation, and what that brings.
+
+    It keeps a chance of a wrong voltage, from which PPO can learn, but none of a wrong declaration.
+    """
+    envs = ProbeVectorEnv(episodes)
+    rule = on_demand(envs.setup)
+    observations, _ = envs.reset(seed=COPY_SEED)
+    rule.start(episodes)
+    alive = np.ones(episodes, dtype=bool)
+    summaries, taken, rewards, lives = [], [], [], []
+    while alive.any():
+        actions = rule.act(observations)
+        belief = rule.test.belief
+        summaries.append(belief.summary())
+        taken.append(actions)
+        rewards.append(belief.expected_reward(actions) * alive)
+        lives.append(alive)
+        observations, _, terminated, _, _ = envs.step(actions)
+        alive = alive & ~terminated
+    kept = np.array(lives)
+    to_go = np.cumsum(np.array(rewards)[::-1], axis=0)[::-1][kept]
+    x = torch.as_tensor(np.array(summaries)[kept])
+    goal = torch.as_tensor(to_go.astype(np.float32))
+    action = torch.as_tensor(np.array(taken)[kept])
+    n_actions, n_offsets = len(envs.setup.offsets_v), len(envs.options.offsets_v)
+    wanted = torch.nn.functional.one_hot(action, n_actions).float()
+    moves = (action < n_offsets)[:, None] & (torch.arange(n_actions) < n_offsets)[None]
+    wanted = torch.where(moves, 0.94 * wanted + 0.06 / n_offsets, wanted)
+    policy, generator = model.policy, torch.Generator().manual_seed(0)
+    optimizer = torch.optim.Adam(policy.parameters(), 3e-3)
+    for epoch in range(epochs):
+        for group in optimizer.param_groups:
+            group["lr"] = 3e-3 * (1.0 - epoch / epochs)
+        for batch in torch.randperm(len(x), generator=generator).split(4096):
+            for_policy, for_value = policy.mlp_extractor(x[batch])
+            chances = torch.log_softmax(policy.action_net(for_policy), dim=1)
+            unlike = -(wanted[batch] * chances).sum(dim=1).mean()
+            wrong = (policy.value_net(for_value)[:, 0] - goal[batch]).square().mean()
+            optimizer.zero_grad()
+            (unlike + wrong).backward()  # type: ignore[no-untyped-call]  # torch's
+            optimizer.step()
+
+
+class Curve(BaseCallback):
+    """Scores the agent on validation episodes now and then, keeps its best weights, and shows progress."""
+
+    def __init__(self, steps: int, episodes: int, points: int = 10) -> None:
+        super().__init__()
+        self._envs, self._every, self._total = ProbeVectorEnv(episodes), max(1, steps // points), steps
+        self.points: list[dict[str, float]] = []
+        self._best, self._weights, self._due = -np.inf, {}, 0
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns)
+
+    def _on_training_start(self) -> None:
+        self._progress.start()
+        self._task = self._progress.add_task("training", total=self._total)
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        self._progress.update(self._task, completed=self.num_timesteps)
+        if self.num_timesteps >= self._due:
+            self._due += self._every
+            self.measure()
+
+    def _on_training_end(self) -> None:
+        self.measure()
+        self._progress.stop()
+        self.model.policy.load_state_dict(self._weights)
+
+    def measure(self) -> None:
+        """One more point of the curve."""
+        runs = run_episodes(self._envs, Agent(self._envs.setup, self.model), VALIDATION_SEED)  # type: ignore[arg-type]  # a PPO
+        mean, half_width = interval(runs.returns)
+        self.points.append({"steps": self.num_timesteps, "mean_return": mean, "half_width": half_width})
+        self._progress.update(self._task, description=f"return {mean:+.3f} ± {half_width:.3f}")
+        if mean > self._best:
+            state = self.model.policy.state_dict()
+            self._best, self._weights = mean, {name: value.clone() for name, value in state.items()}
+
+
+def train(steps: int, n_envs: int, seed: int, episodes: int) -> tuple[PPO, list[dict[str, float]]]:
+    """The agent and its learning curve."""
+    torch.set_num_threads(1)
+    envs = BeliefVecEnv(ProbeVectorEnv(n_envs, autoreset_mode="SameStep"))
+    envs.seed(TRAINING_SEED + seed)
+    model = PPO(
+        "MlpPolicy",
+        envs,
+        n_steps=64,
+        batch_size=16 * n_envs,
+        n_epochs=4,
+        gamma=1.0,  # an episode is short, and all of it counts
+        gae_lambda=0.97,
+        learning_rate=lambda left: 5e-4 * left,
+        policy_kwargs={"net_arch": [64, 64]},
+        seed=seed,
+        device="cpu",
+    )
+    copy_rule(model, 3 * episodes)
+    curve = Curve(steps, 2 * episodes)
+    model.learn(steps, callback=curve)
+    return model, curve.points
+
+
+def compare(model: PPO, episodes: int) -> dict[str, Any]:
+    """Scores of the agent and its rivals on the same episodes, and how far it is ahead of each."""
+    envs = ProbeVectorEnv(episodes)
+    rivals = {
+        "agent": Agent(envs.setup, model),
+        "open loop": open_loop(envs.setup),
+        "on demand": on_demand(envs.setup),
+    }
+    runs: dict[str, Runs] = {
+        name: joined([run_episodes(envs, policy, seed) for seed in EVALUATION_SEEDS])
+        for name, policy in rivals.items()
+    }
+    ahead = {
+        name: interval(runs["agent"].returns - run.returns) for name, run in runs.items() if name != "agent"
+    }
+    return {
+        "scores": {name: score(envs, run).as_row() for name, run in runs.items()},
+        "ahead": {name: {"mean": mean, "half_width": half} for name, (mean, half) in ahead.items()},
+    }
+
+
+def draw_curve(points: list[dict[str, float]], compared: dict[str, Any], path: Path) -> None:
+    """Learning curve, with the rivals as lines."""
+    figure, axes = plt.subplots(figsize=(7.0, 3.6), layout="constrained")
+    steps = np.array([point["steps"] for point in points]) / 1e6
+    mean, half = (np.array([point[name] for point in points]) for name in ("mean_return", "half_width"))
+    axes.fill_between(steps, mean - half, mean + half, color="tab:blue", alpha=0.2, linewidth=0)
+    axes.plot(steps, mean, color="tab:blue", marker=".", label="agent, validation episodes (95 %)")
+    for name, colour in (("on demand", "tab:green"), ("open loop", "tab:red")):
+        level = compared["scores"][name]["mean_return"]
+        axes.axhline(level, color=colour, linestyle="--", linewidth=1.2, label=f"{name}, evaluation episodes")
+    axes.set(xlabel="million steps of training", ylabel="mean return")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, loc="lower right")
+    figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+    plt.close(figure)
+
+
+def film(model: PPO, path: Path, severity: float = 0.01) -> None:
+    """An animation of one episode in which a winding grows worse by that much, from a little before the onset on."""
+    env = ProbeEnv(render_mode="rgb_array")
+    agent = Agent(env.setup, model)
+    for seed in range(10_000):
+        observation, info = env.reset(seed=seed)
+        if info["severity"] == severity and 1000 < info["onset_sample"] < 2000:
+            break
+    agent.start(1)
+    frames, over, step = [], False, 0
+    while not over:
+        observation, _, over, _, _ = env.step(int(agent.act(observation[None])[0]))
+        if step % 2 == 0 or over:
+            frames.append(Image.fromarray(env.render()).quantize(32))
+        step += 1
+    frames += [frames[-1]] * 20
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=80, loop=0, optimize=True)
+
+
+def main() -> None:
+    """Train, score, draw."""
+    parser = argparse.ArgumentParser(
+        description="Train an agent on Probe-v0 and score it beside textbook rules."
+    )
+    parser.add_argument("--steps", type=int, default=1_500_000, help="of training, over all sub-environments")
+    parser.add_argument("--envs", type=int, default=256, help="sub-environments")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--episodes", type=int, default=1000, help="of each of the five evaluation seeds")
+    parser.add_argument("--out", type=Path, default=Path("out/probe-agent"))
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    model, points = train(given.steps, given.envs, given.seed, given.episodes)
+    compared = compare(model, given.episodes)
+    (given.out / "evaluation.json").write_text(json.dumps({"curve": points, **compared}, indent=2) + "\n")
+    draw_curve(points, compared, given.out / "learning-curve.svg")
+    draw_curve(points, compared, given.out / "learning-curve.png")
+    film(model, given.out / "episode.gif")
+    for name, found in compared["scores"].items():
+        print(f"{name:<10} return {found['mean_return']:+.4f} ± {found['return_half_width']:.4f}")  # noqa: T201
+    for name, found in compared["ahead"].items():
+        print(f"ahead of {name}: {found['mean']:+.4f} ± {found['half_width']:.4f}")  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()
