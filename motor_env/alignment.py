@@ -165,10 +165,6 @@ def align(recording: Recording) -> Alignment:
         defects=(
             *_defects(current, quantum),
             *(["rectification: no current lies below 0"] if rectified else []),
-            *(
-                f"a wild sample of {recording.current_a[k]:.3g} A at {recording.time_s[k]:.6g} s, left out"
-                for k in wild
-            ),
         ),
         wild=wild,
     )

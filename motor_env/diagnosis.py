@@ -42,6 +42,7 @@ _CONSISTENT_NIS = 1.2
 _POWER_QUANTILE = 1.645
 _FILTER_TUNING = 3
 _POOR_FIT = 0.75
+_DOUBLED = 1.0
 _NORMAL_DOF = 1e6
 
 
@@ -294,7 +295,9 @@ def diagnose(
         typical = None
         if reference is not None:
             typical = dict(zip(reference.names, np.exp(reference.log_values).tolist(), strict=True))
-        if reference is None or reference.model is None:
+        if _clipped(start):
+            fit = identify(start, constant=constant)
+        elif reference is None or reference.model is None:
             fit = identify_best(start, NUISANCES, constant=constant, typical=typical)
         else:
             fit = identify(start, reference.model, constant=constant, typical=typical)
@@ -323,15 +326,20 @@ def _reference(start: Start, motor: MotorFile | None, learned: StartReference | 
     return None if motor is None else reference_from_motor(motor, **which)
 
 
+def _clipped(start: Start) -> str | None:
+    """The sentence on saturation, where there is some."""
+    return next((defect for defect in start.alignment.defects if defect.startswith("saturation")), None)
+
+
 def _trouble(fit: Identified) -> str | None:
     """Why a fit cannot carry a verdict."""
+    clipped = _clipped(fit.start)
+    if clipped:
+        return f"the recording is clipped, {clipped}"
     if fit.r2_current < _POOR_FIT:
         return (
             f"no motor model explains the current (R2 {fit.r2_current:.2f}; at least {_POOR_FIT} is needed)"
         )
-    for defect in fit.start.alignment.defects:
-        if defect.startswith("saturation"):
-            return f"the recording is clipped, {defect}"
     if fit.r2_speed is not None and fit.r2_speed < _POOR_FIT:
         return f"no motor model explains the speed (R2 {fit.r2_speed:.2f}; at least {_POOR_FIT} is needed)"
     worst = float(np.sqrt(np.diag(fit.log_covariance)).min())
@@ -476,6 +484,9 @@ def _decide(
             severity=None,
             confidence=probability["other"],
         )
+    unseen = _unseen_fault(base.smallest_changes)
+    if unseen is not None:
+        return replace(base, verdict=Verdict.UNUSABLE, reasons=(unseen,), severity=None, confidence=None)
     if noise_z > limit:
         ratio = math.exp(noise_z * reference.log_noise_sd)
         return replace(
@@ -488,6 +499,17 @@ def _decide(
             confidence=float(stats.t.cdf(noise_z, freedom)),
         )
     return base
+
+
+def _unseen_fault(smallest: dict[str, float]) -> str | None:
+    """Why a recording cannot be called healthy: a doubled friction or resistance would not show in it."""
+    for kind, quantity in ((FaultKind.BEARING, "friction"), (FaultKind.WINDING_CONTACT, "resistance")):
+        if smallest[str(kind)] > _DOUBLED:
+            return (
+                f"the recording is too coarse, too noisy or too short to tell the {quantity}: only a rise of"
+                f" {smallest[str(kind)]:.0%} would show"
+            )
+    return None
 
 
 def _called(base: Diagnosis, best: _Candidate, quantile: float, probability: dict[str, float]) -> Diagnosis:

@@ -30,6 +30,7 @@ drop and the supply, can hardly be told apart in one start, and would take the f
 STRONG_EVIDENCE = 6.0
 _FIT_SAMPLES = 40_000
 _UNTOLD_LOG_SD = 1.0
+_WILD_SPREADS = 10.0
 _PROMISING = 6.0  # of a chi-square with one degree; strong evidence takes 12 and more
 
 
@@ -82,7 +83,12 @@ class Identified:
     @property
     def defects(self) -> tuple[str, ...]:
         """What is wrong with the recording, and what of the model it shows, in words."""
-        found = list(self.start.alignment.defects)
+        start = self.start
+        found = list(start.alignment.defects)
+        found += [
+            f"a wild sample of {start.alignment.sign * start.current_a[k]:.3g} A at {start.time_s[k]:.6g} s, left out"
+            for k in start.alignment.wild
+        ]
         found += [
             f"PWM ripple of {line.amplitude_a:.3g} A at {line.frequency_hz:.4g} Hz (or an alias of it)"
             for line in self.start.lines
@@ -124,7 +130,8 @@ def identify(
 ) -> Identified:
     """Fit the model to a start.
 
-    Where the residual shows lines of constant frequency, they are taken off, and the fit is repeated.
+    Where the residual shows lines of constant frequency, or single wild samples, they are taken off, and the fit is
+    repeated.
 
     Args:
         start: what to fit.
@@ -155,13 +162,34 @@ def identify(
     problem.reweight(best.x)
     best = least_squares(problem.residuals, best.x, bounds=problem.bounds, x_scale="jac", max_nfev=100)
     fit = _result(problem, best.x, np.asarray(best.jac), start)
-    if start.lines:
+    cleaner = _cleaner(fit)
+    if cleaner is None:
         return fit
+    return identify(cleaner, model, constant=constant, typical=typical, simpler=simpler)
+
+
+def _cleaner(fit: Identified) -> Start | None:
+    """The start without what the residual shows to be no part of it, lines and wild samples; None if all is well."""
+    start, residual = fit.start, fit.residual_a
+    wild = sorted({*start.alignment.wild, *_wild_against(residual, start.current_a)})
+    if len(wild) > max(len(residual) // 1000, 1):
+        wild = list(start.alignment.wild)
     begin = start.alignment.onset_index
-    lines = periodic_lines(fit.residual_a[begin:], start.time_s[begin:])
-    if not lines:
-        return fit
-    return identify(replace(start, lines=lines), model, constant=constant, typical=typical, simpler=simpler)
+    lines = start.lines or periodic_lines(residual[begin:], start.time_s[begin:])
+    if lines == start.lines and len(wild) == len(start.alignment.wild):
+        return None
+    return replace(start, lines=lines, alignment=replace(start.alignment, wild=tuple(wild)))
+
+
+def _wild_against(residual: FloatArray, current: FloatArray) -> list[int]:
+    """Samples far off a fit that goes well through both neighbours, and off both neighbours to the same side."""
+    off = np.abs(residual[1:-1])
+    spread = 1.4826 * float(np.median(np.abs(residual)))
+    beside = np.maximum(np.abs(residual[:-2]), np.abs(residual[2:]))
+    left, right = current[1:-1] - current[:-2], current[1:-1] - current[2:]
+    jumps = (left * right > 0.0) & (np.minimum(np.abs(left), np.abs(right)) > 0.5 * off)
+    wild = (off > _WILD_SPREADS * spread) & (beside < 0.3 * off) & jumps
+    return [int(k) + 1 for k in np.flatnonzero(wild)]
 
 
 def _result(problem: Problem, unknowns: FloatArray, jacobian: FloatArray, start: Start) -> Identified:
