@@ -8,13 +8,14 @@ PYTEST_ARGS ?=
 BIN := .venv/bin
 READY := .venv/.ready
 BENCH_READY := .venv-bench/.ready
+AEON_READY := .venv-aeon/.ready
 PINS_READY := .venv-pins/.ready
 
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup lint types imports unit test test-long benchmark bench docs format constraints clean distclean
+.PHONY: help setup lint types imports unit test test-long benchmark peers peers-anew bench docs format constraints clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -33,6 +34,11 @@ $(READY): pyproject.toml constraints.txt
 $(BENCH_READY): pyproject.toml benchmarks/requirements.txt benchmarks/constraints.txt
 	$(call make_environment,.venv-bench)
 	.venv-bench/bin/python -m pip install --quiet --no-input -c benchmarks/constraints.txt -r benchmarks/requirements.txt -e .
+	touch $@
+
+$(AEON_READY): benchmarks/requirements-aeon.txt benchmarks/constraints-aeon.txt
+	$(call make_environment,.venv-aeon)
+	.venv-aeon/bin/python -m pip install --quiet --no-input -c benchmarks/constraints-aeon.txt -r benchmarks/requirements-aeon.txt
 	touch $@
 
 $(PINS_READY): Makefile
@@ -63,7 +69,12 @@ test-long: test ## the same and the tests marked long
 benchmark: $(READY) ## compare the classifiers; the report goes to out/benchmark
 	$(BIN)/python -m motor_classifiers benchmark --out out/benchmark
 
-bench: $(BENCH_READY) ## speed against peers, in an environment of its own; writes out/bench.json
+peers: $(AEON_READY) ## make .venv-aeon, the environment of the generic classifiers
+
+peers-anew: $(READY) $(AEON_READY) ## let them judge the benchmark's starts again; their answers are part of the package
+	$(BIN)/python benchmarks/peers.py
+
+bench: $(BENCH_READY) $(READY) $(AEON_READY) ## speed against peers, in an environment of its own; writes out/bench.json
 	.venv-bench/bin/python benchmarks/run.py --out out/bench.json $(BENCH_ARGS)
 
 docs: $(READY) ## build the documentation into docs/_build/html; warnings are errors
@@ -91,4 +102,4 @@ clean: ## remove caches and built files; out/ and the environments stay
 	find . -path './.venv*' -prune -o -name __pycache__ -type d -exec rm -rf {} +
 
 distclean: clean ## the same and the environments
-	rm -rf .venv .venv-bench .venv-pins
+	rm -rf .venv .venv-aeon .venv-bench .venv-pins

@@ -6,7 +6,7 @@ starts. The files hold plain arrays; neither side needs the other's packages.
 
 from __future__ import annotations
 
-import datetime
+import datetime as dt
 import json
 import os
 import platform
@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 # Of the project only this module, which needs the standard library alone: the rest is not installed here.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "classifiers"))
-from motor_classifiers.watching import watched  # noqa: E402  # after the path to it
+from motor_classifiers.watching import watched
 
 SEED = 0
 
@@ -60,7 +60,7 @@ def judge(name: str, cases: dict[str, npt.NDArray[Any]]) -> tuple[npt.NDArray[np
 def machine() -> dict[str, str]:
     """Where and when this was measured."""
     return {
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "date": dt.datetime.now(dt.UTC).date().isoformat(),
         "machine": f"{platform.machine()}, one core of {os.cpu_count()}, Python {platform.python_version()}",
         "aeon": version("aeon"),
         "command": "make peers-anew",

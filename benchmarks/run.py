@@ -28,6 +28,9 @@ ONE_THREAD = dict.fromkeys(
 )
 Row = dict[str, Any]
 
+ENVIRONMENTS = {"classifiers": ".venv"}
+"""Benchmarks that need the project's extras, which do not go with the other peers, run in its own environment."""
+
 
 def discover() -> list[str]:
     """Names of the benchmarks: ``bench_kalman.py`` is ``kalman``."""
@@ -44,8 +47,9 @@ def measure_apart(name: str) -> list[Row] | None:
     """Run one benchmark in a process of its own; None if it failed."""
     with tempfile.TemporaryDirectory() as folder:
         answer = Path(folder) / "rows.json"
+        own = FOLDER.parent / ENVIRONMENTS.get(name, "") / "bin" / "python"
         command = [
-            sys.executable,
+            str(own) if name in ENVIRONMENTS and own.exists() else sys.executable,
             str(Path(__file__).resolve()),
             "--measure-here",
             name,

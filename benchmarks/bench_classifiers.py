@@ -1,0 +1,122 @@
+"""Judging starts: ours against QUANT of aeon and against a general least-squares fit. One core, one run, in turns.
+
+Setting: recipe `bench`, 10 kHz, 20 mA, 1000 samples, one batch. QUANT runs in aeon's own environment (`make peers`) on
+the same starts and answers its rate when asked, so that both sides are measured in turns. The general fit is
+`scipy.optimize.least_squares` on the five tolerances of one start, with their prior, and our own compiled simulation
+inside. Ours is a fitted model's `predict_proba`: raw samples to probabilities.
+"""
+
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from aeon_environment import command, environment
+from result import Result
+from scipy.optimize import least_squares
+from timing import best_rate
+
+from motor_classifiers.judging import Cell
+from motor_classifiers.methods import make_method
+from motor_classifiers.peers import export_cases
+from motor_classifiers.posterior_network import PosteriorNetwork
+from motor_datasets.arrays import Dataset
+from motor_env.confirmation import nominal_voltage
+from motor_env.estimation import Prior, fit
+from motor_env.parameters import FloatArray
+from motor_env.posterior import class_coordinates, recipe_observed
+from motor_env.recipes import FACTORS, apply_factors, named_recipe
+from motor_env.simulation import simulate_states
+
+CELL = Cell(named_recipe("bench"), 2000, 1000)
+ROUNDS = 4
+FITTED = 10
+"""Starts that the general fit is measured on."""
+
+Judge = Callable[[], object]
+
+
+def _judges(train: Dataset, test: Dataset) -> dict[str, Judge]:
+    """Fitted methods of ours. The posterior network's speed does not depend on how long it has learned."""
+    made = {
+        name: make_method(name, CELL.recipe, 0) for name in ("residual-qda", "network", "physical-logistic")
+    }
+    made["posterior-network"] = PosteriorNetwork(CELL.recipe, steps=20, random_state=0)
+    return {
+        name: partial(method.fit(train.X, train.class_name).predict_proba, test.X)
+        for name, method in made.items()
+    }
+
+
+def general_fit(measured: FloatArray) -> FloatArray:
+    """Most probable tolerances of one start, in standard deviations, shape (5,): as one would write it for scipy."""
+    recipe = CELL.recipe
+    std = recipe.spread.std
+    supply = FACTORS.index("supply")
+    voltage = nominal_voltage(recipe)
+
+    def residual(z: FloatArray) -> FloatArray:
+        factors = 1.0 + std * z
+        motor = apply_factors(recipe.motor, factors)
+        states = simulate_states(motor, voltage * factors[supply], recipe.timing.dt_s)
+        off = (measured - states[:, 0]) / recipe.sensor.current_noise_a
+        return np.concatenate([off, z])
+
+    found: FloatArray = least_squares(residual, np.zeros(len(std))).x
+    return found
+
+
+def fit_all(transients: Sequence[FloatArray]) -> list[FloatArray]:
+    """One start at a time."""
+    return [general_fit(measured) for measured in transients]
+
+
+def _check_fit(test: Dataset) -> None:
+    """Both fits find the same tolerances: what is compared does the same work."""
+    recipe = CELL.recipe
+    healthy = np.flatnonzero(test.class_index == 0)[:3]
+    coordinates = class_coordinates(recipe, recipe.classes[0])
+    ours = fit(recipe_observed(recipe, test.X[healthy]), coordinates, Prior.of(np.ones(5))).values
+    peer = np.stack([general_fit(test.X[case, 0].astype(np.float64)) for case in healthy])
+    assert np.abs(ours - peer).max() < 0.01
+
+
+def run() -> list[Result]:
+    """Rates in starts a second."""
+    train, test = CELL.train(), CELL.test()
+    judges = _judges(train, test)
+    _check_fit(test)
+    rates = dict.fromkeys([*judges, "quant", "fit"], 0.0)
+    with tempfile.TemporaryDirectory() as folder:
+        cases = Path(folder) / "cases.npz"
+        export_cases(CELL, cases)
+        with subprocess.Popen(
+            command("aeon_rate.py", cases, "quant"),
+            env=environment(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as peer:
+            assert peer.stdin is not None
+            assert peer.stdout is not None
+            assert peer.stdout.readline() == "ready\n"
+            for _ in range(ROUNDS):
+                peer.stdin.write("go\n")
+                peer.stdin.flush()
+                rates["quant"] = max(rates["quant"], float(peer.stdout.readline()))
+                for name, judge in judges.items():
+                    rates[name] = max(rates[name], best_rate(judge, CELL.n_test, rounds=1))
+                fits = [test.X[n, 0].astype(np.float64) for n in range(FITTED)]
+                rates["fit"] = max(rates["fit"], best_rate(partial(fit_all, fits), FITTED, rounds=1))
+            peer.stdin.close()
+    least = "scipy least_squares, a start at a time"
+    quick = ("residual-qda", "network", "posterior-network")
+    return [
+        *(
+            Result(f"{name}, {CELL.n_test} starts", rates[name], rates["quant"], "QUANT of aeon", 10.0)
+            for name in quick
+        ),
+        *(Result(f"{name}, {CELL.n_test} starts", rates[name], rates["fit"], least, 10.0) for name in judges),
+    ]
