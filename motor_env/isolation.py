@@ -10,7 +10,7 @@ explains most is not enough of a verdict: all that the residual does not rule ou
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -120,7 +120,7 @@ class Isolator:
         coordinates: logarithms of factors on the motor's quantities and the supply.
         experiment: what drives it and what is read.
         directions: of the hypotheses that can be seen, powers of each quantity, shape (n_quantities,).
-        whitener: takes out the tolerances' share.
+        tolerances: standard deviation of each coordinate in healthy motors, shape (n_quantities,).
         hidden: why each other hypothesis cannot be seen.
         open_directions: changes of several quantities that no sample shows, shape (n_open, n_quantities).
         false_alarm_rate: of healthy motors, at most.
@@ -130,7 +130,7 @@ class Isolator:
     coordinates: Coordinates
     experiment: Experiment
     directions: dict[str, FloatArray]
-    whitener: MarginalWhitener
+    tolerances: FloatArray
     hidden: dict[str, str] = field(default_factory=dict)
     open_directions: FloatArray = field(default_factory=lambda: np.zeros((0, len(QUANTITIES))))
     false_alarm_rate: float = 0.01
@@ -156,10 +156,10 @@ class Isolator:
             require(0.0 < value < 1.0, f"{name} must lie between 0 and 1, got {value:g}")
         unknown = {quantity for powers in hypotheses.values() for quantity in powers} - set(QUANTITIES)
         require(not unknown, f"hypotheses must be about {', '.join(QUANTITIES)}, got {', '.join(unknown)}")
-        slopes = experiment.slopes(parameters, QUANTITIES)
         given = spread or Spread()
-        nuisances = np.stack([slopes[:, QUANTITIES.index(f)] * getattr(given, f) for f in FACTORS], axis=-1)
-        whitener = MarginalWhitener.of(nuisances)
+        tolerances = np.array([getattr(given, name) if name in FACTORS else 0.0 for name in QUANTITIES])
+        slopes = experiment.slopes(parameters, QUANTITIES)
+        whitener = _whitener(slopes, tolerances)
         directions, hidden = {}, {}
         for name, powers in hypotheses.items():
             direction = np.array([powers.get(quantity, 0.0) for quantity in QUANTITIES])
@@ -179,7 +179,7 @@ class Isolator:
         open_directions[:, [QUANTITIES.index(name) for name in MOTOR_QUANTITIES]] = known
         coordinates = Coordinates.of(parameters, QUANTITIES)
         return cls(
-            coordinates, experiment, directions, whitener, hidden, open_directions, false_alarm_rate, level
+            coordinates, experiment, directions, tolerances, hidden, open_directions, false_alarm_rate, level
         )
 
     def isolate(self, measurements: ArrayLike) -> Isolation:
@@ -195,10 +195,9 @@ class Isolator:
         measured = np.asarray(measurements, dtype=np.float64)
         shape = (len(self.experiment.sensor.channels), len(self.experiment.voltage_v))
         require(measured.shape == shape, f"measurements must have shape {shape}, got {measured.shape}")
-        nominal = self._left_over(measured, np.zeros(len(QUANTITIES)))
-        chi2 = float(nominal @ nominal)
+        nominal = self._at(measured, np.zeros(len(QUANTITIES)))
         fits = {name: self._fit(measured, direction) for name, direction in self.directions.items()}
-        gains = {name: (chi2 - fit.chi2) * (fit.size > 0.0) for name, fit in fits.items()}
+        gains = {name: (nominal.deviance - fit.deviance) * (fit.size > 0.0) for name, fit in fits.items()}
         best = max(gains, key=lambda name: gains[name])
         count = len(fits)
         evidence = {
@@ -211,45 +210,44 @@ class Isolator:
         total = healthy + sum(evidence.values())
         alarm = np.sqrt(max(gains[best], 0.0)) > norm.isf(self.false_alarm_rate / count)
         cut = norm.isf((1.0 - self.level) / max(count - 1, 1)) ** 2
-        named = [
-            name for name in fits if alarm and gains[best] - gains[name] <= cut and fits[name].size > 0.0
-        ]
+        named = [name for name in fits if alarm and gains[name] > max(0.0, gains[best] - cut)]
         explanations = [
             self._explanation(name, fits[name], np.sqrt(gains[name]), evidence[name] / total)
             for name in named
         ]
-        left = fits[best].chi2 if alarm else chi2
-        spread_of_chi2 = np.sqrt(2.0 * len(nominal))
+        chi2, n_values = fits[best].chi2 if alarm else nominal.chi2, len(nominal.left)
         return Isolation(
             tuple(sorted(explanations, key=lambda one: -one.probability)),
-            bool(left - len(nominal) < norm.isf(1e-3) * spread_of_chi2),
+            bool(chi2 - n_values < norm.isf(1e-3) * np.sqrt(2.0 * n_values)),
             float(healthy / total),
             dict(self.hidden),
         )
 
-    def _left_over(self, measured: FloatArray, values: FloatArray) -> FloatArray:
-        """White residual for a motor at the coordinates, shape (n_values,)."""
+    def _at(self, measured: FloatArray, values: FloatArray) -> _Point:
+        """What a motor at the coordinates leaves over, white for the tolerances as they act on that motor."""
         motor, supply = self.coordinates.motors(values)
         driven = self.experiment
-        states = simulate_states(
-            motor, supply * driven.voltage_v, driven.dt_s, load_torque_n_m=driven.load_torque_n_m
-        )
+        voltage = supply * driven.voltage_v
+        states = simulate_states(motor, voltage, driven.dt_s, load_torque_n_m=driven.load_torque_n_m)
         residual = (measured - driven.sensor.observation @ states.T) / driven.sensor.noise_std[:, None]
-        return _white(self.whitener, residual[:, driven.first_sample :].T.ravel())
+        slopes = replace(driven, voltage_v=voltage).slopes(motor, QUANTITIES)
+        whitener = _whitener(slopes, self.tolerances)
+        left = _white(whitener, residual[:, driven.first_sample :].T.ravel())
+        return _Point(left, slopes, whitener)
 
     def _fit(self, measured: FloatArray, direction: FloatArray) -> _Fitted:
         """Most likely size of a hypothesis: Gauss-Newton in its one coordinate, the steps held short."""
         size = 0.0
+        point = self._at(measured, size * direction)
         for _ in range(_STEPS):
-            motor, _ = self.coordinates.motors(size * direction)
-            signature = _white(self.whitener, self.experiment.slopes(motor, QUANTITIES) @ direction)
+            signature = _white(point.whitener, point.slopes @ direction)
             information = float(signature @ signature)
-            step = float(signature @ self._left_over(measured, size * direction)) / information
-            size += float(np.clip(step, -_LONGEST_STEP, _LONGEST_STEP))
+            step = float(np.clip(signature @ point.left / information, -_LONGEST_STEP, _LONGEST_STEP))
+            size += step
+            point = self._at(measured, size * direction)
             if abs(step) < 1e-3 / np.sqrt(information):
                 break
-        left = self._left_over(measured, size * direction)
-        return _Fitted(size, 1.0 / np.sqrt(information), float(left @ left))
+        return _Fitted(size, 1.0 / np.sqrt(information), point.chi2, point.deviance)
 
     def _explanation(self, name: str, fit: _Fitted, z: float, probability: float) -> Explanation:
         direction = self.directions[name]
@@ -270,10 +268,30 @@ class Isolator:
         return tuple(answer)
 
 
+class _Point(NamedTuple):
+    left: FloatArray
+    slopes: FloatArray
+    whitener: MarginalWhitener
+
+    @property
+    def chi2(self) -> float:
+        return float(self.left @ self.left)
+
+    @property
+    def deviance(self) -> float:
+        """Minus twice the log-likelihood: what the tolerances leave unknown counts too."""
+        return self.chi2 + 2.0 * float(np.log(self.whitener.scale).sum())
+
+
 class _Fitted(NamedTuple):
     size: float
     std: float
     chi2: float
+    deviance: float
+
+
+def _whitener(slopes: FloatArray, tolerances: FloatArray) -> MarginalWhitener:
+    return MarginalWhitener.of((slopes * tolerances)[:, tolerances > 0.0])
 
 
 def _white(whitener: MarginalWhitener, values: FloatArray) -> FloatArray:

@@ -184,15 +184,16 @@ def glr(
     longest, room = ages[-1], state.shape[1] - 2
     of_steps = len(shape) == 0
     energy = np.cumsum(shape * shape)
-    recent, best, total = np.empty(room), np.empty(room), np.empty(room)
+    best, total = np.empty(room), np.empty(room)
     for n in range(series.shape[0]):
-        held, seen = int(state[n, room]), int(state[n, room + 1])
-        recent[:held] = state[n, :held]
+        recent = state[n]
+        held, seen = int(recent[room]), int(recent[room + 1])
         begin = 0
         while begin < series.shape[1]:
             if held == room:
                 base = recent[room - longest - 1] if of_steps else 0.0
-                recent[: longest + 1] = recent[room - longest - 1 :] - base
+                for i in range(longest + 1):
+                    recent[i] = recent[room - longest - 1 + i] - base
                 held = longest + 1
             count = min(series.shape[1] - begin, room - held)
             for i in range(count):
@@ -200,29 +201,65 @@ def glr(
                 value = 0.0 if np.isnan(value) else value
                 recent[held + i] = recent[held + i - 1] + value if of_steps else value
             best[:count] = -np.inf
-            for j in range(len(ages)):
-                age = ages[j]
-                first = max(0, age - seen - 1)
-                if first >= count:
-                    break
-                last = held + count
-                if of_steps:
-                    difference(recent[held + first : last], recent[held + first - age : last - age], total)
-                    weight = 1.0 / age
-                elif energy[age - 1] > 0.0:
-                    for i in range(first, count):
-                        total[i - first] = np.dot(shape[:age], recent[held + i + 1 - age : held + i + 1])
-                    weight = 1.0 / energy[age - 1]
-                else:
-                    continue
-                if two_sided:
-                    raise_square(total, weight, bonus[j], best[first:count])
-                else:
-                    raise_signed_square(total, weight, bonus[j], best[first:count])
+            if of_steps and count == 1:  # in service: the slices of a block would cost more than the sums
+                best[0] = glr_of_one(recent, held, seen, ages, bonus, two_sided)
+            else:
+                glr_of_block(recent, held, seen, count, ages, shape, energy, bonus, two_sided, total, best)
             out[n, begin : begin + count] = best[:count]
             held, seen, begin = held + count, seen + count, begin + count
-        state[n, :held] = recent[:held]
-        state[n, room], state[n, room + 1] = held, seen
+        recent[room], recent[room + 1] = held, seen
+
+
+@njit(cache=True)
+def glr_of_block(
+    recent: FloatArray,
+    held: int,
+    seen: int,
+    count: int,
+    ages: NDArray[np.int64],
+    shape: FloatArray,
+    energy: FloatArray,
+    bonus: FloatArray,
+    two_sided: bool,
+    total: FloatArray,
+    best: FloatArray,
+) -> None:
+    """The same for the `count` samples from place `held` on, age by age."""
+    last = held + count
+    for j in range(len(ages)):
+        age = ages[j]
+        first = max(0, age - seen - 1)
+        if first >= count:
+            break
+        if len(shape) == 0:
+            difference(recent[held + first : last], recent[held + first - age : last - age], total)
+            weight = 1.0 / age
+        elif energy[age - 1] > 0.0:
+            for i in range(first, count):
+                total[i - first] = np.dot(shape[:age], recent[held + i + 1 - age : held + i + 1])
+            weight = 1.0 / energy[age - 1]
+        else:
+            continue
+        if two_sided:
+            raise_square(total, weight, bonus[j], best[first:count])
+        else:
+            raise_signed_square(total, weight, bonus[j], best[first:count])
+
+
+@njit(cache=True)
+def glr_of_one(
+    sums: FloatArray, held: int, seen: int, ages: NDArray[np.int64], bonus: FloatArray, two_sided: bool
+) -> float:
+    """The same after one more sample, for a step."""
+    best = -np.inf
+    for j in range(len(ages)):
+        age = ages[j]
+        if age > seen + 1:
+            break
+        total = sums[held] - sums[held - age]
+        value = total * (total if two_sided else abs(total)) * (1.0 / age) + bonus[j]
+        best = value if value > best else best
+    return best
 
 
 # Each a plain loop over contiguous values, so that it vectorises.
