@@ -209,4 +209,4 @@ def _for_run_length(rule: Rule, arl0: float, runs: int, n_channels: int, seed: i
     value = float(np.interp(np.log(arl0), logs, levels))
     slope = float(logs[-1] - logs[0]) / (high - low)
     error = float(lengths.std(axis=0)[_LEVELS // 2] / average[_LEVELS // 2]) / np.sqrt(runs)
-    return Threshold(value, error / slope, f"simulated: {runs} runs to their alarm")
+    return Threshold(value, float(error / slope), f"simulated: {runs} runs to their alarm")
