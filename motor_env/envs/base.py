@@ -10,11 +10,14 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from motor_env.envs import kernel
-from motor_env.envs.options import MonitorOptions
+from motor_env.envs.episodes import Episodes, draw_episodes
+from motor_env.envs.noise import EPISODE, INDEX, LANES, SEED_HIGH, SEED_LOW
+from motor_env.envs.options import MonitorOptions, with_changes
 from motor_env.envs.rendering import Scope, Window
-from motor_env.envs.setup import Episodes, Setup, draw_episodes, make_setup, whole_bank
+from motor_env.envs.setup import Setup, make_setup, whole_bank
 from motor_env.model import State
 from motor_env.parameters import require
+from motor_env.streams import NORMALS_AT_ONCE
 
 ActType = TypeVar("ActType")
 Observation = NDArray[np.float32]
@@ -30,21 +33,39 @@ def observation_space(setup: Setup) -> spaces.Space[Observation]:
     return cast("spaces.Space[Observation]", spaces.Box(low, high, dtype=np.float32))
 
 
+def discrete_actions(setup: Setup) -> spaces.Discrete:
+    """One action a voltage, then one a kind."""
+    return spaces.Discrete(len(setup.offsets_v))
+
+
 class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
-    """A motor under the filter; the subclasses say what can be done with it."""
+    """A motor under the filter; the subclasses say what can be done with it.
+
+    Args:
+        options: the task; the defaults of `options_type` unless given.
+        render_mode: see the metadata.
+        changes: single options by name, on top.
+    """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012  # gymnasium's way
+    options_type: type[MonitorOptions] = MonitorOptions
 
-    def __init__(self, options: MonitorOptions, render_mode: str | None) -> None:
+    def __init__(
+        self, options: MonitorOptions | None = None, *, render_mode: str | None = None, **changes: Any
+    ) -> None:
         require(
             render_mode is None or render_mode in RENDER_MODES,
             f"render_mode must be None or one of {', '.join(RENDER_MODES)}, got {render_mode!r}",
         )
         self.render_mode = render_mode
-        self.options = options
+        self.options = options = with_changes(options or self.options_type(), changes)
         self.setup: Setup = make_setup(options)
         self.observation_space = observation_space(self.setup)
-        self._state = np.zeros(kernel.N_FIELDS * kernel.LANES, dtype=options.precision)
+        self.action_space = self._actions()
+        self._state = np.zeros(kernel.N_FIELDS * LANES, dtype=options.precision)
+        self._names = np.zeros((4, 1), dtype=np.uint32)
+        self._noise = np.zeros(NORMALS_AT_ONCE, dtype=np.float32)
+        self._words = np.zeros((4, NORMALS_AT_ONCE // 4), dtype=np.uint32)
         self._seed: int | None = None
         self._index = 0
         self._episode = 0
@@ -58,6 +79,9 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         self._bank = self.setup.bank if render_mode is None else whole_bank(self.setup)
         self._over = True
         self._samples = options.samples_per_step
+
+    def _actions(self) -> spaces.Space[Any]:
+        return discrete_actions(self.setup)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -79,6 +103,7 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         if seed is not None or self._seed is None:
             self._seed = seed if seed is not None else int(self.np_random.integers(2**63))
             self._index, self._episode = int(index or 0), 0
+            self._names[SEED_LOW], self._names[SEED_HIGH] = self._seed & 0xFFFFFFFF, self._seed >> 32
             self._drawn = None
         else:
             self._episode += 1
@@ -89,18 +114,19 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         if self._drawn is None or place == 0:
             self._drawn = self._draw_ahead()
         drawn = self._drawn
-        which, onset = int(drawn.class_index[place]), float(drawn.heads[place, kernel.HEAD_ONSET])
+        which, onset = int(drawn.class_index[place]), float(drawn.records[place, kernel.HEAD_ONSET])
         self._onset = onset
         self._truth = {
             "label": setup.labels[which],
-            "severity": setup.severities[which],
+            "severity": float(drawn.severity[place]),
             "class_index": which,
             "onset_sample": int(onset) if onset < kernel.NEVER else -1,
         }
-        self._table, self._key = drawn.tables[place], drawn.keys[place]
-        kernel.begin_episode(self._state, 0, drawn.heads[place], self._table, self._key, self.setup.constants)
-        observation = np.empty(len(self.setup.chosen), dtype=np.float32)
-        kernel.observe_lane(self._state, 0, self.setup.chosen, self.setup.view, observation)
+        self._record = drawn.records[place]
+        self._names[EPISODE], self._names[INDEX] = self._episode, self._index
+        kernel.begin_episode(self._state, 0, self._record, self._names, setup.constants)
+        observation = np.empty(len(setup.chosen), dtype=np.float32)
+        kernel.observe_lane(self._state, 0, setup.observed, observation)
         self._over = False
         if self._scope is not None:
             self._scope.clear()
@@ -120,12 +146,13 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         observation = np.empty(len(setup.chosen), dtype=np.float32)
         reward, self._over = kernel.step_single(
             self._state,
-            self._table,
-            self._key,
+            self._record,
+            self._names,
+            self._noise,
+            self._words,
             setup.constants,
             self._bank,
-            setup.view,
-            setup.chosen,
+            setup.observed,
             observation,
             offset_v,
             declared,
@@ -141,7 +168,7 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         """Let the scope see the sample; in a window, draw it."""
         scope = self._scope
         assert scope is not None  # noqa: S101  # the caller looked
-        state, rest = self._state[:: kernel.LANES].tolist(), self.setup.rest
+        state, rest = self._state[::LANES].tolist(), self.setup.rest
         scope.add(
             state[kernel.MEASURED_CURRENT] + rest[State.CURRENT],
             state[kernel.ESTIMATED_CURRENT] + rest[State.CURRENT],
@@ -181,7 +208,7 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
             self._window = None
 
     def _info(self) -> Info:
-        sample = self._state.item(kernel.SAMPLE * kernel.LANES)
+        sample = self._state.item(kernel.SAMPLE * LANES)
         return {**self._truth, "fault_active": sample > self._onset}
 
 
@@ -198,8 +225,3 @@ class DiscreteMotorEnv(MotorEnv[Any]):
         if not 0 <= which < len(self._offsets_v):
             raise ValueError(f"action must be in 0 .. {len(self._offsets_v) - 1}, got {action}")
         return self._advance(self._offsets_v[which], self._declarations[which])
-
-
-def discrete_actions(setup: Setup) -> spaces.Discrete:
-    """One action a voltage, then one a kind."""
-    return spaces.Discrete(len(setup.offsets_v))

@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from gymnasium.vector import AutoresetMode
-
-from motor_env.envs.base import DiscreteMotorEnv, discrete_actions
-from motor_env.envs.options import MonitorOptions, with_changes
-from motor_env.envs.setup import make_setup
+from motor_env.envs.base import DiscreteMotorEnv
 from motor_env.envs.vector import DiscreteVectorEnv
 
 
@@ -47,12 +41,6 @@ class MonitorEnv(DiscreteMotorEnv):
         changes: single options by name, on top.
     """
 
-    def __init__(
-        self, options: MonitorOptions | None = None, *, render_mode: str | None = None, **changes: Any
-    ) -> None:
-        super().__init__(with_changes(options or MonitorOptions(), changes), render_mode)
-        self.action_space = discrete_actions(self.setup)
-
 
 class MonitorVectorEnv(DiscreteVectorEnv):
     """Many of `MonitorEnv` at once: sub-environment n runs the stream of episodes (seed, n).
@@ -64,15 +52,3 @@ class MonitorVectorEnv(DiscreteVectorEnv):
         render_mode: None; a vector draws no pictures.
         changes: single options by name, on top.
     """
-
-    def __init__(
-        self,
-        num_envs: int = 1,
-        options: MonitorOptions | None = None,
-        *,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
-        **changes: Any,
-    ) -> None:
-        made = with_changes(options or MonitorOptions(), changes)
-        super().__init__(num_envs, made, discrete_actions(make_setup(made)), autoreset_mode, render_mode)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, TypeVar
 
-from motor_env.envs.tasks import task_recipe
+from motor_env.envs.tasks import require_environment, task_recipe, with_motor
 from motor_env.kalman import DEFAULT_PROCESS_NOISE_STD
-from motor_env.parameters import require, require_positive
+from motor_env.parameters import MotorParameters, require, require_positive
 from motor_env.recipes import Recipe
 
 MAX_SAMPLES = 10_000_000
@@ -35,7 +36,9 @@ class MonitorOptions:
 
     Attributes:
         recipe: what is drawn: nominal motor, tolerances, faults and their weights, sensor, sampling rate. The name of
-            a recipe (easy, medium, hard, or any of `motor_env.recipes`), or a `Recipe`.
+            a recipe (easy, medium, hard, small, or any of `motor_env.recipes`), a recipe's TOML file, or a `Recipe`.
+        motor: in place of the recipe's nominal motor: a motor's TOML file, a name of the catalogue, or
+            `MotorParameters`; None: the recipe's.
         horizon_s: length of an episode.
         samples_per_step: sensor samples between two decisions.
         start: `running` at the operating point, or from `standstill`.
@@ -61,7 +64,8 @@ class MonitorOptions:
         ValueError: a value is out of its range; the sentence says which and what would be right.
     """
 
-    recipe: Recipe | str = "medium"
+    recipe: Recipe | str | Path = "medium"
+    motor: MotorParameters | str | Path | None = None
     horizon_s: float = 0.2
     samples_per_step: int = 1
     start: Start = Start.RUNNING
@@ -81,9 +85,19 @@ class MonitorOptions:
     observe: tuple[str, ...] = ()
 
     @property
+    def moves_voltage(self) -> bool:
+        """Whether actions can change the voltage: a monitor's cannot."""
+        return False
+
+    @property
     def offsets_v(self) -> tuple[float, ...]:
         """Offsets that the actions add to the supply's voltage: a monitor has none but 0."""
         return (0.0,)
+
+    @property
+    def max_offset_v(self) -> float:
+        """Largest offset: a monitor makes none."""
+        return 0.0
 
     @property
     def probe_cost_per_v2_s(self) -> float:
@@ -101,8 +115,12 @@ class MonitorOptions:
         return False
 
     def __post_init__(self) -> None:
-        recipe = task_recipe(self.recipe) if isinstance(self.recipe, str) else self.recipe
-        require(isinstance(recipe, Recipe), f"recipe must be a name or a Recipe, got {recipe!r}")
+        recipe = task_recipe(self.recipe) if isinstance(self.recipe, str | Path) else self.recipe
+        require(isinstance(recipe, Recipe), f"recipe must be a name, a TOML file or a Recipe, got {recipe!r}")
+        if self.motor is not None:
+            recipe = with_motor(recipe, self.motor)
+            object.__setattr__(self, "motor", recipe.motor)
+        require_environment(recipe)
         object.__setattr__(self, "recipe", recipe)
         require(self.start in set(Start), f"start must be one of {', '.join(Start)}, got {self.start!r}")
         object.__setattr__(self, "start", Start(self.start))
@@ -154,6 +172,11 @@ class MonitorOptions:
     def n_samples(self) -> int:
         """Samples of an episode that reaches its horizon."""
         return round(min(self.horizon_s * self.task.timing.sampling_rate_hz, 2.0 * MAX_SAMPLES))
+
+    @property
+    def n_levels(self) -> int:
+        """Levels that a fault takes until its full severity; 1 if it is abrupt."""
+        return self.growth_levels if round(self.growth_s / self.dt_s) > 0 else 1
 
     @property
     def n_steps(self) -> int:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
 
 from motor_env.envs import vector_kernel
-from motor_env.envs.base import DiscreteMotorEnv, Info, MotorEnv, Observation, discrete_actions
-from motor_env.envs.options import MonitorOptions, with_changes
-from motor_env.envs.setup import Setup, make_setup
+from motor_env.envs.base import DiscreteMotorEnv, Info, MotorEnv, Observation
+from motor_env.envs.options import MonitorOptions
+from motor_env.envs.setup import Setup
 from motor_env.envs.vector import DiscreteVectorEnv, MotorVectorEnv
 from motor_env.parameters import require, require_positive
 from motor_env.recipes import Recipe
@@ -24,6 +24,7 @@ class ProbeOptions(MonitorOptions):
 
     Attributes:
         recipe: see `MonitorOptions`; the default has windings worse by 0.5 to 3 %.
+        motor: see `MonitorOptions`.
         horizon_s: see `MonitorOptions`.
         samples_per_step: see `MonitorOptions`; a decision every 2 ms.
         load_torque_n_m: see `MonitorOptions`; none, so that a motor left alone shows nothing of a winding.
@@ -37,7 +38,7 @@ class ProbeOptions(MonitorOptions):
         observe: see `MonitorOptions`; empty: all that the sensor gives, and the evidence for each kind.
     """
 
-    recipe: Recipe | str = "small"
+    recipe: Recipe | str | Path = "small"
     horizon_s: float = 0.4
     samples_per_step: int = 20
     load_torque_n_m: float = 0.0
@@ -48,6 +49,11 @@ class ProbeOptions(MonitorOptions):
     max_offset_v: float = 2.0
     probe_cost_per_v2_s: float = 2.0
     energy_cost_per_j: float = 0.0
+
+    @property
+    def moves_voltage(self) -> bool:
+        """Whether actions can change the voltage."""
+        return True
 
     @property
     def shows_evidence(self) -> bool:
@@ -66,16 +72,12 @@ class ProbeOptions(MonitorOptions):
             require_positive(name, getattr(self, name), zero_allowed=True)
 
 
-def _options(options: ProbeOptions | None, changes: dict[str, Any]) -> ProbeOptions:
-    return with_changes(options or ProbeOptions(), changes)
-
-
 class ProbeEnv(DiscreteMotorEnv):
     """A DC motor runs without load, where a winding fault does not show. Move the voltage to see it, and pay for that.
 
     ## Description
-    As in `MonitorEnv` a fault of unknown kind sets in at an unknown time, or none does, but it is small (0.5 to 3 %), and
-    the agent decides every 2 ms which voltage is applied. A moving voltage makes the current flow that a changed
+    As in `MonitorEnv` a fault of unknown kind sets in at an unknown time, or none does, but it is small (0.5 to 3 %),
+    and the agent decides every 2 ms which voltage is applied. A moving voltage makes the current flow that a changed
     resistance changes.
 
     ## Action space
@@ -103,11 +105,7 @@ class ProbeEnv(DiscreteMotorEnv):
         changes: single options by name, on top.
     """
 
-    def __init__(
-        self, options: ProbeOptions | None = None, *, render_mode: str | None = None, **changes: Any
-    ) -> None:
-        super().__init__(_options(options, changes), render_mode)
-        self.action_space = discrete_actions(self.setup)
+    options_type = ProbeOptions
 
 
 class ProbeVectorEnv(DiscreteVectorEnv):
@@ -121,17 +119,7 @@ class ProbeVectorEnv(DiscreteVectorEnv):
         changes: single options by name, on top.
     """
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        options: ProbeOptions | None = None,
-        *,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
-        **changes: Any,
-    ) -> None:
-        made = _options(options, changes)
-        super().__init__(num_envs, made, discrete_actions(make_setup(made)), autoreset_mode, render_mode)
+    options_type = ProbeOptions
 
 
 def _continuous_actions(setup: Setup) -> spaces.Box:
@@ -153,13 +141,10 @@ class ProbeContinuousEnv(MotorEnv[Any]):
         changes: single options by name, on top.
     """
 
-    def __init__(
-        self, options: ProbeOptions | None = None, *, render_mode: str | None = None, **changes: Any
-    ) -> None:
-        made = _options(options, changes)
-        super().__init__(made, render_mode)
-        self.action_space = _continuous_actions(self.setup)
-        self._reach_v = made.max_offset_v
+    options_type = ProbeOptions
+
+    def _actions(self) -> spaces.Space[Any]:
+        return _continuous_actions(self.setup)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
         """Apply a voltage, or declare a kind, which ends the episode.
@@ -168,7 +153,7 @@ class ProbeContinuousEnv(MotorEnv[Any]):
             ValueError: the action has another shape, or a value that is not finite.
         """
         given = _checked(action, self.action_space.shape)
-        offset_v, declared = vector_kernel.decode_continuous(given, self._reach_v)
+        offset_v, declared = vector_kernel.decode_continuous(given, self.options.max_offset_v)
         return self._advance(offset_v, declared)
 
 
@@ -183,22 +168,19 @@ class ProbeContinuousVectorEnv(MotorVectorEnv):
         changes: single options by name, on top.
     """
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        options: ProbeOptions | None = None,
-        *,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
-        **changes: Any,
-    ) -> None:
-        made = _options(options, changes)
-        super().__init__(num_envs, made, _continuous_actions(make_setup(made)), autoreset_mode, render_mode)
-        self._reach_v = made.max_offset_v
+    options_type = ProbeOptions
 
-    def _lay_actions(self, actions: Any) -> None:
-        given = _checked(actions, self.action_space.shape)
-        vector_kernel.lay_continuous(self._state, given, self._reach_v)
+    def _actions(self) -> spaces.Space[Any]:
+        return _continuous_actions(self.setup)
+
+    def _step_lanes(
+        self, actions: Any, fixed: tuple[Any, ...], given: tuple[Any, ...]
+    ) -> tuple[int, int, int]:
+        array = _checked(actions, self.action_space.shape)
+        result: tuple[int, int, int] = vector_kernel.step_continuous(
+            array, self.options.max_offset_v, *fixed, *given
+        )
+        return result
 
 
 def _checked(action: Any, shape: tuple[int, ...] | None) -> np.ndarray[Any, np.dtype[np.float64]]:

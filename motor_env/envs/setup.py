@@ -10,22 +10,11 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from motor_env.envs import kernel
-from motor_env.envs.kernel import KeyArray
 from motor_env.envs.options import MonitorOptions, Start
-from motor_env.faults import (
-    HEALTHY,
-    Fault,
-    FaultKind,
-    NoiseSource,
-    apply_fault,
-    apply_faults,
-    noise_variance_factor,
-)
+from motor_env.faults import Fault, FaultKind, apply_fault
 from motor_env.kalman import KalmanFilter, gain_and_covariance
 from motor_env.model import DiscreteModel, Input, State, discretize, steady_state
 from motor_env.parameters import Channel, FloatArray, require
-from motor_env.recipes import draw
-from motor_env.streams import Stream, uniforms
 
 VERDICTS = ("bearing", "winding", "noise")
 VERDICT_OF = {
@@ -52,10 +41,10 @@ class Setup(NamedTuple):
         rest: the point at which the belief would rest, from which the kernel counts: current and speed.
         view: scale, bound and offset of every feature, shape (3, n_features).
         chosen: the observed features.
+        observed: field, scale, bound and offset of each of them, as the kernel takes them, shape (n_chosen, 4).
         offsets_v: what each discrete action adds to the supply's voltage.
         declarations: number of the verdict that it declares, 0 for none.
         labels: label kind of every class of the recipe.
-        severities: severity of every class.
     """
 
     options: MonitorOptions
@@ -66,27 +55,10 @@ class Setup(NamedTuple):
     rest: FloatArray
     view: FloatArray
     chosen: NDArray[np.int64]
+    observed: FloatArray
     offsets_v: FloatArray
     declarations: FloatArray
     labels: tuple[str, ...]
-    severities: tuple[float, ...]
-
-
-class Episodes(NamedTuple):
-    """Drawn episodes: the truth.
-
-    Attributes:
-        heads: onset in samples, number of the verdict that is right (0: none), supply factor, initial state, initial
-            estimate; shape (n, HEAD_LENGTH).
-        tables: the motor at each level of its fault, shape (n, levels, ROW_LENGTH).
-        keys: key of the noise, shape (n, 2).
-        class_index: class of the recipe, shape (n,).
-    """
-
-    heads: FloatArray
-    tables: FloatArray
-    keys: KeyArray
-    class_index: NDArray[np.int64]
 
 
 def converged_gain(belief: KalmanFilter) -> tuple[FloatArray, FloatArray]:
@@ -127,23 +99,26 @@ def make_setup(options: MonitorOptions) -> Setup:
     chosen = [kernel.FEATURES.index(name) for name in options.observe or usual]
     kinds = tuple(kind for kind in VERDICTS if kind in verdicts)
     offsets: tuple[float, ...] = options.offsets_v
+    bank = _bank(options, belief.model, chosen, rest)
+    constants = _constants(options, belief, float(rest[0]))
+    constants[kernel.FULL] = options.moves_voltage or bank.any()
     return Setup(
         options=options,
         kinds=kinds,
         belief=belief,
-        constants=_constants(options, belief, rest).astype(options.precision),
-        bank=_bank(options, chosen, rest).astype(options.precision),
+        constants=constants.astype(options.precision),
+        bank=bank.astype(options.precision),
         rest=rest,
-        view=view.astype(options.precision),
+        view=view,
         chosen=np.array(chosen, dtype=np.int64),
+        observed=np.vstack([kernel.FIELD_OF_FEATURE, view])[:, chosen].T.astype(options.precision),
         offsets_v=np.array([*offsets, *(0.0 for _ in kinds)]),
         declarations=np.array([0.0] * len(offsets) + [1.0 + m for m in range(len(kinds))]),
         labels=tuple(c.label_kind for c in recipe.classes),
-        severities=tuple(c.severity for c in recipe.classes),
     )
 
 
-def _constants(options: MonitorOptions, belief: KalmanFilter, rest: FloatArray) -> FloatArray:
+def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: float) -> FloatArray:
     channels = [(Channel.CURRENT, Channel.SPEED).index(channel) for channel in options.task.sensor.channels]
     gain, covariance = converged_gain(belief)
     full_gain, whitening = np.zeros((2, 2)), np.zeros((2, 2))
@@ -154,8 +129,9 @@ def _constants(options: MonitorOptions, belief: KalmanFilter, rest: FloatArray) 
         "channels of an environment's sensor must be current, then speed, got speed first",
     )
     p = np.zeros(kernel.N_CONSTANTS)
-    p[: kernel.MODEL_LENGTH] = _model_row(options, belief.model, rest)
-    p[[kernel.REST_CURRENT, kernel.REST_SPEED]] = rest
+    p[kernel.F00 : kernel.F11 + 1] = transition_row(belief.model)
+    p[kernel.G0 : kernel.G1 + 1] = belief.model.gain[:, Input.VOLTAGE]
+    p[kernel.REST_CURRENT] = rest_current
     p[kernel.K00 : kernel.K11 + 1] = full_gain.ravel()
     p[[kernel.W00, kernel.W10, kernel.W11]] = whitening[0, 0], whitening[1, 0], whitening[1, 1]
     p[[kernel.C0, kernel.C1]] = [float(channel in channels) for channel in State]
@@ -177,22 +153,15 @@ def _constants(options: MonitorOptions, belief: KalmanFilter, rest: FloatArray) 
     p[kernel.ENERGY_COST] = options.energy_cost_per_j * options.dt_s
     p[kernel.REST_VOLTAGE] = float(options.task.supply.voltage_v)
     p[kernel.GROWTH] = round(options.growth_s / options.dt_s)
-    p[kernel.N_LEVELS] = n_levels(options)
+    p[kernel.N_LEVELS] = options.n_levels
     p[[kernel.ZERO, kernel.HALF, kernel.ONE]] = 0.0, 0.5, 1.0
     return p
 
 
-def _transition_row(model: DiscreteModel) -> FloatArray:
+def transition_row(model: DiscreteModel) -> FloatArray:
     """A, with A - I in the row of the speed, shape (..., 4)."""
     row: FloatArray = model.transition.reshape(*model.transition.shape[:-2], 4) - [0.0, 0.0, 0.0, 1.0]
     return row
-
-
-def _model_row(options: MonitorOptions, model: DiscreteModel, rest: FloatArray) -> FloatArray:
-    """Transition, voltage gain and drift of a model, as the kernel takes them."""
-    return np.concatenate(
-        [_transition_row(model), model.gain[:, Input.VOLTAGE], _drift(options, model, rest, 1.0)]
-    )
 
 
 def whole_bank(setup: Setup) -> FloatArray:
@@ -200,10 +169,10 @@ def whole_bank(setup: Setup) -> FloatArray:
     recipe = setup.options.task
     known = {f"evidence_{c.kind}" for c in recipe.classes}
     chosen = [m for m, name in enumerate(kernel.FEATURES) if name in known]
-    return _bank(setup.options, chosen, setup.rest).astype(setup.options.precision)
+    return _bank(setup.options, setup.belief.model, chosen, setup.rest).astype(setup.options.precision)
 
 
-def _drift(
+def drift(
     options: MonitorOptions, model: DiscreteModel, rest: FloatArray, supply: float | FloatArray
 ) -> FloatArray:
     """Where a motor goes in one sample from the belief's point of rest: A rest + B (V, load) - rest, shape (..., 2)."""
@@ -217,7 +186,7 @@ def _drift(
     return away
 
 
-def _bank(options: MonitorOptions, chosen: list[int], rest: FloatArray) -> FloatArray:
+def _bank(options: MonitorOptions, belief: DiscreteModel, chosen: list[int], rest: FloatArray) -> FloatArray:
     """Models of the filters whose evidence is observed, one for each kind: its smallest severity; zeros elsewhere.
 
     Raises:
@@ -231,7 +200,15 @@ def _bank(options: MonitorOptions, chosen: list[int], rest: FloatArray) -> Float
             severities = [c.severity for c in recipe.classes if c.kind is kind]
             require(bool(severities), f"observe: recipe {recipe.name} has no {kind}, so no {name}")
             faulty = apply_fault(recipe.motor, Fault(kind, min(severities)))
-            rows[m] = _model_row(options, discretize(faulty, options.dt_s), rest)
+            model = discretize(faulty, options.dt_s)
+            rows[m] = np.concatenate(
+                [
+                    transition_row(model),
+                    (model.transition - belief.transition).ravel(),
+                    (model.gain - belief.gain)[:, Input.VOLTAGE],
+                    drift(options, model, rest, 1.0),
+                ]
+            )
     return rows
 
 
@@ -262,61 +239,3 @@ def _view(options: MonitorOptions, rest: FloatArray) -> tuple[FloatArray, tuple[
 
 _FROM_REST = ("measured_current", "measured_speed", "estimated_current", "estimated_speed", "voltage")
 _MEASURED = ("measured", "innovation", "fast", "slow")
-
-
-def n_levels(options: MonitorOptions) -> int:
-    """Levels that a fault takes until its full severity; 1 if it is abrupt."""
-    return options.growth_levels if round(options.growth_s / options.dt_s) > 0 else 1
-
-
-def draw_episodes(setup: Setup, seed: int, index: NDArray[np.int64], episode: NDArray[np.int64]) -> Episodes:
-    """Draw episodes `episode[n]` of sub-environments `index[n]`: each depends on (options, seed, the two) alone."""
-    options = setup.options
-    recipe = options.task
-    cases = (index << 32) | episode
-    drawn = draw(recipe, seed, cases)
-    scenario = drawn.scenario
-    levels = n_levels(options)
-    tables = np.empty((len(cases), levels + 1, kernel.ROW_LENGTH))
-    for level in range(levels + 1):
-        faults = tuple(Fault(f.kind, f.severity * (level / levels)) for f in scenario.faults)
-        model = discretize(apply_faults(scenario.parameters, faults), options.dt_s)
-        row = tables[:, level]
-        row[:, kernel.A00 : kernel.A11 + 1] = _transition_row(model)
-        row[:, kernel.B0 : kernel.B1 + 1] = model.gain[..., Input.VOLTAGE]
-        row[:, kernel.D0 : kernel.D1 + 1] = _drift(options, model, setup.rest, drawn.factors[:, 0])
-        factor = noise_variance_factor(faults, NoiseSource.MEASUREMENT, np.zeros(1))
-        sensor = (recipe.sensor.current_noise_a, recipe.sensor.speed_noise_rad_s)
-        row[:, kernel.SIGMA_CURRENT :] = np.sqrt(factor) * np.asarray(sensor)
-    heads = np.zeros((len(cases), kernel.HEAD_LENGTH))
-    heads[:, kernel.HEAD_KIND] = right_declarations(setup)[drawn.class_index]
-    onset = _onsets(options, uniforms(seed, Stream.ONSET, cases, 1)[:, 0])
-    heads[:, kernel.HEAD_ONSET] = np.where(heads[:, kernel.HEAD_KIND] > 0, onset, kernel.NEVER)
-    heads[:, kernel.HEAD_SUPPLY] = drawn.factors[:, 0]
-    if options.start is Start.RUNNING:
-        at_rest = steady_state(scenario.parameters, scenario.supply.voltage_v, options.load_torque_n_m)
-        heads[:, kernel.HEAD_CURRENT : kernel.HEAD_SPEED + 1] = at_rest
-    heads[:, kernel.HEAD_CURRENT : kernel.HEAD_SPEED + 1] -= setup.rest
-    heads[:, kernel.HEAD_EST_CURRENT :] = setup.belief.initial_state - setup.rest
-    words = uniforms(seed, Stream.MEASUREMENT, cases, 2) * 2.0**32
-    return Episodes(heads, tables.astype(options.precision), words.astype(np.uint64), drawn.class_index)
-
-
-def right_declarations(setup: Setup) -> NDArray[np.int64]:
-    """Number of the kind that is right for every class, counted from 1; 0 for healthy."""
-    return np.array(
-        [
-            0 if label == HEALTHY else 1 + setup.kinds.index(VERDICT_OF[FaultKind(label)])
-            for label in setup.labels
-        ]
-    )
-
-
-def _onsets(options: MonitorOptions, uniform: FloatArray) -> FloatArray:
-    """First sample on which the fault acts: geometric after the earliest."""
-    earliest = round(options.earliest_onset_s / options.dt_s)
-    mean = options.mean_onset_s / options.dt_s
-    if mean == 0.0:
-        return np.full(uniform.shape, float(earliest))
-    onsets: FloatArray = earliest + np.floor(np.log(uniform) / math.log(mean / (1.0 + mean)))
-    return onsets

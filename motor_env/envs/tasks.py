@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
 from motor_env.faults import FaultKind
-from motor_env.parameters import SensorParameters
-from motor_env.recipes import FaultClass, Recipe, Spread, named_recipe
+from motor_env.parameters import MotorParameters, SensorParameters, require
+from motor_env.recipes import RECIPES, FaultClass, Recipe, Spread
 
 _HEALTHY = FaultClass(weight=2.0)
 
@@ -63,10 +68,60 @@ SMALL = Recipe(
 TASKS = {recipe.name: recipe for recipe in (EASY, MEDIUM, HARD, SMALL)}
 
 
-def task_recipe(name: str) -> Recipe:
-    """Recipe of an environment by name: easy, medium, hard, small, or a named recipe of the package.
+def task_recipe(name_or_path: str | Path) -> Recipe:
+    """Recipe of an environment: easy, medium, hard, small, a named recipe of the package, or a recipe's TOML file.
 
     Raises:
-        ValueError: no such recipe.
+        ValueError: no such recipe or file, or the file is not a recipe.
     """
-    return TASKS[name] if name in TASKS else named_recipe(name)
+    name = str(name_or_path)
+    if name in TASKS:
+        return TASKS[name]
+    if name.endswith(".toml"):
+        from motor_env.recipe_file import load_recipe
+
+        return load_recipe(name_or_path)
+    require(
+        name in RECIPES,
+        f"recipe must be one of {', '.join([*TASKS, *RECIPES])}, or a TOML file, got {name!r}",
+    )
+    return RECIPES[name]
+
+
+def with_motor(recipe: Recipe, motor: MotorParameters | str | Path) -> Recipe:
+    """The recipe with another nominal motor.
+
+    Raises:
+        ValueError: no such motor, its file is not one, or it has more than the linear motor of an environment.
+    """
+    if not isinstance(motor, MotorParameters):
+        require(
+            isinstance(motor, str | Path), f"motor must be a name, a TOML file or parameters, got {motor!r}"
+        )
+        from motor_env.motor_file import load_motor
+
+        read = load_motor(motor)
+        require(
+            read.coulomb_friction_n_m == 0.0 and read.brush_drop_v == 0.0,
+            f"{motor}: an environment's motor is linear, so coulomb_friction_n_m and brush_drop_v must be 0",
+        )
+        motor = read.parameters
+    return replace(recipe, motor=motor)
+
+
+def require_environment(recipe: Recipe) -> None:
+    """Refuse what a recipe may say for data sets, but an environment does not simulate.
+
+    Raises:
+        ValueError: the sentence says what.
+    """
+    name = recipe.name
+    require(recipe.field is None, f"recipe {name} has a table field, which an environment does not simulate")
+    require(
+        all(not c.also for c in recipe.classes),
+        f"recipe {name} has joint faults, of which an agent could declare only one",
+    )
+    require(
+        np.ndim(recipe.supply.voltage_v) == 0,
+        f"voltage_v of recipe {name} must be one number for an environment",
+    )

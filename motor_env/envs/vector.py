@@ -13,12 +13,27 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from motor_env.envs import kernel, vector_kernel
-from motor_env.envs.base import Info, Observation, observation_space
-from motor_env.envs.options import MonitorOptions
-from motor_env.envs.setup import Setup, draw_episodes, make_setup, n_levels, right_declarations
-from motor_env.envs.vector_kernel import BLOCK, DEPTH, BoolArray, IntArray, Now, Outcome, Store
+from motor_env.envs.base import Info, Observation, discrete_actions, observation_space
+from motor_env.envs.episodes import draw_episodes, record_length, right_declarations
+from motor_env.envs.noise import INDEX, LANES, ROWS, SEED_HIGH, SEED_LOW
+from motor_env.envs.options import MonitorOptions, with_changes
+from motor_env.envs.setup import Setup, make_setup
+from motor_env.envs.vector_kernel import (
+    BLOCK,
+    DEPTH,
+    FAULT_ACTIVE,
+    KNOWN,
+    NUMBER,
+    READY,
+    RING,
+    SLOT,
+    TERMINATED,
+    TRUNCATED,
+)
 from motor_env.parameters import FloatArray, require
 
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 Step = tuple[Observation, FloatArray, BoolArray, BoolArray, Info]
 
 
@@ -30,30 +45,43 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
     the same. With a list of seeds, sub-environment n runs the stream (seeds[n], 0).
 
     Arrays that a step returns are new at each call; the observation is Fortran-ordered.
+
+    Args:
+        num_envs: number of sub-environments.
+        options: the task; the defaults of `options_type` unless given.
+        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
+        render_mode: None, or rgb_array.
+        changes: single options by name, on top.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium's way
 
+    options_type: type[MonitorOptions] = MonitorOptions
+
     def __init__(
         self,
-        num_envs: int,
-        options: MonitorOptions,
-        single_action_space: spaces.Space[Any],
-        autoreset_mode: AutoresetMode | str,
-        render_mode: str | None,
+        num_envs: int = 1,
+        options: MonitorOptions | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **changes: Any,
     ) -> None:
         require(num_envs >= 1, f"num_envs must be >= 1, got {num_envs}")
         require(render_mode is None, f"render_mode of a vector must be None, got {render_mode!r}")
         self.num_envs = num_envs
-        self.options = options
-        self.setup: Setup = make_setup(options)
+        self.options = with_changes(options or self.options_type(), changes)
+        self.setup: Setup = make_setup(self.options)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.single_action_space = single_action_space
-        self.action_space = batch_space(single_action_space, num_envs)
+        self.single_action_space = self._actions()
+        self.action_space = batch_space(self.single_action_space, num_envs)
         self.single_observation_space = observation_space(self.setup)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._allocate()
+
+    def _actions(self) -> spaces.Space[Any]:
+        return discrete_actions(self.setup)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -66,32 +94,38 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         return right_declarations(self.setup)
 
     def _allocate(self) -> None:
-        lanes = -(-self.num_envs // kernel.LANES) * kernel.LANES
-        levels = n_levels(self.options) + 1
+        blocks = -(-self.num_envs // LANES)
         precision = self.options.precision
-        self._state = np.zeros(lanes // kernel.LANES * BLOCK, dtype=precision)
-        by_field = self._state.reshape(-1, kernel.N_FIELDS, kernel.LANES)
+        self._state = np.zeros(blocks * BLOCK, dtype=precision)
+        by_field = self._state.reshape(blocks, kernel.N_FIELDS, LANES)
         by_field[:, [kernel.ONSET, kernel.NEXT_CHANGE]] = kernel.NEVER  # lanes that fill the last block
-        self._low, self._high = np.zeros((2, lanes), dtype=np.uint64)
-        self._store = Store(
-            heads=np.zeros((DEPTH, lanes, kernel.HEAD_LENGTH)),
-            tables=np.zeros((DEPTH, lanes, levels, kernel.ROW_LENGTH), dtype=precision),
-            keys=np.zeros((DEPTH, lanes, 2), dtype=np.uint64),
-            class_index=np.zeros((DEPTH, lanes), dtype=np.int64),
-        )
-        self._now = Now(
-            slot=np.zeros(lanes, dtype=np.int64),
-            ready=np.zeros(lanes, dtype=np.int64),
-            over=np.zeros(lanes, dtype=np.bool_),
-            class_index=np.zeros(lanes, dtype=np.int64),
-            onset=np.zeros(lanes, dtype=np.int64),
-            episode=np.zeros(lanes, dtype=np.int64),
-        )
+        self._noise = np.zeros((blocks, ROWS, LANES), dtype=np.float32)
+        self._row = ROWS
+        self._names = np.zeros((blocks, 4, LANES), dtype=np.uint32)
+        self._episodes = np.zeros((blocks, DEPTH, LANES, record_length(self.options)), dtype=precision)
+        self._counts = np.zeros((blocks, RING + DEPTH, LANES), dtype=np.int32)
+        self._declared = np.zeros((blocks, LANES), dtype=np.uint8)
+        self._flags = np.zeros((4, blocks * LANES), dtype=np.uint8)
+        self._flags[KNOWN] = 1
+        self._truth = np.zeros((2, blocks * LANES), dtype=np.int32)
         self._seeds: NDArray[np.uint64] | None = None
-        self._indices: IntArray = np.arange(lanes, dtype=np.int64)
-
-    def _out(self, values: NDArray[Any]) -> NDArray[Any]:
-        return values[: self.num_envs].copy()
+        self._n_offsets = len(self.setup.offsets_v) - len(self.setup.kinds)
+        self._counts[:, NUMBER] = -1
+        self._fixed = (
+            self._state,
+            self._noise,
+            self._names,
+            self.setup.constants,
+            self.setup.bank,
+            self.setup.observed,
+            self._episodes,
+            self._counts,
+            self._declared,
+            self._flags,
+            self._truth,
+            self.options.samples_per_step,
+            self.autoreset_mode is AutoresetMode.NEXT_STEP,
+        )
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -111,12 +145,55 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         require(not chosen, f"reset knows the option reset_mask, got {', '.join(map(repr, chosen))}")
         super().reset(seed=seed if isinstance(seed, int | np.integer) else None)
         self._take_seeds(seed, mask)
-        if (self._now.ready[: self.num_envs][mask] == 0).any():
+        if (self._by_lane(self._counts, READY)[mask] == 0).any():
             self._draw()
+        if mask.all():
+            self._row = ROWS
+        self._begin(mask)
+        return self._tell(mask)
+
+    def _tell(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
+        """Observation and info as the lanes stand."""
+        observation, _ = self._empty()
+        vector_kernel.observe(self._state, self.setup.observed, observation)
+        flags = self._copy_of_flags()
+        if known is not None:
+            flags[KNOWN] = known
+        return observation.T[: self.num_envs], self._info(flags)
+
+    def _empty(self) -> tuple[NDArray[np.float32], FloatArray]:
+        """Fresh arrays for observation and reward of all lanes, those that fill the last block too."""
+        lanes = self._declared.size
+        return np.empty((len(self.setup.chosen), lanes), dtype=np.float32), np.empty(lanes)
+
+    def _copy_of_flags(self) -> BoolArray:
+        return self._flags.view(np.bool_)[:, : self.num_envs].copy()
+
+    def _info(self, flags: BoolArray) -> Info:
+        """The truth, for those who score; what decides must not read it."""
+        known, (class_index, onset) = flags[KNOWN], self._truth[:, : self.num_envs].copy()
+        return {
+            "class_index": class_index,
+            "_class_index": known,
+            "onset_sample": onset,
+            "_onset_sample": known,
+            "fault_active": flags[FAULT_ACTIVE],
+            "_fault_active": known,
+        }
+
+    def _begin(self, mask: BoolArray) -> None:
         vector_kernel.begin_lanes(
-            self._state, mask, self._low, self._high, self.setup.constants, self._store, self._now
+            mask,
+            self._state,
+            self._noise,
+            self._row,
+            self._names,
+            self.setup.constants,
+            self._episodes,
+            self._counts,
+            self._flags,
+            self._truth,
         )
-        return self._observe(), self._info(self._active(), mask)
 
     def _checked_mask(self, mask: Any) -> BoolArray:
         if mask is None:
@@ -150,30 +227,40 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         for n in everywhere[mask]:
             given = seeds[n]
             if given is not None:
-                self._seeds[n], self._indices[n] = given, indices[n]
-                self._now.episode[n], self._now.ready[n] = -1, 0
+                block, lane = divmod(n, LANES)
+                self._seeds[n], self._names[block, INDEX, lane] = given, indices[n]
+                self._counts[block, NUMBER, lane], self._counts[block, READY, lane] = -1, 0
+        block, lane = np.divmod(everywhere, LANES)
+        self._names[block, SEED_LOW, lane] = self._seeds & 0xFFFFFFFF
+        self._names[block, SEED_HIGH, lane] = self._seeds >> 32
 
     def _draw(self) -> None:
         """Fill the rings of episodes: many at once, which costs little a lane."""
         assert self._seeds is not None  # noqa: S101  # set by reset
-        now = self._now
-        missing = DEPTH - 1 - now.ready[: self.num_envs]
+        ready, number = self._by_lane(self._counts, READY), self._by_lane(self._counts, NUMBER)
+        slot, index = self._by_lane(self._counts, SLOT), self._by_lane(self._names, INDEX)
+        missing = DEPTH - 1 - ready
         lanes = np.repeat(np.arange(self.num_envs), missing)
         first = np.repeat(np.cumsum(missing) - missing, missing)
-        ahead = now.ready[lanes] + 1 + np.arange(len(lanes)) - first
+        ahead = ready[lanes] + 1 + np.arange(len(lanes)) - first
         seeds = self._seeds[lanes]
         for seed in np.unique(seeds):
             chosen = seeds == seed
             some, offset = lanes[chosen], ahead[chosen]
-            drawn = draw_episodes(self.setup, int(seed), self._indices[some], now.episode[some] + offset)
-            place = (now.slot[some] + offset) % DEPTH
-            self._store.heads[place, some] = drawn.heads
-            self._store.tables[place, some] = drawn.tables
-            self._store.keys[place, some] = drawn.keys
-            self._store.class_index[place, some] = drawn.class_index
-        now.ready[: self.num_envs] = DEPTH - 1
+            drawn = draw_episodes(self.setup, int(seed), index[some], number[some] + offset)
+            place, (block, lane) = (slot[some] + offset) % DEPTH, np.divmod(some, LANES)
+            self._episodes[block, place, lane] = drawn.records
+            self._counts[block, RING + place, lane] = drawn.class_index
+        block, lane = np.divmod(np.arange(self.num_envs), LANES)
+        self._counts[block, READY, lane] = DEPTH - 1
 
-    def _lay_actions(self, actions: Any) -> None:
+    def _by_lane(self, array: NDArray[Any], row: int) -> IntArray:
+        """A row of counts or names, one entry for each sub-environment."""
+        return array[:, row].reshape(-1)[: self.num_envs].astype(np.int64)
+
+    def _step_lanes(
+        self, actions: Any, fixed: tuple[Any, ...], given: tuple[Any, ...]
+    ) -> tuple[int, int, int]:
         raise NotImplementedError
 
     def step(self, actions: Any) -> Step:
@@ -186,91 +273,49 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         if self._seeds is None:
             raise gym.error.ResetNeeded("call reset() before step()")
         mode = self.autoreset_mode
-        if mode is AutoresetMode.DISABLED and self._now.over.any():
+        if mode is AutoresetMode.DISABLED and self._flags[TERMINATED].any():
             raise gym.error.ResetNeeded("autoreset is disabled: reset the sub-environments that are over")
-        self._lay_actions(actions)
-        count = self.num_envs
-        out = Outcome(
-            observation=np.empty((len(self.setup.chosen), count), dtype=np.float32),
-            reward=np.empty(count),
-            terminated=np.empty(count, dtype=np.bool_),
-            active=np.empty(count, dtype=np.bool_),
-        )
-        n_over, n_unready = vector_kernel.step_vector(
-            self._state,
-            self._low,
-            self._high,
-            self.setup.constants,
-            self.setup.bank,
-            self.setup.view,
-            self.setup.chosen,
-            self._store,
-            self._now,
-            out,
-            self.options.samples_per_step,
-            mode is AutoresetMode.NEXT_STEP,
-        )
+        lanes, reward = self._empty()
+        self._row, n_over, n_unready = self._step_lanes(actions, self._fixed, (self._row, lanes, reward))
         if n_unready > 0:
             self._draw()
-        observation, info = out.observation.T, self._info(out.active)
-        if mode is AutoresetMode.SAME_STEP and n_over > 0:
-            observation, info = self._reset_same_step(observation, info, out.terminated)
-        return observation, out.reward, out.terminated, np.zeros(count, dtype=np.bool_), info
+        flags = self._copy_of_flags()
+        observation, info, terminated = lanes.T[: self.num_envs], self._info(flags), flags[TERMINATED]
+        if n_over > 0 and mode is AutoresetMode.SAME_STEP:
+            observation, info = self._reset_same_step(observation, info, terminated)
+        return observation, reward[: self.num_envs], terminated, flags[TRUNCATED], info
 
     def _reset_same_step(
         self, last: Observation, last_info: Info, over: BoolArray
     ) -> tuple[Observation, Info]:
         """Begin the next episodes at once; the last observations and infos go into the info, in gymnasium's form."""
-        vector_kernel.begin_lanes(
-            self._state, over, self._low, self._high, self.setup.constants, self._store, self._now
-        )
+        self._begin(over)
         final = np.full(self.num_envs, None, dtype=object)
         for n in np.flatnonzero(over):
             final[n] = last[n].copy()
         masks = {name: over.copy() for name in last_info if name.startswith("_")}
-        info = self._info(self._active())
+        observation, info = self._tell()
         info.update(final_obs=final, _final_obs=over.copy(), final_info={**last_info, **masks})
         info["_final_info"] = over.copy()
-        return self._observe(), info
-
-    def _observe(self) -> Observation:
-        rows = np.empty((len(self.setup.chosen), self.num_envs), dtype=np.float32)
-        vector_kernel.observe(self._state, self.setup.chosen, self.setup.view, rows)
-        return rows.T
-
-    def _active(self) -> BoolArray:
-        by_field = self._state.reshape(-1, kernel.N_FIELDS, kernel.LANES)
-        active = by_field[:, kernel.SAMPLE] > by_field[:, kernel.ONSET]
-        return active.ravel()[: self.num_envs]
-
-    def _info(self, active: BoolArray, mask: BoolArray | None = None) -> Info:
-        """The truth, for those who score; what decides must not read it."""
-        known = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask.copy()
-        return {
-            "class_index": self._out(self._now.class_index),
-            "_class_index": known,
-            "onset_sample": self._out(self._now.onset),
-            "_onset_sample": known,
-            "fault_active": active,
-            "_fault_active": known,
-        }
+        return observation, info
 
 
 class DiscreteVectorEnv(MotorVectorEnv):
     """Sub-environments with a list of actions."""
 
-    def _lay_actions(self, actions: Any) -> None:
-        given = np.asarray(actions)
-        if given.shape != (self.num_envs,) or given.dtype.kind not in "iu":
+    def _step_lanes(
+        self, actions: Any, fixed: tuple[Any, ...], given: tuple[Any, ...]
+    ) -> tuple[int, int, int]:
+        array = np.asarray(actions)
+        if array.shape != (self.num_envs,) or array.dtype.kind not in "iu":
             raise ValueError(
-                f"actions must be integers of shape ({self.num_envs},), got {given.dtype} {given.shape}"
+                f"actions must be integers of shape ({self.num_envs},), got {array.dtype} {array.shape}"
             )
-        known = vector_kernel.decode_discrete(
-            self._state,
-            np.ascontiguousarray(given, dtype=np.int64),
-            self.setup.offsets_v,
-            self.setup.declarations,
+        array = np.ascontiguousarray(array, dtype=np.int64)
+        result: tuple[int, int, int] = vector_kernel.step_discrete(
+            array, self.setup.offsets_v, self._n_offsets, *fixed, *given
         )
-        if not known:
+        if result[0] < 0:
             highest = len(self.setup.offsets_v) - 1
-            raise ValueError(f"actions must be in 0 .. {highest}, got {given.min()} .. {given.max()}")
+            raise ValueError(f"actions must be in 0 .. {highest}, got {array.min()} .. {array.max()}")
+        return result

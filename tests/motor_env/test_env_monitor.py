@@ -12,12 +12,15 @@ import motor_env  # noqa: F401  # registers the environments
 from motor_env.envs import kernel
 from motor_env.envs.base import Info
 from motor_env.envs.monitor import MonitorEnv
+from motor_env.envs.noise import LANES, case_of
 from motor_env.envs.setup import converged_gain
 from motor_env.faults import Fault, FaultKind
 from motor_env.kalman import KalmanFilter, run_filter, schedule
 from motor_env.model import steady_state
 from motor_env.parameters import PAPER_MOTOR, FloatArray
+from motor_env.recipes import draw
 from motor_env.simulation import simulate_states
+from motor_env.streams import Stream, normals
 
 WAIT = 0
 
@@ -39,7 +42,7 @@ def rollout(env: MonitorEnv, seed: int, index: int = 0) -> tuple[FloatArray, lis
         assert truncated is False
         observations.append(observation)
         infos.append(info)
-        deviation = env._state[[kernel.CURRENT * kernel.LANES, kernel.SPEED * kernel.LANES]]
+        deviation = env._state[[kernel.CURRENT * LANES, kernel.SPEED * LANES]]
         states.append(deviation + env.setup.rest)
     return np.array(observations), infos, np.array(states)
 
@@ -132,3 +135,27 @@ def test_delay_is_charged_from_the_onset() -> None:
     rewards = [env.step(WAIT)[1] for _ in range(env.options.n_steps)]
     assert rewards[:onset] == [0.0] * onset
     np.testing.assert_allclose(rewards[onset:], -7.0e-4, rtol=1e-6)
+
+
+def test_noise_is_that_of_the_streams_and_a_start_that_of_the_simulation() -> None:
+    """The environment, a data set and a recording that is simulated draw the same numbers for the same case."""
+    env = MonitorEnv(
+        start="standstill",
+        load_torque_n_m=0.0,
+        horizon_s=0.05,
+        precision="float64",
+        recipe="bench",
+        observe=("measured_current",),
+        mean_onset_s=1e9,
+    )
+    observed, _, states = rollout(env, seed=3, index=5)
+    stall = 12.0 / PAPER_MOTOR.resistance_ohm
+    noise = observed[1:, 0] * stall - states[:, 0]
+    case = case_of(np.array([5]), np.array([0]))
+    expected = normals(3, Stream.MEASUREMENT, case, 501)[0, 1:] * env.options.task.sensor.current_noise_a
+    np.testing.assert_allclose(noise, expected, atol=2e-6)
+    drawn = draw(env.options.task, 3, case)
+    simulated = simulate_states(
+        drawn.scenario.parameters, np.full((501, 1), drawn.scenario.supply.voltage_v), env.options.dt_s
+    )
+    np.testing.assert_allclose(states, simulated[:500, 0], rtol=1e-9, atol=1e-12)

@@ -68,7 +68,7 @@ def test_every_lane_is_the_single_environment(
         assert not truncated.any()
         seen.append((observations, rewards, terminated, infos["onset_sample"]))
     assert sum(int(over.sum()) for _, _, over, _ in seen) > 2 * count
-    for index in (0, 3, 63, 64, 69):
+    for index in range(count):
         expected = follow(single(**options), actions[:, index], 7, index, mode)
         for (o, r, t, k), (eo, er, et, ek) in zip(seen, expected, strict=True):
             np.testing.assert_array_equal(o[index], eo)
@@ -90,25 +90,43 @@ def test_shared_lanes_of_vectors_of_different_sizes_are_equal_to_the_bit(vector:
 
 
 @pytest.mark.parametrize(
-    ("options", "bound"),
+    ("vector", "options"),
     [
-        ({"recipe": "medium", "horizon_s": 0.05}, 1e-5),
-        ({"recipe": "hard", "horizon_s": 0.05, "growth_s": 0.01}, 1e-5),
-        # Residuals of tens of standard deviations, whose squares the excess of power takes.
-        ({"recipe": "hard", "start": "standstill", "horizon_s": 0.05}, 4e-5),
+        (MonitorVectorEnv, {"recipe": "medium"}),
+        (MonitorVectorEnv, {"recipe": "hard", "growth_s": 0.01}),
+        (MonitorVectorEnv, {"recipe": "hard", "start": "standstill"}),
+        (ProbeVectorEnv, {"recipe": "small"}),
     ],
 )
-def test_float32_stays_close_to_float64(options: dict[str, Any], bound: float) -> None:
-    envs = [MonitorVectorEnv(1000, precision=precision, **options) for precision in ("float32", "float64")]
+def test_float32_stays_close_to_float64(vector: Any, options: dict[str, Any]) -> None:
+    assert worst_difference(vector, {**options, "horizon_s": 0.04}, lanes=100, samples=700) < 1e-5
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("vector", [MonitorVectorEnv, ProbeVectorEnv, ProbeContinuousVectorEnv])
+@pytest.mark.parametrize("recipe", ["easy", "medium", "hard", "small", "bench-full"])
+@pytest.mark.parametrize("start", ["running", "standstill"])
+def test_float32_stays_close_to_float64_over_a_thousand_episodes(
+    vector: Any, recipe: str, start: str
+) -> None:
+    assert worst_difference(vector, {"recipe": recipe, "start": start}, lanes=1000, samples=4000) < 1e-5
+
+
+def worst_difference(vector: Any, options: dict[str, Any], lanes: int, samples: int) -> float:
+    """Largest difference of the two precisions, in each observation's scale, with resets at all times."""
+    envs = [vector(lanes, precision=precision, **options) for precision in ("float32", "float64")]
     (a, _), (b, _) = (env.reset(seed=5) for env in envs)
-    actions = random_actions(envs[0].single_action_space, 700, 1000, seed=6)
-    actions[actions > 0] *= np.random.default_rng(1).random(int((actions > 0).sum())) < 0.1
-    scale = envs[0].setup.view[1, envs[0].setup.chosen]
-    worst = 0.0
-    for action in actions:
+    steps = samples // envs[0].options.samples_per_step
+    scale, worst = envs[0].setup.view[1, envs[0].setup.chosen], 0.0
+    for step in range(steps):
+        action = random_actions(envs[0].single_action_space, 1, lanes, seed=step)[0]
+        rare = np.random.default_rng(step).random(lanes) < 0.05
+        action = np.where(rare if action.ndim == 1 else rare[:, None], action, 0).astype(action.dtype)
         worst = max(worst, float((np.abs(a - b) / scale).max()))
-        a, b = (env.step(action)[0] for env in envs)
-    assert worst < bound
+        (a, _, over_a, _, _), (b, _, over_b, _, _) = (env.step(action) for env in envs)
+        np.testing.assert_array_equal(over_a, over_b)
+    return worst
 
 
 def test_final_observation_is_kept_when_the_next_episode_begins_at_once() -> None:

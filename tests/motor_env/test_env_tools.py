@@ -1,0 +1,131 @@
+"""Everyone's tools accept the environments: wrappers, Stable-Baselines3, TorchRL, a video writer, a window."""
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.wrappers import RecordEpisodeStatistics, RecordVideo
+from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordVectorStatistics
+
+import motor_env  # noqa: F401  # registers the environments
+from motor_env.envs.monitor import MonitorVectorEnv
+from motor_env.envs.probe import ProbeEnv, ProbeVectorEnv
+
+IDS = ("motor_env/Monitor-v0", "motor_env/Probe-v0", "motor_env/ProbeContinuous-v0")
+SHORT: dict[str, Any] = {"horizon_s": 0.02, "earliest_onset_s": 0.001, "mean_onset_s": 0.005}
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_episode_statistics(name: str) -> None:
+    env = RecordEpisodeStatistics(gym.make(name, **SHORT))
+    env.reset(seed=0)
+    continuous = isinstance(env.action_space, gym.spaces.Box)
+    wait = np.zeros(3, dtype=np.float32) if continuous else 0
+    total, over = 0.0, False
+    while not over:
+        _, reward, over, _, info = env.step(wait)
+        assert type(reward) is float
+        total += reward
+    assert info["episode"]["r"] == pytest.approx(total)
+    assert info["episode"]["l"] == env.unwrapped.options.n_steps  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_episode_statistics_of_a_vector(mode: str) -> None:
+    envs = RecordVectorStatistics(gym.make_vec(IDS[0], num_envs=3, autoreset_mode=mode, **SHORT))
+    envs.reset(seed=0)
+    lengths: list[int] = []
+    for _ in range(450):
+        _, _, terminated, _, info = envs.step(np.zeros(3, dtype=np.int64))
+        if terminated.any():
+            told = info["final_info"] if "final_info" in info and "episode" in info["final_info"] else info
+            lengths += told["episode"]["l"][terminated].tolist()
+    assert lengths == [200] * 6
+
+
+def test_a_video_is_written(tmp_path: Path) -> None:
+    pytest.importorskip("moviepy", reason="RecordVideo writes with moviepy")
+    env = RecordVideo(
+        gym.make(IDS[1], render_mode="rgb_array", **SHORT), str(tmp_path), lambda episode: episode == 0
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", ResourceWarning
+        )  # moviepy leaves the pipe to its writer to the collector
+        env.reset(seed=0)
+        over = False
+        while not over:
+            over = bool(env.step(1)[2])
+        env.close()  # type: ignore[no-untyped-call]  # gymnasium's
+    written = next(tmp_path.glob("*.mp4")).read_bytes()
+    assert written[4:8] == b"ftyp"  # ISO base media file
+    assert len(written) > 5000
+
+
+def test_a_window_shows_the_screen_and_closes(monkeypatch: pytest.MonkeyPatch) -> None:
+    pygame = pytest.importorskip("pygame", reason="the window is pygame's")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = gym.make(IDS[1], render_mode="human", horizon_s=0.01, samples_per_step=10)
+    env.reset(seed=0)
+    for _ in range(9):
+        env.step(1)
+    assert env.render() is None
+    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+    screen = env.unwrapped._scope.draw()  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(shown, screen)
+    env.close()
+    assert not pygame.display.get_init()
+    env.close()
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_stable_baselines_checker_is_content(name: str) -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="extra rl")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(gym.make(name, **SHORT).unwrapped)
+
+
+def test_ppo_learns_through_the_adapter() -> None:
+    stable = pytest.importorskip("stable_baselines3", reason="extra rl")
+    from motor_env.envs.adapters import StableBaselinesVecEnv
+
+    envs = StableBaselinesVecEnv(ProbeVectorEnv(8, autoreset_mode="SameStep", samples_per_step=5, **SHORT))
+    model = stable.PPO("MlpPolicy", envs, n_steps=64, batch_size=128, n_epochs=2, seed=0, device="cpu")
+    before = [parameter.detach().clone() for parameter in model.policy.parameters()]
+    model.learn(2 * 64 * 8)
+    assert model.num_timesteps == 2 * 64 * 8
+    assert any(
+        not bool((old == new).all()) for old, new in zip(before, model.policy.parameters(), strict=True)
+    )
+    assert all(bool(parameter.isfinite().all()) for parameter in model.policy.parameters())
+    assert len(model.ep_info_buffer) > 8
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_torchrl_accepts_single_and_vector(name: str) -> None:
+    envs = pytest.importorskip("torchrl.envs", reason="TorchRL is not installed")
+    utils = pytest.importorskip("torchrl.envs.utils", reason="TorchRL is not installed")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # TorchRL's own, about its future versions
+        utils.check_env_specs(envs.GymWrapper(gym.make(name, **SHORT)))
+        utils.check_env_specs(
+            envs.GymWrapper(gym.make_vec(name, num_envs=2, autoreset_mode="SameStep", **SHORT))
+        )
+
+
+def test_a_vector_refuses_what_it_cannot_show() -> None:
+    with pytest.raises(ValueError, match=r"render_mode of a vector must be None, got 'rgb_array'"):
+        MonitorVectorEnv(2, render_mode="rgb_array")
+
+
+def test_every_frame_of_a_probe_has_what_the_screen_promises() -> None:
+    env = ProbeEnv(render_mode="rgb_array", **SHORT)
+    env.reset(seed=0)
+    first = env.render()
+    for _ in range(5):
+        env.step(1)
+    assert (env.render() != first).any(axis=-1).sum() > 300
