@@ -198,7 +198,7 @@ def severity_chart(names: Sequence[str], truth: Sequence[float], methods: Sequen
                 f'<rect x="{q[1]:.1f}" y="{y - 4:.1f}" width="{max(q[3] - q[1], 1.5):.1f}" height="8" rx="2"/></g>'
             )
         parts.append(
-            f'<line class="mark" x1="{x(true):.1f}" x2="{x(true):.1f}" y1="{begin - 2}" '
+            f'<line class="truth" x1="{x(true):.1f}" x2="{x(true):.1f}" y1="{begin - 2}" '
             f'y2="{begin + thick * len(methods) + 2}"/>'
         )
     parts.append("</svg>")

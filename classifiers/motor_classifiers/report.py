@@ -158,7 +158,10 @@ def _severity_methods(ranked: Sequence[MethodResult]) -> list[MethodResult]:
 
 def _severity_chart(result: CellResult, chosen: Sequence[MethodResult]) -> str:
     recipe = result.cell.recipe
-    told = [("limit", "limit", result.limit), *((m.name, f"s{n}", m.judged) for n, m in enumerate(chosen))]
+    told = [
+        ("limit", "limit", result.limit),
+        *((m.name, style, m.judged) for m, style in zip(chosen, ("s1", "s4"), strict=False)),
+    ]
     present = [n for n in range(len(recipe.classes)) if (result.truth == n).any()]
     boxes = [
         Boxes(

@@ -17,6 +17,7 @@ from motor_classifiers.features import PhysicalFeatures, ResidualProjection
 from motor_classifiers.networks import NetworkClassifier
 from motor_classifiers.novelty import FaultFamilyDetector, OpenSetClassifier
 from motor_classifiers.reference import ReferencedProjection
+from motor_classifiers.residual_network import ResidualNetworkClassifier
 from motor_classifiers.rule_statistics import RuleStatistics
 from motor_classifiers.threshold import ConfirmationClassifier
 
@@ -27,6 +28,7 @@ ESTIMATORS = [
     FaultFamilyDetector(),
     OpenSetClassifier(),
     NetworkClassifier(epochs=15),
+    ResidualNetworkClassifier(epochs=15),
     PhysicalFeatures(),
     ResidualProjection(),
     ReferencedProjection(),
