@@ -35,34 +35,133 @@ def _require_extras() -> None:
 
 @app.command
 def train(
-    dataset: Path, /, *, out: Path, method: str = "residual-qda", seed: int = 0, json_: Json = False
+    dataset: str | None = None,
+    /,
+    *,
+    out: Path,
+    motor: str | None = None,
+    recipe: str | None = None,
+    method: str | None = None,
+    voltage: float | None = None,
+    sampling_rate_hz: float | None = None,
+    duration_s: float | None = None,
+    current_noise_a: float | None = None,
+    noise_range: str | None = None,
+    steps: int | None = None,
+    seed: int = 0,
+    json_: Json = False,
 ) -> int:
-    """Train a method on the training split of a data set.
+    """Train a network for a motor or a recipe on starts drawn without end, or a method on a data set.
 
-    Example: motor-classifiers train out/bench --method network --out out/network.model
+    Examples: motor-classifiers train --motor examples/motor.toml --out out/motor.model
+
+    motor-classifiers train out/bench --method residual-qda --out out/qda.model
 
     Args:
-        dataset: Folder made by motor-datasets generate.
+        dataset: Folder made by motor-datasets generate, or its URL: its training split is learned.
         out: New file of the model. An existing one is never overwritten.
-        method: threshold, physical-lda, physical-forest, residual-qda, raw-logistic or network.
-        seed: Random state of methods that need one.
+        motor: Motor file (data sheet, identified or commissioned), or paper: its tolerances are the nuisances.
+        recipe: Recipe file, or the name of a recipe: bench, bench-full, paper or field.
+        method: For a data set: a method of the benchmark, residual-qda by default.
+        voltage: Level of the supply in volt; the motor file's by default.
+        sampling_rate_hz: Samples a second; by default the recipe's, or a thousand samples for a motor.
+        duration_s: Time after the step; by default the recipe's, or 25 mechanical time constants of the motor.
+        current_noise_a: Standard deviation of a current sample; by default the recipe's, or the motor file's.
+        noise_range: Smallest and largest factor on that noise, with a comma between: the network then reads the
+            noise off each start. For a motor 0.15,5 by default.
+        steps: Batches seen by each of the two networks; 2500 by default.
+        seed: Random state.
         json_: Print a summary as JSON.
     """
     _require_extras()
+    if out.exists():
+        raise console.InputError(f"{out}: exists already, and is not overwritten; give another name")
+    if sum(source is not None for source in (dataset, motor, recipe)) != 1:
+        raise console.InputError("give one of a data set, --motor and --recipe")
+    _check_writable(out.parent)
+    if dataset is not None:
+        summary = _train_on_dataset(dataset, method or "residual-qda", seed, out)
+    else:
+        if method not in (None, "posterior-network"):
+            raise console.InputError(f"--method {method} learns from a data set; give its folder")
+        source = _training_recipe(motor, recipe, voltage, sampling_rate_hz, duration_s, current_noise_a)
+        summary = _train_on_stream(
+            source, _noise_range(noise_range, for_motor=motor is not None), steps, seed, out
+        )
+    print(
+        json.dumps(summary) if json_ else f"trained {summary['method']} on {summary['n_train']} starts: {out}"
+    )
+    return 0
+
+
+def _train_on_dataset(dataset: str, method: str, seed: int, out: Path) -> dict[str, Any]:
     from motor_classifiers.methods import make_method
     from motor_classifiers.persistence import save_model
     from motor_datasets.loaders import load
 
-    if out.exists():
-        raise console.InputError(f"{out}: exists already, and is not overwritten; give another name")
     cases = load(dataset, "train")
     model = make_method(method, cases.recipe, seed)
-    with _status(f"training {method} on {len(cases)} cases"):
+    with _status(f"training {method} on {len(cases)} starts"):
         model.fit(cases.X, cases.class_name)
         save_model(model, cases.recipe, method, out)
-    summary = {"method": method, "n_train": len(cases), "out": str(out)}
-    print(json.dumps(summary) if json_ else f"trained {method} on {len(cases)} cases: {out}")
-    return 0
+    return {"method": method, "n_train": len(cases), "out": str(out)}
+
+
+def _training_recipe(
+    motor: str | None,
+    recipe: str | None,
+    voltage: float | None,
+    sampling_rate_hz: float | None,
+    duration_s: float | None,
+    current_noise_a: float | None,
+) -> Recipe:
+    from motor_classifiers.motor_recipe import changed_recipe, motor_recipe
+    from motor_env.motor_file import load_motor
+    from motor_env.recipe_file import load_recipe
+
+    if motor is not None:
+        found = motor_recipe(load_motor(motor), voltage_v=voltage, duration_s=duration_s)
+    else:
+        found = load_recipe(str(recipe))
+    return changed_recipe(
+        found,
+        voltage_v=voltage,
+        sampling_rate_hz=sampling_rate_hz,
+        duration_s=duration_s,
+        current_noise_a=current_noise_a,
+    )
+
+
+def _noise_range(text: str | None, *, for_motor: bool) -> tuple[float, float] | None:
+    from motor_classifiers.motor_recipe import UNKNOWN_NOISE
+
+    if text is None:
+        return UNKNOWN_NOISE if for_motor else None
+    factors = _numbers("noise-range", text)
+    if len(factors) != 2:
+        raise console.InputError(f"--noise-range must be two factors with a comma between, got {text!r}")
+    return factors[0], factors[1]
+
+
+def _train_on_stream(
+    recipe: Recipe, noise_range: tuple[float, float] | None, steps: int | None, seed: int, out: Path
+) -> dict[str, Any]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from motor_classifiers.persistence import save_model
+    from motor_classifiers.posterior_network import PosteriorNetwork
+
+    model = PosteriorNetwork(recipe, noise_range=noise_range, random_state=seed)
+    if steps is not None:
+        model.set_params(steps=steps)
+    columns = (TextColumn("{task.description}"), BarColumn(30), TimeElapsedColumn(), TimeRemainingColumn())
+    errors = Console(stderr=True)
+    with Progress(*columns, console=errors, disable=not errors.is_terminal) as bar:
+        task = bar.add_task(f"training a network for {recipe.name}", total=None)
+        model.fit_stream(lambda done, total: bar.update(task, completed=done, total=total))
+    save_model(model, recipe, "posterior-network", out)
+    return {"method": "posterior-network", "n_train": model.n_drawn_, "out": str(out)}
 
 
 @app.command
@@ -97,34 +196,37 @@ def evaluate(model: Path, dataset: str, /, *, split: str = "test", seed: int = 0
 
 
 @app.command
-def predict(files: list[Path], /, *, model: Path, split: str | None = None, json_: Json = False) -> int:
-    """Opinion of a model on recordings, or on the cases of data sets.
+def predict(
+    files: list[Path], /, *, model: Path | None = None, split: str | None = None, json_: Json = False
+) -> int:
+    """Opinion of a model on recordings, beside the verdict of motor-env diagnose; or on the cases of data sets.
 
-    Example: motor-classifiers predict examples/startup_capture.csv --model out/network.model
+    Example: motor-classifiers predict examples/startup_capture.csv
 
     Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
 
-    A model knows the motors of its recipe and no others (docs/classifiers.md); for captures of real motors, whose
-    supply ramps and whose brushes drop a voltage, ask motor-env diagnose too.
+    The status is the model's opinion. A model knows the motors of its recipe and no others (docs/classifiers.md); real
+    motors, whose supply ramps and whose brushes drop a voltage, are better judged by the diagnosis beside it.
 
     Args:
         files: Recordings with columns time_s, current_a and, where measured, voltage_v and speed_rad_s; or folders
             of data sets.
-        model: File made by motor-classifiers train.
+        model: File made by motor-classifiers train; by default the network for the paper's motor that comes with
+            the package.
         split: Of data sets: train, validation or test; all by default.
         json_: Print one array with one object a file or case.
     """
     _require_extras()
-    from motor_classifiers.persistence import load_model
+    from motor_classifiers.persistence import PRETRAINED, load_model
     from motor_classifiers.prediction import overall_status
 
-    fitted, recipe, _ = load_model(model)
+    fitted, recipe, _ = load_model(PRETRAINED if model is None else model)
     rows: list[dict[str, Any]] = []
     given: list[Opinion] = []
     unreadable = False
     for path in files:
         try:
-            found = _opinions(fitted, recipe, path, split)
+            found, second = _opinions(fitted, recipe, path, split)
         except console.InputError as error:
             print(f"motor-classifiers: {error}", file=sys.stderr)
             rows.append({"file": str(path), "error": str(error)})
@@ -132,23 +234,29 @@ def predict(files: list[Path], /, *, model: Path, split: str | None = None, json
             continue
         given += found
         for n, opinion in enumerate(found):
-            rows.append({"file": str(path), **({"row": n} if path.is_dir() else {}), **opinion.as_json()})
+            beside = {"row": n} if path.is_dir() else {"model_based": second}
+            rows.append({"file": str(path), **opinion.as_json(), **beside})
         if not json_:
-            _print_opinions(path, found)
+            _print_opinions(path, found, second)
     if json_:
         print(json.dumps(rows))
     return int(console.ExitStatus.BAD_INPUT if unreadable else overall_status(given))
 
 
-def _opinions(model: Any, recipe: Recipe, path: Path, split: str | None) -> list[Opinion]:
-    from motor_classifiers.prediction import opinions, predict_recording
+def _opinions(
+    model: Any, recipe: Recipe, path: Path, split: str | None
+) -> tuple[list[Opinion], dict[str, Any] | None]:
+    """Opinions on a data set; or the one on a recording, and what the model-based diagnosis says of it."""
+    from motor_classifiers.prediction import judge_recording, opinions, second_opinion
     from motor_datasets.loaders import load
+    from motor_env.recordings import read_recording
 
     if not path.is_dir():
-        return [predict_recording(model, recipe, path)]
+        recording = read_recording(path)
+        return [judge_recording(model, recipe, recording)], second_opinion(recording, recipe)
     cases = load(path, split)
     _check_same_axis(cases.recipe, recipe, path)
-    return opinions(model, recipe, cases.X)
+    return opinions(model, recipe, cases.X), None
 
 
 def _check_same_axis(cases: Recipe, trained: Recipe, path: Path) -> None:
@@ -158,10 +266,10 @@ def _check_same_axis(cases: Recipe, trained: Recipe, path: Path) -> None:
         )
 
 
-def _print_opinions(path: Path, found: list[Opinion]) -> None:
+def _print_opinions(path: Path, found: list[Opinion], second: dict[str, Any] | None) -> None:
     from collections import Counter
 
-    if path.is_dir():
+    if second is None:
         counts = Counter(opinion.verdict for opinion in found)
         print(
             f"{path}: {len(found)} cases: {', '.join(f'{n} {verdict}' for verdict, n in counts.most_common())}"
@@ -170,10 +278,21 @@ def _print_opinions(path: Path, found: list[Opinion]) -> None:
     opinion = found[0]
     if opinion.reason:
         print(f"{path}: no opinion: {opinion.reason}")
-        return
-    size = f", severity near {100.0 * opinion.severity:.0f} %" if opinion.verdict != "healthy" else ""
-    doubt = " (undecided)" if opinion.status is console.ExitStatus.UNDECIDED else ""
-    print(f"{path}: {opinion.verdict}{doubt}, probability {opinion.probability:.2f}{size}")
+    else:
+        doubt = " (undecided)" if opinion.status is console.ExitStatus.UNDECIDED else ""
+        size = _size(opinion.severity, opinion.severity_interval) if opinion.verdict != "healthy" else ""
+        print(f"{path}: {opinion.verdict}{doubt}, probability {opinion.probability:.2f}{size}")
+    sure = "" if second["confidence"] is None else f", confidence {second['confidence']:.2f}"
+    size = _size(second["severity"], second["severity_interval"]) if second["severity"] else ""
+    print(f"  motor-env diagnose: {second['verdict']}{sure}{size}: {'; '.join(second['reasons'])}")
+
+
+def _size(severity: float, interval: Sequence[float | None] | None) -> str:
+    words = f", severity near {100.0 * severity:.0f} %"
+    if interval is None or None in interval:
+        return words
+    low, high = (100.0 * bound for bound in interval if bound is not None)
+    return f"{words} ({low:.0f} to {high:.0f})"
 
 
 @app.command

@@ -23,7 +23,7 @@ from motor_env.severity import SeverityPrior, severity_posterior
 RATES_HZ = (10_000.0, 1_000.0)
 NOISES_A = (0.005, 0.02, 0.1)
 
-_FIRST_CASE = 2_000_000_000
+_FIRST_CASE = 1_000_000_000
 _SMALLEST = 1e-6  # a class with a fault needs a severity; this one is healthy to rounding
 
 

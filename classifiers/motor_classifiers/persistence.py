@@ -1,7 +1,7 @@
 """Models on disk without pickle: one file a model, which tells its recipe.
 
-A scikit-learn pipeline is a skops archive with our own `motor.json` beside its schema. The confirmation and the network
-are safetensors with the same JSON in the header. A file that holds anything else is refused.
+A scikit-learn pipeline is a skops archive with our own `motor.json` beside its schema. The confirmation and the
+networks are safetensors with the same JSON in the header. A file that holds anything else is refused.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from sklearn.pipeline import FeatureUnion, Pipeline
 
 from motor_classifiers.features import PhysicalFeatures, ResidualProjection
 from motor_classifiers.networks import NetworkClassifier, perceptron
+from motor_classifiers.posterior_file import load_posterior, posterior_arrays, posterior_values
+from motor_classifiers.posterior_network import PosteriorNetwork
 from motor_classifiers.threshold import ConfirmationClassifier
 from motor_env.confirmation import ThresholdConfirmation, class_filter
 from motor_env.console import InputError
@@ -34,6 +36,8 @@ from motor_env.recipes import Recipe
 
 FORMAT = "motor-classifiers"
 VERSION = 1
+PRETRAINED = Path(__file__).parent / "pretrained" / "paper-motor.safetensors"
+"""The network for the paper's motor that comes with the package (classifiers/MODEL_CARD.md)."""
 LARGEST_FILE_BYTES = 200_000_000
 MOST_FEATURES = 10_000_000
 """Values of a case: a recipe that asks for more comes from a damaged file, not from a motor."""
@@ -66,6 +70,8 @@ def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path) ->
         content = _confirmation_bytes(model, head)
     elif isinstance(model, NetworkClassifier):
         content = _network_bytes(model, head)
+    elif isinstance(model, PosteriorNetwork):
+        content = _tensor_bytes(posterior_arrays(model), head | posterior_values(model))
     else:
         raise TypeError(f"model must be a pipeline, a confirmation or a network, got {type(model).__name__}")
     with replacing(path) as temporary:
@@ -227,7 +233,11 @@ def _load_tensors(content: bytes) -> tuple[BaseEstimator, Recipe, str]:
     length = int.from_bytes(content[:8], "little")
     metadata = json.loads(content[8 : 8 + length])["__metadata__"]
     head, recipe = _checked_head(metadata[FORMAT])
-    load = {"confirmation": _load_confirmation, "network": _load_network}[head["kind"]]
+    load = {
+        "confirmation": _load_confirmation,
+        "network": _load_network,
+        "posterior-network": load_posterior,
+    }[head["kind"]]
     return load(head, tensors, recipe), recipe, str(head["method"])
 
 

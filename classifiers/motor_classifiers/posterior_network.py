@@ -21,7 +21,15 @@ from motor_classifiers import severity_density
 from motor_classifiers.cases import fitting_recipe, flat_cases, labelled_cases, severities_of
 from motor_classifiers.networks import LogitClassifier, one_thread, seed_of
 from motor_classifiers.signal_space import SignalSpace
-from motor_classifiers.stream_training import Batch, Loss, Posterior, fresh_cases, growing, train_on_batches
+from motor_classifiers.stream_training import (
+    Batch,
+    Loss,
+    Posterior,
+    fresh_cases,
+    growing,
+    total_cases,
+    train_on_batches,
+)
 from motor_datasets.arrays import Dataset
 from motor_env.faults import FaultKind
 from motor_env.parameters import FloatArray, require
@@ -99,6 +107,7 @@ class PosteriorNetwork(LogitClassifier):
         posterior_: torch module, from flattened cases to the logits of `classes_`.
         severity_: torch module, from flattened cases to the densities of the severities; None without a recipe.
         severity_priors_: kinds and ranges of the severities, in the order of the module; empty without a recipe.
+        n_drawn_: starts drawn for the training.
         n_features_in_: n_channels * n_timepoints.
     """
 
@@ -106,9 +115,9 @@ class PosteriorNetwork(LogitClassifier):
         self,
         recipe: Recipe | None = None,
         n_components: int = 10,
-        n_hidden: int = 64,
+        n_hidden: int = 96,
         n_layers: int = 2,
-        steps: int = 2000,
+        steps: int = 2500,
         batch_size: int = 512,
         learning_rate: float = 0.01,
         noise_range: tuple[float, float] | None = None,
@@ -165,6 +174,7 @@ class PosteriorNetwork(LogitClassifier):
             return torch.stack([kinds.float(), torch.from_numpy(batch.severity).float() / tops[kinds]], dim=1)
 
         n_densities = severity_density.PARAMETERS * len(tops)
+        self.n_drawn_ = 2 * total_cases(self.batch_size, self.steps)
         with one_thread():
             self.posterior_ = self._learn(
                 recipe,

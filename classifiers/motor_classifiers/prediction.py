@@ -7,21 +7,26 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 
 from motor_classifiers.judging import in_recipe_order
+from motor_classifiers.posterior_network import PosteriorNetwork
 from motor_env.alignment import Alignment, UnusableError, align
 from motor_env.confirmation import nominal_voltage
 from motor_env.console import ExitStatus
+from motor_env.diagnosis import diagnose
+from motor_env.diagnosis_report import as_json
 from motor_env.estimation import FEATURE_NAMES, physical_features
 from motor_env.faults import HEALTHY, FaultKind
 from motor_env.identification import identify
 from motor_env.model import State
+from motor_env.motor_file import MotorFile, Tolerance
 from motor_env.parameters import Channel, FloatArray
 from motor_env.recipes import Recipe
 from motor_env.recordings import Recording, read_recording
-from motor_env.starts import prepare
 from motor_env.simulation import simulate_states
+from motor_env.starts import prepare
 
 UNDECIDED = "unusable"
 """Verdict where the model has no say: another motor, another supply, too short, too coarse."""
@@ -46,9 +51,10 @@ class Opinion(NamedTuple):
         verdict: healthy, bearing, winding, noise, or unusable.
         class_name: most probable class; empty where unusable.
         probability: of the verdict.
-        severity: mean over the posterior of the classes of the verdict.
+        severity: its mean, for the most probable kind of the verdict; 0 for healthy.
         probabilities: of each class by name.
         reason: why there is no opinion, else empty.
+        severity_interval: bounds that hold the severity in 90 of 100 cases, from a model that tells them.
     """
 
     verdict: str
@@ -57,6 +63,7 @@ class Opinion(NamedTuple):
     severity: float = 0.0
     probabilities: dict[str, float] = {}  # noqa: RUF012  # a tuple's default, never changed
     reason: str = ""
+    severity_interval: tuple[float, float] | None = None
 
     @property
     def status(self) -> ExitStatus:
@@ -72,6 +79,7 @@ class Opinion(NamedTuple):
             "class": self.class_name or None,
             "probability": self.probability,
             "severity": self.severity,
+            "severity_interval": None if self.severity_interval is None else list(self.severity_interval),
             "probabilities": self.probabilities,
             "undecided": self.status is ExitStatus.UNDECIDED,
             "reason": self.reason or None,
@@ -87,23 +95,38 @@ def verdict_of(label_kind: str) -> str:
 def opinions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Opinion]:
     """Opinion on each case, X of shape (n_cases, n_channels, n_timepoints)."""
     probabilities = in_recipe_order(model, model.predict_proba(X), recipe)
-    verdicts = [verdict_of(c.label_kind) for c in recipe.classes]
-    severity = np.array([c.severity for c in recipe.classes])
-    found = []
-    for row in probabilities:
-        best = int(row.argmax())
-        mine = np.array([verdict == verdicts[best] for verdict in verdicts])
-        share = float(row[mine].sum())
-        found.append(
-            Opinion(
-                verdict=verdicts[best],
-                class_name=recipe.class_names[best],
-                probability=share,
-                severity=float((row * severity)[mine].sum() / share),
-                probabilities=dict(zip(recipe.class_names, row.tolist(), strict=True)),
-            )
+    verdicts = np.array([verdict_of(c.label_kind) for c in recipe.classes])
+    best = probabilities.argmax(axis=1)
+    mine = np.where(verdicts == verdicts[best][:, None], probabilities, 0.0)
+    share = mine.sum(axis=1)
+    if isinstance(model, PosteriorNetwork):
+        told = _told_severities(model, recipe, X, best)
+    else:
+        told = [(mean, None) for mean in mine @ np.array([c.severity for c in recipe.classes]) / share]
+    return [
+        Opinion(
+            verdict=str(verdicts[n]),
+            class_name=recipe.class_names[n],
+            probability=float(of_verdict),
+            severity=float(severity),
+            probabilities=dict(zip(recipe.class_names, row.tolist(), strict=True)),
+            severity_interval=interval,
         )
-    return found
+        for n, of_verdict, row, (severity, interval) in zip(best, share, probabilities, told, strict=True)
+    ]
+
+
+def _told_severities(
+    model: PosteriorNetwork, recipe: Recipe, X: Any, best: NDArray[np.int64]
+) -> list[tuple[float, tuple[float, float] | None]]:
+    """Mean and 90 % interval for the (first) fault kind of each most probable class."""
+    told: list[tuple[float, tuple[float, float] | None]] = [(0.0, None)] * len(best)
+    kinds = np.array(["" if c.kind is None else str(c.kind) for c in recipe.classes])[best]
+    for kind in set(kinds.tolist()) - {""}:
+        found = model.predict_severity(X, kind)
+        for row in np.flatnonzero(kinds == kind):
+            told[row] = float(found.mean[row]), (float(found.low[row]), float(found.high[row]))
+    return told
 
 
 def overall_status(given: list[Opinion]) -> ExitStatus:
@@ -121,21 +144,52 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, path: Path) -> Opini
     Raises:
         InputError: the file cannot be read.
     """
-    recording = read_recording(path)
+    return judge_recording(model, recipe, read_recording(path))
+
+
+def judge_recording(model: BaseEstimator, recipe: Recipe, recording: Recording) -> Opinion:
+    """Opinion on a recording that was read."""
+    noise_range = model.noise_range if isinstance(model, PosteriorNetwork) else None
     try:
-        case = aligned_case(recording, recipe)
+        case = aligned_case(recording, recipe, noise_range)
     except UnusableError as error:
         return Opinion(UNDECIDED, reason=str(error))
     return opinions(model, recipe, case)[0]
 
 
-def aligned_case(recording: Recording, recipe: Recipe) -> FloatArray:
+def second_opinion(recording: Recording, recipe: Recipe) -> dict[str, Any]:
+    """What `motor-env diagnose` says of the recording, with the recipe's motor and tolerances for its data sheet."""
+    spread = recipe.spread
+    tolerance = Tolerance(
+        supply=spread.supply,
+        resistance=spread.resistance,
+        constants=spread.constants,
+        inertia=spread.inertia,
+        friction=spread.friction,
+        temperature_k=0.0,
+    )
+    motor = MotorFile(
+        recipe.name, "data_sheet", recipe.motor, float(np.asarray(recipe.supply.voltage_v)), tolerance
+    )
+    told = as_json(diagnose(recording, motor))
+    kept = ("verdict", "fault_kind", "severity", "severity_interval", "confidence", "reasons")
+    return {name: told[name] for name in kept}
+
+
+def aligned_case(
+    recording: Recording, recipe: Recipe, noise_range: tuple[float, float] | None = None
+) -> FloatArray:
     """The recording on the recipe's time axis, shape (1, n_channels, n_samples).
 
     At equal rates the start is fitted with its onset free, and moved onto a sample by what the fit says: a step
     between two samples looks like another motor, for the current rises by amperes in a sample. A faster recording is
     interpolated at the shift where the recipe's motor, parameters free, fits best. The mean of the quiet part before
     the start is taken off the current; nothing else is normalised.
+
+    Args:
+        recording: as read.
+        recipe: of the model.
+        noise_range: factors on the recipe's noise between which the model reads the noise off the start itself.
 
     Raises:
         UnusableError: the model was trained for other motors, supplies, channels or time axes than this.
@@ -159,12 +213,23 @@ def aligned_case(recording: Recording, recipe: Recipe) -> FloatArray:
     n_values = shifted[0].size
     noisiest = max([c.severity for c in recipe.classes if c.kind is FaultKind.NOISE], default=0.0)
     largest = (1.0 + noisiest) * (1.0 + _LARGEST_MISFIT * np.sqrt(2.0 / n_values))
-    if misfit[best] > largest:
+    level = 1.0 if noise_range is None else _noise_level(shifted[best], recipe, noise_range)
+    if misfit[best] > level * largest:
         raise UnusableError(
             "no motor that the model knows fits this start: "
-            f"the squared residual is {misfit[best]:.3g} times the noise's"
+            f"the squared residual is {misfit[best] / level:.3g} times the noise's"
         )
     return shifted[best : best + 1]
+
+
+def _noise_level(case: FloatArray, recipe: Recipe, noise_range: tuple[float, float]) -> float:
+    """Variance of the noise over the recipe's, from differences of neighbours (von Neumann 1941), within the range.
+
+    The second half of a start changes slowly beside the noise: what is left is slow misfit, not noise.
+    """
+    settled = case[:, case.shape[1] // 2 :] / recipe.sensor.noise_std[:, None]
+    level = float(np.square(np.diff(settled, axis=1)).mean() / 2.0)
+    return float(np.clip(level, noise_range[0] ** 2, noise_range[1] ** 2))
 
 
 def _moved_onto_a_sample(recording: Recording, recipe: Recipe) -> FloatArray:

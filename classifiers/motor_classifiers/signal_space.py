@@ -19,6 +19,7 @@ from motor_env.recipes import FaultClass, Recipe, Spread
 
 _FAMILY_SEED = 0xFA317  # of the starts that span the family; no data set is drawn with it
 _FAMILY_SIZE = 2000
+_QUIETEST = 0.5  # noise variance; a sensor quieter than any in training is taken for one of the quietest
 _SMALLEST_NOISE = 1e-6  # of the cases' own scatter, where nothing is left outside their directions
 
 
@@ -145,7 +146,7 @@ class SignalSpace(nn.Module):
         """Coordinates with unit variance over the recipe's starts."""
         if not self.sees_noise:
             return (coefficients - self.center) / torch.sqrt(self.variance + 1.0)
-        level = energy / self.freedom
+        level = (energy / self.freedom).clamp(min=_QUIETEST)
         scaled = (coefficients - self.center) / torch.sqrt(self.variance + level[:, None])
         log_level = (torch.log(level) - self.level[0]) / self.level[1]
         return torch.cat([scaled, log_level[:, None]], dim=1)

@@ -15,6 +15,7 @@ from motor_classifiers.networks import initialise, perceptron
 from motor_classifiers.signal_space import SignalSpace
 from motor_datasets.arrays import Dataset
 from motor_datasets.streaming import stream
+from motor_env.parameters import FloatArray
 from motor_env.recipes import Recipe
 
 Batch = tuple[torch.Tensor, torch.Tensor]
@@ -44,22 +45,28 @@ def louder(
     coefficients: torch.Tensor,
     energy: torch.Tensor,
     freedom: int,
-    most: float,
+    factor: FloatArray,
     generator: np.random.Generator,
 ) -> Batch:
-    """The same starts under more noise, by a factor that is drawn log-uniformly from 1 to `most` for each.
+    """The same starts under more noise: what `SignalSpace.coordinates` would be.
 
     White noise along orthonormal directions is white; outside them n is added to what is left, v, of which only the
     squares matter: |v + n|^2 is (|v| + n_1)^2 and a chi-square with one degree of freedom less. Both are exact.
+
+    Args:
+        coefficients: in units of the recipe's noise, shape (n, n_components).
+        energy: squares left outside the directions, shape (n,).
+        freedom: their degrees of freedom.
+        factor: on the noise's standard deviation, >= 1, shape (n,).
+        generator: of the noise.
     """
     n_cases = len(coefficients)
-    factor = np.exp(generator.uniform(0.0, math.log(most), n_cases))
     added = np.sqrt(np.square(factor) - 1.0)
     along = coefficients.numpy() + added[:, None] * generator.standard_normal(coefficients.shape)
     first = np.sqrt(energy.numpy()) + added * generator.standard_normal(n_cases)
     rest = generator.chisquare(freedom - 1, n_cases) if freedom > 1 else 0.0
     outside = np.square(first) + np.square(added) * rest
-    return tuple(torch.from_numpy(part.astype(np.float32)) for part in (along, outside))  # type: ignore[return-value]  # two of them
+    return torch.from_numpy(along.astype(np.float32)), torch.from_numpy(outside.astype(np.float32))
 
 
 def fresh_cases(
@@ -72,13 +79,14 @@ def fresh_cases(
         recipe: what to draw from.
         seed: of the stream.
         batch_size: cases of a batch.
-        most_noise: largest factor on the recipe's noise.
+        most_noise: largest factor on the recipe's noise; it is drawn log-uniformly from 1 for each case.
     """
     generator = np.random.default_rng(seed)
     for batch in stream(recipe, seed, batch_size):
         found = space.coordinates(torch.from_numpy(batch.X.reshape(len(batch), -1)))
         if most_noise > 1.0:
-            found = louder(*found, space.freedom, most_noise, generator)
+            factor = np.exp(generator.uniform(0.0, math.log(most_noise), len(batch)))
+            found = louder(*found, space.freedom, factor, generator)
         yield space.standardise(*found), batch
 
 
@@ -86,6 +94,12 @@ def growing(make: Callable[[int, int], Iterator[Batch]], batch_size: int, steps:
     """The batches of a training: `make(part, batch_size)` begins a stream, and another one for the last steps."""
     last = round(_LAST_SHARE * steps)
     return chain(islice(make(0, batch_size), steps - last), islice(make(1, _LARGER * batch_size), last))
+
+
+def total_cases(batch_size: int, steps: int) -> int:
+    """Cases of the batches of a training."""
+    last = round(_LAST_SHARE * steps)
+    return batch_size * (steps - last + _LARGER * last)
 
 
 def train_on_batches(
