@@ -48,7 +48,7 @@ from motor_env.simulation import Timing
 SEED = 0
 TRAIN, CALIBRATE, TEST = 0, 500_000, 1_000_000  # first cases
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
-SETTINGS = ((1_000.0, 0.02), (10_000.0, 0.02))
+SETTINGS = ((10_000.0, 0.02), (1_000.0, 0.02))
 
 
 def bench(rate_hz: float, noise_a: float = 0.02, name: str = "bench") -> Recipe:

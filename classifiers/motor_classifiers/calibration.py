@@ -16,6 +16,7 @@ from motor_env.parameters import FloatArray, require
 BIN_EDGES: FloatArray = np.linspace(0.0, 1.0, 16)
 """Edges of the bins of confidence, for every method and for the limit: fifteen of equal width (Guo et al. 2017)."""
 
+_FEW = 20  # cases of a bin that is drawn
 _SMALLEST = 1e-15  # a probability of 0 for what happened costs this much, not infinity
 
 
@@ -114,7 +115,7 @@ def plot_reliability(curves: dict[str, CalibrationScores], path: Path) -> None:
         for n, (name, scores) in enumerate(curves.items()):
             colour = INK if name == "limit" else colours[n % len(colours)]
             binned = scores.reliability
-            seen = binned.n_cases > 0
+            seen = binned.n_cases >= _FEW
             # One standard error says whether a bin's distance from the diagonal is chance.
             error = np.sqrt(binned.accuracy * (1.0 - binned.accuracy) / np.maximum(binned.n_cases, 1.0))
             label = f"{name}: ECE {scores.ece:.4f}, log-loss {scores.log_loss:.4f}"
@@ -132,7 +133,10 @@ def plot_reliability(curves: dict[str, CalibrationScores], path: Path) -> None:
                 BIN_EDGES, np.append(binned.n_cases, binned.n_cases[-1]) / binned.n_cases.sum(), where="post",
                 color=colour, linewidth=1.6,
             )  # fmt: skip
-        lowest = min(float(np.nanmin(scores.reliability.confidence)) for scores in curves.values())
+        filled = [
+            scores.reliability.confidence[scores.reliability.n_cases >= _FEW] for scores in curves.values()
+        ]
+        lowest = float(min((part.min() for part in filled if part.size), default=0.5))
         top.set(ylabel="share of right decisions", title="Do the probabilities mean what they say?")
         top.set_xlim(max(0.0, lowest - 0.05), 1.0)
         top.set_ylim(max(0.0, lowest - 0.15), 1.02)

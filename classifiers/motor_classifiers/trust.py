@@ -230,20 +230,25 @@ def plot_roc(
     from motor_env.plotting import QUIET, drawing, save, subplots
 
     colours = ("#0b6fa4", "#d98300", "#c8442b", "#12805c", "#6b4fa0")
+    even = np.linspace(0.0, 1.0, 401)
     with drawing():
-        figure, (axes,) = subplots(1, width_in=6.5, height_in=6.0)
+        figure, (axes,) = subplots(1, width_in=6.5, height_in=6.8)
         axes.plot([0.0, 1.0], [0.0, 1.0], color=QUIET, linewidth=1.0)
-        for colour, (name, (foreign, trust)) in zip(colours, curves.items(), strict=False):
+        for n, (colour, (name, (foreign, trust))) in enumerate(zip(colours, curves.items(), strict=False)):
             truth = np.repeat([0, 1], [len(known), len(foreign)])
             for title, style, scores in (
                 ("distance", "-", np.concatenate([known, foreign])),
                 ("confidence", ":", np.concatenate([confidence, trust])),
             ):
                 false, right, _ = roc_curve(truth, -scores)
-                area = roc_auc_score(truth, -scores)
-                axes.plot(false, right, color=colour, linestyle=style, label=f"{name}, {title}: {area:.3f}")
+                label = f"{name}, {title}: {roc_auc_score(truth, -scores):.3f}"
+                # Curves that lie on each other stay visible: the first are drawn wider.
+                width = 2.0 + 2.0 * (len(curves) - 1 - n) * (style == "-")
+                axes.plot(
+                    even, np.interp(even, false, right), style, color=colour, linewidth=width, label=label
+                )
         axes.set(xlabel="known motors called other", ylabel="foreign faults called other")
         axes.set_title("Distance tells foreign faults, confidence does not (area)")
         axes.set_ylim(0.0, 1.01)
-        axes.legend(loc="lower right", fontsize=10)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, fontsize=10)
         save(figure, path)
