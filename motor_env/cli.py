@@ -6,11 +6,14 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from motor_env import __version__, console
+
+if TYPE_CHECKING:
+    from motor_env.starts import Circuit
 
 app = App(
     name="motor-env",
@@ -60,6 +63,10 @@ def diagnose(
     false_alarm_rate: float = 0.01,
     out: Path | None = None,
     column: list[str] | None = None,
+    start: int | None = None,
+    shunt_ohm: float = 0.0,
+    sensor_lag: float = 0.0,
+    ripple_periods_per_turn: float | None = None,
     json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
 ) -> int:
     """Verdict on recorded starts: healthy, bearing, winding, noise, other, no_reference or unusable.
@@ -77,7 +84,11 @@ def diagnose(
         false_alarm_rate: How often a healthy recording may be called faulty.
         out: Folder for one picture a file.
         column: A column that its header does not tell, e.g. --column current=CH2:mA (may be repeated).
-        json_: Print one array with one object a file.
+        start: Which start, counted from 1, where a file holds several; each is a row of its own without it.
+        shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
+        sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
+        ripple_periods_per_turn: Periods of the current's commutation ripple in a turn, for the true speed, K, J and B.
+        json_: Print one array with one object a start.
     """
     from rich.console import Console
 
@@ -93,6 +104,9 @@ def diagnose(
             false_alarm_rate=false_alarm_rate,
             out=out,
             columns=column or (),
+            circuit=_circuit(shunt_ohm, sensor_lag),
+            start=start,
+            periods_per_turn=ripple_periods_per_turn,
             progress=lambda path: status.update(f"diagnosing {path}"),
         )
     for outcome in outcomes:
@@ -103,7 +117,7 @@ def diagnose(
     else:
         for outcome in outcomes:
             if outcome.diagnosis is not None:
-                print(report.as_text(outcome.diagnosis))
+                print(outcome.as_text())
     diagnoses = [outcome.diagnosis for outcome in outcomes if outcome.diagnosis is not None]
     return report.exit_status(diagnoses, unreadable=len(diagnoses) < len(outcomes))
 
@@ -173,6 +187,11 @@ def identify(
     voltage: float | None = None,
     column: list[str] | None = None,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    out: Path | None = None,
+    start: int | None = None,
+    shunt_ohm: float = 0.0,
+    sensor_lag: float = 0.0,
+    ripple_periods_per_turn: float | None = None,
     name: str = "identified motor",
     json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
 ) -> int:
@@ -185,21 +204,38 @@ def identify(
         voltage: Level of the supply in volt, for recordings without a voltage.
         column: A column that its header does not tell, e.g. --column current=CH2:mA (may be repeated).
         output: Motor file to write (TOML).
+        out: Folder for one picture a start.
+        start: Which start, counted from 1, where a file holds several; all of them without it.
+        shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
+        sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
+        ripple_periods_per_turn: Periods of the current's commutation ripple in a turn, for the true speed, K, J and B.
         name: Name of the motor in that file.
-        json_: Print one array with one object a file.
+        json_: Print one array with one object a start.
     """
     from motor_env import commission as steps
     from motor_env.motor_file import save_motor
     from motor_env.recordings import ColumnChoice
 
-    choices = [ColumnChoice.parse(text) for text in column or ()]
-    found = [(path, *steps.identify_file(path, choices, voltage_v=voltage)) for path in files]
+    choices, circuit = [ColumnChoice.parse(text) for text in column or ()], _circuit(shunt_ohm, sensor_lag)
+    periods = ripple_periods_per_turn
+    found = [
+        pair
+        for path in files
+        for pair in steps.identify_file(path, choices, voltage_v=voltage, circuit=circuit, start=start)
+    ]
     if output is not None:
-        save_motor(steps.to_motor([fit for _, _, fit in found], name), output)
+        save_motor(steps.to_motor([fit for _, fit in found], name), output)
+    if out is not None:
+        from motor_env.fit_pictures import plot_identified
+
+        for number, (recording, fit) in enumerate(found, 1):
+            file = recording.path.name
+            plot_identified(fit, file, out / f"{number:03d}-{file.replace('.', '-')}.png")
     if json_:
-        print(json.dumps([steps.identified_json(*one) for one in found], ensure_ascii=False, indent=1))
+        objects = [steps.identified_json(*one, periods) for one in found]
+        print(json.dumps(objects, ensure_ascii=False, indent=1))
     else:
-        print("\n".join(steps.identified_text(*one) for one in found))
+        print("\n".join(steps.identified_text(*one, periods) for one in found))
     return 0
 
 
@@ -211,6 +247,9 @@ def commission(
     voltage: float | None = None,
     column: list[str] | None = None,
     false_alarm_rate: float = 0.01,
+    out: Path | None = None,
+    shunt_ohm: float = 0.0,
+    sensor_lag: float = 0.0,
     name: str = "commissioned motor",
 ) -> int:
     """Learn a motor from three or more healthy starts, for `motor-env diagnose --motor`.
@@ -218,11 +257,14 @@ def commission(
     Example: motor-env commission healthy_1.csv healthy_2.csv healthy_3.csv -o out/motor.toml
 
     Args:
-        files: Recordings of healthy starts of one motor.
+        files: Recordings of healthy starts of one motor; a file may hold several.
         output: Motor file to write (TOML).
         voltage: Level of the supply in volt, for recordings without a voltage.
         column: A column that its header does not tell, e.g. --column current=CH2:mA (may be repeated).
         false_alarm_rate: For the intervals that are printed.
+        out: Folder for the picture: starts, fits, residuals and the spread of each quantity.
+        shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
+        sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
         name: Name of the motor in that file.
     """
     from motor_env import commission as steps
@@ -232,11 +274,29 @@ def commission(
     if not 0.0 < false_alarm_rate < 0.5:
         raise console.InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
     choices = [ColumnChoice.parse(text) for text in column or ()]
-    result = steps.commission(files, name, choices, voltage_v=voltage, false_alarm_rate=false_alarm_rate)
+    circuit = _circuit(shunt_ohm, sensor_lag)
+    result = steps.commission(
+        files, name, choices, voltage_v=voltage, false_alarm_rate=false_alarm_rate, circuit=circuit
+    )
     save_motor(result.motor, output)
+    if out is not None and result.motor.reference is not None:
+        from motor_env.fit_pictures import plot_commissioned
+
+        picture = out / f"{output.stem}.png"
+        plot_commissioned(result.fits, result.motor.reference, result.smallest, false_alarm_rate, picture)
     print(steps.commissioned_text(result, false_alarm_rate))
     print(f"written: {output}")
     return 0
+
+
+def _circuit(shunt_ohm: float, sensor_lag_s: float) -> Circuit:
+    """What the options say of the measuring circuit."""
+    from motor_env.starts import Circuit
+
+    for name, value in (("shunt-ohm", shunt_ohm), ("sensor-lag", sensor_lag_s)):
+        if not 0.0 <= value < float("inf"):
+            raise console.InputError(f"{name} must be >= 0, got {value:g}")
+    return Circuit(shunt_ohm, sensor_lag_s)
 
 
 @app.command

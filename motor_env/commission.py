@@ -15,12 +15,14 @@ from motor_env import quantities
 from motor_env.alignment import UnusableError
 from motor_env.console import InputError
 from motor_env.diagnosis import DEFAULT_FALSE_ALARM_RATE, fit_healthy, learn_reference, smallest_changes
-from motor_env.diagnosis_report import EXTENSION_UNITS, UNITS
+from motor_env.diagnosis_report import EXTENSION_UNITS, UNITS, ripple_json, ripple_lines
 from motor_env.identification import EXTENSIONS, Identified, identify_best
 from motor_env.motor_file import MotorFile, StartReference
 from motor_env.parameters import MotorParameters
 from motor_env.recordings import ColumnChoice, Recording, read_recording
-from motor_env.starts import prepare
+from motor_env.splitting import chosen_starts, split_starts
+from motor_env.start_fit import AMBIGUOUS
+from motor_env.starts import Circuit, prepare
 
 FEWEST_STARTS = 3
 
@@ -36,16 +38,21 @@ class Commissioned:
 
 
 def identify_file(
-    path: Path, columns: Sequence[ColumnChoice] = (), *, voltage_v: float | None = None
-) -> tuple[Recording, Identified]:
-    """Read a recording and fit it with the model that the evidence prefers.
+    path: Path,
+    columns: Sequence[ColumnChoice] = (),
+    *,
+    voltage_v: float | None = None,
+    circuit: Circuit | None = None,
+    start: int | None = None,
+) -> list[tuple[Recording, Identified]]:
+    """Read a recording and fit each of its starts, or one of them, with the model that the evidence prefers.
 
     Raises:
         InputError: it cannot be read, or holds no start.
     """
-    recording = read_recording(path, columns)
+    parts = chosen_starts(read_recording(path, columns), start)
     try:
-        return recording, identify_best(prepare(recording, voltage_v), EXTENSIONS)
+        return [(part, identify_best(prepare(part, voltage_v, circuit), EXTENSIONS)) for part in parts]
     except UnusableError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -57,18 +64,20 @@ def commission(
     *,
     voltage_v: float | None = None,
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
+    circuit: Circuit | None = None,
 ) -> Commissioned:
-    """Learn a motor from healthy starts.
+    """Learn a motor from healthy starts; a file may hold several.
 
     Raises:
         InputError: fewer than three, one that cannot be read or fitted, or such that hold different columns.
     """
-    if len(paths) < FEWEST_STARTS:
-        raise InputError(f"commissioning needs at least {FEWEST_STARTS} healthy starts, got {len(paths)}")
     if len({path.resolve() for path in paths}) < len(paths):
         raise InputError("a healthy start is given twice: it would make the spread look smaller than it is")
+    starts = [part for path in paths for part in split_starts(read_recording(path, columns))]
+    if len(starts) < FEWEST_STARTS:
+        raise InputError(f"commissioning needs at least {FEWEST_STARTS} healthy starts, got {len(starts)}")
     try:
-        fits = fit_healthy([read_recording(path, columns) for path in paths], voltage_v=voltage_v)
+        fits = fit_healthy(starts, voltage_v=voltage_v, circuit=circuit)
     except UnusableError as error:
         raise InputError(f"a healthy start cannot be used: {error}") from None
     if len({fit.quantity_names for fit in fits}) > 1:
@@ -122,6 +131,8 @@ def not_told(fit: Identified) -> list[str]:
         )
     if fit.start.voltage_v is None:
         sentences.append("a step cannot tell a brush drop from a lower supply")
+    if fit.start.voltage_v is None and AMBIGUOUS & set(fit.model):
+        sentences.append("a supply that rises slowly, a lag of the sensor and L look alike: L is hardly told")
     sigma = np.sqrt(np.diag(fit.log_covariance))
     sentences += [
         f"{name} is not told by this recording (its standard error is {100 * s:.0f} %)"
@@ -131,10 +142,10 @@ def not_told(fit: Identified) -> list[str]:
     return sentences
 
 
-def identified_text(path: Path, recording: Recording, fit: Identified) -> str:
+def identified_text(recording: Recording, fit: Identified, periods_per_turn: float | None = None) -> str:
     """Parameters, correlations and what cannot be told."""
     lines = [
-        f"{path}: model {' + '.join(['textbook', *fit.model])}",
+        f"{recording.path}: model {' + '.join(['textbook', *fit.model])}",
         "  read: " + "; ".join(recording.columns),
     ]
     for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True):
@@ -153,16 +164,19 @@ def identified_text(path: Path, recording: Recording, fit: Identified) -> str:
     lines.append(
         f"  R2 of the current {fit.r2_current:.4f}{speed}; residual's autocorrelation at one sample {fit.lag_one:.2f}"
     )
+    lines += ripple_lines(fit, periods_per_turn)
     lines += [f"  noticed: {defect}" for defect in fit.defects]
     lines += [f"  note: {sentence}" for sentence in not_told(fit)]
     return "\n".join(lines)
 
 
-def identified_json(path: Path, recording: Recording, fit: Identified) -> dict[str, Any]:
+def identified_json(
+    recording: Recording, fit: Identified, periods_per_turn: float | None = None
+) -> dict[str, Any]:
     """The same as one object."""
     sigma = np.sqrt(np.diag(fit.log_covariance))
     return {
-        "file": str(path),
+        "file": str(recording.path),
         "model": ["textbook", *fit.model],
         "parameters": {
             name: {"value": float(v), "standard_error": float(e), "unit": UNITS[name]}
@@ -176,6 +190,7 @@ def identified_json(path: Path, recording: Recording, fit: Identified) -> dict[s
         "r2_current": fit.r2_current,
         "r2_speed": fit.r2_speed,
         "residual_autocorrelation": fit.lag_one,
+        "commutation": ripple_json(fit, periods_per_turn),
         "onset_s": fit.onset_s,
         "offset_a": fit.offset_a,
         "columns": list(recording.columns),

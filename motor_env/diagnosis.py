@@ -21,6 +21,8 @@ from scipy import stats
 
 from motor_env import quantities
 from motor_env.alignment import UnusableError
+from motor_env.commutation import ripple_quantities
+from motor_env.consistency import Consistency, check_consistency
 from motor_env.faults import FaultKind
 from motor_env.identification import NUISANCES, Identified, identify, identify_best
 from motor_env.kalman import FilterResult, KalmanFilter, run_filter
@@ -43,6 +45,8 @@ _POWER_QUANTILE = 1.645
 _FILTER_TUNING = 3
 _POOR_FIT = 0.75
 _DOUBLED = 1.0
+_FEWEST_FOR_WHITENESS = 40
+_ANOTHER_ORDER = math.log(1.5)
 _NORMAL_DOF = 1e6
 
 
@@ -126,6 +130,7 @@ class FilterCheck:
         model_error_a: standard deviation of the model's error, a slow disturbance of the current.
         mean_nis: mean normalised innovation squared; 1 a channel is consistent.
         sensor_only_nis: the same for a filter that knows of the sensor's noise alone.
+        consistency: mean, size and whiteness of the innovations of that filter; None where there are too few.
     """
 
     result: FilterResult
@@ -133,6 +138,7 @@ class FilterCheck:
     model_error_a: float
     mean_nis: float
     sensor_only_nis: float
+    consistency: Consistency | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +158,13 @@ class Diagnosis:
     changes: tuple[Change, ...] = ()
     smallest_changes: dict[str, float] = field(default_factory=dict)
     filter_check: FilterCheck | None = None
+
+    @property
+    def warning(self) -> str:
+        """That the recording is not consistent with the fitted model, in one sentence; empty where it is."""
+        if self.filter_check is None or self.filter_check.consistency is None:
+            return ""
+        return self.filter_check.consistency.warning
 
 
 def reference_from_motor(motor: MotorFile, *, has_voltage: bool, has_speed: bool) -> Reference | None:
@@ -214,8 +227,9 @@ def learn_reference(fits: list[Identified]) -> StartReference:
     freedom = n - 1 + START_PRIOR_WEIGHT
     covariance = (scatter + START_PRIOR_WEIGHT * prior) / freedom * (1.0 + 1.0 / n)
     noise = np.log([max(fit.noise_a, 1e-12) for fit in fits])
-    noise_scatter = float(np.sum((noise - noise.mean()) ** 2))
-    noise_variance = (noise_scatter + START_PRIOR_WEIGHT * NOISE_SPREAD_PRIOR**2) / freedom * (1.0 + 1.0 / n)
+    ripples = [ripple_quantities(fit) for fit in fits]
+    ripple = np.log([pair for pair in ripples if pair is not None])
+    has_ripple = len(ripple) == n
     return StartReference(
         starts=n,
         degrees_of_freedom=freedom,
@@ -223,14 +237,25 @@ def learn_reference(fits: list[Identified]) -> StartReference:
         values=np.exp(centre),
         log_covariance=covariance,
         log_noise=float(noise.mean()),
-        log_noise_sd=math.sqrt(noise_variance),
+        log_noise_sd=_next_sd(noise, NOISE_SPREAD_PRIOR),
         model=fits[0].model,
         model_low=tuple(min(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
         model_high=tuple(max(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
         sampling_rate_hz=1.0 / float(np.mean([fit.start.dt_s for fit in fits])),
         duration_s=min(float(fit.start.time_s[-1]) - fit.onset_s for fit in fits),
         quiet_s=max(min(fit.onset_s - float(fit.start.time_s[0]) for fit in fits), 0.0),
+        ripple_hz=float(np.exp(ripple[:, 0].mean())) if has_ripple else None,
+        ripple_constant_v_s=float(np.exp(ripple[:, 1].mean())) if has_ripple else None,
+        ripple_log_sd=max(_next_sd(row, START_SPREAD_PRIOR) for row in ripple.T) if has_ripple else None,
     )
+
+
+def _next_sd(values: FloatArray, prior_sd: float) -> float:
+    """Scale of the next value's Student t, from values that scatter and a prior worth 4 of them."""
+    n = len(values)
+    scatter = float(np.sum((values - values.mean()) ** 2))
+    freedom = n - 1 + START_PRIOR_WEIGHT
+    return math.sqrt((scatter + START_PRIOR_WEIGHT * prior_sd**2) / freedom * (1.0 + 1.0 / n))
 
 
 def _white_error(fit: Identified) -> FloatArray:
@@ -315,7 +340,31 @@ def diagnose(
             else "there is nothing to compare with: give a motor file or healthy recordings"
         )
         return Diagnosis(recording, Verdict.NO_REFERENCE, (reason,), identified=fit, filter_check=check)
-    return _decide(recording, fit, reference, check, false_alarm_rate)
+    found = _decide(recording, fit, reference, check, false_alarm_rate)
+    starts = learned or (None if motor is None else motor.reference)
+    return found if starts is None else _with_ripple(found, fit, starts, false_alarm_rate)
+
+
+def _with_ripple(found: Diagnosis, fit: Identified, starts: StartReference, rate: float) -> Diagnosis:
+    """What the commutation ripple says of speed and K, beside the verdict: it takes no part in it."""
+    ripple = ripple_quantities(fit)
+    if ripple is None or not (starts.ripple_hz and starts.ripple_constant_v_s and starts.ripple_log_sd):
+        return found
+    logs = np.log(ripple) - np.log([starts.ripple_hz, starts.ripple_constant_v_s])
+    if abs(float(logs[0])) > _ANOTHER_ORDER:
+        return found  # another of the ripple's orders is the strongest now: nothing to compare
+    freedom = starts.degrees_of_freedom
+    limit = float(stats.t.isf(rate / (len(quantities.FAULT_DIRECTIONS) + 2), freedom))
+    names = ("speed", "K" if fit.start.voltage_known else "K/V")
+    changes = _changes(names, logs, np.eye(2) * starts.ripple_log_sd**2, freedom, limit)
+    moved = [c for c in changes if c.significant]
+    reasons = found.reasons
+    if moved and found.verdict.is_fault:
+        words = " and ".join(
+            f"{c.name} {'up' if c.ratio > 1.0 else 'down'} by {abs(c.ratio - 1.0):.0%}" for c in moved
+        )
+        reasons = (*reasons, f"the commutation ripple of {ripple[0]:.4g} Hz shows {words}")
+    return replace(found, changes=(*found.changes, *changes), reasons=reasons)
 
 
 def _reference(start: Start, motor: MotorFile | None, learned: StartReference | None) -> Reference | None:
@@ -400,6 +449,7 @@ def filter_check(fit: Identified) -> FilterCheck:
         model_error_a=slow,
         mean_nis=float(np.nanmean(result.nis)),
         sensor_only_nis=float(np.nanmean(alone.nis)),
+        consistency=check_consistency(alone.whitened) if measured.size > _FEWEST_FOR_WHITENESS else None,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,11 @@ from motor_env import diagnosis_report as report
 from motor_env.alignment import UnusableError
 from motor_env.console import InputError
 from motor_env.diagnosis import DEFAULT_FALSE_ALARM_RATE, Diagnosis, diagnose, fit_healthy, learn_reference
+from motor_env.fit_pictures import plot_diagnosis
 from motor_env.motor_file import MotorFile, StartReference, load_motor
-from motor_env.recordings import ColumnChoice, read_recording
+from motor_env.recordings import ColumnChoice, Recording, read_recording
+from motor_env.splitting import chosen_starts, split_starts
+from motor_env.starts import Circuit
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,11 +27,12 @@ class Outcome:
     path: Path
     diagnosis: Diagnosis | None
     error: str | None = None
+    periods_per_turn: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         """One object; a file that could not be read has the verdict unusable, and the error."""
         if self.diagnosis is not None:
-            return report.as_json(self.diagnosis)
+            return report.as_json(self.diagnosis, self.periods_per_turn)
         return {
             "file": str(self.path),
             "verdict": "unusable",
@@ -39,12 +43,17 @@ class Outcome:
             "error": self.error,
         }
 
+    def as_text(self) -> str:
+        """What a maintenance engineer reads; empty for a file that could not be read."""
+        return "" if self.diagnosis is None else report.as_text(self.diagnosis, self.periods_per_turn)
+
 
 def learn(
     healthy: Sequence[Path],
     motor: MotorFile | None,
     voltage_v: float | None,
     columns: Sequence[ColumnChoice] = (),
+    circuit: Circuit | None = None,
 ) -> StartReference | None:
     """Reference from healthy recordings.
 
@@ -57,9 +66,8 @@ def learn(
         voltage_v = motor.nominal_voltage_v
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
     try:
-        fits = fit_healthy(
-            [read_recording(path, columns) for path in healthy], voltage_v=voltage_v, constant=constant
-        )
+        starts = [part for path in healthy for part in split_starts(read_recording(path, columns))]
+        fits = fit_healthy(starts, voltage_v=voltage_v, constant=constant, circuit=circuit)
     except UnusableError as error:
         raise InputError(f"a healthy recording cannot be used: {error}") from None
     if len({fit.quantity_names for fit in fits}) > 1:
@@ -76,9 +84,12 @@ def diagnose_files(
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
     out: Path | None = None,
     columns: Sequence[str] = (),
+    circuit: Circuit | None = None,
+    start: int | None = None,
+    periods_per_turn: float | None = None,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> list[Outcome]:
-    """Diagnose each file; one that cannot be read does not stop the others.
+    """Diagnose each start of each file; one that cannot be read does not stop the others.
 
     Args:
         files: recordings.
@@ -88,6 +99,9 @@ def diagnose_files(
         false_alarm_rate: per healthy recording.
         out: folder for one picture a file; none are drawn without it.
         columns: columns named by the user, see `ColumnChoice.parse`.
+        circuit: what is known of the measuring circuit.
+        start: number of the start in files that hold several; all of them unless given.
+        periods_per_turn: periods of the commutation ripple in a turn, for the true speed.
         progress: told each file before it is read.
 
     Raises:
@@ -101,18 +115,23 @@ def diagnose_files(
         raise InputError(f"voltage must be > 0, got {voltage_v:g}")
     loaded = None if motor is None else load_motor(motor)
     choices = [ColumnChoice.parse(text) for text in columns]
-    learned = learn(healthy, loaded, voltage_v, choices)
-    outcomes = []
-    for number, path in enumerate(files):
+    if periods_per_turn is not None and not 0.0 < periods_per_turn < float("inf"):
+        raise InputError(f"ripple-periods-per-turn must be > 0, got {periods_per_turn:g}")
+    learned = learn(healthy, loaded, voltage_v, choices, circuit)
+    outcomes: list[Outcome] = []
+    for path, recording, sentence in _starts(files, choices, start):
         progress(path)
-        try:
-            recording = read_recording(path, choices)
-        except InputError as error:
-            outcomes.append(Outcome(path, None, str(error)))
+        if recording is None:
+            outcomes.append(Outcome(path, None, sentence))
             continue
         try:
             diagnosis = diagnose(
-                recording, loaded, learned, voltage_v=voltage_v, false_alarm_rate=false_alarm_rate
+                recording,
+                loaded,
+                learned,
+                voltage_v=voltage_v,
+                false_alarm_rate=false_alarm_rate,
+                circuit=circuit,
             )
         except (
             ValueError
@@ -120,6 +139,20 @@ def diagnose_files(
             outcomes.append(Outcome(path, None, f"{path}: cannot be judged ({' '.join(str(error).split())})"))
             continue
         if out is not None:
-            report.plot(diagnosis, out / f"{number + 1:03d}-{path.stem}.png")
-        outcomes.append(Outcome(path, diagnosis))
+            plot_diagnosis(diagnosis, out / f"{len(outcomes) + 1:03d}-{path.name.replace('.', '-')}.png")
+        outcomes.append(Outcome(path, diagnosis, None, periods_per_turn))
     return outcomes
+
+
+def _starts(
+    files: Sequence[Path], choices: Sequence[ColumnChoice], number: int | None
+) -> Iterator[tuple[Path, Recording | None, str]]:
+    """Each start of each file, or the sentence why the file cannot be read."""
+    for path in files:
+        try:
+            parts = chosen_starts(read_recording(path, choices), number)
+        except InputError as error:
+            yield path, None, str(error)
+            continue
+        for part in parts:
+            yield part.path, part, ""

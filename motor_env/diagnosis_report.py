@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from motor_env import console
+from motor_env.commutation import ripple_speed
 from motor_env.diagnosis import Diagnosis, Verdict
 from motor_env.identification import Identified
+from motor_env.parameters import RAD_S_PER_RPM
 
 UNITS = {
     "R": "ohm",
@@ -40,7 +39,7 @@ def exit_status(diagnoses: list[Diagnosis], *, unreadable: bool) -> int:
     return int(console.ExitStatus.HEALTHY)
 
 
-def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
+def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict[str, Any]:
     """One object: file, verdict, severity, confidence, parameters, r2_current, and what they rest on."""
     fit, check = diagnosis.identified, diagnosis.filter_check
     return {
@@ -65,9 +64,42 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "mean_nis": None if check is None else _number(check.mean_nis),
         "sensor_noise_a": None if check is None else _number(check.sensor_noise_a),
         "model_error_a": None if check is None else _number(check.model_error_a),
+        "consistent": None if check is None or check.consistency is None else check.consistency.holds,
+        "warning": diagnosis.warning or None,
+        "commutation": None if fit is None else ripple_json(fit, periods_per_turn),
         "columns": list(diagnosis.recording.columns),
         "defects": [] if fit is None else list(fit.defects),
     }
+
+
+def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, Any] | None:
+    """What the commutation ripple tells; None without one."""
+    found = ripple_speed(fit, periods_per_turn)
+    if found is None:
+        return None
+    return {
+        "ripple_hz": found.ripple.frequency_hz,
+        "standard_error_hz": found.ripple.standard_error_hz,
+        "amplitude_a": found.ripple.amplitude_a,
+        "speed_rad_s": found.speed_rad_s,
+        **{name: {"value": value, "unit": UNITS[name]} for name, value in found.constants.items()},
+    }
+
+
+def ripple_lines(fit: Identified, periods_per_turn: float | None) -> list[str]:
+    """The same in sentences, none without a ripple."""
+    found = ripple_speed(fit, periods_per_turn)
+    if found is None:
+        return []
+    line = f"commutation ripple of {found.ripple.frequency_hz:.5g} Hz at the end"
+    if found.speed_rad_s is None:
+        return [
+            f"  {line}; with its periods a turn (--ripple-periods-per-turn) it tells the speed, K, J and B"
+        ]
+    told = ", ".join(f"{name} {value:.4g} {UNITS[name]}" for name, value in found.constants.items())
+    return [
+        f"  {line}: {found.speed_rad_s:.5g} rad/s ({found.speed_rad_s / RAD_S_PER_RPM:.0f} rpm), so {told}"
+    ]
 
 
 def _parameters(fit: Identified) -> dict[str, Any]:
@@ -100,7 +132,7 @@ def _interval(low: float | None, high: float | None) -> list[float] | None:
     return None if low is None or high is None else [low, high]
 
 
-def as_text(diagnosis: Diagnosis) -> str:
+def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
     """What a maintenance engineer reads."""
     lines = [f"{diagnosis.recording.path}: {headline(diagnosis)}"]
     lines += [f"  {reason}." for reason in diagnosis.reasons]
@@ -116,6 +148,13 @@ def as_text(diagnosis: Diagnosis) -> str:
             lines.append(line.rstrip())
         for name, (value, error) in fit.fitted_extension.items():
             lines.append(f"  {name:<10} {value:11.4g} +- {error:.2g} {EXTENSION_UNITS[name]}")
+        for name in [name for name in changes if name not in fit.quantity_names]:
+            c = changes[name]
+            span = f"(95 %: {c.low - 1.0:+.1%} to {c.high - 1.0:+.1%})"
+            lines.append(
+                f"  {name:<10} {c.ratio - 1.0:+6.1%} from the reference {span}, by the commutation ripple"
+            )
+        lines += ripple_lines(fit, periods_per_turn)
         speed = "" if fit.r2_speed is None else f", of the speed {fit.r2_speed:.4f}"
         lines.append(
             f"  fit: R2 of the current {fit.r2_current:.4f}{speed}; model {' + '.join(['textbook', *fit.model])}"
@@ -126,6 +165,8 @@ def as_text(diagnosis: Diagnosis) -> str:
             f"  filter: sensor noise {check.sensor_noise_a:.3g} A, model error {check.model_error_a:.3g} A,"
             f" mean NIS {check.mean_nis:.2f} (with the sensor's noise alone {check.sensor_only_nis:.2f})"
         )
+    if diagnosis.warning:
+        lines.append(f"  warning: {diagnosis.warning}")
     if diagnosis.smallest_changes:
         told = ", ".join(f"{kind} {severity:.0%}" for kind, severity in diagnosis.smallest_changes.items())
         lines.append(f"  smallest change that this comparison finds in 95 of 100 cases: {told}")
@@ -142,38 +183,3 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.confidence is not None:
         words += f", confidence {diagnosis.confidence:.2f}"
     return words
-
-
-def plot(diagnosis: Diagnosis, path: Path) -> None:
-    """Measured, fitted and expected current, residual, and the filter's innovation.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    from motor_env.files import replacing
-    from motor_env.plotting import COLOUR, drawing, save, subplots
-
-    fit, check = diagnosis.identified, diagnosis.filter_check
-    if fit is None or check is None:
-        return
-    with drawing():
-        figure, (top, middle, bottom) = subplots(3, height_in=8.5, height_ratios=(2.2, 1.0, 1.0))
-        time_ms = 1e3 * (fit.start.time_s - fit.onset_s)
-        colour = COLOUR.get(str(diagnosis.verdict), COLOUR["other"])
-        top.plot(time_ms, fit.start.current_a, color=COLOUR["measured"], linewidth=1.2, label="measured")
-        top.plot(time_ms, fit.expected[:, 0], color=colour, label="fitted")
-        top.set_ylabel("current (A)")
-        top.set_title(f"{diagnosis.recording.path.name}: {headline(diagnosis)}")
-        top.legend(loc="upper right")
-        middle.plot(time_ms, fit.residual_a, color=colour, linewidth=0.8)
-        middle.set_ylabel("residual (A)")
-        whitened = check.result.whitened[..., 0]
-        begin = len(time_ms) - whitened.shape[-1]
-        bottom.plot(time_ms[begin:], np.ravel(whitened), color=COLOUR["other"], linewidth=0.8)
-        for level in (-3.0, 3.0):
-            bottom.axhline(level, color=COLOUR["threshold"], linestyle="--", linewidth=1.0)
-        bottom.set_ylabel("innovation (sigma)")
-        bottom.set_xlabel("time after the start (ms)")
-        figure.align_ylabels()
-        with replacing(path) as temporary:
-            save(figure, temporary)

@@ -110,6 +110,13 @@ class Identified:
         return np.where(self.start.counted, self.start.current_a - self.expected[:, 0], 0.0)
 
     @property
+    def states(self) -> FloatArray:
+        """Fitted current and speed without offset and ripple, shape (n_samples, 2)."""
+        out = self.expected.copy()
+        out[:, 0] -= self.start.ripple_a + (0.0 if self.start.alignment.rectified else self.offset_a)
+        return out
+
+    @property
     def values(self) -> FloatArray:
         """The identifiable quantities, SI (over volt where the voltage is unknown)."""
         return np.exp(self.log_values)

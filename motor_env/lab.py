@@ -213,7 +213,7 @@ def recording_verdict(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"recording{ending}"
         path.write_bytes(content)
-        (outcome,) = diagnose_files([path], motor=motor or None, voltage_v=voltage_v)
+        (outcome,) = diagnose_files([path], motor=motor or None, voltage_v=voltage_v, start=1)
         if outcome.diagnosis is None:
             raise InputError((outcome.error or "cannot be read").replace(str(path), shown))
         told = _told(outcome.diagnosis)

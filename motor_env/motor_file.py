@@ -118,6 +118,9 @@ class _ReferenceTable(_Table):
     sampling_rate_hz: Positive | None = None
     duration_s: Positive | None = None
     quiet_s: NotNegative | None = None
+    ripple_hz: Positive | None = None
+    ripple_constant_v_s: Positive | None = None
+    ripple_log_sd: Positive | None = None
 
 
 class _File(_Table):
@@ -165,6 +168,9 @@ class StartReference:
         sampling_rate_hz: of the starts; None where unknown.
         duration_s: what the shortest start holds after its onset.
         quiet_s: what the shortest start holds before it.
+        ripple_hz: commutation ripple at the last speed; None where not every start shows it.
+        ripple_constant_v_s: K times the ripple's periods a turn, from that ripple; over volt where V is unknown.
+        ripple_log_sd: standard deviation of the next start's logarithm of either.
     """
 
     starts: int
@@ -180,6 +186,9 @@ class StartReference:
     sampling_rate_hz: float | None = None
     duration_s: float | None = None
     quiet_s: float | None = None
+    ripple_hz: float | None = None
+    ripple_constant_v_s: float | None = None
+    ripple_log_sd: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,6 +370,9 @@ def _to_reference(table: _ReferenceTable, path: Path) -> StartReference:
         sampling_rate_hz=table.sampling_rate_hz,
         duration_s=table.duration_s,
         quiet_s=table.quiet_s,
+        ripple_hz=table.ripple_hz,
+        ripple_constant_v_s=table.ripple_constant_v_s,
+        ripple_log_sd=table.ripple_log_sd,
     )
 
 
