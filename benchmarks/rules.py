@@ -138,7 +138,7 @@ def draw() -> None:
         "3 in a row": BLIND["3 in a row"],
         "NIS": BLIND["NIS"],
     }
-    figure = plot_delay_curves(shift, rules)
+    figure = plot_delay_curves(shift, rules, arl0=(1e2, 3e2, 1e3, 3e3, 1e4))
     figure.savefig(PICTURE, metadata={"Date": None})
     print(f"drawn: {PICTURE}")
 
