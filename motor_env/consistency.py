@@ -7,6 +7,7 @@ test: Ljung & Box 1978).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,7 +43,7 @@ class Consistency:
 
     @property
     def holds(self) -> bool:
-        """Whether none of the three tests rejects at a third of the level (Bonferroni)."""
+        """Whether none of the three tests rejects at a third of the level (Bonferroni 1936)."""
         return min(self.mean_p, self.nis_p, self.whiteness_p) >= self.level / 3.0
 
     @property
@@ -128,19 +129,28 @@ def signature_energy(
     return float(np.sqrt(np.square(whitened).sum()))
 
 
+def matched_power(separation: float, false_alarm_probability: float) -> float:
+    """Share of faults that the best one-sided test of a known fault finds (Neyman & Pearson 1933)."""
+    return float(norm.sf(norm.isf(false_alarm_probability) - separation))
+
+
 @dataclass(frozen=True, slots=True)
 class NoiseDesign:
-    """A choice of process noise.
+    """A choice of process noise, and what it costs.
 
     Attributes:
         process_noise_std: chosen, in [A, rad/s] an interval.
         scale: factor on the given directions that it is.
         consistency: of the healthy data under it.
+        separation: d' of each faulty motor under it, see `signature_energy`; `matched_power` makes it a power.
+        separation_without: the same without process noise: what was there to be found.
     """
 
     process_noise_std: tuple[float, float]
     scale: float
     consistency: Consistency
+    separation: tuple[float, ...]
+    separation_without: tuple[float, ...]
 
 
 def choose_process_noise(
@@ -150,6 +160,7 @@ def choose_process_noise(
     measurements: ArrayLike,
     voltage_v: ArrayLike,
     *,
+    faulty: Sequence[MotorParameters] = (),
     direction: tuple[float, float] = (1e-2, 1.0),
     smallest: float = 1e-6,
     largest: float = 10.0,
@@ -157,7 +168,8 @@ def choose_process_noise(
     """Least process noise that healthy data support: by likelihood over its scale (Mehra 1970, Abbeel et al. 2005).
 
     Process noise absorbs faults (`signature_energy` falls with it), so among scales whose likelihood is not
-    significantly lower than the best one (by less than 1.92, the 95 % interval) the smallest is taken.
+    significantly lower than the best one (by less than 1.92, the 95 % interval) the smallest is taken. The answer says
+    whether healthy data are consistent under it, and what it leaves of the faults that one wants to see.
 
     Args:
         motor: believed motor.
@@ -165,6 +177,7 @@ def choose_process_noise(
         dt_s: sampling interval.
         measurements: healthy transients, shape (n_cases, n_channels, n_samples).
         voltage_v: shape (n_samples,) or (n_cases, n_samples).
+        faulty: motors with the faults to be found; the first case's voltage drives them.
         direction: standard deviations in [A, rad/s] that the scale multiplies.
         smallest: least scale tried.
         largest: greatest scale tried.
@@ -188,4 +201,10 @@ def choose_process_noise(
     chosen = (scale * direction[0], scale * direction[1])
     belief = KalmanFilter.from_parameters(motor, sensor, dt_s, process_noise_std=chosen)
     whitened = run_filter(belief, measurements, voltage_v).whitened
-    return NoiseDesign(chosen, scale, check_consistency(whitened))
+    voltage = np.asarray(voltage_v, dtype=np.float64)
+    drive = voltage.reshape(-1, voltage.shape[-1])[0]
+    separation, without = (
+        tuple(signature_energy(motor, other, sensor, dt_s, drive, std) for other in faulty)
+        for std in (chosen, (0.0, 0.0))
+    )
+    return NoiseDesign(chosen, scale, check_consistency(whitened), separation, without)

@@ -64,7 +64,10 @@ def fill_schedule(
     innovation_covariance: FloatArray,
     covariance: FloatArray,
 ) -> int:
-    """Gains and covariances of every sample; returns the sample from which on they are held (or their number)."""
+    """Gains and covariances of every sample (paper, Table 1; Joseph form: Bucy & Joseph 1968).
+
+    Returns the sample from which on they are held, or their number.
+    """
     p00, p01, p11 = initial[0, 0], initial[0, 1], initial[1, 1]
     count = gain.shape[0]
     for k in range(count):
@@ -93,7 +96,7 @@ def fill_schedule(
 def propagate_nominal(
     a: FloatArray, b: FloatArray, initial: FloatArray, inputs: FloatArray, out: FloatArray
 ) -> None:
-    """States without noise; one-row models and inputs serve all rows of `out`."""
+    """States without noise (paper, Table 1); one-row models and inputs serve all rows of `out`."""
     for n in range(out.shape[0]):
         t, g = a[n if a.shape[0] > 1 else 0], b[n if b.shape[0] > 1 else 0]
         u = inputs[n if inputs.shape[0] > 1 else 0]
@@ -117,11 +120,11 @@ def filter_one_channel(
 ) -> None:
     """Innovations and NIS of one channel, of the deviation from the expected output; four cases at a time.
 
-    In the coordinates of `kalman.output_coordinates` the state is (p, q), p the deviation predicted of the output:
-    e = z - expected - p, p <- a[0] p + q + g e, q <- a[1] p + a[2] q + h e. `gain` holds (g, h) of each sample and
-    `weight` is 1 / S. Four chains side by side hide the latency of one; where fewer cases are left the last one
-    is computed again, so that the arithmetic of a case is the same in any company. The difference from the expected
-    output is taken in double precision, all else in the precision of `innovation`.
+    In the coordinates of `kalman.output_coordinates` (Luenberger 1967) the state is (p, q), p being the deviation
+    predicted of the output: e = z - expected - p, p <- a[0] p + q + g e, q <- a[1] p + a[2] q + h e. `gain` holds
+    (g, h) of each sample and `weight` is 1 / S. Four chains side by side hide the latency of one; where fewer cases are
+    left the last one is computed again, so that the arithmetic of a case is the same in any company. The difference
+    from the expected output is taken in double precision, all else in the precision of `innovation`.
     """
     count, length = measured.shape
     number = innovation.dtype.type
@@ -158,7 +161,10 @@ def filter_two_channels(
     innovation: AnyFloat,
     nis: AnyFloat,
 ) -> None:
-    """The same for two channels: `gain` (n_samples, 2, 2), `weight` S^-1, `expected` (rows, n_samples, 2)."""
+    """The same (paper, Table 1) for two channels, in the states themselves.
+
+    `gain` is A K, shape (n_samples, 2, 2), `weight` S^-1, `expected` (rows, n_samples, 2).
+    """
     count, length = measured.shape[0], measured.shape[2]
     zero = innovation.dtype.type(0.0)
     for n in range(count):
@@ -185,7 +191,7 @@ def filter_states(
     innovation: FloatArray,
     state: FloatArray,
 ) -> None:
-    """Updated states from innovations: d+ = d + K e, x = nominal + d+ (`gain` is K, shape (n_samples, 2, m))."""
+    """Updated states from innovations (paper, Table 1): d+ = d + K e, x = nominal + d+; `gain` is K of each sample."""
     for n in range(innovation.shape[0]):
         x = nominal[min(n, nominal.shape[0] - 1)]
         d0 = d1 = 0.0
@@ -212,7 +218,7 @@ def filter_case_by_case(
     covariance: FloatArray,
     gain: FloatArray,
 ) -> None:
-    """Filter with a covariance for each case: missing samples (NaN), or a motor for each case.
+    """Filter with a covariance for each case (paper, Table 1): missing samples (NaN), or a motor for each case.
 
     `measured` is (n, 2, n_samples), `innovation` (n, n_samples, 2); a missing innovation stays NaN.
     """

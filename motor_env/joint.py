@@ -63,7 +63,7 @@ class JointResult(NamedTuple):
 
     @property
     def statistic(self) -> FloatArray:
-        """Theta' P^-1 theta after each sample, shape (n_cases, n_samples): how far from the believed motor."""
+        """Theta' P^-1 theta after each sample (Wald 1943), (n_cases, n_samples): distance from the believed motor."""
         solved = np.linalg.solve(self.covariance, self.theta[..., None])[..., 0]
         distance: FloatArray = np.sum(self.theta * solved, axis=-1)
         return distance

@@ -60,7 +60,7 @@ class KalmanFilter:
         initial_state: ArrayLike = (0.0, 0.0),
         initial_std: tuple[float, float] = (0.0, 0.0),
     ) -> Self:
-        """Filter for a motor that is believed to be `parameters`, starting from rest unless told otherwise.
+        """Filter (Kalman 1960) for a motor believed to be `parameters`, starting from rest unless told otherwise.
 
         A batch of motors gives a filter with a model for each case: some ten times slower than a common one.
 
@@ -203,7 +203,10 @@ def schedule(kalman: KalmanFilter, n_samples: int) -> Schedule:
 
 
 def padded_sensor(kalman: KalmanFilter) -> tuple[FloatArray, FloatArray]:
-    """C and the noise covariance of two channels; one that is not there has a zero row and unit noise."""
+    """C and the noise covariance of two channels; one that is not there has a zero row and unit noise.
+
+    Such a channel has no gain and changes nothing (Kalman 1960).
+    """
     observation, noise = np.zeros((2, N_STATES)), np.eye(2)
     m = len(kalman.observation)
     observation[:m] = kalman.observation

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from motor_env.consistency import check_consistency, choose_process_noise, signature_energy
+from motor_env.consistency import check_consistency, choose_process_noise, matched_power, signature_energy
 from motor_env.faults import Fault, FaultKind, apply_fault
 from motor_env.parameters import PAPER_MOTOR, FloatArray, SensorParameters
 from motor_env.simulation import Scenario, Timing, simulate
@@ -53,12 +53,25 @@ def test_too_much_process_noise_absorbs_a_bearing_fault() -> None:
     assert energy[2] < 1.0
 
 
+def test_the_power_of_a_matched_test_is_that_of_two_normals() -> None:
+    assert matched_power(0.0, 0.01) == pytest.approx(0.01)
+    generator = np.random.default_rng(3)
+    healthy, faulty = generator.standard_normal(200_000), generator.standard_normal(200_000) + 3.0
+    found = (faulty > np.quantile(healthy, 0.99)).mean()
+    assert matched_power(3.0, 0.01) == pytest.approx(found, abs=0.01)
+
+
 @pytest.mark.parametrize("true_std", [(0.0, 0.0), (5e-3, 0.5)])
 def test_process_noise_is_found_from_healthy_data(true_std: tuple[float, float]) -> None:
     scenario = Scenario(PAPER_MOTOR, timing=Timing(duration_s=0.05), process_noise_std=true_std)
     transients = simulate(scenario, seed=5, cases=range(40))
-    design = choose_process_noise(PAPER_MOTOR, SENSOR, 1e-4, transients.measurements, transients.voltage_v[0])
+    faulty = apply_fault(PAPER_MOTOR, Fault(FaultKind.BEARING, 0.1))
+    design = choose_process_noise(
+        PAPER_MOTOR, SENSOR, 1e-4, transients.measurements, transients.voltage_v[0], faulty=(faulty,)
+    )
     assert design.consistency.holds
+    kept = design.separation[0] / design.separation_without[0]
+    assert kept < 0.6 if true_std[0] else kept == pytest.approx(1.0, abs=1e-3)
     if true_std[0]:
         assert design.scale == pytest.approx(0.5, rel=0.2)
     else:
