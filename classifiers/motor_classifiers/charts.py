@@ -303,9 +303,7 @@ def reliability_chart(binned: Reliability, low: float) -> str:
         above, below = at(0.0, share + error)[1], at(0.0, share - error)[1]
         parts.append(f'<line class="range" x1="{x:.1f}" x2="{x:.1f}" y1="{above:.1f}" y2="{below:.1f}"/>')
         radius = 1.8 + 2.4 * float(np.sqrt(binned.n_cases[n] / most))
-        parts.append(
-            f'<circle class="dot" cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}"><title>{binned.n_cases[n]:.0f} starts</title>'
-            "</circle>"
-        )
+        told = f"<title>{binned.n_cases[n]:.0f} starts</title>"
+        parts.append(f'<circle class="dot" cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}">{told}</circle>')
     parts.append("</svg>")
     return "".join(parts)
