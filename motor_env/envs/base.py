@@ -159,10 +159,22 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
             self._samples,
         )
         if self._scope is not None:
+            if self._over:
+                self._scope.verdict, self._scope.good = self._verdict(declared)
             self._show()
-            if declared > 0:
-                self._scope.verdict = f"{setup.kinds[declared - 1]} declared"
         return observation, reward, self._over, False, self._info()
+
+    def _verdict(self, declared: int) -> tuple[str, bool]:
+        """How the episode ended, in words, and whether well."""
+        state = self._state[::LANES]
+        if declared == 0:
+            missed = self._onset < self.options.n_samples
+            return ("fault missed" if missed else "rightly silent"), not missed
+        kind = self.setup.kinds[declared - 1]
+        if state[kernel.SAMPLE] - self._samples <= self._onset:
+            return f"{kind}: false alarm", False
+        right = declared == int(state[kernel.KIND])
+        return f"{kind}: {'right' if right else 'wrong kind'}", right
 
     def _show(self) -> None:
         """Let the scope see the sample; in a window, draw it."""

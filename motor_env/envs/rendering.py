@@ -114,7 +114,7 @@ class Scope:
         self.samples: list[tuple[float, ...]] = []
         self.onset_step: int | None = None
         self.step = 0
-        self.verdict = ""
+        self.verdict, self.good = "", False
 
     def add(self, *values: float) -> None:
         """One more step: measured and estimated current, estimated speed, voltage, residual, evidence of each kind."""
@@ -139,8 +139,8 @@ class Scope:
         noise = recipe.sensor.current_noise_a
         reach = max(8.0 * noise, 0.3 * abs(rest_current), _reach(columns[0], rest_current))
         self._panel(frame, 0, "current", "A", rest_current - reach, rest_current + reach)
-        self._trace(frame, 0, columns[0], rest_current - reach, rest_current + reach, "current")
         self._trace(frame, 0, columns[1], rest_current - reach, rest_current + reach, "estimate")
+        self._trace(frame, 0, columns[0], rest_current - reach, rest_current + reach, "current")
         swing = max(0.05 * abs(rest_speed), _reach(columns[2], rest_speed))
         self._panel(frame, 1, "speed (filter)", "rad/s", rest_speed - swing, rest_speed + swing)
         self._trace(frame, 1, columns[2], rest_speed - swing, rest_speed + swing, "speed")
@@ -151,6 +151,8 @@ class Scope:
         self._panel(frame, 3, "belief", "nats", 0.0, 12.0)
         for row, kind in zip(columns[5:], EVIDENCE, strict=True):
             self._trace(frame, 3, row, 0.0, 12.0, kind, thick=2)
+        for place, (name, colour) in enumerate((("measured", "current"), ("filter", "estimate"))):
+            write(frame, name, 6, self._box(0)[0] + 32 + 15 * place, TRACE[colour], 11)
         for place, kind in enumerate(("bearing", "winding")):
             write(frame, kind, 6, self._box(3)[0] + 32 + 15 * place, TRACE[kind], 11)
         if self.onset_step is not None and self.onset_step <= self.step:
@@ -194,7 +196,7 @@ class Scope:
         assert self.onset_step is not None  # noqa: S101  # the caller looked
         x = LEFT + min(self.width - 2, self.onset_step * self.width // self.n_steps)
         frame[TOP : HEIGHT - 30 : 3, x : x + 2] = TRACE["onset"]
-        write(frame, "onset", min(x + 5, WIDTH - RIGHT - 40), TOP - 2, TRACE["onset"], 12)
+        write(frame, "onset", min(x - 14, WIDTH - RIGHT - 40), HEIGHT - 30, TRACE["onset"], 12)
 
     def _head(self, frame: Frame) -> None:
         options = self.setup.options
@@ -204,8 +206,7 @@ class Scope:
         if self.samples:
             write_figures(frame, f"{self.samples[-1][3]:+7.2f} V", 330, 8, TRACE["speed"], 16)
         if self.verdict:
-            colour = TRACE.get(self.verdict.split(" ")[0], INK)
-            write(frame, self.verdict, 470, 8, colour, 16)
+            write(frame, self.verdict, 470, 8, TRACE["current" if self.good else "threshold"], 16)
 
 
 def _reach(values: FloatArray, middle: float) -> float:

@@ -49,7 +49,7 @@ def test_episode_statistics_of_a_vector(mode: str) -> None:
 def test_a_video_is_written(tmp_path: Path) -> None:
     pytest.importorskip("moviepy", reason="RecordVideo writes with moviepy")
     env = RecordVideo(
-        gym.make(IDS[1], render_mode="rgb_array", **SHORT), str(tmp_path), lambda episode: episode == 0
+        gym.make(IDS[1], render_mode="rgb_array", **SHORT), str(tmp_path / "video"), lambda episode: episode == 0
     )
     with warnings.catch_warnings():
         warnings.simplefilter(
@@ -60,7 +60,7 @@ def test_a_video_is_written(tmp_path: Path) -> None:
         while not over:
             over = bool(env.step(1)[2])
         env.close()  # type: ignore[no-untyped-call]  # gymnasium's
-    written = next(tmp_path.glob("*.mp4")).read_bytes()
+    written = next((tmp_path / "video").glob("*.mp4")).read_bytes()
     assert written[4:8] == b"ftyp"  # ISO base media file
     assert len(written) > 5000
 
