@@ -1,11 +1,11 @@
 """Train an agent to probe a motor and to declare its fault, by PPO of Stable-Baselines3 (extra rl), and score it.
 
-python examples/train_probe.py --steps 1500000 --out out/probe-agent
+python examples/train_probe.py --steps 2000000 --out out/probe-agent
 
 The agent sees the summary of a posterior (`motor_env.envs.belief`), which is made from what the environment shows and
-nothing else. It first copies a textbook rule (probe where a fault is likely enough), then improves by PPO (Schulman et
-al. 2017) on the reward that the posterior expects. It is scored on other seeds beside that rule and the best open-loop
-probe that examples/baselines.py finds, all on the same episodes. Minutes on one core.
+nothing else, and learns by PPO (Schulman et al. 2017) from the reward that the posterior expects: the true one on
+average, without the noise of luck. It is scored on other seeds beside the best open-loop probe that
+examples/baselines.py finds, and beside a textbook rule in closed loop, all on the same episodes. Minutes on one core.
 """
 
 import argparse
@@ -32,7 +32,7 @@ from motor_env.envs.probe import ProbeEnv, ProbeVectorEnv
 from motor_env.envs.probing import Bursts, OnDemand, OpenLoop, WorthTest
 from motor_env.envs.setup import Setup
 
-COPY_SEED, TRAINING_SEED, VALIDATION_SEED = 900, 1000, 800
+TRAINING_SEED, VALIDATION_SEED = 1000, 800
 EVALUATION_SEEDS = (1, 2, 3, 4, 5)
 OPEN_LOOP, OPEN_LOOP_THRESHOLD = Bursts(start=20, period=10, length=2), 0.93
 ON_DEMAND_ABOVE, ON_DEMAND_THRESHOLD = 0.065, 0.97
@@ -45,7 +45,7 @@ def open_loop(setup: Setup) -> Policy:
 
 
 def on_demand(setup: Setup) -> OnDemand:
-    """The textbook rule that the agent begins with."""
+    """The textbook rule in closed loop, as tuned there."""
     return OnDemand(WorthTest(setup, ON_DEMAND_THRESHOLD), ON_DEMAND_ABOVE)
 
 
@@ -101,54 +101,10 @@ class Agent(Policy):
         return self._model.predict(self.belief.summary(), deterministic=True)[0].astype(np.int64)
 
 
-def copy_rule(model: PPO, episodes: int, epochs: int = 12) -> None:
-    """Teach the network what the textbook rule does in each situation, and what that brings.
-
-    It keeps a chance of a wrong voltage, from which PPO can learn, but none of a wrong declaration.
-    """
-    envs = ProbeVectorEnv(episodes)
-    rule = on_demand(envs.setup)
-    observations, _ = envs.reset(seed=COPY_SEED)
-    rule.start(episodes)
-    alive = np.ones(episodes, dtype=bool)
-    summaries, taken, rewards, lives = [], [], [], []
-    while alive.any():
-        actions = rule.act(observations)
-        belief = rule.test.belief
-        summaries.append(belief.summary())
-        taken.append(actions)
-        rewards.append(belief.expected_reward(actions) * alive)
-        lives.append(alive)
-        observations, _, terminated, _, _ = envs.step(actions)
-        alive = alive & ~terminated
-    kept = np.array(lives)
-    to_go = np.cumsum(np.array(rewards)[::-1], axis=0)[::-1][kept]
-    x = torch.as_tensor(np.array(summaries)[kept])
-    goal = torch.as_tensor(to_go.astype(np.float32))
-    action = torch.as_tensor(np.array(taken)[kept])
-    n_actions, n_offsets = len(envs.setup.offsets_v), len(envs.options.offsets_v)
-    wanted = torch.nn.functional.one_hot(action, n_actions).float()
-    moves = (action < n_offsets)[:, None] & (torch.arange(n_actions) < n_offsets)[None]
-    wanted = torch.where(moves, 0.94 * wanted + 0.06 / n_offsets, wanted)
-    policy, generator = model.policy, torch.Generator().manual_seed(0)
-    optimizer = torch.optim.Adam(policy.parameters(), 3e-3)
-    for epoch in range(epochs):
-        for group in optimizer.param_groups:
-            group["lr"] = 3e-3 * (1.0 - epoch / epochs)
-        for batch in torch.randperm(len(x), generator=generator).split(4096):
-            for_policy, for_value = policy.mlp_extractor(x[batch])
-            chances = torch.log_softmax(policy.action_net(for_policy), dim=1)
-            unlike = -(wanted[batch] * chances).sum(dim=1).mean()
-            wrong = (policy.value_net(for_value)[:, 0] - goal[batch]).square().mean()
-            optimizer.zero_grad()
-            (unlike + wrong).backward()  # type: ignore[no-untyped-call]  # torch's
-            optimizer.step()
-
-
 class Curve(BaseCallback):
     """Scores the agent on validation episodes now and then, keeps its best weights, and shows progress."""
 
-    def __init__(self, steps: int, episodes: int, points: int = 10) -> None:
+    def __init__(self, steps: int, episodes: int, points: int = 12) -> None:
         super().__init__()
         self._envs, self._every, self._total = ProbeVectorEnv(episodes), max(1, steps // points), steps
         self.points: list[dict[str, float]] = []
@@ -194,16 +150,18 @@ def train(steps: int, n_envs: int, seed: int, episodes: int) -> tuple[PPO, list[
         "MlpPolicy",
         envs,
         n_steps=64,
-        batch_size=16 * n_envs,
-        n_epochs=4,
+        batch_size=8 * n_envs,
+        n_epochs=5,
         gamma=1.0,  # an episode is short, and all of it counts
         gae_lambda=0.97,
-        learning_rate=lambda left: 5e-4 * left,
+        ent_coef=1e-3,
+        learning_rate=lambda left: 1e-3 * min(1.0, 2.0 * left),
         policy_kwargs={"net_arch": [64, 64]},
         seed=seed,
         device="cpu",
     )
-    copy_rule(model, 3 * episodes)
+    with torch.no_grad():  # at first it seldom declares: else no episode lasts until its fault
+        model.policy.action_net.bias[len(envs.belief.setup.options.offsets_v) :] -= 6.0
     curve = Curve(steps, 2 * episodes)
     model.learn(steps, callback=curve)
     return model, curve.points
@@ -240,7 +198,9 @@ def draw_curve(points: list[dict[str, float]], compared: dict[str, Any], path: P
     for name, colour in (("on demand", "tab:green"), ("open loop", "tab:red")):
         level = compared["scores"][name]["mean_return"]
         axes.axhline(level, color=colour, linestyle="--", linewidth=1.2, label=f"{name}, evaluation episodes")
-    axes.set(xlabel="million steps of training", ylabel="mean return")
+    axes.set(
+        xlabel="million steps of training", ylabel="mean return", ylim=(max(-1.0, mean.min() - 0.05), 1.0)
+    )
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, loc="lower right")
     figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
@@ -271,7 +231,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description="Train an agent on Probe-v0 and score it beside textbook rules."
     )
-    parser.add_argument("--steps", type=int, default=1_500_000, help="of training, over all sub-environments")
+    parser.add_argument("--steps", type=int, default=2_000_000, help="of training, over all sub-environments")
     parser.add_argument("--envs", type=int, default=256, help="sub-environments")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=1000, help="of each of the five evaluation seeds")
