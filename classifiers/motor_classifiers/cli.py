@@ -296,6 +296,36 @@ def _size(severity: float, interval: Sequence[float | None] | None) -> str:
 
 
 @app.command
+def export(model: Path | None = None, /, *, out: Annotated[Path, Parameter(alias="-o")]) -> int:
+    """Write a network as an ONNX graph: transients in, probabilities and severities out.
+
+    Example: motor-classifiers export out/motor.model -o out/motor.onnx
+
+    Args:
+        model: File made by motor-classifiers train --motor or --recipe; by default the network for the paper's motor
+            that comes with the package.
+        out: New file of the graph. An existing one is never overwritten.
+    """
+    _require_extras()
+    for module in ("onnx", "onnxscript"):
+        console.require_extra(module, "onnx")
+    from motor_classifiers.onnx_export import export_onnx
+    from motor_classifiers.persistence import PRETRAINED, load_model
+    from motor_classifiers.posterior_network import PosteriorNetwork
+
+    if out.exists():
+        raise console.InputError(f"{out}: exists already, and is not overwritten; give another name")
+    path = PRETRAINED if model is None else model
+    fitted, recipe, method = load_model(path)
+    if not isinstance(fitted, PosteriorNetwork):
+        raise console.InputError(f"{path}: holds {method}; only a posterior-network becomes an ONNX graph")
+    with _status("exporting"):
+        export_onnx(fitted, recipe, out)
+    print(f"transients of shape (cases, {len(recipe.sensor.channels)}, {recipe.timing.n_samples}): {out}")
+    return 0
+
+
+@app.command
 def benchmark(
     *,
     out: Path = Path("out/benchmark"),

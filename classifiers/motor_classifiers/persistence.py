@@ -24,8 +24,15 @@ from sklearn.pipeline import FeatureUnion, Pipeline
 
 from motor_classifiers.features import PhysicalFeatures, ResidualProjection
 from motor_classifiers.networks import NetworkClassifier, perceptron
-from motor_classifiers.posterior_file import load_posterior, posterior_arrays, posterior_values
+from motor_classifiers.posterior_file import (
+    load_posterior,
+    plain_parameters,
+    posterior_arrays,
+    posterior_values,
+)
 from motor_classifiers.posterior_network import PosteriorNetwork
+from motor_classifiers.residual_network import ResidualNetworkClassifier, residual_network
+from motor_classifiers.skops_checks import TRUSTED, check_pipeline
 from motor_classifiers.threshold import ConfirmationClassifier
 from motor_env.confirmation import ThresholdConfirmation, class_filter
 from motor_env.console import InputError
@@ -42,11 +49,6 @@ LARGEST_FILE_BYTES = 200_000_000
 MOST_FEATURES = 10_000_000
 """Values of a case: a recipe that asks for more comes from a damaged file, not from a motor."""
 _MEMBER = "motor.json"
-_SKOPS_TRUSTED = [
-    "motor_classifiers.features.PhysicalFeatures",
-    "motor_classifiers.features.ResidualProjection",
-    "sklearn.tree._tree.Tree",
-]
 _RULE_ARRAYS = ("healthy_scale", "own_scale", "prior")
 
 
@@ -72,6 +74,8 @@ def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path) ->
         content = _network_bytes(model, head)
     elif isinstance(model, PosteriorNetwork):
         content = _tensor_bytes(posterior_arrays(model), head | posterior_values(model))
+    elif isinstance(model, ResidualNetworkClassifier):
+        content = _residual_bytes(model, head)
     else:
         raise TypeError(f"model must be a pipeline, a confirmation or a network, got {type(model).__name__}")
     with replacing(path) as temporary:
@@ -176,32 +180,14 @@ def _load_pipeline(content: bytes) -> tuple[BaseEstimator, Recipe, str]:
         if _MEMBER not in archive.namelist():
             raise InputError("is no model of motor-classifiers")
         head, recipe = _checked_head(archive.read(_MEMBER).decode())
-    foreign = sorted(set(skops.io.get_untrusted_types(data=content)) - set(_SKOPS_TRUSTED))
+    foreign = sorted(set(skops.io.get_untrusted_types(data=content)) - set(TRUSTED))
     if foreign:
         raise InputError(f"is refused: it would load {', '.join(foreign)}, which no model of ours needs")
-    model = skops.io.loads(content, trusted=_SKOPS_TRUSTED)
+    model = skops.io.loads(content, trusted=list(TRUSTED))
     if not isinstance(model, Pipeline):
         raise InputError(f"holds a {type(model).__name__}, not a pipeline")
-    _check_trees(model)
+    check_pipeline(model)
     return _with_recipe(model, recipe), recipe, str(head["method"])
-
-
-def _check_trees(model: Pipeline) -> None:
-    """Compiled code follows a tree's children without looking: a poisoned one would read beside the arrays.
-
-    Raises:
-        ValueError: a child that is no later node, or a feature that does not exist.
-    """
-    for grown in getattr(model.steps[-1][1], "estimators_", ()):
-        tree = grown.tree_
-        nodes = np.arange(tree.node_count)
-        left, right = tree.children_left, tree.children_right
-        inner = left != -1
-        for child in (left[inner], right[inner]):
-            later = (child > nodes[inner]) & (child < tree.node_count)
-            require(bool(later.all()), "a tree has a child that does not exist")
-        feature = tree.feature[inner]
-        require(bool(((feature >= 0) & (feature < tree.n_features)).all()), "a tree asks for no feature")
 
 
 def _tensor_bytes(tensors: dict[str, Any], head: dict[str, Any]) -> bytes:
@@ -217,15 +203,17 @@ def _confirmation_bytes(model: ConfirmationClassifier, head: dict[str, Any]) -> 
 
 
 def _network_bytes(model: NetworkClassifier, head: dict[str, Any]) -> bytes:
-    parameters = {name: value for name, value in model.get_params().items() if name != "recipe"}
-    parameters["random_state"] = (
-        parameters["random_state"] if isinstance(parameters["random_state"], int) else None
-    )
-    head |= {"kind": "network", "parameters": parameters}
+    head |= {"kind": "network", "parameters": plain_parameters(model)}
     tensors = {f"network.{name}": values.numpy() for name, values in model.network_.state_dict().items()}
     tensors |= {"weights": model.projection_.weights_, "offset": model.projection_.offset_}
     tensors |= {"center": model.center_, "scale": model.scale_}
     return _tensor_bytes(tensors, head)
+
+
+def _residual_bytes(model: ResidualNetworkClassifier, head: dict[str, Any]) -> bytes:
+    head |= {"kind": "residual-network", "parameters": plain_parameters(model)}
+    tensors = {f"network.{name}": values.numpy() for name, values in model.network_.state_dict().items()}
+    return _tensor_bytes(tensors | {"center": model.center_, "scale": model.scale_}, head)
 
 
 def _load_tensors(content: bytes) -> tuple[BaseEstimator, Recipe, str]:
@@ -237,6 +225,7 @@ def _load_tensors(content: bytes) -> tuple[BaseEstimator, Recipe, str]:
         "confirmation": _load_confirmation,
         "network": _load_network,
         "posterior-network": load_posterior,
+        "residual-network": _load_residual,
     }[head["kind"]]
     return load(head, tensors, recipe), recipe, str(head["method"])
 
@@ -307,6 +296,34 @@ def _load_network(head: dict[str, Any], tensors: dict[str, Any], recipe: Recipe)
         for name, values in tensors.items()
         if name.startswith("network.")
     }
+    network.load_state_dict(state)
+    model.network_ = network.eval()
+    return model
+
+
+def _load_residual(head: dict[str, Any], tensors: dict[str, Any], recipe: Recipe) -> BaseEstimator:
+    import torch
+
+    model = ResidualNetworkClassifier(recipe, **head["parameters"])
+    model.classes_ = np.array(head["classes"])
+    model.n_features_in_ = _n_features(recipe)
+    model.center_, model.scale_ = tensors["center"], tensors["scale"]
+    for name in ("center", "scale"):
+        require(tensors[name].shape == (model.n_features_in_,), f"{name} does not fit its recipe")
+    state = {
+        name.removeprefix("network."): torch.from_numpy(values)
+        for name, values in tensors.items()
+        if name.startswith("network.")
+    }
+    # The sizes are believed only once the file holds as much: memory for a false one would be taken before a look.
+    sizes = (model.width, model.stem, model.kernel)
+    require(all(type(size) is int and size >= 1 for size in sizes), f"sizes must be integers, got {sizes!r}")
+    stem, inner = state["0.0.weight"].shape, state["2.second.0.weight"].shape
+    require(
+        stem == (model.width, len(recipe.sensor.channels), 2 * model.stem + 1) and inner[2] == model.kernel,
+        f"width, stem and kernel are {sizes}, the file holds convolutions of shape {tuple(stem)}, {tuple(inner)}",
+    )
+    network = residual_network(stem[1], len(model.classes_), *sizes).double()
     network.load_state_dict(state)
     model.network_ = network.eval()
     return model

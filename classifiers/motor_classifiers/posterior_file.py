@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from sklearn.base import BaseEstimator
 
 from motor_classifiers import severity_density
 from motor_classifiers.posterior_network import PosteriorNetwork
@@ -40,13 +41,9 @@ def _compact(values: NDArray[np.float64]) -> NDArray[Any]:
 
 def posterior_values(model: PosteriorNetwork) -> dict[str, Any]:
     """What describes it beside its arrays and its recipe."""
-    parameters = {name: value for name, value in model.get_params().items() if name != "recipe"}
-    parameters["random_state"] = (
-        parameters["random_state"] if isinstance(parameters["random_state"], int) else None
-    )
     return {
         "kind": "posterior-network",
-        "parameters": parameters,
+        "parameters": plain_parameters(model),
         "severities": [asdict(prior) for prior in model.severity_priors_],
         "sees_noise": {
             part: module.space.sees_noise
@@ -54,6 +51,14 @@ def posterior_values(model: PosteriorNetwork) -> dict[str, Any]:
             if (module := getattr(model, attribute)) is not None
         },
     }
+
+
+def plain_parameters(model: BaseEstimator) -> dict[str, Any]:
+    """Parameters that JSON can hold: without the recipe, and a random state only where it is a number."""
+    parameters = {name: value for name, value in model.get_params().items() if name != "recipe"}
+    if not isinstance(parameters["random_state"], int):
+        parameters["random_state"] = None
+    return parameters
 
 
 def load_posterior(head: Mapping[str, Any], arrays: Arrays, recipe: Recipe) -> PosteriorNetwork:

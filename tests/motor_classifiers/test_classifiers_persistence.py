@@ -20,10 +20,17 @@ RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 TRAIN = generate_arrays(RECIPE, 1, 200)
 TEST = generate_arrays(RECIPE, 2, 20)
 
+QUICK = {
+    "posterior-network": {"steps": 5, "batch_size": 32},
+    "residual-network": {"epochs": 1, "stem": 4, "width": 4},
+    "physical-boosting": {"classify__estimator__max_iter": 5},
+    "physical-forest": {"classify__n_estimators": 10},
+}
+
 
 @pytest.mark.parametrize("name", METHODS)
 def test_round_trip(name: str, tmp_path: Path) -> None:
-    model = make_method(name, RECIPE, 0).fit(TRAIN.X, TRAIN.class_name)
+    model = make_method(name, RECIPE, 0).set_params(**QUICK.get(name, {})).fit(TRAIN.X, TRAIN.class_name)
     save_model(model, RECIPE, name, tmp_path / "model")
     loaded, recipe, method = load_model(tmp_path / "model")
     assert (recipe, method) == (RECIPE, name)
