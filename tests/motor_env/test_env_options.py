@@ -1,6 +1,8 @@
 """Options: every environment that can be made can be stepped to its end, or refuses with one sentence."""
 
 import pickle
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -13,10 +15,41 @@ from hypothesis import strategies as st
 from motor_env.envs.monitor import MonitorEnv, MonitorVectorEnv
 from motor_env.envs.options import MonitorOptions
 from motor_env.envs.probe import ProbeContinuousEnv, ProbeEnv, ProbeVectorEnv
+from motor_env.envs.tasks import TASKS
+from motor_env.parameters import Channel, MotorParameters, SensorParameters, SupplyParameters
+from motor_env.recipes import Recipe
+from motor_env.simulation import Timing
+
+POSITIVE = st.floats(-4.0, 2.0).map(lambda exponent: 10.0**exponent)
+MOTORS = st.builds(MotorParameters, *[POSITIVE] * 5, viscous_friction_n_m_s_per_rad=POSITIVE | st.just(0.0))
+CHANNELS = st.sampled_from(
+    [(Channel.CURRENT,), (Channel.SPEED,), (Channel.CURRENT, Channel.SPEED), (Channel.SPEED, Channel.CURRENT)]
+)
+RATES_HZ = st.sampled_from([100.0, 5e3, 1e4, 1e6])
+
+
+def recipe_of(
+    motor: MotorParameters, channels: tuple[Channel, ...], rate_hz: float, voltage_v: float
+) -> Recipe:
+    """A recipe of any motor, sensor, sampling rate and supply."""
+    sensor = SensorParameters(channels=channels, current_noise_a=0.02, speed_noise_rad_s=0.5)
+    return replace(
+        TASKS["hard"],
+        name="any",
+        motor=motor,
+        sensor=sensor,
+        timing=Timing(rate_hz, 200.0 / rate_hz),
+        supply=SupplyParameters(voltage_v),
+    )
+
 
 NUMBERS = st.floats(-1.0, 2.0) | st.sampled_from([0.0, 1e-3, 0.01, 0.02, float("nan"), float("inf"), 1e9])
 MONITOR = {
-    "recipe": st.sampled_from(["easy", "medium", "hard", "paper", "bench", "small", "no such recipe"]),
+    "recipe": st.sampled_from(
+        ["easy", "medium", "hard", "paper", "bench", "small", "field", "no such recipe"]
+    )
+    | st.builds(recipe_of, MOTORS, CHANNELS, RATES_HZ, st.floats(-30.0, 30.0)),
+    "motor": st.sampled_from(["examples/motor.toml", "maxon", "no such motor"]) | MOTORS,
     "horizon_s": st.sampled_from([0.0, 1e-4, 0.01, 0.0203, -1.0, float("nan")]) | st.floats(0.0, 0.03),
     "samples_per_step": st.integers(-1, 25),
     "start": st.sampled_from(["running", "standstill", "flying"]),
@@ -78,8 +111,46 @@ def test_probe_runs_or_refuses(options: dict[str, Any], make: Any) -> None:
     runs_or_refuses(make, options)
 
 
+@pytest.mark.parametrize("kind", ["recipe", "motor"])
+def test_any_file_runs_or_refuses(kind: str, tmp_path: Path) -> None:
+    """A recipe or a motor of one's own as an option of gymnasium.make."""
+    files = {
+        "recipe": {
+            "good": 'base = "bench"\n[sensor]\nchannels = ["current", "speed"]\n[timing]\nsampling_rate_hz = 5000.0',
+            "unknown key 'resistanc_ohm'": "[motor]\nresistanc_ohm = 2.0",
+            "is not TOML": "[motor",
+            "joint faults": '[[classes]]\n[[classes]]\nkind = "bearing"\nseverity = 0.1\n'
+            '[[classes.also]]\nkind = "noise"\nseverity = 0.5',
+            "a table field": 'base = "field"',
+            "healthy only": "[[classes]]",
+        },
+        "motor": {
+            "good": Path("examples/motor.toml").read_text(encoding="utf-8"),
+            "resistance": "[motor]\nresistance_ohm = -2.0",
+            "is not TOML": "resistance = ",
+            "an environment's motor is linear": Path("examples/motor.toml")
+            .read_text(encoding="utf-8")
+            .replace("[tolerance]", "coulomb_friction_n_m = 1e-5\n[tolerance]"),
+        },
+    }[kind]
+    for sentence, content in files.items():
+        path = tmp_path / "own.toml"
+        path.write_text(content, encoding="utf-8")
+        options: dict[str, Any] = {kind: str(path), "horizon_s": 0.02}
+        if sentence == "good":
+            observation, _ = gym.make("motor_env/Monitor-v0", **options).reset(seed=0)
+            assert observation.shape == ((13,) if kind == "recipe" else (9,))
+            runs_or_refuses(ProbeEnv, {**options, "samples_per_step": 1})
+        else:
+            with pytest.raises(ValueError, match=sentence) as refusal:
+                gym.make("motor_env/Monitor-v0", **options)
+            assert "\n" not in str(refusal.value)
+    with pytest.raises(ValueError, match="no such"):
+        gym.make("motor_env/Monitor-v0", **{kind: "absent.toml"})
+
+
 def test_an_unknown_option_is_named_and_the_known_ones_listed() -> None:
-    with pytest.raises(ValueError, match="no option 'horizn_s'; there are recipe, horizon_s"):
+    with pytest.raises(ValueError, match="no option 'horizn_s'; there are recipe, motor, horizon_s"):
         MonitorEnv(horizn_s=1.0)
 
 
