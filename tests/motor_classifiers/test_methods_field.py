@@ -1,5 +1,7 @@
 """Every method of the benchmark as scikit-learn's tools use it: pipelines, searches, cross-validation by motor."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from sklearn.base import clone
@@ -27,7 +29,7 @@ QUICK = {
 }
 
 
-def quick(name: str) -> object:
+def quick(name: str) -> Any:
     """The method, with less training."""
     return make_method(name, RECIPE, 0).set_params(**QUICK.get(name, {}))
 
