@@ -31,7 +31,8 @@ ONSET, LEVEL, KIND, SUPPLY = range(30, 34)  # the episode
 OLD_CURRENT, OLD_SPEED, MISMATCH_0, MISMATCH_1, NOISE_CURRENT, NOISE_SPEED, POWER = range(
     34, 41
 )  # for the bank
-BANK = 41  # three fields for each filter of the bank: the errors of its current and speed, its evidence
+CARRY = 41  # what rounding took from the error of the speed
+BANK = 42  # three fields for each filter of the bank: the errors of its current and speed, its evidence
 BANK_LENGTH = 3
 MAX_BANK = 3
 N_FIELDS = BANK + BANK_LENGTH * MAX_BANK
@@ -105,7 +106,8 @@ def advance(
     States, measurements and the voltage u stand as deviations from the point at which the belief would rest. What the
     filter's estimate lacks to the truth, e = x - xhat, is a state in its own right, and the motor stands as its
     difference M, B, D to the belief (F, G): the innovation is small beside the state, and as the difference of two
-    large numbers it would lose its digits in float32. The rows of the speed hold F - I: it moves by a hair a sample.
+    large numbers it would lose its digits in float32. The rows of the speed hold F - I: it moves by a hair a sample,
+    so what rounding takes from its error is carried over to the next (Kahan 1965).
 
     m[k] = M x[k] + B u[k] + D; x[k+1] = F x[k] + G u[k] + m[k]; e = F e[k] + m[k]; with the sensor's noise v the
     innovation is C (e + v), and e[k+1] = e - K (e + v) with the gain to which the filter converges. Exponentially
@@ -129,22 +131,25 @@ def advance(
     s[j + CURRENT * LANES], s[j + SPEED * LANES] = y0, y1
     e0, e1 = s[j + ERROR_CURRENT * LANES], s[j + ERROR_SPEED * LANES]
     a0 = p[F00] * e0 + p[F01] * e1 + m0
-    a1 = e1 + (p[F10] * e0 + p[F11] * e1 + m1)
+    rise = p[F10] * e0 + p[F11] * e1 + m1
     v0 = s[j + SIGMA_CURRENT * LANES] * n0
     d0 = p[C0] * (a0 + v0)
     r0 = p[W00] * d0
-    e0, e1, power = a0 - p[K00] * d0, a1 - p[K10] * d0, r0 * r0
+    e0, correction, power = a0 - p[K00] * d0, p[K10] * d0, r0 * r0
     fast, slow = p[MEMORY_FAST], p[MEMORY_SLOW]
     if with_speed:
         v1 = s[j + SIGMA_SPEED * LANES] * n1
-        d1 = a1 + v1
+        d1 = e1 + rise + v1
         r1 = p[W10] * d0 + p[W11] * d1
-        e0, e1, power = e0 - p[K01] * d1, e1 - p[K11] * d1, power + r1 * r1
+        e0, correction, power = e0 - p[K01] * d1, correction + p[K11] * d1, power + r1 * r1
         s[j + MEASURED_SPEED * LANES] = y1 + v1
         s[j + NOISE_SPEED * LANES] = v1
         s[j + WHITE_SPEED * LANES] = kept * s[j + WHITE_SPEED * LANES] + r1
         s[j + FAST_SPEED * LANES] = fast * s[j + FAST_SPEED * LANES] + p[INTO_FAST] * r1
         s[j + SLOW_SPEED * LANES] = slow * s[j + SLOW_SPEED * LANES] + p[INTO_SLOW] * r1
+    rise -= correction + s[j + CARRY * LANES]
+    before, e1 = e1, e1 + rise
+    s[j + CARRY * LANES] = (e1 - before) - rise
     s[j + ERROR_CURRENT * LANES], s[j + ERROR_SPEED * LANES] = e0, e1
     s[j + MEASURED_CURRENT * LANES] = y0 + v0
     s[j + ESTIMATED_CURRENT * LANES], s[j + ESTIMATED_SPEED * LANES] = y0 - e0, y1 - e1

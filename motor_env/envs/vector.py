@@ -105,8 +105,8 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         self._episodes = np.zeros((blocks, DEPTH, LANES, record_length(self.options)), dtype=precision)
         self._counts = np.zeros((blocks, RING + DEPTH, LANES), dtype=np.int32)
         self._declared = np.zeros((blocks, LANES), dtype=np.uint8)
-        self._flags = np.zeros((4, blocks * LANES), dtype=np.uint8)
-        self._flags[KNOWN] = 1
+        self._flags = np.zeros((4, blocks * LANES), dtype=np.bool_)
+        self._flags[KNOWN] = True
         self._truth = np.zeros((2, blocks * LANES), dtype=np.int32)
         self._seeds: NDArray[np.uint64] | None = None
         self._n_offsets = len(self.setup.offsets_v) - len(self.setup.kinds)
@@ -156,7 +156,7 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         """Observation and info as the lanes stand."""
         observation, _ = self._empty()
         vector_kernel.observe(self._state, self.setup.observed, observation)
-        flags = self._copy_of_flags()
+        flags = self._flags[:, : self.num_envs].copy()
         if known is not None:
             flags[KNOWN] = known
         return observation.T[: self.num_envs], self._info(flags)
@@ -165,9 +165,6 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         """Fresh arrays for observation and reward of all lanes, those that fill the last block too."""
         lanes = self._declared.size
         return np.empty((len(self.setup.chosen), lanes), dtype=np.float32), np.empty(lanes)
-
-    def _copy_of_flags(self) -> BoolArray:
-        return self._flags.view(np.bool_)[:, : self.num_envs].copy()
 
     def _info(self, flags: BoolArray) -> Info:
         """The truth, for those who score; what decides must not read it."""
@@ -279,7 +276,7 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         self._row, n_over, n_unready = self._step_lanes(actions, self._fixed, (self._row, lanes, reward))
         if n_unready > 0:
             self._draw()
-        flags = self._copy_of_flags()
+        flags = self._flags[:, : self.num_envs].copy()
         observation, info, terminated = lanes.T[: self.num_envs], self._info(flags), flags[TERMINATED]
         if n_over > 0 and mode is AutoresetMode.SAME_STEP:
             observation, info = self._reset_same_step(observation, info, terminated)

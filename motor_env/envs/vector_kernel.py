@@ -47,6 +47,7 @@ DEPTH = 8
 """Episodes of a lane that are kept in a ring: the one that runs, and the next ones as far as they have been drawn."""
 DECLARE_ABOVE = 0.5
 ByteArray = NDArray[np.uint8]
+BoolArray = NDArray[np.bool_]
 CountArray = NDArray[np.int32]
 
 # Rows of a lane's counts: the place of its episode in the ring, how many after it have been drawn, its number; in the
@@ -60,14 +61,14 @@ CLASS_INDEX, RUNNING_ONSET = range(2)
 
 @njit(cache=True, error_model="numpy")
 def _change_levels(
-    s: FloatArray, p: Constants, episodes: FloatArray, counts: CountArray, flags: ByteArray, first: int
+    s: FloatArray, p: Constants, episodes: FloatArray, counts: CountArray, flags: BoolArray, first: int
 ) -> None:
     """Let the faults of a block grow where they are due, and see when the next one is."""
     quiet = p[HORIZON]
     for j in range(LANES):
         if s[j + NEXT_CHANGE * LANES] <= s[j + SAMPLE * LANES]:
             change_level(s, j, episodes[counts[SLOT, j], j], p)
-            flags[FAULT_ACTIVE, first + j] = 1
+            flags[FAULT_ACTIVE, first + j] = True
         if flags[TERMINATED, first + j]:
             quiet = p[ZERO]
         elif s[j + SAMPLE * LANES] < p[HORIZON]:
@@ -111,7 +112,7 @@ def step_block(
     names: WordArray,
     episodes: FloatArray,
     counts: CountArray,
-    flags: ByteArray,
+    flags: BoolArray,
     first: int,
     samples: int,
 ) -> int:
@@ -145,7 +146,7 @@ def begin_lane(
     constants: FloatArray,
     episodes: FloatArray,
     counts: CountArray,
-    flags: ByteArray,
+    flags: BoolArray,
     truth: CountArray,
     n: int,
 ) -> None:
@@ -160,7 +161,7 @@ def begin_lane(
     fill_lane(noise, j, names, row, int(constants[N_CHANNELS]))
     truth[CLASS_INDEX, n] = counts[RING + slot, j]
     truth[RUNNING_ONSET, n] = int(episode[HEAD_ONSET]) if episode[HEAD_ONSET] < NEVER else -1
-    flags[TERMINATED, n], flags[FAULT_ACTIVE, n] = 0, 0
+    flags[TERMINATED, n], flags[FAULT_ACTIVE, n] = False, False
     counts[QUIET, 0] = 0  # see anew
 
 
@@ -174,7 +175,7 @@ def begin_lanes(
     constants: FloatArray,
     episodes: FloatArray,
     counts: CountArray,
-    flags: ByteArray,
+    flags: BoolArray,
     truth: CountArray,
 ) -> None:
     """Let the lanes of the mask begin their next episodes."""
@@ -232,7 +233,7 @@ def _finish_block(
     counts: CountArray,
     declared: ByteArray,
     reward: FloatArray,
-    flags: ByteArray,
+    flags: BoolArray,
     truth: CountArray,
     first: int,
 ) -> tuple[int, int]:
@@ -245,7 +246,7 @@ def _finish_block(
             reward[n] = 0.0
         elif counts[NUMBER, j] >= 0 and (declared[j] > 0 or s[j + SAMPLE * LANES] >= p[HORIZON]):
             reward[n] = settle(s, j, p, samples, int(declared[j]))
-            flags[TERMINATED, n], counts[QUIET, 0] = 1, 0
+            flags[TERMINATED, n], counts[QUIET, 0] = True, 0
             n_over += 1
             n_unready += counts[READY, j] == 0
     return n_over, n_unready
@@ -316,7 +317,7 @@ def step_lanes(
     episodes: FloatArray,
     counts: CountArray,
     declared: ByteArray,
-    flags: ByteArray,
+    flags: BoolArray,
     truth: CountArray,
     samples: int,
     next_step: bool,
