@@ -130,7 +130,10 @@ def signature_energy(
 
 
 def matched_power(separation: float, false_alarm_probability: float) -> float:
-    """Share of faults that the best one-sided test of a known fault finds (Neyman & Pearson 1933)."""
+    """Share of faults that the best one-sided test of a known fault finds (Neyman & Pearson 1933).
+
+    It holds where the noise is that of the belief, as `choose_process_noise` sees to.
+    """
     return float(norm.sf(norm.isf(false_alarm_probability) - separation))
 
 

@@ -288,13 +288,12 @@ def _common_gain(
     nis = block[size * n_channels :].reshape(n_cases, n_samples)
     expected = series.nominal @ kalman.observation.T
     forward = transition @ plan.gain
-    weight = np.linalg.inv(plan.innovation_covariance).astype(dtype)
     if n_channels == 1:
         a, gain = output_coordinates(transition, kalman.observation[0], forward[:, :, 0])
         filter_one_channel(
             a.astype(dtype),
             gain.astype(dtype),
-            weight[:, 0, 0].copy(),
+            (1.0 / plan.innovation_covariance[:, 0, 0]).astype(dtype),
             np.ascontiguousarray(expected[:, :, 0]),
             series.measured[:, 0],
             innovation[:, :, 0],
@@ -305,7 +304,7 @@ def _common_gain(
             transition.astype(dtype),
             kalman.observation.astype(dtype),
             np.ascontiguousarray(forward, dtype=dtype),
-            weight,
+            np.linalg.inv(plan.innovation_covariance).astype(dtype),
             expected,
             series.measured,
             innovation,

@@ -235,6 +235,12 @@ def test_residuals_do_not_depend_on_the_company(n_cases: int) -> None:
         some.innovation, filter_residuals(kalman, measured, voltage).innovation[:n_cases]
     )
     np.testing.assert_allclose(some.nis, run_filter(kalman, measured[:n_cases], voltage).nis, rtol=1e-12)
+    order = np.random.default_rng(n_cases).permutation(9)
+    for dtype in (np.float32, np.float64):
+        whole = filter_residuals(kalman, measured, voltage, dtype=dtype)
+        mixed = filter_residuals(kalman, measured[order], voltage, dtype=dtype)
+        np.testing.assert_array_equal(mixed.innovation, whole.innovation[order])
+        np.testing.assert_array_equal(mixed.nis, whole.nis[order])
 
 
 @pytest.mark.parametrize("name", SENSORS)
