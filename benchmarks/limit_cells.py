@@ -24,8 +24,8 @@ SEED = 77
 def networks(recipe: Recipe, only_rate_hz: float | None) -> Iterator[tuple[Recipe, PosteriorNetwork]]:
     """Each setting with its network.
 
-    One network serves all noises of a rate, which it is not told; the shipped one where it is of this rate. Where a fault
-    is told by its noise, each noise has a network of its own.
+    One network serves all noises of a rate, and is not told which; the shipped one where it is of this rate. Where a
+    fault is told by its noise, each noise has a network of its own.
     """
     shipped, its_recipe, _ = load_model(PRETRAINED)
     tells_noise = any(c.kind is FaultKind.NOISE for c in recipe.classes)

@@ -310,6 +310,7 @@ def _load_residual(head: dict[str, Any], tensors: dict[str, Any], recipe: Recipe
     model.center_, model.scale_ = tensors["center"], tensors["scale"]
     for name in ("center", "scale"):
         require(tensors[name].shape == (model.n_features_in_,), f"{name} does not fit its recipe")
+    require(bool((model.scale_ > 0.0).all()), "scale must be > 0")
     state = {
         name.removeprefix("network."): torch.from_numpy(values)
         for name, values in tensors.items()

@@ -23,12 +23,21 @@ from motor_env.simulation import Timing
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 TRAIN = generate_arrays(RECIPE, 1, 200)
-METHODS = ("threshold", "network", "residual-qda", "physical-forest")
+QUICK = {
+    "posterior-network": {"steps": 5, "batch_size": 32},
+    "residual-network": {"epochs": 1, "stem": 4, "width": 4},
+    "physical-boosting": {"classify__estimator__max_iter": 5},
+    "physical-forest": {"classify__n_estimators": 10},
+}
+METHODS = ("threshold", "network", "residual-qda", "physical-svm", *QUICK)
 
 
 @pytest.fixture(scope="module")
 def fitted() -> dict[str, BaseEstimator]:
-    return {name: make_method(name, RECIPE, 0).fit(TRAIN.X, TRAIN.class_name) for name in METHODS}
+    return {
+        name: make_method(name, RECIPE, 0).set_params(**QUICK.get(name, {})).fit(TRAIN.X, TRAIN.class_name)
+        for name in METHODS
+    }
 
 
 @pytest.fixture(scope="module")
@@ -51,14 +60,18 @@ def refusal(content: bytes, folder: Path) -> str:
     return sentence
 
 
-@pytest.mark.parametrize("name", ["threshold", "network", "residual-qda"])
+@pytest.mark.parametrize(
+    "name", ["threshold", "network", "residual-qda", "posterior-network", "residual-network"]
+)
 def test_any_cut_is_refused(name: str, contents: dict[str, bytes], tmp_path: Path) -> None:
     content = contents[name]
     for end in np.linspace(0, len(content) - 1, 12).astype(int):
         refusal(content[:end], tmp_path)
 
 
-@pytest.mark.parametrize("name", ["threshold", "network", "residual-qda"])
+@pytest.mark.parametrize(
+    "name", ["threshold", "network", "residual-qda", "posterior-network", "residual-network"]
+)
 def test_a_flipped_byte_is_refused_or_harmless(name: str, contents: dict[str, bytes], tmp_path: Path) -> None:
     """No other error than the sentence, at loading or at predicting."""
     rng = np.random.default_rng(0)
@@ -112,6 +125,25 @@ def test_an_unchanged_head_loads(contents: dict[str, bytes], tmp_path: Path) -> 
         ("network", {"recipe": {"timing": {"sampling_rate_hz": "fast"}}}),
         ("network", {"recipe": {"timing": {"sampling_rate_hz": 1e4, "duration_s": 1e9}}}),
         ("network", {"version": 2}),
+        ("posterior-network", {"classes": ["bearing_10", "healthy"]}),
+        ("posterior-network", {"parameters": {"n_hidden": 10**9}}),
+        ("posterior-network", {"parameters": {"n_layers": "two"}}),
+        ("posterior-network", {"parameters": {"noise_range": [1, "loud"]}}),
+        ("posterior-network", {"parameters": {"noise_range": [1, 2, 3]}}),
+        ("posterior-network", {"parameters": {"unheard_of": 1}}),
+        ("posterior-network", {"severities": [{"kind": "rust", "smallest": 0.0, "largest": 0.3}]}),
+        ("posterior-network", {"severities": [{"kind": "bearing", "smallest": 0.0, "largest": 0.3}]}),
+        ("posterior-network", {"severities": [{"kind": "bearing", "smallest": 0.0, "largest": "much"}]}),
+        ("posterior-network", {"severities": []}),
+        ("posterior-network", {"severities": "bearing"}),
+        ("posterior-network", {"sees_noise": {"classes": True}}),
+        ("posterior-network", {"sees_noise": {"severity": 0}}),
+        ("posterior-network", {"kind": "network"}),
+        ("network", {"kind": "posterior-network"}),
+        ("residual-network", {"parameters": {"width": 10**9}}),
+        ("residual-network", {"parameters": {"kernel": 0}}),
+        ("residual-network", {"parameters": {"stem": "long"}}),
+        ("residual-network", {"recipe": {"sensor": {"channels": ["current", "speed"]}}}),
     ],
     ids=str,
 )
@@ -121,16 +153,35 @@ def test_json_with_wrong_types_or_values_is_refused(
     refusal(with_head(contents[name], changes), tmp_path)
 
 
-def test_tensors_of_another_shape_are_refused(contents: dict[str, bytes], tmp_path: Path) -> None:
-    content = contents["network"]
+@pytest.mark.parametrize(
+    ("name", "key", "values"),
+    [
+        ("network", "center", np.zeros(3)),
+        ("network", "scale", np.full(6, np.nan)),
+        ("network", "network.0.weight", np.zeros((32, 5))),
+        ("posterior-network", "classes.space.noise", np.zeros(100)),
+        ("posterior-network", "classes.space.noise", np.ones(3)),
+        ("posterior-network", "classes.space.directions", np.ones((10, 99))),
+        ("posterior-network", "classes.space.directions", np.ones(1000)),
+        ("posterior-network", "classes.space.variance", np.full(10, -1.0)),
+        ("posterior-network", "severity.space.center", np.full(10, np.inf)),
+        ("posterior-network", "severity.network.4.bias", np.zeros(5)),
+        ("posterior-network", "severity.network.4.bias", np.zeros(6, dtype=np.int64)),
+        ("posterior-network", "classes.network.0.weight", np.zeros((96, 10, 2))),
+        ("posterior-network", "third.network.0.weight", np.zeros(3)),
+        ("residual-network", "center", np.zeros(3)),
+        ("residual-network", "scale", np.zeros(100)),
+        ("residual-network", "network.0.0.weight", np.zeros((4, 1, 7))),
+    ],
+    ids=str,
+)
+def test_tensors_of_another_shape_are_refused(
+    name: str, key: str, values: Any, contents: dict[str, bytes], tmp_path: Path
+) -> None:
+    content = contents[name]
     length = int.from_bytes(content[:8], "little")
     metadata = json.loads(content[8 : 8 + length])["__metadata__"]
-    for key, values in (
-        ("center", np.zeros(3)),
-        ("scale", np.full(6, np.nan)),
-        ("network.0.weight", np.zeros((32, 5))),
-    ):
-        refusal(save({**load(content), key: values}, metadata=metadata), tmp_path)
+    refusal(save({**load(content), key: values}, metadata=metadata), tmp_path)
 
 
 def test_a_function_in_a_pipeline_is_refused_by_name(contents: dict[str, bytes], tmp_path: Path) -> None:
@@ -155,6 +206,36 @@ def test_a_tree_that_points_outside_is_refused(fitted: dict[str, BaseEstimator],
     save_model(model, RECIPE, "physical-forest", forged)
     tree.children_left[0] = kept
     assert "child that does not exist" in refusal(forged.read_bytes(), tmp_path)
+
+
+def test_a_tree_of_the_boosting_that_points_outside_is_refused(
+    fitted: dict[str, BaseEstimator], tmp_path: Path
+) -> None:
+    model = fitted["physical-boosting"]
+    boosting = model.steps[-1][1].calibrated_classifiers_[0].estimator
+    nodes = boosting._predictors[0][0].nodes
+    for field, value, words in (
+        ("left", 10**6, "child that does not exist"),
+        ("feature_idx", 10**6, "asks for no feature"),
+        ("is_categorical", 1, "asks for a category"),
+    ):
+        kept = nodes[field][0]
+        nodes[field][0] = value
+        save_model(model, RECIPE, "physical-boosting", tmp_path / "forged.model")
+        nodes[field][0] = kept
+        assert words in refusal((tmp_path / "forged.model").read_bytes(), tmp_path)
+
+
+def test_support_vectors_that_are_not_there_are_refused(
+    fitted: dict[str, BaseEstimator], tmp_path: Path
+) -> None:
+    model = fitted["physical-svm"]
+    machine = model.steps[-1][1].calibrated_classifiers_[0].estimator
+    kept = machine._n_support
+    machine._n_support = kept + 1000
+    save_model(model, RECIPE, "physical-svm", tmp_path / "forged.model")
+    machine._n_support = kept
+    assert "do not fit each other" in refusal((tmp_path / "forged.model").read_bytes(), tmp_path)
 
 
 def test_train_evaluate_predict_and_no_overwriting(
