@@ -225,6 +225,36 @@ def periodic_lines(residual: FloatArray, time_s: FloatArray) -> tuple[PeriodicLi
     return tuple(found)
 
 
+def over_angle(
+    values: FloatArray, time_s: FloatArray, speed: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """Values evenly over the angle that the motor turns, in seconds at its last speed; None where it does not turn.
+
+    Args:
+        values: shape (n,).
+        time_s: shape (n,).
+        speed: in any unit, shape (n,).
+
+    Returns:
+        The even axis and the values on it, each of shape (n,).
+    """
+    n = len(time_s)
+    last = float(np.mean(speed[-max(n // 20, 1) :]))
+    if last <= 0.0:
+        return None
+    shape = np.maximum(speed / last, 0.0)
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * (shape[1:] + shape[:-1]) * np.diff(time_s))])
+    turned += 1e-12 * np.arange(n)  # strictly rising, where the motor stands too
+    even = np.linspace(0.0, turned[-1], n)
+    return even, np.interp(even, turned, values)
+
+
+def line_share(residual: FloatArray, time_s: FloatArray) -> float:
+    """Share of a residual's power that its strongest line holds; 0 where none stands out."""
+    line = _strongest_line(residual - residual.mean(), time_s)
+    return 0.0 if line is None else 0.5 * line.amplitude_a**2 / max(float(np.var(residual)), 1e-300)
+
+
 def _strongest_line(residual: FloatArray, time_s: FloatArray) -> PeriodicLine | None:
     n = len(residual)
     if n < _FEWEST_FOR_RIPPLE:

@@ -18,7 +18,7 @@ from motor_env.measurement import measure
 from motor_env.nonlinear import Effects
 from motor_env.parameters import FloatArray, MotorParameters, SensorParameters, SupplyParameters
 from motor_env.recipes import BENCH_SPREAD, Spread, apply_factors
-from motor_env.recordings import Recording
+from motor_env.recordings import Recording, evened
 from motor_env.sensor_chain import SensorChain
 from motor_env.simulation import Scenario, Timing, simulate_states
 from motor_env.streams import Stream, normals
@@ -140,7 +140,10 @@ def captures(
     for n, row in enumerate(readings.astype(np.float64)):
         time_s, current_a = defect.reshape(timing.time_s, row, np.random.default_rng([seed, n]))
         commanded = np.where(timing.time_s > 1e-9, voltage_v, 0.0)
-        recordings.append(Recording(Path(f"simulated-{n}"), time_s, current_a, commanded))
+        even, columns, notes = evened(time_s, {"current": current_a})
+        recordings.append(
+            Recording(Path(f"simulated-{n}"), even, columns["current"], commanded, columns=notes)
+        )
     return recordings
 
 

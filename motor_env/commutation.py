@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
+from motor_env.alignment import over_angle
 from motor_env.identification import Identified
 from motor_env.parameters import FloatArray
 
@@ -62,14 +63,10 @@ def find_ripple(fit: Identified) -> CommutationRipple | None:
         return None
     time_s, residual = start.time_s[begin:], fit.residual_a[begin:]
     speed = fit.states[begin:, 1]
-    last = float(np.mean(speed[-max(n // 20, 1) :]))
-    if last <= 0.0:
+    turning = over_angle(residual, time_s, speed)
+    if turning is None:
         return None
-    shape = np.maximum(speed / last, 0.0)
-    turned = np.concatenate([[0.0], np.cumsum(0.5 * (shape[1:] + shape[:-1]) * np.diff(time_s))])
-    turned += 1e-12 * np.arange(n)  # strictly rising, where the motor stands too
-    even = np.linspace(0.0, turned[-1], n)
-    resampled = np.interp(even, turned, residual)
+    even, resampled = turning
     window = np.hanning(n)
     power = np.abs(np.fft.rfft((resampled - resampled.mean()) * window, _PADDING * n)) ** 2
     frequency = np.fft.rfftfreq(_PADDING * n, even[1])
@@ -92,7 +89,7 @@ def find_ripple(fit: Identified) -> CommutationRipple | None:
         amplitude_a=2.0 * math.sqrt(float(power[peak])) / float(window.sum()),
         strength=float(strength[peak]),
         time_s=time_s - fit.onset_s,
-        track_hz=found * shape,
+        track_hz=found * np.maximum(speed / np.mean(speed[-max(n // 20, 1) :]), 0.0),
     )
 
 

@@ -45,6 +45,7 @@ _POWER_QUANTILE = 1.645
 _FILTER_TUNING = 3
 _POOR_FIT = 0.75
 _DOUBLED = 1.0
+_LARGEST_LOG = 30.0
 _FEWEST_FOR_WHITENESS = 40
 _ANOTHER_ORDER = math.log(1.5)
 _NORMAL_DOF = 1e6
@@ -488,7 +489,12 @@ def smallest_changes(covariance: FloatArray, exponents: FloatArray, limit: float
 
 def _severity(kind: FaultKind, step: float) -> float:
     """Severity of a step of the logarithm along the fault's direction."""
-    return 1.0 - math.exp(-step) if kind is FaultKind.WINDING_SHORT else math.exp(step) - 1.0
+    return 1.0 - _factor(-step) if kind is FaultKind.WINDING_SHORT else _factor(step) - 1.0
+
+
+def _factor(log: float) -> float:
+    """The factor of a logarithm; beyond any motor it is cut, so that what is not told at all stays a number."""
+    return math.exp(min(max(log, -_LARGEST_LOG), _LARGEST_LOG))
 
 
 def _decide(
@@ -602,7 +608,7 @@ def _changes(
     half = float(stats.t.isf(0.025, freedom))
     sigma = np.sqrt(np.diag(covariance))
     return tuple(
-        Change(name, math.exp(d), math.exp(d - half * s), math.exp(d + half * s), bool(abs(d) > limit * s))
+        Change(name, _factor(d), _factor(d - half * s), _factor(d + half * s), bool(abs(d) > limit * s))
         for name, d, s in zip(names, difference, sigma, strict=True)
     )
 

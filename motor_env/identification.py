@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from scipy.signal import fftconvolve
 
 from motor_env import quantities
-from motor_env.alignment import UnusableError, difference_noise, periodic_lines
+from motor_env.alignment import UnusableError, difference_noise, line_share, over_angle, periodic_lines
 from motor_env.motion import Extension
 from motor_env.parameters import FloatArray, MotorParameters
 from motor_env.start_fit import Problem
@@ -183,9 +183,18 @@ def _cleaner(fit: Identified) -> Start | None:
         wild = list(start.alignment.wild)
     begin = start.alignment.onset_index
     lines = start.lines or periodic_lines(residual[begin:], start.time_s[begin:])
+    if lines and not start.lines and _turns_with_the_motor(fit, begin):
+        lines = ()
     if lines == start.lines and len(wild) == len(start.alignment.wild):
         return None
     return replace(start, lines=lines, alignment=replace(start.alignment, wild=tuple(wild)))
+
+
+def _turns_with_the_motor(fit: Identified, begin: int) -> bool:
+    """Whether the strongest line is sharper over the angle than over time: the commutator's, not a converter's."""
+    residual, time_s = fit.residual_a[begin:], fit.start.time_s[begin:]
+    turning = over_angle(residual, time_s, fit.states[begin:, 1])
+    return turning is not None and line_share(turning[1], turning[0]) > line_share(residual, time_s)
 
 
 def _wild_against(residual: FloatArray, current: FloatArray) -> list[int]:
@@ -239,7 +248,7 @@ def _result(problem: Problem, unknowns: FloatArray, jacobian: FloatArray, start:
         offset_a=offset,
         quantity_names=quantities.names(**which),
         log_values=exponents @ quantities.logarithms(parameters, start.level_v),
-        log_covariance=core @ covariance[:n_core, :n_core] @ core.T,
+        log_covariance=_capped(core @ covariance[:n_core, :n_core] @ core.T),
         expected=expected,
         r2_current=r2_current,
         r2_speed=r2_speed,
@@ -262,6 +271,13 @@ def _middle_of_rise(problem: Problem, extension: Extension, covariance: FloatArr
     first = problem.n_core + problem.extras.index("curve_1")
     some = slice(first, first + len(slopes))
     return middle, math.sqrt(max(float(slopes @ covariance[some, some] @ slopes), 0.0))
+
+
+def _capped(covariance: FloatArray) -> FloatArray:
+    """A covariance of logarithms with no standard deviation above 10: what is not told to e^10 is not told."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    out: FloatArray = (vectors * np.clip(values, 1e-12, 100.0)) @ vectors.T
+    return out
 
 
 def _r2(measured: FloatArray, left: FloatArray) -> float:
@@ -296,7 +312,10 @@ def _covariance(
     running = slice(problem.start.alignment.onset_index, n)
     level = problem.start.alignment.unseen_level_a / problem.scale[0] * jacobian[running].sum(axis=0)
     meat = meat + np.outer(level, level)
-    return bread @ meat @ bread / np.outer(size, size), tuple(independent)
+    # Rounding may leave a direction that hardly matters a negative variance.
+    values, vectors = np.linalg.eigh(0.5 * (meat + meat.T))
+    spread = bread @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    return spread @ spread.T / np.outer(size, size), tuple(independent)
 
 
 def evidence(simple: Identified, rich: Identified) -> float:

@@ -276,10 +276,8 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
     largest = max(float(np.max(np.abs(values))) for values in columns.values())
     if largest > 1e9:
         raise InputError(f"{path}: a value of {largest:.3g} is no reading of a motor")
-    even, jitter = _even(time)
-    if jitter:
-        columns = {name: np.interp(even, time, values) for name, values in columns.items()}
-        notes = (*notes, "the time axis is uneven: interpolated to an even one")
+    even, columns, note = evened(time, columns)
+    notes = (*notes, *note)
     return Recording(
         path=path,
         time_s=even,
@@ -289,6 +287,17 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
         duty=columns.get("duty"),
         columns=notes,
     )
+
+
+def evened(
+    time_s: FloatArray, columns: dict[str, FloatArray]
+) -> tuple[FloatArray, dict[str, FloatArray], tuple[str, ...]]:
+    """Columns on an even time axis, and a note where they had to be interpolated."""
+    even, jitter = _even(time_s)
+    if not jitter:
+        return even, columns, ()
+    note = ("the time axis is uneven: interpolated to an even one",)
+    return even, {name: np.interp(even, time_s, values) for name, values in columns.items()}, note
 
 
 def _even(time_s: FloatArray) -> tuple[FloatArray, bool]:

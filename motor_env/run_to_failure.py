@@ -241,6 +241,7 @@ class Coverage(NamedTuple):
         life: true time from the judgement to the failure, 0 where it had failed before, shape (n,).
         trends: whether a trend to the limit was reported, shape (n,).
         reached: whether the limit was reported as reached, shape (n,).
+        level: probability of a central interval with two ends.
     """
 
     starts: NDArray[np.int64]
@@ -249,6 +250,13 @@ class Coverage(NamedTuple):
     life: FloatArray
     trends: NDArray[np.bool_]
     reached: NDArray[np.bool_]
+    level: float
+
+    @property
+    def claimed(self) -> FloatArray:
+        """Probability that each interval claims: one without an upper end, or from 0 on, can fail on one side only."""
+        tails: FloatArray = (self.low > 0.0).astype(np.float64) + np.isfinite(self.high)
+        return 1.0 - 0.5 * (1.0 - self.level) * tails
 
     @property
     def covered(self) -> NDArray[np.bool_]:
@@ -286,4 +294,4 @@ def remaining_life_coverage(
         trends = wear.probability_trend >= TREND_PROBABILITY
         rows.append((found.low, found.high, life, trends, found.probability_reached >= 0.5))
     low, high, life_days, told, reached = np.array(rows, dtype=np.float64).T
-    return Coverage(starts, low, high, life_days, told > 0.0, reached > 0.0)
+    return Coverage(starts, low, high, life_days, told > 0.0, reached > 0.0, level)

@@ -109,36 +109,92 @@ def test_headers(header: str, quantity: str | None, factor: float) -> None:
     assert scale == pytest.approx(factor)
 
 
-def sentence_about(path: Path) -> str | None:
-    try:
-        read_recording(path)
-    except InputError as error:
-        return str(error)
-    return None
+def malformed(kind: int, good: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
+    """Bytes that are no recording, and the ending of their file; every kind beyond all doubt."""
+    lines = good.split(b"\n")
+    place = int(rng.integers(5, len(lines) - 5))
+
+    def with_line(line: bytes) -> bytes:
+        return b"\n".join([*lines[:place], line, *lines[place + 1 :]])
+
+    letters = bytes(rng.integers(97, 123, 6).tolist())
+    kinds: list[tuple[bytes, str]] = [
+        (b"", ".csv"),
+        (b" \n\n\t\n" * (place % 7 + 1), ".csv"),
+        (rng.bytes(50 + place), ".csv"),
+        (rng.bytes(50 + place), ".mat"),
+        (b"\x93NUMPY" + rng.bytes(40), ".npy"),
+        (b"PK\x03\x04" + rng.bytes(60), ".npz"),
+        (b"PAR1" + rng.bytes(80), ".parquet"),
+        (b"MATLAB 5.0 MAT-file" + rng.bytes(200), ".mat"),
+        (b"MATLAB 7.3 MAT-file" + rng.bytes(200), ".mat"),
+        (with_line(b"0.01,12,nan"), ".csv"),
+        (with_line(b"0.01,12,inf"), ".csv"),
+        (with_line(b"0.01,12,1e999"), ".csv"),
+        (with_line(b"0.01,12," + letters), ".csv"),
+        (with_line(b"0.01,12"), ".csv"),
+        (with_line(b"-5,12,0"), ".csv"),
+        (with_line(b"0.01,12,"), ".txt"),
+        (b"\n".join(lines[: 2 + place % 15]), ".csv"),
+        (b"\n".join([b"a,b," + letters, *lines[1:]]), ".csv"),
+        (b"\n".join([b"time_s,voltage_v,voltage_v", *lines[1:]]), ".csv"),
+        (b"\n".join(b"%d,%d" % (k, 10**12 + k) for k in range(30 + place)), ".csv"),
+        (b"\n".join(line.rsplit(b",", 1)[0] for line in lines), ".csv"),
+        (letters * place, ".csv"),
+        (b"{" + letters + b": [1, 2]}", ".json"),
+        (good[: len(good) // 2] + b"\0" * place + good[len(good) // 2 :], ".csv"),
+        (b"<html><body>" + letters + b"</body></html>", ".csv"),
+    ]
+    return kinds[kind % len(kinds)]
 
 
-def test_damaged_files_get_one_sentence_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Random damage: no traceback, and what cannot be read gets one sentence that names the file."""
+COMMANDS = {
+    "diagnose": ["diagnose", "{}"],
+    "identify": ["identify", "{}", "-o", "{out}"],
+    "commission": ["commission", "{}", "{good}", "{other}", "-o", "{out}"],
+    "coastdown": ["coastdown", "{}"],
+}
+
+
+@pytest.mark.parametrize("command", list(COMMANDS))
+def test_a_hundred_malformed_files_get_one_sentence_each(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Through the command: status 2, one sentence that names the file, nothing written."""
     good = (EXAMPLES / "startup_capture.csv").read_bytes()[:8000].rsplit(b"\n", 1)[0]
-    rng, refused = np.random.default_rng(3), 0
-    for n in range(60):
-        damaged = bytearray(good)
-        place = int(rng.integers(30, len(good)))
-        damage = (b"nan", b"\0", b'"', b",,", b"x", b"1e999", b"\n\n-", rng.bytes(20))[n % 8]
-        damaged[place:place] = damage
-        if n % 5 == 0:
-            damaged = damaged[: place // 8]
-        path = tmp_path / f"f{n}{('.csv', '.mat', '.npy', '.npz', '.txt')[n % 5]}"
-        path.write_bytes(bytes(damaged))
-        sentence = sentence_about(path)
-        if sentence is not None:
-            refused += 1
-            assert path.name in sentence
-            assert "\n" not in sentence
-    assert refused > 30
-    empty = write(tmp_path / "empty.csv", "")
-    assert cli.main(["diagnose", str(empty)]) == 2
-    assert capsys.readouterr().err.strip().endswith("empty.csv: is empty")
+    rng = np.random.default_rng([3, len(command)])
+    out, seen = tmp_path / "out.toml", set()
+    count = 110 if command == "diagnose" else 25
+    for n in range(count):
+        content, ending = malformed(n, good, rng)
+        seen.add(content)
+        path = tmp_path / f"f{n}{ending}"
+        path.write_bytes(content)
+        places = {
+            "good": EXAMPLES / "startup_capture.csv",
+            "other": EXAMPLES / "startup_capture.csv",
+            "out": out,
+        }
+        status = cli.main([word.format(path, **places) for word in COMMANDS[command]])
+        printed = capsys.readouterr()
+        assert status == 2, (n, content[:80], printed)
+        assert printed.err.count("\n") == 1, printed.err
+        assert command == "commission" or path.name in printed.err
+        assert printed.out.strip() in ("", "[]")
+        assert not out.exists()
+    assert len(seen) > 0.8 * count
+
+
+def test_a_folder_of_malformed_files_has_no_trend(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = (EXAMPLES / "startup_capture.csv").read_bytes()[:8000].rsplit(b"\n", 1)[0]
+    rng = np.random.default_rng(4)
+    for n in range(25):
+        content, ending = malformed(n, good, rng)
+        (tmp_path / f"2026-01-{n + 1:02d}{ending}").write_bytes(content)
+    assert cli.main(["trend", str(tmp_path), "--out", str(tmp_path / "t.html")]) == 2
+    printed = capsys.readouterr()
+    assert "Traceback" not in printed.err
+    assert not (tmp_path / "t.html").exists()
 
 
 def test_identify_writes_a_motor_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

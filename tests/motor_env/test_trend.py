@@ -119,8 +119,15 @@ def test_coverage_of_the_remaining_life() -> None:
     """The quick version of the long test: 120 runs leave a standard error of 3 points."""
     result = remaining_life_coverage(WearRecipe(), 11, np.arange(120))
     assert result.reported.mean() > 0.25
-    assert abs(result.covered.mean() - 0.92) < 0.09
+    assert abs(result.covered.mean() - result.claimed.mean()) < 0.08
     assert abs(result.covered[result.reported].mean() - 0.9) < 0.12
+
+
+def test_an_interval_without_an_upper_end_claims_more() -> None:
+    result = remaining_life_coverage(WearRecipe(), 11, np.arange(40))
+    open_ended = np.isinf(result.high)
+    np.testing.assert_allclose(result.claimed[open_ended & (result.low > 0.0)], 0.95)
+    np.testing.assert_allclose(result.claimed[~open_ended & (result.low > 0.0)], 0.90)
 
 
 @pytest.mark.long
@@ -128,6 +135,7 @@ def test_coverage_of_the_remaining_life() -> None:
 def test_coverage_of_the_remaining_life_on_many_runs() -> None:
     result = remaining_life_coverage(WearRecipe(), 12, np.arange(5000))
     assert abs(result.covered[result.reported].mean() - 0.9) < 0.03
+    assert abs(result.covered.mean() - result.claimed.mean()) < 0.03
 
 
 def test_a_steady_motor_is_said_to_have_no_trend() -> None:
