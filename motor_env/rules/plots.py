@@ -66,7 +66,7 @@ def plot_delay_curves(
         rules: by name; exact where theory gives it, else simulated.
         arl0: average samples between false alarms.
     """
-    figure = Figure(figsize=(7.0, 4.5), layout="constrained")
+    figure = Figure(figsize=(9.0, 4.5), layout="constrained")
     axis = figure.subplots()
     for name, rule in {"CUSUM, true shift (least worst case)": Cusum(shift), **rules}.items():
         delays = [rule.average_run_length(rule.threshold_for(arl0=wanted).value, shift) for wanted in arl0]
@@ -84,7 +84,7 @@ def plot_delay_curves(
     axis.set_yscale("log")
     axis.set_xlabel("samples between false alarms, ARL0")
     axis.set_ylabel(f"delay in samples, shift of {shift:g} sigma")
-    axis.legend(frameon=False, fontsize="small")
+    figure.legend(loc="outside right upper", frameon=False, fontsize="small")
     return figure
 
 
