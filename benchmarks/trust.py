@@ -24,6 +24,7 @@ from motor_classifiers.calibration import calibration_scores, plot_reliability
 from motor_classifiers.conformal import ConformalIntervals, ConformalSets, measured_coverage
 from motor_classifiers.early import EarlyClassifier, limit_by_samples, stop_when_sure, stopping_score
 from motor_classifiers.features import PhysicalFeatures, ResidualProjection
+from motor_classifiers.networks import NetworkClassifier
 from motor_classifiers.novelty import FaultFamilyDetector, OpenSetClassifier, family_fit
 from motor_classifiers.posterior_network import PosteriorNetwork, severity_recipe
 from motor_classifiers.reference import ReferencedProjection, referenced_probabilities, referenced_starts
@@ -63,7 +64,9 @@ def cases(recipe: Recipe, first: int, count: int) -> Dataset:
 
 def qda(recipe: Recipe) -> Pipeline:
     """Quadratic discriminant analysis of the residual's components."""
-    return make_pipeline(ResidualProjection(recipe, 6), StandardScaler(), QuadraticDiscriminantAnalysis())
+    # The components of starts in the field are nearly collinear.
+    model = QuadraticDiscriminantAnalysis(reg_param=0.0 if recipe.field is None else 1e-3)
+    return make_pipeline(ResidualProjection(recipe, 6), StandardScaler(), model)
 
 
 def lda(recipe: Recipe) -> Pipeline:
@@ -75,6 +78,12 @@ def lda(recipe: Recipe) -> Pipeline:
 def network(recipe: Recipe) -> PosteriorNetwork:
     """The posterior network, trained on the recipe's stream."""
     return PosteriorNetwork(recipe, random_state=SEED).fit_stream()
+
+
+@cache
+def reference(recipe: Recipe) -> BaseEstimator:
+    """Stands in for the limit where there is none in closed form."""
+    return trained_qda(recipe, 8000)
 
 
 def trained_qda(recipe: Recipe, count: int = 2000) -> BaseEstimator:
@@ -337,7 +346,8 @@ def _plot_early(curves: dict[str, list[tuple[float, float]]]) -> None:
             time_ms, error = np.array(points).T
             axes.plot(time_ms, 100.0 * error, line, color=colour, marker=marker, label=name)
         axes.set_yscale("log")
-        axes.set_yticks([1, 2, 5, 10, 20, 50], ["1 %", "2 %", "5 %", "10 %", "20 %", "50 %"])
+        ticks = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)
+        axes.set_yticks(ticks, [f"{tick:g} %" for tick in ticks])
         axes.set(
             xlabel="mean time to the verdict on faulty motors, ms",
             ylabel="wrong verdicts, healthy and faulty",
@@ -379,18 +389,19 @@ def references(n_cases: int = 4000) -> Iterable[Iterable[str]]:
             )  # fmt: skip
 
 
-def shifts(n_cases: int = 3000) -> Iterable[Iterable[str]]:
+def shifts(n_cases: int = 2000) -> Iterable[Iterable[str]]:
     """Models under other conditions than in training."""
-    alone = replace(named_recipe("field"), starts_per_motor=1, healthy_starts=0)
+    field = replace(named_recipe("field"), starts_per_motor=1, healthy_starts=0)
+    alone = replace(field, timing=replace(field.timing, sampling_rate_hz=1_000.0))
     for recipe, conditions in (
         (bench(1_000.0), textbook_shifts(bench(1_000.0))),
         (alone, {shift.name: alone.shifted(shift.name) for shift in alone.shifts}),
     ):
         known = cases(recipe, CALIBRATE, n_cases)
         detector = FaultFamilyDetector(recipe).fit(known.X)
-        train = cases(recipe, TRAIN, 10_000)
+        train = cases(recipe, TRAIN, 8000)
         models = {
-            "posterior network": PosteriorNetwork(alone, steps=300, random_state=SEED).fit_stream()
+            "network": NetworkClassifier(alone, random_state=SEED).fit(train.X, train.class_name)
             if recipe is alone
             else network(recipe),
             "residual-qda": qda(recipe).fit(train.X, train.class_name),
@@ -404,8 +415,8 @@ def shifts(n_cases: int = 3000) -> Iterable[Iterable[str]]:
                 recipe,
                 {"as in training": recipe, **conditions},
                 sets=sets,
-                detector=detector if name == "posterior network" else None,
-                reference=lambda other: trained_qda(other, 10_000),
+                detector=detector if name == "network" else None,
+                reference=reference,
                 seed=SEED,
                 cases=np.arange(n_cases) + TEST,
             )

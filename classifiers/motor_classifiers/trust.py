@@ -232,7 +232,7 @@ def plot_roc(
     colours = ("#0b6fa4", "#d98300", "#c8442b", "#12805c", "#6b4fa0")
     even = np.linspace(0.0, 1.0, 401)
     with drawing():
-        figure, (axes,) = subplots(1, width_in=6.5, height_in=6.8)
+        figure, (axes,) = subplots(1, width_in=7.5, height_in=7.0)
         axes.plot([0.0, 1.0], [0.0, 1.0], color=QUIET, linewidth=1.0)
         for n, (colour, (name, (foreign, trust))) in enumerate(zip(colours, curves.items(), strict=False)):
             truth = np.repeat([0, 1], [len(known), len(foreign)])
@@ -248,7 +248,7 @@ def plot_roc(
                     even, np.interp(even, false, right), style, color=colour, linewidth=width, label=label
                 )
         axes.set(xlabel="known motors called other", ylabel="foreign faults called other")
-        axes.set_title("Distance tells foreign faults, confidence does not (area)")
+        axes.set_title("Distance tells foreign faults, confidence does not")
         axes.set_ylim(0.0, 1.01)
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, fontsize=10)
+        figure.legend(loc="outside lower center", ncols=2, fontsize=10, title="area under the curve")
         save(figure, path)
