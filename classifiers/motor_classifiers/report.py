@@ -122,7 +122,7 @@ def _sub_charts(result: CellResult, ranked: Sequence[MethodResult]) -> list[dict
         {
             "title": title,
             "what": what,
-            "chart": _score_chart(result, ranked, name, "limit", width=400, left=130, title=title),
+            "chart": _score_chart(result, ranked, name, "limit", width=440, left=166, title=title),
         }
         for name, (title, what) in told.items()
         if not np.isnan(getattr(result.limit.scores, name).value)
