@@ -44,7 +44,7 @@ from motor_env.recipes import Recipe
 FORMAT = "motor-classifiers"
 VERSION = 1
 PRETRAINED = Path(__file__).parent / "pretrained" / "paper-motor.safetensors"
-"""The network for the paper's motor that comes with the package (classifiers/MODEL_CARD.md)."""
+"""The network for the paper's motor that comes with the package (pretrained/README.md)."""
 LARGEST_FILE_BYTES = 200_000_000
 MOST_FEATURES = 10_000_000
 """Values of a case: a recipe that asks for more comes from a damaged file, not from a motor."""
