@@ -215,7 +215,8 @@ def periodic_lines(residual: FloatArray, time_s: FloatArray) -> tuple[PeriodicLi
     A line is called so where it holds more than a third of the power above a sixteenth of the sampling rate, what
     the stronger lines leave. Aliased lines keep their power and lose their true frequency.
     """
-    left, found = residual - residual.mean(), []
+    left = residual - residual.mean()
+    found: list[PeriodicLine] = []
     while len(found) < _MOST_LINES:
         line = _strongest_line(left, time_s)
         if line is None:

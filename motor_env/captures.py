@@ -135,9 +135,10 @@ def captures(
         readings = _finely(scenario, defect, seed, count)
     else:
         effects, chain = defect.effects, defect.chain
-        readings = measure(scenario, seed, numbers, effects=effects, chain=chain, nominal=motor)[:, 0]
+        measured = measure(scenario, seed, numbers, effects=effects, chain=chain, nominal=motor)[:, 0]
+        readings = measured.astype(np.float64)
     recordings = []
-    for n, row in enumerate(readings.astype(np.float64)):
+    for n, row in enumerate(readings):
         time_s, current_a = defect.reshape(timing.time_s, row, np.random.default_rng([seed, n]))
         commanded = np.where(timing.time_s > 1e-9, voltage_v, 0.0)
         even, columns, notes = evened(time_s, {"current": current_a})

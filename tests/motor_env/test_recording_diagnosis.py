@@ -11,6 +11,7 @@ import pytest
 
 from motor_env import Fault, FaultKind, Scenario, SensorParameters, SupplyParameters, Timing, cli, simulate
 from motor_env.alignment import UnusableError
+from motor_env.commission import identify_file
 from motor_env.diagnosis import Verdict, diagnose, fit_healthy, learn_reference
 from motor_env.diagnosis_files import diagnose_files
 from motor_env.identification import identify
@@ -220,17 +221,40 @@ def test_the_example_is_what_its_script_writes(tmp_path: Path) -> None:
     assert (tmp_path / "startup_capture.csv").read_bytes() == (EXAMPLES / "startup_capture.csv").read_bytes()
 
 
+REAL = [
+    ("lieskjur/startup_120v.csv", None, 0.995, 1.0),
+    ("oscillo_lab/startup_F0000.csv", 12.3, 0.97, 0.5),
+    ("oscillo_lab/startup_F0001.csv", 12.3, 0.97, 0.9),
+    ("jhg/pwm_100.csv", 11.33, 0.95, 1.0),
+    ("jhg/pwm_900.csv", 6.0, 0.95, 1.0),
+    ("jhg/pwm_1600.csv", 1.333, 0.93, 1.0),  # commutation segment by segment: docs/recordings.md
+    ("jhg/pwm_2000.csv", 1.333, 0.95, 1.0),
+    ("jhg/pwm_2700.csv", 6.0, 0.95, 1.0),
+    ("jhg/pwm_3500.csv", 11.33, 0.95, 1.0),
+    ("aalborg/startup_12v.csv", None, 0.80, 0.5),
+    ("aalborg/square_growing.csv", None, 0.97, 0.95),
+    pytest.param("waam/Jan-15-2022_11-00-14.csv", None, 0.95, 1.0, marks=pytest.mark.long),
+    pytest.param("waam/Jan-27-2022_17-23-00.csv", None, 0.95, 1.0, marks=pytest.mark.long),
+    ("production_line/ok_01.csv", None, 0.99, 0.8),
+    ("production_line/ng_01.csv", None, 0.99, 0.8),
+]
+
+
 @needs_recordings
-@pytest.mark.parametrize(
-    ("file", "r2"),
-    [("lieskjur/startup_120v.csv", 0.995), ("oscillo_lab/startup_F0001.csv", 0.97)],
-)
-def test_real_starts_are_fitted(file: str, r2: float) -> None:
-    (outcome,) = diagnose_files([RECORDINGS / file])
-    assert outcome.diagnosis is not None
-    assert outcome.diagnosis.verdict is Verdict.NO_REFERENCE
-    assert outcome.diagnosis.identified is not None
-    assert outcome.diagnosis.identified.r2_current >= r2
+@pytest.mark.parametrize(("file", "voltage_v", "r2", "largest_correlation"), REAL)
+def test_real_starts_are_fitted(
+    file: str, voltage_v: float | None, r2: float, largest_correlation: float
+) -> None:
+    """R2 of the current with the model that the evidence chooses, and how far the residual is from white."""
+    ((_, fit),) = identify_file(RECORDINGS / file, voltage_v=voltage_v)
+    assert fit.r2_current >= r2
+    assert abs(fit.lag_one) <= largest_correlation
+
+
+@needs_recordings
+def test_a_wild_sample_of_a_scope_is_named() -> None:
+    ((_, fit),) = identify_file(RECORDINGS / "oscillo_lab" / "startup_F0000.csv", voltage_v=12.3)
+    assert "a wild sample of 13.6 A at 0.05 s, left out" in fit.defects
 
 
 @needs_recordings
@@ -245,3 +269,5 @@ def test_production_line_starts() -> None:
         moved = {c.name: c.ratio for c in faulty.changes if c.significant}
         assert moved["R/V"] > 1.05
         assert moved["K^2/(J V)"] > 1.05
+        assert moved["speed"] == pytest.approx(0.82, abs=0.02)
+        assert moved["K/V"] > 1.15
