@@ -123,7 +123,12 @@ def with_dynamax(work: Work) -> Callable[[], Any]:
 
     # The quickest of the ways tried. The covariances are computed once for all cases.
     mapped = jax.vmap(means_and_covariances, out_axes=(0, None))
-    run = jax.jit(lambda samples: from_filtered(belief, samples[..., 0], *mapped(samples), jnp))
+
+    @jax.jit
+    def run(samples: Any) -> Any:
+        means, spread = mapped(samples)
+        return from_filtered(belief, samples[..., 0], means, spread, jnp)
+
     return lambda: jax.block_until_ready(run(deviations))
 
 

@@ -7,7 +7,9 @@ import pytest
 
 from motor_env.consistency import check_consistency, choose_process_noise, matched_power, signature_energy
 from motor_env.faults import Fault, FaultKind, apply_fault
+from motor_env.kalman import DEFAULT_PROCESS_NOISE_STD, KalmanFilter, run_filter
 from motor_env.parameters import PAPER_MOTOR, FloatArray, SensorParameters
+from motor_env.rules import Cusum
 from motor_env.simulation import Scenario, Timing, simulate
 
 SENSOR = SensorParameters()
@@ -51,6 +53,23 @@ def test_too_much_process_noise_absorbs_a_bearing_fault() -> None:
     assert energy[0] == pytest.approx(3.8, abs=0.1)
     assert energy[0] > energy[1] > energy[2]
     assert energy[2] < 1.0
+
+
+def test_too_much_process_noise_blinds_a_cusum() -> None:
+    """A residual against a threshold from healthy transients, at 1 % false alarms."""
+    timing, fault = Timing(), Fault(FaultKind.BEARING, 0.1)
+    healthy = simulate(Scenario(PAPER_MOTOR, timing=timing), seed=1, cases=range(500))
+    faulty = simulate(Scenario(PAPER_MOTOR, faults=(fault,), timing=timing), seed=2, cases=range(200))
+    rule, found = Cusum(shift=0.13, two_sided=True), []
+    for std in (DEFAULT_PROCESS_NOISE_STD, (1e-2, 0.316)):
+        belief = KalmanFilter.from_parameters(PAPER_MOTOR, SENSOR, timing.dt_s, process_noise_std=std)
+        largest = [
+            rule.statistic(run_filter(belief, t.measurements, t.voltage_v[0]).whitened).max(axis=1)
+            for t in (healthy, faulty)
+        ]
+        found.append((largest[1] > np.quantile(largest[0], 0.99)).mean())
+    assert found[0] > 0.65
+    assert found[1] < 0.08
 
 
 def test_the_power_of_a_matched_test_is_that_of_two_normals() -> None:
