@@ -1,0 +1,49 @@
+"""False alarms and misses on the production line's recordings, commissioned on many choices of five good starts.
+
+MOTOR_ENV_RECORDINGS=... python benchmarks/production_line.py --choices 20
+"""
+
+import argparse
+import os
+import random
+from collections import Counter
+from itertools import combinations
+from pathlib import Path
+
+from motor_env.commission import commission
+from motor_env.diagnosis import diagnose
+from motor_env.recordings import read_recording
+
+
+def main() -> None:
+    """Print the counts."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "--choices", type=int, default=252, help="of the 252 choices of five, drawn at random"
+    )
+    parser.add_argument("--seed", type=int, default=7)
+    options = parser.parse_args()
+    folder = Path(os.environ["MOTOR_ENV_RECORDINGS"]) / "production_line"
+    good, bad = sorted(folder.glob("ok_*.csv")), sorted(folder.glob("ng_*.csv"))
+    recordings = {path: read_recording(path) for path in (*good, *bad)}
+    every = list(combinations(good, 5))
+    some = random.Random(options.seed).sample(every, min(options.choices, len(every)))  # noqa: S311 - no secret
+    alarms, missed, signs, judged = Counter[str](), Counter[str](), Counter[str](), 0
+    for chosen in some:
+        motor = commission(list(chosen), "motor 5499").motor
+        for path in good:
+            if path not in chosen:
+                judged += 1
+                alarms[path.stem] += diagnose(recordings[path], motor).verdict.is_fault
+        for path in bad:
+            found = diagnose(recordings[path], motor)
+            missed[path.stem] += not found.verdict.is_fault
+            signs.update(
+                f"{c.name} {'up' if c.ratio > 1.0 else 'down'}" for c in found.changes if c.significant
+            )
+    print(f"{len(some)} choices; {sum(alarms.values())} alarms on {judged} other good starts {dict(+alarms)}")
+    print(f"missed {sum(missed.values())} of {len(some) * len(bad)} bad ones; moved: {dict(signs)}")
+
+
+if __name__ == "__main__":
+    main()
