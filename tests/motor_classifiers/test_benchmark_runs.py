@@ -29,6 +29,7 @@ from motor_classifiers.judging import (
     posterior,
     save_answer,
 )
+from motor_classifiers.results import result_rows, write_results
 from motor_env.console import InputError
 from motor_env.recipes import Recipe, named_recipe
 from motor_env.simulation import Timing
@@ -160,6 +161,11 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert not any(asked)
     for result in results:
         assert result.methods[0].judged.scores.accuracy.value > 0.4
+    page = write_results(plan, results, tmp_path / "page").read_text()
+    assert "Against the noise of the sensor" in page
+    settings = page.split('id="settings"')[1].split("</tbody>")[0]
+    assert settings.split("<tbody>")[1].count("<tr>") == 2
+    assert len(json.loads((tmp_path / "page" / "results.json").read_text())) == 4
 
 
 @pytest.mark.long
@@ -229,8 +235,6 @@ def test_the_limit_of_the_field_is_called_an_estimate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The estimate itself is made elsewhere; here a quick method stands for it."""
-    from motor_classifiers.results import result_rows, write_results
-
     monkeypatch.setattr(benchmark_module, "judge_apart", lambda name, cell: judge("residual-qda", cell))
     plan = Plan((_field_cell(),), ("residual-qda",))
     results = run_plan(plan)
