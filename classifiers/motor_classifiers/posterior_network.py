@@ -241,7 +241,7 @@ class PosteriorNetwork(LogitClassifier):
                 yield inputs[chosen], targets[chosen]
 
         with one_thread():
-            inputs = space(torch.from_numpy(flat))
+            inputs = space(_tensor(flat))
             train_on_batches(
                 posterior.network,
                 growing(batches, self.batch_size, self.steps),
@@ -278,7 +278,7 @@ class PosteriorNetwork(LogitClassifier):
         for begin in range(0, len(flat), _CHUNK):
             chosen = slice(begin, begin + _CHUNK)
             with one_thread(), torch.inference_mode():
-                outputs = self.severity_(torch.from_numpy(flat[chosen]))
+                outputs = self.severity_(_tensor(flat[chosen]))
                 densities = outputs.reshape(len(outputs), len(names), -1)
                 own = densities[torch.arange(len(densities)), torch.from_numpy(column[chosen])]
                 share = severity_density.weights(own)
@@ -307,7 +307,7 @@ class PosteriorNetwork(LogitClassifier):
         with one_thread(), torch.inference_mode():
             for begin in range(0, len(flat), _CHUNK):
                 chosen = slice(begin, begin + _CHUNK)
-                logits[chosen] = self.posterior_(torch.from_numpy(flat[chosen])).numpy()
+                logits[chosen] = self.posterior_(_tensor(flat[chosen])).numpy()
         return logits
 
     def _checked_noise(self) -> tuple[float, float]:
@@ -323,6 +323,11 @@ class PosteriorNetwork(LogitClassifier):
         tells = self.recipe is not None and _tells_noise(self.recipe)
         require(not tells, "noise_range must be None for a recipe with a noise fault: they look the same")
         return low, high
+
+
+def _tensor(flat: FloatArray) -> torch.Tensor:
+    """A tensor of the cases, which are not written to; torch shares memory that may be written alone."""
+    return torch.from_numpy(flat if flat.flags.writeable else flat.copy())
 
 
 def _tells_noise(recipe: Recipe) -> bool:
