@@ -221,6 +221,7 @@ def test_the_example_is_what_its_script_writes(tmp_path: Path) -> None:
     assert (tmp_path / "startup_capture.csv").read_bytes() == (EXAMPLES / "startup_capture.csv").read_bytes()
 
 
+SLOW = [pytest.mark.long, pytest.mark.timeout(900)]
 REAL = [
     ("lieskjur/startup_120v.csv", None, 0.995, 1.0),
     ("oscillo_lab/startup_F0000.csv", 12.3, 0.97, 0.5),
@@ -233,8 +234,8 @@ REAL = [
     ("jhg/pwm_3500.csv", 11.33, 0.95, 1.0),
     ("aalborg/startup_12v.csv", None, 0.80, 0.5),
     ("aalborg/square_growing.csv", None, 0.97, 0.95),
-    pytest.param("waam/Jan-15-2022_11-00-14.csv", None, 0.95, 1.0, marks=pytest.mark.long),
-    pytest.param("waam/Jan-27-2022_17-23-00.csv", None, 0.95, 1.0, marks=pytest.mark.long),
+    pytest.param("waam/Jan-15-2022_11-00-14.csv", None, 0.95, 1.0, marks=SLOW),
+    pytest.param("waam/Jan-27-2022_17-23-00.csv", None, 0.95, 1.0, marks=SLOW),
     ("production_line/ok_01.csv", None, 0.99, 0.8),
     ("production_line/ng_01.csv", None, 0.99, 0.8),
 ]
