@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from motor_env.streams import Stream, box_muller, philox
 
 LANES = 64
-ROWS = 32
-"""Normals of a lane that are made ahead."""
+ROWS = 64
+"""Normals of a lane that are made ahead: a multiple of 4, and so large that the one counter more counts little."""
 
 _STREAM = np.uint32(Stream.MEASUREMENT)
 _ZERO, _ONE, _TWO = np.uint32(0), np.uint32(1), np.uint32(2)
@@ -49,10 +49,10 @@ def four_normals(group: np.uint32, names: WordArray, j: int) -> tuple[np.float32
 def fill_lane(noise: Float32Array, j: int, names: WordArray, row: int, first: int) -> None:
     """Normals from number `first` on into the rows from `row` on of lane j: what a new episode finds there."""
     q = first
-    while row < ROWS:
+    while row < noise.shape[0]:
         four = four_normals(np.uint32(q >> 2), names, j)
         for place in range(q & 3, 4):
-            if row < ROWS:
+            if row < noise.shape[0]:
                 noise[row, j] = four[place]
             row += 1
             q += 1
@@ -72,7 +72,7 @@ def refill(noise: Float32Array, names: WordArray, first: WordArray) -> None:
     group = np.empty(LANES, dtype=np.uint32)
     for j in range(LANES):
         group[j] = first[j] >> _TWO
-    for turn in range(ROWS // 4 + 1):
+    for turn in range(noise.shape[0] // 4 + 1):
         for j in range(LANES):
             words[0, j], words[1, j], words[2, j], words[3, j] = philox(
                 np.uint32(group[j] + np.uint32(turn)),

@@ -20,12 +20,14 @@ from motor_env.envs.options import MonitorOptions, with_changes
 from motor_env.envs.setup import Setup, make_setup
 from motor_env.envs.vector_kernel import (
     BLOCK,
+    CLASS_INDEX,
     DEPTH,
     FAULT_ACTIVE,
     KNOWN,
     NUMBER,
     READY,
     RING,
+    RUNNING_ONSET,
     SLOT,
     TERMINATED,
     TRUNCATED,
@@ -168,11 +170,11 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
 
     def _info(self, flags: BoolArray) -> Info:
         """The truth, for those who score; what decides must not read it."""
-        known, (class_index, onset) = flags[KNOWN], self._truth[:, : self.num_envs].copy()
+        known, truth = flags[KNOWN], self._truth[:, : self.num_envs].copy()
         return {
-            "class_index": class_index,
+            "class_index": truth[CLASS_INDEX],
             "_class_index": known,
-            "onset_sample": onset,
+            "onset_sample": truth[RUNNING_ONSET],
             "_onset_sample": known,
             "fault_active": flags[FAULT_ACTIVE],
             "_fault_active": known,

@@ -39,7 +39,7 @@ from motor_env.envs.kernel import (
     settle,
     weigh,
 )
-from motor_env.envs.noise import EPISODE, LANES, ROWS, Float32Array, WordArray, fill_lane, refill
+from motor_env.envs.noise import EPISODE, LANES, Float32Array, WordArray, fill_lane, refill
 from motor_env.parameters import FloatArray
 
 BLOCK = N_FIELDS * LANES
@@ -122,7 +122,7 @@ def step_block(
         if counts[QUIET, 0] <= 0:
             _change_levels(s, p, episodes, counts, flags, first)
         counts[QUIET, 0] -= 1
-        if row == ROWS:
+        if row == noise.shape[0]:
             _refill(s, noise, names, channels)
             row = 0
         _advance_all(s, p, noise[row], noise[row + channels - 1], kept)

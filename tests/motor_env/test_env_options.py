@@ -146,7 +146,7 @@ def test_any_file_runs_or_refuses(kind: str, tmp_path: Path) -> None:
                 gym.make("motor_env/Monitor-v0", **options)
             assert "\n" not in str(refusal.value)
     with pytest.raises(ValueError, match="no such"):
-        gym.make("motor_env/Monitor-v0", **{kind: "absent.toml"})
+        MonitorEnv(**{kind: "absent.toml"})  # type: ignore[arg-type]  # the name is one of two options
 
 
 def test_an_unknown_option_is_named_and_the_known_ones_listed() -> None:
