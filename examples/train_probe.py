@@ -1,6 +1,6 @@
 """Train an agent to probe a motor and to declare its fault, by PPO of Stable-Baselines3 (extra rl), and score it.
 
-python examples/train_probe.py --steps 2000000 --out out/probe-agent
+python examples/train_probe.py --steps 1200000 --out out/probe-agent
 
 The agent sees the summary of a posterior (`motor_env.envs.belief`), which is made from what the environment shows and
 nothing else, and learns by PPO (Schulman et al. 2017) from the reward that the posterior expects: the true one on
@@ -104,7 +104,7 @@ class Agent(Policy):
 class Curve(BaseCallback):
     """Scores the agent on validation episodes now and then, keeps its best weights, and shows progress."""
 
-    def __init__(self, steps: int, episodes: int, points: int = 12) -> None:
+    def __init__(self, steps: int, episodes: int, points: int = 8) -> None:
         super().__init__()
         self._envs, self._every, self._total = ProbeVectorEnv(episodes), max(1, steps // points), steps
         self.points: list[dict[str, float]] = []
@@ -162,7 +162,7 @@ def train(steps: int, n_envs: int, seed: int, episodes: int) -> tuple[PPO, list[
     )
     with torch.no_grad():  # at first it seldom declares: else no episode lasts until its fault
         model.policy.action_net.bias[len(envs.belief.setup.options.offsets_v) :] -= 6.0
-    curve = Curve(steps, 2 * episodes)
+    curve = Curve(steps, episodes)
     model.learn(steps, callback=curve)
     return model, curve.points
 
@@ -189,20 +189,21 @@ def compare(model: PPO, episodes: int) -> dict[str, Any]:
 
 
 def draw_curve(points: list[dict[str, float]], compared: dict[str, Any], path: Path) -> None:
-    """Learning curve, with the rivals as lines."""
-    figure, axes = plt.subplots(figsize=(7.0, 3.6), layout="constrained")
+    """Learning curve, whole and enlarged where it ends, with the rivals as lines."""
+    figure, both = plt.subplots(1, 2, figsize=(8.6, 3.4), layout="constrained")
     steps = np.array([point["steps"] for point in points]) / 1e6
     mean, half = (np.array([point[name] for point in points]) for name in ("mean_return", "half_width"))
-    axes.fill_between(steps, mean - half, mean + half, color="tab:blue", alpha=0.2, linewidth=0)
-    axes.plot(steps, mean, color="tab:blue", marker=".", label="agent, validation episodes (95 %)")
-    for name, colour in (("on demand", "tab:green"), ("open loop", "tab:red")):
-        level = compared["scores"][name]["mean_return"]
-        axes.axhline(level, color=colour, linestyle="--", linewidth=1.2, label=f"{name}, evaluation episodes")
-    axes.set(
-        xlabel="million steps of training", ylabel="mean return", ylim=(max(-1.0, mean.min() - 0.05), 1.0)
-    )
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, loc="lower right")
+    for axes in both:
+        axes.fill_between(steps, mean - half, mean + half, color="tab:blue", alpha=0.2, linewidth=0)
+        axes.plot(steps, mean, color="tab:blue", marker=".", label="agent, validation episodes (95 %)")
+        for name, colour in (("on demand", "tab:green"), ("open loop", "tab:red")):
+            level = compared["scores"][name]["mean_return"]
+            axes.axhline(level, color=colour, linestyle="--", linewidth=1.2, label=f"{name}, evaluation")
+        axes.set(xlabel="million steps of training")
+        axes.spines[["top", "right"]].set_visible(False)
+    both[0].set(ylabel="mean return")
+    both[0].legend(frameon=False, loc="lower right")
+    both[1].set(xlim=(0.45 * steps[-1], 1.02 * steps[-1]), ylim=(0.78, 0.92))
     figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
     plt.close(figure)
 
@@ -231,10 +232,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description="Train an agent on Probe-v0 and score it beside textbook rules."
     )
-    parser.add_argument("--steps", type=int, default=2_000_000, help="of training, over all sub-environments")
+    parser.add_argument("--steps", type=int, default=1_200_000, help="of training, over all sub-environments")
     parser.add_argument("--envs", type=int, default=256, help="sub-environments")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--episodes", type=int, default=1000, help="of each of the five evaluation seeds")
+    parser.add_argument("--episodes", type=int, default=500, help="of each of the five evaluation seeds")
     parser.add_argument("--out", type=Path, default=Path("out/probe-agent"))
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
