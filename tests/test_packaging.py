@@ -65,6 +65,7 @@ def test_wheel_holds_the_three_packages_and_nothing_beside_them(wheel: Path) -> 
     for package in PACKAGES:
         assert f"{package}/__init__.py" in names
         assert f"{package}/py.typed" in names
+    assert "motor_classifiers/pretrained/paper-motor.safetensors" in names
 
 
 def test_folders_around_the_packages_are_no_packages() -> None:
