@@ -49,7 +49,9 @@ def test_episode_statistics_of_a_vector(mode: str) -> None:
 def test_a_video_is_written(tmp_path: Path) -> None:
     pytest.importorskip("moviepy", reason="RecordVideo writes with moviepy")
     env = RecordVideo(
-        gym.make(IDS[1], render_mode="rgb_array", **SHORT), str(tmp_path / "video"), lambda episode: episode == 0
+        gym.make(IDS[1], render_mode="rgb_array", **SHORT),
+        str(tmp_path / "video"),
+        lambda episode: episode == 0,
     )
     with warnings.catch_warnings():
         warnings.simplefilter(
