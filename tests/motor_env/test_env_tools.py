@@ -44,7 +44,8 @@ def test_episode_statistics_of_a_vector(mode: str) -> None:
             told = info["final_info"] if "final_info" in info and "episode" in info["final_info"] else info
             lengths += told["episode"]["l"][terminated].tolist()
     if mode == "SameStep" and gym.__version__.startswith("1.2."):
-        assert lengths == [200] * 3 + [199] * 3  # its wrapper loses a step of every later episode, of any environment
+        # Its wrapper loses a step of every later episode, of any environment.
+        assert lengths == [200] * 3 + [199] * 3
     else:
         assert lengths == [200] * 6
 
