@@ -121,7 +121,7 @@ def with_dynamax(work: Work) -> Callable[[], Any]:
         found = dynamax.lgssm_filter(parameters, samples)
         return found.filtered_means, found.filtered_covariances
 
-    # The quickest of the ways tried. The covariances are computed once for all cases.
+    # The quickest of the ways tried; the covariances are computed once for all cases.
     mapped = jax.vmap(means_and_covariances, out_axes=(0, None))
 
     @jax.jit
