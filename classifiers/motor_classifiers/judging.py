@@ -6,6 +6,8 @@ import hashlib
 import io
 import json
 import multiprocessing
+import os
+import threading
 import zipfile
 import zlib
 from concurrent.futures import ProcessPoolExecutor
@@ -158,13 +160,25 @@ def judge_apart(name: str, cell: Cell) -> Answer:
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     if "forkserver" in methods:
         context.set_forkserver_preload([__name__])  # imports are paid once, not for every method
-    with ProcessPoolExecutor(1, mp_context=context) as pool:
+    with ProcessPoolExecutor(1, mp_context=context, initializer=_end_with_parent) as pool:
         try:
             return pool.submit(judge, name, cell).result()
         except BrokenProcessPool:
             raise InputError(
                 f"{name}: its process ended without an answer; is there memory enough?"
             ) from None
+
+
+def _end_with_parent() -> None:
+    """When the run is killed, its method does not go on alone."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+
+        def watch() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=watch, daemon=True).start()
 
 
 def posterior(cell: Cell) -> Answer:
