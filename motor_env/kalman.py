@@ -126,7 +126,7 @@ class Residuals(NamedTuple):
 def predict(
     kalman: KalmanFilter, state: FloatArray, covariance: FloatArray, inputs: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Time update (paper, Table 1): x- = A x + B u, P- = A P A' + Q."""
+    """Time update (Kalman 1960; paper, Table 1): x- = A x + B u, P- = A P A' + Q."""
     transition = kalman.model.transition
     predicted: FloatArray = transition @ state + kalman.model.gain @ inputs
     return predicted, transition @ covariance @ transition.T + kalman.process_covariance
@@ -150,7 +150,7 @@ def gain_and_covariance(
 def update(
     kalman: KalmanFilter, state: FloatArray, covariance: FloatArray, measurement: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Measurement update (paper, Table 1): state, covariance, innovation and its covariance."""
+    """Measurement update (Kalman 1960; paper, Table 1): state, covariance, innovation and its covariance."""
     gain, innovation_covariance, updated = gain_and_covariance(kalman, covariance)
     innovation = measurement - kalman.observation @ state
     return state + gain @ innovation, updated, innovation, innovation_covariance
@@ -173,7 +173,7 @@ class Schedule(NamedTuple):
 
 
 def schedule(kalman: KalmanFilter, n_samples: int) -> Schedule:
-    """Gain, innovation covariance and covariance after the update of each of `n_samples` samples (paper, Table 1).
+    """Gain, innovation covariance and covariance after the update of each of `n_samples` samples (Kalman 1960).
 
     Raises:
         ValueError: the belief is of a batch of motors.
@@ -321,7 +321,7 @@ def filter_residuals(
     *,
     dtype: type[np.float32 | np.float64] = np.float64,
 ) -> Residuals:
-    """Innovations and NIS of many transients, and nothing else: the quick way (paper, Table 1).
+    """Innovations and NIS of many transients, and nothing else: the quick way (Kalman 1960).
 
     Args:
         kalman: the belief, of one motor.
@@ -353,7 +353,7 @@ def filter_residuals(
 def run_filter(
     kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike = 0.0
 ) -> FilterResult:
-    """Filter one or many measured transients (paper, Table 1); `motor_env.smoothing.smooth` looks back from there.
+    """Filter one or many measured transients (Kalman 1960; paper, Table 1); `smoothing.smooth` looks back from there.
 
     Args:
         kalman: the belief, of one motor or of one for each case.

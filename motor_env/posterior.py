@@ -54,7 +54,7 @@ def recipe_observed(recipe: Recipe, measurements: ArrayLike, voltage_v: ArrayLik
 
 
 def laplace_evidence(observed: Observed, coordinates: Coordinates, prior: Prior | None = None) -> FloatArray:
-    """Log probability density of each transient, coordinates integrated out, shape (n,).
+    """Log probability density of each transient, coordinates integrated out (Laplace 1774), shape (n,).
 
     Args:
         observed: the measured transients.
@@ -83,7 +83,7 @@ def class_log_evidence(
     voltage_v: ArrayLike | None = None,
     prior: Prior | None = None,
 ) -> FloatArray:
-    """Log probability density of each transient under each class, shape (n_cases, n_classes).
+    """Log probability density of each transient under each class (Laplace 1774), shape (n_cases, n_classes).
 
     Exact for a recipe without spread: then it is the plain likelihood. A process noise fault leaves no trace here.
 
@@ -115,7 +115,7 @@ def class_probabilities(
     voltage_v: ArrayLike | None = None,
     prior: Prior | None = None,
 ) -> FloatArray:
-    """Posterior probability of each class, shape (n_cases, n_classes), rows summing to 1; as `class_log_evidence`."""
+    """Posterior of each class (Bayes 1763), shape (n_cases, n_classes), rows summing to 1; as `class_log_evidence`."""
     joint = class_log_evidence(recipe, measurements, voltage_v, prior) + np.log(recipe.class_probabilities)
     posterior: FloatArray = np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
     return posterior
@@ -125,7 +125,7 @@ def prior_from_starts(recipe: Recipe, starts: ArrayLike) -> Prior:
     """What healthy starts of the same motor tell of its next one: the prior of its nuisances then.
 
     Start by start the posterior of the motor's own factors becomes their next prior; the supply is another one in each
-    start, and forgotten. Each posterior is taken for Gaussian, as in Laplace's method.
+    start, and forgotten. Each posterior is taken for Gaussian, as in Laplace's method (MacKay 2003, ch. 27).
 
     Args:
         recipe: what the motors are drawn from.
@@ -172,7 +172,7 @@ class Limit(NamedTuple):
 
 
 def bayes_limit(probabilities: FloatArray) -> Limit:
-    """Best accuracy that any rule can have, from posterior probabilities of drawn cases.
+    """Best accuracy that any rule can have (Chow 1957), from posterior probabilities of drawn cases.
 
     The mean of the largest probability has half the standard error of counting hits, and needs no labels.
 

@@ -234,7 +234,7 @@ class Observed:
 def normal_equations(
     observed: Observed, coordinates: Coordinates, values: FloatArray, rows: NDArray[np.int64] | None = None
 ) -> NormalEquations:
-    """Squares, gradient and information at coordinates of shape (n, size), for the cases `rows` (all by default)."""
+    """Squares, gradient and information (Gauss 1809) at coordinates of shape (n, size), for the cases `rows` or all."""
     chosen = np.arange(observed.n_cases) if rows is None else rows
     centre, slope = model_slopes(coordinates, values, observed.dt_s)
     n, size = len(chosen), coordinates.size

@@ -101,6 +101,8 @@ def severity_posterior(
 ) -> SeverityPosterior:
     """Posterior of the severity of one kind of fault, given that the motor has this kind (or, from 0, none).
 
+    Laplace's method at Chebyshev nodes (Laplace 1774; Trefethen 2013, ch. 4).
+
     Args:
         recipe: nominal motor, tolerances, sensor, timing; its classes are not looked at.
         prior: kind and range of the severity.
