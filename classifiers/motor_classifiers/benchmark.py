@@ -141,17 +141,28 @@ def units(plan: Plan) -> tuple[Unit, ...]:
     """All answers that a plan needs, each once: the limit does not depend on the training starts."""
     found: dict[str, Unit] = {}
     for cell in plan.cells:
-        for name in (LIMIT, *plan.methods):
-            key = answer_key(name, cell)
-            found.setdefault(key, Unit(cell, name, key, _expected_seconds(name, cell)))
+        for name in (_limit_of(cell), *plan.methods):
+            unit = _unit(cell, name)
+            found.setdefault(unit.key, unit)
     return tuple(found.values())
+
+
+def _limit_of(cell: Cell) -> str:
+    """What stands for the limit: the exact posterior, or the method that estimates it."""
+    return LIMIT if cell.recipe.field is None else ESTIMATE
+
+
+def _unit(cell: Cell, name: str) -> Unit:
+    return Unit(cell, name, answer_key(name, cell), _expected_seconds(name, cell))
 
 
 def _expected_seconds(name: str, cell: Cell) -> float:
     samples = cell.recipe.timing.n_samples / 1000.0
-    if name == LIMIT and cell.recipe.field is None:
+    if name == LIMIT:
         return 0.5 + 1e-3 * cell.n_test * samples * len(cell.recipe.classes) / 5.0
-    method = METHODS[ESTIMATE if name == LIMIT else name]
+    method = METHODS[name]
+    if method.from_stream and cell.recipe.field is not None:
+        return 20.0 * method.seconds  # whatever the rate: the motor's equations take small steps
     size = 0.5 if method.from_stream else 0.5 * (cell.n_train + cell.n_test) / 2000.0
     return 1.0 + method.seconds * size * (0.2 + 0.8 * samples)
 
@@ -169,13 +180,24 @@ class AnswerStore:
         self._fresh = fresh
         self._held: dict[str, Answer] = {}
 
-    def get(self, unit: Unit) -> Answer | None:
+    def find(self, unit: Unit) -> Answer | None:
         """The answer, or None."""
         if unit.key not in self._held and self._folder is not None and not self._fresh:
             found = load_answer(self._folder / f"{unit.key}.npz", unit.cell)
             if found is not None:
                 self._held[unit.key] = found
         return self._held.get(unit.key)
+
+    def get(self, unit: Unit) -> Answer:
+        """The answer.
+
+        Raises:
+            KeyError: there is none.
+        """
+        found = self.find(unit)
+        if found is None:
+            raise KeyError(f"the answer of {unit.name} is missing")
+        return found
 
     def put(self, unit: Unit, answer: Answer) -> None:
         """Keep an answer."""
@@ -268,30 +290,20 @@ def run_plan(
     """
     kept = AnswerStore() if store is None else store
     for unit in units(plan):
-        known = kept.get(unit) is not None
+        known = kept.find(unit) is not None
         on_unit(unit, known)
         if not known:
-            kept.put(unit, _have(unit))
+            kept.put(unit, posterior(unit.cell) if unit.name == LIMIT else judge_apart(unit.name, unit.cell))
     return tuple(_score_cell(plan, cell, kept) for cell in plan.cells)
-
-
-def _have(unit: Unit) -> Answer:
-    if unit.name != LIMIT:
-        return judge_apart(unit.name, unit.cell)
-    return posterior(unit.cell) if unit.cell.recipe.field is None else judge_apart(ESTIMATE, unit.cell)
 
 
 def _score_cell(plan: Plan, cell: Cell, store: AnswerStore) -> CellResult:
     test = cell.test()
     weights = resampling_weights(cell.n_test, cell.seed, groups=test.motor_id)
-    answers: dict[str, Answer] = {}
-    for name in (LIMIT, *plan.methods):
-        found = store.get(Unit(cell, name, answer_key(name, cell), 0.0))
-        if found is None:
-            raise RuntimeError(f"the answer of {name} is missing")
-        answers[name] = found
-    limit = _judged(cell.recipe, answers[LIMIT], test, weights, graded=True)
-    right = answers[LIMIT].decided == test.class_index
+    best, *found = (store.get(_unit(cell, name)) for name in (_limit_of(cell), *plan.methods))
+    answers = dict(zip(plan.methods, found, strict=True))
+    limit = _judged(cell.recipe, best, test, weights, graded=True)
+    right = best.decided == test.class_index
     is_estimate = cell.recipe.field is not None
     results = []
     for name in plan.methods:

@@ -455,7 +455,7 @@ def _print_plan(plan: Plan, store: AnswerStore, as_json: bool) -> None:
         {
             "setting": unit.cell.title,
             "method": unit.name,
-            "done": store.get(unit) is not None,
+            "done": store.find(unit) is not None,
             "about_s": unit.seconds,
         }
         for unit in units(plan)

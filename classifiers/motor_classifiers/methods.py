@@ -162,7 +162,7 @@ METHODS = {
             "torch",
             "Amortised posterior: a perceptron that learns from an endless stream of the recipe's own starts",
             lambda recipe, seed: PosteriorNetwork(recipe, random_state=seed),
-            60.0,
+            30.0,
             from_stream=True,
         ),
         Method(

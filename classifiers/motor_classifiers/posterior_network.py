@@ -100,13 +100,15 @@ class PosteriorNetwork(LogitClassifier):
         learning_rate: highest rate; it falls to 0 along a cosine.
         noise_range: smallest and largest factor on the recipe's noise, when the noise's level is not known and the
             network shall read it off the transient; None for the recipe's own.
+        with_severity: whether the second network, that of the severities, is trained too.
         random_state: seed, generator or None, as in scikit-learn.
 
     Attributes:
         classes_: labels: all classes of the recipe, or those of the given cases.
         posterior_: torch module, from flattened cases to the logits of `classes_`.
-        severity_: torch module, from flattened cases to the densities of the severities; None without a recipe.
-        severity_priors_: kinds and ranges of the severities, in the order of the module; empty without a recipe.
+        severity_: torch module, from flattened cases to the densities of the severities; None without a recipe, or
+            where none was asked for.
+        severity_priors_: kinds and ranges of the severities, in the order of the module; empty where there is none.
         n_drawn_: starts drawn for the training.
         n_features_in_: n_channels * n_timepoints.
     """
@@ -121,6 +123,7 @@ class PosteriorNetwork(LogitClassifier):
         batch_size: int = 512,
         learning_rate: float = 0.01,
         noise_range: tuple[float, float] | None = None,
+        with_severity: bool = True,
         random_state: int | np.random.RandomState | None = None,
     ) -> None:
         self.recipe = recipe
@@ -131,6 +134,7 @@ class PosteriorNetwork(LogitClassifier):
         self.batch_size = batch_size
         self.learning_rate = learning_rate
         self.noise_range = noise_range
+        self.with_severity = with_severity
         self.random_state = random_state
 
     def fit(self, X: Any, y: Any) -> Self:
@@ -161,7 +165,7 @@ class PosteriorNetwork(LogitClassifier):
         require(len(recipe.classes) >= 2, f"recipe {recipe.name} must have two classes or more, got one")
         self.n_features_in_ = len(recipe.sensor.channels) * recipe.timing.n_samples
         self.classes_ = np.array(sorted(recipe.class_names))
-        self.severity_priors_ = severity_priors(recipe)
+        self.severity_priors_ = severity_priors(recipe) if self.with_severity else ()
         ranks = torch.from_numpy(np.searchsorted(self.classes_, np.array(recipe.class_names)))
         tops = torch.tensor([prior.largest for prior in self.severity_priors_])
         seed = _OWN_SEEDS + _SEEDS_OF_ONE * seed_of(self.random_state)
@@ -173,8 +177,9 @@ class PosteriorNetwork(LogitClassifier):
             kinds = torch.from_numpy(batch.class_index)
             return torch.stack([kinds.float(), torch.from_numpy(batch.severity).float() / tops[kinds]], dim=1)
 
-        n_densities = severity_density.PARAMETERS * len(tops)
-        self.n_drawn_ = 2 * total_cases(self.batch_size, self.steps)
+        networks = 1 + self.with_severity
+        self.n_drawn_ = networks * total_cases(self.batch_size, self.steps)
+        self.severity_: Posterior | None = None
         with one_thread():
             self.posterior_ = self._learn(
                 recipe,
@@ -182,16 +187,17 @@ class PosteriorNetwork(LogitClassifier):
                 classes,
                 nn.functional.cross_entropy,
                 len(ranks),
-                lambda n: on_step(n, 2 * self.steps),
+                lambda n: on_step(n, networks * self.steps),
             )
-            self.severity_: Posterior | None = self._learn(
-                severity_recipe(recipe),
-                seed + 2,
-                severities,
-                _severity_loss,
-                n_densities,
-                lambda n: on_step(self.steps + n, 2 * self.steps),
-            )
+            if self.with_severity:
+                self.severity_ = self._learn(
+                    severity_recipe(recipe),
+                    seed + 2,
+                    severities,
+                    _severity_loss,
+                    severity_density.PARAMETERS * len(tops),
+                    lambda n: on_step(self.steps + n, networks * self.steps),
+                )
         return self
 
     def _learn(
@@ -269,7 +275,9 @@ class PosteriorNetwork(LogitClassifier):
         require(0.0 < coverage < 1.0, f"coverage must be in (0, 1), got {coverage:g}")
         flat = flat_cases(self, X, reset=False)
         if self.severity_ is None:
-            raise ValueError("a severity needs a network trained with a recipe, this one has none")
+            raise ValueError(
+                "a severity needs a network trained with a recipe and with_severity, this one has none"
+            )
         names = [str(prior.kind) for prior in self.severity_priors_]
         require(kind is None or kind in names, f"kind must be one of {', '.join(names)}, got {kind!r}")
         column = self._probable_kind(flat, names) if kind is None else np.full(len(flat), names.index(kind))
