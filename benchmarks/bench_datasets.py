@@ -19,6 +19,7 @@ from scipy.signal import dlsim
 from timing import best_rate
 
 from motor_datasets import generate_arrays, generate_dataset, storage
+from motor_datasets.layout import make_plan
 from motor_env.faults import apply_faults
 from motor_env.model import discretize
 from motor_env.parameters import FloatArray
@@ -141,7 +142,7 @@ def _write_ready(tables: list[pa.Table], folder: Path) -> None:
 def to_disk() -> list[Result]:
     """Cases a second: made and written, against ready tables written by pyarrow with the same settings."""
     recipe = RECIPES["bench"]
-    plan = storage.make_plan(recipe, N_CASES_TO_DISK, SEED)
+    plan = make_plan(recipe, N_CASES_TO_DISK, SEED)
     tables = [
         storage.to_table(generate_arrays(recipe, SEED, file.case_id(recipe, SEED))) for file in plan.files
     ]

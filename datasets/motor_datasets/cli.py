@@ -68,12 +68,12 @@ def generate(
         dry_run: Print what would be written, write nothing.
     """
     console.require_extra("pyarrow", "datasets")
-    from motor_datasets import storage
     from motor_datasets.generate import generate_dataset
+    from motor_datasets.layout import make_plan
     from motor_datasets.remote import folder_of
 
     chosen = _recipe(recipe, sampling_rate_hz, duration_s, quiet_s, current_noise_a, channels, motor)
-    plan = storage.make_plan(chosen, cases, seed)
+    plan = make_plan(chosen, cases, seed)
     folder = folder_of(out)
     summary: dict[str, object] = {
         "out": str(folder),

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from motor_datasets import storage
 from motor_datasets.arrays import EFFECTS, SENSOR_ERRORS, Dataset
+from motor_datasets.layout import Plan, PlannedFile, make_plan
 from motor_datasets.remote import Folder, RemotePath, folder_of
 from motor_datasets.splits import split_of
 from motor_env.console import InputError
@@ -68,16 +69,14 @@ def _labelled(X: NDArray[np.float32], drawn: Draw, recipe: Recipe, seed: int) ->
     )
 
 
-def _make_file(folder: Folder, file: storage.PlannedFile, recipe: Recipe, seed: int) -> storage.Entry:
+def _make_file(folder: Folder, file: PlannedFile, recipe: Recipe, seed: int) -> storage.Entry:
     """Generate and write one file: all that a worker does."""
     own = recipe if file.shift is None else recipe.shifted(file.shift)
     dataset = generate_arrays(own, seed, file.case_id(recipe, seed))
     return storage.write_file(folder, file, dataset)
 
 
-def _run(
-    jobs: list[storage.PlannedFile], folder: Folder, plan: storage.Plan, workers: int
-) -> Iterator[storage.Entry]:
+def _run(jobs: list[PlannedFile], folder: Folder, plan: Plan, workers: int) -> Iterator[storage.Entry]:
     if workers == 1:
         yield from (_make_file(folder, job, plan.recipe, plan.seed) for job in jobs)
         return
@@ -120,7 +119,7 @@ def generate_dataset(
         InputError: `out` holds something else or cannot be used, or a worker was killed.
     """
     require(workers >= 1, f"workers must be >= 1, got {workers}")
-    plan = storage.make_plan(recipe, cases, seed)
+    plan = make_plan(recipe, cases, seed)
     folder = folder_of(out)
     if isinstance(folder, RemotePath) and not folder.shared:
         require(

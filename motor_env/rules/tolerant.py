@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motor_env.estimation import step_voltage
-from motor_env.kalman import FilterStream, KalmanFilter, run_filter
+from motor_env.filter_stream import FilterStream
+from motor_env.kalman import KalmanFilter, run_filter
 from motor_env.marginal import MarginalWhitener
 from motor_env.parameters import FloatArray, require
 from motor_env.posterior import class_coordinates

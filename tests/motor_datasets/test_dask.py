@@ -9,7 +9,7 @@ from pathlib import Path
 import joblib
 import pytest
 
-from motor_datasets import generate_dataset, storage
+from motor_datasets import generate_dataset, layout
 from motor_env.recipes import RECIPES
 from motor_env.simulation import Timing
 
@@ -18,7 +18,7 @@ from motor_env.simulation import Timing
 @pytest.mark.filterwarnings("default")  # a killed worker is worth a warning or two
 def test_a_killed_dask_worker_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
-    monkeypatch.setattr(storage, "_SHARD_BYTES", 2 * 2**20)
+    monkeypatch.setattr(layout, "_SHARD_BYTES", 2 * 2**20)
     recipe = replace(RECIPES["bench"], timing=Timing(duration_s=0.05))
     whole = generate_dataset(recipe, 30_000, 3, tmp_path / "one")
     cluster = distributed.LocalCluster(

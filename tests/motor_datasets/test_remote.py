@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from fsspec.registry import known_implementations
 
-from motor_datasets import generate_dataset, load, storage
+from motor_datasets import generate_dataset, layout, load
 from motor_datasets.cli import main
 from motor_datasets.remote import RemotePath
 from motor_env.console import InputError
@@ -46,7 +46,7 @@ def url() -> Iterator[str]:
 
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(storage, "_SHARD_BYTES", 50_000)
+    monkeypatch.setattr(layout, "_SHARD_BYTES", 50_000)
 
 
 class Stopped(Exception):  # noqa: N818 - it is no error, it stops the writing

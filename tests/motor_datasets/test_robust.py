@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from motor_datasets import generate_dataset, load, storage
+from motor_datasets import generate_dataset, layout, load
 from motor_datasets.cli import main
 from motor_env.console import InputError
 from motor_env.recipes import RECIPES
@@ -33,7 +33,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(storage, "_SHARD_BYTES", 50_000)
+    monkeypatch.setattr(layout, "_SHARD_BYTES", 50_000)
 
 
 class Stopped(Exception):  # noqa: N818 - it is no error, it stops the writing
@@ -94,7 +94,7 @@ def test_a_full_disk_leaves_whole_files_only(tmp_path: Path, monkeypatch: pytest
 
 
 SMALL_SHARDS = (
-    "import sys; from motor_datasets import cli, storage; storage._SHARD_BYTES = 2**19; sys.exit(cli.main())"
+    "import sys; from motor_datasets import cli, layout; layout._SHARD_BYTES = 2**19; sys.exit(cli.main())"
 )
 
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2, multivariate_normal
 
+from motor_env.filter_stream import FilterStream
 from motor_env.kalman import (
-    FilterStream,
     KalmanFilter,
     filter_residuals,
     predict,

@@ -1,0 +1,99 @@
+"""Which case goes into which file: follows from recipe, seed and number of cases alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_datasets.arrays import parameter_names
+from motor_datasets.splits import BLOCK, Split, split_of
+from motor_env.parameters import require
+from motor_env.recipes import Recipe
+
+SHIFT_CASES = 2**40
+"""Case numbers of the n-th shift begin at n times this, n counting from 1: they meet no others."""
+
+_SHARD_BYTES = 32 * 2**20
+_SHARE_OF_SHIFT = 10  # a shift has a tenth of the cases
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedFile:
+    """One Parquet file: the cases `begin` .. `end` - 1, or those of them whose motors belong to `split`."""
+
+    path: str
+    split: str
+    begin: int
+    end: int
+    shift: str | None = None
+
+    def case_id(self, recipe: Recipe, seed: int) -> NDArray[np.int64]:
+        """Case numbers of the file."""
+        cases = np.arange(self.begin, self.end, dtype=np.int64)
+        if self.shift is not None:
+            return cases
+        mine: NDArray[np.int64] = cases[split_of(seed, recipe.motor_id(cases)) == self.split]
+        return mine
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What will be written where; follows from recipe, seed and number of cases alone."""
+
+    recipe: Recipe
+    seed: int
+    cases: int
+    files: tuple[PlannedFile, ...]
+
+    @property
+    def cases_of_all(self) -> int:
+        """Cases, with those of the shifts."""
+        return self.cases + sum(file.end - file.begin for file in self.files if file.shift is not None)
+
+    @property
+    def bytes_uncompressed(self) -> int:
+        """Bytes of all samples and labels before compression."""
+        return self.cases_of_all * bytes_of_case(self.recipe)
+
+
+def bytes_of_case(recipe: Recipe) -> int:
+    """Bytes of one case before compression."""
+    labels = 8 * (len(parameter_names(recipe)) + 4)
+    return 4 * len(recipe.sensor.channels) * recipe.timing.n_samples + labels
+
+
+def make_plan(recipe: Recipe, cases: int, seed: int) -> Plan:
+    """Lay the cases out over files of some 32 MB.
+
+    Raises:
+        ValueError: fewer than one case, too many, or a seed out of range.
+    """
+    require(1 <= cases < SHIFT_CASES, f"cases must be in 1 .. 2^40 - 1, got {cases}")
+    require(0 <= seed < 2**64, f"seed must be in 0 .. 2^64 - 1, got {seed}")
+    per_shard = max(1, _SHARD_BYTES // bytes_of_case(recipe))
+    files = []
+    for shard, begin in enumerate(range(0, cases, per_shard)):
+        end = min(begin + per_shard, cases)
+        files += [
+            PlannedFile(f"data/{split}-{shard:06d}.parquet", split, begin, end)
+            for split in _splits_of_range(recipe, seed, begin, end)
+        ]
+    per_shift = max(1, cases // _SHARE_OF_SHIFT)
+    for number, shift in enumerate(recipe.shifts, start=1):
+        first = number * SHIFT_CASES
+        for shard, begin in enumerate(range(first, first + per_shift, per_shard)):
+            name = f"shift_{shift.name}"
+            path = f"data/{name}-{shard:06d}.parquet"
+            files.append(
+                PlannedFile(path, name, begin, min(begin + per_shard, first + per_shift), shift.name)
+            )
+    return Plan(recipe, seed, cases, tuple(files))
+
+
+def _splits_of_range(recipe: Recipe, seed: int, begin: int, end: int) -> list[str]:
+    if end - begin >= 2 * BLOCK * recipe.starts_per_motor:  # a whole block lies inside: all splits are there
+        return [str(split) for split in Split]
+    present = set(split_of(seed, recipe.motor_id(np.arange(begin, end, dtype=np.int64))).tolist())
+    return [str(split) for split in Split if str(split) in present]
