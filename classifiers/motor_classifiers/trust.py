@@ -1,254 +1,278 @@
-"""How far a model's word can be taken: on faults it never saw, and under other conditions than it was trained on."""
+"""How far to trust a verdict: the figures of the benchmark's section of that name, in one setting.
+
+Conformal sets need no answers beside those of the benchmark. All else is one piece of work of its own: faults never
+trained on, severities, early verdicts. Its figures are plain JSON, and kept beside the answers.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+import hashlib
+import json
+import math
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # comes with scikit-learn, without types
 
-from motor_classifiers.calibration import calibration_scores
-from motor_classifiers.conformal import ConformalSets
-from motor_classifiers.novelty import FaultFamilyDetector
+from motor_classifiers.conformal import ConformalSets, Coverage, measured_coverage
+from motor_classifiers.early import EarlyClassifier, limit_by_samples
+from motor_classifiers.foreign import UNKNOWN_FAULTS, Confidence, ForeignScore, foreign_scores
+from motor_classifiers.judging import Cell, in_recipe_order, judged_cases
+from motor_classifiers.limit_cells import severity_cell
+from motor_classifiers.methods import ESTIMATE, make_method
+from motor_classifiers.metrics import IntArray
+from motor_classifiers.persistence import PRETRAINED, load_model
+from motor_classifiers.posterior_network import PosteriorNetwork
+from motor_classifiers.verdict_times import moments, race, stopping_rows
 from motor_datasets.generate import generate_arrays
+from motor_env import __version__
 from motor_env.faults import FaultKind
-from motor_env.parameters import FloatArray, SupplyParameters
+from motor_env.files import write_text
+from motor_env.parameters import FloatArray
 from motor_env.posterior import class_probabilities
-from motor_env.recipes import FaultClass, Recipe, Spread, draw
-from motor_env.simulation import simulate
+from motor_env.recipe_file import recipe_to_dict
+from motor_env.recipes import FaultClass, Recipe
+
+TRUST = "trust"
+"""Name of this piece of work among the answers."""
+
+Figures = dict[str, Any]
+"""What JSON can hold; a section that is left out holds its `reason` alone."""
+
+FIRST_CASE = 2_000_000_000
+"""Of the starts that are judged here: neither training nor test starts of the benchmark."""
+
+TELLING_RATE_HZ = 1_000.0
+"""Of a second setting of the unknown faults: at 10 kHz every one of them is found."""
+
+_EARLY = "residual-qda"
 
 
 @dataclass(frozen=True, slots=True)
-class ForeignFault:
-    """A departure from the healthy motor that no fault kind explains: factors on its quantities.
+class Counts:
+    """How many starts each figure rests on.
 
     Attributes:
-        name: for tables.
-        supply: factor on the supply's voltage.
-        resistance: factor on the resistance.
-        constants: common factor on both motor constants.
-        inertia: factor on the inertia.
-        friction: factor on the viscous friction.
+        threshold: known motors that set the threshold of the verdict `other`.
+        known: known motors it is tried on.
+        foreign: motors with each unknown fault.
+        severity: motors with each kind of fault.
+        early: starts of the early verdicts.
+        healthy: healthy starts that set the thresholds of the sequential rules.
+        steps: batches of the network where one must be trained for the second rate.
     """
 
-    name: str
-    supply: float = 1.0
-    resistance: float = 1.0
-    constants: float = 1.0
-    inertia: float = 1.0
-    friction: float = 1.0
+    threshold: int = 3000
+    known: int = 3000
+    foreign: int = 500
+    severity: int = 800
+    early: int = 2000
+    healthy: int = 4000
+    steps: int = 1000
 
 
-UNKNOWN_FAULTS = (
-    ForeignFault("inertia +25 %", inertia=1.25),
-    ForeignFault("motor constants -10 %", constants=0.9),
-    ForeignFault("supply -10 %", supply=0.9),
-)
-"""Faults on which no model of ours is trained: a heavier rotor, magnets that lost strength, a weak supply."""
+COUNTS = Counts()
 
 
-def foreign_starts(
-    recipe: Recipe, fault: ForeignFault, seed: int, cases: NDArray[np.int64]
-) -> NDArray[np.float32]:
-    """Starts of otherwise healthy motors of a recipe with a foreign fault, shape (n_cases, n_channels, n_samples).
+def network_for(recipe: Recipe, random_state: int, **parameters: Any) -> PosteriorNetwork:
+    """The network that comes with the package where the recipe is its own; else one trained for it."""
+    shipped, own, _ = load_model(PRETRAINED)
+    if recipe == own and isinstance(shipped, PosteriorNetwork):
+        return shipped
+    return PosteriorNetwork(recipe, random_state=random_state, **parameters).fit_stream()
+
+
+def halves_coverage(
+    probabilities: FloatArray, truth: IntArray, motors: IntArray, coverage: float = 0.90
+) -> Coverage:
+    """Coverage of label-conditional sets where each half of the motors calibrates the other.
 
     Args:
-        recipe: tolerances, supply, sensor and timing.
-        fault: what is wrong with them.
-        seed: the random seed.
-        cases: case numbers, shape (n_cases,).
+        probabilities: of starts that the model was not trained on, shape (n_cases, n_classes).
+        truth: true class of each.
+        motors: motor of each; all its starts stand in one half.
+        coverage: wanted in each class.
 
     Raises:
-        ValueError: the recipe departs from the textbook motor.
+        ValueError: a half has no start of a class.
     """
-    if recipe.field is not None:
-        raise ValueError(f"foreign faults are those of textbook motors, recipe {recipe.name} has a field")
-    scenario = draw(replace(recipe, classes=(FaultClass(),), healthy_starts=0), seed, cases).scenario
-    changed = replace(
-        scenario,
-        parameters=scenario.parameters.scaled(
-            resistance_ohm=fault.resistance,
-            back_emf_constant_v_s_per_rad=fault.constants,
-            torque_constant_n_m_per_a=fault.constants,
-            inertia_kg_m2=fault.inertia,
-            viscous_friction_n_m_s_per_rad=fault.friction,
-        ),
-        supply=SupplyParameters(scenario.supply.voltage_v * fault.supply),
-    )
-    return simulate(changed, seed, cases).measurements.astype(np.float32)
+    is_first = np.unique(motors, return_inverse=True)[1] % 2 == 0
+    sets = np.zeros(probabilities.shape, dtype=np.bool_)
+    for calibrating in (is_first, ~is_first):
+        known = ConformalSets.calibrate(
+            probabilities[calibrating], truth[calibrating], label_conditional=True
+        )
+        sets[~calibrating] = known.sets(probabilities[~calibrating], coverage)
+    return measured_coverage(sets, truth)
 
 
-def textbook_shifts(recipe: Recipe) -> dict[str, Recipe]:
-    """Other conditions for a recipe of textbook motors; for each the exact posterior is known.
+def trust_key(cell: Cell, *, with_network: bool) -> str:
+    """Digest of all that the figures depend on."""
+    told = {
+        "what": TRUST,
+        "recipe": recipe_to_dict(cell.recipe),
+        "n_train": cell.n_train,
+        "seed": cell.seed,
+        "counts": asdict(COUNTS),
+        "network": with_network,
+        "version": __version__,
+    }
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:24]
 
-    A recipe with a field has shifts of its own (`Recipe.shifts`).
+
+def expected_seconds(cell: Cell, *, with_network: bool) -> float:
+    """About how long the figures take on one core."""
+    if cell.recipe.field is not None:
+        return 1.0
+    samples = cell.recipe.timing.n_samples / 1000.0
+    return (20.0 + 40.0 * samples) if with_network else 5.0 + 30.0 * samples
+
+
+def trust_figures(cell: Cell, *, with_network: bool) -> Figures:
+    """All figures of a setting; sections that it cannot have say why.
+
+    Args:
+        cell: setting; its training starts are those of the early verdicts.
+        with_network: whether a posterior network is asked for.
     """
-    louder = replace(recipe.sensor, current_noise_a=2.0 * recipe.sensor.current_noise_a)
-    names = ("supply", "resistance", "constants", "inertia", "friction")
-    wider = Spread(**{name: 2.0 * getattr(recipe.spread, name) for name in names})
-    # Copper gains 0.393 % a kelvin, magnets lose 0.1 %.
-    hot = recipe.motor.scaled(
-        resistance_ohm=1.0786, back_emf_constant_v_s_per_rad=0.98, torque_constant_n_m_per_a=0.98
-    )
-    between = (
-        FaultClass(),
-        FaultClass(FaultKind.BEARING, 0.17),
-        FaultClass(FaultKind.WINDING_CONTACT, 0.17),
-    )
+    if cell.recipe.field is not None:
+        reason = {
+            "reason": f"the likelihood of recipe {cell.recipe.name} has no closed form, and these figures need it"
+        }
+        return {"unknown": reason, "severity": reason, "early": reason, "race": reason}
+    seed = cell.seed % 2**32
+    with threadpool_limits(1):
+        network = network_for(cell.recipe, seed) if with_network else None
+        return {
+            "unknown": _unknown(cell, network),
+            "severity": _severity(cell, network),
+            "early": _early(cell),
+            "race": _race(cell),
+        }
+
+
+def _unknown(cell: Cell, network: PosteriorNetwork | None) -> Figures:
+    """Faults never trained on, told by distance and by confidence."""
+    settings = [(cell.recipe, network)]
+    if cell.recipe.timing.sampling_rate_hz > TELLING_RATE_HZ:
+        slow = replace(
+            cell.recipe, timing=replace(cell.recipe.timing, sampling_rate_hz=TELLING_RATE_HZ), shifts=()
+        )
+        trained = None
+        if network is not None:
+            trained = network_for(slow, cell.seed % 2**32, steps=COUNTS.steps, with_severity=False)
+        settings.append((slow, trained))
+    counts = {name: getattr(COUNTS, name) for name in ("threshold", "known", "foreign")}
+    told = []
+    for recipe, own in settings:
+        confidences: dict[str, Confidence] = {"limit": partial(class_probabilities, recipe)}
+        if own is not None:
+            confidences[ESTIMATE] = own.predict_proba
+        got = foreign_scores(
+            recipe, confidences, UNKNOWN_FAULTS, seed=cell.seed, first_case=FIRST_CASE,
+            **{f"n_{name}": count for name, count in counts.items()},
+        )  # fmt: skip
+        told.append(
+            {
+                "sampling_rate_hz": recipe.timing.sampling_rate_hz,
+                "false_alarms": got.false_alarms,
+                "faults": [_foreign_figures(fault) for fault in got.faults],
+            }
+        )
+    return {"counts": counts, "settings": told}
+
+
+def _foreign_figures(scored: ForeignScore) -> Figures:
     return {
-        "20 K hotter": replace(recipe, motor=hot),
-        "sensor twice as noisy": replace(recipe, sensor=louder),
-        "tolerances twice as wide": replace(recipe, spread=wider),
-        "severities between the levels": replace(recipe, classes=between),
-        "shorted turns, 10 %": replace(recipe, classes=(FaultClass(FaultKind.WINDING_SHORT, 0.10),)),
+        "fault": scored.fault,
+        "auroc": scored.auroc,
+        "called_other": scored.found,
+        "roc": {name: np.round(curve, 4).tolist() for name, curve in scored.roc.items()},
     }
 
 
-class ShiftScore(NamedTuple):
-    """A model under other conditions. Kinds count, not levels: severities may be others than in training.
-
-    Attributes:
-        name: of the conditions.
-        accuracy: share of cases whose kind is told rightly.
-        ece: expected calibration error of the kinds' probabilities.
-        coverage: share of the conformal sets that hold a class of the true kind.
-        set_size: mean number of classes in a set.
-        other: share of cases that the detector calls `other`; nan without a detector.
-        out_of_range: share of cases with a severity above the trained ones; nan without a detector.
-        limit: the same accuracy of who knows the conditions: the exact posterior, or an estimate for a field.
-    """
-
-    name: str
-    accuracy: float
-    ece: float
-    coverage: float
-    set_size: float
-    other: float
-    out_of_range: float
-    limit: float
+def _severity(cell: Cell, network: PosteriorNetwork | None) -> Figures:
+    """Severities, uniform over the range, beside the exact posterior's."""
+    if network is None:
+        return {"reason": f"{ESTIMATE}, which tells severities, is not among the methods"}
+    cells = [
+        severity_cell(network, cell.recipe, prior, cell.seed, COUNTS.severity)
+        for prior in network.severity_priors_
+    ]
+    kinds = [
+        {
+            "kind": str(one.prior.kind),
+            "largest": one.prior.largest,
+            "network": one.model._asdict(),
+            "limit": one.limit._asdict(),
+        }
+        for one in cells
+    ]
+    return {"counts": {"severity": COUNTS.severity}, "kinds": kinds}
 
 
-def shift_scores(
-    model: Any,
-    trained: Recipe,
-    conditions: Mapping[str, Recipe],
-    *,
-    sets: ConformalSets,
-    coverage: float = 0.90,
-    detector: FaultFamilyDetector | None = None,
-    reference: Callable[[Recipe], Any] | None = None,
-    seed: int,
-    cases: NDArray[np.int64],
-) -> tuple[ShiftScore, ...]:
-    """Judge a model under conditions that it was not trained for.
-
-    Args:
-        model: fitted classifier of the classes of `trained`.
-        trained: what it was trained for.
-        conditions: recipes by name, with the time axis and channels of `trained`.
-        sets: calibrated on cases of `trained` with the model's probabilities, its columns in the order of `classes_`.
-        coverage: wanted of the sets.
-        detector: fitted, for `other`.
-        reference: fits a classifier for a recipe with a field, where there is no exact posterior.
-        seed: of the cases.
-        cases: case numbers, shape (n_cases,).
-    """
-    scores = []
-    kind_of = {c.name: c.label_kind for c in trained.classes}
-    kinds = np.array([kind_of[str(name)] for name in model.classes_])
-    for name, recipe in conditions.items():
-        drawn = generate_arrays(recipe, seed, cases)
-        probabilities = np.asarray(model.predict_proba(drawn.X), dtype=np.float64)
-        held = sets.sets(probabilities, coverage)
-        true = kinds == drawn.kind[:, None]
-        kind_accuracy, ece = _kind_scores(probabilities, kinds, drawn.kind)
-        family = None if detector is None else detector.family(drawn.X)
-        is_other = None if family is None or detector is None else -family.distance < detector.offset_
-        scores.append(
-            ShiftScore(
-                name,
-                kind_accuracy,
-                ece,
-                float((held & true).any(axis=1).mean()),
-                float(held.sum(axis=1).mean()),
-                float("nan") if is_other is None else float(is_other.mean()),
-                float("nan")
-                if family is None or is_other is None
-                else float((family.out_of_range & ~is_other).mean()),
-                _limit(recipe, drawn.X, drawn.kind, reference),
-            )
-        )
-    return tuple(scores)
+def _early(cell: Cell) -> Figures:
+    """Accuracy by what was seen, and the stopping rule."""
+    recipe, seen = cell.recipe, moments(cell.recipe.timing)
+    if len(seen.samples) < 2:
+        return {"reason": f"a start of recipe {recipe.name} has too few samples to be cut short"}
+    train = cell.train()
+    test = generate_arrays(recipe, cell.seed, judged_cases(recipe, FIRST_CASE, COUNTS.early))
+    method = make_method(_EARLY, recipe, cell.seed % 2**32)
+    model = EarlyClassifier(method, tuple(seen.samples)).fit(train.X, train.class_name)
+    probabilities = {
+        "limit": limit_by_samples(recipe, test.X, seen.samples),
+        _EARLY: np.stack(
+            [in_recipe_order(model, told, recipe) for told in model.probabilities_by_samples(test.X)]
+        ),
+    }
+    return {
+        "counts": {"early": COUNTS.early},
+        "time_s": seen.time_s.tolist(),
+        "accuracy": {
+            name: (told.argmax(axis=2) == test.class_index).mean(axis=1).tolist()
+            for name, told in probabilities.items()
+        },
+        "stopping": [
+            {"stated": row.stated, "probabilities_of": row.classifier}
+            | {name: None if math.isnan(value) else value for name, value in row.score._asdict().items()}
+            for row in stopping_rows(probabilities, test.class_index, seen.time_s)
+        ],
+    }
 
 
-def _kind_scores(
-    probabilities: FloatArray, kinds: NDArray[np.str_], truth: NDArray[np.str_]
-) -> tuple[float, float]:
-    """Accuracy and expected calibration error of the kinds' probabilities; a kind never trained on is never right."""
-    names = sorted({*kinds.tolist(), *truth.tolist()})
-    of_kind = np.stack([probabilities[:, kinds == name].sum(axis=1) for name in names], axis=1)
-    scores = calibration_scores(of_kind, np.searchsorted(names, truth))
-    return scores.accuracy, scores.ece
+def _race(cell: Cell) -> Figures:
+    """The largest bearing fault or none, by the limit and by the sequential rules."""
+    recipe = cell.recipe
+    bearings = [c for c in recipe.classes if [part.kind for part in c.parts] == [FaultKind.BEARING]]
+    if not bearings or len(moments(recipe.timing).samples) < 2:
+        return {"reason": f"recipe {recipe.name} has no class of a bearing fault alone, or too few samples"}
+    fault = max(bearings, key=lambda c: c.severity)
+    curves = race(
+        recipe, FaultClass(fault.kind, fault.severity), seed=cell.seed, first_case=FIRST_CASE,
+        n_cases=COUNTS.early, n_healthy=COUNTS.healthy,
+    )  # fmt: skip
+    return {
+        "counts": {"early": COUNTS.early, "healthy": COUNTS.healthy},
+        "severity": fault.severity,
+        "curves": {name: [point._asdict() for point in points] for name, points in curves.items()},
+    }
 
 
-def _limit(
-    recipe: Recipe,
-    X: NDArray[np.float32],
-    truth: NDArray[np.str_],
-    reference: Callable[[Recipe], Any] | None,
-) -> float:
-    kind_of = {c.name: c.label_kind for c in recipe.classes}
-    if len(set(kind_of.values())) < 2:
-        return 1.0
-    if recipe.field is None:
-        names, probabilities = recipe.class_names, class_probabilities(recipe, X)
-    elif reference is None:
-        return float("nan")
-    else:
-        model = reference(recipe)
-        names, probabilities = tuple(map(str, model.classes_)), np.asarray(model.predict_proba(X))
-    return _kind_scores(probabilities, np.array([kind_of[name] for name in names]), truth)[0]
+def save_figures(figures: Figures, path: Path) -> None:
+    """Write figures; the file appears whole or not at all."""
+    write_text(path, json.dumps(figures, allow_nan=False, indent=1) + "\n")
 
 
-def plot_roc(
-    curves: Mapping[str, tuple[FloatArray, FloatArray]], known: FloatArray, confidence: FloatArray, path: Path
-) -> None:
-    """Draw how well foreign faults are told from known ones, by distance and by the classifier's confidence.
-
-    Args:
-        curves: for each foreign fault the detector's scores (the lower, the more foreign) and the classifier's largest
-            probabilities, each shape (n_cases,).
-        known: the detector's scores of known motors.
-        confidence: the classifier's largest probabilities for them.
-        path: file to write, SVG or PNG by its ending.
-    """
-    from sklearn.metrics import roc_auc_score, roc_curve
-
-    from motor_env.plotting import QUIET, drawing, save, subplots
-
-    colours = ("#0b6fa4", "#d98300", "#c8442b", "#12805c", "#6b4fa0")
-    even = np.linspace(0.0, 1.0, 401)
-    with drawing():
-        figure, (axes,) = subplots(1, width_in=7.5, height_in=7.0)
-        axes.plot([0.0, 1.0], [0.0, 1.0], color=QUIET, linewidth=1.0)
-        for n, (colour, (name, (foreign, trust))) in enumerate(zip(colours, curves.items(), strict=False)):
-            truth = np.repeat([0, 1], [len(known), len(foreign)])
-            for title, style, scores in (
-                ("distance", "-", np.concatenate([known, foreign])),
-                ("confidence", ":", np.concatenate([confidence, trust])),
-            ):
-                false, right, _ = roc_curve(truth, -scores)
-                label = f"{name}, {title}: {roc_auc_score(truth, -scores):.3f}"
-                # Curves that lie on each other stay visible: the first are drawn wider.
-                width = 2.0 + 2.0 * (len(curves) - 1 - n) * (style == "-")
-                axes.plot(
-                    even, np.interp(even, false, right), style, color=colour, linewidth=width, label=label
-                )
-        axes.set(xlabel="known motors called other", ylabel="foreign faults called other")
-        axes.set_title("Distance tells foreign faults, confidence does not")
-        axes.set_ylim(0.0, 1.01)
-        figure.legend(loc="outside lower center", ncols=2, fontsize=10, title="area under the curve")
-        save(figure, path)
+def load_figures(path: Path) -> Figures | None:
+    """Read figures; None where there are none, or only damaged ones."""
+    try:
+        found = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return None
+    return (
+        found if isinstance(found, dict) and {"unknown", "severity", "early", "race"} <= set(found) else None
+    )

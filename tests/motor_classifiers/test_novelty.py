@@ -10,6 +10,7 @@ from sklearn.metrics import roc_auc_score
 from sklearn.pipeline import make_pipeline
 
 from motor_classifiers.features import ResidualProjection
+from motor_classifiers.foreign import UNKNOWN_FAULTS, ForeignFault, foreign_starts
 from motor_classifiers.novelty import (
     QUANTITIES,
     RAYS,
@@ -17,7 +18,6 @@ from motor_classifiers.novelty import (
     OpenSetClassifier,
     family_fit,
 )
-from motor_classifiers.trust import UNKNOWN_FAULTS, ForeignFault, foreign_starts
 from motor_datasets.generate import generate_arrays
 from motor_env.estimation import step_voltage
 from motor_env.faults import Fault, FaultKind, apply_fault

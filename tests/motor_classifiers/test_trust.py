@@ -1,22 +1,15 @@
 """Models under other conditions than in training: what the table says of models whose answers are known."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from motor_classifiers.conformal import ConformalSets
+from motor_classifiers.foreign import UNKNOWN_FAULTS, ForeignFault, foreign_starts
 from motor_classifiers.novelty import FaultFamilyDetector
-from motor_classifiers.trust import (
-    UNKNOWN_FAULTS,
-    ForeignFault,
-    foreign_starts,
-    plot_roc,
-    shift_scores,
-    textbook_shifts,
-)
+from motor_classifiers.shifts import shift_scores, textbook_shifts
 from motor_datasets.generate import generate_arrays
 from motor_env.posterior import class_probabilities
 from motor_env.recipes import FaultClass, Recipe, Spread, named_recipe
@@ -93,12 +86,3 @@ def test_foreign_starts_are_the_healthy_motors_with_the_change() -> None:
     silent = replace(certain, sensor=replace(certain.sensor, current_noise_a=1e-9))
     half, full = (foreign_starts(silent, fault, 4, np.arange(1)) for fault in (weak, none))
     np.testing.assert_allclose(half, 0.5 * full, atol=1e-6)
-
-
-def test_roc_is_drawn(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    known, foreign = rng.normal(size=200), rng.normal(size=100) - 4.0
-    first, second = tmp_path / "one.svg", tmp_path / "two.svg"
-    plot_roc({"far": (foreign, known[:100])}, known, known, first)
-    plot_roc({"near": (foreign + 4.0, known[:100])}, known, known, second)
-    assert first.read_bytes() != second.read_bytes()
