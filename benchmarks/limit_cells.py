@@ -21,7 +21,9 @@ from motor_env.recipes import Recipe, named_recipe
 SEED = 77
 
 
-def networks(recipe: Recipe, only_rate_hz: float | None) -> Iterator[tuple[Recipe, PosteriorNetwork]]:
+def networks(
+    recipe: Recipe, steps: int, only_rate_hz: float | None
+) -> Iterator[tuple[Recipe, PosteriorNetwork]]:
     """Each setting with its network.
 
     One network serves all noises of a rate, and is not told which; the shipped one where it is of this rate. Where a
@@ -36,14 +38,14 @@ def networks(recipe: Recipe, only_rate_hz: float | None) -> Iterator[tuple[Recip
         if only_rate_hz not in (None, rate_hz):
             continue
         if tells_noise:
-            yield cell, trained(cell, None)
+            yield cell, trained(cell, steps, None)
             continue
         if rate_hz not in known:
-            known[rate_hz] = shipped if middle == its_recipe else trained(middle, UNKNOWN_NOISE)
+            known[rate_hz] = shipped if middle == its_recipe else trained(middle, steps, UNKNOWN_NOISE)
         yield cell, known[rate_hz]
 
 
-def trained(recipe: Recipe, noise_range: tuple[float, float] | None) -> PosteriorNetwork:
+def trained(recipe: Recipe, steps: int, noise_range: tuple[float, float] | None) -> PosteriorNetwork:
     """A network, its training told on standard error."""
     begin, last = time.process_time(), 0
 
@@ -53,7 +55,7 @@ def trained(recipe: Recipe, noise_range: tuple[float, float] | None) -> Posterio
             last = done * 10 // total
             print(f"  trained {10 * last} %", file=sys.stderr, flush=True)
 
-    model = PosteriorNetwork(recipe, noise_range=noise_range, random_state=0).fit_stream(tell)
+    model = PosteriorNetwork(recipe, steps=steps, noise_range=noise_range, random_state=0).fit_stream(tell)
     print(f"  {time.process_time() - begin:.0f} CPU seconds", file=sys.stderr, flush=True)
     return model
 
@@ -86,11 +88,12 @@ def main() -> None:
     parser.add_argument("--recipe", default="bench", help="bench or bench-full")
     parser.add_argument("--cases", type=int, default=20_000, help="test cases for the classes")
     parser.add_argument("--severities", type=int, default=1_200, help="test cases for each kind's severity")
+    parser.add_argument("--steps", type=int, default=2500, help="batches that each trained network sees")
     parser.add_argument("--rate", type=float, help="only this sampling rate, 1000 or 10000")
     parser.add_argument("--out", type=Path, default=Path("out/limit_cells.json"))
     options = parser.parse_args()
     cells = []
-    for recipe, model in networks(named_recipe(options.recipe), options.rate):
+    for recipe, model in networks(named_recipe(options.recipe), options.steps, options.rate):
         cells.append(limit_cell(model, recipe, SEED, options.cases, options.severities))
         print(row(cells[-1]), *severity_rows(cells[-1]), sep="\n", flush=True)
         write_text(options.out, json.dumps([cell.as_json() for cell in cells], indent=1) + "\n")
