@@ -70,7 +70,8 @@ def export_onnx(model: PosteriorNetwork, recipe: Recipe, path: Path) -> None:
         path: of the file.
     """
     deployed = Deployed(model).eval()
-    example = torch.zeros(_EXAMPLES, len(recipe.sensor.channels), recipe.timing.n_samples)
+    channels = (1 + model.n_references) * len(recipe.sensor.channels)
+    example = torch.zeros(_EXAMPLES, channels, recipe.timing.n_samples)
     names = OUTPUTS if model.severity_priors_ else OUTPUTS[:1]
     logger = logging.getLogger("torch.onnx")
     level = logger.level

@@ -31,6 +31,7 @@ from motor_classifiers.posterior_file import (
     posterior_values,
 )
 from motor_classifiers.posterior_network import PosteriorNetwork
+from motor_classifiers.reference import RecentredStarts
 from motor_classifiers.residual_network import ResidualNetworkClassifier, residual_network
 from motor_classifiers.skops_checks import TRUSTED, check_pipeline
 from motor_classifiers.threshold import ConfirmationClassifier
@@ -117,11 +118,23 @@ def _try_out(model: BaseEstimator, recipe: Recipe) -> None:
     Raises:
         ValueError: classes or probabilities are not what the recipe needs.
     """
-    probabilities = model.predict_proba(np.zeros((1, _n_features(recipe))))
+    starts, rest = divmod(model.n_features_in_, _n_features(recipe))
+    with_references = isinstance(_first(model), PosteriorNetwork | RecentredStarts)
+    require(
+        rest == 0 and (starts == 1 or (starts > 1 and with_references)),
+        f"its cases of {model.n_features_in_} values are no starts of its recipe",
+    )
+    require(model.n_features_in_ <= MOST_FEATURES, f"a case has more than {MOST_FEATURES} values")
+    probabilities = model.predict_proba(np.zeros((1, model.n_features_in_)))
     require(probabilities.shape == (1, len(model.classes_)), "it gives no probability for each class")
     require(bool(np.isfinite(probabilities).all()), "its probabilities are not finite")
     foreign = {str(name) for name in model.classes_} - set(recipe.class_names)
     require(not foreign, f"its recipe does not know the class {min(foreign, default='')!r}")
+
+
+def _first(model: BaseEstimator) -> BaseEstimator:
+    """What sees the transients: the first step of a pipeline."""
+    return _first(model.steps[0][1]) if isinstance(model, Pipeline) else model
 
 
 def _checked_head(text: str) -> tuple[dict[str, Any], Recipe]:
@@ -155,7 +168,7 @@ def _with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
         changed = copy(model)
         changed.transformer_list = [(n, _with_recipe(step, recipe)) for n, step in model.transformer_list]
         return changed
-    if isinstance(model, PhysicalFeatures | ResidualProjection):
+    if isinstance(model, PhysicalFeatures | ResidualProjection | RecentredStarts):
         changed = copy(model)
         changed.recipe = recipe
         return changed

@@ -74,9 +74,11 @@ def load_posterior(head: Mapping[str, Any], arrays: Arrays, recipe: Recipe) -> P
             all(type(factor) in (int, float) for factor in (low, high)), "noise_range must be two numbers"
         )
         parameters["noise_range"] = (float(low), float(high))
+    references = parameters.get("n_references", 0)
+    require(type(references) is int and references >= 0, f"n_references must be >= 0, got {references!r}")
     model = PosteriorNetwork(recipe, **parameters)
     model.classes_ = np.array(head["classes"])
-    model.n_features_in_ = len(recipe.sensor.channels) * recipe.timing.n_samples
+    model.n_features_in_ = (1 + references) * len(recipe.sensor.channels) * recipe.timing.n_samples
     model.severity_priors_ = tuple(SeverityPrior(**prior) for prior in head["severities"])
     n_out = {"classes": len(model.classes_)}
     if model.severity_priors_:

@@ -18,8 +18,9 @@ from sklearn.utils.validation import check_is_fitted
 from torch import nn
 
 from motor_classifiers import severity_density
-from motor_classifiers.cases import fitting_recipe, flat_cases, labelled_cases, severities_of
+from motor_classifiers.cases import flat_cases, labelled_cases, severities_of
 from motor_classifiers.networks import LogitClassifier, one_thread, seed_of
+from motor_classifiers.reference import split_starts
 from motor_classifiers.signal_space import SignalSpace
 from motor_classifiers.stream_training import (
     Batch,
@@ -43,6 +44,7 @@ _CASES_WEIGHT_DECAY = 0.1
 _CHUNK = 4096  # cases judged at once
 _ALWAYS = (FaultKind.BEARING, FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT)
 _SMALLEST = 1e-6  # a class with a fault needs a severity; this one is healthy to rounding
+_NEVER = 1e-30  # weight of a class that no case is drawn of
 _LEAST_RANGE, _BEYOND, _LARGEST_SHORT = 0.30, 1.2, 0.95
 
 OnStep = Callable[[int, int], object]
@@ -78,10 +80,17 @@ def severity_priors(recipe: Recipe) -> tuple[SeverityPrior, ...]:
     return tuple(SeverityPrior(kind, 0.0, to) for kind, to in largest.items())
 
 
-def severity_recipe(recipe: Recipe) -> Recipe:
-    """The recipe with one class a kind, its severity uniform over the range of `severity_priors`."""
-    classes = tuple(FaultClass(p.kind, _SMALLEST, severity_to=p.largest) for p in severity_priors(recipe))
-    return replace(recipe, classes=classes, healthy_starts=0, shifts=())
+def severity_recipe(recipe: Recipe, *, with_healthy: bool = False) -> Recipe:
+    """The recipe with one class a kind, its severity uniform over the range of `severity_priors`.
+
+    Args:
+        recipe: the motor, its nuisances, faults and sensor.
+        with_healthy: whether a healthy class, which is never drawn, stands behind them: reference starts need one.
+    """
+    classes = [FaultClass(p.kind, _SMALLEST, severity_to=p.largest) for p in severity_priors(recipe)]
+    if with_healthy:
+        classes.append(FaultClass(weight=_NEVER))
+    return replace(recipe, classes=tuple(classes), healthy_starts=0, shifts=())
 
 
 class PosteriorNetwork(LogitClassifier):
@@ -101,6 +110,7 @@ class PosteriorNetwork(LogitClassifier):
         noise_range: smallest and largest factor on the recipe's noise, when the noise's level is not known and the
             network shall read it off the transient; None for the recipe's own.
         with_severity: whether the second network, that of the severities, is trained too.
+        n_references: healthy starts of the same motor that come with each start (`reference.referenced_starts`).
         random_state: seed, generator or None, as in scikit-learn.
 
     Attributes:
@@ -124,6 +134,7 @@ class PosteriorNetwork(LogitClassifier):
         learning_rate: float = 0.01,
         noise_range: tuple[float, float] | None = None,
         with_severity: bool = True,
+        n_references: int = 0,
         random_state: int | np.random.RandomState | None = None,
     ) -> None:
         self.recipe = recipe
@@ -135,6 +146,7 @@ class PosteriorNetwork(LogitClassifier):
         self.learning_rate = learning_rate
         self.noise_range = noise_range
         self.with_severity = with_severity
+        self.n_references = n_references
         self.random_state = random_state
 
     def fit(self, X: Any, y: Any) -> Self:
@@ -146,7 +158,10 @@ class PosteriorNetwork(LogitClassifier):
         flat, labels = labelled_cases(self, X, y)
         if self.recipe is None:
             return self._fit_cases(flat, labels)
-        fitting_recipe(self.recipe, flat.shape[1])
+        starts = split_starts(flat, self.recipe).shape[1]
+        require(
+            starts == 1 + self.n_references, f"a case must be {1 + self.n_references} starts, got {starts}"
+        )
         severities_of(self.recipe, self.classes_)
         return self.fit_stream()
 
@@ -162,8 +177,13 @@ class PosteriorNetwork(LogitClassifier):
         if self.recipe is None:
             raise ValueError("fit_stream needs a recipe, got None")
         recipe = _with_noise(self.recipe, self._checked_noise()[0])
+        require(self.n_references >= 0, f"n_references must be >= 0, got {self.n_references}")
+        alone = self.n_references == 0 or not _tells_noise(recipe)
+        require(
+            alone, "n_references must be 0 for a recipe with a noise fault: one level is read off all starts"
+        )
         require(len(recipe.classes) >= 2, f"recipe {recipe.name} must have two classes or more, got one")
-        self.n_features_in_ = len(recipe.sensor.channels) * recipe.timing.n_samples
+        self.n_features_in_ = (1 + self.n_references) * len(recipe.sensor.channels) * recipe.timing.n_samples
         self.classes_ = np.array(sorted(recipe.class_names))
         self.severity_priors_ = severity_priors(recipe) if self.with_severity else ()
         ranks = torch.from_numpy(np.searchsorted(self.classes_, np.array(recipe.class_names)))
@@ -191,7 +211,7 @@ class PosteriorNetwork(LogitClassifier):
             )
             if self.with_severity:
                 self.severity_ = self._learn(
-                    severity_recipe(recipe),
+                    severity_recipe(recipe, with_healthy=self.n_references > 0),
                     seed + 2,
                     severities,
                     _severity_loss,
@@ -211,17 +231,21 @@ class PosteriorNetwork(LogitClassifier):
     ) -> Posterior:
         """A network that has seen the recipe's stream, in double precision."""
         low, high = self._checked_noise()
+        sees_noise = high > low or _tells_noise(recipe)
         space = SignalSpace.of_recipe(
-            recipe, self.n_components, sees_noise=high > low or _tells_noise(recipe)
+            recipe, self.n_components, sees_noise=sees_noise, n_references=self.n_references
         )
         posterior = Posterior(space, self.n_hidden, self.n_layers, n_out).float()
-        posterior.space.observe_level(
-            next(fresh_cases(posterior.space, recipe, seed, _LEVEL_CASES, high / low))[0]
-        )
+        space = posterior.space
+
+        def fresh(part: int, batch_size: int) -> Iterator[tuple[torch.Tensor, Dataset]]:
+            return fresh_cases(space, recipe, seed + part, batch_size, high / low, self.n_references)
 
         def batches(part: int, batch_size: int) -> Iterator[Batch]:
-            for inputs, batch in fresh_cases(posterior.space, recipe, seed + part, batch_size, high / low):
+            for inputs, batch in fresh(part, batch_size):
                 yield inputs, target(batch)
+
+        space.observe_level(next(fresh(0, _LEVEL_CASES))[0])
 
         train_on_batches(
             posterior.network,

@@ -150,6 +150,11 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, path: Path) -> Opini
 def judge_recording(model: BaseEstimator, recipe: Recipe, recording: Recording) -> Opinion:
     """Opinion on a recording that was read."""
     noise_range = model.noise_range if isinstance(model, PosteriorNetwork) else None
+    references = model.n_features_in_ // (len(recipe.sensor.channels) * recipe.timing.n_samples) - 1
+    if references:
+        return Opinion(
+            UNDECIDED, reason=f"the model wants {references} healthy starts of the same motor beside each"
+        )
     try:
         case = aligned_case(recording, recipe, noise_range)
     except UnusableError as error:

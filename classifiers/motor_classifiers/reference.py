@@ -7,7 +7,7 @@ then those of each reference. Any method for several channels takes it as it is.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,29 +15,20 @@ from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, Transfo
 from sklearn.utils.validation import check_is_fitted
 
 from motor_classifiers.cases import flat_cases
-from motor_classifiers.features import ResidualProjection
+from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
+from motor_env.estimation import fitted_residuals
 from motor_env.parameters import FloatArray
-from motor_env.posterior import class_probabilities, prior_from_starts
-from motor_env.recipes import Recipe
+from motor_env.posterior import class_coordinates, class_probabilities, prior_from_starts, recipe_observed
+from motor_env.recipes import FaultClass, Recipe
+
+_AT_ONCE = 1024
 
 
-class ReferencedStarts(NamedTuple):
-    """Judged starts, each with reference starts of the same motor.
-
-    Attributes:
-        X: shape (n_motors, (1 + n_references) * n_channels, n_samples), float32.
-        class_name: label of the judged start, shape (n_motors,).
-        class_index: the same as an index into the recipe's classes.
-    """
-
-    X: NDArray[np.float32]
-    class_name: NDArray[np.str_]
-    class_index: NDArray[np.int64]
-
-
-def referenced_starts(recipe: Recipe, seed: int, motors: ArrayLike, n_references: int) -> ReferencedStarts:
+def referenced_starts(recipe: Recipe, seed: int, motors: ArrayLike, n_references: int) -> Dataset:
     """Draw motors, and of each so many healthy starts before the one that is judged.
+
+    The labels are those of the judged start; X has shape (n_motors, (1 + n_references) * n_channels, n_samples).
 
     Args:
         recipe: what motors are drawn from; how many starts it says a motor has does not matter.
@@ -54,9 +45,15 @@ def referenced_starts(recipe: Recipe, seed: int, motors: ArrayLike, n_references
         np.arange(starts), 1
     )  # the last one is judged, and comes first
     drawn = generate_arrays(several, seed, cases.ravel())
-    judged = slice(None, None, starts)
     X = drawn.X.reshape(len(numbers), starts * drawn.X.shape[1], -1)
-    return ReferencedStarts(X, drawn.class_name[judged], drawn.class_index[judged])
+    return replace(drawn.select(np.arange(0, len(cases.ravel()), starts)), X=X)
+
+
+def drawn_starts(recipe: Recipe, seed: int, numbers: NDArray[np.int64], n_references: int) -> Dataset:
+    """Cases as the recipe draws them, by their numbers; with references `referenced_starts`, by motor."""
+    if n_references == 0:
+        return generate_arrays(recipe, seed, numbers)
+    return referenced_starts(recipe, seed, numbers, n_references)
 
 
 def split_starts(X: Any, recipe: Recipe) -> FloatArray:
@@ -80,7 +77,7 @@ def referenced_probabilities(recipe: Recipe, X: Any) -> FloatArray:
 
     Args:
         recipe: what motors are drawn from.
-        X: as `ReferencedStarts.X`.
+        X: as `referenced_starts` gives them.
 
     Returns:
         Shape (n_cases, n_classes).
@@ -89,45 +86,57 @@ def referenced_probabilities(recipe: Recipe, X: Any) -> FloatArray:
     return class_probabilities(recipe, starts[:, 0], prior=prior_from_starts(recipe, starts[:, 1:]))
 
 
-class ReferencedProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
-    """The residual's components (`ResidualProjection`) of the judged start, and their mean over its references.
+class RecentredStarts(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
+    """The judged start as if its motor were the nominal one: any method for plain starts then uses the references.
 
-    What the two have in common is the motor's own tolerances; how much of the mean to take off, the classifier learns.
-    Without a reference the components of the start stand alone.
+    The references tell the most probable parameters of the motor (`prior_from_starts`); the difference between that
+    motor's healthy response and the nominal one is taken off the judged start. To first order in the tolerances
+    nothing is lost: the class depends on what is left alone.
 
     Args:
         recipe: the motor, its nuisances and faults, and how long one start is. Without one, a case is one start.
-        n_components: directions of each.
 
     Attributes:
-        projection_: the fitted `ResidualProjection` of one start.
         n_features_in_: values of a case.
     """
 
-    def __init__(self, recipe: Recipe | None = None, n_components: int = 6) -> None:
+    def __init__(self, recipe: Recipe | None = None) -> None:
         self.recipe = recipe
-        self.n_components = n_components
 
     def fit(self, X: Any, y: Any = None) -> Self:
-        """Find the directions; the labels are not looked at."""
-        flat = flat_cases(self, X, reset=True)
-        self.projection_ = ResidualProjection(self.recipe, self.n_components).fit(self._starts(flat)[:, 0])
-        self._n_features_out = self.transform(flat[:1]).shape[1]
+        """Check the cases' shape; there is nothing to learn."""
+        self._starts(flat_cases(self, X, reset=True))
         return self
 
     def transform(self, X: Any) -> FloatArray:
-        """Components, shape (n_cases, n_components), or twice as many with references."""
-        check_is_fitted(self, "projection_")
+        """Recentred starts, flattened, shape (n_cases, n_channels * n_samples); without references as they are."""
+        check_is_fitted(self, "n_features_in_")
         starts = self._starts(flat_cases(self, X, reset=False))
-        components: FloatArray = self.projection_.transform(starts.reshape(-1, starts.shape[-1]))
-        components = components.reshape(len(starts), starts.shape[1], -1)
-        if starts.shape[1] == 1:
-            return components[:, 0]
-        return np.concatenate([components[:, 0], components[:, 1:].mean(axis=1)], axis=1)
+        parts = [
+            _recentred(self.recipe, starts[begin : begin + _AT_ONCE])
+            for begin in range(0, len(starts), _AT_ONCE)
+        ]
+        return np.concatenate(parts).reshape(len(starts), -1)
 
     def _starts(self, flat: FloatArray) -> FloatArray:
-        """Shape (n_cases, 1 + n_references, values of a start)."""
+        """Shape (n_cases, 1 + n_references, n_channels, n_samples)."""
+        return flat[:, None, None] if self.recipe is None else split_starts(flat, self.recipe)
+
+    @property
+    def _n_features_out(self) -> int:
         if self.recipe is None:
-            return flat[:, None]
-        starts = split_starts(flat, self.recipe)
-        return starts.reshape(*starts.shape[:2], -1)
+            return int(self.n_features_in_)
+        return len(self.recipe.sensor.channels) * self.recipe.timing.n_samples
+
+
+def _recentred(recipe: Recipe | None, starts: FloatArray) -> FloatArray:
+    """From starts, shape (n_cases, 1 + n_references, n_channels, n_samples), those that are judged."""
+    judged: FloatArray = starts[:, 0]
+    if recipe is None or starts.shape[1] == 1:
+        return judged
+    own = prior_from_starts(recipe, starts[:, 1:]).mean
+    observed, coordinates = recipe_observed(recipe, judged), class_coordinates(recipe, FaultClass())
+    nominal = fitted_residuals(observed, coordinates, np.zeros_like(own))
+    moved = nominal - fitted_residuals(observed, coordinates, own)
+    recentred: FloatArray = judged - moved * recipe.sensor.noise_std[:, None]
+    return recentred

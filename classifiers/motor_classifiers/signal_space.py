@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from motor_classifiers.reference import drawn_starts
 from motor_datasets.generate import generate_arrays
 from motor_env.parameters import FloatArray
 from motor_env.recipes import FaultClass, Recipe, Spread
@@ -66,13 +67,16 @@ class SignalSpace(nn.Module):
             self.register_buffer(name, torch.ones(shape, dtype=torch.float64))
 
     @classmethod
-    def of_recipe(cls, recipe: Recipe, n_components: int, *, sees_noise: bool) -> SignalSpace:
-        """Directions, means and variances of noise-free starts of a recipe."""
+    def of_recipe(
+        cls, recipe: Recipe, n_components: int, *, sees_noise: bool, n_references: int = 0
+    ) -> SignalSpace:
+        """Directions, means and variances of noise-free starts of a recipe, each with so many reference starts."""
         silent = replace(recipe, sensor=replace(recipe.sensor, current_noise_a=0.0, speed_noise_rad_s=0.0))
         sound = replace(silent, spread=Spread(), classes=(FaultClass(),), healthy_starts=0, field=None)
         nominal = generate_arrays(sound, _FAMILY_SEED, 1).X.reshape(-1).astype(np.float64)
-        family = generate_arrays(silent, _FAMILY_SEED, _FAMILY_SIZE).X
-        noise = np.repeat(recipe.sensor.noise_std, recipe.timing.n_samples)
+        family = drawn_starts(silent, _FAMILY_SEED, np.arange(_FAMILY_SIZE), n_references).X
+        nominal = np.tile(nominal, 1 + n_references)
+        noise = np.tile(np.repeat(recipe.sensor.noise_std, recipe.timing.n_samples), 1 + n_references)
         deviation = family.reshape(_FAMILY_SIZE, -1) - nominal
         return cls._spanned(deviation, nominal, noise, n_components, sees_noise=sees_noise)
 

@@ -22,6 +22,7 @@ from motor_env.parameters import require
 TRUSTED = (
     "motor_classifiers.features.PhysicalFeatures",
     "motor_classifiers.features.ResidualProjection",
+    "motor_classifiers.reference.RecentredStarts",
     "sklearn.calibration._CalibratedClassifier",
     "sklearn.calibration._SigmoidCalibration",
     "sklearn.calibration._TemperatureScaling",

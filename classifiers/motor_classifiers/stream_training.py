@@ -5,16 +5,16 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Iterable, Iterator
-from itertools import chain, islice
+from itertools import chain, count, islice
 
 import numpy as np
 import torch
 from torch import nn
 
 from motor_classifiers.networks import initialise, perceptron
+from motor_classifiers.reference import drawn_starts
 from motor_classifiers.signal_space import SignalSpace
 from motor_datasets.arrays import Dataset
-from motor_datasets.streaming import stream
 from motor_env.parameters import FloatArray
 from motor_env.recipes import Recipe
 
@@ -70,7 +70,12 @@ def louder(
 
 
 def fresh_cases(
-    space: SignalSpace, recipe: Recipe, seed: int, batch_size: int, most_noise: float = 1.0
+    space: SignalSpace,
+    recipe: Recipe,
+    seed: int,
+    batch_size: int,
+    most_noise: float = 1.0,
+    n_references: int = 0,
 ) -> Iterator[tuple[torch.Tensor, Dataset]]:
     """Endless batches of standardised coordinates, and the cases with their truth.
 
@@ -80,9 +85,12 @@ def fresh_cases(
         seed: of the stream.
         batch_size: cases of a batch.
         most_noise: largest factor on the recipe's noise; it is drawn log-uniformly from 1 for each case.
+        n_references: healthy starts of the same motor that come with each case.
     """
     generator = np.random.default_rng(seed)
-    for batch in stream(recipe, seed, batch_size):
+    for number in count():
+        cases = np.arange(number * batch_size, (number + 1) * batch_size)
+        batch = drawn_starts(recipe, seed, cases, n_references)
         found = space.coordinates(torch.from_numpy(batch.X.reshape(len(batch), -1)))
         if most_noise > 1.0:
             factor = np.exp(generator.uniform(0.0, math.log(most_noise), len(batch)))

@@ -8,9 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
+from sklearn.pipeline import make_pipeline
 
+from motor_classifiers.features import ResidualProjection
 from motor_classifiers.methods import METHODS, make_method
 from motor_classifiers.persistence import load_model, save_model
+from motor_classifiers.posterior_network import PosteriorNetwork
+from motor_classifiers.reference import RecentredStarts, referenced_starts
 from motor_datasets.generate import generate_arrays
 from motor_env.console import InputError
 from motor_env.recipes import named_recipe
@@ -36,6 +41,26 @@ def test_round_trip(name: str, tmp_path: Path) -> None:
     assert (recipe, method) == (RECIPE, name)
     np.testing.assert_array_equal(loaded.predict_proba(TEST.X), model.predict_proba(TEST.X))
     np.testing.assert_array_equal(loaded.predict(TEST.X), model.predict(TEST.X))
+
+
+def test_round_trip_with_reference_starts(tmp_path: Path) -> None:
+    train, test = (referenced_starts(RECIPE, seed, np.arange(150), 2) for seed in (1, 2))
+    models = (
+        make_pipeline(RecentredStarts(RECIPE), ResidualProjection(RECIPE, 6), LinearDiscriminantAnalysis()),
+        PosteriorNetwork(RECIPE, n_references=2, steps=5, batch_size=32, random_state=0),
+    )
+    for n, model in enumerate(models):
+        model.fit(train.X, train.class_name)
+        save_model(model, RECIPE, "referenced", tmp_path / str(n))
+        loaded = load_model(tmp_path / str(n))[0]
+        np.testing.assert_array_equal(loaded.predict_proba(test.X), model.predict_proba(test.X))
+
+
+def test_a_case_that_is_no_start_of_the_recipe_is_refused(tmp_path: Path) -> None:
+    model = make_pipeline(ResidualProjection(None, 6), LinearDiscriminantAnalysis())
+    save_model(model.fit(np.tile(TRAIN.X, 2), TRAIN.class_name), RECIPE, "longer", tmp_path / "model")
+    with pytest.raises(InputError, match="200 values are no starts of its recipe"):
+        load_model(tmp_path / "model")
 
 
 class Poison:

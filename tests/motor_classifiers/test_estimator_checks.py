@@ -17,7 +17,7 @@ from motor_classifiers.features import PhysicalFeatures, ResidualProjection
 from motor_classifiers.networks import NetworkClassifier
 from motor_classifiers.novelty import FaultFamilyDetector, OpenSetClassifier
 from motor_classifiers.posterior_network import PosteriorNetwork
-from motor_classifiers.reference import ReferencedProjection
+from motor_classifiers.reference import RecentredStarts
 from motor_classifiers.residual_network import ResidualNetworkClassifier
 from motor_classifiers.rule_statistics import RuleStatistics
 from motor_classifiers.threshold import ConfirmationClassifier
@@ -33,7 +33,7 @@ ESTIMATORS = [
     PosteriorNetwork(steps=40, batch_size=32, n_hidden=32),
     PhysicalFeatures(),
     ResidualProjection(),
-    ReferencedProjection(),
+    RecentredStarts(),
     RuleStatistics(),
 ]
 

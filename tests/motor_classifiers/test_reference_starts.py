@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
+from sklearn.base import clone
+from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis
 from sklearn.pipeline import make_pipeline
 
 from motor_classifiers.features import ResidualProjection
+from motor_classifiers.posterior_network import PosteriorNetwork
 from motor_classifiers.reference import (
-    ReferencedProjection,
+    RecentredStarts,
     referenced_probabilities,
     referenced_starts,
     split_starts,
@@ -104,14 +106,51 @@ def test_the_limit_rises_towards_that_of_a_known_motor() -> None:
     assert expected[0] - error < expected[1] < expected[2] + error
 
 
-def test_the_classifier_learns_how_much_of_the_references_to_take_off() -> None:
+def test_a_plain_classifier_uses_references_by_recentred_starts() -> None:
     recipe = named_recipe("bench", timing=Timing(5_000.0, 0.1))
     train, test = (referenced_starts(recipe, 6, np.arange(1500) + first, 3) for first in (0, 10_000))
-    with_references = make_pipeline(ReferencedProjection(recipe), LinearDiscriminantAnalysis())
-    alone = make_pipeline(ResidualProjection(recipe, 6), LinearDiscriminantAnalysis())
+    alone = make_pipeline(ResidualProjection(recipe, 6), QuadraticDiscriminantAnalysis())
+    given = make_pipeline(RecentredStarts(recipe), clone(alone))
     judged = len(recipe.sensor.channels)
-    one = with_references.fit(train.X, train.class_name).score(test.X, test.class_name)
+    one = given.fit(train.X, train.class_name).predict(test.X) == test.class_name
     other = alone.fit(train.X[:, :judged], train.class_name).score(test.X[:, :judged], test.class_name)
-    assert one > other + 0.005
+    assert one.mean() > other + 0.005
+    best = referenced_probabilities(recipe, test.X).argmax(axis=1) == test.class_index
+    difference = one.astype(np.float64) - best
+    assert abs(difference.mean()) < 0.005 + 3.0 * difference.std() / np.sqrt(len(best))
     with pytest.raises(ValueError, match="a case must be starts of 1 x 500 values"):
         split_starts(test.X[:, :, :-1], recipe)
+
+
+def test_recentred_starts_are_those_of_the_nominal_motor() -> None:
+    """Of healthy motors seen without noise nothing but the supply of the judged start is left."""
+    quiet = replace(BENCH, sensor=replace(BENCH.sensor, current_noise_a=1e-4))
+    sound = replace(quiet, classes=(FaultClass(),), spread=replace(quiet.spread, supply=0.0))
+    drawn = referenced_starts(sound, 3, np.arange(20), 4)
+    nominal = generate_arrays(replace(sound, spread=Spread()), 3, 1).X[0, 0]
+    recentred = RecentredStarts(sound).fit_transform(drawn.X)
+    assert recentred.shape == (20, 100)
+    assert np.abs(drawn.X[:, 0] - nominal).max() > 0.02
+    assert np.abs(recentred - nominal).max() < 1e-3
+    np.testing.assert_array_equal(RecentredStarts(sound).fit_transform(drawn.X[:, :1]), drawn.X[:, 0])
+
+
+def test_a_network_learns_from_the_stream_of_referenced_starts() -> None:
+    model = PosteriorNetwork(
+        BENCH, n_components=12, steps=150, batch_size=256, n_references=1, random_state=0
+    ).fit_stream()
+    test = referenced_starts(BENCH, 7, np.arange(1000), 1)
+    limit = referenced_probabilities(BENCH, test.X)
+    columns = [model.classes_.tolist().index(name) for name in BENCH.class_names]
+    own = model.predict_proba(test.X)[:, columns]
+    hits = [(p.argmax(axis=1) == test.class_index).mean() for p in (limit, own)]
+    assert hits[1] > hits[0] - 0.03
+    assert np.abs(own - limit).mean() < 0.05
+    told = model.predict_severity(test.X, "winding_contact")
+    contact = test.kind == "winding_contact"
+    assert np.abs(told.mean - test.severity)[contact].mean() < 0.03
+    with pytest.raises(ValueError, match="a case must be 2 starts, got 1"):
+        model.fit(test.X[:, :1], test.class_name)
+    full = named_recipe("bench-full", timing=BENCH.timing)
+    with pytest.raises(ValueError, match="n_references must be 0 for a recipe with a noise fault"):
+        PosteriorNetwork(full, n_references=1).fit_stream()
