@@ -72,9 +72,13 @@ def _identity(train: Dataset, test: Dataset) -> dict[str, NDArray[Any]]:
 
 def export_cases(cell: Cell, path: Path) -> None:
     """Write the starts of a setting for other programs, as plain arrays."""
-    train, test = cell.train(), cell.test()
+    export_starts(cell.train(), cell.test(), path)
+
+
+def export_starts(train: Dataset, test: Dataset, path: Path) -> None:
+    """Write starts to learn from and starts to be judged, as plain arrays."""
     with replacing(path) as temporary:
-        told = {"n_classes": len(cell.recipe.classes), "recipe": cell.recipe.name, "seed": cell.seed}
+        told = {"n_classes": len(test.class_names), "recipe": test.recipe.name, "seed": test.seed}
         arrays = {name: np.array(value) for name, value in told.items()} | _identity(train, test)
         np.savez(temporary, allow_pickle=False, train_X=train.X, test_X=test.X, **arrays)
 

@@ -1,0 +1,122 @@
+"""Every method given k = 0, 1, 3 healthy starts of the same motor: the tables of docs/references.md.
+
+`python benchmarks/references.py`, half an hour on one idle core; `--rate-hz 1000` alone takes five minutes. Peers of
+aeon join in where `make peers` has set up their environment.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from aeon_environment import PYTHON, command, environment
+
+from motor_classifiers.cases import with_channels
+from motor_classifiers.methods import ESTIMATE, METHODS, make_method
+from motor_classifiers.metrics import IntArray
+from motor_classifiers.peers import export_starts
+from motor_classifiers.posterior_network import PosteriorNetwork
+from motor_classifiers.reference import RecentredStarts, referenced_probabilities, referenced_starts
+from motor_datasets.arrays import Dataset
+from motor_env.parameters import FloatArray, SensorParameters
+from motor_env.recipes import Recipe, named_recipe
+from motor_env.simulation import Timing
+
+SEED = 0
+TEST = 1_000_000  # first motor of the test
+COUNTS = (0, 1, 3)
+PEERS = ("quant", "minirocket")
+DIRECTIONS, FOR_EACH_REFERENCE = 10, 6  # that the posterior network sees
+
+Told = tuple[str, IntArray]
+"""A method, and the class index that it decides on for each test start."""
+
+
+def decide(name: str, recipe: Recipe, train: Dataset, test: Dataset, n_references: int) -> IntArray:
+    """Train one of our methods on starts as it takes them; the network that learns from a stream takes references."""
+    model = make_method(name, recipe, SEED)
+    if name == ESTIMATE:
+        directions = DIRECTIONS + FOR_EACH_REFERENCE * n_references
+        model = PosteriorNetwork(
+            recipe, directions, n_references=n_references, with_severity=False, random_state=SEED
+        )
+    decided = model.fit(train.X, train.class_name).predict(test.X)
+    names = {class_name: n for n, class_name in enumerate(recipe.class_names)}
+    return np.array([names[class_name] for class_name in decided.tolist()])
+
+
+def peers_decide(train: Dataset, test: Dataset) -> Iterator[Told]:
+    """Aeon's classifiers on the same starts, in their own environment."""
+    with tempfile.TemporaryDirectory() as folder:
+        cases, answers = Path(folder) / "cases.npz", Path(folder) / "answers.npz"
+        export_starts(train, test, cases)
+        subprocess.run(command("aeon_peers.py", cases, answers, *PEERS), env=environment(), check=True)
+        with np.load(answers) as held:
+            yield from ((name, held[name].argmax(axis=1)) for name in PEERS)
+
+
+def recentred(cases: Dataset, recipe: Recipe) -> Dataset:
+    """The judged starts as if their motors were the nominal one."""
+    flat: FloatArray = RecentredStarts(recipe).fit_transform(cases.X)
+    return replace(cases, X=with_channels(flat, recipe).astype(np.float32))
+
+
+def decisions(recipe: Recipe, train: Dataset, test: Dataset, n_references: int) -> Iterator[Told]:
+    """All methods, one by one."""
+    plain = recentred(train, recipe), recentred(test, recipe)
+    for name in METHODS:
+        learned, judged = (train, test) if name == ESTIMATE else plain
+        yield name, decide(name, recipe, learned, judged, n_references)
+    if PYTHON.exists():
+        yield from peers_decide(*plain)
+        if n_references:
+            yield from ((f"{name}, the starts as channels", told) for name, told in peers_decide(train, test))
+
+
+def against_limit(decided: IntArray, best: IntArray, truth: IntArray) -> str:
+    """Accuracy, and in points the difference from the limit's on the same starts with its standard error."""
+    right = decided == truth
+    difference = 100.0 * (right.astype(np.float64) - (best == truth))
+    error = difference.std() / np.sqrt(len(truth))
+    return f"{right.mean():.4f} ({difference.mean():+.2f} ± {error:.2f})"
+
+
+def table(rate_hz: float, n_train: int, n_test: int) -> str:
+    """One rate's table: methods down, reference starts across."""
+    recipe = named_recipe("bench", sensor=SensorParameters(current_noise_a=0.02), timing=Timing(rate_hz, 0.1))
+    rows: dict[str, list[str]] = {"expected of the limit": [], "limit": []}
+    for column, k in enumerate(COUNTS):
+        train = referenced_starts(recipe, SEED, np.arange(n_train), k)
+        test = referenced_starts(recipe, SEED, np.arange(n_test) + TEST, k)
+        posterior = referenced_probabilities(recipe, test.X)
+        best, sure = posterior.argmax(axis=1), posterior.max(axis=1)
+        rows["expected of the limit"].append(f"{sure.mean():.4f} ± {sure.std() / np.sqrt(n_test):.4f}")
+        rows["limit"].append(f"{(best == test.class_index).mean():.4f}")
+        for name, decided in decisions(recipe, train, test, k):
+            cell = against_limit(decided, best, test.class_index)
+            print(f"{rate_hz:g} Hz, k = {k}, {name}: {cell}", file=sys.stderr, flush=True)
+            row = rows.setdefault(name, [])
+            row += [""] * (column - len(row)) + [cell]
+    heading = f"| {rate_hz / 1e3:g} kHz | {' | '.join(f'k = {k}' for k in COUNTS)} |\n|{'---|' * (1 + len(COUNTS))}\n"
+    return heading + "\n".join(f"| {name} | {' | '.join(cells)} |" for name, cells in rows.items())
+
+
+def main() -> None:
+    """Print a table for each rate."""
+    parser = argparse.ArgumentParser(description="Every method given k healthy starts of the same motor.")
+    parser.add_argument("--rate-hz", type=float, action="append", help="10000 and 1000 by default")
+    parser.add_argument("--n-train", type=int, default=2000)
+    parser.add_argument("--n-test", type=int, default=4000)
+    options = parser.parse_args()
+    for rate_hz in options.rate_hz or (10_000.0, 1_000.0):
+        print(f"\n{table(rate_hz, options.n_train, options.n_test)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
