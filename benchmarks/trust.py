@@ -1,6 +1,6 @@
 """Print the tables of docs/trust.md, and draw its charts: `python benchmarks/trust.py [SECTION...]`.
 
-Sections: calibration, conformal, other, early, references, shifts; all by default, some half an hour on one idle core.
+Sections: calibration, conformal, other, early, shifts; all by default, some twenty minutes on one idle core.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from sklearn.base import BaseEstimator
-from sklearn.pipeline import make_pipeline
 
 from motor_classifiers.calibration import calibration_scores, plot_reliability
 from motor_classifiers.conformal import ConformalIntervals, ConformalSets, measured_coverage
@@ -24,7 +23,6 @@ from motor_classifiers.judging import in_recipe_order
 from motor_classifiers.methods import make_method
 from motor_classifiers.novelty import FaultFamilyDetector, OpenSetClassifier, family_fit
 from motor_classifiers.posterior_network import PosteriorNetwork, severity_recipe
-from motor_classifiers.reference import RecentredStarts, referenced_probabilities, referenced_starts
 from motor_classifiers.shifts import shift_scores, textbook_shifts
 from motor_classifiers.trust import network_for
 from motor_classifiers.verdict_times import (
@@ -296,33 +294,6 @@ def plot_race(curves: Mapping[str, tuple[VerdictTime, ...]]) -> None:
         save(figure, IMAGES / "early-verdicts.svg")
 
 
-REFERENCED = ("physical-lda", "physical-logistic", "residual-qda")
-
-
-def references(n_cases: int = 4000) -> Iterable[Iterable[str]]:
-    """Limit and methods given k healthy starts of the same motor."""
-    for rate_hz in (10_000.0, 1_000.0):
-        recipe = bench(rate_hz)
-        for k in (0, 1, 3):
-            train = referenced_starts(recipe, SEED, np.arange(10_000) + TRAIN, k)
-            test = referenced_starts(recipe, SEED, np.arange(n_cases) + TEST, k)
-            probabilities = referenced_probabilities(recipe, test.X)
-            best = probabilities.argmax(axis=1) == test.class_index
-            told = []
-            for name in REFERENCED:
-                pipeline = make_pipeline(RecentredStarts(recipe), make_method(name, recipe, SEED))
-                right = pipeline.fit(train.X, train.class_name).predict(test.X) == test.class_name
-                error = (right.astype(float) - best).std() / np.sqrt(n_cases)
-                gain = 100.0 * (right.mean() - best.mean())
-                told.append(f"{right.mean():.4f} ({gain:+.2f} ± {100.0 * error:.2f})")
-            expected = probabilities.max(axis=1)
-            spread = expected.std() / np.sqrt(n_cases)
-            yield (
-                f"{rate_hz / 1e3:g} kHz", str(k), f"{expected.mean():.4f} ± {spread:.4f}", f"{best.mean():.4f}",
-                *told,
-            )  # fmt: skip
-
-
 def shifts(n_cases: int = 2000) -> Iterable[Iterable[str]]:
     """Models under other conditions than in training."""
     field = replace(named_recipe("field"), starts_per_motor=1, healthy_starts=0)
@@ -392,11 +363,6 @@ SECTIONS: dict[str, Callable[[], None]] = {
         out_of_range,
     )),
     "early": early,
-    "references": partial(print_tables, (
-        "Reference starts",
-        ("rate", "k", "limit", "hits", *REFERENCED),
-        references,
-    )),
     "shifts": partial(print_tables, (
         "Shifts",
         ("recipe", "method", "conditions", "accuracy", "limit", "ECE", "coverage", "set size", "other"),
