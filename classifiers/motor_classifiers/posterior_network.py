@@ -176,7 +176,9 @@ class PosteriorNetwork(LogitClassifier):
         """
         if self.recipe is None:
             raise ValueError("fit_stream needs a recipe, got None")
-        recipe = _with_noise(self.recipe, self._checked_noise()[0])
+        # Commissioning starts are known to be healthy and never judged; a motor of its own for each start teaches more.
+        judged = replace(self.recipe, starts_per_motor=1, healthy_starts=0, shifts=())
+        recipe = _with_noise(judged, self._checked_noise()[0])
         require(self.n_references >= 0, f"n_references must be >= 0, got {self.n_references}")
         alone = self.n_references == 0 or not _tells_noise(recipe)
         require(

@@ -103,6 +103,16 @@ def test_it_repeats_itself_to_the_bit_and_leaves_torch_alone() -> None:
     assert threads == torch.get_num_threads()
 
 
+def test_commissioning_starts_are_not_learned_as_healthy_motors() -> None:
+    X = generate_arrays(RECIPE, 2, 50).X
+    several = replace(RECIPE, starts_per_motor=5, healthy_starts=3)
+    first, second = (
+        PosteriorNetwork(recipe, steps=20, batch_size=64, random_state=7).fit_stream()
+        for recipe in (RECIPE, several)
+    )
+    np.testing.assert_array_equal(first.predict_proba(X), second.predict_proba(X))
+
+
 def test_fit_checks_the_cases_and_learns_from_the_stream() -> None:
     data = generate_arrays(RECIPE, 3, 60)
     model = PosteriorNetwork(RECIPE, steps=10, batch_size=32, random_state=0)
