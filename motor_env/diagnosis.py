@@ -418,7 +418,9 @@ def filter_check(fit: Identified) -> FilterCheck:
     else:
         voltage = 0.5 * (voltage[1:] + voltage[:-1])
     sensor = SensorParameters(current_noise_a=noise)
-    seen = np.where(start.counted, start.current_a - start.ripple_a - fit.offset_a, np.nan)
+    shown = fit.expected[:, 0] - start.ripple_a - fit.offset_a
+    visible = start.counted & (shown >= 0.5 * fit.extension.dead_zone_a)
+    seen = np.where(visible, start.current_a - start.ripple_a - fit.offset_a, np.nan)
     measured = seen[None, begin + 1 :]
     state = fit.expected[begin] - np.array([fit.offset_a + start.ripple_a[begin], 0.0])
     motor = fit.parameters.scaled(
@@ -584,7 +586,7 @@ def _called(base: Diagnosis, best: _Candidate, quantile: float, probability: dic
 
 
 def _noise_is_hidden(fit: Identified, reference: Reference) -> bool:
-    """Coarse steps, a rectifier and a converter's ripple change the noise that is seen: it tells nothing then.
+    """Coarse steps, a rectifier, a dead zone and a converter's ripple change the noise seen: it tells nothing.
 
     Healthy starts were recorded with the same sensor, and hold the same.
     """
@@ -592,7 +594,8 @@ def _noise_is_hidden(fit: Identified, reference: Reference) -> bool:
         return False
     alignment = fit.start.alignment
     coarse = alignment.quantum_a > math.exp(reference.log_noise or 0.0)
-    return coarse or alignment.rectified or any(defect.startswith("PWM") for defect in fit.defects)
+    hides = alignment.rectified or fit.extension.dead_zone_a > 0.0
+    return coarse or hides or any(defect.startswith("PWM") for defect in fit.defects)
 
 
 def _fisher(squared: float, n: int, freedom: float) -> float:

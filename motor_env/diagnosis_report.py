@@ -119,6 +119,7 @@ EXTENSION_UNITS = {
     "supply_curve": "of the rise (its middle)",
     "sensor_lag": "s",
     "speed_lag": "s",
+    "dead_zone": "A",
     "coulomb": "N m",
     "brush_drop": "V",
 }

@@ -23,8 +23,8 @@ from motor_env.start_fit import Problem
 from motor_env.starts import Start
 
 TEXTBOOK: tuple[str, ...] = ()
-EXTENSIONS = ("supply_ramp", "supply_curve", "sensor_lag", "speed_lag", "coulomb", "brush_drop")
-NUISANCES = ("supply_ramp", "supply_curve", "sensor_lag", "speed_lag")
+EXTENSIONS = ("supply_ramp", "supply_curve", "sensor_lag", "speed_lag", "dead_zone", "coulomb", "brush_drop")
+NUISANCES = ("supply_ramp", "supply_curve", "sensor_lag", "speed_lag", "dead_zone")
 """Extensions that do not touch the motor: what a diagnosis may add. Coulomb friction and viscous friction, and a brush
 drop and the supply, can hardly be told apart in one start, and would take the friction out of the comparison."""
 STRONG_EVIDENCE = 6.0
@@ -102,6 +102,10 @@ class Identified:
             for name in ("sensor_lag", "speed_lag")
             if name in self.fitted_extension
         ]
+        if "dead_zone" in self.fitted_extension:
+            found.append(
+                f"dead zone: the sensor hides currents below {self.fitted_extension['dead_zone'][0]:.3g} A"
+            )
         return tuple(found)
 
     @property
@@ -373,7 +377,7 @@ def _is_worth_trying(
     best: Identified, name: str, constant: float | None, typical: Mapping[str, float] | None
 ) -> bool:
     """Whether an extension may earn strong evidence: a score test, far cheaper than its fit, with room to spare."""
-    if name == "supply_curve" or best.inductance_off**2 > _PROMISING:
+    if name in {"supply_curve", "dead_zone"} or best.inductance_off**2 > _PROMISING:
         return True
     problem = Problem(best.start.shortened(_FIT_SAMPLES), (*best.model, name), constant, typical)
     return problem.score(best.unknowns) > _PROMISING
@@ -383,18 +387,16 @@ def _applies(name: str, start: Start, model: tuple[str, ...], *, knows_inductanc
     """Whether a recording can tell one more extension.
 
     A measured voltage has no ramp to find. A step cannot tell a brush drop from a lower supply. The lag of the
-    current's sensor is told from L/R only by a motor file that knows L: both are lags of one cascade.
+    current's sensor is told from L/R only by a motor file that knows L: both are lags of one cascade. An
+    amplifier that hides small currents hides negative ones too.
     """
-    match name:
-        case "supply_ramp":
-            return start.voltage_v is None
-        case "supply_curve":
-            return "supply_ramp" in model
-        case "brush_drop":
-            return start.voltage_v is not None
-        case "sensor_lag":
-            return (start.voltage_v is not None or knows_inductance) and start.circuit.sensor_lag_s == 0.0
-        case "speed_lag":
-            return start.speed_rad_s is not None
-        case _:
-            return True
+    step = start.voltage_v is None
+    told = {
+        "supply_ramp": step,
+        "supply_curve": "supply_ramp" in model,
+        "brush_drop": not step,
+        "sensor_lag": (not step or knows_inductance) and start.circuit.sensor_lag_s == 0.0,
+        "speed_lag": start.speed_rad_s is not None,
+        "dead_zone": step and start.from_rest and float(start.current_a.min()) >= 0.0,
+    }
+    return told.get(name, True)

@@ -13,11 +13,13 @@ import numpy as np
 from numba import njit
 from scipy.linalg import expm
 from scipy.signal import lfilter
+from scipy.special import ndtr
 
 from motor_env.model import DiscreteModel, continuous_model, discretize, steady_state
 from motor_env.parameters import FloatArray, MotorParameters
 
 _SMALLEST_FRACTION = 1e-6
+_DEAD_ZONE_EDGE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +33,7 @@ class Extension:
         supply_shares: how much of the rise falls on each of as many equal parts of that time; none for a straight line.
         sensor_lag_s: time constant of the current sensor.
         speed_lag_s: time constant of the speed sensor.
+        dead_zone_a: currents below it are hidden by the current sensor.
     """
 
     coulomb_friction_n_m: float = 0.0
@@ -39,6 +42,7 @@ class Extension:
     supply_shares: tuple[float, ...] = ()
     sensor_lag_s: float = 0.0
     speed_lag_s: float = 0.0
+    dead_zone_a: float = 0.0
 
 
 @njit(cache=True)
@@ -207,11 +211,22 @@ def _integrate(
     )
     if extension.sensor_lag_s > 0.0:
         out[:, 0] = _sensed(parameters, model, first, out, begin, extension.sensor_lag_s)
+    if extension.dead_zone_a > 0.0:
+        out[:, 0] = _without_the_small(out[:, 0], extension.dead_zone_a)
     if extension.speed_lag_s > 0.0:
         lagged = out[:, 1].copy()
         _low_pass(lagged, math.exp(-model.dt_s / extension.speed_lag_s))
         out[:, 1] = lagged
     return out
+
+
+def _without_the_small(current: FloatArray, dead_zone_a: float) -> FloatArray:
+    """What a sensor shows whose amplifier cannot come near 0: nothing below the dead zone, all of it above.
+
+    The edge is as wide as a tenth of the zone (1 sd): the commutation carries the current to and fro across it.
+    """
+    shown: FloatArray = current * ndtr((current - dead_zone_a) / (_DEAD_ZONE_EDGE * dead_zone_a))
+    return shown
 
 
 def _lag_row(parameters: MotorParameters, model: DiscreteModel, lag_s: float) -> FloatArray:

@@ -24,6 +24,7 @@ _LARGEST_LOG = 12.0
 # Of the current's span. Without a quiet part the sensor is believed to be nulled.
 _OFFSET_SD_WITHOUT_QUIET = 0.0002
 _OFFSET_SD_WITH_QUIET = 0.05
+_LARGEST_DEAD_ZONE = 0.35  # of the current's span: what hides more is no sensor
 
 
 class Problem:
@@ -76,6 +77,7 @@ class Problem:
             "brush_drop": 0.05 * start.level_v,
             "sensor_lag": lag,
             "speed_lag": lag,
+            "dead_zone": 0.15 * self.span,
         } | {f"curve_{n}": 1.0 for n in range(1, CURVE_PARTS)}
         self.offset_sd = self.span * (
             _OFFSET_SD_WITH_QUIET if start.alignment.n_quiet else _OFFSET_SD_WITHOUT_QUIET
@@ -133,6 +135,9 @@ class Problem:
         onset, offset = start.alignment.onset_s, start.alignment.offset_a
         low = [-_LARGEST_LOG] * n + [max(onset - room, first), offset - 0.5 * self.span]
         high = [_LARGEST_LOG] * n + [onset + room, offset + 0.5 * self.span]
+        if "dead_zone" in self.extras:
+            largest = math.log(_LARGEST_DEAD_ZONE * self.span / self.base_extra["dead_zone"])
+            high[self.n_core + self.extras.index("dead_zone")] = largest
         if start.voltage_v is not None:
             low[n], high[n] = -1.0, 1.0
         return np.array(low), np.array(high)
@@ -184,6 +189,7 @@ class Problem:
             shares,
             extra.get("sensor_lag", self.start.circuit.sensor_lag_s),
             extra.get("speed_lag", 0.0),
+            extra.get("dead_zone", 0.0),
         )
         return parameters, extension, float(unknowns[-2]), float(unknowns[-1])
 

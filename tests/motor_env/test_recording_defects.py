@@ -148,3 +148,19 @@ def test_a_recording_that_the_model_does_not_explain_is_said_to_be_inconsistent(
     assert diagnose(good, MOTOR).warning == ""
     wavy = replace(good, current_a=good.current_a + 0.1 * np.sin(60.0 * good.time_s))
     assert "correlated in time" in diagnose(wavy, MOTOR).warning
+
+
+def test_a_sensor_that_hides_small_currents_is_told_by_the_evidence() -> None:
+    (plain,) = captures(Defect(noise_a=0.005), (), MOTOR.parameters, 8, 1)
+    seen = np.where(plain.current_a > 0.3, plain.current_a, 0.0)
+    hiding = replace(plain, current_a=seen)
+    fit = identify_best(prepare(hiding))
+    assert fit.model == ("dead_zone",)
+    assert fit.fitted_extension["dead_zone"][0] == pytest.approx(0.3, abs=0.03)
+    assert any("hides currents below" in defect for defect in fit.defects)
+    true = identify_best(prepare(plain))
+    assert true.model == TEXTBOOK
+    assert fit.log_values[0] == pytest.approx(true.log_values[0], abs=0.01)
+    found = diagnose(hiding, MOTOR)
+    assert found.verdict is Verdict.UNUSABLE
+    assert "friction" in found.reasons[0]

@@ -228,7 +228,7 @@ REAL = [
     ("oscillo_lab/startup_F0001.csv", 12.3, 0.97, 0.9),
     ("jhg/pwm_100.csv", 11.33, 0.95, 1.0),
     ("jhg/pwm_900.csv", 6.0, 0.95, 1.0),
-    ("jhg/pwm_1600.csv", 1.333, 0.93, 1.0),  # commutation segment by segment: docs/recordings.md
+    ("jhg/pwm_1600.csv", 1.333, 0.95, 1.0),
     ("jhg/pwm_2000.csv", 1.333, 0.95, 1.0),
     ("jhg/pwm_2700.csv", 6.0, 0.95, 1.0),
     ("jhg/pwm_3500.csv", 11.33, 0.95, 1.0),
