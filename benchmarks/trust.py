@@ -174,7 +174,7 @@ def other(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
     """Foreign faults told by distance and by confidence; the threshold is set on other motors."""
     for name, rate_hz in (("bench", 1_000.0), ("bench-full", 1_000.0), ("bench", 10_000.0)):
         recipe = bench(rate_hz, name=name)
-        count = n_cases if (name, rate_hz) == ("bench", 1_000.0) else n_cases // 8
+        count = n_cases if (name, rate_hz) == ("bench", 1_000.0) else n_cases // 2
         confidences: dict[str, Callable[[Any], FloatArray]] = {"limit": partial(class_probabilities, recipe)}
         if name == "bench":
             confidences["network"] = network(recipe).predict_proba

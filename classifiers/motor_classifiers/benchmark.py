@@ -3,25 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from itertools import product
-from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from motor_classifiers.calibration import CalibrationScores, calibration_scores
-from motor_classifiers.judging import (
-    LIMIT,
-    Answer,
-    Cell,
-    answer_key,
-    judge_apart,
-    load_answer,
-    posterior,
-    save_answer,
-)
-from motor_classifiers.methods import ESTIMATE, METHODS
+from motor_classifiers.judging import LIMIT, Answer, Cell, judge_apart, posterior
 from motor_classifiers.metrics import (
     Comparison,
     IntArray,
@@ -33,177 +18,14 @@ from motor_classifiers.metrics import (
     scores,
 )
 from motor_classifiers.peers import Peers, read_peers
+from motor_classifiers.plan import AnswerStore, Plan, Unit, limit_of, trust_unit, unit_of, units
+from motor_classifiers.trust import TRUST, Figures, set_figures, trust_figures
 from motor_datasets.arrays import Dataset
-from motor_env.parameters import FloatArray, require
+from motor_env.parameters import FloatArray
 from motor_env.recipes import Recipe
 
 SIGNIFICANCE = 0.01
 """Of the check that no method beats the limit: shared among all comparisons of a run (Bonferroni), one-sided."""
-
-REFERENCE = {"recipe": "bench", "sampling_rate_hz": 10_000.0, "current_noise_a": 0.02, "n_train": 2000}
-"""The setting that is told in full where there are several."""
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """What is run: each method in each setting.
-
-    Attributes:
-        cells: settings.
-        methods: names of `METHODS`.
-        peers: file with answers of peers; they join where its starts are those of a setting.
-    """
-
-    cells: tuple[Cell, ...]
-    methods: tuple[str, ...] = tuple(METHODS)
-    peers: Path | None = None
-
-    def __post_init__(self) -> None:
-        for name in self.methods:
-            require(name in METHODS, f"method must be one of {', '.join(METHODS)}, got {name!r}")
-        require(len(set(self.methods)) == len(self.methods), "methods must differ")
-
-    @property
-    def n_comparisons(self) -> int:
-        """Comparisons with the limit."""
-        return len(self.cells) * len(self.methods)
-
-    @property
-    def reference(self) -> int:
-        """Index of the setting that is told in full: the one nearest to `REFERENCE`."""
-        likeness = [
-            sum(_setting(cell)[name] == value for name, value in REFERENCE.items()) for cell in self.cells
-        ]
-        return int(np.argmax(likeness))
-
-
-def _setting(cell: Cell) -> dict[str, Any]:
-    recipe = cell.recipe
-    return {
-        "recipe": recipe.name,
-        "sampling_rate_hz": recipe.timing.sampling_rate_hz,
-        "current_noise_a": recipe.sensor.current_noise_a,
-        "n_train": cell.n_train,
-    }
-
-
-def make_cells(
-    recipes: tuple[Recipe, ...],
-    rates_hz: tuple[float, ...],
-    noises_a: tuple[float, ...],
-    train_sizes: tuple[int, ...],
-    n_test: int,
-    seed: int,
-) -> tuple[Cell, ...]:
-    """Settings of a sweep: recipes, rates and noises crossed, and training sizes at the usual noise.
-
-    Args:
-        recipes: what motors are drawn from.
-        rates_hz: of each recipe; its own where empty.
-        noises_a: of each recipe; its own where empty.
-        train_sizes: the first is that of the sweep over rates and noises.
-        n_test: starts to be judged on.
-        seed: of everything.
-    """
-    cells: dict[Cell, None] = {}
-    for recipe in recipes:
-        rates = rates_hz or (recipe.timing.sampling_rate_hz,)
-        noises = noises_a or (recipe.sensor.current_noise_a,)
-        usual = REFERENCE["current_noise_a"] if REFERENCE["current_noise_a"] in noises else noises[0]
-        for rate, noise, n_train in product(rates, noises, train_sizes):
-            if n_train == train_sizes[0] or noise == usual:
-                own = replace(
-                    recipe,
-                    timing=replace(recipe.timing, sampling_rate_hz=rate),
-                    sensor=replace(recipe.sensor, current_noise_a=noise),
-                )
-                cells[Cell(own, n_train, n_test, seed)] = None
-    return tuple(cells)
-
-
-class Unit(NamedTuple):
-    """One answer to be had.
-
-    Attributes:
-        cell: setting.
-        name: method, or `LIMIT`.
-        key: of its answer.
-        seconds: about how long it takes.
-    """
-
-    cell: Cell
-    name: str
-    key: str
-    seconds: float
-
-
-def units(plan: Plan) -> tuple[Unit, ...]:
-    """All answers that a plan needs, each once: the limit does not depend on the training starts."""
-    found: dict[str, Unit] = {}
-    for cell in plan.cells:
-        for name in (_limit_of(cell), *plan.methods):
-            unit = _unit(cell, name)
-            found.setdefault(unit.key, unit)
-    return tuple(found.values())
-
-
-def _limit_of(cell: Cell) -> str:
-    """What stands for the limit: the exact posterior, or the method that estimates it."""
-    return LIMIT if cell.recipe.field is None else ESTIMATE
-
-
-def _unit(cell: Cell, name: str) -> Unit:
-    return Unit(cell, name, answer_key(name, cell), _expected_seconds(name, cell))
-
-
-def _expected_seconds(name: str, cell: Cell) -> float:
-    samples = cell.recipe.timing.n_samples / 1000.0
-    if name == LIMIT:
-        return 0.5 + 1e-3 * cell.n_test * samples * len(cell.recipe.classes) / 5.0
-    method = METHODS[name]
-    if method.from_stream and cell.recipe.field is not None:
-        return 20.0 * method.seconds  # whatever the rate: the motor's equations take small steps
-    size = 0.5 if method.from_stream else 0.5 * (cell.n_train + cell.n_test) / 2000.0
-    return 1.0 + method.seconds * size * (0.2 + 0.8 * samples)
-
-
-class AnswerStore:
-    """Answers by key: in memory, and, given a folder, as files that a later run finds again.
-
-    Args:
-        folder: where files are kept; None for none.
-        fresh: whether files of earlier runs are overwritten instead of read.
-    """
-
-    def __init__(self, folder: Path | None = None, *, fresh: bool = False) -> None:
-        self._folder = folder
-        self._fresh = fresh
-        self._held: dict[str, Answer] = {}
-
-    def find(self, unit: Unit) -> Answer | None:
-        """The answer, or None."""
-        if unit.key not in self._held and self._folder is not None and not self._fresh:
-            found = load_answer(self._folder / f"{unit.key}.npz", unit.cell)
-            if found is not None:
-                self._held[unit.key] = found
-        return self._held.get(unit.key)
-
-    def get(self, unit: Unit) -> Answer:
-        """The answer.
-
-        Raises:
-            KeyError: there is none.
-        """
-        found = self.find(unit)
-        if found is None:
-            raise KeyError(f"the answer of {unit.name} is missing")
-        return found
-
-    def put(self, unit: Unit, answer: Answer) -> None:
-        """Keep an answer."""
-        self._held[unit.key] = answer
-        if self._folder is not None:
-            save_answer(answer, self._folder / f"{unit.key}.npz")
 
 
 class Judged(NamedTuple):
@@ -251,6 +73,7 @@ class CellResult(NamedTuple):
         limit_is_estimate: whether it is one: where the likelihood has no closed form, nothing better is known.
         methods: in the order asked, then the peers.
         weights: of the bootstrap, shape (1 + n_resamples, n_test).
+        trust: figures on trust, in the reference setting alone.
     """
 
     cell: Cell
@@ -260,6 +83,7 @@ class CellResult(NamedTuple):
     limit_is_estimate: bool
     methods: tuple[MethodResult, ...]
     weights: FloatArray
+    trust: Figures | None = None
 
     @property
     def leaks(self) -> tuple[str, ...]:
@@ -293,14 +117,31 @@ def run_plan(
         known = kept.find(unit) is not None
         on_unit(unit, known)
         if not known:
-            kept.put(unit, posterior(unit.cell) if unit.name == LIMIT else judge_apart(unit.name, unit.cell))
-    return tuple(_score_cell(plan, cell, kept) for cell in plan.cells)
+            kept.put(unit, _had(plan, unit))
+    results = [_score_cell(plan, cell, kept) for cell in plan.cells]
+    reference = results[plan.reference]
+    figures = {"sets": _sets(reference), **kept.figures(trust_unit(plan))}
+    results[plan.reference] = reference._replace(trust=figures)
+    return tuple(results)
+
+
+def _had(plan: Plan, unit: Unit) -> Answer | Figures:
+    if unit.name == TRUST:
+        return trust_figures(unit.cell, with_network=plan.with_network)
+    return posterior(unit.cell) if unit.name == LIMIT else judge_apart(unit.name, unit.cell)
+
+
+def _sets(result: CellResult) -> Figures:
+    """Conformal sets of the limit and of every method that grades, from the answers that are there."""
+    graded = {m.name: m.judged for m in result.ranked() if m.judged.calibration is not None}
+    probabilities = {name: one.answer.probabilities for name, one in ({LIMIT: result.limit} | graded).items()}
+    return set_figures(probabilities, result.cell.test())
 
 
 def _score_cell(plan: Plan, cell: Cell, store: AnswerStore) -> CellResult:
     test = cell.test()
     weights = resampling_weights(cell.n_test, cell.seed, groups=test.motor_id)
-    best, *found = (store.get(_unit(cell, name)) for name in (_limit_of(cell), *plan.methods))
+    best, *found = (store.answer(unit_of(cell, name)) for name in (limit_of(cell), *plan.methods))
     answers = dict(zip(plan.methods, found, strict=True))
     limit = _judged(cell.recipe, best, test, weights, graded=True)
     right = best.decided == test.class_index

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from motor_classifiers.calibration import Reliability
+from motor_classifiers.line_charts import ticks
 from motor_env.parameters import FloatArray
 
 _POINTS = 700  # of a drawn curve
@@ -22,20 +23,6 @@ class Bar(NamedTuple):
     value: float
     low: float
     high: float
-
-
-def _ticks(low: float, high: float, about: int = 5) -> FloatArray:
-    """Round numbers in a range."""
-    span = max(high - low, 1e-12)
-    step = 10.0 ** np.floor(np.log10(span / about))
-    for factor in (1.0, 2.0, 5.0, 10.0):
-        if span / (step * factor) <= about:
-            step *= factor
-            break
-    ticks: FloatArray = (
-        np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step + 0.0
-    )  # no -0
-    return ticks
 
 
 def interval_chart(
@@ -52,7 +39,7 @@ def interval_chart(
     height = top + row * len(bars) + 30
     bottom = top + row * len(bars)
     parts = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title or limit_label)}">']
-    for tick in _ticks(low, high, 6 if width > 500 else 3):
+    for tick in ticks(low, high, 6 if width > 500 else 3):
         parts.append(f'<line class="grid" x1="{x(tick):.1f}" x2="{x(tick):.1f}" y1="{top}" y2="{bottom}"/>')
         parts.append(
             f'<text class="tick" x="{x(tick):.1f}" y="{bottom + 18}" text-anchor="middle">{100 * tick:g} %</text>'
@@ -79,79 +66,6 @@ def interval_chart(
     return "".join(parts)
 
 
-class Line(NamedTuple):
-    """A method along a sweep: label, style class (`limit` or s0, s1, ...), positions and values."""
-
-    label: str
-    style: str
-    x: Sequence[float]
-    y: Sequence[float]
-
-
-def line_chart(lines: Sequence[Line], x_title: str, *, width: int = 520, height: int = 400) -> str:
-    """Accuracies over a logarithmic axis; each line is named at its right end."""
-    left, right, top, bottom = 52, 132, 12, 40
-    positions = sorted({value for line in lines for value in line.x})
-    values = [value for line in lines for value in line.y]
-    low, high = min(values) - 0.01, min(1.0, max(values) + 0.01)
-    begin, end = np.log(positions[0]), np.log(positions[-1])
-
-    def x(value: float) -> float:
-        return left + (width - left - right) * float((np.log(value) - begin) / max(end - begin, 1e-9))
-
-    def y(value: float) -> float:
-        return top + (height - top - bottom) * (high - value) / (high - low)
-
-    parts = [
-        f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="Accuracy against {escape(x_title)}">'
-    ]
-    for tick in _ticks(low, high, 6):
-        parts.append(
-            f'<line class="grid" x1="{left}" x2="{width - right}" y1="{y(tick):.1f}" y2="{y(tick):.1f}"/>'
-        )
-        parts.append(
-            f'<text class="tick" x="{left - 6}" y="{y(tick) + 4:.1f}" text-anchor="end">{100 * tick:g} %</text>'
-        )
-    parts += [
-        f'<text class="tick" x="{x(position):.1f}" y="{height - 22}" text-anchor="middle">{position:g}</text>'
-        for position in positions
-    ]
-    middle = (left + width - right) / 2
-    parts.append(
-        f'<text class="tick" x="{middle}" y="{height - 6}" text-anchor="middle">{escape(x_title)}</text>'
-    )
-    ends = [y(line.y[-1]) for line in lines]
-    for line, label_y in zip(lines, _spread_out(ends, 13.0, top + 4.0, height - bottom + 14.0), strict=True):
-        points = " ".join(f"{x(p):.1f},{y(v):.1f}" for p, v in zip(line.x, line.y, strict=True))
-        style = escape(line.style)
-        parts.append(f'<g class="series {style}"><polyline points="{points}"/>')
-        parts += [
-            f'<circle cx="{x(p):.1f}" cy="{y(v):.1f}" r="3"><title>{escape(line.label)}, {p:g}: {100 * v:.1f} %</title>'
-            "</circle>"
-            for p, v in zip(line.x, line.y, strict=True)
-        ]
-        tip = x(line.x[-1])
-        parts.append(
-            f'<polyline class="lead" points="{tip:.1f},{y(line.y[-1]):.1f} {tip + 12:.1f},{label_y:.1f}"/>'
-        )
-        parts.append(f'<text x="{tip + 15:.1f}" y="{label_y + 4:.1f}">{escape(line.label)}</text></g>')
-    parts.append("</svg>")
-    return "".join(parts)
-
-
-def _spread_out(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """Places near the wanted ones, `gap` apart, so that no label covers another."""
-    order = np.argsort(wanted, kind="stable")
-    placed = np.asarray(wanted, dtype=np.float64)[order]
-    for n in range(len(placed)):
-        placed[n] = max(placed[n], low if n == 0 else placed[n - 1] + gap)
-    for n in range(len(placed) - 1, -1, -1):
-        placed[n] = min(placed[n], high if n == len(placed) - 1 else placed[n + 1] - gap)
-    result = np.empty(len(placed))
-    result[order] = placed
-    return [float(value) for value in result]
-
-
 class Boxes(NamedTuple):
     """Estimates of one method: label, style class, and of each class the quantiles 5, 25, 50, 75, 95 %."""
 
@@ -173,7 +87,7 @@ def severity_chart(names: Sequence[str], truth: Sequence[float], methods: Sequen
     height = top + row * len(names) + 40
     floor = top + row * len(names)
     parts = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="Estimated severity of each class">']
-    for tick in _ticks(low, high, 8):
+    for tick in ticks(low, high, 8):
         parts.append(f'<line class="grid" x1="{x(tick):.1f}" x2="{x(tick):.1f}" y1="{top}" y2="{floor}"/>')
         parts.append(
             f'<text class="tick" x="{x(tick):.1f}" y="{floor + 18}" text-anchor="middle">{100 * tick:g}</text>'
@@ -243,7 +157,7 @@ def trace_chart(
         return top + (height - top - bottom) * (high - clipped) / (high - low)
 
     parts = [f'<svg viewBox="0 0 {width} {height}" role="img">']
-    for tick in _ticks(low, high, 4):
+    for tick in ticks(low, high, 4):
         parts.append(
             f'<line class="grid" x1="{left}" x2="{width - right}" y1="{y(tick):.1f}" y2="{y(tick):.1f}"/>'
         )
@@ -251,7 +165,7 @@ def trace_chart(
             f'<text class="tick" x="{left - 6}" y="{y(tick) + 4:.1f}" text-anchor="end">{tick:g}</text>'
         )
     if with_time:
-        for tick in _ticks(begin, end, 6):
+        for tick in ticks(begin, end, 6):
             place = f'x="{x(tick):.1f}" y="{height - 14}" text-anchor="middle"'
             parts.append(f'<text class="tick" {place}>{tick:g}</text>')
         parts.append(f'<text class="tick" x="{width - right}" y="{height - 2}" text-anchor="end">ms</text>')

@@ -242,7 +242,7 @@ def benchmark(
     Exit status: 0 done, 1 a method scored significantly above the Bayes limit (then something leaks), 2 wrong use.
 
     Args:
-        out: Folder for report.html, results.json, results.csv and recipes.json; answers of a sweep are kept below it.
+        out: Folder for report.html, results.json, results.csv, trust.json and recipes.json; answers of a sweep are kept below it.
         full: Sweep over all recipes, 1 and 10 kHz, 5, 20 and 100 mA, 200 to 8000 training starts: hours.
         recipe: What motors are drawn from: bench, bench-full, paper or field; several with commas. Default bench.
         sampling_rate_hz: Samples a second; the recipe's by default.
@@ -259,7 +259,6 @@ def benchmark(
         json_: Print what stands in results.json.
     """
     _require_extras()
-    from motor_classifiers.benchmark import AnswerStore, Plan, make_cells
     from motor_classifiers.cli_sweep import (
         FULL_SWEEP,
         chosen_recipe,
@@ -270,6 +269,7 @@ def benchmark(
     from motor_classifiers.methods import METHODS
     from motor_classifiers.options import numbers, require_writable
     from motor_classifiers.peers import shipped_peers
+    from motor_classifiers.plan import AnswerStore, Plan, make_cells
     from motor_classifiers.results import result_rows, write_results
 
     usual = FULL_SWEEP if full else {}

@@ -9,7 +9,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from motor_classifiers.benchmark import AnswerStore, CellResult, Plan, Unit, run_plan, units
+from motor_classifiers.benchmark import CellResult, run_plan
+from motor_classifiers.plan import AnswerStore, Plan, Unit, units
 from motor_env.parameters import Channel
 from motor_env.recipes import Recipe, named_recipe
 

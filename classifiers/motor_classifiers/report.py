@@ -7,26 +7,25 @@ from typing import Any
 
 import numpy as np
 
-from motor_classifiers.benchmark import SIGNIFICANCE, CellResult, Judged, MethodResult, Plan
+from motor_classifiers.benchmark import SIGNIFICANCE, CellResult, Judged, MethodResult
 from motor_classifiers.charts import (
     Bar,
     Boxes,
-    Line,
     interval_chart,
-    line_chart,
     reliability_chart,
     severity_chart,
 )
 from motor_classifiers.examples import ALARM_RATE, examples
-from motor_classifiers.judging import Cell
 from motor_classifiers.methods import METHODS
 from motor_classifiers.metrics import Score
 from motor_classifiers.names import readable, short
 from motor_classifiers.peers import PEERS
+from motor_classifiers.plan import Plan
 from motor_classifiers.results import family
+from motor_classifiers.sweep_page import sweep_section
+from motor_classifiers.trust_page import trust_section
 
 _QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
-_LINES = 10  # styles of lines, s0 to s9; more methods are drawn in a quiet colour
 
 
 def render_report(plan: Plan, results: Sequence[CellResult], machine: str) -> str:
@@ -77,8 +76,8 @@ def render_report(plan: Plan, results: Sequence[CellResult], machine: str) -> st
         severity_methods=[method.name for method in _severity_methods(ranked)],
         examples=examples(result, ours[0]),
         alarm_rate=ALARM_RATE,
-        sweep=_sweep(plan, results) if len(results) > 1 else None,
-        settings=[_setting(other) for other in results],
+        trust=trust_section(result),
+        sweep=sweep_section(plan, results) if len(results) > 1 else None,
         against=[
             (method.name, result.difference(ours[0].name, method.name))
             for method in ranked
@@ -173,73 +172,3 @@ def _severity_chart(result: CellResult, chosen: Sequence[MethodResult]) -> str:
     ]
     truth = [float(result.severity[result.truth == n].mean()) for n in present]
     return severity_chart([readable(recipe.class_names[n]) for n in present], truth, boxes)
-
-
-def _setting(result: CellResult) -> dict[str, Any]:
-    """A setting's figures for the table of all settings."""
-    recipe = result.cell.recipe
-    return {
-        "recipe": recipe.name,
-        "rate_khz": recipe.timing.sampling_rate_hz / 1e3,
-        "noise_ma": 1e3 * recipe.sensor.current_noise_a,
-        "n_train": result.cell.n_train,
-        "limit": result.limit.scores.accuracy.value,
-        "estimated": result.limit_is_estimate,
-        "methods": {m.name: m for m in result.methods},
-    }
-
-
-def _sweep(plan: Plan, results: Sequence[CellResult]) -> dict[str, Any]:
-    """Charts of a sweep: learning curves by recipe and rate, accuracies by noise."""
-    style = {name: f"s{n}" if n < _LINES else "rest" for n, name in enumerate(plan.methods)}
-    recipes = dict.fromkeys(result.cell.recipe.name for result in results)
-    rates = sorted({result.cell.recipe.timing.sampling_rate_hz for result in results}, reverse=True)
-    learning, noise = [], []
-    for recipe in recipes:
-        for rate in rates:
-            here = [r for r in results if _at(r.cell, recipe, rate)]
-            by_size = _same_noise(here)
-            if len(by_size) > 1:
-                learning.append(_panel(by_size, style, lambda c: float(c.n_train), "training starts"))
-            size = here[0].cell.n_train if here else 0
-            by_noise = sorted(
-                (r for r in here if r.cell.n_train == size),
-                key=lambda r: r.cell.recipe.sensor.current_noise_a,
-            )
-            if len(by_noise) > 1:
-                noise.append(
-                    _panel(by_noise, style, lambda c: 1e3 * c.recipe.sensor.current_noise_a, "noise, mA")
-                )
-    return {"learning": learning, "noise": noise, "methods": plan.methods, "style": style}
-
-
-def _at(cell: Cell, recipe: str, rate_hz: float) -> bool:
-    return cell.recipe.name == recipe and cell.recipe.timing.sampling_rate_hz == rate_hz
-
-
-def _same_noise(results: Sequence[CellResult]) -> list[CellResult]:
-    """Those at the noise at which most training sizes were tried, by size."""
-    noises = [result.cell.recipe.sensor.current_noise_a for result in results]
-    if not noises:
-        return []
-    usual = max(noises, key=noises.count)
-    chosen = (r for r, noise in zip(results, noises, strict=True) if noise == usual)
-    return sorted(chosen, key=lambda r: r.cell.n_train)
-
-
-def _panel(
-    results: Sequence[CellResult], style: dict[str, str], position: Any, x_title: str
-) -> dict[str, str]:
-    xs = [position(result.cell) for result in results]
-    lines = [Line(name, style[name], xs, [_accuracy(result, name) for result in results]) for name in style]
-    limit_name = "estimate" if results[0].limit_is_estimate else "Bayes limit"
-    lines.append(Line(limit_name, "limit", xs, [r.limit.scores.accuracy.value for r in results]))
-    cell = results[0].cell
-    return {
-        "title": f"{cell.recipe.name}, {cell.recipe.timing.sampling_rate_hz / 1e3:g} kHz",
-        "chart": line_chart(lines, x_title),
-    }
-
-
-def _accuracy(result: CellResult, name: str) -> float:
-    return next(m.judged.scores.accuracy.value for m in result.methods if m.name == name)

@@ -11,9 +11,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from motor_classifiers.benchmark import CellResult, Judged, MethodResult, Plan
+from motor_classifiers.benchmark import CellResult, Judged, MethodResult
+from motor_classifiers.judging import Cell
 from motor_classifiers.methods import METHODS
 from motor_classifiers.metrics import Comparison, Score, Scores
+from motor_classifiers.plan import Plan
 from motor_env.files import write_text
 from motor_env.recipe_file import recipe_to_dict
 from motor_env.recipes import Recipe
@@ -84,21 +86,25 @@ def _judged_fields(recipe: Recipe, judged: Judged) -> dict[str, Any]:
     }
 
 
+def _setting_fields(cell: Cell) -> dict[str, Any]:
+    recipe = cell.recipe
+    return {
+        "recipe": recipe.name,
+        "sampling_rate_hz": recipe.timing.sampling_rate_hz,
+        "duration_s": recipe.timing.duration_s,
+        "noise_a": recipe.sensor.current_noise_a,
+        "channels": [str(channel) for channel in recipe.sensor.channels],
+        "n_train": cell.n_train,
+        "n_test": cell.n_test,
+        "seed": cell.seed,
+    }
+
+
 def result_rows(results: Sequence[CellResult]) -> list[dict[str, Any]]:
     """One row a method and setting; the limit is a method of its own name."""
     rows = []
     for result in results:
-        cell, recipe = result.cell, result.cell.recipe
-        setting = {
-            "recipe": recipe.name,
-            "sampling_rate_hz": recipe.timing.sampling_rate_hz,
-            "duration_s": recipe.timing.duration_s,
-            "noise_a": recipe.sensor.current_noise_a,
-            "channels": [str(channel) for channel in recipe.sensor.channels],
-            "n_train": cell.n_train,
-            "n_test": cell.n_test,
-            "seed": cell.seed,
-        }
+        setting, recipe = _setting_fields(result.cell), result.cell.recipe
         limit = result.limit
         told = limit.calibration
         of_limit = {
@@ -129,6 +135,12 @@ def result_rows(results: Sequence[CellResult]) -> list[dict[str, Any]]:
     return rows
 
 
+def trust_document(results: Sequence[CellResult]) -> dict[str, Any]:
+    """The figures on trust of the one setting that has them, and that setting."""
+    told = next(result for result in results if result.trust is not None)
+    return {**_setting_fields(told.cell), **(told.trust or {})}
+
+
 def family(method: MethodResult) -> str:
     """Family of a method: threshold, scikit-learn, torch or peer."""
     return METHODS[method.name].family if method.name in METHODS else "peer"
@@ -147,13 +159,18 @@ def as_csv(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def write_results(plan: Plan, results: Sequence[CellResult], folder: Path) -> Path:
-    """Write results.json, results.csv, recipes.json and report.html, each whole or not at all; the page's path."""
+    """Write results.json, results.csv, trust.json, recipes.json and report.html, each whole or not at all.
+
+    Returns:
+        The page's path.
+    """
     from motor_classifiers.report import render_report
 
     rows = result_rows(results)
     recipes = {cell.recipe.name: recipe_to_dict(cell.recipe) for cell in reversed(plan.cells)}
     write_text(folder / "results.json", json.dumps(rows, indent=1) + "\n")
     write_text(folder / "results.csv", as_csv(rows))
+    write_text(folder / "trust.json", json.dumps(trust_document(results), indent=1, allow_nan=False) + "\n")
     write_text(folder / "recipes.json", json.dumps(recipes, indent=1) + "\n")
     page = folder / "report.html"
     machine = f"{platform.machine()}, Python {platform.python_version()}"

@@ -7,10 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motor_classifiers.benchmark import Plan, run_plan
+from motor_classifiers import trust as trust_module
+from motor_classifiers.benchmark import run_plan
 from motor_classifiers.judging import Cell
 from motor_classifiers.peers import PEERS, export_cases, read_peers, shipped_peers
+from motor_classifiers.plan import Plan
 from motor_classifiers.results import result_rows
+from motor_classifiers.trust import Counts
 from motor_env.console import InputError
 from motor_env.recipes import named_recipe
 from motor_env.simulation import Timing
@@ -60,7 +63,9 @@ def test_exported_starts_are_those_of_the_benchmark(tmp_path: Path) -> None:
         np.testing.assert_array_equal(held["test_class_index"], CELL.test().class_index)
 
 
-def test_peers_stand_in_the_table_and_are_no_leak(peers: Path) -> None:
+def test_peers_stand_in_the_table_and_are_no_leak(peers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = Counts(threshold=100, known=60, foreign=20, early=40, healthy=60)
+    monkeypatch.setattr(trust_module, "COUNTS", few)
     (result,) = run_plan(Plan((CELL,), (), peers))
     (quant,) = result.methods
     assert quant.name == "quant"

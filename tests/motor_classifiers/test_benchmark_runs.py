@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from motor_classifiers import benchmark as benchmark_module
-from motor_classifiers.benchmark import AnswerStore, Plan, Unit, make_cells, run_plan, units
+from motor_classifiers import trust as trust_module
+from motor_classifiers.benchmark import run_plan
 from motor_classifiers.cli import main
 from motor_classifiers.judging import (
     LIMIT,
@@ -29,7 +30,9 @@ from motor_classifiers.judging import (
     posterior,
     save_answer,
 )
+from motor_classifiers.plan import AnswerStore, Plan, Unit, make_cells, units
 from motor_classifiers.results import result_rows, write_results
+from motor_classifiers.trust import TRUST, Counts
 from motor_env.console import InputError
 from motor_env.recipes import Recipe, named_recipe
 from motor_env.simulation import Timing
@@ -37,6 +40,13 @@ from motor_env.simulation import Timing
 SLOW = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 CELL = Cell(SLOW, 300, 200)
 FAST = ["benchmark", "--sampling-rate-hz", "1000", "--n-train", "300", "--n-test", "200"]
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures on trust from few starts: what they say is tested elsewhere."""
+    few = Counts(threshold=100, known=60, foreign=20, severity=20, early=40, healthy=60, steps=5)
+    monkeypatch.setattr(trust_module, "COUNTS", few)
 
 
 @pytest.fixture
@@ -62,9 +72,14 @@ def test_benchmark_writes_a_page_that_needs_nothing_else(tmp_path: Path) -> None
     assert [float(row["accuracy"]) for row in flat] == [row["accuracy"] for row in rows]
     page = (tmp_path / "report.html").read_text()
     assert not re.search(r"src\s*=|href\s*=\s*\"?[^#\"]|@import|url\(|https?://", page)
-    # accuracy, three sub-scores, four curves of confidence, severities, and three charts a class
-    assert page.count("<svg") == 1 + 3 + 4 + 1 + 15
+    # accuracy, three sub-scores, four curves of confidence, severities, three of trust, and three charts a class
+    assert page.count("<svg") == 1 + 3 + 4 + 1 + 3 + 15
     assert not (tmp_path / "answers").exists()
+    trust = json.loads((tmp_path / "trust.json").read_text())
+    assert [row["method"] for row in trust["sets"]["methods"]] == [
+        "limit", *sorted(methods, key=lambda name: -next(r["accuracy"] for r in rows if r["method"] == name))
+    ]  # fmt: skip
+    assert "posterior-network, which tells severities, is not among the methods" in page
 
 
 @pytest.mark.usefixtures("at_once")
@@ -146,6 +161,7 @@ def test_the_key_holds_all_that_an_answer_depends_on() -> None:
 def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
     plan = Plan(make_cells((SLOW,), (), (0.02, 0.1), (300,), 200, 0), ("residual-qda",))
     first = units(plan)[2]
+    assert units(plan)[4].name == TRUST
 
     def interrupt(unit: Unit, known: bool) -> None:
         if unit == first:
@@ -155,7 +171,12 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
         run_plan(plan, AnswerStore(tmp_path), interrupt)
     asked: list[bool] = []
     results = run_plan(plan, AnswerStore(tmp_path), lambda unit, known: asked.append(known))
-    assert asked == [True, True, False, False]
+    assert asked == [True, True, False, False, False]
+    asked.clear()
+    again = run_plan(plan, AnswerStore(tmp_path), lambda unit, known: asked.append(known))
+    assert all(asked)
+    assert [result.trust is not None for result in again] == [True, False]
+    assert again[0].trust == results[0].trust
     asked.clear()
     run_plan(plan, AnswerStore(tmp_path, fresh=True), lambda unit, known: asked.append(known))
     assert not any(asked)
@@ -195,7 +216,7 @@ def test_a_killed_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
     asked: list[str] = []
     plan = Plan(make_cells((SLOW,), (1e3,), (0.02, 0.1), (300,), 200, 0), ("residual-qda", "threshold"))
     results = run_plan(plan, AnswerStore(answers), lambda unit, known: asked.append(f"{unit.name} {known}"))
-    assert len(asked) == 6
+    assert len(asked) == 7
     assert sum(line.endswith("True") for line in asked) == len(kept)
     assert {name: (answers / name).stat().st_mtime_ns for name in kept} == kept
     fresh = run_plan(plan)
@@ -244,6 +265,10 @@ def test_the_limit_of_the_field_is_called_an_estimate(
     page = write_results(plan, results, tmp_path).read_text()
     assert "estimate of the limit" in page
     assert "Bayes limit on these motors" not in page
+    assert page.count("Left out: the likelihood of recipe field has no closed form") == 3
+    told = results[0].trust
+    assert told is not None
+    assert [row["method"] for row in told["sets"]["methods"]] == ["limit", "residual-qda"]
 
 
 @pytest.mark.parametrize(
