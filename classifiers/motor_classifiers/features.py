@@ -5,6 +5,7 @@ Both transformers take (n_cases, n_channels, n_timepoints) or flattened cases, a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Self
 
@@ -60,17 +61,29 @@ def residual_map(recipe: Recipe, directions: FloatArray) -> tuple[FloatArray, Fl
     Returns:
         Weights (n_components, n_channels * n_samples) and offset (n_components,).
     """
+    return affine_map(recipe, lambda measured: whitened_residual(recipe, measured) @ directions.T)
+
+
+def affine_map(recipe: Recipe, numbers: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Weights and offset such that flattened measurements @ weights.T + offset are some numbers affine in them.
+
+    Args:
+        recipe: whose channels and time axis.
+        numbers: from measurements (n_cases, n_channels, n_samples) to (n_cases, n_numbers).
+
+    Returns:
+        Weights (n_numbers, n_channels * n_samples) and offset (n_numbers,).
+    """
     n_channels, n_samples = len(recipe.sensor.channels), recipe.timing.n_samples
     size = n_channels * n_samples
-    offset = whitened_residual(recipe, np.zeros((1, n_channels, n_samples)))[0]
-    weights = np.empty((len(directions), size))
+    offset = numbers(np.zeros((1, n_channels, n_samples)))[0]
+    weights = np.empty((len(offset), size))
     for begin in range(0, size, _AT_ONCE):
         columns = np.arange(begin, min(begin + _AT_ONCE, size))
         units = np.zeros((len(columns), size))
         units[np.arange(len(columns)), columns] = 1.0
-        response = whitened_residual(recipe, units.reshape(-1, n_channels, n_samples)) - offset
-        weights[:, columns] = directions @ response.T
-    return weights, directions @ offset
+        weights[:, columns] = (numbers(units.reshape(-1, n_channels, n_samples)) - offset).T
+    return weights, offset
 
 
 class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):

@@ -19,6 +19,7 @@ from motor_classifiers.features import PhysicalFeatures, ResidualProjection
 from motor_classifiers.networks import NetworkClassifier
 from motor_classifiers.posterior_network import PosteriorNetwork
 from motor_classifiers.residual_network import ResidualNetworkClassifier
+from motor_classifiers.rule_statistics import RuleStatistics
 from motor_classifiers.threshold import ConfirmationClassifier
 from motor_env.recipes import Recipe
 
@@ -74,6 +75,17 @@ METHODS = {
             "Confirmation by thresholds: Kalman residual, M of N, bank of fault filters",
             lambda recipe, seed: ConfirmationClassifier(recipe),
             4.0,
+        ),
+        Method(
+            "rules",
+            "threshold",
+            "Statistics of the decision rules and matched tests, logistic regression for their thresholds",
+            lambda recipe, seed: _pipeline(
+                ("features", RuleStatistics(recipe)),
+                ("scale", StandardScaler()),
+                ("classify", LogisticRegression(C=100.0, max_iter=5000)),
+            ),
+            3.0,
         ),
         Method(
             "physical-lda",

@@ -33,6 +33,7 @@ from motor_classifiers.posterior_file import (
 from motor_classifiers.posterior_network import PosteriorNetwork
 from motor_classifiers.reference import RecentredStarts
 from motor_classifiers.residual_network import ResidualNetworkClassifier, residual_network
+from motor_classifiers.rule_statistics import RuleStatistics
 from motor_classifiers.skops_checks import TRUSTED, check_pipeline
 from motor_classifiers.threshold import ConfirmationClassifier
 from motor_env.confirmation import ThresholdConfirmation, class_filter
@@ -168,7 +169,7 @@ def _with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
         changed = copy(model)
         changed.transformer_list = [(n, _with_recipe(step, recipe)) for n, step in model.transformer_list]
         return changed
-    if isinstance(model, PhysicalFeatures | ResidualProjection | RecentredStarts):
+    if isinstance(model, PhysicalFeatures | ResidualProjection | RecentredStarts | RuleStatistics):
         changed = copy(model)
         changed.recipe = recipe
         return changed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, Self
 
 import numpy as np
@@ -9,6 +10,7 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted
 
 from motor_classifiers.cases import fitting_recipe, flat_cases, with_channels
+from motor_classifiers.features import affine_map
 from motor_env.faults import FaultKind
 from motor_env.marginal import MatchedTest
 from motor_env.parameters import FloatArray
@@ -23,18 +25,19 @@ _RULES: dict[str, Rule] = {"nis": nis_rule(), "cusum": Cusum(_SHIFT, two_sided=T
 
 
 class RuleStatistics(TransformerMixin, BaseEstimator):
-    """Largest statistic over the transient of a NIS rule and a CUSUM, and a matched test for each fault of the recipe.
+    """Statistics of the decision rules over a whole transient, and a matched test for each fault of the recipe.
 
-    All see the residual whitened for the recipe's tolerances, so that healthy motors give the same distribution
-    whatever the recipe. A linear classifier on the matched tests is the bank of filters to first order in the
-    tolerances.
+    The largest NIS, the largest CUSUM, and the mean NIS (the test of consistency, Bar-Shalom, Li & Kirubarajan 2001,
+    ch. 5.4) as logarithms, log(1 + x): a winding fault makes them thousands of times those of a healthy motor. All see
+    the residual whitened for the recipe's tolerances, so that healthy motors give the same distribution whatever the
+    recipe. A linear classifier on the matched tests is the bank of filters to first order in the tolerances.
 
     Args:
         recipe: nominal motor, tolerances, faults, sensor and timing; without one, the paper's motor at 10 kHz.
 
     Attributes:
-        filter_: filter and whitening.
-        tests_: `MatchedTest` of each class with one constant fault of the motor.
+        weights_: of the matched tests, which are affine in what is measured, shape (n_tests, n_features_in_).
+        offset_: shape (n_tests,).
         feature_names_: names of the columns.
         n_features_in_: n_channels * n_timepoints.
     """
@@ -43,25 +46,37 @@ class RuleStatistics(TransformerMixin, BaseEstimator):
         self.recipe = recipe
 
     def fit(self, X: Any, y: Any = None) -> Self:
-        """Prepare filter and tests; there is nothing to learn from the cases."""
+        """Prepare the tests; there is nothing to learn from the cases."""
         flat = flat_cases(self, X, reset=True, min_features=2)
         recipe = fitting_recipe(self.recipe, flat.shape[1])
-        self.filter_ = TolerantFilter.of(recipe)
         single = [c for c in recipe.classes if len(c.faults) == 1 and c.kind is not FaultKind.NOISE]
-        self.tests_ = [MatchedTest.of(recipe, c.faults[0]) for c in single]
-        self.feature_names_ = (*_RULES, *(f"matched_{c.name}" for c in single))
+        tests = [MatchedTest.of(recipe, c.faults[0]) for c in single]
+        self.weights_, self.offset_ = affine_map(
+            recipe,
+            lambda measured: np.column_stack(
+                [np.empty((len(measured), 0)), *(t.statistic(measured) for t in tests)]
+            ),
+        )
+        self.feature_names_ = [*_RULES, "mean_nis", *(f"matched_{c.name}" for c in single)]
         return self
 
     def transform(self, X: Any) -> FloatArray:
         """Statistics of each case, shape (n_cases, n_statistics)."""
         check_is_fitted(self)
         flat = flat_cases(self, X, reset=False)
-        measured = with_channels(flat, fitting_recipe(self.recipe, flat.shape[1]))
-        white = self.filter_.white(measured)
+        recipe = fitting_recipe(self.recipe, flat.shape[1])
+        white = _filter(recipe).white(with_channels(flat, recipe))
         largest = [rule.statistic(white).max(axis=-1) for rule in _RULES.values()]
-        return np.column_stack([*largest, *(test.statistic(measured) for test in self.tests_)])
+        mean = np.square(white).mean(axis=(1, 2))
+        return np.column_stack([np.log1p([*largest, mean]).T, flat @ self.weights_.T + self.offset_])
 
     def get_feature_names_out(self, input_features: Any = None) -> Any:
         """Names of the columns."""
         check_is_fitted(self)
         return np.array(self.feature_names_, dtype=object)
+
+
+@lru_cache(maxsize=4)
+def _filter(recipe: Recipe) -> TolerantFilter:
+    """Filter and whitening: all of it follows from the recipe, so no model holds it."""
+    return TolerantFilter.of(recipe)

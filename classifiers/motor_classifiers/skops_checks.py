@@ -23,6 +23,7 @@ TRUSTED = (
     "motor_classifiers.features.PhysicalFeatures",
     "motor_classifiers.features.ResidualProjection",
     "motor_classifiers.reference.RecentredStarts",
+    "motor_classifiers.rule_statistics.RuleStatistics",
     "sklearn.calibration._CalibratedClassifier",
     "sklearn.calibration._SigmoidCalibration",
     "sklearn.calibration._TemperatureScaling",
