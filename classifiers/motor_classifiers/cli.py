@@ -242,7 +242,7 @@ def benchmark(
     Exit status: 0 done, 1 a method scored significantly above the Bayes limit (then something leaks), 2 wrong use.
 
     Args:
-        out: Folder for report.html, results.json and .csv, trust.json, recipes.json; answers of a sweep are kept below it.
+        out: Folder for report.html, results.json and .csv, trust.json, recipes.json; answers of a sweep stay below it.
         full: Sweep over all recipes, 1 and 10 kHz, 5, 20 and 100 mA, 200 to 8000 training starts: hours.
         recipe: What motors are drawn from: bench, bench-full, paper or field; several with commas. Default bench.
         sampling_rate_hz: Samples a second; the recipe's by default.
