@@ -17,7 +17,6 @@ from sklearn.base import BaseEstimator
 
 from motor_classifiers.calibration import calibration_scores, plot_reliability
 from motor_classifiers.conformal import ConformalIntervals, ConformalSets, measured_coverage
-from motor_classifiers.early import EarlyClassifier, limit_by_samples
 from motor_classifiers.foreign import DISTANCE, UNKNOWN_FAULTS, ForeignFault, foreign_scores, plot_roc
 from motor_classifiers.judging import in_recipe_order
 from motor_classifiers.methods import make_method
@@ -29,9 +28,11 @@ from motor_classifiers.verdict_times import (
     FIXED_TIME,
     STOPPING_RULE,
     VerdictTime,
+    hits,
     moments,
     race,
     stopping_rows,
+    told_by_then,
 )
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
@@ -226,18 +227,15 @@ def early(n_cases: int = 3000) -> None:
     recipe = bench(10_000.0)
     seen = moments(recipe.timing)
     test, train = cases(recipe, TEST, n_cases), cases(recipe, TRAIN, 5_000)
-    method = make_method("residual-qda", recipe, SEED)
-    model = EarlyClassifier(method, tuple(seen.samples)).fit(train.X, train.class_name)
-    columns = [list(model.classes_).index(name) for name in recipe.class_names]
-    probabilities = {
-        "limit": limit_by_samples(recipe, test.X, seen.samples),
-        "residual-qda": model.probabilities_by_samples(test.X)[..., columns],
-    }
-    hits = {name: (p.argmax(axis=2) == test.class_index).mean(axis=1) for name, p in probabilities.items()}
+    probabilities = told_by_then(recipe, SEED, train, test)
+    accuracy = {name: hits(told, test.class_index) for name, told in probabilities.items()}
     table(
         "Accuracy by what was seen",
-        ("seen", *hits),
-        ((f"{1e3 * t:g} ms", *(f"{h[n]:.4f}" for h in hits.values())) for n, t in enumerate(seen.time_s)),
+        ("seen", *accuracy),
+        (
+            (f"{1e3 * t:g} ms", *(f"{shares[n]:.4f}" for shares in accuracy.values()))
+            for n, t in enumerate(seen.time_s)
+        ),
     )
     table(
         "Stopping rule",

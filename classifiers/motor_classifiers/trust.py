@@ -19,15 +19,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # comes with scikit-learn, without types
 
 from motor_classifiers.conformal import ConformalSets, Coverage, measured_coverage
-from motor_classifiers.early import EarlyClassifier, limit_by_samples
 from motor_classifiers.foreign import UNKNOWN_FAULTS, Confidence, ForeignScore, foreign_scores
-from motor_classifiers.judging import Cell, in_recipe_order, judged_cases
+from motor_classifiers.judging import Cell, judged_cases
 from motor_classifiers.limit_cells import severity_cell
-from motor_classifiers.methods import ESTIMATE, make_method
+from motor_classifiers.methods import ESTIMATE
 from motor_classifiers.metrics import IntArray
 from motor_classifiers.persistence import PRETRAINED, load_model
 from motor_classifiers.posterior_network import PosteriorNetwork
-from motor_classifiers.verdict_times import moments, race, stopping_rows
+from motor_classifiers.verdict_times import hits, moments, race, stopping_rows, told_by_then
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env import __version__
@@ -52,7 +51,6 @@ TELLING_RATE_HZ = 1_000.0
 
 SECTIONS = ("unknown", "severity", "early", "race")
 
-_EARLY = "residual-qda"
 _PROMISED = 0.90  # coverage of sets
 
 
@@ -261,22 +259,11 @@ def _early(cell: Cell) -> Figures:
     recipe, seen = cell.recipe, moments(cell.recipe.timing)
     if len(seen.samples) < 2:
         return {"reason": f"a start of recipe {recipe.name} has too few samples to be cut short"}
-    train = cell.train()
     test = generate_arrays(recipe, cell.seed, judged_cases(recipe, FIRST_CASE, COUNTS.early))
-    method = make_method(_EARLY, recipe, cell.seed % 2**32)
-    model = EarlyClassifier(method, tuple(seen.samples)).fit(train.X, train.class_name)
-    probabilities = {
-        "limit": limit_by_samples(recipe, test.X, seen.samples),
-        _EARLY: np.stack(
-            [in_recipe_order(model, told, recipe) for told in model.probabilities_by_samples(test.X)]
-        ),
-    }
+    probabilities = told_by_then(recipe, cell.seed % 2**32, cell.train(), test)
     return {
         "time_s": seen.time_s.tolist(),
-        "accuracy": {
-            name: (told.argmax(axis=2) == test.class_index).mean(axis=1).tolist()
-            for name, told in probabilities.items()
-        },
+        "accuracy": {name: hits(told, test.class_index).tolist() for name, told in probabilities.items()},
         "stopping": [
             {"stated": row.stated, "probabilities_of": row.classifier}
             | {name: None if math.isnan(value) else value for name, value in row.score._asdict().items()}

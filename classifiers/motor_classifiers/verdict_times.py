@@ -9,8 +9,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_classifiers.early import StoppingScore, limit_by_samples, stop_when_sure, stopping_score
-from motor_classifiers.judging import judged_cases
+from motor_classifiers.early import (
+    EarlyClassifier,
+    StoppingScore,
+    limit_by_samples,
+    stop_when_sure,
+    stopping_score,
+)
+from motor_classifiers.judging import in_recipe_order, judged_cases
+from motor_classifiers.methods import make_method
+from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.parameters import FloatArray
 from motor_env.recipes import FaultClass, Recipe
@@ -25,6 +33,9 @@ _RACE_ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01, 0.005)
 _ALARM_RATES = (0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005)
 _SHIFT = 0.2
 """Looked for by CUSUM and SPRT, in standard deviations of the residual of a sample."""
+
+METHOD = "residual-qda"
+"""The method beside the limit: trained in half a second, so that each moment can have its own."""
 
 STOPPING_RULE = "stop when sure (limit)"
 FIXED_TIME = "limit, fixed time"
@@ -47,6 +58,28 @@ def moments(timing: Timing) -> Moments:
     after_step = np.round(_SHARES * (timing.n_samples - timing.n_quiet)).astype(np.int64)
     samples = np.unique(after_step[after_step >= FEWEST_SAMPLES])
     return Moments(samples + timing.n_quiet, np.asarray(samples * timing.dt_s, dtype=np.float64))
+
+
+def told_by_then(recipe: Recipe, seed: int, train: Dataset, test: Dataset) -> dict[str, FloatArray]:
+    """Probabilities at each of the moments, shape (n_moments, n_cases, n_classes): the limit's and `METHOD`'s.
+
+    Args:
+        recipe: what the starts were drawn from.
+        seed: random state of the method.
+        train: starts that the method is trained on, anew for each moment.
+        test: starts to be judged.
+    """
+    samples = moments(recipe.timing).samples
+    method = make_method(METHOD, recipe, seed)
+    model = EarlyClassifier(method, tuple(samples)).fit(train.X, train.class_name)
+    own = [in_recipe_order(model, told, recipe) for told in model.probabilities_by_samples(test.X)]
+    return {"limit": limit_by_samples(recipe, test.X, samples), METHOD: np.stack(own)}
+
+
+def hits(told: FloatArray, truth: ArrayLike) -> FloatArray:
+    """Accuracy at each moment from probabilities, shape (n_moments, n_cases, n_classes)."""
+    shares: FloatArray = (told.argmax(axis=2) == np.asarray(truth)).mean(axis=1)
+    return shares
 
 
 class StoppingRow(NamedTuple):
