@@ -114,3 +114,10 @@ def test_the_stream_does_not_look_at_the_given_starts() -> None:
     first = clone(few).fit(TRAIN.X, TRAIN.class_name).predict_proba(TEST.X)
     other = clone(few).fit(TEST.X, TEST.class_name).predict_proba(TEST.X)
     np.testing.assert_array_equal(first, other)
+
+
+def test_classes_may_be_far_narrower_than_the_spread_of_all() -> None:
+    recipe = named_recipe("paper")  # no tolerances: a winding fault is hundreds of noises away
+    train, test = generate_arrays(recipe, 5, 200), generate_arrays(recipe, 6, 200)
+    model = make_method("residual-qda", recipe, 0).fit(train.X, train.class_name)
+    assert (model.predict(test.X) == test.class_name).mean() > 0.9
