@@ -24,7 +24,7 @@ from motor_env.alignment import UnusableError
 from motor_env.commutation import ripple_quantities
 from motor_env.consistency import Consistency, check_consistency
 from motor_env.faults import FaultKind
-from motor_env.identification import NUISANCES, Identified, identify, identify_best
+from motor_env.identification import EXTENSIONS, NUISANCES, Identified, identify, identify_best
 from motor_env.kalman import FilterResult, KalmanFilter, run_filter
 from motor_env.motion import rise_of_supply
 from motor_env.motor_file import MotorFile, StartReference
@@ -323,7 +323,9 @@ def diagnose(
             typical = dict(zip(reference.names, np.exp(reference.log_values).tolist(), strict=True))
         if _clipped(start):
             fit = identify(start, constant=constant)
-        elif reference is None or reference.model is None:
+        elif reference is None:
+            fit = identify_best(start, EXTENSIONS, constant=constant)
+        elif reference.model is None:
             fit = identify_best(start, NUISANCES, constant=constant, typical=typical)
         else:
             fit = identify(start, reference.model, constant=constant, typical=typical)

@@ -23,10 +23,11 @@ from motor_env.start_fit import Problem
 from motor_env.starts import Start
 
 TEXTBOOK: tuple[str, ...] = ()
-EXTENSIONS = ("supply_ramp", "supply_curve", "sensor_lag", "speed_lag", "dead_zone", "coulomb", "brush_drop")
 NUISANCES = ("supply_ramp", "supply_curve", "sensor_lag", "speed_lag", "dead_zone")
 """Extensions that do not touch the motor: what a diagnosis may add. Coulomb friction and viscous friction, and a brush
 drop and the supply, can hardly be told apart in one start, and would take the friction out of the comparison."""
+EXTENSIONS = (*NUISANCES, "coulomb", "brush_drop")
+"""All of them: what is tried where nothing is compared."""
 STRONG_EVIDENCE = 6.0
 _FIT_SAMPLES = 40_000
 _UNTOLD_LOG_SD = 1.0
@@ -294,7 +295,8 @@ def _covariance(
     """Covariance of the unknowns under autocorrelated residuals, and the number of independent samples.
 
     Each channel's residual is taken as a stationary series with the autocovariance that it shows up to a tenth of
-    the recording. A coarse converter adds an error that is the same in every sample of the running motor.
+    the recording, and with no less power at any frequency than its white noise. A coarse converter adds an error that
+    is the same in every sample of the running motor.
     """
     n, residuals = len(problem.start.time_s), problem.residuals(unknowns)
     n_measured = len(problem.measured)
@@ -308,10 +310,11 @@ def _covariance(
         lags = max(n // 10, 2)
         full = fftconvolve(series, series[::-1])[n - 1 : n - 1 + lags] / n
         taper = full * (1.0 - np.arange(lags) / lags)
-        kernel = np.concatenate([taper[:0:-1], taper])
         part = jacobian[begin : begin + n]
-        meat = meat + part.T @ fftconvolve(part, kernel[:, None], mode="same", axes=0)
-        inflation = max(float(np.sum(kernel)) / max(float(taper[0]), 1e-300), 1.0)
+        meat = meat + part.T @ _coloured(
+            part, taper, difference_noise(series[problem.start.alignment.onset_index :])
+        )
+        inflation = max(float(2.0 * np.sum(taper) - taper[0]) / max(float(taper[0]), 1e-300), 1.0)
         independent.append(n / inflation)
     running = slice(problem.start.alignment.onset_index, n)
     level = problem.start.alignment.unseen_level_a / problem.scale[0] * jacobian[running].sum(axis=0)
@@ -320,6 +323,28 @@ def _covariance(
     values, vectors = np.linalg.eigh(0.5 * (meat + meat.T))
     spread = bread @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     return spread @ spread.T / np.outer(size, size), tuple(independent)
+
+
+def _coloured(columns: FloatArray, covariance: FloatArray, noise: float) -> FloatArray:
+    """Covariance matrix of a stationary series times columns.
+
+    A spectrum from one short series scatters by a third at each frequency; what it shows below the white noise is
+    chance, and would make a steady level look better known than its noise allows.
+
+    Args:
+        columns: shape (n, m).
+        covariance: of samples 0, 1, ... apart, shape (lags,).
+        noise: standard deviation of the white noise in it.
+
+    Returns:
+        Shape (n, m).
+    """
+    n, lags = len(columns), len(covariance)
+    size = n + 2 * lags
+    kernel = np.concatenate([covariance, np.zeros(size - 2 * lags + 1), covariance[:0:-1]])
+    spectrum = np.maximum(np.fft.rfft(kernel).real, noise**2)
+    out: FloatArray = np.fft.irfft(spectrum[:, None] * np.fft.rfft(columns, size, axis=0), size, axis=0)[:n]
+    return out
 
 
 def evidence(simple: Identified, rich: Identified) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from motor_env.console import InputError
 from motor_env.diagnosis import Diagnosis, Verdict, diagnose, fit_healthy, learn_reference
 from motor_env.identification import TEXTBOOK, identify, identify_best
 from motor_env.measurement import measure
+from motor_env.motion import Extension, driven
 from motor_env.motor_file import load_motor
 from motor_env.parameters import Channel, FloatArray, SensorParameters
 from motor_env.recordings import Recording
@@ -164,3 +166,24 @@ def test_a_sensor_that_hides_small_currents_is_told_by_the_evidence() -> None:
     found = diagnose(hiding, MOTOR)
     assert found.verdict is Verdict.UNUSABLE
     assert "friction" in found.reasons[0]
+
+
+def test_no_start_knows_the_friction_better_than_its_noise_allows() -> None:
+    """The friction is a level of 26 mA above the quiet part's: white noise bounds both means."""
+    starts = [prepare(recording) for recording in captures(Defect(), (), MOTOR.parameters, 7, 6)]
+    errors = [math.sqrt(identify(start).log_covariance[3, 3]) for start in starts]
+    bound = 0.02 * math.sqrt(1.0 / 1000 + 1.0 / 1900) / 0.026
+    assert all(0.85 * bound < error < 1.5 * bound for error in errors)
+
+
+@pytest.mark.parametrize("with_reference", [False, True])
+def test_friction_that_is_not_viscous_is_tried_where_nothing_is_compared(with_reference: bool) -> None:
+    """A square wave of the supply tells Coulomb friction from viscous; a comparison keeps to the sheet's model."""
+    time_s = np.arange(2000) * 2e-4
+    voltage = np.where(time_s % 0.1 < 0.05, 1.5, -1.5) * (time_s > 0.01)
+    states = driven(PAPER_MOTOR, Extension(coulomb_friction_n_m=2e-3), voltage, 2e-4, from_rest=True)
+    noise = np.random.default_rng(3).normal(0.0, 0.002, len(time_s))
+    recording = Recording(Path("square"), time_s, states[:, 0] + noise, voltage)
+    found = diagnose(recording, MOTOR if with_reference else None)
+    assert found.identified is not None
+    assert ("coulomb" in found.identified.model) is not with_reference
