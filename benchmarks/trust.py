@@ -302,12 +302,13 @@ def shifts(n_cases: int = 2000) -> Iterable[Iterable[str]]:
     ):
         known = cases(recipe, CALIBRATE, n_cases)
         detector = FaultFamilyDetector(recipe).fit(known.X)
-        models = {
-            "network": trained("network", recipe, 8000) if recipe is alone else network(recipe),
-            "residual-qda": trained("residual-qda", recipe, 8000),
-            "physical-lda": trained("physical-lda", recipe, 8000),
-        }
-        for name, model in models.items():
+        first = (
+            {"network": trained("network", recipe, 8000)}
+            if recipe is alone
+            else {"posterior network": network(recipe)}
+        )
+        others = {name: trained(name, recipe, 8000) for name in ("residual-qda", "physical-lda")}
+        for name, model in (first | others).items():
             columns = np.searchsorted(model.classes_, known.class_name)
             sets = ConformalSets.calibrate(model.predict_proba(known.X), columns)
             scores = shift_scores(
@@ -315,7 +316,7 @@ def shifts(n_cases: int = 2000) -> Iterable[Iterable[str]]:
                 recipe,
                 {"as in training": recipe, **conditions},
                 sets=sets,
-                detector=detector if name == "network" else None,
+                detector=detector if name in first else None,
                 # The best of our quick methods stands for the limit where there is none in closed form.
                 reference=lambda changed: trained("physical-lda", changed, 5000),
                 seed=SEED,
