@@ -300,6 +300,4 @@ def load_figures(path: Path) -> Figures | None:
         found = json.loads(path.read_bytes())
     except (OSError, ValueError):
         return None
-    return (
-        found if isinstance(found, dict) and {"unknown", "severity", "early", "race"} <= set(found) else None
-    )
+    return found if isinstance(found, dict) and {"counts", *SECTIONS} <= set(found) else None
