@@ -101,7 +101,8 @@ class PosteriorNetwork(LogitClassifier):
 
     Args:
         recipe: the motor, its nuisances, faults and sensor.
-        n_components: directions of the signal that the network sees.
+        n_components: directions of the signal that the network sees; None for all along which the starts of the recipe
+            differ by a quarter of the noise or more, at least 10 and at most 32.
         n_hidden: width of a hidden layer.
         n_layers: hidden layers.
         steps: batches seen by each of the two networks.
@@ -126,7 +127,7 @@ class PosteriorNetwork(LogitClassifier):
     def __init__(
         self,
         recipe: Recipe | None = None,
-        n_components: int = 10,
+        n_components: int | None = None,
         n_hidden: int = 96,
         n_layers: int = 2,
         steps: int = 2500,

@@ -20,6 +20,8 @@ from motor_env.recipes import FaultClass, Recipe, Spread
 
 _FAMILY_SEED = 0xFA317  # of the starts that span the family; no data set is drawn with it
 _FAMILY_SIZE = 2000
+_VISIBLE = 0.25  # root mean square along a direction, in units of the noise
+_FEWEST, _MOST = 10, 32  # more directions teach a network little, and slow it
 _QUIETEST = 0.5  # noise variance; a sensor quieter than any in training is taken for one of the quietest
 _SMALLEST_NOISE = 1e-6  # of the cases' own scatter, where nothing is left outside their directions
 
@@ -68,7 +70,7 @@ class SignalSpace(nn.Module):
 
     @classmethod
     def of_recipe(
-        cls, recipe: Recipe, n_components: int, *, sees_noise: bool, n_references: int = 0
+        cls, recipe: Recipe, n_components: int | None, *, sees_noise: bool, n_references: int = 0
     ) -> SignalSpace:
         """Directions, means and variances of noise-free starts of a recipe, each with so many reference starts."""
         silent = replace(recipe, sensor=replace(recipe.sensor, current_noise_a=0.0, speed_noise_rad_s=0.0))
@@ -81,8 +83,9 @@ class SignalSpace(nn.Module):
         return cls._spanned(deviation, nominal, noise, n_components, sees_noise=sees_noise)
 
     @classmethod
-    def of_cases(cls, flat: FloatArray, n_components: int) -> SignalSpace:
+    def of_cases(cls, flat: FloatArray, n_components: int | None) -> SignalSpace:
         """Directions of given cases about their mean; the noise is what is left outside them."""
+        n_components = _FEWEST if n_components is None else n_components
         nominal = flat.mean(axis=0)
         scatter = flat - nominal
         singular = np.linalg.svd(scatter, compute_uv=False)
@@ -96,13 +99,16 @@ class SignalSpace(nn.Module):
         scatter: FloatArray,
         nominal: FloatArray,
         noise: FloatArray,
-        n_components: int,
+        n_components: int | None,
         *,
         sees_noise: bool,
     ) -> SignalSpace:
         """From deviations of noise-free starts, shape (n_starts, n_features)."""
         deviation = scatter / noise
-        directions = np.linalg.svd(deviation, full_matrices=False)[2]
+        singular, directions = np.linalg.svd(deviation, full_matrices=False)[1:]
+        if n_components is None:
+            visible = int((singular > _VISIBLE * np.sqrt(len(deviation))).sum())
+            n_components = min(max(visible, _FEWEST), _MOST)
         directions = directions[: min(n_components, len(noise) - sees_noise)]
         # Within those, the principal axes of the coefficients: then one number each makes them comparable.
         coefficients = deviation @ directions.T

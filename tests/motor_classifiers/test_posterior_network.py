@@ -103,6 +103,15 @@ def test_it_repeats_itself_to_the_bit_and_leaves_torch_alone() -> None:
     assert threads == torch.get_num_threads()
 
 
+def test_a_recipe_with_more_nuisances_is_seen_along_more_directions() -> None:
+    seen = {
+        name: SignalSpace.of_recipe(named_recipe(name), None, sees_noise=False).n_coordinates
+        for name in ("bench", "field")
+    }
+    assert seen == {"bench": 10, "field": 32}
+    assert SignalSpace.of_recipe(RECIPE, 3, sees_noise=False).n_coordinates == 3
+
+
 def test_commissioning_starts_are_not_learned_as_healthy_motors() -> None:
     X = generate_arrays(RECIPE, 2, 50).X
     several = replace(RECIPE, starts_per_motor=5, healthy_starts=3)
