@@ -149,9 +149,9 @@ def identified_text(recording: Recording, fit: Identified, periods_per_turn: flo
         "  read: " + "; ".join(recording.columns),
     ]
     for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True):
-        lines.append(f"  {name:<11} {value:11.4g} +- {error:.2g} {UNITS[name]}")
+        lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {UNITS[name]}")
     for name, (value, error) in fit.fitted_extension.items():
-        lines.append(f"  {name:<11} {value:11.4g} +- {error:.2g} {EXTENSION_UNITS[name]}")
+        lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {EXTENSION_UNITS[name]}")
     sigma = np.sqrt(np.diag(fit.log_covariance))
     correlation = fit.log_covariance / np.outer(sigma, sigma)
     pairs = [
@@ -213,7 +213,7 @@ def commissioned_text(result: Commissioned, rate: float) -> str:
     lines = [f"{reference.starts} healthy starts, model {model}; {interval}"]
     for name, value, h in zip(reference.quantities, reference.values, half, strict=True):
         lines.append(
-            f"  {name:<11} {value:11.4g} {UNITS[name]:<12} {math.exp(-h) - 1.0:+.1%} to {math.exp(h) - 1.0:+.1%}"
+            f"  {name:<12} {value:11.4g} {UNITS[name]:<12} {math.exp(-h) - 1.0:+.1%} to {math.exp(h) - 1.0:+.1%}"
         )
     lines.append(
         f"  R2 of the current {min(fit.r2_current for fit in result.fits):.4f} to"

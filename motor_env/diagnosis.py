@@ -410,6 +410,11 @@ def filter_check(fit: Identified) -> FilterCheck:
     begin = int(np.searchsorted(start.time_s, fit.onset_s, side="right"))  # the first sample that is driven
     if start.voltage_v is not None:
         begin = 0
+    shown = fit.expected[:, 0] - start.ripple_a - fit.offset_a
+    visible = start.counted
+    if fit.extension.dead_zone_a > 0.0:  # the filter begins where the sensor does, and skips what it hides
+        visible = visible & (shown > 0.5 * fit.extension.dead_zone_a)
+        begin += int(np.argmax(visible[begin:]))
     left = fit.residual_a[begin + 1 :]
     noise = max(fit.noise_a, 1e-9 * float(np.ptp(start.current_a)))
     slow = math.sqrt(max(float(np.var(left)) - noise**2, 0.0))
@@ -420,11 +425,9 @@ def filter_check(fit: Identified) -> FilterCheck:
     else:
         voltage = 0.5 * (voltage[1:] + voltage[:-1])
     sensor = SensorParameters(current_noise_a=noise)
-    shown = fit.expected[:, 0] - start.ripple_a - fit.offset_a
-    visible = start.counted & (shown >= 0.5 * fit.extension.dead_zone_a)
     seen = np.where(visible, start.current_a - start.ripple_a - fit.offset_a, np.nan)
     measured = seen[None, begin + 1 :]
-    state = fit.expected[begin] - np.array([fit.offset_a + start.ripple_a[begin], 0.0])
+    state = np.array([shown[begin], fit.expected[begin, 1]])
     motor = fit.parameters.scaled(
         resistance_ohm=1.0 + start.circuit.shunt_ohm / fit.parameters.resistance_ohm
     )
@@ -444,18 +447,23 @@ def filter_check(fit: Identified) -> FilterCheck:
     process = slow * math.sqrt(2.0 * start.dt_s / decay_s)
     result = run(process)
     for _ in range(_FILTER_TUNING):
-        if float(np.nanmean(result.nis)) < _CONSISTENT_NIS:
+        if _mean_nis(result) < _CONSISTENT_NIS:
             break
-        process *= math.sqrt(float(np.nanmean(result.nis)))
+        process *= math.sqrt(_mean_nis(result))
         result = run(process)
     return FilterCheck(
         result=result,
         sensor_noise_a=noise,
         model_error_a=slow,
-        mean_nis=float(np.nanmean(result.nis)),
-        sensor_only_nis=float(np.nanmean(alone.nis)),
+        mean_nis=_mean_nis(result),
+        sensor_only_nis=_mean_nis(alone),
         consistency=check_consistency(alone.whitened) if measured.size > _FEWEST_FOR_WHITENESS else None,
     )
+
+
+def _mean_nis(result: FilterResult) -> float:
+    """Mean normalised innovation squared of the measured samples of the current."""
+    return float(np.nanmean(np.square(result.whitened)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -522,7 +530,7 @@ def _decide(
     base = Diagnosis(
         recording,
         Verdict.HEALTHY,
-        (f"every quantity lies where {reference.source} allows",),
+        (f"no quantity has moved further than {reference.source} and the fit's own error allow",),
         severity=0.0,
         confidence=probability["healthy"],
         identified=fit,

@@ -179,7 +179,9 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
     found = _recognise(path, table, choices)
     columns = {quantity: factor * table.values[:, k] for quantity, (k, factor) in found.items()}
     notes = [
-        f"{quantity} is column {k + 1}{f' ({table.names[k]})' if table.names[k] else ''}, times {factor:g}"
+        f"{quantity} is column {k + 1}"
+        + (f" ({table.names[k]})" if table.names[k] else "")
+        + (f", times {factor:g}" if factor != 1.0 else "")
         for quantity, (k, factor) in found.items()
     ]
     return _recording(path, table, columns, (*notes, *table.remarks))

@@ -144,4 +144,6 @@ def _supply(voltage: FloatArray, sign: float) -> tuple[float, FloatArray | None,
         if tail == 0.0:
             raise UnusableError("the voltage is 0 at the end: this is no start under voltage")
         return abs(tail), None, sign
-    return abs(tail), voltage, 1.0
+    # An even square wave has the median 0.
+    largest = float(np.max(np.abs(voltage)))
+    return abs(tail) if abs(tail) > _REST_SHARE * largest else largest, voltage, 1.0

@@ -179,8 +179,8 @@ def test_no_start_knows_the_friction_better_than_its_noise_allows() -> None:
 @pytest.mark.parametrize("with_reference", [False, True])
 def test_friction_that_is_not_viscous_is_tried_where_nothing_is_compared(with_reference: bool) -> None:
     """A square wave of the supply tells Coulomb friction from viscous; a comparison keeps to the sheet's model."""
-    time_s = np.arange(2000) * 2e-4
-    voltage = np.where(time_s % 0.1 < 0.05, 1.5, -1.5) * (time_s > 0.01)
+    time_s = np.linspace(0.0, 0.3998, 2000)
+    voltage: FloatArray = np.where(time_s % 0.1 < 0.05, 1.5, -1.5) * (time_s > 0.01)
     states = driven(PAPER_MOTOR, Extension(coulomb_friction_n_m=2e-3), voltage, 2e-4, from_rest=True)
     noise = np.random.default_rng(3).normal(0.0, 0.002, len(time_s))
     recording = Recording(Path("square"), time_s, states[:, 0] + noise, voltage)
