@@ -21,6 +21,7 @@ from motor_classifiers.peers import Peers, read_peers
 from motor_classifiers.plan import AnswerStore, Plan, Unit, limit_of, trust_unit, unit_of, units
 from motor_classifiers.trust import TRUST, Figures, set_figures, trust_figures
 from motor_datasets.arrays import Dataset
+from motor_env.console import InputError
 from motor_env.parameters import FloatArray
 from motor_env.recipes import Recipe
 
@@ -111,13 +112,22 @@ def run_plan(
         plan: what to run.
         store: where answers are kept and looked up; in memory by default.
         on_unit: called before each unit, with whether its answer is already there.
+
+    Raises:
+        InputError: some answer could not be had; all others were tried, and stand in the store.
     """
     kept = AnswerStore() if store is None else store
-    for unit in units(plan):
+    todo, failures = units(plan), []
+    for unit in todo:
         known = kept.find(unit) is not None
         on_unit(unit, known)
         if not known:
-            kept.put(unit, _had(plan, unit))
+            try:
+                kept.put(unit, _had(plan, unit))
+            except InputError as error:
+                failures.append(str(error))
+    if failures:
+        raise InputError(f"{len(failures)} of {len(todo)} answers failed, the first: {failures[0]}")
     results = [_score_cell(plan, cell, kept) for cell in plan.cells]
     reference = results[plan.reference]
     figures = {"sets": _sets(reference), **kept.figures(trust_unit(plan))}

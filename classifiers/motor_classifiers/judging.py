@@ -155,7 +155,7 @@ def judge_apart(name: str, cell: Cell) -> Answer:
     """The same in a fresh process: no method sees what another one left in memory, caches or thread pools.
 
     Raises:
-        InputError: the process ended without an answer.
+        InputError: the method cannot learn from these starts, or its process ended without an answer.
     """
     methods = multiprocessing.get_all_start_methods()
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
@@ -165,9 +165,10 @@ def judge_apart(name: str, cell: Cell) -> Answer:
         try:
             return pool.submit(judge, name, cell).result()
         except BrokenProcessPool:
-            raise InputError(
-                f"{name}: its process ended without an answer; is there memory enough?"
-            ) from None
+            reason = "its process ended without an answer; is there memory enough?"
+        except (ValueError, np.linalg.LinAlgError) as error:
+            reason = str(error)
+    raise InputError(f"{name} on {cell.title}: {reason}")
 
 
 def _end_with_parent() -> None:

@@ -109,8 +109,16 @@ def test_a_process_of_its_own_gives_the_same_answer() -> None:
 
 
 def test_a_process_that_dies_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match="residual-qda: its process ended without an answer"):
+    with pytest.raises(InputError, match=r"residual-qda on bench, .*: its process ended without an answer"):
         judge_apart("residual-qda", _Deadly(SLOW, 300, 200))
+
+
+class _Monotonous(Cell):
+    """A setting whose training starts are all healthy."""
+
+    def train(self) -> Any:
+        starts = super().train()
+        return starts.select(np.flatnonzero(starts.class_index == 0))
 
 
 class _Deadly(Cell):
@@ -118,6 +126,20 @@ class _Deadly(Cell):
 
     def train(self) -> Any:
         os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_method_that_fails_is_named_and_costs_no_other_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def judged(name: str, cell: Cell) -> Answer:
+        return judge_apart(name, _Monotonous(SLOW, 50, 50)) if name == "residual-qda" else judge(name, cell)
+
+    monkeypatch.setattr(benchmark_module, "judge_apart", judged)
+    store = AnswerStore(tmp_path)
+    plan = Plan((Cell(SLOW, 50, 50),), ("residual-qda", "raw-logistic"))
+    with pytest.raises(InputError, match=r"1 of 4 answers failed, the first: residual-qda on bench.*class"):
+        run_plan(plan, store)
+    assert [store.find(unit) is not None for unit in units(plan)] == [True, False, True, True]
 
 
 def test_sweep_crosses_rates_and_noises_and_tries_sizes_at_the_usual_noise() -> None:
