@@ -16,7 +16,7 @@ from motor_env.recordings import read_recording
 
 
 def main() -> None:
-    """Print the counts."""
+    """Print the counts as they grow: all choices take an hour."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--choices", type=int, default=252, help="of the 252 choices of five, drawn at random"
@@ -29,7 +29,7 @@ def main() -> None:
     every = list(combinations(good, 5))
     some = random.Random(options.seed).sample(every, min(options.choices, len(every)))  # noqa: S311 - no secret
     alarms, missed, signs, judged = Counter[str](), Counter[str](), Counter[str](), 0
-    for chosen in some:
+    for number, chosen in enumerate(some, start=1):
         motor = commission(list(chosen), "motor 5499").motor
         for path in good:
             if path not in chosen:
@@ -41,8 +41,10 @@ def main() -> None:
             signs.update(
                 f"{c.name} {'up' if c.ratio > 1.0 else 'down'}" for c in found.changes if c.significant
             )
-    print(f"{len(some)} choices; {sum(alarms.values())} alarms on {judged} other good starts {dict(+alarms)}")
-    print(f"missed {sum(missed.values())} of {len(some) * len(bad)} bad ones; moved: {dict(signs)}")
+        if number % 20 == 0 or number == len(some):
+            wrong = f"{sum(alarms.values())} alarms on {judged} other good starts {dict(+alarms)}"
+            lost = f"missed {sum(missed.values())} of {number * len(bad)} bad ones"
+            print(f"{number} choices: {wrong}; {lost}; moved {dict(signs)}", flush=True)
 
 
 if __name__ == "__main__":
