@@ -15,8 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 from motor_env.coordinates import Coordinates
 from motor_env.parameters import FloatArray, MotorParameters, SensorParameters, require
 from motor_env.recipes import Spread
-from motor_env.sensitivity import NormalEquations, Observed, normal_equations
-from motor_env.simulation import Timing, simulate_states
+from motor_env.sensitivity import (
+    NormalEquations,
+    Observed,
+    common_equations,
+    fitted_residuals,
+    normal_equations,
+)
+from motor_env.simulation import Timing
 
 _LARGEST_RELATIVE_STEP = 0.5  # no factor is more than halved, or raised by half, in one step
 _TOLERANCE = 1e-7  # of the objective: a step that promises less changes no posterior and no interval
@@ -146,19 +152,29 @@ def fit(
     """
     n, size = observed.n_cases, coordinates.size
     belief = Prior.flat(size) if prior is None else prior
-    values = np.broadcast_to(belief.mean if start is None else start, (n, size)).astype(np.float64)
-    best = _with_prior(normal_equations(observed, coordinates, values), values, belief)
+    begin = np.asarray(belief.mean if start is None else start, dtype=np.float64)
+    values = np.broadcast_to(begin, (n, size)).copy()
+    equations = (common_equations if begin.ndim == 1 else normal_equations)(observed, coordinates, begin)
+    best = _with_prior(equations, values, belief)
     damping = np.zeros(n)
     converged = np.zeros(n, dtype=np.bool_)
     active = np.arange(n)
     for _ in range(max_iterations):
         here = NormalEquations(*(part[active] for part in best))
         step, gain = _steps(here, damping[active], coordinates, values[active])
-        # The last step is taken too: near the minimum it squares what is left of the error.
-        tried = values[active] + step
+        small = np.abs(gain) <= _TOLERANCE
+        # The last step is taken without another look: it is some 1e-4 standard deviations long, and the information
+        # changes by as little.
+        ended = active[small]
+        values[ended] += step[small]
+        best.chi2[ended] -= gain[small]
+        converged[ended] = True
+        active = active[~small]
+        if active.size == 0:
+            break
+        here, tried = NormalEquations(*(part[~small] for part in here)), values[active] + step[~small]
         equations = normal_equations(observed, coordinates, tried, active)
         trial = _with_prior(equations, tried, belief.rows(active))
-        small = np.abs(gain) <= _TOLERANCE
         better = (trial.chi2 < here.chi2) & np.isfinite(trial.gradient).all(axis=-1)
         moved = active[better]
         values[moved] = tried[better]
@@ -168,10 +184,7 @@ def fit(
         damping[moved] = np.where(damping[moved] < _FIRST_DAMPING, 0.0, damping[moved])
         worse = active[~better]
         damping[worse] = np.maximum(10.0 * damping[worse], _FIRST_DAMPING)
-        converged[active[small]] = True
-        active = active[~small & (damping[active] < _LARGEST_DAMPING)]
-        if active.size == 0:
-            break
+        active = active[damping[active] < _LARGEST_DAMPING]
     chi2 = best.chi2 - ((values - belief.mean) * belief.pull(values)).sum(axis=-1)
     return Fit(
         values=values,
@@ -317,17 +330,3 @@ def physical_features(
             np.abs(residual).max(axis=1),
         ]
     )
-
-
-def fitted_residuals(observed: Observed, coordinates: Coordinates, values: FloatArray) -> FloatArray:
-    """What a fit leaves over, in units of the noise, shape (n_cases, n_channels, n_samples)."""
-    motors, supply = coordinates.motors(values)
-    states = simulate_states(
-        motors,
-        observed.voltage_v * supply[:, None],
-        observed.dt_s,
-        load_torque_n_m=observed.load_torque_n_m,
-        initial_state=observed.initial_state,
-    )
-    residual: FloatArray = observed.whitened - observed.observation @ np.moveaxis(states, -1, -2)
-    return residual

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
 from motor_env.coordinates import Coordinates
-from motor_env.estimation import Prior, fit, fitted_residuals, step_voltage
+from motor_env.estimation import Prior, fit, step_voltage
 from motor_env.faults import NoiseSource, apply_faults, noise_variance_factor
 from motor_env.parameters import FloatArray
 from motor_env.recipes import FACTORS, FaultClass, Recipe
-from motor_env.sensitivity import Observed
+from motor_env.sensitivity import Observed, fitted_residuals
 
 _CHUNK = 512  # cases fitted at once: bounds the memory, and keeps them in the cache
 

@@ -13,11 +13,41 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.coordinates import Coordinates, model_slopes
+from motor_env.coordinates import Coordinates, discrete_models, model_slopes
 from motor_env.model import N_STATES
 from motor_env.parameters import FloatArray, SensorParameters, require
 
-__all__ = ["Coordinates", "NormalEquations", "Observed", "jacobian", "normal_equations"]
+__all__ = [
+    "Coordinates",
+    "NormalEquations",
+    "Observed",
+    "common_equations",
+    "fitted_residuals",
+    "jacobian",
+    "normal_equations",
+]
+
+
+@njit(cache=True)
+def _states(
+    transition: FloatArray,
+    gain: FloatArray,
+    voltage: FloatArray,
+    load: FloatArray,
+    initial_state: FloatArray,
+    states: FloatArray,
+) -> None:
+    """One motor's states, (2, n_samples), by the exact recursion x[k+1] = A x[k] + B u[k]."""
+    a00, a01, a10, a11 = transition[0, 0], transition[0, 1], transition[1, 0], transition[1, 1]
+    b00, b01, b10, b11 = gain[0, 0], gain[0, 1], gain[1, 0], gain[1, 1]
+    x0, x1 = initial_state[0], initial_state[1]
+    for k in range(states.shape[1]):
+        v, t = voltage[k], load[k]
+        x0, x1 = (
+            a00 * x0 + a01 * x1 + b00 * v + b01 * t,
+            a10 * x0 + a11 * x1 + b10 * v + b11 * t,
+        )
+        states[0, k], states[1, k] = x0, x1
 
 
 @njit(cache=True)
@@ -36,16 +66,8 @@ def _sensitivities(
 
     s[k+1] = A s[k] + A' x[k] + B' u[k]; the initial state does not depend on the parameters.
     """
+    _states(transition, gain, voltage, load, initial_state, states)
     a00, a01, a10, a11 = transition[0, 0], transition[0, 1], transition[1, 0], transition[1, 1]
-    b00, b01, b10, b11 = gain[0, 0], gain[0, 1], gain[1, 0], gain[1, 1]
-    x0, x1 = initial_state[0], initial_state[1]
-    for k in range(states.shape[1]):
-        v, t = voltage[k], load[k]
-        x0, x1 = (
-            a00 * x0 + a01 * x1 + b00 * v + b01 * t,
-            a10 * x0 + a11 * x1 + b10 * v + b11 * t,
-        )
-        states[0, k], states[1, k] = x0, x1
     for j in range(slopes.shape[0]):
         d00, d01 = transition_slope[j, 0, 0], transition_slope[j, 0, 1]
         d10, d11 = transition_slope[j, 1, 0], transition_slope[j, 1, 1]
@@ -110,6 +132,29 @@ def _normal_equations(
             chi2[n] += np.dot(residual, residual)
             gradient[n] += np.dot(jacobian, residual)
             information[n] += np.dot(jacobian, jacobian.T)
+
+
+@njit(cache=True)
+def _residuals(
+    transition: FloatArray,
+    gain: FloatArray,
+    voltage: FloatArray,
+    load: FloatArray,
+    measurements: FloatArray,
+    observation: FloatArray,
+    initial_state: FloatArray,
+    residual: FloatArray,
+) -> None:
+    """Measured less expected of each case, of the shape of `measurements`; no state outlives its case."""
+    states = np.empty((N_STATES, measurements.shape[2]))
+    for n in range(measurements.shape[0]):
+        own_voltage = voltage[n if voltage.shape[0] > 1 else 0]
+        own_load = load[n if load.shape[0] > 1 else 0]
+        _states(transition[n], gain[n], own_voltage, own_load, initial_state, states)
+        for m in range(measurements.shape[1]):
+            c0, c1 = observation[m, 0], observation[m, 1]
+            for k in range(measurements.shape[2]):
+                residual[n, m, k] = measurements[n, m, k] - c0 * states[0, k] - c1 * states[1, k]
 
 
 class NormalEquations(NamedTuple):
@@ -251,6 +296,44 @@ def normal_equations(
         *result,
     )
     return result
+
+
+def common_equations(observed: Observed, coordinates: Coordinates, value: FloatArray) -> NormalEquations:
+    """`normal_equations` at one point, shape (size,), for all cases: one motor's slopes serve them all.
+
+    Cases with voltages or loads of their own have none in common.
+    """
+    n, size = observed.n_cases, coordinates.size
+    if len(observed.voltage_v) > 1 or len(observed.load_torque_n_m) > 1:
+        return normal_equations(observed, coordinates, np.broadcast_to(value, (n, size)))
+    centre, slope = model_slopes(coordinates, value[None], observed.dt_s)
+    n_samples = observed.voltage_v.shape[1]
+    states, slopes = np.empty((N_STATES, n_samples)), np.empty((size, N_STATES, n_samples))
+    driving = observed.voltage_v[0], observed.load_torque_n_m[0], observed.initial_state
+    _sensitivities(*(part[0] for part in (*centre, *slope)), *driving, states, slopes)
+    moved = (observed.observation @ slopes).reshape(size, -1)
+    residual = (observed.whitened - observed.observation @ states).reshape(n, -1)
+    return NormalEquations(
+        np.einsum("nk,nk->n", residual, residual),
+        residual @ moved.T,
+        np.broadcast_to(moved @ moved.T, (n, size, size)).copy(),
+    )
+
+
+def fitted_residuals(observed: Observed, coordinates: Coordinates, values: FloatArray) -> FloatArray:
+    """Measured less expected at coordinates of shape (n, size), in units of the noise, shape as `observed.whitened`."""
+    model = discrete_models(coordinates, values, observed.dt_s)
+    left = np.empty_like(observed.whitened)
+    _residuals(
+        *(np.ascontiguousarray(part) for part in model),
+        observed.voltage_v,
+        observed.load_torque_n_m,
+        observed.whitened,
+        observed.observation,
+        observed.initial_state,
+        left,
+    )
+    return left
 
 
 def jacobian(

@@ -17,10 +17,10 @@ from sklearn.utils.validation import check_is_fitted
 from motor_classifiers.cases import flat_cases
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
-from motor_env.estimation import fitted_residuals
 from motor_env.parameters import FloatArray
 from motor_env.posterior import class_coordinates, class_probabilities, prior_from_starts, recipe_observed
 from motor_env.recipes import FaultClass, Recipe
+from motor_env.sensitivity import fitted_residuals
 
 _AT_ONCE = 1024
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import gammaln, logsumexp
 from scipy.stats import norm
 
-from motor_env.estimation import Prior, fit, fitted_residuals
+from motor_env.estimation import Prior, fit
 from motor_env.faults import FaultKind, apply_faults
 from motor_env.parameters import Channel, FloatArray, SensorParameters
 from motor_env.posterior import (
@@ -20,6 +20,7 @@ from motor_env.posterior import (
     variance_factor,
 )
 from motor_env.recipes import Draw, FaultClass, Recipe, draw, named_recipe
+from motor_env.sensitivity import fitted_residuals
 from motor_env.simulation import Timing, simulate, simulate_states
 
 BENCH_1KHZ = named_recipe("bench", timing=Timing(1_000.0, 0.1))
