@@ -8,7 +8,8 @@ from collections import Counter
 from pathlib import Path
 
 from motor_env.captures import DEFECTS, captures
-from motor_env.diagnosis import Diagnosis, Verdict, diagnose
+from motor_env.decision import Diagnosis, Verdict
+from motor_env.diagnosis import diagnose
 from motor_env.faults import Fault, FaultKind
 from motor_env.motor_file import load_motor
 from motor_env.starts import Circuit

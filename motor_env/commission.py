@@ -14,12 +14,13 @@ from scipy import stats
 from motor_env import quantities
 from motor_env.alignment import UnusableError
 from motor_env.console import InputError
-from motor_env.diagnosis import DEFAULT_FALSE_ALARM_RATE, fit_healthy, learn_reference, smallest_changes
+from motor_env.decision import DEFAULT_FALSE_ALARM_RATE, smallest_changes
 from motor_env.diagnosis_report import EXTENSION_UNITS, UNITS, ripple_json, ripple_lines
 from motor_env.identification import EXTENSIONS, Identified, identify_best
 from motor_env.motor_file import MotorFile, StartReference
 from motor_env.parameters import MotorParameters
 from motor_env.recordings import ColumnChoice, Recording, read_recording
+from motor_env.reference import fit_healthy, learn_reference
 from motor_env.splitting import chosen_starts, split_starts
 from motor_env.start_fit import AMBIGUOUS
 from motor_env.starts import Circuit, prepare

@@ -12,10 +12,12 @@ import numpy as np
 from motor_env import diagnosis_report as report
 from motor_env.alignment import UnusableError
 from motor_env.console import InputError
-from motor_env.diagnosis import DEFAULT_FALSE_ALARM_RATE, Diagnosis, diagnose, fit_healthy, learn_reference
+from motor_env.decision import DEFAULT_FALSE_ALARM_RATE, Diagnosis
+from motor_env.diagnosis import diagnose
 from motor_env.fit_pictures import plot_diagnosis
 from motor_env.motor_file import MotorFile, StartReference, load_motor
 from motor_env.recordings import ColumnChoice, Recording, read_recording
+from motor_env.reference import fit_healthy, learn_reference
 from motor_env.splitting import chosen_starts, split_starts
 from motor_env.starts import Circuit
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from motor_env import console
 from motor_env.commutation import ripple_speed
-from motor_env.diagnosis import Diagnosis, Verdict
+from motor_env.decision import Diagnosis, Verdict
 from motor_env.identification import Identified
 from motor_env.parameters import RAD_S_PER_RPM
 

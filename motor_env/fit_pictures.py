@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy import stats
 
-from motor_env.diagnosis import Diagnosis
+from motor_env.decision import Diagnosis
 from motor_env.diagnosis_report import headline
 from motor_env.identification import Identified
 from motor_env.motion import driven, step_start

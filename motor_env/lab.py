@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from motor_env.console import InputError
-from motor_env.diagnosis import Diagnosis, diagnose
+from motor_env.decision import Diagnosis
+from motor_env.diagnosis import diagnose
 from motor_env.diagnosis_files import diagnose_files
 from motor_env.diagnosis_report import as_json, headline
 from motor_env.faults import HEALTHY, Fault, FaultKind

@@ -13,9 +13,9 @@ from typing import Any
 from motor_env.alignment import UnusableError
 from motor_env.console import InputError
 from motor_env.degradation import RemainingLife
-from motor_env.diagnosis import fit_healthy
 from motor_env.identification import Identified, identify
 from motor_env.recordings import read_recording
+from motor_env.reference import fit_healthy
 from motor_env.starts import prepare
 from motor_env.trend import (
     Series,

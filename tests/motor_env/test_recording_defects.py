@@ -13,13 +13,15 @@ from motor_env import PAPER_MOTOR, Fault, FaultKind, Timing
 from motor_env.captures import DEFECTS, Defect, captures
 from motor_env.commutation import find_ripple, ripple_speed
 from motor_env.console import InputError
-from motor_env.diagnosis import Diagnosis, Verdict, diagnose, fit_healthy, learn_reference
+from motor_env.decision import Diagnosis, Verdict
+from motor_env.diagnosis import diagnose
 from motor_env.identification import TEXTBOOK, identify, identify_best
 from motor_env.measurement import measure
 from motor_env.motion import Extension, driven
 from motor_env.motor_file import load_motor
 from motor_env.parameters import Channel, FloatArray, SensorParameters
 from motor_env.recordings import Recording
+from motor_env.reference import fit_healthy, learn_reference
 from motor_env.simulation import Scenario
 from motor_env.splitting import chosen_starts, split_starts
 from motor_env.starts import Circuit, prepare

@@ -12,12 +12,14 @@ import pytest
 from motor_env import Fault, FaultKind, Scenario, SensorParameters, SupplyParameters, Timing, cli, simulate
 from motor_env.alignment import UnusableError
 from motor_env.commission import identify_file
-from motor_env.diagnosis import Verdict, diagnose, fit_healthy, learn_reference
+from motor_env.decision import Verdict
+from motor_env.diagnosis import diagnose
 from motor_env.diagnosis_files import diagnose_files
 from motor_env.identification import identify
 from motor_env.motor_file import load_motor
 from motor_env.recipes import RECIPES, apply_factors
 from motor_env.recordings import Recording, read_recording
+from motor_env.reference import fit_healthy, learn_reference
 from motor_env.starts import prepare
 from motor_env.streams import Stream, normals
 
