@@ -21,7 +21,6 @@ from motor_classifiers.cases import with_channels
 from motor_classifiers.methods import ESTIMATE, METHODS, make_method
 from motor_classifiers.metrics import IntArray
 from motor_classifiers.peers import export_starts
-from motor_classifiers.posterior_network import PosteriorNetwork
 from motor_classifiers.reference import RecentredStarts, referenced_probabilities, referenced_starts
 from motor_datasets.arrays import Dataset
 from motor_env.parameters import FloatArray, SensorParameters
@@ -32,7 +31,6 @@ SEED = 0
 TEST = 1_000_000  # first motor of the test
 COUNTS = (0, 1, 3)
 PEERS = ("quant", "minirocket")
-DIRECTIONS, FOR_EACH_REFERENCE = 10, 6  # that the posterior network sees
 
 Told = tuple[str, IntArray]
 """A method, and the class index that it decides on for each test start."""
@@ -42,10 +40,7 @@ def decide(name: str, recipe: Recipe, train: Dataset, test: Dataset, n_reference
     """Train one of our methods on starts as it takes them; the network that learns from a stream takes references."""
     model = make_method(name, recipe, SEED)
     if name == ESTIMATE:
-        directions = DIRECTIONS + FOR_EACH_REFERENCE * n_references
-        model = PosteriorNetwork(
-            recipe, directions, n_references=n_references, with_severity=False, random_state=SEED
-        )
+        model.set_params(n_references=n_references, with_severity=False)
     decided = model.fit(train.X, train.class_name).predict(test.X)
     names = {class_name: n for n, class_name in enumerate(recipe.class_names)}
     return np.array([names[class_name] for class_name in decided.tolist()])
@@ -67,13 +62,15 @@ def recentred(cases: Dataset, recipe: Recipe) -> Dataset:
     return replace(cases, X=with_channels(flat, recipe).astype(np.float32))
 
 
-def decisions(recipe: Recipe, train: Dataset, test: Dataset, n_references: int) -> Iterator[Told]:
-    """All methods, one by one."""
+def decisions(
+    names: list[str], recipe: Recipe, train: Dataset, test: Dataset, n_references: int
+) -> Iterator[Told]:
+    """The methods named, one by one; without names all, and the peers."""
     plain = recentred(train, recipe), recentred(test, recipe)
-    for name in METHODS:
+    for name in names or METHODS:
         learned, judged = (train, test) if name == ESTIMATE else plain
         yield name, decide(name, recipe, learned, judged, n_references)
-    if PYTHON.exists():
+    if not names and PYTHON.exists():
         yield from peers_decide(*plain)
         if n_references:
             yield from ((f"{name}, the starts as channels", told) for name, told in peers_decide(train, test))
@@ -87,7 +84,7 @@ def against_limit(decided: IntArray, best: IntArray, truth: IntArray) -> str:
     return f"{right.mean():.4f} ({difference.mean():+.2f} ± {error:.2f})"
 
 
-def table(rate_hz: float, n_train: int, n_test: int) -> str:
+def table(names: list[str], rate_hz: float, n_train: int, n_test: int) -> str:
     """One rate's table: methods down, reference starts across."""
     recipe = named_recipe("bench", sensor=SensorParameters(current_noise_a=0.02), timing=Timing(rate_hz, 0.1))
     rows: dict[str, list[str]] = {"expected of the limit": [], "limit": []}
@@ -98,7 +95,7 @@ def table(rate_hz: float, n_train: int, n_test: int) -> str:
         best, sure = posterior.argmax(axis=1), posterior.max(axis=1)
         rows["expected of the limit"].append(f"{sure.mean():.4f} ± {sure.std() / np.sqrt(n_test):.4f}")
         rows["limit"].append(f"{(best == test.class_index).mean():.4f}")
-        for name, decided in decisions(recipe, train, test, k):
+        for name, decided in decisions(names, recipe, train, test, k):
             cell = against_limit(decided, best, test.class_index)
             print(f"{rate_hz:g} Hz, k = {k}, {name}: {cell}", file=sys.stderr, flush=True)
             row = rows.setdefault(name, [])
@@ -111,11 +108,14 @@ def main() -> None:
     """Print a table for each rate."""
     parser = argparse.ArgumentParser(description="Every method given k healthy starts of the same motor.")
     parser.add_argument("--rate-hz", type=float, action="append", help="10000 and 1000 by default")
+    parser.add_argument(
+        "--method", action="append", choices=list(METHODS), help="all, and the peers, by default"
+    )
     parser.add_argument("--n-train", type=int, default=2000)
     parser.add_argument("--n-test", type=int, default=4000)
     options = parser.parse_args()
     for rate_hz in options.rate_hz or (10_000.0, 1_000.0):
-        print(f"\n{table(rate_hz, options.n_train, options.n_test)}", flush=True)
+        print(f"\n{table(options.method or [], rate_hz, options.n_train, options.n_test)}", flush=True)
 
 
 if __name__ == "__main__":
