@@ -46,12 +46,26 @@ def opinion_lines(path: Path, found: list[Opinion], second: dict[str, Any] | Non
         first = f"{path}: no opinion: {opinion.reason}"
     else:
         doubt = " (undecided)" if opinion.status is ExitStatus.UNDECIDED else ""
-        size = _size(opinion.severity, opinion.severity_interval) if opinion.verdict != "healthy" else ""
-        first = f"{path}: {opinion.verdict}{doubt}, probability {opinion.probability:.2f}{size}"
+        size = (
+            ""
+            if opinion.verdict in ("healthy", "other")
+            else _size(opinion.severity, opinion.severity_interval)
+        )
+        first = (
+            f"{path}: {opinion.verdict}{doubt}, probability {opinion.probability:.2f}{size}{_beside(opinion)}"
+        )
     sure = "" if second["confidence"] is None else f", confidence {second['confidence']:.2f}"
     size = _size(second["severity"], second["severity_interval"]) if second["severity"] else ""
     reasons = "; ".join(second["reasons"])
     return [first, f"  motor-env diagnose: {second['verdict']}{sure}{size}: {reasons}"]
+
+
+def _beside(opinion: Opinion) -> str:
+    """What only a wrapped model tells."""
+    words = ", larger than any the model was trained on" if opinion.out_of_range else ""
+    if opinion.candidates is None:
+        return words
+    return f"{words}, could be {' or '.join(opinion.candidates) or 'none of its classes'}"
 
 
 def _size(severity: float, interval: Sequence[float | None] | None) -> str:

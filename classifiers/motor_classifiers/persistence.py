@@ -1,7 +1,8 @@
 """Models on disk without pickle: one file a model, which tells its recipe.
 
 A scikit-learn pipeline is a skops archive with our own `motor.json` beside its schema. The confirmation and the
-networks are safetensors with the same JSON in the header. A file that holds anything else is refused.
+networks are safetensors with the same JSON in the header. A classifier around one of these (open-set, conformal) is an
+archive of its own values as JSON and the file of the model inside. A file that holds anything else is refused.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ from safetensors.numpy import save as save_tensors
 from sklearn.base import BaseEstimator
 from sklearn.pipeline import FeatureUnion, Pipeline
 
+from motor_classifiers.conformal import ConformalClassifier
 from motor_classifiers.features import PhysicalFeatures, ResidualProjection
 from motor_classifiers.networks import NetworkClassifier, perceptron
+from motor_classifiers.novelty import OpenSetClassifier
 from motor_classifiers.posterior_file import (
     load_posterior,
     plain_parameters,
@@ -36,6 +39,7 @@ from motor_classifiers.residual_network import ResidualNetworkClassifier, residu
 from motor_classifiers.rule_statistics import RuleStatistics
 from motor_classifiers.skops_checks import TRUSTED, check_pipeline
 from motor_classifiers.threshold import ConfirmationClassifier
+from motor_classifiers.wrapper_file import Wrapper, load_wrapper, wrapped_model, wrapper_values
 from motor_env.confirmation import ThresholdConfirmation, class_filter
 from motor_env.console import InputError
 from motor_env.files import replacing
@@ -51,6 +55,8 @@ LARGEST_FILE_BYTES = 200_000_000
 MOST_FEATURES = 10_000_000
 """Values of a case: a recipe that asks for more comes from a damaged file, not from a motor."""
 _MEMBER = "motor.json"
+_WRAPPER, _INNER = "wrapper.json", "model"
+_MOST_WRAPPERS = 2
 _RULE_ARRAYS = ("healthy_scale", "own_scale", "prior")
 
 
@@ -58,9 +64,17 @@ def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path) ->
     """Write a fitted model; the file appears whole or not at all.
 
     Raises:
-        TypeError: a model of another kind than those of `methods`.
+        TypeError: a model of another kind than those of `methods`, and no wrapper around one.
         InputError: the file cannot be written.
     """
+    content = _content(model, recipe, method)
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def _content(model: BaseEstimator, recipe: Recipe, method: str) -> bytes:
+    if isinstance(model, OpenSetClassifier | ConformalClassifier):
+        return _wrapper_bytes(model, recipe, method)
     head: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
@@ -69,19 +83,16 @@ def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path) ->
         "classes": [str(name) for name in model.classes_],
     }
     if isinstance(model, Pipeline):
-        content = _pipeline_bytes(model, head)
-    elif isinstance(model, ConfirmationClassifier):
-        content = _confirmation_bytes(model, head)
-    elif isinstance(model, NetworkClassifier):
-        content = _network_bytes(model, head)
-    elif isinstance(model, PosteriorNetwork):
-        content = _tensor_bytes(posterior_arrays(model), head | posterior_values(model))
-    elif isinstance(model, ResidualNetworkClassifier):
-        content = _residual_bytes(model, head)
-    else:
-        raise TypeError(f"model must be a pipeline, a confirmation or a network, got {type(model).__name__}")
-    with replacing(path) as temporary:
-        temporary.write_bytes(content)
+        return _pipeline_bytes(model, head)
+    if isinstance(model, ConfirmationClassifier):
+        return _confirmation_bytes(model, head)
+    if isinstance(model, NetworkClassifier):
+        return _network_bytes(model, head)
+    if isinstance(model, PosteriorNetwork):
+        return _tensor_bytes(posterior_arrays(model), head | posterior_values(model))
+    if isinstance(model, ResidualNetworkClassifier):
+        return _residual_bytes(model, head)
+    raise TypeError(f"model must be a pipeline, a confirmation or a network, got {type(model).__name__}")
 
 
 def load_model(path: Path) -> tuple[BaseEstimator, Recipe, str]:
@@ -99,9 +110,7 @@ def load_model(path: Path) -> tuple[BaseEstimator, Recipe, str]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
     try:
-        is_archive = zipfile.is_zipfile(io.BytesIO(content))
-        model, recipe, method = _load_pipeline(content) if is_archive else _load_tensors(content)
-        _try_out(model, recipe)
+        model, recipe, method = _load_content(content, _MOST_WRAPPERS)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except (
@@ -111,6 +120,37 @@ def load_model(path: Path) -> tuple[BaseEstimator, Recipe, str]:
         reason = " ".join(str(error).split())[:150]
         raise InputError(f"{path}: is no model of motor-classifiers, or damaged ({reason})") from None
     return model, recipe, method
+
+
+def _load_content(content: bytes, most_wrappers: int) -> tuple[BaseEstimator, Recipe, str]:
+    if zipfile.is_zipfile(io.BytesIO(content)):
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            if sum(member.file_size for member in archive.infolist()) > 4 * LARGEST_FILE_BYTES:
+                raise InputError("unpacks to more than a model of ours needs")
+            is_wrapper = _WRAPPER in archive.namelist()
+        loaded = _load_wrapper(content, most_wrappers) if is_wrapper else _load_pipeline(content)
+    else:
+        loaded = _load_tensors(content)
+    _try_out(*loaded[:2])
+    return loaded
+
+
+def _wrapper_bytes(model: Wrapper, recipe: Recipe, method: str) -> bytes:
+    head = {"format": FORMAT, "version": VERSION} | wrapper_values(model, recipe)
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr(_WRAPPER, json.dumps(head))
+        archive.writestr(_INNER, _content(wrapped_model(model), recipe, method))
+    return buffer.getvalue()
+
+
+def _load_wrapper(content: bytes, most_wrappers: int) -> tuple[BaseEstimator, Recipe, str]:
+    require(most_wrappers > 0, "too many classifiers are nested in it")
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        head, inner = json.loads(archive.read(_WRAPPER)), archive.read(_INNER)
+    _check_format(head)
+    model, recipe, method = _load_content(inner, most_wrappers - 1)
+    return load_wrapper(head, model, recipe), recipe, method
 
 
 def _try_out(model: BaseEstimator, recipe: Recipe) -> None:
@@ -134,16 +174,22 @@ def _try_out(model: BaseEstimator, recipe: Recipe) -> None:
 
 
 def _first(model: BaseEstimator) -> BaseEstimator:
-    """What sees the transients: the first step of a pipeline."""
+    """What sees the transients: inside a wrapper, the first step of a pipeline."""
+    if isinstance(model, OpenSetClassifier | ConformalClassifier):
+        return _first(wrapped_model(model))
     return _first(model.steps[0][1]) if isinstance(model, Pipeline) else model
 
 
-def _checked_head(text: str) -> tuple[dict[str, Any], Recipe]:
-    head = json.loads(text)
+def _check_format(head: dict[str, Any]) -> None:
     if head["format"] != FORMAT or head["version"] != VERSION:
         raise InputError(
             f"is of format {head['format']!r} version {head['version']!r}, not {FORMAT} {VERSION}"
         )
+
+
+def _checked_head(text: str) -> tuple[dict[str, Any], Recipe]:
+    head = json.loads(text)
+    _check_format(head)
     recipe = recipe_from_dict(head["recipe"])
     classes = head["classes"]
     require(isinstance(head["method"], str), f"method must be text, got {head['method']!r}")
@@ -189,8 +235,6 @@ def _load_pipeline(content: bytes) -> tuple[BaseEstimator, Recipe, str]:
     import skops.io
 
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        if sum(member.file_size for member in archive.infolist()) > 4 * LARGEST_FILE_BYTES:
-            raise InputError("unpacks to more than a model of ours needs")
         if _MEMBER not in archive.namelist():
             raise InputError("is no model of motor-classifiers")
         head, recipe = _checked_head(archive.read(_MEMBER).decode())

@@ -10,8 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 
+from motor_classifiers.conformal import ConformalClassifier
 from motor_classifiers.judging import in_recipe_order
+from motor_classifiers.novelty import OTHER, OpenSetClassifier
 from motor_classifiers.posterior_network import PosteriorNetwork
+from motor_classifiers.wrapper_file import Wrapper, wrapped_model
 from motor_env.alignment import Alignment, UnusableError, align
 from motor_env.confirmation import nominal_voltage
 from motor_env.console import ExitStatus
@@ -48,13 +51,15 @@ class Opinion(NamedTuple):
     """What a model says of a start.
 
     Attributes:
-        verdict: healthy, bearing, winding, noise, or unusable.
+        verdict: healthy, bearing, winding, noise, other, or unusable.
         class_name: most probable class; empty where unusable.
-        probability: of the verdict.
+        probability: of the verdict; of `other` and out of range, one minus the rate of false alarms.
         severity: its mean, for the most probable kind of the verdict; 0 for healthy.
         probabilities: of each class by name.
         reason: why there is no opinion, else empty.
         severity_interval: bounds that hold the severity in 90 of 100 cases, from a model that tells them.
+        candidates: classes in the conformal set, from a model that has one; the set may be empty.
+        out_of_range: whether the fault is larger than any that the model was trained on, from a model that tells it.
     """
 
     verdict: str
@@ -64,6 +69,8 @@ class Opinion(NamedTuple):
     probabilities: dict[str, float] = {}  # noqa: RUF012  # a tuple's default, never changed
     reason: str = ""
     severity_interval: tuple[float, float] | None = None
+    candidates: tuple[str, ...] | None = None
+    out_of_range: bool | None = None
 
     @property
     def status(self) -> ExitStatus:
@@ -81,6 +88,8 @@ class Opinion(NamedTuple):
             "severity": self.severity,
             "severity_interval": None if self.severity_interval is None else list(self.severity_interval),
             "probabilities": self.probabilities,
+            "candidates": None if self.candidates is None else list(self.candidates),
+            "out_of_range": self.out_of_range,
             "undecided": self.status is ExitStatus.UNDECIDED,
             "reason": self.reason or None,
         }
@@ -94,6 +103,8 @@ def verdict_of(label_kind: str) -> str:
 
 def opinions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Opinion]:
     """Opinion on each case, X of shape (n_cases, n_channels, n_timepoints)."""
+    if isinstance(model, ConformalClassifier | OpenSetClassifier):
+        return _around(model, opinions(wrapped_model(model), recipe, X), X)
     probabilities = in_recipe_order(model, model.predict_proba(X), recipe)
     verdicts = np.array([verdict_of(c.label_kind) for c in recipe.classes])
     best = probabilities.argmax(axis=1)
@@ -114,6 +125,28 @@ def opinions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Opinion]:
         )
         for n, of_verdict, row, (severity, interval) in zip(best, share, probabilities, told, strict=True)
     ]
+
+
+def _around(model: Wrapper, inside: list[Opinion], X: Any) -> list[Opinion]:
+    """What a wrapper adds to the opinions of the model inside."""
+    if isinstance(model, ConformalClassifier):
+        sets = (tuple(model.classes_[chosen].tolist()) for chosen in model.predict_set(X))
+        return [opinion._replace(candidates=names) for opinion, names in zip(inside, sets, strict=True)]
+    verdicts = (part.tolist() for part in model.verdicts(X))
+    sure = 1.0 - model.false_alarm_rate
+    return [_open(sure, *row) for row in zip(inside, *verdicts, strict=True)]
+
+
+def _open(
+    sure: float, inside: Opinion, label: str, is_other: bool, out_of_range: bool, severity: float
+) -> Opinion:
+    """What the model inside says, unless the start is of no known motor, or of a fault larger than any it knows."""
+    if is_other:
+        return Opinion(OTHER, "", sure, probabilities=inside.probabilities, out_of_range=False)
+    if out_of_range:
+        kind = verdict_of(label)
+        return Opinion(kind, "", sure, severity, inside.probabilities, out_of_range=True)
+    return inside._replace(out_of_range=False)
 
 
 def _told_severities(
@@ -149,7 +182,10 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, path: Path) -> Opini
 
 def judge_recording(model: BaseEstimator, recipe: Recipe, recording: Recording) -> Opinion:
     """Opinion on a recording that was read."""
-    noise_range = model.noise_range if isinstance(model, PosteriorNetwork) else None
+    core = model
+    while isinstance(core, OpenSetClassifier | ConformalClassifier):
+        core = wrapped_model(core)
+    noise_range = core.noise_range if isinstance(core, PosteriorNetwork) else None
     references = model.n_features_in_ // (len(recipe.sensor.channels) * recipe.timing.n_samples) - 1
     if references:
         return Opinion(

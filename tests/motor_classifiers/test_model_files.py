@@ -3,6 +3,7 @@
 import io
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +11,22 @@ import numpy as np
 import pytest
 from safetensors.numpy import load, save
 from sklearn.base import BaseEstimator
+from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import FunctionTransformer
 
 from motor_classifiers.cli import main
+from motor_classifiers.conformal import ConformalClassifier
+from motor_classifiers.foreign import ForeignFault, foreign_starts
 from motor_classifiers.methods import make_method
+from motor_classifiers.novelty import OpenSetClassifier
 from motor_classifiers.persistence import FORMAT, load_model, save_model
+from motor_classifiers.prediction import opinions
+from motor_classifiers.wrapper_file import wrapped_model
 from motor_datasets import generate_arrays, generate_dataset
-from motor_env.console import InputError
-from motor_env.recipes import named_recipe
+from motor_env.console import ExitStatus, InputError
+from motor_env.faults import FaultKind
+from motor_env.recipes import FaultClass, named_recipe
 from motor_env.simulation import Timing
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
@@ -236,6 +244,98 @@ def test_support_vectors_that_are_not_there_are_refused(
     save_model(model, RECIPE, "physical-svm", tmp_path / "forged.model")
     machine._n_support = kept
     assert "do not fit each other" in refusal((tmp_path / "forged.model").read_bytes(), tmp_path)
+
+
+@pytest.fixture(scope="module")
+def wrapped(fitted: dict[str, BaseEstimator]) -> BaseEstimator:
+    """Both wrappers around the discriminant analysis."""
+    known = generate_arrays(RECIPE, 5, 300)
+    sets = ConformalClassifier(FrozenEstimator(fitted["residual-qda"])).fit(known.X, known.class_name)
+    return OpenSetClassifier(FrozenEstimator(sets), RECIPE, 0.02).fit(known.X, known.class_name)
+
+
+def test_wrappers_come_back(wrapped: OpenSetClassifier, tmp_path: Path) -> None:
+    save_model(wrapped, RECIPE, "residual-qda", tmp_path / "open.model")
+    loaded, recipe, method = load_model(tmp_path / "open.model")
+    assert (recipe, method) == (RECIPE, "residual-qda")
+    test = generate_arrays(RECIPE, 9, 50)
+    for got, expected in zip(loaded.verdicts(test.X), wrapped.verdicts(test.X), strict=True):
+        np.testing.assert_array_equal(got, expected)
+    sets, own = wrapped_model(loaded), wrapped_model(wrapped)
+    np.testing.assert_array_equal(sets.predict_set(test.X), own.predict_set(test.X))
+
+    heavier = ForeignFault("inertia +25 %", inertia=1.25)
+    stiff = generate_arrays(replace(RECIPE, classes=(FaultClass(FaultKind.BEARING, 0.9),)), 9, 5)
+    (known, foreign, beyond) = (
+        opinions(loaded, RECIPE, X)
+        for X in (test.X, foreign_starts(RECIPE, heavier, 9, np.arange(5)), stiff.X)
+    )
+    assert np.mean([opinion.verdict == "other" for opinion in known]) < 0.2
+    for opinion in foreign:
+        assert opinion.verdict == "other"
+        assert opinion.status is ExitStatus.FAULT
+    for opinion in beyond:
+        assert (opinion.verdict, opinion.out_of_range) == ("bearing", True)
+        assert opinion.severity == pytest.approx(0.9, abs=0.35)
+    sizes = [len(opinion.candidates) for opinion in known if opinion.candidates is not None]
+    assert sizes
+    assert 0.8 < np.mean(sizes) < 3.0
+    assert json.loads(json.dumps([opinion.as_json() for opinion in known]))[0]["candidates"] is not None
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"kind": "closed-set"},
+        {"format": "another"},
+        {"version": 7},
+        {"offset": "low"},
+        {"offset": float("nan")},
+        {"false_alarm_rate": 1.5},
+        {"false_alarm_rate": [0.01]},
+        {"kind": "conformal"},
+        {"kind": "conformal", "coverage": 2.0, "strangeness": [[0.1]]},
+        {"kind": "conformal", "coverage": 0.9, "strangeness": []},
+        {"kind": "conformal", "coverage": 0.9, "strangeness": [[0.2, 0.1]]},
+        {"kind": "conformal", "coverage": 0.9, "strangeness": [[0.1], [0.1]]},
+        {"kind": "conformal", "coverage": 0.9, "strangeness": [["much"]]},
+        {"kind": "conformal", "coverage": 0.9, "strangeness": [[]]},
+        {"kind": "conformal", "coverage": 0.9, "strangeness": "[0.1]"},
+    ],
+    ids=str,
+)
+def test_a_forged_wrapper_is_refused(
+    changes: dict[str, Any], contents: dict[str, bytes], tmp_path: Path
+) -> None:
+    head = {"format": FORMAT, "version": 1, "kind": "open-set", "false_alarm_rate": 0.01, "offset": -9.0}
+    refusal(archive_of(head | changes, contents["network"]), tmp_path)
+
+
+def archive_of(head: dict[str, Any], inner: bytes) -> bytes:
+    """A wrapper's file."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("wrapper.json", json.dumps(head))
+        archive.writestr("model", inner)
+    return buffer.getvalue()
+
+
+def test_a_poisoned_model_inside_a_wrapper_is_refused(contents: dict[str, bytes], tmp_path: Path) -> None:
+    head = {"format": FORMAT, "version": 1, "kind": "open-set", "false_alarm_rate": 0.01, "offset": -9.0}
+    good = archive_of(head, contents["network"])
+    (tmp_path / "good").write_bytes(good)
+    assert isinstance(load_model(tmp_path / "good")[0], OpenSetClassifier)
+    import os
+
+    import skops.io
+
+    poison = skops.io.dumps(Pipeline([("call", FunctionTransformer(os.getcwd))]))
+    for inner in (poison, b"", contents["threshold"][:200]):
+        refusal(archive_of(head, inner), tmp_path)
+    nested = archive_of(head, archive_of(head, good))
+    assert "too many classifiers" in refusal(nested, tmp_path)
+    for end in np.linspace(0, len(good) - 1, 8).astype(int):
+        refusal(good[:end], tmp_path)
 
 
 def test_train_evaluate_predict_and_no_overwriting(
