@@ -6,6 +6,7 @@ number of threads are as they were afterwards.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -91,7 +92,7 @@ def train(
     network.eval()
 
 
-class LogitClassifier(ClassifierMixin, BaseEstimator):
+class LogitClassifier(ClassifierMixin, BaseEstimator, ABC):
     """What classifiers share whose `_logits` are logarithms of probabilities up to a constant of each case."""
 
     def decision_function(self, X: Any) -> FloatArray:
@@ -112,9 +113,9 @@ class LogitClassifier(ClassifierMixin, BaseEstimator):
         labels: NDArray[Any] = self.classes_[most]
         return labels
 
+    @abstractmethod
     def _logits(self, X: Any) -> FloatArray:
         """Shape (n_cases, n_classes), in the order of `classes_`."""
-        raise NotImplementedError
 
 
 def seed_of(random_state: int | np.random.RandomState | None) -> int:
