@@ -15,7 +15,7 @@ from motor_env import quantities
 from motor_env.alignment import UnusableError
 from motor_env.console import InputError
 from motor_env.decision import DEFAULT_FALSE_ALARM_RATE, smallest_changes
-from motor_env.diagnosis_report import EXTENSION_UNITS, UNITS, ripple_json, ripple_lines
+from motor_env.diagnosis_report import UNITS, extension_unit, ripple_json, ripple_lines
 from motor_env.identification import EXTENSIONS, Identified, identify_best
 from motor_env.motor_file import MotorFile, StartReference
 from motor_env.parameters import MotorParameters
@@ -152,7 +152,7 @@ def identified_text(recording: Recording, fit: Identified, periods_per_turn: flo
     for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True):
         lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {UNITS[name]}")
     for name, (value, error) in fit.fitted_extension.items():
-        lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {EXTENSION_UNITS[name]}")
+        lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {extension_unit(fit, name)}")
     sigma = np.sqrt(np.diag(fit.log_covariance))
     correlation = fit.log_covariance / np.outer(sigma, sigma)
     pairs = [
@@ -184,7 +184,7 @@ def identified_json(
             for name, v, e in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True)
         },
         "extensions": {
-            name: {"value": value, "standard_error": error, "unit": EXTENSION_UNITS[name]}
+            name: {"value": value, "standard_error": error, "unit": extension_unit(fit, name)}
             for name, (value, error) in fit.fitted_extension.items()
         },
         "correlations": (fit.log_covariance / np.outer(sigma, sigma)).tolist(),

@@ -108,13 +108,13 @@ def _parameters(fit: Identified) -> dict[str, Any]:
         for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True)
     }
     for name, (value, error) in fit.fitted_extension.items():
-        out[name] = {"value": value, "standard_error": error, "unit": EXTENSION_UNITS[name]}
+        out[name] = {"value": value, "standard_error": error, "unit": extension_unit(fit, name)}
     out["onset_s"] = {"value": fit.onset_s, "unit": "s"}
     out["offset_a"] = {"value": fit.offset_a, "unit": "A"}
     return out
 
 
-EXTENSION_UNITS = {
+_EXTENSION_UNITS = {
     "supply_ramp": "s",
     "supply_curve": "of the rise (its middle)",
     "sensor_lag": "s",
@@ -123,6 +123,13 @@ EXTENSION_UNITS = {
     "coulomb": "N m",
     "brush_drop": "V",
 }
+_PER_VOLT = {"coulomb": "N m/V", "brush_drop": "of the supply"}
+
+
+def extension_unit(fit: Identified, name: str) -> str:
+    """Unit of an extension's value; where the voltage is not known it is told for a supply of 1 V."""
+    per_volt = {} if fit.start.voltage_known else _PER_VOLT
+    return per_volt.get(name, _EXTENSION_UNITS[name])
 
 
 def _number(value: float | None) -> float | None:
@@ -148,7 +155,7 @@ def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
                 line += f" {c.ratio - 1.0:+6.1%} from the reference (95 %: {c.low - 1.0:+.1%} to {c.high - 1.0:+.1%})"
             lines.append(line.rstrip())
         for name, (value, error) in fit.fitted_extension.items():
-            lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {EXTENSION_UNITS[name]}")
+            lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {extension_unit(fit, name)}")
         for name in [name for name in changes if name not in fit.quantity_names]:
             c = changes[name]
             span = f"(95 %: {c.low - 1.0:+.1%} to {c.high - 1.0:+.1%})"

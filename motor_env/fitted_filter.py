@@ -63,6 +63,10 @@ def filter_check(fit: Identified) -> FilterCheck:
         voltage = voltage * rise_of_supply(fit.extension, start.time_s[begin:], fit.onset_s)
     else:
         voltage = 0.5 * (voltage[1:] + voltage[:-1])
+    # Brushes and dry friction act against the fitted motion: known inputs of the filter.
+    direction = np.sign(fit.expected[begin + 1 :, 1])
+    voltage = voltage - fit.extension.brush_drop_v * direction
+    load = fit.extension.coulomb_friction_n_m * direction
     sensor = SensorParameters(current_noise_a=noise)
     seen = np.where(visible, start.current_a - start.ripple_a - fit.offset_a, np.nan)
     measured = seen[None, begin + 1 :]
@@ -80,7 +84,7 @@ def filter_check(fit: Identified) -> FilterCheck:
             initial_state=state,
             initial_std=(max(slow, noise), 0.0),
         )
-        return run_filter(belief, measured, voltage)
+        return run_filter(belief, measured, voltage, load)
 
     alone = run(0.0)
     process = slow * math.sqrt(2.0 * start.dt_s / decay_s)

@@ -189,3 +189,6 @@ def test_friction_that_is_not_viscous_is_tried_where_nothing_is_compared(with_re
     found = diagnose(recording, MOTOR if with_reference else None)
     assert found.identified is not None
     assert ("coulomb" in found.identified.model) is not with_reference
+    if not with_reference:  # and the filter, which is linear, takes it as a load that it knows
+        assert found.filter_check is not None
+        assert found.filter_check.sensor_only_nis == pytest.approx(1.0, abs=0.15)
