@@ -21,6 +21,7 @@ from motor_env.rules.tolerant import TolerantFilter
 _SHIFT = (
     0.2  # of the CUSUMs, in standard deviations of the noise: between a bearing of 10 % and of 25 % at 20 mA
 )
+_AT_ONCE = 512  # cases whose residuals are held at a time
 _RULES: dict[str, Rule] = {"nis": nis_rule(), "cusum": Cusum(_SHIFT, two_sided=True)}
 
 
@@ -65,15 +66,23 @@ class RuleStatistics(TransformerMixin, BaseEstimator):
         check_is_fitted(self)
         flat = flat_cases(self, X, reset=False)
         recipe = fitting_recipe(self.recipe, flat.shape[1])
-        white = _filter(recipe).white(with_channels(flat, recipe))
-        largest = [rule.statistic(white).max(axis=-1) for rule in _RULES.values()]
-        mean = np.square(white).mean(axis=(1, 2))
-        return np.column_stack([np.log1p([*largest, mean]).T, flat @ self.weights_.T + self.offset_])
+        measured = with_channels(flat, recipe)
+        begins = range(0, len(flat), _AT_ONCE)
+        levels = np.concatenate([_levels(recipe, measured[begin : begin + _AT_ONCE]) for begin in begins])
+        return np.column_stack([levels, flat @ self.weights_.T + self.offset_])
 
     def get_feature_names_out(self, input_features: Any = None) -> Any:
         """Names of the columns."""
         check_is_fitted(self)
         return np.array(self.feature_names_, dtype=object)
+
+
+def _levels(recipe: Recipe, measured: FloatArray) -> FloatArray:
+    """Logarithms of the rules' largest statistics and of the mean NIS, shape (n_cases, n_rules + 1)."""
+    white = _filter(recipe).white(measured)
+    largest = [rule.statistic(white).max(axis=-1) for rule in _RULES.values()]
+    levels: FloatArray = np.log1p([*largest, np.square(white).mean(axis=(1, 2))]).T
+    return levels
 
 
 @lru_cache(maxsize=4)
