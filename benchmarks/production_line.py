@@ -21,6 +21,9 @@ def main() -> None:
     parser.add_argument(
         "--choices", type=int, default=252, help="of the 252 choices of five, drawn at random"
     )
+    parser.add_argument(
+        "--skip", type=int, default=0, help="of them, the first ones: to go on, or side by side"
+    )
     parser.add_argument("--seed", type=int, default=7)
     options = parser.parse_args()
     folder = Path(os.environ["MOTOR_ENV_RECORDINGS"]) / "production_line"
@@ -29,6 +32,7 @@ def main() -> None:
     every = list(combinations(good, 5))
     some = random.Random(options.seed).sample(every, min(options.choices, len(every)))  # noqa: S311 - no secret
     alarms, missed, signs, judged = Counter[str](), Counter[str](), Counter[str](), 0
+    some = some[options.skip :]
     for number, chosen in enumerate(some, start=1):
         motor = commission(list(chosen), "motor 5499").motor
         for path in good:
