@@ -112,11 +112,8 @@ def run() -> list[Result]:
                 rates["fit"] = max(rates["fit"], best_rate(partial(fit_all, fits), FITTED, rounds=1))
             peer.stdin.close()
     least = "scipy least_squares, a start at a time"
-    quick = ("residual-qda", "network", "posterior-network")
     return [
-        *(
-            Result(f"{name}, {CELL.n_test} starts", rates[name], rates["quant"], "QUANT of aeon", 10.0)
-            for name in quick
-        ),
-        *(Result(f"{name}, {CELL.n_test} starts", rates[name], rates["fit"], least, 10.0) for name in judges),
+        Result(f"{name}, {CELL.n_test} starts", rates[name], rates[peer], title, 10.0)
+        for peer, title in (("quant", "QUANT of aeon"), ("fit", least))
+        for name in judges
     ]
