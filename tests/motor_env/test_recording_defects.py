@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind, Timing
+from motor_env.alignment import difference_noise
 from motor_env.captures import DEFECTS, Defect, captures
 from motor_env.commutation import find_ripple, ripple_speed
 from motor_env.console import InputError
@@ -192,3 +193,15 @@ def test_friction_that_is_not_viscous_is_tried_where_nothing_is_compared(with_re
     if not with_reference:  # and the filter, which is linear, takes it as a load that it knows
         assert found.filter_check is not None
         assert found.filter_check.sensor_only_nis == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("noise", [0.3, 0.5, 0.7, 0.9, 1.2, 2.0])
+def test_noise_of_a_coarse_converter_is_the_same_from_start_to_start(noise: float) -> None:
+    """In steps of the converter; its own error adds 1 / sqrt(12)."""
+    rng = np.random.default_rng(3)
+    decay = 50.0 * np.exp(-np.linspace(0.0, 5.0, 2000))
+    levels = rng.uniform(0.0, 1.0, 40)
+    found = [
+        difference_noise(np.round(decay + v + noise * rng.standard_normal(2000)) - decay) for v in levels
+    ]
+    np.testing.assert_allclose(found, math.hypot(noise, 12.0**-0.5), rtol=0.2)
