@@ -13,10 +13,10 @@ from scipy import stats
 from motor_env.decision import Diagnosis
 from motor_env.diagnosis_report import headline
 from motor_env.identification import Identified
-from motor_env.motion import driven, step_start
 from motor_env.motor_file import StartReference
 from motor_env.parameters import FloatArray, MotorParameters
 from motor_env.plotting import COLOUR, drawing, save, subplots
+from motor_env.start_fit import started
 
 
 def plot_diagnosis(diagnosis: Diagnosis, path: Path) -> None:
@@ -151,19 +151,13 @@ def reference_current(diagnosis: Diagnosis) -> FloatArray | None:
     friction = plain["B"] if "B" in plain else plain["B/J"] * inertia
     ohm = plain["R"] + fit.start.circuit.shunt_ohm
     motor = MotorParameters(ohm, plain["L"], constant, constant, inertia, friction)
-    start = fit.start
-    if start.voltage_v is None:
-        states = step_start(motor, fit.extension, start.time_s, fit.onset_s, start.level_v)
-    else:
-        states = driven(motor, fit.extension, start.voltage_v, start.dt_s, from_rest=start.from_rest)
-    current: FloatArray = states[:, 0] + (0.0 if start.alignment.rectified else fit.offset_a)
+    states = started(fit.start, motor, fit.extension, fit.onset_s)
+    current: FloatArray = states[:, 0] + (0.0 if fit.start.alignment.rectified else fit.offset_a)
     return current
 
 
 def _time_ms(fit: Identified) -> FloatArray:
-    return 1e3 * (
-        fit.start.time_s - (fit.onset_s if fit.start.voltage_v is None else fit.start.alignment.onset_s)
-    )
+    return 1e3 * (fit.start.time_s - fit.onset_s)
 
 
 def _currents(axes: Axes, fit: Identified, colour: str) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from motor_env.consistency import Consistency, check_consistency
 from motor_env.identification import Identified
 from motor_env.kalman import FilterResult, KalmanFilter, run_filter
-from motor_env.motion import rise_of_supply
+from motor_env.motion import between_samples, rise_of_supply
 from motor_env.parameters import SensorParameters
 
 _CONSISTENT_NIS = 1.2
@@ -62,7 +62,7 @@ def filter_check(fit: Identified) -> FilterCheck:
     if start.voltage_v is None:
         voltage = voltage * rise_of_supply(fit.extension, start.time_s[begin:], fit.onset_s)
     else:
-        voltage = 0.5 * (voltage[1:] + voltage[:-1])
+        voltage = between_samples(voltage, start.lateness(fit.onset_s))
     # Brushes and dry friction act against the fitted motion: known inputs of the filter.
     direction = np.sign(fit.expected[begin + 1 :, 1])
     voltage = voltage - fit.extension.brush_drop_v * direction

@@ -160,10 +160,26 @@ def step_start(
     return _integrate(parameters, model, first, voltage, begin, (0.0, 0.0), extension)
 
 
+def between_samples(voltage_v: FloatArray, late: float) -> FloatArray:
+    """Mean of a measured voltage over each interval between two samples, shape (n_samples - 1,).
+
+    Args:
+        voltage_v: at the sample times, shape (n_samples,).
+        late: how much later it changes than in the middle of an interval, in intervals: -0.5 to 0.5.
+    """
+    return voltage_v[:-1] + (0.5 - late) * np.diff(voltage_v)
+
+
 def driven(
-    parameters: MotorParameters, extension: Extension, voltage_v: FloatArray, dt_s: float, *, from_rest: bool
+    parameters: MotorParameters,
+    extension: Extension,
+    voltage_v: FloatArray,
+    dt_s: float,
+    *,
+    from_rest: bool,
+    late: float = 0.0,
 ) -> FloatArray:
-    """Current and speed under a measured voltage; between two samples it is taken as their mean.
+    """Current and speed under a measured voltage.
 
     Args:
         parameters: one motor.
@@ -171,12 +187,13 @@ def driven(
         voltage_v: voltage at the sample times, shape (n_samples,).
         dt_s: sampling interval.
         from_rest: start from rest, or from the steady state of the first voltage.
+        late: where between two samples the voltage changes, see `between_samples`.
 
     Returns:
         Shape (n_samples, 2), at the sample times.
     """
     model = discretize(parameters, dt_s)
-    voltage = np.concatenate([[voltage_v[0]], 0.5 * (voltage_v[1:] + voltage_v[:-1])])
+    voltage = np.concatenate([voltage_v[:1], between_samples(voltage_v, late)])
     state = (0.0, 0.0)
     if not from_rest:
         drop = math.copysign(min(extension.brush_drop_v, abs(float(voltage_v[0]))), float(voltage_v[0]))

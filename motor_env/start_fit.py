@@ -138,14 +138,13 @@ class Problem:
         if "dead_zone" in self.extras:
             largest = math.log(_LARGEST_DEAD_ZONE * self.span / self.base_extra["dead_zone"])
             high[self.n_core + self.extras.index("dead_zone")] = largest
-        if start.voltage_v is not None:
-            low[n], high[n] = -1.0, 1.0
+        if start.voltage_v is not None:  # it is known but for the place between two samples
+            low[n], high[n] = onset - 0.5 * start.dt_s, onset + 0.5 * start.dt_s
         return np.array(low), np.array(high)
 
     def guesses(self) -> list[FloatArray]:
         """The typical motor where it is known, and for each of three inductances the best of a small grid."""
-        onset = self.start.alignment.onset_s if self.start.voltage_v is None else 0.0
-        end = [*[0.0] * len(self.extras), onset, self.start.alignment.offset_a]
+        end = [*[0.0] * len(self.extras), self.start.alignment.onset_s, self.start.alignment.offset_a]
         fits = []
         if len(self.typical) == self.n_core:
             fits.append(np.array([*(self.typical[name] for name in self.free), *end]))
@@ -198,10 +197,7 @@ class Problem:
         parameters, extension, onset, offset = self.split(unknowns)
         ohm = parameters.resistance_ohm
         circuit = parameters.scaled(resistance_ohm=1.0 + start.circuit.shunt_ohm / ohm)
-        if start.voltage_v is None:
-            states = step_start(circuit, extension, start.time_s, onset, start.level_v)
-        else:
-            states = driven(circuit, extension, start.voltage_v, start.dt_s, from_rest=start.from_rest)
+        states = started(start, circuit, extension, onset)
         if start.alignment.rectified:
             states[:, 0] = _rectified_mean(states[:, 0], start.alignment.noise_a)
         else:
@@ -263,6 +259,14 @@ class Problem:
         left = self.residuals(unknowns)[: len(self.measured)] * self.scale
         for begin in range(0, len(left), n):
             self.scale[begin : begin + n] = max(float(np.std(left[begin : begin + n])), 1e-9 * self.span)
+
+
+def started(start: Start, motor: MotorParameters, extension: Extension, onset_s: float) -> FloatArray:
+    """Current and speed of a motor in a start, by its step or its measured voltage, shape (n_samples, 2)."""
+    if start.voltage_v is None:
+        return step_start(motor, extension, start.time_s, onset_s, start.level_v)
+    late = start.lateness(onset_s)
+    return driven(motor, extension, start.voltage_v, start.dt_s, from_rest=start.from_rest, late=late)
 
 
 def _rectified_mean(current: FloatArray, noise_a: float) -> FloatArray:
