@@ -6,8 +6,9 @@ of the spread between healthy starts. Their difference d = y - y_ref has the sum
 
 - one-sided tests along the direction of each fault, z = g'C^-1 d / sqrt(g'C^-1 g), and an omnibus test d'C^-1 d, share
   the rate of false alarms among them (Bonferroni); with few healthy starts the quantiles are Student's and Fisher's;
-- after an alarm the fault that explains most is named, unless what it leaves unexplained is itself significant (other);
-- the confidence is the posterior probability of the verdict, with a half-normal prior on the severity.
+- after an alarm the most probable fault is named, unless what it leaves unexplained is itself significant or "other"
+  is more probable still;
+- the confidence is the posterior probability of the verdict, with a half-Cauchy prior on the severity.
 """
 
 from __future__ import annotations
@@ -25,10 +26,13 @@ from motor_env.fitted_filter import FilterCheck
 from motor_env.identification import Identified
 from motor_env.parameters import FloatArray
 from motor_env.recordings import Recording
-from motor_env.reference import NORMAL_DOF, Reference
+from motor_env.reference import NORMAL_DOF, Reference, white_error
 
 DEFAULT_FALSE_ALARM_RATE = 0.01
 _SEVERITY_PRIOR = 0.30
+_STEP_NODES = np.linspace(
+    -10.0, 10.0, 401
+)  # standard deviations about the best step: where its likelihood lies
 _OTHER_PRIOR = 0.30
 _HEALTHY_PRIOR = 0.8
 _POWER_QUANTILE = 1.645
@@ -153,7 +157,7 @@ def decide(
 ) -> Diagnosis:
     """The diagnosis of a fit against a reference, at a rate of false alarms per healthy recording."""
     difference = fit.log_values - reference.log_values
-    covariance = reference.log_covariance + (0.0 if reference.includes_fit_error else fit.log_covariance)
+    covariance = _covariance(fit, reference)
     inverse = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     which = {"has_voltage": fit.start.voltage_known, "has_speed": fit.start.speed_rad_s is not None}
     exponents = quantities.matrix(**which)
@@ -166,7 +170,7 @@ def decide(
     if reference.log_noise is not None and not _noise_is_hidden(fit, reference):
         noise_z = (math.log(max(fit.noise_a, 1e-12)) - reference.log_noise) / reference.log_noise_sd
     changes = compare(fit.quantity_names, difference, covariance, freedom, limit)
-    probability = _posterior(difference, covariance, exponents, freedom)
+    probability = _posterior(difference, covariance, exponents, freedom, candidates)
     base = Diagnosis(
         recording,
         Verdict.HEALTHY,
@@ -181,8 +185,8 @@ def decide(
     )
     significant = [c for c in candidates if c.z > limit]
     explaining = [c for c in significant if _fisher(c.left_over, n - 1, freedom) > rate]
-    if explaining:
-        best = max(explaining, key=lambda c: c.z)
+    best = max(explaining, key=lambda c: probability[c.kind], default=None)
+    if best is not None and probability[best.kind] >= probability["other"]:
         return _called(base, best, float(stats.t.isf(0.025, freedom)), probability)
     if significant or omnibus < share:
         return replace(
@@ -207,6 +211,23 @@ def decide(
             confidence=float(stats.t.cdf(noise_z, freedom)),
         )
     return base
+
+
+def _covariance(fit: Identified, reference: Reference) -> FloatArray:
+    """Covariance of the difference between this start and a healthy motor.
+
+    Healthy starts hold errors of fits like this one. Where this start tells less than they did, being shorter or
+    noisier, what its own error is beyond theirs is added.
+    """
+    healthy = reference.log_covariance
+    if not reference.includes_fit_error:
+        return healthy + fit.log_covariance
+    root = np.linalg.cholesky(healthy)
+    inverse = np.linalg.inv(root)
+    sizes, axes = np.linalg.eigh(inverse @ white_error(fit) @ inverse.T)
+    beyond = root @ axes * np.sqrt(np.maximum(sizes - 1.0, 0.0))
+    covariance: FloatArray = healthy + beyond @ beyond.T
+    return covariance
 
 
 def _unseen_fault(smallest: dict[str, float]) -> str | None:
@@ -281,20 +302,25 @@ def _whole(freedom: float) -> int:
 
 
 def _posterior(
-    difference: FloatArray, covariance: FloatArray, exponents: FloatArray, freedom: float
+    difference: FloatArray,
+    covariance: FloatArray,
+    exponents: FloatArray,
+    freedom: float,
+    candidates: list[_Candidate],
 ) -> dict[str, float]:
-    """Probabilities of healthy, each fault and other; severities half-normal."""
+    """Probabilities of healthy, each fault and other; severities half-Cauchy, so that a large one is no surprise."""
     n = len(difference)
     zero = np.zeros(n)
     density = stats.multivariate_t(loc=zero, shape=covariance, df=_whole(freedom))
-    steps = np.linspace(0.0, 4.0 * _SEVERITY_PRIOR, 241)
-    weights = stats.halfnorm.pdf(steps, scale=_SEVERITY_PRIOR)
-    weights /= weights.sum()
     logs: dict[str, float] = {"healthy": float(density.logpdf(difference))}
-    for kind in quantities.FAULT_DIRECTIONS:
-        direction = exponents @ quantities.fault_direction(kind)
+    for candidate in candidates:
+        direction = exponents @ quantities.fault_direction(candidate.kind)
+        steps = max(candidate.step, 0.0) + candidate.step_sd * _STEP_NODES
+        steps = steps[steps >= 0.0]
+        prior = stats.halfcauchy.logpdf(steps, scale=_SEVERITY_PRIOR)
         along = density.logpdf(difference - steps[:, None] * direction)
-        logs[kind] = float(np.logaddexp.reduce(along + np.log(weights)))
+        width = math.log(candidate.step_sd * (_STEP_NODES[1] - _STEP_NODES[0]))
+        logs[candidate.kind] = width + float(np.logaddexp.reduce(along + prior))
     wide = covariance + _OTHER_PRIOR**2 * np.eye(n)
     logs["other"] = float(stats.multivariate_t(loc=zero, shape=wide, df=_whole(freedom)).logpdf(difference))
     others = math.log((1.0 - _HEALTHY_PRIOR) / (len(logs) - 1))

@@ -31,6 +31,7 @@ EXTENSIONS = (*NUISANCES, "coulomb", "brush_drop")
 STRONG_EVIDENCE = 6.0
 _FIT_SAMPLES = 40_000
 _UNTOLD_LOG_SD = 1.0
+_ANYTHING_LOG_SD = 3.0
 _WILD_SPREADS = 10.0
 _PROMISING = 6.0  # of a chi-square with one degree; strong evidence takes 12 and more
 
@@ -296,10 +297,18 @@ def _covariance(
 
     Each channel's residual is taken as a stationary series with the autocovariance that it shows up to a tenth of
     the recording, and with no less power at any frequency than its white noise. A coarse converter adds an error that
-    is the same in every sample of the running motor.
+    is the same in every sample of the running motor. What no sample tells has a standard deviation of 3 in its
+    logarithm, a prior that is too weak to matter elsewhere.
     """
     n, residuals = len(problem.start.time_s), problem.residuals(unknowns)
     n_measured = len(problem.measured)
+    parameters, extension, *_ = problem.split(unknowns)
+    rise = (
+        parameters.inductance_h / parameters.resistance_ohm + extension.supply_rise_s + extension.sensor_lag_s
+    )
+    weak = np.full(jacobian.shape[1], _ANYTHING_LOG_SD)
+    weak[-2:] = 0.5 * (problem.start.dt_s + rise), np.inf
+    jacobian = np.concatenate([jacobian, np.diag(1.0 / weak)])
     size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-150)
     jacobian = jacobian / size
     bread = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)

@@ -165,9 +165,12 @@ def between_samples(voltage_v: FloatArray, late: float) -> FloatArray:
 
     Args:
         voltage_v: at the sample times, shape (n_samples,).
-        late: how much later it changes than in the middle of an interval, in intervals: -0.5 to 0.5.
+        late: how much later it changes than in the middle of an interval, in intervals. Within half of one the
+            samples still tell the truth; beyond it they are read later or earlier than those of the current.
     """
-    return voltage_v[:-1] + (0.5 - late) * np.diff(voltage_v)
+    whole = round(late)
+    shifted = voltage_v[np.clip(np.arange(len(voltage_v)) - whole, 0, len(voltage_v) - 1)]
+    return shifted[:-1] + (0.5 - (late - whole)) * np.diff(shifted)
 
 
 def driven(

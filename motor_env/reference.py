@@ -133,7 +133,7 @@ def learn_reference(fits: list[Identified]) -> StartReference:
     centre = logs.mean(axis=0)
     scatter = (logs - centre).T @ (logs - centre)
     # The fit's own error is white between starts; it is the least that the next start will differ by.
-    fit_error = np.mean([_white_error(fit) for fit in fits], axis=0)
+    fit_error = np.mean([white_error(fit) for fit in fits], axis=0)
     prior = np.eye(p) * START_SPREAD_PRIOR**2 + fit_error
     freedom = n - 1 + START_PRIOR_WEIGHT
     covariance = (scatter + START_PRIOR_WEIGHT * prior) / freedom * (1.0 + 1.0 / n)
@@ -169,7 +169,7 @@ def _next_sd(values: FloatArray, prior_sd: float) -> float:
     return math.sqrt((scatter + START_PRIOR_WEIGHT * prior_sd**2) / freedom * (1.0 + 1.0 / n))
 
 
-def _white_error(fit: Identified) -> FloatArray:
+def white_error(fit: Identified) -> FloatArray:
     """Covariance of the fit from its white noise alone: what differs from one start to the next of one motor."""
     left = float(np.var(fit.residual_a[fit.start.alignment.onset_index :]))
     return fit.log_covariance * min(fit.noise_a**2 / max(left, 1e-300), 1.0)

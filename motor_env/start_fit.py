@@ -20,6 +20,8 @@ AMBIGUOUS = frozenset({"supply_ramp", "supply_curve", "sensor_lag"})
 """Extensions that change places with L/R in a step: all are lags between the switch and the current."""
 INDUCTANCE_PRIOR_SD = 0.3
 _CURVE_PRIOR_SD = 1.5
+_LARGEST_SKEW = 1.5  # of the voltage's samples, in intervals
+_BEGINNINGS = (-2.0, 0.0, 2.0, 4.0)  # for a lag: of a quarter of a sample to a hundred samples
 _LARGEST_LOG = 12.0
 # Of the current's span. Without a quiet part the sensor is believed to be nulled.
 _OFFSET_SD_WITHOUT_QUIET = 0.0002
@@ -138,8 +140,8 @@ class Problem:
         if "dead_zone" in self.extras:
             largest = math.log(_LARGEST_DEAD_ZONE * self.span / self.base_extra["dead_zone"])
             high[self.n_core + self.extras.index("dead_zone")] = largest
-        if start.voltage_v is not None:  # it is known but for the place between two samples
-            low[n], high[n] = onset - 0.5 * start.dt_s, onset + 0.5 * start.dt_s
+        if start.voltage_v is not None:  # known but for the place between two samples, and a sample's skew
+            low[n], high[n] = onset - _LARGEST_SKEW * start.dt_s, onset + _LARGEST_SKEW * start.dt_s
         return np.array(low), np.array(high)
 
     def guesses(self) -> list[FloatArray]:
@@ -234,13 +236,13 @@ class Problem:
     def score(self, simpler: FloatArray) -> float:
         """Score test of the extensions that the simpler fit lacks (Rao 1948): chi-square, one degree, without them.
 
-        How much of the residual a weak beginning of the extension explains that the other unknowns do not.
+        How much of the residual a beginning of the extension explains that the other unknowns do not; the most of
+        several, for a long lag looks different from a short one.
         """
         n, added = len(simpler) - 2, self.n_core + len(self.extras) - len(simpler) + 2
-        weak = np.insert(simpler, n, [-2.0] * added)
         absent = np.insert(simpler, n, [-_LARGEST_LOG] * added)
+        self.reweight(absent)
         residual = self.residuals(absent)[: len(self.measured)]
-        direction = self.residuals(weak)[: len(self.measured)] - residual
         columns = []
         for k in [*range(n), n + added, n + added + 1]:
             moved = absent.copy()
@@ -248,10 +250,11 @@ class Problem:
             columns.append(self.residuals(moved)[: len(self.measured)] - residual)
         basis = np.stack(columns, axis=1)
         basis = basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-150)
-        direction = direction - basis @ np.linalg.lstsq(basis, direction, rcond=None)[0]
-        length = float(np.linalg.norm(direction))
-        spread = float(np.std(residual[self.counted]))
-        return float(direction @ residual / max(length * spread, 1e-150)) ** 2
+        begun = [np.insert(simpler, n, [size] * added) for size in _BEGINNINGS]
+        moves = np.stack([self.residuals(b)[: len(self.measured)] - residual for b in begun], axis=1)
+        moves = moves - basis @ np.linalg.lstsq(basis, moves, rcond=None)[0]
+        lengths = np.linalg.norm(moves, axis=0) * float(np.std(residual[self.counted]))
+        return float(np.max((residual @ moves / np.maximum(lengths, 1e-150)) ** 2))
 
     def reweight(self, unknowns: FloatArray) -> None:
         """Weigh each channel by what the fit leaves of it."""
