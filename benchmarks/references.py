@@ -1,7 +1,7 @@
 """Every method given k = 0, 1, 3 healthy starts of the same motor: the tables of docs/references.md.
 
-`python benchmarks/references.py`, half an hour on one idle core; `--rate-hz 1000` alone takes five minutes. Peers of
-aeon join in where `make peers` has set up their environment.
+`python benchmarks/references.py --rate-hz 10000` prints each cell as it comes; `--method` takes some of them. Aeon's
+classifiers join in where `make peers` has set up their environment.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def main() -> None:
         "--method", action="append", choices=list(METHODS), help="all, and the peers, by default"
     )
     parser.add_argument("--n-train", type=int, default=2000)
-    parser.add_argument("--n-test", type=int, default=4000)
+    parser.add_argument("--n-test", type=int, default=10_000)
     options = parser.parse_args()
     for rate_hz in options.rate_hz or (10_000.0, 1_000.0):
         print(f"\n{table(options.method or [], rate_hz, options.n_train, options.n_test)}", flush=True)
