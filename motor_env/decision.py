@@ -30,9 +30,7 @@ from motor_env.reference import NORMAL_DOF, Reference, white_error
 
 DEFAULT_FALSE_ALARM_RATE = 0.01
 _SEVERITY_PRIOR = 0.30
-_STEP_NODES = np.linspace(
-    -10.0, 10.0, 401
-)  # standard deviations about the best step: where its likelihood lies
+_STEP_NODES = np.linspace(-10.0, 10.0, 401)  # standard deviations about the best step
 _OTHER_PRIOR = 0.30
 _HEALTHY_PRIOR = 0.8
 _POWER_QUANTILE = 1.645
