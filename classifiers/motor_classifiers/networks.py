@@ -58,9 +58,10 @@ def _unset_linear(n_in: int, n_out: int) -> nn.Module:
 def initialise(network: nn.Module, generator: torch.Generator) -> None:
     """Weights by He et al. (2015), biases zero, from the generator alone."""
     for layer in network.modules():
-        if isinstance(layer, nn.Linear):
+        if isinstance(layer, nn.Conv1d | nn.Linear):
             nn.init.kaiming_normal_(layer.weight, nonlinearity="relu", generator=generator)
-            nn.init.zeros_(layer.bias)
+            if layer.bias is not None:
+                nn.init.zeros_(layer.bias)
 
 
 def train(

@@ -15,7 +15,7 @@ from sklearn.utils.validation import check_is_fitted
 from torch import nn
 
 from motor_classifiers.cases import fitting_recipe, flat_cases, labelled_cases
-from motor_classifiers.networks import LogitClassifier, one_thread, seed_of
+from motor_classifiers.networks import LogitClassifier, initialise, one_thread, seed_of
 from motor_env.parameters import FloatArray
 from motor_env.recipes import Recipe
 
@@ -58,15 +58,6 @@ def residual_network(n_channels: int, n_classes: int, width: int, stem: int, ker
         nn.Flatten(),
         last,
     )
-
-
-def _initialise(network: nn.Module, generator: torch.Generator) -> None:
-    """Weights by He et al. (2015), biases zero, from the generator alone."""
-    for layer in network.modules():
-        if isinstance(layer, nn.Conv1d | nn.Linear):
-            nn.init.kaiming_normal_(layer.weight, nonlinearity="relu", generator=generator)
-            if layer.bias is not None:
-                nn.init.zeros_(layer.bias)
 
 
 class ResidualNetworkClassifier(LogitClassifier):
@@ -132,7 +123,7 @@ class ResidualNetworkClassifier(LogitClassifier):
         self.scale_ = np.where(spread > 0.0, spread, 1.0)
         network = residual_network(self._n_channels(), len(self.classes_), self.width, self.stem, self.kernel)
         with one_thread():
-            _initialise(network, generator)
+            initialise(network, generator)
             self._train(network, self._inputs(flat).float(), torch.from_numpy(labels), generator)
         # In single precision a start's logits would depend on the starts judged beside it, in the seventh digit.
         self.network_ = network.double()
