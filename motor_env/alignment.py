@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
+from scipy.special import ndtr
 
 from motor_env.parameters import FloatArray
 from motor_env.recordings import Recording
@@ -40,7 +41,9 @@ class Alignment:
         sign: +1, or -1 where the current goes negative (it is turned round for the fit).
         offset_a: mean current of the quiet part; 0 without one.
         noise_a: standard deviation of a current sample, from its differences.
-        quantum_a: smallest step of the current.
+        quantum_a: smallest step of the current, where it is coarse; else 0.
+        unseen_level_a: standard deviation of the error that a coarse converter leaves in a steady current, however
+            long it is.
         rectified: the sensor shows no current below 0.
         defects: what is wrong with the recording, in words.
         wild: single samples far off both neighbours; they do not count.
@@ -53,21 +56,10 @@ class Alignment:
     offset_a: float
     noise_a: float
     quantum_a: float = 0.0
+    unseen_level_a: float = 0.0
     rectified: bool = False
     defects: tuple[str, ...] = ()
     wild: tuple[int, ...] = ()
-
-    @property
-    def unseen_level_a(self) -> float:
-        """Standard deviation of the error that a coarse converter leaves in a steady current, however long it is.
-
-        Noise dithers it away: the bias falls as exp(-2 pi^2 (noise / step)^2) (Widrow & Kollar 2008, ch. 4).
-        """
-        if self.quantum_a <= 0.0:
-            return 0.0
-        variance = max(self.noise_a**2 - self.quantum_a**2 / 12.0, 0.0)
-        dither = math.exp(-2.0 * math.pi**2 * variance / self.quantum_a**2)
-        return self.quantum_a / math.sqrt(12.0) * dither
 
 
 def difference_noise(values: FloatArray) -> float:
@@ -151,8 +143,9 @@ def align(recording: Recording) -> Alignment:
     steps = np.abs(np.diff(current))
     quantum = float(steps[steps > 0.0].min()) if (steps > 0.0).any() else span
     rectified = onset > 0 and not np.any(current < 0.0) and float(np.mean(current[:onset] == 0.0)) > 0.2
-    # The noise that is seen where none is thrown away: a current that leaves 0 for good is never rectified.
-    rectified = rectified and quantum < 0.02 * span
+    # Where the steps are as large as the noise, no current below 0 is none that was thrown away.
+    steps_hide_it = np.all(current[:onset] == 0.0) and difference_noise(current[onset:]) < quantum
+    rectified = rectified and quantum < 0.02 * span and not steps_hide_it
     if rectified:
         # Half of a rectified normal number's second moment is left; its mean is no offset.
         base, sigma = 0.0, float(np.sqrt(2.0 * np.mean(current[: max(onset - 2, 1)] ** 2)))
@@ -166,6 +159,7 @@ def align(recording: Recording) -> Alignment:
             sigma if sigma > 0.0 else noise, quantum / math.sqrt(12.0) if quantum > 0.002 * span else 0.0
         ),
         quantum_a=quantum if quantum > _QUANTISED_SHARE * span else 0.0,
+        unseen_level_a=_unseen_level(quiet, quantum) if quantum > _QUANTISED_SHARE * span else 0.0,
         rectified=rectified,
         defects=(
             *_defects(current, quantum),
@@ -173,6 +167,35 @@ def align(recording: Recording) -> Alignment:
         ),
         wild=wild,
     )
+
+
+def _unseen_level(quiet: FloatArray, quantum: float) -> float:
+    """What a converter's steps hide of a steady current, given the quiet part.
+
+    Noise dithers it away: the bias falls as exp(-2 pi^2 (noise / step)^2) (Widrow & Kollar 2008, ch. 4).
+    """
+    noise = _noise_before_rounding(quiet, quantum)
+    return quantum / math.sqrt(12.0) * math.exp(-2.0 * (math.pi * noise / quantum) ** 2)
+
+
+def _noise_before_rounding(quiet: FloatArray, quantum: float) -> float:
+    """Standard deviation of the noise that a converter then rounds: most likely, from the counts of its steps.
+
+    The variance less step^2 / 12 (Sheppard) is too small where the noise is below half a step.
+    """
+    if len(quiet) < _FEW:
+        return 0.0
+    codes, counts = np.unique(np.rint((quiet - quiet.min()) / quantum), return_counts=True)
+    if len(codes) == 1:
+        return 0.0
+
+    def unlikely(mean_and_log: FloatArray) -> float:
+        mean, noise = mean_and_log[0], math.exp(mean_and_log[1])
+        share = ndtr((codes + 0.5 - mean) / noise) - ndtr((codes - 0.5 - mean) / noise)
+        return -float(counts @ np.log(np.maximum(share, 1e-300)))
+
+    begin = np.array([float(codes @ counts) / len(quiet), math.log(0.4)])
+    return quantum * math.exp(minimize(unlikely, begin, method="Nelder-Mead").x[1])
 
 
 def _defects(current: FloatArray, quantum: float) -> tuple[str, ...]:
@@ -185,9 +208,12 @@ def _defects(current: FloatArray, quantum: float) -> tuple[str, ...]:
     runs = edges[1::2] - edges[::2]
     if quantum < 0.02 * span and len(runs) and runs.max() >= _FEW:
         first, run = int(edges[::2][np.argmax(runs)]), int(runs.max())
-        # A round peak in steps leaves its top step slowly: 5 steps at most half a run beyond. A clipped one drops.
-        beyond = np.abs(current[[max(first - run // 2, 0), min(first + run + run // 2, len(current) - 1)]])
-        if top - beyond.min() > 6.0 * quantum:
+        # A round peak in steps leaves its top step slowly: half a run beyond it is 4 steps down at most. A clipped one
+        # drops. How fast it rose tells as much only where the recording ends before.
+        beyond = first + run + run // 2
+        if beyond >= len(current):
+            beyond = max(first - run // 2, 0)
+        if top - abs(current[beyond]) > 4.5 * quantum:
             found.append(f"saturation: {run} samples in a row stand at {top:.4g} A")
     if quantum > _QUANTISED_SHARE * span:
         found.append(f"quantisation: the current moves in steps of {quantum:.3g} A")

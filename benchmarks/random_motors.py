@@ -1,0 +1,121 @@
+"""Verdicts on motors of all sizes, each commissioned on five simulated healthy starts: a table of docs/recordings.md.
+
+python benchmarks/random_motors.py --motors 60
+"""
+
+import argparse
+from collections import Counter, defaultdict
+from pathlib import Path
+
+import numpy as np
+
+from motor_env.decision import Diagnosis, Verdict
+from motor_env.diagnosis import diagnose
+from motor_env.measurement import measure
+from motor_env.nonlinear import Effects
+from motor_env.parameters import FloatArray, MotorParameters, SensorParameters, SupplyParameters
+from motor_env.recordings import Recording
+from motor_env.reference import fit_healthy, learn_reference
+from motor_env.sensor_chain import SensorChain
+from motor_env.simulation import Scenario, Timing
+
+FRICTION = 1.5
+CHANGES: dict[str, dict[str, float]] = {
+    "healthy": {},
+    "healthy, once more": {},
+    "contact +25 %": {"resistance_ohm": 1.25},
+    "friction +50 %": {"friction": FRICTION},
+    "K -10 %": {"back_emf_constant_v_s_per_rad": 0.9, "torque_constant_n_m_per_a": 0.9},
+    "J +25 %": {"inertia_kg_m2": 1.25},
+}
+HEALTHY = 5
+COUNT = HEALTHY + len(CHANGES)
+
+
+def scattered(rng: np.random.Generator, spread: float, name: str) -> FloatArray:
+    """A factor for each start: its scatter, and the change of the last ones."""
+    changed = [change.get(name, 1.0) for change in CHANGES.values()]
+    factors: FloatArray = (1.0 + spread * rng.standard_normal(COUNT)) * np.array([1.0] * HEALTHY + changed)
+    return factors
+
+
+def starts(rng: np.random.Generator) -> list[Recording]:
+    """The healthy starts of one motor and then one with each change, recorded by one sensor."""
+    voltage = float(rng.choice([3.0, 6.0, 12.0, 24.0, 48.0]))
+    stall_a = 10.0 ** rng.uniform(-0.5, 1.7)
+    speed = 10.0 ** rng.uniform(2.0, 3.0)
+    mechanical_s = 10.0 ** rng.uniform(-2.2, -0.6)
+    electrical_s = mechanical_s / 10.0 ** rng.uniform(0.9, 2.2)
+    ohm, constant = voltage / stall_a, 0.97 * voltage / speed
+    torque = constant * stall_a * rng.uniform(0.01, 0.06)
+    dry = rng.choice([0.0, rng.uniform(0.0, 1.0)])
+    friction = scattered(rng, 0.02, "friction")
+    motor = MotorParameters(
+        ohm, electrical_s * ohm, constant, constant, mechanical_s * constant**2 / ohm, (1.0 - dry) * torque / speed
+    )  # fmt: skip
+    each = motor.scaled(
+        resistance_ohm=scattered(rng, 0.005, "resistance_ohm"),
+        back_emf_constant_v_s_per_rad=scattered(rng, 0.0, "back_emf_constant_v_s_per_rad"),
+        torque_constant_n_m_per_a=scattered(rng, 0.0, "torque_constant_n_m_per_a"),
+        inertia_kg_m2=scattered(rng, 0.0, "inertia_kg_m2"),
+        viscous_friction_n_m_s_per_rad=friction,
+    )
+    duration_s = mechanical_s * rng.uniform(4.0, 10.0)
+    rate_hz = float(rng.choice([400, 1_000, 2_500, 10_000])) / duration_s
+    timing = Timing(rate_hz, duration_s, duration_s * rng.uniform(0.05, 0.4))
+    effects = Effects(
+        coulomb_friction_n_m=dry * torque * friction,
+        brush_drop_v=float(rng.choice([0.0, 0.0, 0.03])) * voltage,
+        ramp_s=float(rng.choice([0.0, 0.0, rng.uniform(0.2, 2.0)])) * electrical_s,
+        commutation_ripple=float(rng.choice([0.0, 0.01, 0.03])),
+        commutation_per_turn=float(rng.choice([6.0, 10.0, 14.0, 26.0])),
+        delay_s=rng.uniform(0.0, 1.0, COUNT) / rate_hz,
+    )
+    bits = int(rng.choice([0, 8, 10, 12]))
+    chain = SensorChain(
+        offset_a=float(rng.choice([0.0, 0.02])) * stall_a, range_a=2.0 * stall_a, adc_bits=bits
+    )
+    scenario = Scenario(
+        each,
+        (),
+        SupplyParameters(voltage * (1.0 + 0.005 * rng.standard_normal(COUNT))),
+        SensorParameters(current_noise_a=stall_a * 10.0 ** rng.uniform(-3.0, -2.0)),
+        timing,
+    )
+    seed = int(rng.integers(2**32))
+    current = measure(scenario, seed, range(COUNT), effects=effects, chain=chain, nominal=motor)[:, 0]
+    names = [f"healthy {n}" for n in range(HEALTHY)] + list(CHANGES)
+    return [
+        Recording(Path(name), timing.time_s, row.astype(np.float64))
+        for name, row in zip(names, current, strict=True)
+    ]
+
+
+def said(found: Diagnosis) -> str:
+    """The verdict; where a change of friction was missed also whether the diagnosis had said that it might not show."""
+    missed = found.recording.path.name == "friction +50 %" and found.verdict is Verdict.HEALTHY
+    stated = missed and found.smallest_changes["bearing"] > FRICTION - 1.0
+    return f"{found.verdict} (+50 % might not show, it said)" if stated else str(found.verdict)
+
+
+def main() -> None:
+    """Print each motor's verdicts, then the counts."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--motors", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    verdicts: defaultdict[str, Counter[str]] = defaultdict(Counter)
+    for number in range(options.motors):
+        recordings = starts(np.random.default_rng([options.seed, number]))
+        learned = learn_reference(fit_healthy(recordings[:HEALTHY]))
+        found = {r.path.name: said(diagnose(r, None, learned)) for r in recordings[HEALTHY:]}
+        for name, verdict in found.items():
+            verdicts[name][verdict] += 1
+        print(number, found, flush=True)
+    print("\n| change | verdicts |\n|---|---|")
+    for name, counts in verdicts.items():
+        print(f"| {name} | {', '.join(f'{verdict} {n}' for verdict, n in counts.most_common())} |")
+
+
+if __name__ == "__main__":
+    main()
