@@ -26,7 +26,7 @@ def start(
 
 
 def recording(current_a: FloatArray) -> Recording:
-    return Recording(Path("coarse"), np.arange(len(current_a)) * 1e-4, current_a)
+    return Recording(Path("coarse"), np.linspace(0.0, (len(current_a) - 1) * 1e-4, len(current_a)), current_a)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1])
