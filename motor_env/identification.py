@@ -298,7 +298,8 @@ def _covariance(
     Each channel's residual is taken as a stationary series with the autocovariance that it shows up to a tenth of
     the recording, and with no less power at any frequency than its white noise. A coarse converter adds an error that
     is the same in every sample of the running motor. What no sample tells has a standard deviation of 3 in its
-    logarithm, a prior that is too weak to matter elsewhere.
+    logarithm, a prior that is too weak to matter elsewhere, and the onset is known to half an interval and half the
+    current's rise: between two samples far apart, the fit's slope at one place does not see their bounds.
     """
     n, residuals = len(problem.start.time_s), problem.residuals(unknowns)
     n_measured = len(problem.measured)
