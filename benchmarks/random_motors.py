@@ -63,31 +63,37 @@ def starts(rng: np.random.Generator) -> list[Recording]:
     duration_s = mechanical_s * rng.uniform(4.0, 10.0)
     rate_hz = float(rng.choice([400, 1_000, 2_500, 10_000])) / duration_s
     timing = Timing(rate_hz, duration_s, duration_s * rng.uniform(0.05, 0.4))
+    delay_s = rng.uniform(0.0, 1.0, COUNT) / rate_hz
     effects = Effects(
         coulomb_friction_n_m=dry * torque * friction,
         brush_drop_v=float(rng.choice([0.0, 0.0, 0.03])) * voltage,
         ramp_s=float(rng.choice([0.0, 0.0, rng.uniform(0.2, 2.0)])) * electrical_s,
         commutation_ripple=float(rng.choice([0.0, 0.01, 0.03])),
         commutation_per_turn=float(rng.choice([6.0, 10.0, 14.0, 26.0])),
-        delay_s=rng.uniform(0.0, 1.0, COUNT) / rate_hz,
+        delay_s=delay_s,
     )
     bits = int(rng.choice([0, 8, 10, 12]))
     chain = SensorChain(
         offset_a=float(rng.choice([0.0, 0.02])) * stall_a, range_a=2.0 * stall_a, adc_bits=bits
     )
+    supply = voltage * (1.0 + 0.005 * rng.standard_normal(COUNT))
     scenario = Scenario(
         each,
         (),
-        SupplyParameters(voltage * (1.0 + 0.005 * rng.standard_normal(COUNT))),
+        SupplyParameters(supply),
         SensorParameters(current_noise_a=stall_a * 10.0 ** rng.uniform(-3.0, -2.0)),
         timing,
     )
     seed = int(rng.integers(2**32))
     current = measure(scenario, seed, range(COUNT), effects=effects, chain=chain, nominal=motor)[:, 0]
+    # Half of the steps come with their voltage, which some scopes read a sample later than the current.
+    measured = not effects.ramp_s and rng.random() < 0.5
+    on = timing.time_s > (delay_s + float(rng.choice([0.0, 1.0])) / rate_hz)[:, None]
+    volts = supply[:, None] * on + 0.002 * voltage * rng.standard_normal(on.shape)
     names = [f"healthy {n}" for n in range(HEALTHY)] + list(CHANGES)
     return [
-        Recording(Path(name), timing.time_s, row.astype(np.float64))
-        for name, row in zip(names, current, strict=True)
+        Recording(Path(name), timing.time_s, row.astype(np.float64), volts[n] if measured else None)
+        for n, (name, row) in enumerate(zip(names, current, strict=True))
     ]
 
 
