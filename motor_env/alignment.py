@@ -41,8 +41,8 @@ class Alignment:
         sign: +1, or -1 where the current goes negative (it is turned round for the fit).
         offset_a: mean current of the quiet part; 0 without one.
         noise_a: standard deviation of a current sample, from its differences.
-        quantum_a: smallest step of the current, where it is coarse; else 0.
-        unseen_level_a: standard deviation of the error that a coarse converter leaves in a steady current, however
+        quantum_a: smallest step of the current.
+        unseen_level_a: standard deviation of the error that the converter's steps leave in a steady current, however
             long it is.
         rectified: the sensor shows no current below 0.
         defects: what is wrong with the recording, in words.
@@ -144,8 +144,7 @@ def align(recording: Recording) -> Alignment:
     quantum = float(steps[steps > 0.0].min()) if (steps > 0.0).any() else span
     rectified = onset > 0 and not np.any(current < 0.0) and float(np.mean(current[:onset] == 0.0)) > 0.2
     # Where the steps are as large as the noise, no current below 0 is none that was thrown away.
-    steps_hide_it = np.all(current[:onset] == 0.0) and difference_noise(current[onset:]) < quantum
-    rectified = rectified and quantum < 0.02 * span and not steps_hide_it
+    rectified = rectified and quantum < min(0.02 * span, difference_noise(current[onset:]))
     if rectified:
         # Half of a rectified normal number's second moment is left; its mean is no offset.
         base, sigma = 0.0, float(np.sqrt(2.0 * np.mean(current[: max(onset - 2, 1)] ** 2)))
@@ -158,8 +157,8 @@ def align(recording: Recording) -> Alignment:
         noise_a=max(
             sigma if sigma > 0.0 else noise, quantum / math.sqrt(12.0) if quantum > 0.002 * span else 0.0
         ),
-        quantum_a=quantum if quantum > _QUANTISED_SHARE * span else 0.0,
-        unseen_level_a=_unseen_level(quiet, quantum) if quantum > _QUANTISED_SHARE * span else 0.0,
+        quantum_a=quantum,
+        unseen_level_a=_unseen_level(quiet, noise, quantum),
         rectified=rectified,
         defects=(
             *_defects(current, quantum),
@@ -169,13 +168,18 @@ def align(recording: Recording) -> Alignment:
     )
 
 
-def _unseen_level(quiet: FloatArray, quantum: float) -> float:
-    """What a converter's steps hide of a steady current, given the quiet part.
+def _unseen_level(quiet: FloatArray, noise: float, quantum: float) -> float:
+    """What a converter's steps hide of a steady current, given the quiet part, or without one the noise all through.
 
     Noise dithers it away: the bias falls as exp(-2 pi^2 (noise / step)^2) (Widrow & Kollar 2008, ch. 4).
     """
-    noise = _noise_before_rounding(quiet, quantum)
-    return quantum / math.sqrt(12.0) * math.exp(-2.0 * (math.pi * noise / quantum) ** 2)
+    if len(quiet) == 0:
+        before = math.sqrt(max(noise**2 - quantum**2 / 12.0, 0.0))
+    elif float(np.std(quiet)) > quantum:
+        return 0.0
+    else:
+        before = _noise_before_rounding(quiet, quantum)
+    return quantum / math.sqrt(12.0) * math.exp(-2.0 * (math.pi * before / quantum) ** 2)
 
 
 def _noise_before_rounding(quiet: FloatArray, quantum: float) -> float:
@@ -183,8 +187,6 @@ def _noise_before_rounding(quiet: FloatArray, quantum: float) -> float:
 
     The variance less step^2 / 12 (Sheppard) is too small where the noise is below half a step.
     """
-    if len(quiet) < _FEW:
-        return 0.0
     codes, counts = np.unique(np.rint((quiet - quiet.min()) / quantum), return_counts=True)
     if len(codes) == 1:
         return 0.0

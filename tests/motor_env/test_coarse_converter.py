@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from motor_env.alignment import align
+from motor_env.captures import Defect, captures
+from motor_env.decision import Verdict
+from motor_env.diagnosis import diagnose
+from motor_env.motor_file import load_motor
 from motor_env.parameters import FloatArray
 from motor_env.recordings import Recording
+from motor_env.sensor_chain import SensorChain
 
 
 def start(
@@ -61,3 +67,14 @@ def test_steps_as_large_as_the_noise_are_no_rectifier() -> None:
     assert align(recording(thrown_away)).rectified
     below = np.maximum(np.round((start(0.3) - 2.0) * 20.0) / 20.0, 0.0)
     assert align(recording(below)).rectified
+
+
+@pytest.mark.parametrize("place", [0.0, 0.25, 0.5, 0.625])
+def test_rounding_is_no_noise_of_the_motor(place: float) -> None:
+    """A data sheet's noise is the sensor's alone; a level at the edge of two steps flips between them."""
+    sheet, step = load_motor(Path(__file__).parents[2] / "examples" / "motor.toml"), 0.0125
+    chain = SensorChain(offset_a=place * step, range_a=512 * step, adc_bits=10)
+    (capture,) = captures(Defect(noise_a=0.25 * step, chain=chain), (), sheet.parameters, 5, 1)
+    assert diagnose(capture, replace(sheet, current_noise_a=0.25 * step)).verdict is Verdict.HEALTHY
+    (capture,) = captures(Defect(noise_a=0.5 * step), (), sheet.parameters, 5, 1)
+    assert diagnose(capture, replace(sheet, current_noise_a=0.25 * step)).verdict is Verdict.NOISE
