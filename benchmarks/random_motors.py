@@ -51,8 +51,13 @@ def starts(rng: np.random.Generator) -> list[Recording]:
     dry = rng.choice([0.0, rng.uniform(0.0, 1.0)])
     friction = scattered(rng, 0.02, "friction")
     motor = MotorParameters(
-        ohm, electrical_s * ohm, constant, constant, mechanical_s * constant**2 / ohm, (1.0 - dry) * torque / speed
-    )  # fmt: skip
+        resistance_ohm=ohm,
+        inductance_h=electrical_s * ohm,
+        back_emf_constant_v_s_per_rad=constant,
+        torque_constant_n_m_per_a=constant,
+        inertia_kg_m2=mechanical_s * constant**2 / ohm,
+        viscous_friction_n_m_s_per_rad=(1.0 - dry) * torque / speed,
+    )
     each = motor.scaled(
         resistance_ohm=scattered(rng, 0.005, "resistance_ohm"),
         back_emf_constant_v_s_per_rad=scattered(rng, 0.0, "back_emf_constant_v_s_per_rad"),
