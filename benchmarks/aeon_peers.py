@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 # Of the project only this module, which needs the standard library alone: the rest is not installed here.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "classifiers"))
-from motor_classifiers.watching import watched
+from motor_classifiers.scoring.progress import watched
 
 SEED = 0
 

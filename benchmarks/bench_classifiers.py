@@ -18,17 +18,17 @@ from result import Result
 from scipy.optimize import least_squares
 from timing import best_rate
 
-from motor_classifiers.judging import Cell
-from motor_classifiers.methods import make_method
-from motor_classifiers.peers import export_cases
-from motor_classifiers.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.methods import make_method
+from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.scoring.judging import Cell
+from motor_classifiers.scoring.peers import export_cases
 from motor_datasets.arrays import Dataset
-from motor_env.confirmation import nominal_voltage
-from motor_env.estimation import Prior, fit
-from motor_env.parameters import FloatArray
-from motor_env.posterior import class_coordinates, recipe_observed
-from motor_env.recipes import FACTORS, apply_factors, named_recipe
-from motor_env.simulation import simulate_states
+from motor_env.detection.confirmation import nominal_voltage
+from motor_env.inference.fit import Prior, fit
+from motor_env.inference.posterior import class_coordinates, recipe_observed
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import FACTORS, apply_factors, named_recipe
+from motor_env.simulation.simulate import simulate_states
 
 CELL = Cell(named_recipe("bench"), 2000, 1000)
 ROUNDS = 4

@@ -20,10 +20,10 @@ from timing import best_rate
 
 from motor_datasets import generate_arrays, generate_dataset, storage
 from motor_datasets.layout import make_plan
-from motor_env.faults import apply_faults
-from motor_env.model import discretize
-from motor_env.parameters import FloatArray
-from motor_env.recipes import RECIPES, draw, measure_draw
+from motor_env.motor.faults import apply_faults
+from motor_env.motor.model import discretize
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import RECIPES, draw, measure_draw
 
 N_CASES = 1024
 N_CASES_TO_DISK = 20_000
@@ -49,7 +49,7 @@ def _dlsim_cases(count: int) -> list[FloatArray]:
 
 
 def _solve_ivp_case(case: int) -> FloatArray:
-    """The field recipe's motor as one would write it for scipy: plain floats, equations of motor_env.nonlinear."""
+    """The field recipe's motor as one would write it for scipy: plain floats, equations of simulation.nonlinear."""
     recipe = RECIPES["field"]
     drawn = draw(recipe, SEED, [case])
     p = apply_faults(drawn.scenario.parameters, drawn.scenario.faults).motor(0)

@@ -23,10 +23,10 @@ from filterpy.kalman import KalmanFilter as FilterpyFilter
 from result import Result
 from timing import best_rate
 
-from motor_env.kalman import KalmanFilter, filter_residuals, schedule
-from motor_env.model import Input
-from motor_env.parameters import PAPER_MOTOR, FloatArray, SensorParameters
-from motor_env.simulation import Scenario, Timing, simulate
+from motor_env.filters.kalman import KalmanFilter, filter_residuals, schedule
+from motor_env.motor.model import Input
+from motor_env.motor.parameters import PAPER_MOTOR, FloatArray, SensorParameters
+from motor_env.simulation.simulate import Scenario, Timing, simulate
 
 jax.config.update("jax_enable_x64", True)
 

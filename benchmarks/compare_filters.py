@@ -19,16 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from motor_env.adaptive import MEMORY, adaptive_filter
-from motor_env.confirmation import class_filter, nominal_voltage
-from motor_env.consistency import check_consistency, signature_energy
-from motor_env.faults import apply_faults
-from motor_env.joint import JointKind, JointResult, joint_filter
-from motor_env.kalman import KalmanFilter, run_filter, schedule
-from motor_env.parameters import FloatArray
-from motor_env.recipes import Recipe, draw, named_recipe
-from motor_env.rules.cusum import Cusum
-from motor_env.simulation import simulate
+from motor_env.detection.confirmation import class_filter, nominal_voltage
+from motor_env.detection.rules.cusum import Cusum
+from motor_env.filters.adaptive import MEMORY, adaptive_filter
+from motor_env.filters.consistency import check_consistency, signature_energy
+from motor_env.filters.joint import JointKind, JointResult, joint_filter
+from motor_env.filters.kalman import KalmanFilter, run_filter, schedule
+from motor_env.motor.faults import apply_faults
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import Recipe, draw, named_recipe
+from motor_env.simulation.simulate import simulate
 
 IntArray = NDArray[np.int64]
 LARGE_Q = (1e-2, 0.316)

@@ -7,12 +7,12 @@ import argparse
 from collections import Counter
 from pathlib import Path
 
-from motor_env.captures import DEFECTS, captures
-from motor_env.decision import Diagnosis, Verdict
-from motor_env.diagnosis import diagnose
-from motor_env.faults import Fault, FaultKind
-from motor_env.motor_file import load_motor
-from motor_env.starts import Circuit
+from motor_env.diagnosis.decision import Diagnosis, Verdict
+from motor_env.diagnosis.diagnose import diagnose
+from motor_env.motor.data_sheet import load_motor
+from motor_env.motor.faults import Fault, FaultKind
+from motor_env.recordings.simulated import DEFECTS, captures
+from motor_env.recordings.start import Circuit
 
 CASES: dict[Verdict, tuple[Fault, ...]] = {
     Verdict.HEALTHY: (),

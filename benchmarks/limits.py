@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from motor_env.estimation import cramer_rao_bound
-from motor_env.faults import Fault, FaultKind
-from motor_env.limits import class_limits, severity_limit
-from motor_env.marginal import MatchedTest
-from motor_env.parameters import PAPER_MOTOR, Channel, SensorParameters
-from motor_env.recipes import Recipe, Spread, draw, named_recipe
-from motor_env.severity import SeverityPrior
-from motor_env.simulation import Timing, simulate
+from motor_env.inference.accuracy_limits import class_limits, severity_limit
+from motor_env.inference.fit import cramer_rao_bound
+from motor_env.inference.severity import SeverityPrior
+from motor_env.inference.whitening import MatchedTest
+from motor_env.motor.faults import Fault, FaultKind
+from motor_env.motor.parameters import PAPER_MOTOR, Channel, SensorParameters
+from motor_env.simulation.recipes import Recipe, Spread, draw, named_recipe
+from motor_env.simulation.simulate import Timing, simulate
 
 SEED = 11
 RATES_HZ = (10_000.0, 1_000.0)

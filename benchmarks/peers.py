@@ -13,9 +13,9 @@ from pathlib import Path
 
 from aeon_environment import command, environment
 
-from motor_classifiers.judging import Cell
-from motor_classifiers.peers import PEERS, export_cases, shipped_peers
-from motor_env.recipes import named_recipe
+from motor_classifiers.scoring.judging import Cell
+from motor_classifiers.scoring.peers import PEERS, export_cases, shipped_peers
+from motor_env.simulation.recipes import named_recipe
 
 
 def main() -> int:

@@ -10,9 +10,9 @@ from collections import Counter
 from itertools import combinations
 from pathlib import Path
 
-from motor_env.commission import commission
-from motor_env.diagnosis import diagnose
-from motor_env.recordings import read_recording
+from motor_env.diagnosis.commission import commission
+from motor_env.diagnosis.diagnose import diagnose
+from motor_env.recordings.recording import read_recording
 
 
 def main() -> None:

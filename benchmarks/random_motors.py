@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from motor_env.decision import Diagnosis, Verdict
-from motor_env.diagnosis import diagnose
-from motor_env.measurement import measure
-from motor_env.nonlinear import Effects
-from motor_env.parameters import FloatArray, MotorParameters, SensorParameters, SupplyParameters
-from motor_env.recordings import Recording
-from motor_env.reference import fit_healthy, learn_reference
-from motor_env.sensor_chain import SensorChain
-from motor_env.simulation import Scenario, Timing
+from motor_env.diagnosis.decision import Diagnosis, Verdict
+from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
+from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, SupplyParameters
+from motor_env.recordings.recording import Recording
+from motor_env.simulation.fast_path import measure
+from motor_env.simulation.nonlinear import Effects
+from motor_env.simulation.sensor import SensorChain
+from motor_env.simulation.simulate import Scenario, Timing
 
 FRICTION = 1.5
 CHANGES: dict[str, dict[str, float]] = {

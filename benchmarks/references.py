@@ -17,15 +17,19 @@ from pathlib import Path
 import numpy as np
 from aeon_environment import PYTHON, command, environment
 
-from motor_classifiers.cases import with_channels
-from motor_classifiers.methods import ESTIMATE, METHODS, make_method
-from motor_classifiers.metrics import IntArray
-from motor_classifiers.peers import export_starts
-from motor_classifiers.reference import RecentredStarts, referenced_probabilities, referenced_starts
+from motor_classifiers.estimators.cases import with_channels
+from motor_classifiers.estimators.methods import ESTIMATE, METHODS, make_method
+from motor_classifiers.estimators.reference_starts import (
+    RecentredStarts,
+    referenced_probabilities,
+    referenced_starts,
+)
+from motor_classifiers.scoring.metrics import IntArray
+from motor_classifiers.scoring.peers import export_starts
 from motor_datasets.arrays import Dataset
-from motor_env.parameters import FloatArray, SensorParameters
-from motor_env.recipes import Recipe, named_recipe
-from motor_env.simulation import Timing
+from motor_env.motor.parameters import FloatArray, SensorParameters
+from motor_env.simulation.recipes import Recipe, named_recipe
+from motor_env.simulation.simulate import Timing
 
 SEED = 0
 TEST = 1_000_000  # first motor of the test

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.rules import (
+from motor_env.detection.rules import (
     Cusum,
     Glr,
     ModelBank,
@@ -30,7 +30,7 @@ from motor_env.rules import (
     nis_rule,
     run_lengths,
 )
-from motor_env.rules.plots import plot_delay_curves
+from motor_env.detection.rules.plots import plot_delay_curves
 
 ARL0 = 1e4
 HEALTHY = 1_000

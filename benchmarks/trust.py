@@ -15,16 +15,20 @@ from typing import Any
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from motor_classifiers.calibration import calibration_scores, plot_reliability
-from motor_classifiers.conformal import ConformalIntervals, ConformalSets, measured_coverage
-from motor_classifiers.foreign import DISTANCE, UNKNOWN_FAULTS, ForeignFault, foreign_scores, plot_roc
-from motor_classifiers.judging import in_recipe_order
-from motor_classifiers.methods import make_method
-from motor_classifiers.novelty import FaultFamilyDetector, OpenSetClassifier, family_fit
-from motor_classifiers.posterior_network import PosteriorNetwork, severity_recipe
-from motor_classifiers.shifts import shift_scores, textbook_shifts
-from motor_classifiers.trust import network_for
-from motor_classifiers.verdict_times import (
+from motor_classifiers.estimators.methods import make_method
+from motor_classifiers.estimators.posterior_network import PosteriorNetwork, severity_recipe
+from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability
+from motor_classifiers.scoring.judging import in_recipe_order
+from motor_classifiers.scoring.shifts import shift_scores, textbook_shifts
+from motor_classifiers.scoring.trust import network_for
+from motor_classifiers.scoring.unknown_faults import (
+    DISTANCE,
+    UNKNOWN_FAULTS,
+    ForeignFault,
+    foreign_scores,
+    plot_roc,
+)
+from motor_classifiers.scoring.verdict_times import (
     FIXED_TIME,
     STOPPING_RULE,
     VerdictTime,
@@ -34,13 +38,15 @@ from motor_classifiers.verdict_times import (
     stopping_rows,
     told_by_then,
 )
+from motor_classifiers.wrappers.conformal import ConformalIntervals, ConformalSets, measured_coverage
+from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClassifier, family_fit
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
-from motor_env.faults import FaultKind
-from motor_env.parameters import FloatArray, SensorParameters
-from motor_env.posterior import class_probabilities
-from motor_env.recipes import FaultClass, Recipe, named_recipe
-from motor_env.simulation import Timing
+from motor_env.inference.posterior import class_probabilities
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import FloatArray, SensorParameters
+from motor_env.simulation.recipes import FaultClass, Recipe, named_recipe
+from motor_env.simulation.simulate import Timing
 
 SEED = 0
 TRAIN, CALIBRATE, TEST = 0, 500_000, 1_000_000  # first cases

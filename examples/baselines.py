@@ -13,11 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from motor_env.envs.bayes import BayesPolicy
-from motor_env.envs.bounds import upper_bound
-from motor_env.envs.evaluation import Runs, joined, score, sweep
-from motor_env.envs.monitor import MonitorVectorEnv
-from motor_env.envs.policies import (
+from motor_env.detection.rules import Cusum, Glr, MOfN, Rule, nis_rule
+from motor_env.envs.baselines.bounds import upper_bound
+from motor_env.envs.baselines.evaluation import Runs, joined, score, sweep
+from motor_env.envs.baselines.policies import (
     BankPolicy,
     Never,
     Random,
@@ -25,13 +24,14 @@ from motor_env.envs.policies import (
     ThresholdPolicy,
     baseline_features,
 )
+from motor_env.envs.baselines.posterior_policies import BayesPolicy
+from motor_env.envs.baselines.probing import Bursts, OnDemand, OpenLoop, RatioTest, WorthTest
+from motor_env.envs.monitor import MonitorVectorEnv
 from motor_env.envs.probe import ProbeVectorEnv
-from motor_env.envs.probing import Bursts, OnDemand, OpenLoop, RatioTest, WorthTest
 from motor_env.envs.setup import Setup
 from motor_env.envs.tasks import TASKS, task_recipe
 from motor_env.envs.vector import MotorVectorEnv
-from motor_env.parameters import FloatArray
-from motor_env.rules import Cusum, Glr, MOfN, Rule, nis_rule
+from motor_env.motor.parameters import FloatArray
 
 TASK_NAMES = (*(f"Monitor-v0/{recipe}" for recipe in TASKS), "Probe-v0/small", "Probe-v0/medium")
 N_THRESHOLDS = 24

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from motor_env import Fault, FaultKind, Scenario, SupplyParameters, Timing, simulate
-from motor_env.motor_file import load_motor
+from motor_env.motor.data_sheet import load_motor
 
 FOLDER = Path(__file__).parent
 OFFSET_A = 0.003

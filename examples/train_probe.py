@@ -2,7 +2,7 @@
 
 python examples/train_probe.py --steps 1200000 --out out/probe-agent
 
-The agent sees the summary of a posterior (`motor_env.envs.belief`), which is made from what the environment shows and
+The agent sees the summary of a posterior (`motor_env.envs.baselines.belief`), made from what the environment shows and
 nothing else, and learns by PPO (Schulman et al. 2017) from the reward that the posterior expects: the true one on
 average, without the noise of luck. It is scored on other seeds beside the best open-loop probe that
 examples/baselines.py finds, and beside a textbook rule in closed loop, all on the same episodes. Minutes on one core.
@@ -25,11 +25,11 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from motor_env.envs.adapters import StableBaselinesVecEnv
-from motor_env.envs.belief import ProbeBelief
-from motor_env.envs.evaluation import Runs, interval, joined, run_episodes, score
-from motor_env.envs.policies import Actions, Observations, Policy
+from motor_env.envs.baselines.belief import ProbeBelief
+from motor_env.envs.baselines.evaluation import Runs, interval, joined, run_episodes, score
+from motor_env.envs.baselines.policies import Actions, Observations, Policy
+from motor_env.envs.baselines.probing import Bursts, OnDemand, OpenLoop, WorthTest
 from motor_env.envs.probe import ProbeEnv, ProbeVectorEnv
-from motor_env.envs.probing import Bursts, OnDemand, OpenLoop, WorthTest
 from motor_env.envs.setup import Setup
 
 TRAINING_SEED, VALIDATION_SEED = 1000, 800

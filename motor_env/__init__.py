@@ -11,21 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gymnasium.envs.registration import register
 
 if TYPE_CHECKING:
-    from motor_env.faults import Fault, FaultKind, apply_fault, apply_faults
-    from motor_env.isolation import Isolator
-    from motor_env.kalman import FilterResult, KalmanFilter, run_filter
-    from motor_env.model import State, continuous_model, discretize, steady_state
-    from motor_env.parameters import (
-        CATALOGUE,
-        PAPER_MOTOR,
-        Channel,
-        MotorParameters,
-        SensorParameters,
-        SupplyParameters,
-        catalogue_motor,
-    )
-    from motor_env.recipes import RECIPES, Recipe, draw, named_recipe
-    from motor_env.rules import (
+    from motor_env.detection.rules import (
         Cusum,
         Glr,
         ModelBank,
@@ -41,16 +27,30 @@ if TYPE_CHECKING:
         nis_rule,
         recipe_thresholds,
     )
-    from motor_env.simulation import Scenario, Timing, Transients, simulate, simulate_states
+    from motor_env.filters.kalman import FilterResult, KalmanFilter, run_filter
+    from motor_env.inference.isolation import Isolator
+    from motor_env.motor.faults import Fault, FaultKind, apply_fault, apply_faults
+    from motor_env.motor.model import State, continuous_model, discretize, steady_state
+    from motor_env.motor.parameters import (
+        CATALOGUE,
+        PAPER_MOTOR,
+        Channel,
+        MotorParameters,
+        SensorParameters,
+        SupplyParameters,
+        catalogue_motor,
+    )
+    from motor_env.simulation.recipes import RECIPES, Recipe, draw, named_recipe
+    from motor_env.simulation.simulate import Scenario, Timing, Transients, simulate, simulate_states
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "faults": ("Fault", "FaultKind", "apply_fault", "apply_faults"),
-    "isolation": ("Isolator",),
-    "kalman": ("FilterResult", "KalmanFilter", "run_filter"),
-    "model": ("State", "continuous_model", "discretize", "steady_state"),
-    "parameters": (
+    "motor.faults": ("Fault", "FaultKind", "apply_fault", "apply_faults"),
+    "inference.isolation": ("Isolator",),
+    "filters.kalman": ("FilterResult", "KalmanFilter", "run_filter"),
+    "motor.model": ("State", "continuous_model", "discretize", "steady_state"),
+    "motor.parameters": (
         "CATALOGUE",
         "PAPER_MOTOR",
         "Channel",
@@ -59,8 +59,8 @@ _HOME = {
         "SupplyParameters",
         "catalogue_motor",
     ),
-    "recipes": ("RECIPES", "Recipe", "draw", "named_recipe"),
-    "rules": (
+    "simulation.recipes": ("RECIPES", "Recipe", "draw", "named_recipe"),
+    "detection.rules": (
         "Cusum",
         "Glr",
         "MOfN",
@@ -76,7 +76,7 @@ _HOME = {
         "nis_rule",
         "recipe_thresholds",
     ),
-    "simulation": ("Scenario", "Timing", "Transients", "simulate", "simulate_states"),
+    "simulation.simulate": ("Scenario", "Timing", "Transients", "simulate", "simulate_states"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from motor_env import __version__, console
+from motor_env.errors import InputError
 
 if TYPE_CHECKING:
-    from motor_env.starts import Circuit
+    from motor_env.recordings.start import Circuit
 
 app = App(
     name="motor-env",
@@ -40,7 +41,7 @@ def reproduce(
     """
     from rich.console import Console
 
-    from motor_env import reproduce as paper
+    from motor_env.apps import reproduce as paper
 
     with Console(stderr=True).status("computing the paper's numbers") as status:
         result = paper.reproduce(
@@ -92,8 +93,8 @@ def diagnose(
     """
     from rich.console import Console
 
-    from motor_env import diagnosis_report as report
-    from motor_env.diagnosis_files import diagnose_files
+    from motor_env.diagnosis import report
+    from motor_env.diagnosis.files import diagnose_files
 
     with Console(stderr=True).status("reading") as status:
         outcomes = diagnose_files(
@@ -152,14 +153,14 @@ def trend(
     """
     from rich.console import Console
 
-    from motor_env import trend_files as trends
     from motor_env.files import write_text
-    from motor_env.trend import parse_limits
-    from motor_env.trend_page import page, status
+    from motor_env.prognosis import files as trends
+    from motor_env.prognosis.page import page, status
+    from motor_env.prognosis.trend import parse_limits
 
     sources = [str(source) for source in trends.DateSource]
     if date not in sources:
-        raise console.InputError(f"date must be one of {', '.join(sources)}, got {date!r}")
+        raise InputError(f"date must be one of {', '.join(sources)}, got {date!r}")
     with Console(stderr=True).status("reading") as progress:
         judged, notes = trends.trends_of(
             paths,
@@ -212,9 +213,9 @@ def identify(
         name: Name of the motor in that file.
         json_: Print one array with one object a start.
     """
-    from motor_env import commission as steps
-    from motor_env.motor_file import save_motor
-    from motor_env.recordings import ColumnChoice
+    from motor_env.diagnosis import commission as steps
+    from motor_env.motor.data_sheet import save_motor
+    from motor_env.recordings.recording import ColumnChoice
 
     choices, circuit = [ColumnChoice.parse(text) for text in column or ()], _circuit(shunt_ohm, sensor_lag)
     periods = ripple_periods_per_turn
@@ -226,7 +227,7 @@ def identify(
     if output is not None:
         save_motor(steps.to_motor([fit for _, fit in found], name), output)
     if out is not None:
-        from motor_env.fit_pictures import plot_identified
+        from motor_env.diagnosis.pictures import plot_identified
 
         for number, (recording, fit) in enumerate(found, 1):
             file = recording.path.name
@@ -267,12 +268,12 @@ def commission(
         sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
         name: Name of the motor in that file.
     """
-    from motor_env import commission as steps
-    from motor_env.motor_file import save_motor
-    from motor_env.recordings import ColumnChoice
+    from motor_env.diagnosis import commission as steps
+    from motor_env.motor.data_sheet import save_motor
+    from motor_env.recordings.recording import ColumnChoice
 
     if not 0.0 < false_alarm_rate < 0.5:
-        raise console.InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
+        raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
     choices = [ColumnChoice.parse(text) for text in column or ()]
     circuit = _circuit(shunt_ohm, sensor_lag)
     result = steps.commission(
@@ -280,7 +281,7 @@ def commission(
     )
     save_motor(result.motor, output)
     if out is not None and result.motor.reference is not None:
-        from motor_env.fit_pictures import plot_commissioned
+        from motor_env.diagnosis.pictures import plot_commissioned
 
         picture = out / f"{output.stem}.png"
         plot_commissioned(result.fits, result.motor.reference, result.smallest, false_alarm_rate, picture)
@@ -291,11 +292,11 @@ def commission(
 
 def _circuit(shunt_ohm: float, sensor_lag_s: float) -> Circuit:
     """What the options say of the measuring circuit."""
-    from motor_env.starts import Circuit
+    from motor_env.recordings.start import Circuit
 
     for name, value in (("shunt-ohm", shunt_ohm), ("sensor-lag", sensor_lag_s)):
         if not 0.0 <= value < float("inf"):
-            raise console.InputError(f"{name} must be >= 0, got {value:g}")
+            raise InputError(f"{name} must be >= 0, got {value:g}")
     return Circuit(shunt_ohm, sensor_lag_s)
 
 
@@ -313,7 +314,7 @@ def lab(*, port: int = 0, browser: bool = True) -> int:
     """
     import webbrowser
 
-    from motor_env import lab_server
+    from motor_env.apps import lab_server
 
     with lab_server.make_server(port) as server:
         print(f"{lab_server.address(server)}  (Ctrl-C ends it)", flush=True)
@@ -335,15 +336,15 @@ def coastdown(file: Path, *, json_: Annotated[bool, Parameter(name="--json", neg
     """
     from dataclasses import asdict
 
-    from motor_env.alignment import UnusableError
-    from motor_env.coastdown import fit_coastdown
-    from motor_env.recordings import read_recording
+    from motor_env.identification.coastdown import fit_coastdown
+    from motor_env.recordings.alignment import UnusableError
+    from motor_env.recordings.recording import read_recording
 
     recording = read_recording(file)
     try:
         found = fit_coastdown(recording)
     except UnusableError as error:
-        raise console.InputError(f"{file}: {error}") from None
+        raise InputError(f"{file}: {error}") from None
     if json_:
         print(json.dumps(asdict(found)))
     else:

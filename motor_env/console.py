@@ -8,6 +8,8 @@ from enum import IntEnum
 
 from cyclopts import App, CycloptsError
 
+from motor_env.errors import InputError
+
 
 class ExitStatus(IntEnum):
     """Exit statuses of every command."""
@@ -16,20 +18,6 @@ class ExitStatus(IntEnum):
     FAULT = 1
     BAD_INPUT = 2
     UNDECIDED = 3
-
-
-class InputError(ValueError):
-    """Input that cannot be used; the message is the sentence that the user reads."""
-
-
-def require_extra(module: str, extra: str) -> None:
-    """Raise `InputError` unless the module of an optional extra is installed."""
-    from importlib.util import find_spec
-
-    if find_spec(module) is None:
-        raise InputError(
-            f"this command needs {module}, which is not installed: pip install 'motor-env[{extra}]'"
-        )
 
 
 def run(app: App, arguments: Sequence[str] | None = None) -> int:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from motor_env.console import InputError
+from motor_env.errors import InputError
 
 
 @contextmanager

@@ -2,6 +2,6 @@
 
 import sys
 
-from motor_classifiers.cli import main
+from motor_classifiers.cli.main import main
 
 sys.exit(main())

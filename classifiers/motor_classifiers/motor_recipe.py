@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from motor_env.console import InputError
-from motor_env.faults import FaultKind
-from motor_env.motor_file import MotorFile, StartReference
-from motor_env.parameters import SensorParameters, SupplyParameters
-from motor_env.quantities import COPPER_PER_KELVIN, MAGNET_PER_KELVIN
-from motor_env.recipes import LARGEST_SPREAD, FaultClass, Recipe, Spread
-from motor_env.simulation import Timing
+from motor_env.errors import InputError
+from motor_env.motor.data_sheet import MotorFile, StartReference
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.identifiable import COPPER_PER_KELVIN, MAGNET_PER_KELVIN
+from motor_env.motor.parameters import SensorParameters, SupplyParameters
+from motor_env.simulation.recipes import LARGEST_SPREAD, FaultClass, Recipe, Spread
+from motor_env.simulation.simulate import Timing
 
 _KINDS = (FaultKind.BEARING, FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT)
 _SMALLEST, _LARGEST = 0.05, 0.30

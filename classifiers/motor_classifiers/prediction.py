@@ -10,26 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 
-from motor_classifiers.conformal import ConformalClassifier
-from motor_classifiers.judging import in_recipe_order
-from motor_classifiers.novelty import OTHER, OpenSetClassifier
-from motor_classifiers.posterior_network import PosteriorNetwork
-from motor_classifiers.wrapper_file import Wrapper, wrapped_model
-from motor_env.alignment import Alignment, UnusableError, align
-from motor_env.confirmation import nominal_voltage
+from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.model_files.wrapper_file import Wrapper, wrapped_model
+from motor_classifiers.scoring.judging import in_recipe_order
+from motor_classifiers.wrappers.conformal import ConformalClassifier
+from motor_classifiers.wrappers.open_set import OTHER, OpenSetClassifier
 from motor_env.console import ExitStatus
-from motor_env.diagnosis import diagnose
-from motor_env.diagnosis_report import as_json
-from motor_env.estimation import FEATURE_NAMES, physical_features
-from motor_env.faults import HEALTHY, FaultKind
-from motor_env.identification import identify
-from motor_env.model import State
-from motor_env.motor_file import MotorFile, Tolerance
-from motor_env.parameters import Channel, FloatArray
-from motor_env.recipes import Recipe
-from motor_env.recordings import Recording, read_recording
-from motor_env.simulation import simulate_states
-from motor_env.starts import prepare
+from motor_env.detection.confirmation import nominal_voltage
+from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.report import as_json
+from motor_env.identification.identify import identify
+from motor_env.inference.fit import FEATURE_NAMES, physical_features
+from motor_env.motor.data_sheet import MotorFile, Tolerance
+from motor_env.motor.faults import HEALTHY, FaultKind
+from motor_env.motor.model import State
+from motor_env.motor.parameters import Channel, FloatArray
+from motor_env.recordings.alignment import Alignment, UnusableError, align
+from motor_env.recordings.recording import Recording, read_recording
+from motor_env.recordings.start import prepare
+from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.simulate import simulate_states
 
 UNDECIDED = "unusable"
 """Verdict where the model has no say: another motor, another supply, too short, too coarse."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.parameters import FloatArray
-from motor_env.recipes import Recipe
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import Recipe
 
 MOTOR_PARAMETERS = (
     "resistance_ohm",

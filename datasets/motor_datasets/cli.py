@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, Parameter
 
 from motor_env import __version__, console
+from motor_env.errors import InputError, require_extra
 
 if TYPE_CHECKING:
-    from motor_env.parameters import MotorParameters
-    from motor_env.recipes import Recipe
+    from motor_env.motor.parameters import MotorParameters
+    from motor_env.simulation.recipes import Recipe
 
 Flag = Annotated[bool, Parameter(negative=())]
 
@@ -67,7 +68,7 @@ def generate(
         json_: Print a summary as JSON.
         dry_run: Print what would be written, write nothing.
     """
-    console.require_extra("pyarrow", "datasets")
+    require_extra("pyarrow", "datasets")
     from motor_datasets.generate import generate_dataset
     from motor_datasets.layout import make_plan
     from motor_datasets.remote import folder_of
@@ -121,7 +122,7 @@ def verify(folder: str, /, *, json_: Annotated[bool, Parameter(name="--json", ne
         folder: A data set: its folder or URL.
         json_: Print the findings as a JSON array.
     """
-    console.require_extra("pyarrow", "datasets")
+    require_extra("pyarrow", "datasets")
     from motor_datasets import storage
     from motor_datasets.remote import folder_of
 
@@ -145,10 +146,10 @@ def describe(recipe: str, /, *, picture: Path | None = None, seed: int = 0) -> i
         seed: Random seed of the examples.
     """
     from motor_datasets import describe as describing
-    from motor_env.recipe_file import load_recipe
+    from motor_env.simulation.recipe_files import load_recipe
 
     if "://" in recipe or Path(recipe).is_dir():
-        console.require_extra("pyarrow", "datasets")
+        require_extra("pyarrow", "datasets")
         from motor_datasets.remote import folder_of
         from motor_datasets.storage import read_manifest
 
@@ -157,7 +158,7 @@ def describe(recipe: str, /, *, picture: Path | None = None, seed: int = 0) -> i
         chosen = load_recipe(recipe)
     print(describing.describe(chosen))
     if picture is not None:
-        console.require_extra("pyarrow", "datasets")
+        require_extra("pyarrow", "datasets")
         from motor_env.files import replacing
 
         with replacing(picture) as temporary:
@@ -176,7 +177,7 @@ def export(folder: str, file: Path, /, *, split: str | None = None) -> int:
         file: New file, .npz or .mat.
         split: train, validation, test or shift_NAME; train, validation and test together where it is left out.
     """
-    console.require_extra("pyarrow", "datasets")
+    require_extra("pyarrow", "datasets")
     from motor_datasets import export as exporting
     from motor_datasets.loaders import load
 
@@ -200,10 +201,10 @@ def _backend(name: str | None, scheduler: str | None) -> Iterator[None]:
         yield
         return
     if name not in (None, "dask"):
-        raise console.InputError(f"backend must be dask, got {name!r}")
+        raise InputError(f"backend must be dask, got {name!r}")
     if scheduler is None:
-        raise console.InputError("backend dask needs --scheduler, the address of its scheduler")
-    console.require_extra("distributed", "dask")
+        raise InputError("backend dask needs --scheduler, the address of its scheduler")
+    require_extra("distributed", "dask")
     import joblib
     from distributed import Client
 
@@ -222,7 +223,7 @@ def _recipe(
 ) -> Recipe:
     from dataclasses import replace
 
-    from motor_env.recipe_file import load_recipe
+    from motor_env.simulation.recipe_files import load_recipe
 
     recipe = load_recipe(name)
     times = {"sampling_rate_hz": sampling_rate_hz, "duration_s": duration_s, "quiet_s": quiet_s}
@@ -243,7 +244,7 @@ def _given(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _motor(name_or_path: str) -> MotorParameters:
-    from motor_env.motor_file import load_motor
+    from motor_env.motor.data_sheet import load_motor
 
     return load_motor(name_or_path).parameters
 

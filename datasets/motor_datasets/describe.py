@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import fields
 from pathlib import Path
 
-from motor_env.field import PER_MOTOR, PRIORS
-from motor_env.recipes import FACTORS, Recipe
+from motor_env.simulation.disturbances import PER_MOTOR, PRIORS
+from motor_env.simulation.recipes import FACTORS, Recipe
 
 
 def describe(recipe: Recipe) -> str:

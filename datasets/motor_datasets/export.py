@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from motor_datasets.arrays import Dataset
-from motor_env.console import InputError
+from motor_env.errors import InputError
 from motor_env.files import replacing
 
 SUFFIXES = (".npz", ".mat")

@@ -14,9 +14,9 @@ from motor_datasets.arrays import EFFECTS, SENSOR_ERRORS, Dataset
 from motor_datasets.layout import Plan, PlannedFile, make_plan
 from motor_datasets.remote import Folder, RemotePath, folder_of
 from motor_datasets.splits import split_of
-from motor_env.console import InputError
-from motor_env.parameters import require
-from motor_env.recipes import Draw, Recipe, draw, measure_draw
+from motor_env.errors import InputError
+from motor_env.motor.parameters import require
+from motor_env.simulation.recipes import Draw, Recipe, draw, measure_draw
 
 _CASES_AT_ONCE = 4096  # bounds the memory of what only some recipes need; more gains nothing
 

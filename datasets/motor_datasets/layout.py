@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from motor_datasets.arrays import parameter_names
 from motor_datasets.splits import BLOCK, Split, split_of
-from motor_env.parameters import require
-from motor_env.recipes import Recipe
+from motor_env.motor.parameters import require
+from motor_env.simulation.recipes import Recipe
 
 SHIFT_CASES = 2**40
 """Case numbers of the n-th shift begin at n times this, n counting from 1: they meet no others."""

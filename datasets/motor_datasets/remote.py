@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from motor_env.console import InputError
+from motor_env.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.streams import Stream, uniforms
+from motor_env.simulation.random_streams import Stream, uniforms
 
 
 class Split(StrEnum):

@@ -28,10 +28,10 @@ from motor_datasets.card import data_card
 from motor_datasets.layout import Plan, PlannedFile
 from motor_datasets.remote import Folder, RemotePath
 from motor_datasets.splits import Split
-from motor_env.console import InputError
-from motor_env.parameters import Channel, require
-from motor_env.recipe_file import recipe_from_dict, recipe_to_dict
-from motor_env.recipes import Recipe
+from motor_env.errors import InputError
+from motor_env.motor.parameters import Channel, require
+from motor_env.simulation.recipe_files import recipe_from_dict, recipe_to_dict
+from motor_env.simulation.recipes import Recipe
 
 FORMAT = "motor-datasets"
 FORMAT_VERSION = 1

@@ -11,8 +11,8 @@ import numpy as np
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_datasets.splits import BLOCK, split_of
-from motor_env.parameters import require
-from motor_env.recipes import Recipe
+from motor_env.motor.parameters import require
+from motor_env.simulation.recipes import Recipe
 
 
 def stream(

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from motor_datasets.streaming import stream
-from motor_env.recipes import Recipe
+from motor_env.simulation.recipes import Recipe
 
 
 class TorchBatches(torch.utils.data.IterableDataset[Any]):

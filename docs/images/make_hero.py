@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import norm
 
 from motor_env import Fault, FaultKind, KalmanFilter, Scenario, run_filter, simulate
-from motor_env.parameters import PAPER_MOTOR, FloatArray
+from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
 from motor_env.plotting import COLOUR, INK, drawing, end_label, save, subplots
 
 SEED = 7

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from motor_env.envs.vector import MotorVectorEnv
-from motor_env.parameters import require
+from motor_env.motor.parameters import require
 
 
 class StableBaselinesVecEnv(VecEnv):

@@ -15,9 +15,9 @@ from motor_env.envs.noise import EPISODE, INDEX, LANES, SEED_HIGH, SEED_LOW
 from motor_env.envs.options import MonitorOptions, with_changes
 from motor_env.envs.rendering import Scope, Window
 from motor_env.envs.setup import Setup, make_setup, whole_bank
-from motor_env.model import State
-from motor_env.parameters import require
-from motor_env.streams import NORMALS_AT_ONCE
+from motor_env.motor.model import State
+from motor_env.motor.parameters import require
+from motor_env.simulation.random_streams import NORMALS_AT_ONCE
 
 ActType = TypeVar("ActType")
 Observation = NDArray[np.float32]

@@ -12,11 +12,11 @@ from motor_env.envs import kernel
 from motor_env.envs.noise import case_of
 from motor_env.envs.options import MonitorOptions, Start
 from motor_env.envs.setup import VERDICT_OF, Setup, drift
-from motor_env.faults import HEALTHY, Fault, FaultKind, NoiseSource, apply_faults, noise_variance_factor
-from motor_env.model import Input, discretize, steady_state
-from motor_env.parameters import FloatArray
-from motor_env.recipes import Draw, draw
-from motor_env.streams import Stream, uniforms
+from motor_env.motor.faults import HEALTHY, Fault, FaultKind, NoiseSource, apply_faults, noise_variance_factor
+from motor_env.motor.model import Input, discretize, steady_state
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.random_streams import Stream, uniforms
+from motor_env.simulation.recipes import Draw, draw
 
 
 class Episodes(NamedTuple):

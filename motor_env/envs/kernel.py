@@ -2,7 +2,7 @@
 
 `advance` is the one place where a sample is made: it takes one lane (one sub-environment) from sample k to k + 1. The
 single environment runs it over one lane, a vector over blocks of `LANES` lanes. The matrices come from
-`motor_env.model.discretize`, the gain from `motor_env.kalman`; the kernel multiplies and adds.
+`motor_env.motor.model.discretize`, the gain from `motor_env.filters.kalman`; the kernel multiplies and adds.
 
 State lies in blocks, `state[block, field, lane]`, flat: all lanes of a block stand side by side at distances that the
 compiler knows, so that it computes several lanes with one instruction, and a block fits into the first-level cache.
@@ -16,8 +16,8 @@ from numba import njit
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from motor_env.envs.noise import LANES, Float32Array, WordArray, four_normals
-from motor_env.parameters import FloatArray
-from motor_env.streams import NORMALS_AT_ONCE, Stream, fill_case
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.random_streams import NORMALS_AT_ONCE, Stream, fill_case
 
 # Fields of a lane. The first ROW_LENGTH are the motor as it is now, as its difference to the belief's.
 M00, M01, M10, M11, D0, D1, B0, B1, SIGMA_CURRENT, SIGMA_SPEED = range(10)

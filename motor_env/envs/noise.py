@@ -1,6 +1,6 @@
-"""Standard normals for many lanes at once, made ahead in blocks: those of `motor_env.streams`, laid out for the step.
+"""Standard normals for many lanes at once, made ahead in blocks laid out for the step.
 
-Normal number q of an episode is number q of `streams.normals(seed, Stream.MEASUREMENT, case)` with the case that
+Normal number q of an episode is number q of `random_streams.normals(seed, Stream.MEASUREMENT, case)` with the case that
 `case_of` gives, so it depends on (seed, sub-environment, episode, q) alone. A sample takes one for each channel.
 
 A lane may stand anywhere in its episode while all lanes of a block are refilled at the same time. Four normals come
@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from motor_env.streams import Stream, box_muller, philox
+from motor_env.simulation.random_streams import Stream, box_muller, philox
 
 LANES = 64
 ROWS = 64

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from motor_env.envs.tasks import require_environment, task_recipe, with_motor
-from motor_env.kalman import DEFAULT_PROCESS_NOISE_STD
-from motor_env.parameters import MotorParameters, require, require_positive
-from motor_env.recipes import Recipe
+from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD
+from motor_env.motor.parameters import MotorParameters, require, require_positive
+from motor_env.simulation.recipes import Recipe
 
 MAX_SAMPLES = 10_000_000
 
@@ -36,7 +36,7 @@ class MonitorOptions:
 
     Attributes:
         recipe: what is drawn: nominal motor, tolerances, faults and their weights, sensor, sampling rate. The name of
-            a recipe (easy, medium, hard, small, or any of `motor_env.recipes`), a recipe's TOML file, or a `Recipe`.
+            a recipe (easy, medium, hard, small, or any of `simulation.recipes`), a recipe's TOML file, or a `Recipe`.
         motor: in place of the recipe's nominal motor: a motor's TOML file, a name of the catalogue, or
             `MotorParameters`; None: the recipe's.
         horizon_s: length of an episode.

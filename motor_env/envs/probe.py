@@ -14,8 +14,8 @@ from motor_env.envs.base import DiscreteMotorEnv, Info, MotorEnv, Observation
 from motor_env.envs.options import MonitorOptions
 from motor_env.envs.setup import Setup
 from motor_env.envs.vector import DiscreteVectorEnv, MotorVectorEnv
-from motor_env.parameters import require, require_positive
-from motor_env.recipes import Recipe
+from motor_env.motor.parameters import require, require_positive
+from motor_env.simulation.recipes import Recipe
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from motor_env.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray
 
 Frame = NDArray[np.uint8]
 WIDTH, HEIGHT = 800, 560

@@ -11,10 +11,10 @@ from scipy.linalg import solve_discrete_are
 
 from motor_env.envs import kernel
 from motor_env.envs.options import MonitorOptions, Start
-from motor_env.faults import Fault, FaultKind, apply_fault
-from motor_env.kalman import KalmanFilter, gain_and_covariance
-from motor_env.model import DiscreteModel, Input, State, discretize, steady_state
-from motor_env.parameters import Channel, FloatArray, require
+from motor_env.filters.kalman import KalmanFilter, gain_and_covariance
+from motor_env.motor.faults import Fault, FaultKind, apply_fault
+from motor_env.motor.model import DiscreteModel, Input, State, discretize, steady_state
+from motor_env.motor.parameters import Channel, FloatArray, require
 
 VERDICTS = ("bearing", "winding", "noise")
 VERDICT_OF = {

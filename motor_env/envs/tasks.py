@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from motor_env.faults import FaultKind
-from motor_env.parameters import MotorParameters, SensorParameters, require
-from motor_env.recipes import RECIPES, FaultClass, Recipe, Spread
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import MotorParameters, SensorParameters, require
+from motor_env.simulation.recipes import RECIPES, FaultClass, Recipe, Spread
 
 _HEALTHY = FaultClass(weight=2.0)
 
@@ -78,7 +78,7 @@ def task_recipe(name_or_path: str | Path) -> Recipe:
     if name in TASKS:
         return TASKS[name]
     if name.endswith(".toml"):
-        from motor_env.recipe_file import load_recipe
+        from motor_env.simulation.recipe_files import load_recipe
 
         return load_recipe(name_or_path)
     require(
@@ -98,7 +98,7 @@ def with_motor(recipe: Recipe, motor: MotorParameters | str | Path) -> Recipe:
         require(
             isinstance(motor, str | Path), f"motor must be a name, a TOML file or parameters, got {motor!r}"
         )
-        from motor_env.motor_file import load_motor
+        from motor_env.motor.data_sheet import load_motor
 
         read = load_motor(motor)
         require(

@@ -32,7 +32,7 @@ from motor_env.envs.vector_kernel import (
     TERMINATED,
     TRUNCATED,
 )
-from motor_env.parameters import FloatArray, require
+from motor_env.motor.parameters import FloatArray, require
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]

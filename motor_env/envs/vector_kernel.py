@@ -40,7 +40,7 @@ from motor_env.envs.kernel import (
     weigh,
 )
 from motor_env.envs.noise import EPISODE, LANES, Float32Array, WordArray, fill_lane, refill
-from motor_env.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray
 
 BLOCK = N_FIELDS * LANES
 DEPTH = 8

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motor_classifiers.methods import make_method
+from motor_classifiers.estimators.methods import make_method
 from motor_classifiers.prediction import UNDECIDED, predict_recording
 from motor_datasets.generate import generate_arrays
-from motor_env.faults import apply_faults
-from motor_env.recipes import draw, named_recipe
-from motor_env.simulation import simulate_states
+from motor_env.motor.faults import apply_faults
+from motor_env.simulation.recipes import draw, named_recipe
+from motor_env.simulation.simulate import simulate_states
 
 RECIPE = named_recipe("bench")
 FINE = 10  # simulated steps in a sampling interval

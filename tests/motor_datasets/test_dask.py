@@ -10,8 +10,8 @@ import joblib
 import pytest
 
 from motor_datasets import generate_dataset, layout
-from motor_env.recipes import RECIPES
-from motor_env.simulation import Timing
+from motor_env.simulation.recipes import RECIPES
+from motor_env.simulation.simulate import Timing
 
 
 @pytest.mark.long

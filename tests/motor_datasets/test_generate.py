@@ -19,11 +19,11 @@ from motor_datasets import (
 )
 from motor_datasets.cli import main
 from motor_datasets.export import export
-from motor_env.console import InputError
-from motor_env.faults import FaultKind
-from motor_env.parameters import Channel, SensorParameters
-from motor_env.recipes import RECIPES, FaultClass
-from motor_env.simulation import Timing
+from motor_env.errors import InputError
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import Channel, SensorParameters
+from motor_env.simulation.recipes import RECIPES, FaultClass
+from motor_env.simulation.simulate import Timing
 
 SHORT = replace(RECIPES["bench"], timing=Timing(duration_s=0.01))
 

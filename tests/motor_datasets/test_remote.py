@@ -16,9 +16,9 @@ from fsspec.registry import known_implementations
 from motor_datasets import generate_dataset, layout, load
 from motor_datasets.cli import main
 from motor_datasets.remote import RemotePath
-from motor_env.console import InputError
-from motor_env.recipes import RECIPES
-from motor_env.simulation import Timing
+from motor_env.errors import InputError
+from motor_env.simulation.recipes import RECIPES
+from motor_env.simulation.simulate import Timing
 
 SHORT = replace(RECIPES["bench"], timing=Timing(duration_s=0.01))
 OPTIONS = ["generate", "bench", "--cases", "30", "--seed", "2", "--duration-s", "0.01"]

@@ -18,9 +18,9 @@ import pytest
 
 from motor_datasets import generate_dataset, layout, load
 from motor_datasets.cli import main
-from motor_env.console import InputError
-from motor_env.recipes import RECIPES
-from motor_env.simulation import Timing
+from motor_env.errors import InputError
+from motor_env.simulation.recipes import RECIPES
+from motor_env.simulation.simulate import Timing
 
 SHORT = replace(RECIPES["bench"], timing=Timing(duration_s=0.01))
 

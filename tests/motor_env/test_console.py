@@ -6,7 +6,8 @@ import pytest
 from cyclopts import App
 
 from motor_env import cli, console
-from motor_env.console import ExitStatus, InputError
+from motor_env.console import ExitStatus
+from motor_env.errors import InputError, require_extra
 
 
 def _app(error: Exception | None = None, status: int | None = None) -> App:
@@ -69,8 +70,8 @@ def test_interrupt(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_missing_extra_names_what_to_install() -> None:
     with pytest.raises(InputError, match=r"pip install 'motor-env\[lab\]'"):
-        console.require_extra("no_such_module_anywhere", "lab")
-    console.require_extra("numpy", "lab")
+        require_extra("no_such_module_anywhere", "lab")
+    require_extra("numpy", "lab")
 
 
 def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:

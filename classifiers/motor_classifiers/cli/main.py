@@ -1,0 +1,320 @@
+"""The command `motor-classifiers`: parse, call, print. Each command loads what it needs when it runs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, Parameter
+
+from motor_env import __version__, console
+from motor_env.errors import InputError, require_extra
+
+if TYPE_CHECKING:
+    from motor_classifiers.prediction import Opinion
+
+app = App(
+    name="motor-classifiers",
+    help="Learned opinions on a motor's start, and their benchmark.",
+    version=__version__,
+)
+
+Json = Annotated[bool, Parameter(name="--json", negative=())]
+Flag = Annotated[bool, Parameter(negative=())]
+
+
+def _require_extras() -> None:
+    for module in ("sklearn", "torch", "skops", "safetensors", "jinja2", "pyarrow"):
+        require_extra(module, "classifiers")
+
+
+@app.command
+def train(
+    dataset: str | None = None,
+    /,
+    *,
+    out: Path,
+    motor: str | None = None,
+    recipe: str | None = None,
+    method: str | None = None,
+    voltage: float | None = None,
+    sampling_rate_hz: float | None = None,
+    duration_s: float | None = None,
+    current_noise_a: float | None = None,
+    noise_range: str | None = None,
+    steps: int | None = None,
+    seed: int = 0,
+    json_: Json = False,
+) -> int:
+    """Train a network for a motor or a recipe on starts drawn without end, or a method on a data set.
+
+    Examples: motor-classifiers train --motor examples/motor.toml --out out/motor.model
+
+    motor-classifiers train out/bench --method residual-qda --out out/qda.model
+
+    Args:
+        dataset: Folder made by motor-datasets generate, or its URL: its training split is learned.
+        out: New file of the model. An existing one is never overwritten.
+        motor: Motor file (data sheet, identified or commissioned), or paper: its tolerances are the nuisances.
+        recipe: Recipe file, or the name of a recipe: bench, bench-full, paper or field.
+        method: For a data set: a method of the benchmark, residual-qda by default.
+        voltage: Level of the supply in volt; the motor file's by default.
+        sampling_rate_hz: Samples a second; by default the recipe's, or a thousand samples for a motor.
+        duration_s: Time after the step; by default the recipe's, or 25 mechanical time constants of the motor.
+        current_noise_a: Standard deviation of a current sample; by default the recipe's, or the motor file's.
+        noise_range: Smallest and largest factor on that noise, with a comma between: the network then reads the
+            noise off each start. For a motor 0.15,5 by default.
+        steps: Batches seen by each of the two networks; 2500 by default.
+        seed: Random state.
+        json_: Print a summary as JSON.
+    """
+    _require_extras()
+    from motor_classifiers.cli.options import require_writable
+    from motor_classifiers.cli.training import (
+        noise_factors,
+        train_on_dataset,
+        train_on_stream,
+        training_recipe,
+    )
+
+    if out.exists():
+        raise InputError(f"{out}: exists already, and is not overwritten; give another name")
+    if sum(source is not None for source in (dataset, motor, recipe)) != 1:
+        raise InputError("give one of a data set, --motor and --recipe")
+    require_writable(out.parent)
+    if dataset is not None:
+        summary = train_on_dataset(dataset, method or "residual-qda", seed, out)
+    else:
+        if method not in (None, "posterior-network"):
+            raise InputError(f"--method {method} learns from a data set; give its folder")
+        source = training_recipe(motor, recipe, voltage, sampling_rate_hz, duration_s, current_noise_a)
+        summary = train_on_stream(
+            source, noise_factors(noise_range, for_motor=motor is not None), steps, seed, out
+        )
+    print(
+        json.dumps(summary) if json_ else f"trained {summary['method']} on {summary['n_train']} starts: {out}"
+    )
+    return 0
+
+
+@app.command
+def evaluate(model: Path, dataset: str, /, *, split: str = "test", seed: int = 0, json_: Json = False) -> int:
+    """Judge a model on a split of a data set, beside the Bayes limit on the same cases.
+
+    Example: motor-classifiers evaluate out/network.model out/bench
+
+    Args:
+        model: File made by motor-classifiers train.
+        dataset: Folder made by motor-datasets generate, or its URL (s3://..., https://...).
+        split: train, validation or test.
+        seed: Of the bootstrap.
+        json_: Print the scores as JSON.
+    """
+    _require_extras()
+    from rich.console import Console
+
+    from motor_classifiers.model_files.persistence import load_model
+    from motor_classifiers.scoring.evaluation import evaluate_model, evaluation_lines
+    from motor_datasets.loaders import load
+
+    fitted, recipe, method = load_model(model)
+    with Console(stderr=True).status("judging"):
+        scored = evaluate_model(fitted, recipe, load(dataset, split), seed)
+    if json_:
+        print(
+            json.dumps({"model": str(model), "method": method, "dataset": dataset, "split": split, **scored})
+        )
+    else:
+        print(f"{method} on {scored['n_test']} cases of split {split}")
+        print("\n".join(evaluation_lines(recipe, scored)))
+    return 0
+
+
+@app.command
+def predict(
+    files: list[Path], /, *, model: Path | None = None, split: str | None = None, json_: Json = False
+) -> int:
+    """Opinion of a model on recordings, beside the verdict of motor-env diagnose; or on the cases of data sets.
+
+    Example: motor-classifiers predict examples/startup_capture.csv
+
+    Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
+
+    The status is the model's opinion. A model knows the motors of its recipe and no others (docs/classifiers.md); real
+    motors, whose supply ramps and whose brushes drop a voltage, are better judged by the diagnosis beside it.
+
+    Args:
+        files: Recordings with columns time_s, current_a and, where measured, voltage_v and speed_rad_s; or folders
+            of data sets.
+        model: File made by motor-classifiers train; by default the network for the paper's motor that comes with
+            the package.
+        split: Of data sets: train, validation or test; all by default.
+        json_: Print one array with one object a file or case.
+    """
+    _require_extras()
+    from motor_classifiers.cli.opinions import opinion_lines, opinions_of
+    from motor_classifiers.model_files.persistence import PRETRAINED, load_model
+    from motor_classifiers.prediction import overall_status
+
+    fitted, recipe, _ = load_model(PRETRAINED if model is None else model)
+    rows: list[dict[str, Any]] = []
+    given: list[Opinion] = []
+    unreadable = False
+    for path in files:
+        try:
+            found, second = opinions_of(fitted, recipe, path, split)
+        except InputError as error:
+            print(f"motor-classifiers: {error}", file=sys.stderr)
+            rows.append({"file": str(path), "error": str(error)})
+            unreadable = True
+            continue
+        given += found
+        for n, opinion in enumerate(found):
+            beside = {"row": n} if path.is_dir() else {"model_based": second}
+            rows.append({"file": str(path), **opinion.as_json(), **beside})
+        if not json_:
+            print("\n".join(opinion_lines(path, found, second)))
+    if json_:
+        print(json.dumps(rows))
+    return int(console.ExitStatus.BAD_INPUT if unreadable else overall_status(given))
+
+
+@app.command
+def export(model: Path | None = None, /, *, out: Annotated[Path, Parameter(alias="-o")]) -> int:
+    """Write a network as an ONNX graph: transients in, probabilities and severities out.
+
+    Example: motor-classifiers export out/motor.model -o out/motor.onnx
+
+    Args:
+        model: File made by motor-classifiers train --motor or --recipe; by default the network for the paper's motor
+            that comes with the package.
+        out: New file of the graph. An existing one is never overwritten.
+    """
+    _require_extras()
+    for module in ("onnx", "onnxscript"):
+        require_extra(module, "onnx")
+    from rich.console import Console
+
+    from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+    from motor_classifiers.model_files.onnx_export import export_onnx
+    from motor_classifiers.model_files.persistence import PRETRAINED, load_model
+
+    if out.exists():
+        raise InputError(f"{out}: exists already, and is not overwritten; give another name")
+    path = PRETRAINED if model is None else model
+    fitted, recipe, method = load_model(path)
+    if not isinstance(fitted, PosteriorNetwork):
+        raise InputError(f"{path}: holds {method}; only a posterior-network becomes an ONNX graph")
+    with Console(stderr=True).status("exporting"):
+        export_onnx(fitted, recipe, out)
+    print(f"transients of shape (cases, {len(recipe.sensor.channels)}, {recipe.timing.n_samples}): {out}")
+    return 0
+
+
+@app.command
+def benchmark(
+    *,
+    out: Path = Path("out/benchmark"),
+    full: Flag = False,
+    recipe: str | None = None,
+    sampling_rate_hz: str | None = None,
+    current_noise_a: str | None = None,
+    n_train: str | None = None,
+    methods: str | None = None,
+    n_test: int = 2000,
+    seed: int = 0,
+    duration_s: float | None = None,
+    channels: str | None = None,
+    peers: Path | None = None,
+    fresh: Flag = False,
+    dry_run: Flag = False,
+    json_: Json = False,
+) -> int:
+    """Train all methods, judge all on the same unseen motors beside the Bayes limit; write a report.
+
+    Example: motor-classifiers benchmark --out out/benchmark
+
+    Where an option takes several values, commas stand between them: recipes, rates and noises are crossed, and
+    training sizes tried at the usual noise. Such a sweep can be interrupted: the same command goes on where it stopped.
+
+    Exit status: 0 done, 1 a method scored significantly above the Bayes limit (then something leaks), 2 wrong use.
+
+    Args:
+        out: Folder for report.html, results.json and .csv, trust.json, recipes.json; answers of a sweep stay below it.
+        full: Sweep over all recipes, 1 and 10 kHz, 5, 20 and 100 mA, 200 to 8000 training starts: hours.
+        recipe: What motors are drawn from: bench, bench-full, paper or field; several with commas. Default bench.
+        sampling_rate_hz: Samples a second; the recipe's by default.
+        current_noise_a: Standard deviation of a current sample; the recipe's by default.
+        n_train: Starts to learn from, 2000 by default; the first of several is that of the sweep over rates and noises.
+        methods: Names with commas between; all by default.
+        n_test: Starts to be judged on.
+        seed: Random seed.
+        duration_s: Time recorded after the step of the supply.
+        channels: Measured channels: current, or current,speed.
+        peers: Answers of other packages' classifiers (make peers-anew); those of the default setting are shipped.
+        fresh: Have all answers of a sweep again.
+        dry_run: Only tell what would be run, and about how long it takes.
+        json_: Print what stands in results.json.
+    """
+    _require_extras()
+    from motor_classifiers.cli.options import numbers, require_writable
+    from motor_classifiers.cli.sweep import (
+        FULL_SWEEP,
+        chosen_recipe,
+        plan_lines,
+        run_with_progress,
+        table_lines,
+    )
+    from motor_classifiers.estimators.methods import METHODS
+    from motor_classifiers.report.page import write_results
+    from motor_classifiers.scoring.peers import shipped_peers
+    from motor_classifiers.scoring.plan import AnswerStore, Plan, make_cells
+    from motor_classifiers.scoring.results import result_rows
+
+    usual = FULL_SWEEP if full else {}
+    recipes = tuple(
+        chosen_recipe(name, duration_s, channels)
+        for name in (recipe or usual.get("recipe", "bench")).split(",")
+    )
+    cells = make_cells(
+        recipes,
+        numbers("sampling-rate-hz", sampling_rate_hz or usual.get("sampling_rate_hz")),
+        numbers("current-noise-a", current_noise_a or usual.get("current_noise_a")),
+        tuple(int(n) for n in numbers("n-train", n_train or usual.get("n_train", "2000"))),
+        n_test,
+        seed,
+    )
+    plan = Plan(cells, tuple(methods.split(",")) if methods else tuple(METHODS), peers or shipped_peers())
+    folder = out / "answers" if len(cells) > 1 else None
+    if peers is not None and not peers.is_file():
+        raise InputError(f"{peers}: no such file of answers of peers")
+    if dry_run:
+        print("\n".join(plan_lines(plan, AnswerStore(None if fresh else folder), as_json=json_)))
+        return 0
+    require_writable(out)
+    results = run_with_progress(plan, AnswerStore(folder, fresh=fresh))
+    page = write_results(plan, results, out)
+    if json_:
+        print(json.dumps(result_rows(results)))
+    else:
+        print("\n".join(table_lines(results[plan.reference])))
+        print(f"report: {page}")
+    leaks = [(name, result.cell) for result in results for name in result.leaks]
+    for name, cell in leaks:
+        print(
+            f"motor-classifiers: check failed: {name} scored above the Bayes limit on {cell.title}",
+            file=sys.stderr,
+        )
+    return 1 if leaks else 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run `motor-classifiers` and return its exit status."""
+    return console.run(app, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,77 @@
+"""What `motor-classifiers predict` finds and tells."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from motor_classifiers.prediction import Opinion, judge_recording, opinions, second_opinion
+from motor_datasets.loaders import load
+from motor_env.console import ExitStatus
+from motor_env.errors import InputError
+from motor_env.recordings.recording import read_recording
+from motor_env.simulation.recipes import Recipe
+
+
+def opinions_of(
+    model: Any, recipe: Recipe, path: Path, split: str | None
+) -> tuple[list[Opinion], dict[str, Any] | None]:
+    """Opinions on a data set; or the one on a recording, and what the model-based diagnosis says of it.
+
+    Raises:
+        InputError: it cannot be read, or has another time axis than the model.
+    """
+    if not path.is_dir():
+        recording = read_recording(path)
+        return [judge_recording(model, recipe, recording)], second_opinion(recording, recipe)
+    cases = load(path, split)
+    _check_same_axis(cases.recipe, recipe, path)
+    return opinions(model, recipe, cases.X), None
+
+
+def _check_same_axis(cases: Recipe, trained: Recipe, path: Path) -> None:
+    if (cases.timing, cases.sensor.channels) != (trained.timing, trained.sensor.channels):
+        raise InputError(f"{path}: has another time axis or other channels than the model was trained on")
+
+
+def opinion_lines(path: Path, found: list[Opinion], second: dict[str, Any] | None) -> list[str]:
+    """One line of the model, and below it one of the diagnosis; counts for a data set."""
+    if second is None:
+        counts = Counter(opinion.verdict for opinion in found)
+        told = ", ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
+        return [f"{path}: {len(found)} cases: {told}"]
+    opinion = found[0]
+    if opinion.reason:
+        first = f"{path}: no opinion: {opinion.reason}"
+    else:
+        doubt = " (undecided)" if opinion.status is ExitStatus.UNDECIDED else ""
+        size = (
+            ""
+            if opinion.verdict in ("healthy", "other")
+            else _size(opinion.severity, opinion.severity_interval)
+        )
+        first = (
+            f"{path}: {opinion.verdict}{doubt}, probability {opinion.probability:.2f}{size}{_beside(opinion)}"
+        )
+    sure = "" if second["confidence"] is None else f", confidence {second['confidence']:.2f}"
+    size = _size(second["severity"], second["severity_interval"]) if second["severity"] else ""
+    reasons = "; ".join(second["reasons"])
+    return [first, f"  motor-env diagnose: {second['verdict']}{sure}{size}: {reasons}"]
+
+
+def _beside(opinion: Opinion) -> str:
+    """What only a wrapped model tells."""
+    words = ", larger than any the model was trained on" if opinion.out_of_range else ""
+    if opinion.candidates is None:
+        return words
+    return f"{words}, could be {' or '.join(opinion.candidates) or 'none of its classes'}"
+
+
+def _size(severity: float, interval: Sequence[float | None] | None) -> str:
+    words = f", severity near {100.0 * severity:.0f} %"
+    if interval is None or None in interval:
+        return words
+    low, high = (100.0 * bound for bound in interval if bound is not None)
+    return f"{words} ({low:.0f} to {high:.0f})"

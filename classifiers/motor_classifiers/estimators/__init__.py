@@ -1,0 +1,1 @@
+"""Estimators: features, scikit-learn pipelines, torch networks, confirmation by thresholds."""

@@ -1,0 +1,99 @@
+"""Transients as the estimators take them: (n_cases, n_channels, n_timepoints), or flattened as scikit-learn wants."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.base import BaseEstimator
+from sklearn.utils.multiclass import check_classification_targets
+from sklearn.utils.validation import (
+    assert_all_finite,
+    check_array,
+    check_consistent_length,
+    column_or_1d,
+    validate_data,
+)
+
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import Recipe, named_recipe
+from motor_env.simulation.simulate import Timing
+
+
+def flat_cases(estimator: BaseEstimator, X: Any, *, reset: bool, min_features: int = 1) -> FloatArray:
+    """Check transients and flatten them to (n_cases, n_channels * n_timepoints), float64; X itself stays as it is.
+
+    Args:
+        estimator: whose `n_features_in_` is set, or compared with.
+        X: shape (n_cases, n_channels, n_timepoints), or flattened in that order.
+        reset: whether this is a fit.
+        min_features: fewest numbers a case may have.
+
+    Raises:
+        ValueError: no cases, a value that is not finite, or another number of values than at the fit.
+    """
+    if not hasattr(X, "columns") and getattr(X, "ndim", 2) == 3:
+        X = check_array(X, allow_nd=True, dtype=[np.float64, np.float32])
+        X = X.reshape(len(X), -1)
+    checked: FloatArray = validate_data(
+        estimator, X, reset=reset, dtype=np.float64, ensure_min_features=min_features
+    )
+    return checked
+
+
+def fitting_recipe(recipe: Recipe | None, n_features: int) -> Recipe:
+    """The recipe, checked against the length of the cases; without one, the paper's motor at its usual rate.
+
+    Raises:
+        ValueError: the cases have another length than the recipe's.
+    """
+    if recipe is None:
+        bench = named_recipe("bench")
+        rate = bench.timing.sampling_rate_hz
+        return replace(bench, timing=Timing(rate, n_features / rate))
+    n_channels, n_samples = len(recipe.sensor.channels), recipe.timing.n_samples
+    if n_features != n_channels * n_samples:
+        raise ValueError(
+            f"X must have {n_channels} x {n_samples} values a case as recipe {recipe.name} says, got {n_features}"
+        )
+    return recipe
+
+
+def with_channels(flat: FloatArray, recipe: Recipe) -> FloatArray:
+    """Flattened cases as (n_cases, n_channels, n_timepoints)."""
+    return flat.reshape(len(flat), len(recipe.sensor.channels), -1)
+
+
+def severities_of(recipe: Recipe, names: NDArray[np.str_]) -> FloatArray:
+    """Severity of each class named, shape (n_names,).
+
+    Raises:
+        ValueError: a name is no class of the recipe.
+    """
+    by_name = {fault_class.name: fault_class.severity for fault_class in recipe.classes}
+    unknown = sorted(set(names.tolist()) - set(by_name))
+    if unknown:
+        raise ValueError(f"class must be one of {', '.join(by_name)}, got {unknown[0]!r}")
+    return np.array([by_name[name] for name in names.tolist()])
+
+
+def labelled_cases(estimator: BaseEstimator, X: Any, y: Any) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Check cases and labels of a fit, set `classes_`, and return flat cases and label indices.
+
+    Raises:
+        ValueError: fewer than two classes, labels that are no classes, or shapes that do not fit.
+    """
+    flat = flat_cases(estimator, X, reset=True)
+    if y is None:
+        raise ValueError("requires y to be passed, but the target y is None")
+    checked = column_or_1d(y, warn=True)
+    if checked.dtype.kind == "f":
+        assert_all_finite(checked, input_name="y")
+    check_consistent_length(flat, checked)
+    check_classification_targets(checked)
+    estimator.classes_, labels = np.unique(checked, return_inverse=True)
+    if len(estimator.classes_) < 2:
+        raise ValueError(f"y must hold at least two classes, got 1 class: {estimator.classes_[0]!r}")
+    return flat, labels.astype(np.int64)

@@ -1,0 +1,147 @@
+"""Starts of a motor when it was healthy, beside the start that is judged: its own tolerances, seen once, are known.
+
+A judged start with k reference starts is one case with (1 + k) times the channels: first those of the judged start,
+then those of each reference. Any method for several channels takes it as it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
+from sklearn.utils.validation import check_is_fitted
+
+from motor_classifiers.estimators.cases import flat_cases
+from motor_datasets.arrays import Dataset
+from motor_datasets.generate import generate_arrays
+from motor_env.inference.posterior import (
+    class_coordinates,
+    class_probabilities,
+    prior_from_starts,
+    recipe_observed,
+)
+from motor_env.inference.sensitivities import fitted_residuals
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import FaultClass, Recipe
+
+_AT_ONCE = 1024
+
+
+def referenced_starts(recipe: Recipe, seed: int, motors: ArrayLike, n_references: int) -> Dataset:
+    """Draw motors, and of each so many healthy starts before the one that is judged.
+
+    The labels are those of the judged start; X has shape (n_motors, (1 + n_references) * n_channels, n_samples).
+
+    Args:
+        recipe: what motors are drawn from; how many starts it says a motor has does not matter.
+        seed: the random seed.
+        motors: motor numbers, shape (n_motors,).
+        n_references: healthy starts of each motor, k.
+    """
+    if n_references < 0:
+        raise ValueError(f"n_references must be >= 0, got {n_references}")
+    starts = n_references + 1
+    several = replace(recipe, starts_per_motor=starts, healthy_starts=n_references)
+    numbers = np.atleast_1d(np.asarray(motors, dtype=np.int64))
+    cases = numbers[:, None] * starts + np.roll(
+        np.arange(starts), 1
+    )  # the last one is judged, and comes first
+    drawn = generate_arrays(several, seed, cases.ravel())
+    X = drawn.X.reshape(len(numbers), starts * drawn.X.shape[1], -1)
+    return replace(drawn.select(np.arange(0, len(cases.ravel()), starts)), X=X)
+
+
+def drawn_starts(recipe: Recipe, seed: int, numbers: NDArray[np.int64], n_references: int) -> Dataset:
+    """Cases as the recipe draws them, by their numbers; with references `referenced_starts`, by motor."""
+    if n_references == 0:
+        return generate_arrays(recipe, seed, numbers)
+    return referenced_starts(recipe, seed, numbers, n_references)
+
+
+def split_starts(X: Any, recipe: Recipe) -> FloatArray:
+    """Cases as starts, shape (n_cases, 1 + n_references, n_channels, n_samples); flattened cases, too.
+
+    Raises:
+        ValueError: a case is no whole number of the recipe's starts.
+    """
+    n_channels, n_samples = len(recipe.sensor.channels), recipe.timing.n_samples
+    cases = np.asarray(X)
+    flat = cases.reshape(len(cases), -1)
+    if flat.shape[1] % (n_channels * n_samples):
+        raise ValueError(
+            f"a case must be starts of {n_channels} x {n_samples} values each, got {flat.shape[1]} values"
+        )
+    return flat.reshape(len(flat), -1, n_channels, n_samples)
+
+
+def referenced_probabilities(recipe: Recipe, X: Any) -> FloatArray:
+    """The Bayes-optimal posterior of each class, given the reference starts: the limit for k references.
+
+    Args:
+        recipe: what motors are drawn from.
+        X: as `referenced_starts` gives them.
+
+    Returns:
+        Shape (n_cases, n_classes).
+    """
+    starts = split_starts(X, recipe)
+    return class_probabilities(recipe, starts[:, 0], prior=prior_from_starts(recipe, starts[:, 1:]))
+
+
+class RecentredStarts(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
+    """The judged start as if its motor were the nominal one: any method for plain starts then uses the references.
+
+    The references tell the most probable parameters of the motor (`prior_from_starts`); the difference between that
+    motor's healthy response and the nominal one is taken off the judged start. To first order in the tolerances
+    nothing is lost: the class depends on what is left alone.
+
+    Args:
+        recipe: the motor, its nuisances and faults, and how long one start is. Without one, a case is one start.
+
+    Attributes:
+        n_features_in_: values of a case.
+    """
+
+    def __init__(self, recipe: Recipe | None = None) -> None:
+        self.recipe = recipe
+
+    def fit(self, X: Any, y: Any = None) -> Self:
+        """Check the cases' shape; there is nothing to learn."""
+        self._starts(flat_cases(self, X, reset=True))
+        return self
+
+    def transform(self, X: Any) -> FloatArray:
+        """Recentred starts, flattened, shape (n_cases, n_channels * n_samples); without references as they are."""
+        check_is_fitted(self, "n_features_in_")
+        starts = self._starts(flat_cases(self, X, reset=False))
+        parts = [
+            _recentred(self.recipe, starts[begin : begin + _AT_ONCE])
+            for begin in range(0, len(starts), _AT_ONCE)
+        ]
+        return np.concatenate(parts).reshape(len(starts), -1)
+
+    def _starts(self, flat: FloatArray) -> FloatArray:
+        """Shape (n_cases, 1 + n_references, n_channels, n_samples)."""
+        return flat[:, None, None] if self.recipe is None else split_starts(flat, self.recipe)
+
+    @property
+    def _n_features_out(self) -> int:
+        if self.recipe is None:
+            return int(self.n_features_in_)
+        return len(self.recipe.sensor.channels) * self.recipe.timing.n_samples
+
+
+def _recentred(recipe: Recipe | None, starts: FloatArray) -> FloatArray:
+    """From starts, shape (n_cases, 1 + n_references, n_channels, n_samples), those that are judged."""
+    judged: FloatArray = starts[:, 0]
+    if recipe is None or starts.shape[1] == 1:
+        return judged
+    own = prior_from_starts(recipe, starts[:, 1:]).mean
+    observed, coordinates = recipe_observed(recipe, judged), class_coordinates(recipe, FaultClass())
+    nominal = fitted_residuals(observed, coordinates, np.zeros_like(own))
+    moved = nominal - fitted_residuals(observed, coordinates, own)
+    recentred: FloatArray = judged - moved * recipe.sensor.noise_std[:, None]
+    return recentred

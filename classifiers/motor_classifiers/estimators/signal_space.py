@@ -1,0 +1,166 @@
+"""What a start can show: its deviation from the nominal motor along the few directions in which starts differ.
+
+In white noise a transient enters its likelihood only through the directions in which the model's signals can differ
+(docs/classifiers.md). What is left over outside them tells nothing but the level of the noise. The filter without
+process noise predicts the nominal trajectory, so the deviation is its residual.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import nn
+
+from motor_classifiers.estimators.reference_starts import drawn_starts
+from motor_datasets.generate import generate_arrays
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import FaultClass, Recipe, Spread
+
+_FAMILY_SEED = 0xFA317  # of the starts that span the family; no data set is drawn with it
+_FAMILY_SIZE = 2000
+_VISIBLE = 0.25  # root mean square along a direction, in units of the noise
+_FEWEST, _MOST = 10, 32  # more directions teach a network little, and slow it
+_QUIETEST = 0.5  # noise variance; a sensor quieter than any in training is taken for one of the quietest
+_SMALLEST_NOISE = 1e-6  # of the cases' own scatter, where nothing is left outside their directions
+
+
+class SignalSpace(nn.Module):
+    """Standardised coordinates of transients, shape (n_cases, n_coordinates).
+
+    Each coordinate is divided by its standard deviation over the recipe's starts, noise included; never by anything
+    that is taken from the transient's signal. Where `sees_noise`, the noise's level is taken from what is left outside
+    the directions: it is then the last coordinate, and part of those standard deviations.
+
+    Args:
+        n_features: values of a case.
+        n_components: how many directions.
+        sees_noise: whether the level of the noise is not known beforehand, and may tell a class.
+
+    Attributes:
+        nominal: start of the nominal motor, shape (n_features,).
+        noise: standard deviation of each value's noise, shape (n_features,).
+        directions: orthonormal in units of the noise, shape (n_components, n_features).
+        center: mean of each coefficient, shape (n_components,).
+        variance: its variance over noise-free starts, shape (n_components,).
+        level: mean and standard deviation of the logarithm of the noise's variance, shape (2,).
+    """
+
+    nominal: torch.Tensor
+    noise: torch.Tensor
+    directions: torch.Tensor
+    center: torch.Tensor
+    variance: torch.Tensor
+    level: torch.Tensor
+
+    def __init__(self, n_features: int, n_components: int, *, sees_noise: bool) -> None:
+        super().__init__()
+        self.sees_noise = sees_noise
+        shapes = {
+            "nominal": (n_features,),
+            "noise": (n_features,),
+            "directions": (n_components, n_features),
+            "center": (n_components,),
+            "variance": (n_components,),
+            "level": (2,),
+        }
+        for name, shape in shapes.items():
+            self.register_buffer(name, torch.ones(shape, dtype=torch.float64))
+
+    @classmethod
+    def of_recipe(
+        cls, recipe: Recipe, n_components: int | None, *, sees_noise: bool, n_references: int = 0
+    ) -> SignalSpace:
+        """Directions, means and variances of noise-free starts of a recipe, each with so many reference starts."""
+        silent = replace(recipe, sensor=replace(recipe.sensor, current_noise_a=0.0, speed_noise_rad_s=0.0))
+        sound = replace(silent, spread=Spread(), classes=(FaultClass(),), healthy_starts=0, field=None)
+        nominal = generate_arrays(sound, _FAMILY_SEED, 1).X.reshape(-1).astype(np.float64)
+        family = drawn_starts(silent, _FAMILY_SEED, np.arange(_FAMILY_SIZE), n_references).X
+        nominal = np.tile(nominal, 1 + n_references)
+        noise = np.tile(np.repeat(recipe.sensor.noise_std, recipe.timing.n_samples), 1 + n_references)
+        deviation = family.reshape(_FAMILY_SIZE, -1) - nominal
+        return cls._spanned(deviation, nominal, noise, n_components, sees_noise=sees_noise)
+
+    @classmethod
+    def of_cases(cls, flat: FloatArray, n_components: int | None) -> SignalSpace:
+        """Directions of given cases about their mean; the noise is what is left outside them."""
+        n_components = _FEWEST if n_components is None else n_components
+        nominal = flat.mean(axis=0)
+        scatter = flat - nominal
+        singular = np.linalg.svd(scatter, compute_uv=False)
+        left = np.sqrt(np.square(singular[n_components:]).sum() / flat.size)
+        noise = max(float(left), _SMALLEST_NOISE * float(np.sqrt(np.square(scatter).mean())), 1e-30)
+        return cls._spanned(scatter, nominal, np.full(flat.shape[1], noise), n_components, sees_noise=False)
+
+    @classmethod
+    def _spanned(
+        cls,
+        scatter: FloatArray,
+        nominal: FloatArray,
+        noise: FloatArray,
+        n_components: int | None,
+        *,
+        sees_noise: bool,
+    ) -> SignalSpace:
+        """From deviations of noise-free starts, shape (n_starts, n_features)."""
+        deviation = scatter / noise
+        singular, directions = np.linalg.svd(deviation, full_matrices=False)[1:]
+        if n_components is None:
+            visible = int((singular > _VISIBLE * np.sqrt(len(deviation))).sum())
+            n_components = min(max(visible, _FEWEST), _MOST)
+        directions = directions[: min(n_components, len(noise) - sees_noise)]
+        # Within those, the principal axes of the coefficients: then one number each makes them comparable.
+        coefficients = deviation @ directions.T
+        center = coefficients.mean(axis=0)
+        axes = np.linalg.svd(coefficients - center, full_matrices=False)[2]
+        rotated = (coefficients - center) @ axes.T
+        space = cls(len(noise), len(axes), sees_noise=sees_noise)
+        values = {
+            "nominal": nominal,
+            "noise": noise,
+            "directions": axes @ directions,
+            "center": axes @ center,
+            "variance": rotated.var(axis=0),
+        }
+        for name, value in values.items():
+            getattr(space, name).copy_(torch.from_numpy(np.asarray(value)))
+        return space
+
+    def observe_level(self, standardised: torch.Tensor) -> None:
+        """Centre and scale the coordinate of the noise's level, from coordinates of noisy cases."""
+        if self.sees_noise:
+            log_level = standardised[:, -1] * self.level[1] + self.level[0]
+            self.level.copy_(torch.stack([log_level.mean(), log_level.std()]))
+
+    @property
+    def n_coordinates(self) -> int:
+        """How many numbers a transient becomes."""
+        return len(self.center) + self.sees_noise
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of what is left outside the directions."""
+        return len(self.noise) - len(self.center)
+
+    def coordinates(self, X: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Coefficients in units of the noise, (n, n_components), and squares left outside, (n,)."""
+        deviation = (X - self.nominal) / self.noise
+        coefficients = deviation @ self.directions.T
+        if not self.sees_noise:
+            return coefficients, coefficients.new_zeros(len(coefficients))
+        left = deviation - coefficients @ self.directions
+        return coefficients, left.square().sum(dim=1)
+
+    def standardise(self, coefficients: torch.Tensor, energy: torch.Tensor) -> torch.Tensor:
+        """Coordinates with unit variance over the recipe's starts."""
+        if not self.sees_noise:
+            return (coefficients - self.center) / torch.sqrt(self.variance + 1.0)
+        level = (energy / self.freedom).clamp(min=_QUIETEST)
+        scaled = (coefficients - self.center) / torch.sqrt(self.variance + level[:, None])
+        log_level = (torch.log(level) - self.level[0]) / self.level[1]
+        return torch.cat([scaled, log_level[:, None]], dim=1)
+
+    def forward(self, X: torch.Tensor) -> torch.Tensor:
+        """Standardised coordinates of flattened cases, shape (n_cases, n_coordinates)."""
+        return self.standardise(*self.coordinates(X))

@@ -1,0 +1,197 @@
+"""The benchmark's page: one self-contained HTML file."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motor_classifiers.estimators.methods import METHODS
+from motor_classifiers.report.charts import (
+    Bar,
+    Boxes,
+    interval_chart,
+    reliability_chart,
+    severity_chart,
+)
+from motor_classifiers.report.examples import ALARM_RATE, examples
+from motor_classifiers.report.names import readable, short
+from motor_classifiers.report.sweep_page import sweep_section
+from motor_classifiers.report.trust_page import trust_section
+from motor_classifiers.scoring.benchmark import SIGNIFICANCE, CellResult, Judged, MethodResult
+from motor_classifiers.scoring.metrics import Score
+from motor_classifiers.scoring.peers import PEERS
+from motor_classifiers.scoring.plan import Plan
+from motor_classifiers.scoring.results import as_csv, family, result_rows, trust_document
+from motor_env.files import write_text
+from motor_env.simulation.recipe_files import recipe_to_dict
+
+_QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
+
+
+def render_report(plan: Plan, results: Sequence[CellResult], machine: str) -> str:
+    """The page as HTML.
+
+    Args:
+        plan: what was run.
+        results: of `run_plan`.
+        machine: what it ran on, in words.
+    """
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("motor_classifiers.report", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"share": _share, "points": _points, "quantity": _quantity}
+    result = results[plan.reference]
+    recipe, ranked = result.cell.recipe, result.ranked()
+    ours = [method for method in ranked if not method.origin]
+    return environment.get_template("report.html.j2").render(
+        cell=result.cell,
+        recipe=recipe,
+        machine=machine,
+        best=ours[0],
+        best_peer=next((method for method in ranked if method.origin), None),
+        origins=sorted({method.origin for method in ranked if method.origin}),
+        titles={name: method.title for name, method in METHODS.items()} | PEERS,
+        families={method.name: family(method) for method in ranked},
+        methods=ranked,
+        limit=result.limit,
+        estimated=result.limit_is_estimate,
+        limit_name="Best estimate of the limit" if result.limit_is_estimate else "Bayes limit",
+        limit_expected=float(result.limit.answer.probabilities.max(axis=1).mean()),
+        leaks=[(name, other.cell.title) for other in results for name in other.leaks],
+        significance=SIGNIFICANCE,
+        n_comparisons=plan.n_comparisons,
+        short_titles=[short(name) for name in recipe.class_names],
+        class_titles=[readable(name) for name in recipe.class_names],
+        accuracy_chart=_score_chart(result, ranked, "accuracy", "Bayes limit on these motors"),
+        sub_charts=_sub_charts(result, ranked),
+        confusions=[_confusion("limit", result.limit), *(_confusion(m.name, m.judged) for m in ranked)],
+        reliability=_reliability(result, ranked),
+        severity_chart=_severity_chart(result, _severity_methods(ranked)),
+        severity_methods=[method.name for method in _severity_methods(ranked)],
+        examples=examples(result, ours[0]),
+        alarm_rate=ALARM_RATE,
+        trust=trust_section(result),
+        sweep=sweep_section(plan, results) if len(results) > 1 else None,
+        against=[
+            (method.name, result.difference(ours[0].name, method.name))
+            for method in ranked
+            if method is not ours[0]
+        ],
+    )
+
+
+def _share(score: Score, digits: int = 1) -> str:
+    return "–" if np.isnan(score.value) else f"{100.0 * score.value:.{digits}f}"
+
+
+def _points(value: float, digits: int = 2) -> str:
+    text = f"{100.0 * value:.{digits}f}"
+    return text.replace("-", "−") if float(text) else f"{0.0:.{digits}f}"
+
+
+def _quantity(value: float | None) -> str:
+    """Three figures of a time or size; a dash for what is not known."""
+    if value is None or np.isnan(value):
+        return "–"
+    return f"{value:.0f}" if value >= 20.0 else f"{value:.1f}"
+
+
+def _score_chart(
+    result: CellResult, ranked: Sequence[MethodResult], name: str, label: str, **shape: Any
+) -> str:
+    limit: Score = getattr(result.limit.scores, name)
+    bars = [Bar(m.name, family(m), *getattr(m.judged.scores, name)) for m in ranked]
+    told = label.replace("Bayes limit", "Estimated limit") if result.limit_is_estimate else label
+    return interval_chart(bars, limit.value, f"{told}: {100.0 * limit.value:.1f} %", **shape)
+
+
+def _sub_charts(result: CellResult, ranked: Sequence[MethodResult]) -> list[dict[str, str]]:
+    told = {
+        "winding": ("Winding", "a winding fault or none"),
+        "bearing": ("Bearing", "a bearing fault or none"),
+        "level": ("Severity", "the level, where the kind is told"),
+    }
+    return [
+        {
+            "title": title,
+            "what": what,
+            "chart": _score_chart(result, ranked, name, "limit", width=440, left=166, title=title),
+        }
+        for name, (title, what) in told.items()
+        if not np.isnan(getattr(result.limit.scores, name).value)
+    ]
+
+
+def _confusion(name: str, judged: Judged) -> dict[str, Any]:
+    counts = judged.scores.confusion
+    totals = np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    return {"name": name, "counts": counts.tolist(), "shares": (100.0 * counts / totals).tolist()}
+
+
+def _reliability(result: CellResult, ranked: Sequence[MethodResult]) -> list[dict[str, Any]]:
+    judged = [("limit", result.limit), *((method.name, method.judged) for method in ranked)]
+    graded = [(name, one.calibration) for name, one in judged if one.calibration is not None]
+    lowest = min(float(np.nanmin(told.reliability.confidence)) for _, told in graded)
+    low = max(0.0, np.floor(10.0 * lowest) / 10.0)
+    return [
+        {"name": name, "chart": reliability_chart(told.reliability, low), "told": told}
+        for name, told in graded
+    ]
+
+
+def _severity_methods(ranked: Sequence[MethodResult]) -> list[MethodResult]:
+    """The most exact of ours, and of the peers that grade."""
+    graded = sorted(
+        (method for method in ranked if method.judged.calibration is not None),
+        key=lambda method: method.judged.severity_rmse.value,
+    )
+    ours = [method for method in graded if not method.origin][:1]
+    return ours + [method for method in graded if method.origin][:1]
+
+
+def _severity_chart(result: CellResult, chosen: Sequence[MethodResult]) -> str:
+    recipe = result.cell.recipe
+    told = [
+        ("limit", "limit", result.limit),
+        *((m.name, style, m.judged) for m, style in zip(chosen, ("s1", "s4"), strict=False)),
+    ]
+    present = [n for n in range(len(recipe.classes)) if (result.truth == n).any()]
+    boxes = [
+        Boxes(
+            name,
+            style,
+            [np.quantile(judged.answer.severity[result.truth == n], _QUANTILES).tolist() for n in present],
+        )
+        for name, style, judged in told
+    ]
+    truth = [float(result.severity[result.truth == n].mean()) for n in present]
+    return severity_chart([readable(recipe.class_names[n]) for n in present], truth, boxes)
+
+
+def write_results(plan: Plan, results: Sequence[CellResult], folder: Path) -> Path:
+    """Write results.json, results.csv, trust.json, recipes.json and report.html, each whole or not at all.
+
+    Returns:
+        The page's path.
+    """
+    rows = result_rows(results)
+    recipes = {cell.recipe.name: recipe_to_dict(cell.recipe) for cell in reversed(plan.cells)}
+    write_text(folder / "results.json", json.dumps(rows, indent=1) + "\n")
+    write_text(folder / "results.csv", as_csv(rows))
+    write_text(folder / "trust.json", json.dumps(trust_document(results), indent=1, allow_nan=False) + "\n")
+    write_text(folder / "recipes.json", json.dumps(recipes, indent=1) + "\n")
+    page = folder / "report.html"
+    machine = f"{platform.machine()}, Python {platform.python_version()}"
+    write_text(page, render_report(plan, results, machine))
+    return page

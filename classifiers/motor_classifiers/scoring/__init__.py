@@ -1,0 +1,1 @@
+"""Scores, the limit beside them, and the plan of a benchmark."""

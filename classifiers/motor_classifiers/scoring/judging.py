@@ -1,0 +1,231 @@
+"""One method on the benchmark's starts, in a process of its own: what it answers, and what that takes."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import multiprocessing
+import os
+import threading
+import zipfile
+import zlib
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.base import BaseEstimator
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # comes with scikit-learn, without types
+
+from motor_classifiers.estimators.methods import METHODS, make_method
+from motor_classifiers.scoring.progress import Cost, watched
+from motor_datasets.arrays import Dataset
+from motor_datasets.generate import generate_arrays
+from motor_env import __version__
+from motor_env.errors import InputError
+from motor_env.files import replacing
+from motor_env.inference.posterior import class_probabilities
+from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.recipe_files import recipe_to_dict
+from motor_env.simulation.recipes import Recipe
+
+TRAIN_FIRST_CASE = 0
+TEST_FIRST_CASE = 1_000_000_000
+"""Training and test motors are different cases of one seed, so they never meet."""
+
+LIMIT = "limit"
+"""Name of the posterior's answer among the methods'."""
+
+_ROUNDS = 3
+_LONG_ENOUGH_S = 2.0  # of a timing: slower methods are timed once
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One setting of the benchmark.
+
+    Attributes:
+        recipe: what motors are drawn from, with its rate and noise.
+        n_train: starts to learn from.
+        n_test: starts to be judged on.
+        seed: of motors, noise, training and bootstrap.
+    """
+
+    recipe: Recipe
+    n_train: int = 2000
+    n_test: int = 2000
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("n_train", "n_test"):
+            require(getattr(self, name) >= 50, f"{name} must be >= 50, got {getattr(self, name)}")
+
+    @property
+    def title(self) -> str:
+        """The setting in words."""
+        rate, noise = self.recipe.timing.sampling_rate_hz, self.recipe.sensor.current_noise_a
+        return f"{self.recipe.name}, {rate / 1e3:g} kHz, {1e3 * noise:g} mA, {self.n_train} training starts"
+
+    def train(self) -> Dataset:
+        """Starts to learn from."""
+        return generate_arrays(
+            self.recipe, self.seed, judged_cases(self.recipe, TRAIN_FIRST_CASE, self.n_train)
+        )
+
+    def test(self) -> Dataset:
+        """Starts to be judged on, the same for every method."""
+        return generate_arrays(
+            self.recipe, self.seed, judged_cases(self.recipe, TEST_FIRST_CASE, self.n_test)
+        )
+
+
+def judged_cases(recipe: Recipe, first: int, count: int) -> NDArray[np.int64]:
+    """Numbers of the first cases that are no commissioning starts: those are healthy, and known to be."""
+    starts, healthy = recipe.starts_per_motor, recipe.healthy_starts
+    if healthy == starts:
+        raise InputError(f"all starts of recipe {recipe.name} are healthy ones: nothing to tell")
+    per_motor = starts - healthy
+    motors = np.arange(-(-count // per_motor))[:, None] + -(-first // starts)
+    return (motors * starts + np.arange(healthy, starts)).ravel()[:count]
+
+
+class Answer(NamedTuple):
+    """What a method says of the test starts, and what that took.
+
+    Attributes:
+        probabilities: in the recipe's order of classes, shape (n_test, n_classes).
+        severity: estimate, 0.01 for a point, shape (n_test,).
+        train: seconds and memory of training.
+        inference: the same of all test starts in one batch on one thread; of quick methods the least of three times.
+    """
+
+    probabilities: FloatArray
+    severity: FloatArray
+    train: Cost
+    inference: Cost
+
+    @property
+    def decided(self) -> NDArray[np.int64]:
+        """Index of the most probable class of each start."""
+        decided: NDArray[np.int64] = self.probabilities.argmax(axis=1)
+        return decided
+
+    @property
+    def microseconds_per_transient(self) -> float:
+        """Time of a start in a batch."""
+        return 1e6 * self.inference.seconds / len(self.probabilities)
+
+
+def in_recipe_order(model: BaseEstimator, probabilities: FloatArray, recipe: Recipe) -> FloatArray:
+    """Columns of probabilities in the order of the recipe's classes; 0 for a class never trained on."""
+    ordered = np.zeros((len(probabilities), len(recipe.classes)))
+    names = list(recipe.class_names)
+    ordered[:, [names.index(str(name)) for name in model.classes_]] = probabilities
+    return ordered
+
+
+def expected_severity(recipe: Recipe, probabilities: FloatArray) -> FloatArray:
+    """Mean severity over the classes by their probabilities, shape (n_cases,); joint faults count together."""
+    levels = np.array([sum(part.severity for part in c.parts) for c in recipe.classes])
+    expected: FloatArray = probabilities @ levels
+    return expected
+
+
+def judge(name: str, cell: Cell) -> Answer:
+    """Train a method and let it judge, in this process."""
+    train, test = cell.train(), cell.test()
+    unfitted = make_method(name, cell.recipe, cell.seed % 2**32)
+    if METHODS[name].from_stream:
+        unfitted.set_params(with_severity=False)  # only probabilities are asked for
+    with threadpool_limits(1):
+        model, training = watched(lambda: unfitted.fit(train.X, train.class_name))
+        raw, inference = watched(lambda: model.predict_proba(test.X))
+        if inference.seconds < _LONG_ENOUGH_S:
+            again = min(watched(lambda: model.predict_proba(test.X))[1].seconds for _ in range(_ROUNDS - 1))
+            inference = inference._replace(seconds=min(inference.seconds, again))
+    probabilities = in_recipe_order(model, raw, cell.recipe)
+    return Answer(probabilities, expected_severity(cell.recipe, probabilities), training, inference)
+
+
+def judge_apart(name: str, cell: Cell) -> Answer:
+    """The same in a fresh process: no method sees what another one left in memory, caches or thread pools.
+
+    Raises:
+        InputError: the method cannot learn from these starts, or its process ended without an answer.
+    """
+    methods = multiprocessing.get_all_start_methods()
+    context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+    if "forkserver" in methods:
+        context.set_forkserver_preload([__name__])  # imports are paid once, not for every method
+    with ProcessPoolExecutor(1, mp_context=context, initializer=_end_with_parent) as pool:
+        try:
+            return pool.submit(judge, name, cell).result()
+        except BrokenProcessPool:
+            reason = "its process ended without an answer; is there memory enough?"
+        except (ValueError, np.linalg.LinAlgError) as error:
+            reason = str(error)
+    raise InputError(f"{name} on {cell.title}: {reason}")
+
+
+def _end_with_parent() -> None:
+    """When the run is killed, its method does not go on alone."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+
+        def watch() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=watch, daemon=True).start()
+
+
+def posterior(cell: Cell) -> Answer:
+    """Bayes-optimal probabilities of the test starts; nothing is trained."""
+    test = cell.test()
+    with threadpool_limits(1):
+        class_probabilities(cell.recipe, test.X[:8])  # compiles, or loads what was compiled
+        probabilities, inference = watched(lambda: class_probabilities(cell.recipe, test.X))
+    return Answer(probabilities, expected_severity(cell.recipe, probabilities), Cost(0.0, 0.0), inference)
+
+
+def answer_key(name: str, cell: Cell) -> str:
+    """Digest of all that an answer depends on: setting, method, version of the package."""
+    told: dict[str, Any] = {
+        "method": name,
+        "recipe": recipe_to_dict(cell.recipe),
+        "n_test": cell.n_test,
+        "seed": cell.seed,
+        "version": __version__,
+    }
+    if name != LIMIT and not METHODS[name].from_stream:
+        told["n_train"] = cell.n_train
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def save_answer(answer: Answer, path: Path) -> None:
+    """Write an answer; the file appears whole or not at all."""
+    costs = [*answer.train, *answer.inference]
+    with replacing(path) as temporary:
+        np.savez_compressed(
+            temporary,
+            probabilities=answer.probabilities,
+            severity=answer.severity,
+            costs=np.array([np.nan if cost is None else cost for cost in costs], dtype=np.float64),
+        )
+
+
+def load_answer(path: Path, cell: Cell) -> Answer | None:
+    """Read an answer; None where there is none, or only a damaged one."""
+    try:
+        with np.load(io.BytesIO(path.read_bytes())) as held:
+            probabilities, severity, costs = held["probabilities"], held["severity"], held["costs"].tolist()
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        return None
+    if probabilities.shape != (cell.n_test, len(cell.recipe.classes)) or severity.shape != (cell.n_test,):
+        return None
+    train, inference = (Cost(s, None if np.isnan(mb) else mb) for s, mb in (costs[:2], costs[2:]))
+    return Answer(probabilities, severity, train, inference)

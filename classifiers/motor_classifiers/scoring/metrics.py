@@ -1,0 +1,197 @@
+"""Scores of decisions, all from the confusion matrix, each with a bootstrap interval; comparison in pairs."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binom
+
+from motor_env.motor.faults import HEALTHY, FaultKind
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import Recipe
+
+IntArray = NDArray[np.int64]
+
+N_RESAMPLES = 2000
+LEVEL = 0.95
+"""Of every interval."""
+
+WINDING = frozenset({FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT})
+BEARING = frozenset({FaultKind.BEARING})
+"""Kinds of the sub-scores."""
+
+
+class Score(NamedTuple):
+    """A score and the ends of its 95 % bootstrap interval (percentile method: Efron & Tibshirani 1993, ch. 13)."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Scores(NamedTuple):
+    """Scores of one method; rates are shares, 0 to 1.
+
+    Attributes:
+        accuracy: share of right decisions.
+        macro_f1: mean over the classes of F1.
+        recall: of each class, in the recipe's order.
+        false_alarm_rate: share of healthy motors that are called faulty.
+        missed_detection_rate: share of faulty motors that are called healthy.
+        level_error: mean absolute error of the decided severity, 0.01 for a point; of a wrong kind both
+            severities count, the missed and the invented one.
+        winding: sub-score: a winding fault or none, mean of the shares of both that are told (balanced accuracy).
+        bearing: the same of bearing faults.
+        level: sub-score: of the faulty motors whose kind is told, the share whose level is told too.
+        confusion: cases by true (row) and decided (column) class.
+    """
+
+    accuracy: Score
+    macro_f1: Score
+    recall: tuple[Score, ...]
+    false_alarm_rate: Score
+    missed_detection_rate: Score
+    level_error: Score
+    winding: Score
+    bearing: Score
+    level: Score
+    confusion: IntArray
+
+
+def confusion_matrices(truth: IntArray, decided: IntArray, n_classes: int, weights: FloatArray) -> FloatArray:
+    """Weighted confusion matrices, shape (n_resamples, n_classes, n_classes), for weights (n_resamples, n_cases)."""
+    cells = truth * n_classes + decided
+    order = np.argsort(cells, kind="stable")
+    filled, begins = np.unique(cells[order], return_index=True)
+    matrices = np.zeros((len(weights), n_classes * n_classes))
+    matrices[:, filled] = np.add.reduceat(weights[:, order], begins, axis=1)
+    return matrices.reshape(len(weights), n_classes, n_classes)
+
+
+def level_distance(recipe: Recipe) -> FloatArray:
+    """|decided - true| severity between classes, summed over kinds, shape (n_classes, n_classes)."""
+    kinds = sorted({c.label_kind for c in recipe.classes} - {HEALTHY})
+    severity = np.array([[c.severity * (c.label_kind == kind) for kind in kinds] for c in recipe.classes])
+    distance: FloatArray = np.abs(severity[:, None] - severity[None]).sum(axis=-1)
+    return distance
+
+
+def resampling_weights(
+    n_cases: int, random_state: int, n_resamples: int = N_RESAMPLES, groups: IntArray | None = None
+) -> FloatArray:
+    """How often each case is drawn, shape (1 + n_resamples, n_cases); the first row counts each case once.
+
+    The same weights for all methods make their intervals comparable in pairs.
+
+    Args:
+        n_cases: cases to be resampled.
+        random_state: of the draws.
+        n_resamples: draws.
+        groups: motor of each case, shape (n_cases,): starts of one motor are no independent witnesses, so motors are
+            drawn, each with all its starts; every case is a motor of its own by default.
+    """
+    motors = np.arange(n_cases) if groups is None else np.unique(groups, return_inverse=True)[1]
+    n_motors = int(motors.max()) + 1
+    rng = np.random.default_rng(random_state)
+    drawn = rng.multinomial(n_motors, np.full(n_motors, 1.0 / n_motors), size=n_resamples)
+    return np.vstack([np.ones((1, n_cases)), drawn[:, motors]])
+
+
+def _ratio(part: FloatArray, whole: FloatArray) -> FloatArray:
+    ratio: FloatArray = np.divide(part, whole, out=np.full(np.shape(part), np.nan), where=whole > 0.0)
+    return ratio
+
+
+def _interval(values: FloatArray) -> Score:
+    rest = values[1:][np.isfinite(values[1:])]
+    if not np.isfinite(values[0]) or not len(rest):
+        return Score(float("nan"), float("nan"), float("nan"))
+    low, high = np.quantile(rest, [0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0])
+    return Score(float(values[0]), float(low), float(high))
+
+
+def scores(recipe: Recipe, truth: IntArray, decided: IntArray, weights: FloatArray) -> Scores:
+    """Scores of decisions.
+
+    Args:
+        recipe: its classes.
+        truth: true class of each case as an index into `recipe.classes`, shape (n_cases,).
+        decided: decided class, likewise.
+        weights: from `resampling_weights`.
+    """
+    n_classes = len(recipe.classes)
+    matrices = confusion_matrices(truth, decided, n_classes, weights)
+    total = matrices.sum(axis=(1, 2))
+    hits = np.diagonal(matrices, axis1=1, axis2=2)
+    actual, called = matrices.sum(axis=2), matrices.sum(axis=1)
+    recall = _ratio(hits, actual)
+    f1 = np.nan_to_num(_ratio(2.0 * hits, actual + called))
+    healthy = np.array([c.kind is None for c in recipe.classes])
+    faulty = matrices[:, ~healthy]
+    kinds = np.array([c.label_kind for c in recipe.classes])
+    same_kind = (kinds[:, None] == kinds) & ~healthy
+    return Scores(
+        accuracy=_interval(hits.sum(axis=1) / total),
+        macro_f1=_interval(f1.mean(axis=1)),
+        recall=tuple(_interval(recall[:, n]) for n in range(n_classes)),
+        false_alarm_rate=_interval(
+            _ratio(
+                matrices[:, healthy][:, :, ~healthy].sum(axis=(1, 2)), matrices[:, healthy].sum(axis=(1, 2))
+            )
+        ),
+        missed_detection_rate=_interval(
+            _ratio(faulty[:, :, healthy].sum(axis=(1, 2)), faulty.sum(axis=(1, 2)))
+        ),
+        level_error=_interval((matrices * level_distance(recipe)).sum(axis=(1, 2)) / total),
+        winding=_interval(_told(matrices, _classes_with(recipe, WINDING))),
+        bearing=_interval(_told(matrices, _classes_with(recipe, BEARING))),
+        level=_interval(_ratio(hits[:, ~healthy].sum(axis=1), (matrices * same_kind).sum(axis=(1, 2)))),
+        confusion=matrices[0].astype(np.int64),
+    )
+
+
+def root_mean_square(errors: FloatArray, weights: FloatArray) -> Score:
+    """Root mean square of errors of the cases, shape (n_cases,)."""
+    return _interval(np.sqrt(weights @ np.square(errors) / weights.sum(axis=1)))
+
+
+def _classes_with(recipe: Recipe, kinds: frozenset[FaultKind]) -> NDArray[np.bool_]:
+    return np.array([any(part.kind in kinds for part in c.parts) for c in recipe.classes])
+
+
+def _told(matrices: FloatArray, of_group: NDArray[np.bool_]) -> FloatArray:
+    """Balanced accuracy of "of this group or not", shape (n_resamples,); nan where a recipe has only one of both."""
+    inside, outside = matrices[:, of_group], matrices[:, ~of_group]
+    sensitivity = _ratio(inside[:, :, of_group].sum(axis=(1, 2)), inside.sum(axis=(1, 2)))
+    specificity = _ratio(outside[:, :, ~of_group].sum(axis=(1, 2)), outside.sum(axis=(1, 2)))
+    balanced: FloatArray = 0.5 * (sensitivity + specificity)
+    return balanced
+
+
+class Comparison(NamedTuple):
+    """Two methods on the same cases.
+
+    Attributes:
+        difference: accuracy of the first minus that of the second, with its paired bootstrap interval.
+        only_first: cases that only the first decides rightly.
+        only_second: cases that only the second decides rightly.
+        p_above: probability of so many wins of the first, or more, if both were equally good (exact one-sided
+            McNemar test, 1947).
+    """
+
+    difference: Score
+    only_first: int
+    only_second: int
+    p_above: float
+
+
+def compare(
+    first_right: NDArray[np.bool_], second_right: NDArray[np.bool_], weights: FloatArray
+) -> Comparison:
+    """Compare in pairs; arguments are hits on the same cases, shape (n_cases,)."""
+    gain = first_right.astype(np.float64) - second_right
+    only_first, only_second = int((gain > 0).sum()), int((gain < 0).sum())
+    p_above = float(binom.sf(only_first - 1, only_first + only_second, 0.5)) if only_first else 1.0
+    return Comparison(_interval(weights @ gain / weights.sum(axis=1)), only_first, only_second, p_above)

@@ -1,0 +1,136 @@
+"""Generic classifiers of other packages in the benchmark's table: their answers come from an environment of their own.
+
+`export_cases` writes the benchmark's starts as plain arrays, benchmarks/aeon_peers.py judges them where aeon lives, and
+`read_peers` brings the answers back. Answers for the shipped setting are part of the package.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+import zlib
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_classifiers.scoring.judging import Answer, Cell, expected_severity
+from motor_classifiers.scoring.progress import Cost
+from motor_datasets.arrays import Dataset
+from motor_env.errors import InputError
+from motor_env.files import replacing
+from motor_env.motor.parameters import FloatArray
+
+PEERS = {
+    "quant": "QUANT of aeon: quantiles of intervals, extra trees (Dempster et al. 2024)",
+    "minirocket": "MiniRocket of aeon: shares of positive convolutions, ridge (Dempster et al. 2021)",
+    "multirocket-hydra": "MultiRocket-Hydra of aeon: convolutions, ridge (Dempster et al. 2023)",
+}
+"""Peers by name, with what they are."""
+
+_SAME_MEAN_A = 1e-6  # between machines the last bits of a simulated start may differ, and no more
+
+
+def shipped_peers() -> Path:
+    """Answers for the default setting: made by `make peers-anew`."""
+    return Path(str(files("motor_classifiers.scoring"))) / "peers.npz"
+
+
+@dataclass(frozen=True, slots=True)
+class Peers:
+    """Answers of peers on the test starts of one setting.
+
+    Attributes:
+        answers: by name; a slow peer may have judged the first starts only.
+        graded: names of those that give probabilities, and not only a decision.
+        origin: when, where and by which command they were measured.
+    """
+
+    answers: dict[str, Answer]
+    graded: frozenset[str]
+    origin: str
+
+
+def _means(X: NDArray[np.float32]) -> NDArray[np.float32]:
+    means: NDArray[np.float32] = X.mean(axis=(1, 2), dtype=np.float64).astype(np.float32)
+    return means
+
+
+def _identity(train: Dataset, test: Dataset) -> dict[str, NDArray[Any]]:
+    """What tells these starts from all others: level and class of each."""
+    return {
+        "train_mean": _means(train.X),
+        "train_class_index": train.class_index.astype(np.int8),
+        "test_mean": _means(test.X),
+        "test_class_index": test.class_index.astype(np.int8),
+    }
+
+
+def export_cases(cell: Cell, path: Path) -> None:
+    """Write the starts of a setting for other programs, as plain arrays."""
+    export_starts(cell.train(), cell.test(), path)
+
+
+def export_starts(train: Dataset, test: Dataset, path: Path) -> None:
+    """Write starts to learn from and starts to be judged, as plain arrays."""
+    with replacing(path) as temporary:
+        told = {"n_classes": len(test.class_names), "recipe": test.recipe.name, "seed": test.seed}
+        arrays = {name: np.array(value) for name, value in told.items()} | _identity(train, test)
+        np.savez(temporary, allow_pickle=False, train_X=train.X, test_X=test.X, **arrays)
+
+
+def read_peers(path: Path, cell: Cell) -> Peers | None:
+    """Answers of peers to the starts of a setting; None when the file's starts are others.
+
+    Raises:
+        InputError: no such file, or not one that benchmarks/aeon_peers.py wrote.
+    """
+    try:
+        with np.load(io.BytesIO(path.read_bytes())) as held:
+            arrays = {name: held[name] for name in held.files}
+        facts = json.loads(str(arrays["facts"]))
+        if not _same_starts(arrays, cell):
+            return None
+        answers = {
+            name: _answer(arrays[name].astype(np.float64), told, cell)
+            for name, told in facts["methods"].items()
+            if len(arrays[name]) >= cell.n_test
+        }
+        graded = frozenset(name for name, told in facts["methods"].items() if told["graded"])
+        origin = f"{facts['date']}, {facts['machine']}, aeon {facts['aeon']}, {facts['command']}"
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
+    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(
+            f"{path}: holds no answers of peers ({' '.join(str(error).split())[:100]})"
+        ) from None
+    return Peers(answers, graded, origin)
+
+
+def _same_starts(arrays: dict[str, NDArray[Any]], cell: Cell) -> bool:
+    """Whether a file speaks of the starts of this setting; the file may hold more test starts."""
+    if len(arrays["test_mean"]) < cell.n_test or len(arrays["train_mean"]) != cell.n_train:
+        return False
+    ours = _identity(cell.train(), cell.test())
+    for name, values in ours.items():
+        if not np.allclose(arrays[name][: len(values)], values, rtol=0.0, atol=_SAME_MEAN_A):
+            return False
+    return True
+
+
+def _answer(probabilities: FloatArray, told: dict[str, Any], cell: Cell) -> Answer:
+    if probabilities.ndim != 2 or probabilities.shape[1] != len(cell.recipe.classes):
+        raise ValueError(f"probabilities of shape {probabilities.shape}")
+    shown = probabilities[: cell.n_test]
+    shown = shown / shown.sum(axis=1, keepdims=True)
+    seconds = 1e-6 * float(told["microseconds_per_transient"]) * len(shown)
+    return Answer(
+        shown,
+        expected_severity(cell.recipe, shown),
+        Cost(float(told["train_s"]), told["train_memory_mb"]),
+        Cost(seconds, told["inference_memory_mb"]),
+    )

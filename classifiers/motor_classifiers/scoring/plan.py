@@ -1,0 +1,229 @@
+"""What a benchmark runs: settings, methods, the answers that they need, and where these are kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from motor_classifiers.estimators.methods import ESTIMATE, METHODS
+from motor_classifiers.scoring.judging import LIMIT, Answer, Cell, answer_key, load_answer, save_answer
+from motor_classifiers.scoring.trust import (
+    TRUST,
+    Figures,
+    expected_seconds,
+    load_figures,
+    save_figures,
+    trust_key,
+)
+from motor_env.motor.parameters import require
+from motor_env.simulation.recipes import Recipe
+
+REFERENCE = {"recipe": "bench", "sampling_rate_hz": 10_000.0, "current_noise_a": 0.02, "n_train": 2000}
+"""The setting that is told in full where there are several."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is run: each method in each setting.
+
+    Attributes:
+        cells: settings.
+        methods: names of `METHODS`.
+        peers: file with answers of peers; they join where its starts are those of a setting.
+    """
+
+    cells: tuple[Cell, ...]
+    methods: tuple[str, ...] = tuple(METHODS)
+    peers: Path | None = None
+
+    def __post_init__(self) -> None:
+        for name in self.methods:
+            require(name in METHODS, f"method must be one of {', '.join(METHODS)}, got {name!r}")
+        require(len(set(self.methods)) == len(self.methods), "methods must differ")
+
+    @property
+    def n_comparisons(self) -> int:
+        """Comparisons with the limit."""
+        return len(self.cells) * len(self.methods)
+
+    @property
+    def with_network(self) -> bool:
+        """Whether the posterior network is among the methods: only then its trust is looked at, too."""
+        return ESTIMATE in self.methods
+
+    @property
+    def reference(self) -> int:
+        """Index of the setting that is told in full: the one nearest to `REFERENCE`."""
+        likeness = [
+            sum(_setting(cell)[name] == value for name, value in REFERENCE.items()) for cell in self.cells
+        ]
+        return int(np.argmax(likeness))
+
+
+def _setting(cell: Cell) -> dict[str, Any]:
+    recipe = cell.recipe
+    return {
+        "recipe": recipe.name,
+        "sampling_rate_hz": recipe.timing.sampling_rate_hz,
+        "current_noise_a": recipe.sensor.current_noise_a,
+        "n_train": cell.n_train,
+    }
+
+
+def make_cells(
+    recipes: tuple[Recipe, ...],
+    rates_hz: tuple[float, ...],
+    noises_a: tuple[float, ...],
+    train_sizes: tuple[int, ...],
+    n_test: int,
+    seed: int,
+) -> tuple[Cell, ...]:
+    """Settings of a sweep: recipes, rates and noises crossed, and training sizes at the usual noise.
+
+    Args:
+        recipes: what motors are drawn from.
+        rates_hz: of each recipe; its own where empty.
+        noises_a: of each recipe; its own where empty.
+        train_sizes: the first is that of the sweep over rates and noises.
+        n_test: starts to be judged on.
+        seed: of everything.
+    """
+    cells: dict[Cell, None] = {}
+    for recipe in recipes:
+        rates = rates_hz or (recipe.timing.sampling_rate_hz,)
+        noises = noises_a or (recipe.sensor.current_noise_a,)
+        usual = REFERENCE["current_noise_a"] if REFERENCE["current_noise_a"] in noises else noises[0]
+        for rate, noise, n_train in product(rates, noises, train_sizes):
+            if n_train == train_sizes[0] or noise == usual:
+                own = replace(
+                    recipe,
+                    timing=replace(recipe.timing, sampling_rate_hz=rate),
+                    sensor=replace(recipe.sensor, current_noise_a=noise),
+                )
+                cells[Cell(own, n_train, n_test, seed)] = None
+    return tuple(cells)
+
+
+class Unit(NamedTuple):
+    """One answer to be had.
+
+    Attributes:
+        cell: setting.
+        name: method, `LIMIT`, or `TRUST` for the figures on trust of the reference setting.
+        key: of its answer.
+        seconds: about how long it takes.
+    """
+
+    cell: Cell
+    name: str
+    key: str
+    seconds: float
+
+
+def units(plan: Plan) -> tuple[Unit, ...]:
+    """All answers that a plan needs, each once: the limit does not depend on the training starts."""
+    found: dict[str, Unit] = {}
+    for cell in plan.cells:
+        for name in (limit_of(cell), *plan.methods):
+            unit = unit_of(cell, name)
+            found.setdefault(unit.key, unit)
+    return (*found.values(), trust_unit(plan))
+
+
+def limit_of(cell: Cell) -> str:
+    """What stands for the limit: the exact posterior, or the method that estimates it."""
+    return LIMIT if cell.recipe.field is None else ESTIMATE
+
+
+def unit_of(cell: Cell, name: str) -> Unit:
+    """A method's answer, or the limit's, in a setting."""
+    return Unit(cell, name, answer_key(name, cell), _expected_seconds(name, cell))
+
+
+def trust_unit(plan: Plan) -> Unit:
+    """The figures on trust of the reference setting."""
+    cell = plan.cells[plan.reference]
+    key = trust_key(cell, with_network=plan.with_network)
+    return Unit(cell, TRUST, key, expected_seconds(cell, with_network=plan.with_network))
+
+
+def _expected_seconds(name: str, cell: Cell) -> float:
+    samples = cell.recipe.timing.n_samples / 1000.0
+    if name == LIMIT:
+        return 0.5 + 1e-3 * cell.n_test * samples * len(cell.recipe.classes) / 5.0
+    method = METHODS[name]
+    if method.from_stream and cell.recipe.field is not None:
+        return 20.0 * method.seconds  # whatever the rate: the motor's equations take small steps
+    size = 0.5 if method.from_stream else 0.5 * (cell.n_train + cell.n_test) / 2000.0
+    return 1.0 + method.seconds * size * (0.2 + 0.8 * samples)
+
+
+class AnswerStore:
+    """Answers by key: in memory, and, given a folder, as files that a later run finds again.
+
+    Args:
+        folder: where files are kept; None for none.
+        fresh: whether files of earlier runs are overwritten instead of read.
+    """
+
+    def __init__(self, folder: Path | None = None, *, fresh: bool = False) -> None:
+        self._folder = folder
+        self._fresh = fresh
+        self._held: dict[str, Answer | Figures] = {}
+
+    def find(self, unit: Unit) -> Answer | Figures | None:
+        """The answer, or None."""
+        if unit.key not in self._held and self._folder is not None and not self._fresh:
+            found = self._load(unit, self._folder)
+            if found is not None:
+                self._held[unit.key] = found
+        return self._held.get(unit.key)
+
+    def answer(self, unit: Unit) -> Answer:
+        """The answer of a method or of the limit.
+
+        Raises:
+            KeyError: there is none.
+        """
+        found = self.find(unit)
+        if not isinstance(found, Answer):
+            raise KeyError(f"the answer of {unit.name} is missing")
+        return found
+
+    def figures(self, unit: Unit) -> Figures:
+        """The figures on trust.
+
+        Raises:
+            KeyError: there are none.
+        """
+        found = self.find(unit)
+        if not isinstance(found, dict):
+            raise KeyError(f"the figures of {unit.name} are missing")
+        return found
+
+    def put(self, unit: Unit, answer: Answer | Figures) -> None:
+        """Keep an answer."""
+        self._held[unit.key] = answer
+        if self._folder is None:
+            return
+        if isinstance(answer, Answer):
+            save_answer(answer, _answer_file(self._folder, unit))
+        else:
+            save_figures(answer, _figures_file(self._folder, unit))
+
+    def _load(self, unit: Unit, folder: Path) -> Answer | Figures | None:
+        if unit.name == TRUST:
+            return load_figures(_figures_file(folder, unit))
+        return load_answer(_answer_file(folder, unit), unit.cell)
+
+
+def _answer_file(folder: Path, unit: Unit) -> Path:
+    return folder / f"{unit.key}.npz"
+
+
+def _figures_file(folder: Path, unit: Unit) -> Path:
+    return folder / f"{unit.key}.json"

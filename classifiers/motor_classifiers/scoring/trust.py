@@ -1,0 +1,303 @@
+"""How far to trust a verdict: the figures of the benchmark's section of that name, in one setting.
+
+Conformal sets need no answers beside those of the benchmark. All else is one piece of work of its own: faults never
+trained on, severities, early verdicts. Its figures are plain JSON, and kept beside the answers.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # comes with scikit-learn, without types
+
+from motor_classifiers.estimators.methods import ESTIMATE
+from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.model_files.persistence import PRETRAINED, load_model
+from motor_classifiers.scoring.judging import Cell, judged_cases
+from motor_classifiers.scoring.limit_cells import severity_cell
+from motor_classifiers.scoring.metrics import IntArray
+from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, Confidence, ForeignScore, foreign_scores
+from motor_classifiers.scoring.verdict_times import hits, moments, race, stopping_rows, told_by_then
+from motor_classifiers.wrappers.conformal import ConformalSets, Coverage, measured_coverage
+from motor_datasets.arrays import Dataset
+from motor_datasets.generate import generate_arrays
+from motor_env import __version__
+from motor_env.files import write_text
+from motor_env.inference.posterior import class_probabilities
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipe_files import recipe_to_dict
+from motor_env.simulation.recipes import FaultClass, Recipe
+
+TRUST = "trust"
+"""Name of this piece of work among the answers."""
+
+Figures = dict[str, Any]
+"""What JSON can hold; a section that is left out holds its `reason` alone."""
+
+FIRST_CASE = 2_000_000_000
+"""Of the starts that are judged here: neither training nor test starts of the benchmark."""
+
+TELLING_RATE_HZ = 1_000.0
+"""Of a second setting of the unknown faults: at 10 kHz every one of them is found."""
+
+SECTIONS = ("unknown", "severity", "early", "race")
+
+_PROMISED = 0.90  # coverage of sets
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """How many starts each figure rests on.
+
+    Attributes:
+        threshold: known motors that set the threshold of the verdict `other`.
+        known: known motors it is tried on.
+        foreign: motors with each unknown fault.
+        severity: motors with each kind of fault.
+        early: starts of the early verdicts.
+        healthy: healthy starts that set the thresholds of the sequential rules.
+        steps: batches of the network where one must be trained for the second rate.
+    """
+
+    threshold: int = 3000
+    known: int = 3000
+    foreign: int = 500
+    severity: int = 800
+    early: int = 2000
+    healthy: int = 4000
+    steps: int = 1000
+
+
+COUNTS = Counts()
+
+
+def shipped_network(recipe: Recipe) -> PosteriorNetwork | None:
+    """The network that comes with the package where the recipe is its own."""
+    shipped, own, _ = load_model(PRETRAINED)
+    return shipped if recipe == own and isinstance(shipped, PosteriorNetwork) else None
+
+
+def network_for(recipe: Recipe, random_state: int, **parameters: Any) -> PosteriorNetwork:
+    """The shipped network where the recipe is its own; else one trained for it."""
+    shipped = shipped_network(recipe)
+    if shipped is not None:
+        return shipped
+    return PosteriorNetwork(recipe, random_state=random_state, **parameters).fit_stream()
+
+
+def halves_coverage(
+    probabilities: FloatArray, truth: IntArray, motors: IntArray, coverage: float = _PROMISED
+) -> Coverage:
+    """Coverage of label-conditional sets where each half of the motors calibrates the other.
+
+    A half with strange starts is covered too rarely by the other's threshold, and covers the other too often: to first
+    order chance cancels in the mean, which therefore lies near the promise. The size of the sets is what differs.
+
+    Args:
+        probabilities: of starts that the model was not trained on, shape (n_cases, n_classes).
+        truth: true class of each.
+        motors: motor of each; all its starts stand in one half.
+        coverage: wanted in each class.
+
+    Raises:
+        ValueError: a half has no start of a class.
+    """
+    is_first = np.unique(motors, return_inverse=True)[1] % 2 == 0
+    sets = np.zeros(probabilities.shape, dtype=np.bool_)
+    for calibrating in (is_first, ~is_first):
+        known = ConformalSets.calibrate(
+            probabilities[calibrating], truth[calibrating], label_conditional=True
+        )
+        sets[~calibrating] = known.sets(probabilities[~calibrating], coverage)
+    return measured_coverage(sets, truth)
+
+
+def set_figures(probabilities: Mapping[str, FloatArray], test: Dataset) -> Figures:
+    """Coverage of label-conditional 90 % sets of each method, calibrated and tried on halves of the test starts.
+
+    Args:
+        probabilities: of each method, in the recipe's order of classes, shape (n_test, n_classes).
+        test: the starts.
+    """
+    try:
+        measured = {
+            name: halves_coverage(told, test.class_index, test.motor_id)
+            for name, told in probabilities.items()
+        }
+    except ValueError:
+        return {"reason": f"{len(test)} test starts are too few: a class has none in one of their halves"}
+    rows = [
+        {
+            "method": name,
+            "coverage": got.overall,
+            "by_class": got.by_class.tolist(),
+            "mean_size": got.mean_size,
+            "empty": got.empty,
+        }
+        for name, got in measured.items()
+    ]
+    return {"n_test": len(test), "promised": _PROMISED, "methods": rows}
+
+
+def trust_key(cell: Cell, *, with_network: bool) -> str:
+    """Digest of all that the figures depend on."""
+    told = {
+        "what": TRUST,
+        "recipe": recipe_to_dict(cell.recipe),
+        "n_train": cell.n_train,
+        "seed": cell.seed,
+        "counts": asdict(COUNTS),
+        "network": with_network,
+        "version": __version__,
+    }
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def expected_seconds(cell: Cell, *, with_network: bool) -> float:
+    """About how long the figures take on one core."""
+    if cell.recipe.field is not None:
+        return 1.0
+    samples = cell.recipe.timing.n_samples / 1000.0
+    return (20.0 + 40.0 * samples) if with_network else 5.0 + 30.0 * samples
+
+
+def trust_figures(cell: Cell, *, with_network: bool) -> Figures:
+    """All figures of a setting; sections that it cannot have say why.
+
+    Args:
+        cell: setting; its training starts are those of the early verdicts.
+        with_network: whether a posterior network is asked for.
+    """
+    counts = {"counts": asdict(COUNTS)}
+    if cell.recipe.field is not None:
+        reason = {
+            "reason": f"the likelihood of recipe {cell.recipe.name} has no closed form, and these figures need it"
+        }
+        return {**counts, **dict.fromkeys(SECTIONS, reason)}
+    seed = cell.seed % 2**32
+    with threadpool_limits(1):
+        network = network_for(cell.recipe, seed) if with_network else None
+        return {
+            **counts,
+            "unknown": _unknown(cell, network),
+            "severity": _severity(cell, network),
+            "early": _early(cell),
+            "race": _race(cell),
+        }
+
+
+def _unknown(cell: Cell, network: PosteriorNetwork | None) -> Figures:
+    """Faults never trained on, told by distance and by confidence."""
+    settings = [(cell.recipe, network)]
+    if cell.recipe.timing.sampling_rate_hz > TELLING_RATE_HZ:
+        slow = replace(
+            cell.recipe, timing=replace(cell.recipe.timing, sampling_rate_hz=TELLING_RATE_HZ), shifts=()
+        )
+        trained = None
+        if network is not None:
+            trained = network_for(slow, cell.seed % 2**32, steps=COUNTS.steps, with_severity=False)
+        settings.append((slow, trained))
+    told = []
+    for recipe, own in settings:
+        confidences: dict[str, Confidence] = {"limit": partial(class_probabilities, recipe)}
+        if own is not None:
+            confidences[ESTIMATE] = own.predict_proba
+        got = foreign_scores(
+            recipe, confidences, UNKNOWN_FAULTS, seed=cell.seed, first_case=FIRST_CASE,
+            n_threshold=COUNTS.threshold, n_known=COUNTS.known, n_foreign=COUNTS.foreign,
+        )  # fmt: skip
+        told.append(
+            {
+                "sampling_rate_hz": recipe.timing.sampling_rate_hz,
+                "false_alarms": got.false_alarms,
+                "faults": [_foreign_figures(fault) for fault in got.faults],
+            }
+        )
+    return {"settings": told}
+
+
+def _foreign_figures(scored: ForeignScore) -> Figures:
+    return {
+        "fault": scored.fault,
+        "auroc": scored.auroc,
+        "called_other": scored.found,
+        "roc": {name: np.round(curve, 4).tolist() for name, curve in scored.roc.items()},
+    }
+
+
+def _severity(cell: Cell, network: PosteriorNetwork | None) -> Figures:
+    """Severities, uniform over the range, beside the exact posterior's."""
+    if network is None:
+        return {"reason": f"{ESTIMATE}, which tells severities, is not among the methods"}
+    cells = [
+        severity_cell(network, cell.recipe, prior, cell.seed, COUNTS.severity)
+        for prior in network.severity_priors_
+    ]
+    kinds = [
+        {
+            "kind": str(one.prior.kind),
+            "largest": one.prior.largest,
+            "network": one.model._asdict(),
+            "limit": one.limit._asdict(),
+        }
+        for one in cells
+    ]
+    return {"network_is_shipped": shipped_network(cell.recipe) is not None, "kinds": kinds}
+
+
+def _early(cell: Cell) -> Figures:
+    """Accuracy by what was seen, and the stopping rule."""
+    recipe, seen = cell.recipe, moments(cell.recipe.timing)
+    if len(seen.samples) < 2:
+        return {"reason": f"a start of recipe {recipe.name} has too few samples to be cut short"}
+    test = generate_arrays(recipe, cell.seed, judged_cases(recipe, FIRST_CASE, COUNTS.early))
+    probabilities = told_by_then(recipe, cell.seed % 2**32, cell.train(), test)
+    return {
+        "time_s": seen.time_s.tolist(),
+        "accuracy": {name: hits(told, test.class_index).tolist() for name, told in probabilities.items()},
+        "stopping": [
+            {"stated": row.stated, "probabilities_of": row.classifier}
+            | {name: None if math.isnan(value) else value for name, value in row.score._asdict().items()}
+            for row in stopping_rows(probabilities, test.class_index, seen.time_s)
+        ],
+    }
+
+
+def _race(cell: Cell) -> Figures:
+    """The largest bearing fault or none, by the limit and by the sequential rules."""
+    recipe = cell.recipe
+    bearings = [c for c in recipe.classes if [part.kind for part in c.parts] == [FaultKind.BEARING]]
+    if not bearings or len(moments(recipe.timing).samples) < 2:
+        return {"reason": f"recipe {recipe.name} has no class of a bearing fault alone, or too few samples"}
+    fault = max(bearings, key=lambda c: c.severity)
+    curves = race(
+        recipe, FaultClass(fault.kind, fault.severity), seed=cell.seed, first_case=FIRST_CASE,
+        n_cases=COUNTS.early, n_healthy=COUNTS.healthy,
+    )  # fmt: skip
+    return {
+        "severity": fault.severity,
+        "curves": {name: [point._asdict() for point in points] for name, points in curves.items()},
+    }
+
+
+def save_figures(figures: Figures, path: Path) -> None:
+    """Write figures; the file appears whole or not at all."""
+    write_text(path, json.dumps(figures, allow_nan=False, indent=1) + "\n")
+
+
+def load_figures(path: Path) -> Figures | None:
+    """Read figures; None where there are none, or only damaged ones."""
+    try:
+        found = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) and {"counts", *SECTIONS} <= set(found) else None

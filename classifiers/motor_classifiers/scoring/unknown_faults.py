@@ -1,0 +1,194 @@
+"""Faults that no model of ours is trained on: their starts, and how well distance and confidence tell them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.metrics import roc_auc_score, roc_curve
+
+from motor_classifiers.scoring.judging import judged_cases
+from motor_classifiers.wrappers.open_set import FaultFamilyDetector
+from motor_datasets.generate import generate_arrays
+from motor_env.motor.parameters import FloatArray, SupplyParameters
+from motor_env.simulation.recipes import FaultClass, Recipe, draw
+from motor_env.simulation.simulate import simulate
+
+Confidence = Callable[[NDArray[np.float32]], FloatArray]
+"""Probabilities of transients: shape (n_cases, n_channels, n_samples) to (n_cases, n_classes)."""
+
+DISTANCE = "distance"
+"""What the detector goes by, beside the classifiers' confidence."""
+
+FALSE_ALARM_RATES: FloatArray = np.linspace(0.0, 1.0, 101)
+"""Where curves are drawn."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignFault:
+    """A departure from the healthy motor that no fault kind explains: factors on its quantities.
+
+    Attributes:
+        name: for tables.
+        supply: factor on the supply's voltage.
+        resistance: factor on the resistance.
+        constants: common factor on both motor constants.
+        inertia: factor on the inertia.
+        friction: factor on the viscous friction.
+    """
+
+    name: str
+    supply: float = 1.0
+    resistance: float = 1.0
+    constants: float = 1.0
+    inertia: float = 1.0
+    friction: float = 1.0
+
+
+UNKNOWN_FAULTS = (
+    ForeignFault("inertia +25 %", inertia=1.25),
+    ForeignFault("motor constants -10 %", constants=0.9),
+    ForeignFault("supply -10 %", supply=0.9),
+)
+"""Faults on which no model of ours is trained: a heavier rotor, magnets that lost strength, a weak supply."""
+
+
+def foreign_starts(
+    recipe: Recipe, fault: ForeignFault, seed: int, cases: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    """Starts of otherwise healthy motors of a recipe with a foreign fault, shape (n_cases, n_channels, n_samples).
+
+    Args:
+        recipe: tolerances, supply, sensor and timing.
+        fault: what is wrong with them.
+        seed: the random seed.
+        cases: case numbers, shape (n_cases,).
+
+    Raises:
+        ValueError: the recipe departs from the textbook motor.
+    """
+    if recipe.field is not None:
+        raise ValueError(f"foreign faults are those of textbook motors, recipe {recipe.name} has a field")
+    scenario = draw(replace(recipe, classes=(FaultClass(),), healthy_starts=0), seed, cases).scenario
+    changed = replace(
+        scenario,
+        parameters=scenario.parameters.scaled(
+            resistance_ohm=fault.resistance,
+            back_emf_constant_v_s_per_rad=fault.constants,
+            torque_constant_n_m_per_a=fault.constants,
+            inertia_kg_m2=fault.inertia,
+            viscous_friction_n_m_s_per_rad=fault.friction,
+        ),
+        supply=SupplyParameters(scenario.supply.voltage_v * fault.supply),
+    )
+    return simulate(changed, seed, cases).measurements.astype(np.float32)
+
+
+class ForeignScore(NamedTuple):
+    """One foreign fault against the known classes.
+
+    Attributes:
+        fault: its name.
+        auroc: area under the ROC curve, by `DISTANCE` and by each classifier's confidence.
+        found: share called `other` with the detector's threshold.
+        roc: share found at each of `FALSE_ALARM_RATES`, by the same names.
+    """
+
+    fault: str
+    auroc: dict[str, float]
+    found: float
+    roc: dict[str, FloatArray]
+
+
+class ForeignScores(NamedTuple):
+    """Foreign faults in one setting.
+
+    Attributes:
+        false_alarms: share of motors of the known classes that are called `other`.
+        faults: one score a fault.
+    """
+
+    false_alarms: float
+    faults: tuple[ForeignScore, ...]
+
+
+def foreign_scores(
+    recipe: Recipe,
+    confidences: Mapping[str, Confidence],
+    faults: tuple[ForeignFault, ...],
+    *,
+    seed: int,
+    first_case: int,
+    n_threshold: int,
+    n_known: int,
+    n_foreign: int,
+) -> ForeignScores:
+    """Measure how well the detector's distance, and the confidence of classifiers, tell foreign faults.
+
+    The detector's threshold, for 1 % of false alarms, is set on other motors than it is tried on.
+
+    Args:
+        recipe: the known classes.
+        confidences: classifiers by name; the smaller their largest probability, the more foreign a start.
+        faults: what is told from the known classes.
+        seed: the random seed.
+        first_case: of the starts of known classes; the foreign ones are motors of the same numbers.
+        n_threshold: starts of known classes that set the threshold.
+        n_known: starts of known classes that are judged.
+        n_foreign: starts of each foreign fault.
+    """
+    known_cases = judged_cases(recipe, first_case, n_known + n_threshold)
+    known = generate_arrays(recipe, seed, known_cases[:n_known]).X
+    detector = FaultFamilyDetector(recipe).fit(generate_arrays(recipe, seed, known_cases[n_known:]).X)
+
+    def scores_of(X: NDArray[np.float32]) -> dict[str, FloatArray]:
+        sure = {name: told(X).max(axis=1) for name, told in confidences.items()}
+        return {DISTANCE: detector.score_samples(X), **sure}
+
+    of_known = scores_of(known)
+    scored = []
+    for fault in faults:
+        of_foreign = scores_of(foreign_starts(recipe, fault, seed, known_cases[:n_foreign]))
+        found = float((of_foreign[DISTANCE] < detector.offset_).mean())
+        areas, curves = {}, {}
+        for name, low in of_foreign.items():
+            truth = np.repeat([0, 1], [n_known, n_foreign])
+            strange = -np.concatenate([of_known[name], low])
+            areas[name] = float(roc_auc_score(truth, strange))
+            false, right, _ = roc_curve(truth, strange)
+            curves[name] = np.interp(FALSE_ALARM_RATES, false, right)
+        scored.append(ForeignScore(fault.name, areas, found, curves))
+    return ForeignScores(float((of_known[DISTANCE] < detector.offset_).mean()), tuple(scored))
+
+
+def plot_roc(faults: tuple[ForeignScore, ...], classifier: str, path: Path) -> None:
+    """Draw how well foreign faults are told from known ones, by distance and by a classifier's confidence.
+
+    Args:
+        faults: of `foreign_scores`.
+        classifier: name of the one whose confidence is drawn.
+        path: file to write, SVG or PNG by its ending.
+    """
+    from motor_env.plotting import QUIET, drawing, save, subplots
+
+    colours = ("#0b6fa4", "#d98300", "#c8442b", "#12805c", "#6b4fa0")
+    with drawing():
+        figure, (axes,) = subplots(1, width_in=7.5, height_in=7.0)
+        axes.plot([0.0, 1.0], [0.0, 1.0], color=QUIET, linewidth=1.0)
+        for n, (colour, scored) in enumerate(zip(colours, faults, strict=False)):
+            for title, key, style in (("distance", DISTANCE, "-"), ("confidence", classifier, ":")):
+                # Curves that lie on each other stay visible: the first are drawn wider.
+                width = 2.0 + 2.0 * (len(faults) - 1 - n) * (style == "-")
+                label = f"{scored.fault}, {title}: {scored.auroc[key]:.3f}"
+                axes.plot(
+                    FALSE_ALARM_RATES, scored.roc[key], style, color=colour, linewidth=width, label=label
+                )
+        axes.set(xlabel="known motors called other", ylabel="foreign faults called other")
+        axes.set_title("Distance tells foreign faults, confidence does not")
+        axes.set_ylim(0.0, 1.01)
+        figure.legend(loc="outside lower center", ncols=2, fontsize=10, title="area under the curve")
+        save(figure, path)

@@ -1,0 +1,1 @@
+"""Wrappers around an estimator: prediction sets, unknown faults, early verdicts."""

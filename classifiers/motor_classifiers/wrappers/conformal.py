@@ -1,0 +1,285 @@
+"""Sets of classes, and intervals of severity, that hold the truth as often as they say: split conformal prediction.
+
+Whatever the model, cases that it was not trained on tell how badly it errs; a new case like them errs no worse in the
+wanted share of the cases (Vovk, Gammerman & Shafer 2005). The promise holds for cases drawn as the calibration cases
+were, and for no others: under a shift the coverage must be measured anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, ClassifierMixin, MetaEstimatorMixin, clone
+from sklearn.frozen import FrozenEstimator
+from sklearn.linear_model import LogisticRegression
+from sklearn.utils import check_random_state
+from sklearn.utils.validation import check_is_fitted
+
+from motor_classifiers.estimators.cases import flat_cases, labelled_cases
+from motor_env.motor.parameters import FloatArray, require
+
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class ConformalSets:
+    """Conformal p-values and sets of classes from probabilities.
+
+    A class is as strange for a case as its probability is small: of all sets with that coverage, those on this score
+    are the smallest on average (Sadinle, Lei & Wasserman 2019).
+
+    Attributes:
+        strangeness: of the calibration cases, rising: one array for each class (label-conditional, Mondrian), or one
+            for all.
+    """
+
+    strangeness: tuple[FloatArray, ...]
+
+    @classmethod
+    def calibrate(
+        cls, probabilities: FloatArray, truth: ArrayLike, *, label_conditional: bool = False
+    ) -> ConformalSets:
+        """From cases that the model was not trained on.
+
+        Args:
+            probabilities: of the model, shape (n_cases, n_classes).
+            truth: true class of each case as a column of `probabilities`, shape (n_cases,).
+            label_conditional: whether the coverage is to hold in each class, not only over all.
+
+        Raises:
+            ValueError: shapes that do not fit, or, label-conditional, a class without a case.
+        """
+        labels = np.asarray(truth)
+        require(
+            probabilities.ndim == 2 and labels.shape == (len(probabilities),) and len(labels) > 0,
+            f"probabilities (n_cases, n_classes) and truth (n_cases,) must fit, "
+            f"got {np.shape(probabilities)} and {labels.shape}",
+        )
+        own = _strangeness(probabilities)[np.arange(len(labels)), labels]
+        if not label_conditional:
+            return cls((np.sort(own),))
+        n_classes = probabilities.shape[1]
+        missing = sorted(set(range(n_classes)) - set(labels.tolist()))
+        require(not missing, f"each class needs calibration cases, class {missing[:1]} has none")
+        return cls(tuple(np.sort(own[labels == n]) for n in range(n_classes)))
+
+    def p_values(self, probabilities: FloatArray) -> FloatArray:
+        """Share of the calibration cases at least as strange as each class would be, shape (n_cases, n_classes).
+
+        Of the true class it is at most alpha in a share alpha of the cases.
+        """
+        strange = _strangeness(probabilities)
+        shares = []
+        for column in range(probabilities.shape[1]):
+            known = self.strangeness[column if len(self.strangeness) > 1 else 0]
+            below = np.searchsorted(known, strange[:, column], side="left")
+            shares.append((len(known) - below + 1.0) / (len(known) + 1.0))
+        return np.stack(shares, axis=1)
+
+    def sets(self, probabilities: FloatArray, coverage: float = 0.90) -> BoolArray:
+        """Which classes are in the set of each case, shape (n_cases, n_classes); a set may be empty.
+
+        Args:
+            probabilities: shape (n_cases, n_classes).
+            coverage: share of the cases whose set is to hold the true class.
+        """
+        require(0.0 < coverage < 1.0, f"coverage must lie between 0 and 1, got {coverage:g}")
+        return self.p_values(probabilities) > 1.0 - coverage
+
+
+def _strangeness(probabilities: FloatArray) -> FloatArray:
+    """Probability of all other classes, shape (n_cases, n_classes).
+
+    It is added up and not taken as 1 - p, which is 0 to rounding for many a clear case: among equals no set could be
+    cut to size.
+    """
+    columns = range(probabilities.shape[1])
+    return np.stack([np.delete(probabilities, column, axis=1).sum(axis=1) for column in columns], axis=1)
+
+
+class Coverage(NamedTuple):
+    """What sets do on test cases.
+
+    Attributes:
+        overall: share of the sets that hold the true class.
+        by_class: the same of the cases of each class, nan where there are none, shape (n_classes,).
+        mean_size: mean number of classes in a set.
+        empty: share of the sets without a class: the case is stranger than nearly all calibration cases.
+        single: share of the sets with one class.
+    """
+
+    overall: float
+    by_class: FloatArray
+    mean_size: float
+    empty: float
+    single: float
+
+
+def measured_coverage(sets: BoolArray, truth: ArrayLike) -> Coverage:
+    """Coverage and sizes of sets, shape (n_cases, n_classes), for the true classes, shape (n_cases,)."""
+    labels = np.asarray(truth)
+    held = sets[np.arange(len(labels)), labels]
+    size = sets.sum(axis=1)
+    by_class = [held[labels == n].mean() if (labels == n).any() else np.nan for n in range(sets.shape[1])]
+    return Coverage(
+        float(held.mean()), np.array(by_class), float(size.mean()), float((size == 0).mean()),
+        float((size == 1).mean()),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class ConformalIntervals:
+    """Intervals of severity, widened or narrowed until they cover (Romano, Patterson & Candes 2019, CQR).
+
+    Attributes:
+        margin: added at both ends, for each group; negative where the given intervals are too wide.
+        coverage: wanted.
+    """
+
+    margin: dict[str, float]
+    coverage: float
+
+    @classmethod
+    def calibrate(
+        cls,
+        intervals: FloatArray,
+        severity: ArrayLike,
+        *,
+        coverage: float = 0.90,
+        groups: ArrayLike | None = None,
+    ) -> ConformalIntervals:
+        """From cases that the model was not trained on.
+
+        Args:
+            intervals: lower and upper bounds of the model, shape (n_cases, 2).
+            severity: the truth, shape (n_cases,).
+            coverage: share of the cases to be covered.
+            groups: label of each case, such as its kind: the coverage then holds in each; all together by default.
+
+        Raises:
+            ValueError: a group has too few cases for that coverage.
+        """
+        require(0.0 < coverage < 1.0, f"coverage must lie between 0 and 1, got {coverage:g}")
+        truth = np.asarray(severity, dtype=np.float64)
+        outside = np.maximum(intervals[:, 0] - truth, truth - intervals[:, 1])
+        margin = {}
+        names = _group_names(groups, len(truth))
+        for name in np.unique(names):
+            sorted_outside = np.sort(outside[names == name])
+            rank = int(np.ceil(coverage * (len(sorted_outside) + 1)))
+            require(
+                rank <= len(sorted_outside),
+                f"group {str(name)!r} has {len(sorted_outside)} cases, too few for a coverage of {coverage:g}",
+            )
+            margin[str(name)] = float(sorted_outside[rank - 1])
+        return cls(margin, coverage)
+
+    def widen(self, intervals: FloatArray, groups: ArrayLike | None = None) -> FloatArray:
+        """Intervals that cover, shape (n_cases, 2); bounds are not below 0.
+
+        An interval narrowed to nothing becomes its own middle.
+
+        Raises:
+            ValueError: a group that was not calibrated.
+        """
+        names = _group_names(groups, len(intervals))
+        unknown = sorted({str(name) for name in np.unique(names)} - set(self.margin))
+        require(not unknown, f"group must be one of {', '.join(self.margin)}, got {unknown[:1]}")
+        margin = np.array([self.margin[str(name)] for name in names])
+        middle = intervals.mean(axis=1)
+        low = np.minimum(intervals[:, 0] - margin, middle)
+        high = np.maximum(intervals[:, 1] + margin, middle)
+        widened: FloatArray = np.maximum(np.column_stack([low, high]), 0.0)
+        return widened
+
+
+def _group_names(groups: ArrayLike | None, n_cases: int) -> NDArray[np.str_]:
+    return np.full(n_cases, "all") if groups is None else np.asarray(groups).astype(np.str_)
+
+
+class ConformalClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
+    """Any classifier with probabilities, and sets of classes with a known coverage beside its decisions.
+
+    Args:
+        estimator: the classifier; a logistic regression by default. Wrapped in scikit-learn's `FrozenEstimator` it is
+            taken as it is, and `fit` calibrates on all the cases that it is given.
+        coverage: share of the cases whose set is to hold the true class.
+        label_conditional: whether this is to hold in each class, not only over all.
+        calibration_share: share of the cases that `fit` keeps from training, to calibrate on.
+        random_state: of the choice of these.
+
+    Attributes:
+        classes_: labels.
+        estimator_: the fitted classifier.
+        sets_: the calibrated `ConformalSets`.
+        n_features_in_: n_channels * n_timepoints.
+    """
+
+    classes_: NDArray[Any]
+
+    def __init__(
+        self,
+        estimator: Any = None,
+        coverage: float = 0.90,
+        label_conditional: bool = True,
+        calibration_share: float = 0.3,
+        random_state: int | np.random.RandomState | None = None,
+    ) -> None:
+        self.estimator = estimator
+        self.coverage = coverage
+        self.label_conditional = label_conditional
+        self.calibration_share = calibration_share
+        self.random_state = random_state
+
+    def fit(self, X: Any, y: Any) -> Self:
+        """Train on one part of the cases and calibrate on the other.
+
+        Transients of one motor in both parts make the coverage look better than it is: freeze an estimator that was
+        trained on other motors instead.
+        """
+        flat, labels = labelled_cases(self, X, y)
+        names = self.classes_[labels]
+        if isinstance(self.estimator, FrozenEstimator):
+            self.estimator_, held_out = self.estimator, np.arange(len(flat))
+        else:
+            rng = check_random_state(self.random_state)
+            by_class = (np.flatnonzero(labels == n) for n in range(len(self.classes_)))
+            held_out = np.concatenate([_share(rows, self.calibration_share, rng) for rows in by_class])
+            training = np.setdiff1d(np.arange(len(flat)), held_out)
+            model = LogisticRegression(max_iter=1000) if self.estimator is None else clone(self.estimator)
+            self.estimator_ = model.fit(flat[training], names[training])
+        self.classes_ = np.asarray(self.estimator_.classes_)
+        unknown = sorted(set(names.tolist()) - set(self.classes_.tolist()))
+        if unknown:
+            raise ValueError(f"the estimator does not know the class {unknown[0]!r}")
+        columns = np.searchsorted(self.classes_, names[held_out])
+        probabilities = self.estimator_.predict_proba(flat[held_out])
+        self.sets_ = ConformalSets.calibrate(probabilities, columns, label_conditional=self.label_conditional)
+        return self
+
+    def predict_set(self, X: Any) -> BoolArray:
+        """Which of `classes_` are in the set of each case, shape (n_cases, n_classes)."""
+        sets: BoolArray = self.sets_.sets(self.predict_proba(X), self.coverage)
+        return sets
+
+    def predict_proba(self, X: Any) -> FloatArray:
+        """Probability of each class, the classifier's own, shape (n_cases, n_classes)."""
+        check_is_fitted(self)
+        probabilities: FloatArray = self.estimator_.predict_proba(flat_cases(self, X, reset=False))
+        return probabilities
+
+    def predict(self, X: Any) -> NDArray[Any]:
+        """Most probable class of each case, shape (n_cases,)."""
+        most = self.predict_proba(X).argmax(axis=1)
+        decided: NDArray[Any] = self.classes_[most]
+        return decided
+
+
+def _share(rows: NDArray[np.int64], share: float, rng: np.random.RandomState) -> NDArray[np.int64]:
+    """A share of the rows, at least one, and not all of them where there are two."""
+    count = min(max(1, round(share * len(rows))), max(1, len(rows) - 1))
+    chosen: NDArray[np.int64] = rng.permutation(rows)[:count]
+    return chosen

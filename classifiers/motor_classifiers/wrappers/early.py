@@ -1,0 +1,201 @@
+"""Early verdicts: what is known after the first samples, and a rule that stops as soon as enough is.
+
+The rule stops at the first of some moments at which the largest probability is at least 1 - error. If the probabilities
+mean what they say, then among the cases that stop no more than that share is decided wrongly, whatever the moments:
+given what was seen, each of these verdicts is wrong with a probability of at most `error` (Wald 1947 for two
+hypotheses; several: Baum & Veeravalli 1994). Probabilities that boast break the promise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import beta
+from sklearn.base import BaseEstimator, ClassifierMixin, MetaEstimatorMixin, clone
+from sklearn.linear_model import LogisticRegression
+from sklearn.utils.validation import check_is_fitted
+
+from motor_classifiers.estimators.cases import flat_cases, labelled_cases
+from motor_env.inference.posterior import class_probabilities
+from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.simulate import Timing
+
+_SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
+
+
+class Stopped(NamedTuple):
+    """Verdicts of a stopping rule.
+
+    Attributes:
+        decided: column of the most probable class when the rule stopped, or at the end, shape (n_cases,).
+        moment: row of the moment at which it stopped; the last one, too, where it never did.
+        sure: whether the largest probability reached the level; else the verdict is the best guess at the end.
+    """
+
+    decided: NDArray[np.int64]
+    moment: NDArray[np.int64]
+    sure: NDArray[np.bool_]
+
+
+def stop_when_sure(probabilities: FloatArray, error: float) -> Stopped:
+    """Stop each case at the first moment at which a class has a probability of at least 1 - error.
+
+    Args:
+        probabilities: at each moment, shape (n_moments, n_cases, n_classes).
+        error: wanted share of wrong verdicts among the cases that stop.
+    """
+    require(0.0 < error < 1.0, f"error must lie between 0 and 1, got {error:g}")
+    reached = probabilities.max(axis=2) >= 1.0 - error
+    sure = reached.any(axis=0)
+    moment = np.where(sure, reached.argmax(axis=0), len(probabilities) - 1)
+    decided = probabilities[moment, np.arange(len(moment))].argmax(axis=1)
+    return Stopped(decided, moment, sure)
+
+
+class StoppingScore(NamedTuple):
+    """What a stopping rule does on test cases.
+
+    Attributes:
+        error: share of wrong verdicts among the cases that stopped.
+        error_low: lower end of its 95 % interval (Clopper & Pearson 1934).
+        error_high: upper end.
+        stopped: share of the cases that stopped.
+        accuracy: share of right verdicts of all cases, the best guesses at the end included.
+        mean_time_s: mean time of the verdict over all cases.
+    """
+
+    error: float
+    error_low: float
+    error_high: float
+    stopped: float
+    accuracy: float
+    mean_time_s: float
+
+
+def stopping_score(stopped: Stopped, truth: ArrayLike, time_s: ArrayLike) -> StoppingScore:
+    """Score verdicts.
+
+    Args:
+        stopped: of `stop_when_sure`.
+        truth: true column of each case, shape (n_cases,).
+        time_s: time of each moment, shape (n_moments,).
+    """
+    wrong = stopped.decided != np.asarray(truth)
+    count, misses = int(stopped.sure.sum()), int((wrong & stopped.sure).sum())
+    low = float(beta.ppf(0.025, misses, count - misses + 1)) if misses else 0.0
+    high = float(beta.ppf(0.975, misses + 1, count - misses)) if misses < count else 1.0
+    return StoppingScore(
+        misses / count if count else float("nan"),
+        low,
+        high,
+        count / len(wrong),
+        float(1.0 - wrong.mean()),
+        float(np.asarray(time_s)[stopped.moment].mean()),
+    )
+
+
+def limit_by_samples(recipe: Recipe, measurements: ArrayLike, samples: ArrayLike) -> FloatArray:
+    """The Bayes-optimal posterior from the first samples of each transient, shape (n_moments, n_cases, n_classes)."""
+    measured = np.asarray(measurements)
+    return np.stack([class_probabilities(recipe, measured[..., :count]) for count in np.asarray(samples)])
+
+
+def shortened(estimator: BaseEstimator, n_samples: int) -> BaseEstimator:
+    """A fresh estimator whose recipes, wherever in it they are, end after so many samples."""
+    fresh: BaseEstimator = clone(estimator)
+    return fresh.set_params(
+        **{
+            name: replace(value, timing=_first_samples(value.timing, n_samples))
+            for name, value in fresh.get_params().items()
+            if isinstance(value, Recipe)
+        }
+    )
+
+
+def _first_samples(timing: Timing, n_samples: int) -> Timing:
+    return replace(timing, duration_s=(n_samples - timing.n_quiet) * timing.dt_s)
+
+
+class EarlyClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
+    """Any classifier, once for each of some lengths of what was seen, and the rule that stops when one is sure.
+
+    Args:
+        estimator: the classifier, by default a logistic regression; recipes among its parameters are cut to each
+            length.
+        samples: lengths, rising; by default eight from 2 to 100 % of the transient.
+        error: wanted share of wrong verdicts among the cases that stop.
+
+    Attributes:
+        classes_: labels.
+        samples_: lengths, shape (n_moments,).
+        estimators_: the fitted classifier of each length.
+        n_features_in_: n_channels * n_timepoints.
+    """
+
+    classes_: NDArray[Any]
+
+    def __init__(
+        self, estimator: Any = None, samples: tuple[int, ...] | None = None, error: float = 0.05
+    ) -> None:
+        self.estimator = estimator
+        self.samples = samples
+        self.error = error
+
+    def fit(self, X: Any, y: Any) -> Self:
+        """Train a classifier on the first samples of the cases, for each length.
+
+        Raises:
+            ValueError: lengths that do not rise or are longer than the cases, or what the classifier refuses.
+        """
+        flat, labels = labelled_cases(self, X, y)
+        base = LogisticRegression(max_iter=1000) if self.estimator is None else self.estimator
+        recipe = next((v for v in base.get_params().values() if isinstance(v, Recipe)), None)
+        self.n_channels_ = 1 if recipe is None else len(recipe.sensor.channels)
+        n_samples = flat.shape[1] // self.n_channels_
+        chosen = self.samples or tuple(max(1, round(share * n_samples)) for share in _SHARES)
+        self.samples_ = np.unique(chosen)
+        require(
+            self.samples_[0] >= 1 and self.samples_[-1] <= n_samples,
+            f"samples must be from 1 to {n_samples}, got {chosen}",
+        )
+        names = self.classes_[labels]
+        self.estimators_ = [
+            shortened(base, int(count)).fit(self._first(flat, int(count)), names) for count in self.samples_
+        ]
+        self.classes_ = np.asarray(self.estimators_[-1].classes_)
+        return self
+
+    def probabilities_by_samples(self, X: Any) -> FloatArray:
+        """Probability of each class at each length, shape (n_moments, n_cases, n_classes)."""
+        check_is_fitted(self)
+        flat = flat_cases(self, X, reset=False)
+        return np.stack(
+            [
+                model.predict_proba(self._first(flat, int(count)))
+                for model, count in zip(self.estimators_, self.samples_, strict=True)
+            ]
+        )
+
+    def stop(self, X: Any) -> Stopped:
+        """Verdict of each case and when it fell: `decided` indexes `classes_`, `moment` indexes `samples_`."""
+        return stop_when_sure(self.probabilities_by_samples(X), self.error)
+
+    def predict_proba(self, X: Any) -> FloatArray:
+        """Probability of each class when the rule stopped, shape (n_cases, n_classes)."""
+        probabilities = self.probabilities_by_samples(X)
+        moment = stop_when_sure(probabilities, self.error).moment
+        then: FloatArray = probabilities[moment, np.arange(len(moment))]
+        return then
+
+    def predict(self, X: Any) -> NDArray[Any]:
+        """Verdict of each case, shape (n_cases,)."""
+        most = self.predict_proba(X).argmax(axis=1)
+        decided: NDArray[Any] = self.classes_[most]
+        return decided
+
+    def _first(self, flat: FloatArray, count: int) -> FloatArray:
+        return flat.reshape(len(flat), self.n_channels_, -1)[..., :count].reshape(len(flat), -1)

@@ -1,0 +1,254 @@
+"""What the lab shows: a simulated start, the filter's residual, a rule's statistic with its threshold, the verdict.
+
+Every function here takes plain numbers from the page and gives a dictionary for JSON; the server is `lab_server`.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motor_env.detection.rules import Cusum, MOfN, Rule, first_above, in_a_row
+from motor_env.diagnosis.decision import Diagnosis
+from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.files import diagnose_files
+from motor_env.diagnosis.report import as_json, headline
+from motor_env.errors import InputError
+from motor_env.filters.kalman import KalmanFilter, run_filter
+from motor_env.motor.data_sheet import MotorFile, load_motor
+from motor_env.motor.faults import HEALTHY, Fault, FaultKind
+from motor_env.motor.parameters import CATALOGUE, FloatArray, SensorParameters, SupplyParameters
+from motor_env.recordings.recording import Recording
+from motor_env.simulation.simulate import Scenario, Timing, Transients, simulate
+
+LARGEST_UPLOAD_BYTES = 20_000_000
+FALSE_ALARM_RATE = 0.01
+MOST_POINTS = 1200
+TIMING = Timing(sampling_rate_hz=10_000.0, duration_s=0.1, quiet_s=0.01)
+
+RULES: dict[str, tuple[str, Rule]] = {
+    "cusum": ("CUSUM", Cusum(shift=0.3, two_sided=True)),
+    "nis": ("NIS, 3 of 5", MOfN(3, 5)),
+    "row": ("NIS, 3 in a row", in_a_row(3)),
+}
+"""Rules to choose from; each alarms on 1 % of healthy starts when the motor is exactly the nominal one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """The page's controls.
+
+    Attributes:
+        motor: catalogue motor: what the filter believes.
+        kind: fault kind, or healthy.
+        severity_percent: of the fault.
+        noise_ma: standard deviation of a current sample; the filter believes the same.
+        resistance_percent: how far this motor's own resistance is from nominal: a tolerance, not a fault.
+        friction_percent: the same for the friction.
+        rule: name of the rule, of `RULES`.
+        seed: random number of the noise.
+    """
+
+    motor: str = "paper"
+    kind: str = HEALTHY
+    severity_percent: float = 25.0
+    noise_ma: float = 20.0
+    resistance_percent: float = 0.0
+    friction_percent: float = 0.0
+    rule: str = "cusum"
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        choices = {"motor": tuple(CATALOGUE), "kind": (HEALTHY, *map(str, FaultKind)), "rule": tuple(RULES)}
+        for name, allowed in choices.items():
+            if getattr(self, name) not in allowed:
+                raise InputError(f"{name} must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
+        for name, (low, high) in RANGES.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(f"{name} must lie in {low:g} .. {high:g}, got {value:g}")
+
+
+RANGES: dict[str, tuple[float, float]] = {
+    "severity_percent": (0.0, 60.0),
+    "noise_ma": (1.0, 200.0),
+    "resistance_percent": (-10.0, 10.0),
+    "friction_percent": (-10.0, 10.0),
+    "seed": (0, 1_000_000),
+}
+"""Smallest and largest value of every slider."""
+
+
+def settings_of(document: object) -> Settings:
+    """Settings from the page's JSON.
+
+    Raises:
+        InputError: not an object, an unknown key, a value of the wrong type or out of range.
+    """
+    if not isinstance(document, Mapping):
+        raise InputError("settings must be an object")
+    known = {field.name: field.type for field in fields(Settings)}
+    values: dict[str, Any] = {}
+    for key, value in document.items():
+        if key not in known:
+            raise InputError(f"settings has an unknown key {str(key)[:40]!r}")
+        if known[key] == "str":
+            good = isinstance(value, str)
+        else:
+            good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        if not good:
+            raise InputError(f"{key} must be a {'text' if known[key] == 'str' else 'finite number'}")
+        values[key] = int(value) if known[key] == "int" else value
+    return Settings(**values)
+
+
+def start_of(settings: Settings) -> Transients:
+    """The simulated start: the truth, and what the sensor saw of it."""
+    fault = (
+        ()
+        if settings.kind == HEALTHY
+        else (Fault(FaultKind(settings.kind), 0.01 * settings.severity_percent),)
+    )
+    nominal = CATALOGUE[settings.motor]
+    return simulate(
+        Scenario(
+            parameters=nominal.scaled(
+                resistance_ohm=1.0 + 0.01 * settings.resistance_percent,
+                viscous_friction_n_m_s_per_rad=1.0 + 0.01 * settings.friction_percent,
+            ),
+            faults=fault,
+            supply=SupplyParameters(),
+            sensor=_sensor(settings),
+            timing=TIMING,
+        ),
+        settings.seed,
+        [0],
+    )
+
+
+def _sensor(settings: Settings) -> SensorParameters:
+    return SensorParameters(current_noise_a=1e-3 * settings.noise_ma)
+
+
+def simulated(settings: Settings) -> dict[str, Any]:
+    """Curves of one start: measured and expected current, residual, statistic, threshold, alarm."""
+    start = start_of(settings)
+    nominal = CATALOGUE[settings.motor]
+    belief = KalmanFilter.from_parameters(
+        nominal, _sensor(settings), TIMING.dt_s, process_noise_std=(1e-9, 1e-9)
+    )
+    filtered = run_filter(belief, start.measurements[0], start.voltage_v[0])
+    expected = simulate(
+        Scenario(nominal, sensor=_sensor(settings), timing=TIMING), settings.seed, [0]
+    ).states[0, :, 0]
+    name, rule = RULES[settings.rule]
+    threshold = _threshold(settings.rule)
+    statistic = rule.statistic(filtered.whitened)
+    alarm = int(first_above(statistic, threshold))
+    return {
+        "time_ms": _short(1e3 * start.time_s),
+        "measured_a": _short(start.measurements[0, 0]),
+        "expected_a": _short(expected),
+        "residual_a": _short(filtered.innovation[:, 0]),
+        "statistic": _short(statistic),
+        "threshold": threshold,
+        "rule": name,
+        "alarm_ms": None if alarm < 0 else 1e3 * float(start.time_s[alarm]),
+        "noise_a": 1e-3 * settings.noise_ma,
+    }
+
+
+@lru_cache(maxsize=8)
+def _threshold(rule: str) -> float:
+    wanted = RULES[rule][1].threshold_for(
+        false_alarm_probability=FALSE_ALARM_RATE, n_samples=TIMING.n_samples, n_channels=1
+    )
+    return float(wanted.value)
+
+
+def _short(values: FloatArray) -> list[float]:
+    return [float(f"{value:.6g}") for value in values]
+
+
+def verdict(settings: Settings) -> dict[str, Any]:
+    """The model-based diagnosis of the simulated start, as `motor-env diagnose` makes it of a recording.
+
+    It sees time, current and voltage, and the catalogue motor; not the fault, nor this motor's own tolerances.
+    """
+    start = start_of(settings)
+    seen = Recording(Path("simulated"), start.time_s, start.measurements[0, 0], start.voltage_v[0])
+    motor: MotorFile = replace(load_motor(settings.motor), current_noise_a=1e-3 * settings.noise_ma)
+    return _told(diagnose(seen, motor))
+
+
+def recording_verdict(
+    name: str, content: bytes, motor: str, voltage_v: float | None = None
+) -> dict[str, Any]:
+    """Diagnosis of a dropped recording. Its bytes are data: parsed as a table, kept in a temporary folder meanwhile.
+
+    Args:
+        name: the file's name on the page; only its ending is used, to tell the format.
+        content: its bytes.
+        motor: catalogue motor to compare with, or empty for none.
+        voltage_v: level of the supply, for recordings without a voltage.
+
+    Raises:
+        InputError: too large, unknown motor, or not readable; the sentence speaks of the page's name.
+    """
+    if len(content) > LARGEST_UPLOAD_BYTES:
+        raise InputError(
+            f"a recording may have {LARGEST_UPLOAD_BYTES // 1_000_000} MB, got {len(content) / 1e6:.1f}"
+        )
+    if motor and motor not in CATALOGUE:
+        raise InputError(f"motor must be one of {', '.join(CATALOGUE)}, got {motor[:40]!r}")
+    shown = "".join(character for character in name if character.isprintable())[:80] or "recording"
+    suffix = Path(shown).suffix.lower()
+    ending = suffix if suffix[1:].isalnum() and len(suffix) <= 9 else ".csv"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"recording{ending}"
+        path.write_bytes(content)
+        (outcome,) = diagnose_files([path], motor=motor or None, voltage_v=voltage_v, start=1)
+        if outcome.diagnosis is None:
+            raise InputError((outcome.error or "cannot be read").replace(str(path), shown))
+        told = _told(outcome.diagnosis)
+    told["file"] = shown
+    return told
+
+
+def _told(diagnosis: Diagnosis) -> dict[str, Any]:
+    """The diagnosis as JSON, its headline, and the curves to draw."""
+    told = as_json(diagnosis)
+    told["headline"] = headline(diagnosis)
+    told["curves"] = None
+    fit = diagnosis.identified
+    if fit is not None:
+        begin = max(int(np.searchsorted(fit.start.time_s, fit.onset_s)) - 20, 0)
+        step = max((len(fit.start.time_s) - begin) // MOST_POINTS, 1)
+        some = slice(begin, None, step)
+        told["curves"] = {
+            "time_ms": _short(1e3 * (fit.start.time_s[some] - fit.onset_s)),
+            "measured_a": _short(fit.start.current_a[some]),
+            "fitted_a": _short(fit.expected[some, 0]),
+            "residual_a": _short(fit.residual_a[some]),
+        }
+    return told
+
+
+def options() -> dict[str, Any]:
+    """What the page offers."""
+    return {
+        "motors": list(CATALOGUE),
+        "kinds": [HEALTHY, *map(str, FaultKind)],
+        "rules": [{"name": key, "label": label} for key, (label, _) in RULES.items()],
+        "ranges": RANGES,
+        "defaults": {field.name: field.default for field in fields(Settings)},
+        "largest_upload_bytes": LARGEST_UPLOAD_BYTES,
+        "false_alarm_rate": FALSE_ALARM_RATE,
+    }

@@ -1,0 +1,160 @@
+"""The lab's server: the standard library's, on the loopback interface only, with a page of its own.
+
+Nobody else can use it: it binds to 127.0.0.1, refuses requests whose Host is another name (DNS rebinding) or whose
+Origin is another page, and the page may load nothing from elsewhere (Content-Security-Policy).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+from collections.abc import Callable
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from typing import Any
+from urllib.parse import parse_qs, unquote, urlsplit
+
+from motor_env.apps import lab
+from motor_env.errors import InputError
+
+HOST = "127.0.0.1"
+_LARGEST_SETTINGS_BYTES = 10_000
+_ASSETS = {
+    "/": ("lab.html", "text/html; charset=utf-8"),
+    "/lab.js": ("lab.js", "text/javascript; charset=utf-8"),
+    "/lab.css": ("lab.css", "text/css; charset=utf-8"),
+}
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
+
+
+def make_server(port: int = 0) -> ThreadingHTTPServer:
+    """A server that listens and does not serve yet; port 0 takes a free one (`server.server_port`).
+
+    Raises:
+        InputError: the port is taken, or out of range.
+    """
+    if not 0 <= port <= 65_535:
+        raise InputError(f"port must lie in 0 .. 65535, got {port}")
+    try:
+        server = ThreadingHTTPServer((HOST, port), _Handler)
+    except OSError as error:
+        raise InputError(f"port {port} cannot be opened ({(error.strerror or str(error)).lower()})") from None
+    server.daemon_threads = True
+    return server
+
+
+def address(server: ThreadingHTTPServer) -> str:
+    """The page's address."""
+    return f"http://{HOST}:{server.server_port}/"
+
+
+_ONE_AT_A_TIME = threading.Lock()  # a fit takes a whole core; requests of a moved slider must not pile up
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server_version = "motor-env-lab"
+    sys_version = ""
+    timeout = 30
+
+    def do_GET(self) -> None:
+        """The page, its script and style, and what it offers."""
+        if not self._is_ours():
+            return
+        path = urlsplit(self.path).path
+        if path in _ASSETS:
+            name, kind = _ASSETS[path]
+            self._send(HTTPStatus.OK, (files("motor_env.apps") / "lab_assets" / name).read_bytes(), kind)
+        elif path == "/api/options":
+            self._send_json(HTTPStatus.OK, lab.options())
+        else:
+            self._send_json(HTTPStatus.NOT_FOUND, {"error": "no such page"})
+
+    def do_POST(self) -> None:
+        """Simulate, judge, diagnose."""
+        if not self._is_ours():
+            return
+        actions: dict[str, tuple[int, Callable[[bytes], dict[str, Any]]]] = {
+            "/api/simulate": (_LARGEST_SETTINGS_BYTES, lambda body: lab.simulated(_settings(body))),
+            "/api/verdict": (_LARGEST_SETTINGS_BYTES, lambda body: lab.verdict(_settings(body))),
+            "/api/diagnose": (lab.LARGEST_UPLOAD_BYTES, self._diagnose),
+        }
+        path = urlsplit(self.path).path
+        if path not in actions:
+            self._send_json(HTTPStatus.NOT_FOUND, {"error": "no such page"})
+            return
+        largest, action = actions[path]
+        try:
+            body = self._body(largest)
+            with _ONE_AT_A_TIME:
+                answer = action(body)
+        except (InputError, ValueError) as error:
+            self._send_json(HTTPStatus.BAD_REQUEST, {"error": str(error)})
+        else:
+            self._send_json(HTTPStatus.OK, answer)
+
+    def _diagnose(self, body: bytes) -> dict[str, Any]:
+        query = parse_qs(urlsplit(self.path).query)
+        level = query.get("voltage", [""])[0]
+        try:
+            voltage = float(level) if level else None
+        except ValueError:
+            voltage = math.nan
+        if voltage is not None and not 0.0 < voltage < math.inf:
+            raise InputError(f"voltage must be > 0, got {level[:40]!r}")
+        name = unquote(query.get("name", ["recording.csv"])[0])
+        return lab.recording_verdict(name, body, query.get("motor", [""])[0], voltage)
+
+    def _body(self, largest: int) -> bytes:
+        length = self.headers.get("Content-Length", "")
+        if not length.isascii() or not length.isdigit():
+            self.close_connection = True
+            raise InputError("the request has no length")
+        if int(length) > largest:
+            self.close_connection = True  # the rest is not read
+            raise InputError(f"at most {largest / 1e6:g} MB can be taken, got {int(length) / 1e6:.1f} MB")
+        return self.rfile.read(int(length))
+
+    def _is_ours(self) -> bool:
+        port = self.connection.getsockname()[1]
+        hosts = {f"{name}:{port}" for name in (HOST, "localhost")}
+        origin = self.headers.get("Origin")
+        if self.headers.get("Host") in hosts and (
+            origin is None or origin in {f"http://{host}" for host in hosts}
+        ):
+            return True
+        self.close_connection = True
+        self._send_json(HTTPStatus.FORBIDDEN, {"error": "this page answers its own machine only"})
+        return False
+
+    def _send_json(self, status: HTTPStatus, document: dict[str, Any]) -> None:
+        body = json.dumps(document, ensure_ascii=False, allow_nan=False, default=str).encode()
+        self._send(status, body, "application/json; charset=utf-8")
+
+    def _send(self, status: HTTPStatus, body: bytes, kind: str) -> None:
+        self.send_response(status)
+        for name, value in {"Content-Type": kind, "Content-Length": str(len(body)), **_HEADERS}.items():
+            self.send_header(name, value)
+        try:
+            self.end_headers()
+            self.wfile.write(body)
+        except ConnectionError:  # the page was closed, or asks anew
+            self.close_connection = True
+
+    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002  # the base class names it so
+        """Say nothing."""
+
+
+def _settings(body: bytes) -> lab.Settings:
+    try:
+        document = json.loads(body)
+    except (ValueError, RecursionError):
+        raise InputError("settings must be JSON") from None
+    return lab.settings_of(document)

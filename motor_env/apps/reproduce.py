@@ -1,0 +1,228 @@
+"""The command `motor-env reproduce`: the paper's figures and numbers beside ours, as a page and as JSON.
+
+A folder that it writes holds `index.html` and `paper.md` (the same page), `images/` and `reproduce.json`. Both pages
+are made from one list of blocks.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from motor_env.apps.paper import SETTLING_BAND, Comparison, comparisons, slips
+from motor_env.apps.paper_figures import (
+    N_RUNS,
+    NOISE_FAULT,
+    PROCESS_NOISE_STD,
+    SEED,
+    SENSOR,
+    TIMING,
+    PaperFigure,
+    paper_figures,
+)
+from motor_env.errors import InputError
+from motor_env.files import write_text
+from motor_env.plotting import drawing, save
+
+MADE_BY = "motor-env reproduce"
+IMAGE_FORMATS = ("svg", "png")
+NOT_PRINTED = "not printed"
+_RECORD = "reproduce.json"
+
+
+class Block(NamedTuple):
+    """A part of the page: heading, paragraph, table (its first row is the header), or image and caption."""
+
+    kind: str
+    text: str = ""
+    rows: tuple[tuple[str, ...], ...] = ()
+    image: str = ""
+
+
+def _choices() -> str:
+    current, speed = PROCESS_NOISE_STD
+    noise, fault = SENSOR.current_noise_a, NOISE_FAULT
+    span = f"{TIMING.sampling_rate_hz / 1e3:g} kHz for {1e3 * TIMING.duration_s:g} ms"
+    return (
+        "The paper prints no Q, no R and no variance of its noise. Taken here: a sensor noise of "
+        f"{1e3 * noise:g} mA, so R = {noise**2:.1e} A²; Q = diag({current**2:.0e} A², {speed**2:.0e} rad²/s²) an "
+        f"interval; {span}; an incipient noise fault that starts {1e3 * fault.onset_s:g} ms after the step and "
+        f"raises the variance by {100 * float(fault.severity):g} % over {1e3 * fault.growth_s:g} ms; seed {SEED}; "
+        f"{N_RUNS} runs for the error covariance. Q is small on purpose: process noise absorbs a fault."
+    )
+
+
+def page(image_format: str) -> list[Block]:
+    """The whole page, its numbers computed now."""
+    return [
+        Block("heading", "The paper, reproduced"),
+        Block(
+            "paragraph",
+            "Source: Simulation of Incipient Fault Detection, Confirmation and Diagnosis Using Kalman Filter. "
+            f"Made by `{MADE_BY} --out out/paper`; every number of ours on this page was computed by that command.",
+        ),
+        Block("paragraph", _choices()),
+        Block("heading 2", "Where the paper is wrong"),
+        Block(
+            "table", rows=(("the paper says", "what holds"), *((slip.says, slip.holds) for slip in slips()))
+        ),
+        Block("heading 2", "Its numbers beside ours"),
+        Block(
+            "paragraph",
+            f"Settling time: the last moment at which the current is more than {100 * SETTLING_BAND:g} % of its peak "
+            "away from its final value. A paper's number agrees when ours rounds to every digit printed.",
+        ),
+        Block("table", rows=_number_rows(comparisons())),
+        Block("heading 2", "Figures"),
+        *(
+            Block("image", figure.caption, image=f"images/{figure.name}.{image_format}")
+            for figure in paper_figures()
+        ),
+    ]
+
+
+def _number_rows(numbers: Sequence[Comparison]) -> tuple[tuple[str, ...], ...]:
+    header = ("quantity", "unit", "paper", "ours", "agrees", "computed from")
+    verdict = {None: "", True: "yes", False: "no"}
+    return (
+        header,
+        *(
+            (n.quantity, n.unit, n.paper or NOT_PRINTED, n.ours_text, verdict[n.agrees], n.parameters)
+            for n in numbers
+        ),
+    )
+
+
+def markdown(blocks: Sequence[Block]) -> str:
+    """The page as Markdown."""
+    parts = []
+    for block in blocks:
+        match block.kind:
+            case "heading":
+                parts.append(f"# {block.text}")
+            case "heading 2":
+                parts.append(f"## {block.text}")
+            case "table":
+                lines = [f"| {' | '.join(row)} |" for row in block.rows]
+                lines.insert(1, "|---" * len(block.rows[0]) + "|")
+                parts.append("\n".join(lines))
+            case "image":
+                title = block.text.partition(":")[0]
+                parts.append(f"![{title}]({block.image})\n\n*{block.text}*")
+            case _:
+                parts.append(block.text)
+    return "\n\n".join(parts) + "\n"
+
+
+_PAGE_HEAD = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>The paper, reproduced</title><style>
+body{font:17px/1.55 system-ui,sans-serif;color:#1f2933;max-width:62rem;margin:2rem auto;padding:0 1rem}
+table{border-collapse:collapse;width:100%;font-size:15px}td,th{padding:.35rem .6rem;border-bottom:1px solid #e4e7eb;
+text-align:left;vertical-align:top;font-variant-numeric:tabular-nums}figure{margin:2.2rem 0}img{width:100%}
+figcaption{color:#52606d}
+</style></head><body>
+"""
+
+
+def page_html(blocks: Sequence[Block]) -> str:
+    """The page as HTML; the images lie beside it."""
+    parts = []
+    for block in blocks:
+        text = html.escape(block.text)
+        match block.kind:
+            case "heading":
+                parts.append(f"<h1>{text}</h1>")
+            case "heading 2":
+                parts.append(f"<h2>{text}</h2>")
+            case "table":
+                tags = ["th"] + ["td"] * (len(block.rows) - 1)
+                parts.append("<table>")
+                for tag, row in zip(tags, block.rows, strict=True):
+                    cells = "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in row)
+                    parts.append(f"<tr>{cells}</tr>")
+                parts.append("</table>")
+            case "image":
+                title = html.escape(block.text.partition(":")[0])
+                image = f'<img src="{html.escape(block.image)}" alt="{title}">'
+                parts.append(f"<figure>{image}<figcaption>{text}</figcaption></figure>")
+            case _:
+                parts.append(f"<p>{text.replace('`', '')}</p>")
+    return _PAGE_HEAD + "\n".join(parts) + "\n</body></html>\n"
+
+
+def record(image_format: str) -> dict[str, Any]:
+    """The same for machines; `paper` is null where the paper prints no number."""
+    return {
+        "made_by": MADE_BY,
+        "numbers": [
+            {**number._asdict(), "ours_shown": number.ours_text, "agrees": number.agrees}
+            for number in comparisons()
+        ],
+        "slips": [slip._asdict() for slip in slips()],
+        "choices": {
+            "measurement_variance_a2": SENSOR.current_noise_a**2,
+            "process_variance": [std**2 for std in PROCESS_NOISE_STD],
+            "sampling_rate_hz": TIMING.sampling_rate_hz,
+            "noise_fault_severity": NOISE_FAULT.severity,
+            "noise_fault_onset_s": NOISE_FAULT.onset_s,
+            "noise_fault_growth_s": NOISE_FAULT.growth_s,
+            "seed": SEED,
+        },
+        "figures": [
+            {"image": f"images/{figure.name}.{image_format}", "caption": figure.caption}
+            for figure in paper_figures()
+        ],
+    }
+
+
+def reproduce(
+    out: Path, *, image_format: str = "svg", progress: Callable[[PaperFigure], None] = lambda _: None
+) -> dict[str, Any]:
+    """Write the page, its figures and its record into a folder.
+
+    Args:
+        out: the folder; new, empty, or one that this command wrote before.
+        image_format: svg or png.
+        progress: called before each figure.
+
+    Returns:
+        What stands in `reproduce.json`.
+
+    Raises:
+        InputError: an unknown format, a folder that cannot be written, or files of others in it.
+    """
+    if image_format not in IMAGE_FORMATS:
+        raise InputError(f"image format must be one of {', '.join(IMAGE_FORMATS)}, got {image_format!r}")
+    _require_ours(out)
+    result = record(image_format)
+    # The record comes first: a folder left by an interrupted run is still known as ours.
+    write_text(out / _RECORD, json.dumps(result, indent=1, ensure_ascii=False) + "\n")
+    (out / "images").mkdir(exist_ok=True)
+    with drawing():
+        for figure in paper_figures():
+            progress(figure)
+            save(figure.draw(), out / "images" / f"{figure.name}.{image_format}")
+    blocks = page(image_format)
+    write_text(out / "paper.md", markdown(blocks))
+    write_text(out / "index.html", page_html(blocks))
+    return result
+
+
+def _require_ours(out: Path) -> None:
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise InputError(f"{out}: not a folder; give a new or empty one")
+    if not any(out.iterdir()):
+        return
+    try:
+        written = json.loads((out / _RECORD).read_text(encoding="utf-8"))
+        ours = isinstance(written, dict) and written.get("made_by") == MADE_BY
+    except (OSError, ValueError):
+        ours = False
+    if not ours:
+        raise InputError(f"{out}: holds files that this command did not write; give a new or empty folder")

@@ -1,0 +1,1 @@
+"""Detection: decision rules on residuals, the run lengths they have, and confirmation by thresholds."""

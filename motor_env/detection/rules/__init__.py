@@ -1,0 +1,36 @@
+"""Decision rules: when does a residual count as a fault, and how often does a healthy motor alarm?
+
+Each rule has `statistic(whitened)`, `alarm_index(whitened, threshold)`, `stream()` with `update(sample)`, and
+`threshold_for(arl0=...)`, `threshold_for(false_alarm_probability=..., n_samples=...)` or
+`threshold_for(false_alarm_probability=..., recipe=...)`. They read whitened innovations, shape (..., n_samples,
+n_channels): `FilterResult.whitened` of a known motor, `TolerantFilter.white` of one known up to its tolerances.
+"""
+
+from motor_env.detection.rules.bank import ModelBank
+from motor_env.detection.rules.base import Rule, RuleStream, first_above
+from motor_env.detection.rules.calibration import recipe_thresholds, run_lengths
+from motor_env.detection.rules.cusum import Cusum, ShiryaevRoberts, SignatureCusum, Sprt
+from motor_env.detection.rules.nis import MOfN, in_a_row, nis_rule
+from motor_env.detection.rules.thresholds import Threshold
+from motor_env.detection.rules.tolerant import TolerantFilter
+from motor_env.detection.rules.windowed import Glr, WindowedNis
+
+__all__ = [
+    "Cusum",
+    "Glr",
+    "MOfN",
+    "ModelBank",
+    "Rule",
+    "RuleStream",
+    "ShiryaevRoberts",
+    "SignatureCusum",
+    "Sprt",
+    "Threshold",
+    "TolerantFilter",
+    "WindowedNis",
+    "first_above",
+    "in_a_row",
+    "nis_rule",
+    "recipe_thresholds",
+    "run_lengths",
+]

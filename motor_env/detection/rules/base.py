@@ -1,0 +1,167 @@
+"""What every decision rule offers: statistic, alarm, stream, threshold."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from motor_env.detection.rules.calibration import (
+    CALIBRATION_SEED,
+    recipe_thresholds,
+    run_lengths,
+    simulated_threshold,
+)
+from motor_env.detection.rules.thresholds import Threshold, Wanted
+from motor_env.motor.parameters import FloatArray, require
+
+if TYPE_CHECKING:
+    from motor_env.simulation.recipes import Recipe
+
+
+_RUNS = 2_000
+
+
+class Rule(ABC):
+    """A decision rule on whitened innovations, which are white and standard normal while the belief holds.
+
+    That they are: Kailath 1968; that faults show in them: Mehra & Peschon 1971.
+
+    A rule is a value: it holds settings and no running state. `start` and `scan` define it; the batch and the stream
+    both call them, so they cannot disagree.
+    """
+
+    @property
+    def n_channels(self) -> int | None:
+        """Channels that the rule needs, or None where it takes any number."""
+        return None
+
+    @abstractmethod
+    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+        """State before the first sample, shape (n_streams, width)."""
+
+    @abstractmethod
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """Statistic after each sample, shape (n_streams, n_samples); the state is carried on in place.
+
+        Args:
+            state: as `start` gives it.
+            whitened: shape (n_streams, n_samples, n_channels). A channel that is NaN was not measured: the rule takes
+                no notice of it.
+        """
+
+    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold | None:
+        """Threshold by theory, None where there is none and it has to be simulated."""
+        return None
+
+    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
+        """Average samples to the alarm, from the start, for samples of one channel and of mean `shift`.
+
+        A shift of 0 gives ARL0. Exact where theory gives it, else the mean of 2,000 simulated runs.
+        """
+        return float(run_lengths(self, threshold, _RUNS, mean=shift).mean())
+
+    def threshold_for(
+        self,
+        *,
+        arl0: float | None = None,
+        false_alarm_probability: float | None = None,
+        n_samples: int | None = None,
+        n_channels: int = 1,
+        recipe: Recipe | None = None,
+        runs: int | None = None,
+        seed: int = CALIBRATION_SEED,
+    ) -> Threshold:
+        """Threshold for a wanted rate of false alarms: exact where theory gives it, else by calibrated simulation.
+
+        Give `arl0`, or `false_alarm_probability` with `n_samples` or a `recipe`. The recipe's healthy motors are known
+        only up to their tolerances: its threshold is for the residuals that `TolerantFilter.of(recipe)` whitens.
+
+        Args:
+            arl0: average number of samples between false alarms.
+            false_alarm_probability: probability of a false alarm in a transient.
+            n_samples: length of the transient; that of the recipe where there is one.
+            n_channels: measured channels; those of the recipe where there is one.
+            recipe: what healthy motors are drawn from; its fault classes are not looked at.
+            runs: healthy runs of a calibrating simulation, where one is needed; by default 100,000 transients, and
+                10,000 runs to an alarm (or as many as make 3e8 samples, at least 1,000).
+            seed: of that simulation. It is the same each time, so that a threshold is a number and not a draw.
+
+        Raises:
+            ValueError: both or none is given, a recipe comes with `arl0`, `n_samples` or `n_channels`, the rule has no
+                threshold of that kind, or there are too few runs.
+        """
+        if recipe is not None:
+            require(
+                arl0 is None and n_samples is None and n_channels == 1,
+                "recipe goes with false_alarm_probability alone: a start has an end, a length and channels of its own",
+            )
+            wanted = Wanted.checked(None, false_alarm_probability, recipe.timing.n_samples)
+            [threshold] = recipe_thresholds([self], recipe, wanted.probability or 0.0, runs=runs, seed=seed)
+            return threshold
+        wanted = Wanted.checked(arl0, false_alarm_probability, n_samples)
+        exact = self.exact_threshold(wanted, n_channels)
+        return exact or simulated_threshold(self, wanted, runs=runs, n_channels=n_channels, seed=seed)
+
+    def statistic(self, whitened: ArrayLike) -> FloatArray:
+        """Statistic after each sample.
+
+        Args:
+            whitened: shape (..., n_samples, n_channels), as in `FilterResult.whitened`.
+
+        Returns:
+            Shape (..., n_samples).
+        """
+        values = np.asarray(whitened, dtype=np.float64)
+        require(
+            values.ndim >= 2 and self.n_channels in (None, values.shape[-1]),
+            f"whitened must have shape (..., n_samples, {self.n_channels or 'n_channels'}), got {values.shape}",
+        )
+        flat = np.ascontiguousarray(values.reshape(-1, *values.shape[-2:]))
+        return self.scan(self.start(len(flat), flat.shape[-1]), flat).reshape(values.shape[:-1])
+
+    def alarm_index(self, whitened: ArrayLike, threshold: float | Threshold) -> NDArray[np.int64]:
+        """First sample at which the statistic is above the threshold, -1 where there is none; shape (...)."""
+        limit = threshold.value if isinstance(threshold, Threshold) else threshold
+        return first_above(self.statistic(whitened), limit)
+
+    def stream(self, n_streams: int = 1, n_channels: int = 1) -> RuleStream:
+        """A running copy of the rule, fed one sample at a time."""
+        return RuleStream(self, n_streams, n_channels)
+
+
+class RuleStream:
+    """A rule in service: `update(sample)` gives what the batch gives at that sample.
+
+    Attributes:
+        rule: the rule.
+        state: its running state, shape (n_streams, width).
+    """
+
+    def __init__(self, rule: Rule, n_streams: int, n_channels: int) -> None:
+        require(
+            rule.n_channels in (None, n_channels),
+            f"n_channels must be {rule.n_channels} for this rule, got {n_channels}",
+        )
+        self.rule = rule
+        self._shape = (n_streams, n_channels)
+        self.state = rule.start(n_streams, n_channels)
+
+    def update(self, whitened: ArrayLike) -> FloatArray:
+        """Statistic after one more sample, shape (n_streams,), from shape (n_streams, n_channels)."""
+        values = np.asarray(whitened, dtype=np.float64).reshape(self._shape)
+        return self.rule.scan(self.state, values[:, None, :])[:, 0]
+
+    def reset(self, streams: NDArray[np.bool_] | None = None) -> None:
+        """Begin anew: all streams, or those where the mask is true."""
+        fresh = self.rule.start(*self._shape)
+        self.state = fresh if streams is None else np.where(streams[:, None], fresh, self.state)
+
+
+def first_above(statistic: FloatArray, threshold: float) -> NDArray[np.int64]:
+    """Index of the first value above the threshold along the last axis, -1 where there is none."""
+    above = statistic > threshold
+    index: NDArray[np.int64] = np.where(above.any(axis=-1), above.argmax(axis=-1), -1).astype(np.int64)
+    return index

@@ -1,0 +1,212 @@
+"""Thresholds by calibrated simulation, for rules whose false alarms no equation gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from motor_env.detection.rules.kernels import first_passages
+from motor_env.detection.rules.thresholds import Threshold, Wanted
+from motor_env.detection.rules.tolerant import TolerantFilter
+from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.random_streams import Stream, normals
+from motor_env.simulation.recipes import FaultClass, Recipe, draw, measure_draw
+
+if TYPE_CHECKING:
+    from motor_env.detection.rules.base import Rule
+
+IntArray = NDArray[np.int64]
+Progress = Callable[[float], None]
+
+CALIBRATION_SEED = 20_101
+
+_TRANSIENTS = 100_000
+_MOST_RUNS, _LEAST_RUNS, _SAMPLES = 10_000, 1_000, 3e8
+_PILOT = 400
+_LEVELS = 9
+_NARROW = 0.3  # how far from the wanted average run length the pilot's thresholds reach, as a logarithm
+_BLOCK = 500
+_AT_ONCE = 400_000  # values in one array: they stay in the cache
+
+
+def simulated_threshold(
+    rule: Rule, wanted: Wanted, *, runs: int | None, n_channels: int, seed: int
+) -> Threshold:
+    """Threshold from simulated healthy runs of white noise, with its standard error.
+
+    For a probability it is an order statistic of the runs' largest values. For an average run length a pilot finds a
+    narrow range of thresholds, and every run goes on to its alarm at each of them; the mean run length, whose logarithm
+    is near linear in the threshold (Siegmund 1985), is solved for what is wanted.
+
+    Args:
+        rule: the rule.
+        wanted: what the threshold is for.
+        runs: healthy runs to simulate; None for as many as `Rule.threshold_for` says.
+        n_channels: measured channels.
+        seed: seed of the noise.
+    """
+    if wanted.probability is not None:
+        count = runs or _TRANSIENTS
+        largest = largest_values(rule, wanted.n_samples, np.arange(count), n_channels, seed)
+        method = f"simulated: {count} runs of {wanted.n_samples} samples"
+        return _order_statistic(largest, wanted.probability, method)
+    require(wanted.arl0 is not None, "a threshold needs arl0 or a false-alarm probability")
+    arl0 = float(wanted.arl0 or 0.0)
+    count = runs or int(np.clip(_SAMPLES / arl0, _LEAST_RUNS, _MOST_RUNS))
+    return _for_run_length(rule, arl0, count, n_channels, seed)
+
+
+def recipe_thresholds(
+    rules: Sequence[Rule],
+    recipe: Recipe,
+    false_alarm_probability: float,
+    *,
+    runs: int | None = None,
+    seed: int = CALIBRATION_SEED,
+    progress: Progress | None = None,
+) -> list[Threshold]:
+    """Thresholds of several rules from the same simulated healthy motors of a recipe; one: `Rule.threshold_for`.
+
+    Monte Carlo critical values (Barnard 1963), with the standard error of an order statistic (Mosteller 1946).
+    Whitened to second order in the tolerances (`TolerantFilter`) the residual is white, but not quite normal, so no
+    threshold is exact; without tolerances it is white noise, and the rules' own thresholds are taken.
+
+    Args:
+        rules: on the residual that `TolerantFilter.of(recipe).white` gives.
+        recipe: what healthy motors are drawn from.
+        false_alarm_probability: in a transient.
+        runs: healthy motors to simulate, by default 100,000; at least 10 / probability.
+        seed: of the motors and their noise.
+        progress: called with the share done.
+    """
+    if recipe.field is None and not recipe.spread.std.any():
+        n_samples, n_channels = recipe.timing.n_samples, len(recipe.sensor.channels)
+        wanted = Wanted.checked(None, false_alarm_probability, n_samples)
+        return [
+            rule.exact_threshold(wanted, n_channels)
+            or simulated_threshold(rule, wanted, runs=runs, n_channels=n_channels, seed=seed)
+            for rule in rules
+        ]
+    count = runs or _TRANSIENTS
+    tolerant = TolerantFilter.of(recipe)
+    largest = np.empty((len(rules), count))
+    batch = max(1, _AT_ONCE // tolerant.bias.size)
+    for first in range(0, count, batch):
+        cases = np.arange(first, min(first + batch, count))
+        white = tolerant.white(healthy_measurements(recipe, seed, cases))
+        for row, rule in zip(largest, rules, strict=True):
+            row[cases] = rule.statistic(white).max(axis=1)
+        if progress is not None:
+            progress((cases[-1] + 1) / count)
+    method = f"simulated: {count} healthy motors of {recipe.name}"
+    return [_order_statistic(row, false_alarm_probability, method) for row in largest]
+
+
+def healthy_measurements(recipe: Recipe, seed: int, cases: ArrayLike) -> NDArray[np.float32]:
+    """Measured transients of healthy motors drawn from the recipe, shape (n_cases, n_channels, n_samples)."""
+    healthy = replace(recipe, classes=(FaultClass(),), healthy_starts=0)
+    return measure_draw(draw(healthy, seed, cases), healthy, seed)
+
+
+def largest_values(rule: Rule, n_samples: int, cases: IntArray, n_channels: int, seed: int) -> FloatArray:
+    """Largest statistic of each of many healthy runs, shape (n_cases,)."""
+    answer = np.empty(len(cases))
+    batch = max(1, _AT_ONCE // (n_samples * n_channels))
+    for first in range(0, len(cases), batch):
+        here = cases[first : first + batch]
+        state = rule.start(len(here), n_channels)
+        best = np.full(len(here), -np.inf)
+        for begin in range(0, n_samples, _AT_ONCE):
+            count = min(_AT_ONCE, n_samples - begin)
+            noise = _noise(seed, here, begin // _AT_ONCE, count, n_channels)
+            np.maximum(best, rule.scan(state, noise).max(axis=1), out=best)
+        answer[first : first + batch] = best
+    return answer
+
+
+def run_lengths(
+    rule: Rule,
+    levels: ArrayLike,
+    runs: int,
+    *,
+    n_channels: int = 1,
+    seed: int = CALIBRATION_SEED,
+    mean: ArrayLike = 0.0,
+) -> IntArray:
+    """Samples to the alarm of simulated runs, each followed to its alarm, shape (runs, n_levels) (Page 1954).
+
+    Args:
+        rule: the rule.
+        levels: thresholds, rising, shape (n_levels,).
+        runs: how many.
+        n_channels: measured channels.
+        seed: of the noise; run n depends on (seed, n) alone.
+        mean: of the samples, as a fault that is there from the first one makes it: scalar or shape (n,), beyond whose
+            end the last value stays; 0 while healthy.
+    """
+    thresholds = np.atleast_1d(np.asarray(levels, dtype=np.float64))
+    profile = np.atleast_1d(np.asarray(mean, dtype=np.float64))
+    lengths = np.zeros((runs, len(thresholds)), dtype=np.int64)
+    batch = max(1, _AT_ONCE // (_BLOCK * n_channels))
+    for first in range(0, runs, batch):
+        cases = np.arange(first, min(first + batch, runs))
+        passed, found = (
+            np.zeros(len(cases), dtype=np.int64),
+            np.zeros((len(cases), len(thresholds)), np.int64),
+        )
+        state, block = rule.start(len(cases), n_channels), 0
+        while len(cases):
+            values = _noise(seed, cases, block, _BLOCK, n_channels)
+            begin = block * _BLOCK
+            values += profile[np.minimum(np.arange(begin, begin + _BLOCK), len(profile) - 1)][:, None]
+            first_passages(rule.scan(state, values), begin, thresholds, passed, found)
+            left = passed < len(thresholds)
+            if not left.all():
+                lengths[cases[~left]] = found[~left]
+                cases, passed, found, state = cases[left], passed[left], found[left], state[left]
+            block += 1
+    return lengths
+
+
+def _noise(seed: int, cases: IntArray, block: int, count: int, n_channels: int) -> FloatArray:
+    """White noise of a block of samples of each run, shape (n_cases, count, n_channels)."""
+    numbers = cases + (block << 32)  # each block is a case of its own to the streams
+    return normals(seed, Stream.CALIBRATION, numbers, count * n_channels).reshape(
+        len(cases), count, n_channels
+    )
+
+
+def _order_statistic(largest: FloatArray, probability: float, method: str) -> Threshold:
+    least = int(np.ceil(10.0 / probability))
+    require(
+        len(largest) >= least,
+        f"runs must be >= {least} to calibrate a probability of {probability:g}, got {len(largest)}",
+    )
+    error = np.sqrt(probability * (1.0 - probability) / len(largest))
+    shares = 1.0 - np.array([probability + error, probability, probability - error])
+    below, value, above = np.quantile(largest, shares, method="higher")
+    return Threshold(float(value), 0.5 * float(above - below), method)
+
+
+def _for_run_length(rule: Rule, arl0: float, runs: int, n_channels: int, seed: int) -> Threshold:
+    # Run lengths are near exponential (Pollak & Tartakovsky 2009): a run of L = arl0 samples stays silent with
+    # probability exp(-1), and exp(-exp(-+0.3)) at thresholds for exp(+-0.3) arl0.
+    pilot = largest_values(rule, max(1, int(arl0)), runs + np.arange(_PILOT), n_channels, seed)
+    low, high = (float(np.quantile(pilot, np.exp(-np.exp(-side)))) for side in (-_NARROW, _NARROW))
+    for _ in range(20):
+        levels = np.linspace(low, high, _LEVELS)
+        lengths = run_lengths(rule, levels, runs, n_channels=n_channels, seed=seed)
+        average = lengths.mean(axis=0)
+        if average[0] <= arl0 <= average[-1]:
+            break
+        step = max(high - low, 0.05 * abs(high))
+        low, high = (low, high + step) if average[-1] < arl0 else (low - step, high)
+    logs = np.log(average)
+    value = float(np.interp(np.log(arl0), logs, levels))
+    slope = float(logs[-1] - logs[0]) / (high - low)
+    error = float(lengths.std(axis=0)[_LEVELS // 2] / average[_LEVELS // 2]) / np.sqrt(runs)
+    return Threshold(value, float(error / slope), f"simulated: {runs} runs to their alarm")

@@ -1,0 +1,216 @@
+"""Rules for an onset in mid-run: CUSUM and Shiryaev-Roberts, and Wald's test that both come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from motor_env.detection.rules import kernels
+from motor_env.detection.rules.base import Rule
+from motor_env.detection.rules.thresholds import Threshold, Wanted
+from motor_env.detection.run_length import cusum_chain, shiryaev_roberts_chain, sprt_chain, two_sided
+from motor_env.motor.parameters import FloatArray, require, require_positive
+
+
+class DirectedRule(Rule):
+    """A rule on one number a sample: the whitened innovation along a direction (by default the first channel)."""
+
+    __slots__ = ()
+
+    direction: tuple[float, ...] | None
+
+    @property
+    def n_channels(self) -> int | None:
+        """As many as the direction has entries; any number where the first channel is taken."""
+        return None if self.direction is None else len(self.direction)
+
+    def series(self, whitened: FloatArray) -> FloatArray:
+        """Standard normal samples along the direction, shape (n_streams, n_samples); NaN where nothing was measured."""
+        if self.direction is None:
+            return np.ascontiguousarray(whitened[..., 0])
+        unit, along = np.asarray(self.direction, dtype=np.float64), np.empty(whitened.shape[:2])
+        kernels.project(whitened, unit / np.linalg.norm(unit), along)
+        return along
+
+
+@dataclass(frozen=True, slots=True)
+class Cusum(DirectedRule):
+    """CUSUM: S = max(0, S + r - d/2), for a shift d of the mean that begins at an unknown time (Page 1954).
+
+    With the true shift it has the least worst-case delay for its ARL0 (Moustakides 1986). The two-sided rule runs one
+    for each sign and takes the larger. Exact thresholds by integral equation (Goel & Wu 1971).
+
+    Attributes:
+        shift: d, the shift looked for, in standard deviations of the innovation; > 0.
+        two_sided: whether a fall is looked for beside a rise.
+        direction: over the channels; by default the first one.
+    """
+
+    shift: float
+    two_sided: bool = False
+    direction: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        require_positive("shift", self.shift)
+
+    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+        """Sums of 0."""
+        return np.zeros((n_streams, 2 if self.two_sided else 1))
+
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """The larger sum."""
+        answer = np.empty(whitened.shape[:2])
+        kernels.cusum(self.series(whitened), 0.5 * self.shift, state, answer)
+        return answer
+
+    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
+        """Average samples to the alarm from S = 0, for samples of mean `shift`: 0 gives ARL0, d the worst-case delay.
+
+        For the two-sided rule 1/ARL is the sum over the sides (van Dobben de Bruyn 1968).
+        """
+        one = cusum_chain(0.5 * self.shift, threshold, shift).average_run_length()
+        if not self.two_sided:
+            return one
+        other = cusum_chain(0.5 * self.shift, threshold, -shift).average_run_length() if shift else one
+        return 1.0 / (1.0 / one + 1.0 / other)
+
+    def alarm_probability(self, threshold: float, n_samples: int) -> float:
+        """Probability of a false alarm within n samples."""
+        chain = cusum_chain(0.5 * self.shift, threshold)
+        if not self.two_sided:
+            return chain.alarm_probability(n_samples)
+        return 1.0 - float(two_sided(chain.survival(n_samples))[-1])
+
+    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
+        """Exact threshold (integral equation); `n_channels` does not matter."""
+        value = wanted.solve(self.average_run_length, self.alarm_probability, low=1e-3, step=0.5)
+        return Threshold(value, 0.0, "exact: integral equation")
+
+
+@dataclass(frozen=True, slots=True)
+class SignatureCusum(DirectedRule):
+    """CUSUM matched to a fault that grows: the largest log-likelihood ratio over the onsets.
+
+    After an onset the mean of the innovation is s_1, s_2, ...; the statistic is the largest over m of
+    sum_i (s_i r_i - s_i^2 / 2), i = 1 .. m samples since the onset (Lorden 1971; Nikiforov 1983), and 0 where no onset
+    is likely. With a constant signature it is the CUSUM. Its threshold is simulated.
+
+    Attributes:
+        signature: s_1, s_2, ... in standard deviations of the innovation; beyond its end the last value stays.
+        direction: over the channels; by default the first one.
+    """
+
+    signature: tuple[float, ...]
+    direction: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        require(len(self.signature) > 0 and any(self.signature), "signature must not be empty or all zero")
+
+    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+        """No onset so far: of no age, nor older than the signature."""
+        return np.full((n_streams, len(self.signature) + 1), -np.inf)
+
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """Largest log-likelihood ratio over the onsets."""
+        answer = np.empty(whitened.shape[:2])
+        kernels.signature_cusum(
+            self.series(whitened), np.asarray(self.signature, dtype=np.float64), state, answer
+        )
+        return answer
+
+
+@dataclass(frozen=True, slots=True)
+class ShiryaevRoberts(DirectedRule):
+    """Shiryaev-Roberts: R = (1 + R) L, with L the likelihood ratio of a shift d; the statistic is log R.
+
+    Optimal on average over onsets long after the start (Shiryaev 1963, Roberts 1966, Pollak & Tartakovsky 2009). That
+    ARL0 >= threshold is a loose bound; here it is solved exactly by integral equation.
+
+    Attributes:
+        shift: d, > 0.
+        direction: over the channels; by default the first one.
+    """
+
+    shift: float
+    direction: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        require_positive("shift", self.shift)
+
+    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+        """R = 0."""
+        return np.zeros((n_streams, 1))
+
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """Log R, a bank of one model."""
+        return kernels.mixture(self.series(whitened), np.array([self.shift]), np.ones(1), state)
+
+    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
+        """Average samples to the alarm from R = 0, for samples of mean `shift`."""
+        return shiryaev_roberts_chain(self.shift, threshold, shift).average_run_length()
+
+    def alarm_probability(self, threshold: float, n_samples: int) -> float:
+        """Probability of a false alarm within n samples."""
+        return shiryaev_roberts_chain(self.shift, threshold).alarm_probability(n_samples)
+
+    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
+        """Exact threshold on log R (integral equation); `n_channels` does not matter."""
+        low = -self.shift * (0.5 * self.shift + 8.0)
+        value = wanted.solve(self.average_run_length, self.alarm_probability, low=low, step=1.0)
+        return Threshold(value, 0.0, "exact: integral equation")
+
+
+@dataclass(frozen=True, slots=True)
+class Sprt(DirectedRule):
+    """Wald's sequential probability ratio test of a shift d, there from the start (Wald 1945).
+
+    The statistic is the log-likelihood ratio; at `lower` the motor is accepted as healthy, and the test begins anew
+    (`restart`) or stays silent.
+
+    Attributes:
+        shift: d, > 0.
+        lower: log(missed / (1 - false alarms)) in Wald's approximation; < 0.
+        restart: whether an accepted test begins anew. Without, there is no ARL0: most healthy motors are accepted
+            once and for all, so the average time to a false alarm is infinite. With `lower` towards 0 the repeated
+            test is the CUSUM (Page 1954).
+        direction: over the channels; by default the first one.
+    """
+
+    shift: float
+    lower: float = -4.6
+    restart: bool = False
+    direction: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        require_positive("shift", self.shift)
+        require_positive("-lower", -self.lower)
+
+    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+        """Ratio 1."""
+        return np.zeros((n_streams, 1))
+
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins."""
+        answer = np.empty(whitened.shape[:2])
+        kernels.sprt(self.series(whitened), self.shift, self.lower, self.restart, state, answer)
+        return answer
+
+    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
+        """Average samples to the alarm with restarts, for samples of mean `shift`; infinite without."""
+        if not self.restart:
+            return float("inf")
+        chain = sprt_chain(self.shift, self.lower, threshold, restart=True, shift=shift)
+        return chain.average_run_length()
+
+    def alarm_probability(self, threshold: float, n_samples: int, shift: float = 0.0) -> float:
+        """Probability of an alarm within n samples, for samples of mean `shift`."""
+        chain = sprt_chain(self.shift, self.lower, threshold, restart=self.restart, shift=shift)
+        return chain.alarm_probability(n_samples)
+
+    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
+        """Exact upper bound (integral equation); `n_channels` does not matter."""
+        if wanted.arl0 is not None and not self.restart:
+            raise ValueError("arl0 needs restart=True: a test that stays silent has no average run length")
+        value = wanted.solve(self.average_run_length, self.alarm_probability, low=1e-3, step=0.5)
+        return Threshold(value, 0.0, "exact: integral equation")

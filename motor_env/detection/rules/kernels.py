@@ -1,0 +1,325 @@
+"""Compiled scans of the rules: one pass over each stream, its state carried on in place.
+
+`series` has shape (n_streams, n_samples), NaN where nothing was measured; `squares` likewise, 0 there; `out` is the
+statistic after each sample.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from motor_env.motor.parameters import FloatArray
+
+LARGEST_ODDS = 1e250
+
+
+@njit(cache=True)
+def project(whitened: FloatArray, unit: FloatArray, out: FloatArray) -> None:
+    """Along a direction of the channels; a missing one adds nothing, and all missing is a missing sample."""
+    for n in range(whitened.shape[0]):
+        for k in range(whitened.shape[1]):
+            total, seen = 0.0, False
+            for c in range(whitened.shape[2]):
+                value = whitened[n, k, c]
+                if not np.isnan(value):
+                    total += unit[c] * value
+                    seen = True
+            out[n, k] = total if seen else np.nan
+
+
+@njit(cache=True)
+def square(whitened: FloatArray, out: FloatArray) -> None:
+    """Normalised innovation squared; a missing channel adds nothing."""
+    for n in range(whitened.shape[0]):
+        for k in range(whitened.shape[1]):
+            total = 0.0
+            for c in range(whitened.shape[2]):
+                value = whitened[n, k, c]
+                if not np.isnan(value):
+                    total += value * value
+            out[n, k] = total
+
+
+@njit(cache=True)
+def cusum(series: FloatArray, half: float, sums: FloatArray, out: FloatArray) -> None:
+    """S <- max(0, S +- r - d/2); one column of `sums` for each sign (Page 1954)."""
+    two_sided = sums.shape[1] == 2
+    for n in range(series.shape[0]):
+        up = sums[n, 0]
+        down = sums[n, 1] if two_sided else 0.0
+        for k in range(series.shape[1]):
+            value = series[n, k]
+            if not np.isnan(value):
+                up = max(up + value - half, 0.0)
+                if two_sided:
+                    down = max(down - value - half, 0.0)
+            out[n, k] = max(up, down)
+        sums[n, 0] = up
+        if two_sided:
+            sums[n, 1] = down
+
+
+@njit(cache=True)
+def signature_cusum(series: FloatArray, shape: FloatArray, state: FloatArray, out: FloatArray) -> None:
+    """Largest sum of s r - s^2 / 2 over the onsets (Lorden 1971).
+
+    The state is that sum for each age, and the best of the onsets that are older than the signature.
+    """
+    count, last = len(shape), shape[-1]
+    half = 0.5 * shape * shape
+    earlier, now = np.empty(count), np.empty(count)
+    for n in range(series.shape[0]):
+        earlier[:] = state[n, :count]
+        older = state[n, count]
+        for k in range(series.shape[1]):
+            value = series[n, k]
+            if np.isnan(value):
+                out[n, k] = max(0.0, older, earlier.max())
+                continue
+            older = max(older, earlier[count - 1]) + last * (value - 0.5 * last)
+            now[0] = shape[0] * value - half[0]
+            advance(earlier[: count - 1], shape[1:], half[1:], value, now[1:])
+            out[n, k] = max(0.0, older, largest(now))
+            earlier, now = now, earlier
+        state[n, :count] = earlier
+        state[n, count] = older
+
+
+@njit(cache=True)
+def sprt(
+    series: FloatArray, shift: float, lower: float, restart: bool, ratios: FloatArray, out: FloatArray
+) -> None:
+    """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins (Wald 1945)."""
+    accepted = 0.0 if restart else -np.inf
+    for n in range(series.shape[0]):
+        ratio = ratios[n, 0]
+        for k in range(series.shape[1]):
+            value = series[n, k]
+            if not np.isnan(value):
+                ratio += shift * (value - 0.5 * shift)
+                if ratio <= lower:
+                    ratio = accepted
+            out[n, k] = ratio
+        ratios[n, 0] = ratio
+
+
+def mixture(series: FloatArray, shifts: FloatArray, weights: FloatArray, odds: FloatArray) -> FloatArray:
+    """Log of the summed odds O_j <- (O_j + w_j) L_j, L_j the likelihood ratio of the shift d_j (Shiryaev 1963)."""
+    total = np.zeros(series.shape)
+    for j, (shift, weight) in enumerate(zip(shifts, weights, strict=True)):
+        _add_odds(np.exp(shift * (series - 0.5 * shift)), weight, odds[:, j], total)
+    with np.errstate(divide="ignore"):  # before the first sample that was measured there are no odds
+        logarithm: FloatArray = np.log(total)
+    return logarithm
+
+
+@njit(cache=True)
+def _add_odds(ratios: FloatArray, weight: float, odds: FloatArray, total: FloatArray) -> None:
+    for n in range(ratios.shape[0]):
+        odd = odds[n]
+        for k in range(ratios.shape[1]):
+            if not np.isnan(ratios[n, k]):
+                odd = min((odd + weight) * ratios[n, k], LARGEST_ODDS)  # cannot overflow
+            total[n, k] += odd
+        odds[n] = odd
+
+
+@njit(cache=True)
+def m_of_n(squares: FloatArray, needed: int, recent: FloatArray, out: FloatArray) -> None:
+    """M-th largest of the last N (Schwartz 1956); `recent` is a ring of them, and the place of the oldest."""
+    among = recent.shape[1] - 1
+    largest = np.empty(needed)
+    for n in range(squares.shape[0]):
+        oldest = int(recent[n, among])
+        for k in range(squares.shape[1]):
+            recent[n, oldest] = squares[n, k]
+            oldest = oldest + 1 if oldest + 1 < among else 0
+            largest[:] = -1.0  # the M largest so far, in falling order
+            for j in range(among):
+                value = recent[n, j]
+                for i in range(needed):
+                    held = largest[i]
+                    largest[i] = (
+                        value if value > held else held
+                    )  # no branch: it would be guessed wrong half the time
+                    value = held if value > held else value
+            out[n, k] = largest[needed - 1]
+        recent[n, among] = oldest
+
+
+@njit(cache=True)
+def windowed_sum(squares: FloatArray, recent: FloatArray, out: FloatArray) -> None:
+    """Sum of the last w (Bar-Shalom, Li & Kirubarajan 2001); `recent`: a ring, the place of the oldest, the sum."""
+    window = recent.shape[1] - 2
+    for n in range(squares.shape[0]):
+        oldest, total = int(recent[n, window]), recent[n, window + 1]
+        for k in range(squares.shape[1]):
+            total += squares[n, k] - recent[n, oldest]
+            recent[n, oldest] = squares[n, k]
+            oldest += 1
+            if oldest == window:  # rounding does not pile up
+                oldest, total = 0, recent[n, :window].sum()
+            out[n, k] = total
+        recent[n, window], recent[n, window + 1] = oldest, total
+
+
+@njit(cache=True)
+def glr(
+    series: FloatArray,
+    ages: NDArray[np.int64],
+    shape: FloatArray,
+    bonus: FloatArray,
+    two_sided: bool,
+    state: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Largest x|x| + bonus over the ages, or x^2 + bonus; x = sum of shape * sample over the root of that of shape^2.
+
+    Willsky & Jones 1976; the grid of ages: Lai 1995.
+    The state holds the last samples (their running sums for a step: `shape` is empty), then how many it holds and how
+    many there have been. When it is full, all but the last that are needed are dropped.
+    """
+    longest, room = ages[-1], state.shape[1] - 2
+    of_steps = len(shape) == 0
+    energy = np.cumsum(shape * shape)
+    best, total = np.empty(room), np.empty(room)
+    for n in range(series.shape[0]):
+        recent = state[n]
+        held, seen = int(recent[room]), int(recent[room + 1])
+        begin = 0
+        while begin < series.shape[1]:
+            if held == room:
+                base = recent[room - longest - 1] if of_steps else 0.0
+                for i in range(longest + 1):
+                    recent[i] = recent[room - longest - 1 + i] - base
+                held = longest + 1
+            count = min(series.shape[1] - begin, room - held)
+            for i in range(count):
+                value = series[n, begin + i]
+                value = 0.0 if np.isnan(value) else value
+                recent[held + i] = recent[held + i - 1] + value if of_steps else value
+            best[:count] = -np.inf
+            if of_steps and count == 1:  # in service: the slices of a block would cost more than the sums
+                best[0] = glr_of_one(recent, held, seen, ages, bonus, two_sided)
+            else:
+                glr_of_block(recent, held, seen, count, ages, shape, energy, bonus, two_sided, total, best)
+            out[n, begin : begin + count] = best[:count]
+            held, seen, begin = held + count, seen + count, begin + count
+        recent[room], recent[room + 1] = held, seen
+
+
+@njit(cache=True)
+def glr_of_block(
+    recent: FloatArray,
+    held: int,
+    seen: int,
+    count: int,
+    ages: NDArray[np.int64],
+    shape: FloatArray,
+    energy: FloatArray,
+    bonus: FloatArray,
+    two_sided: bool,
+    total: FloatArray,
+    best: FloatArray,
+) -> None:
+    """The same for the `count` samples from place `held` on, age by age."""
+    last = held + count
+    for j in range(len(ages)):
+        age = ages[j]
+        first = max(0, age - seen - 1)
+        if first >= count:
+            break
+        if len(shape) == 0:
+            difference(recent[held + first : last], recent[held + first - age : last - age], total)
+            weight = 1.0 / age
+        elif energy[age - 1] > 0.0:
+            for i in range(first, count):
+                total[i - first] = np.dot(shape[:age], recent[held + i + 1 - age : held + i + 1])
+            weight = 1.0 / energy[age - 1]
+        else:
+            continue
+        if two_sided:
+            raise_square(total, weight, bonus[j], best[first:count])
+        else:
+            raise_signed_square(total, weight, bonus[j], best[first:count])
+
+
+@njit(cache=True)
+def glr_of_one(
+    sums: FloatArray, held: int, seen: int, ages: NDArray[np.int64], bonus: FloatArray, two_sided: bool
+) -> float:
+    """The same after one more sample, for a step."""
+    best = -np.inf
+    for j in range(len(ages)):
+        age = ages[j]
+        if age > seen + 1:
+            break
+        total = sums[held] - sums[held - age]
+        value = total * (total if two_sided else abs(total)) * (1.0 / age) + bonus[j]
+        best = value if value > best else best
+    return best
+
+
+# Each a plain loop over contiguous values, so that it vectorises.
+
+
+@njit(cache=True)
+def advance(earlier: FloatArray, shape: FloatArray, half: FloatArray, value: float, now: FloatArray) -> None:
+    """Each onset's sum, one sample older."""
+    for i in range(len(now)):
+        now[i] = earlier[i] + (shape[i] * value - half[i])
+
+
+@njit(cache=True)
+def largest(values: FloatArray) -> float:
+    """Largest value, eight at a time: a single running maximum would not vectorise."""
+    lanes = np.full(8, -np.inf)
+    whole = len(values) - len(values) % 8
+    for i in range(0, whole, 8):
+        for j in range(8):
+            value, held = values[i + j], lanes[j]
+            lanes[j] = value if value > held else held
+    best = float(lanes.max())
+    for i in range(whole, len(values)):
+        best = max(best, values[i])
+    return best
+
+
+@njit(cache=True)
+def difference(later: FloatArray, earlier: FloatArray, total: FloatArray) -> None:
+    """Differences of running sums."""
+    for i in range(len(later)):
+        total[i] = later[i] - earlier[i]
+
+
+@njit(cache=True)
+def raise_square(total: FloatArray, weight: float, bonus: float, best: FloatArray) -> None:
+    """Raise the best to weighted squares where they are larger."""
+    for i in range(len(best)):
+        value, held = total[i] * total[i] * weight + bonus, best[i]
+        best[i] = value if value > held else held
+
+
+@njit(cache=True)
+def raise_signed_square(total: FloatArray, weight: float, bonus: float, best: FloatArray) -> None:
+    """The same with the sign of what is squared."""
+    for i in range(len(best)):
+        value, held = total[i] * abs(total[i]) * weight + bonus, best[i]
+        best[i] = value if value > held else held
+
+
+@njit(cache=True)
+def first_passages(
+    statistic: FloatArray, begin: int, levels: FloatArray, passed: NDArray[np.int64], out: NDArray[np.int64]
+) -> None:
+    """Number of samples to the first value above each of rising levels; `passed` counts the levels left behind."""
+    for n in range(statistic.shape[0]):
+        k = 0
+        while k < statistic.shape[1] and passed[n] < len(levels):
+            if statistic[n, k] > levels[passed[n]]:
+                out[n, passed[n]] = begin + k + 1
+                passed[n] += 1
+            else:
+                k += 1

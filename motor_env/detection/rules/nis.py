@@ -1,0 +1,89 @@
+"""Rules on the normalised innovation squared (NIS): single, k in a row, M of N, summed over a window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, ncx2
+
+from motor_env.detection.rules import kernels
+from motor_env.detection.rules.base import Rule
+from motor_env.detection.rules.thresholds import Threshold, Wanted
+from motor_env.detection.run_length import LONGEST_WINDOW, Chain, m_of_n_chain
+from motor_env.motor.parameters import FloatArray, require
+
+
+def normalised_square(whitened: FloatArray) -> FloatArray:
+    """NIS, shape (n_streams, n_samples); 0 where nothing was measured (Bar-Shalom, Li & Kirubarajan 2001)."""
+    nis = np.empty(whitened.shape[:2])
+    kernels.square(whitened, nis)
+    return nis
+
+
+@dataclass(frozen=True, slots=True)
+class MOfN(Rule):
+    """Alarm when at least M of the last N samples have a NIS above the threshold.
+
+    The statistic is the M-th largest NIS of the last N, which is above the threshold exactly then. M = N = 1 is the
+    plain NIS test, M = N = k the rule of k in a row. The threshold is exact: chi-square for a hit, Markov chain for
+    the rule (Brook & Evans 1972; the rule: Schwartz 1956).
+
+    Attributes:
+        needed: M.
+        among: N.
+    """
+
+    needed: int = 3
+    among: int = 5
+
+    def __post_init__(self) -> None:
+        require(
+            1 <= self.needed <= self.among <= LONGEST_WINDOW,
+            f"needed and among must satisfy 1 <= M <= N <= {LONGEST_WINDOW}, got {self.needed} and {self.among}",
+        )
+
+    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+        """A ring of the last N squares, none so far, and the place of the oldest."""
+        return np.zeros((n_streams, self.among + 1))
+
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """M-th largest of the last N squares."""
+        squares = normalised_square(whitened)
+        if self.among == 1:
+            return squares
+        answer = np.empty_like(squares)
+        kernels.m_of_n(squares, self.needed, state, answer)
+        return answer
+
+    def average_run_length(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> float:
+        """Average samples to the alarm, for innovations whose mean has the length `shift`; 0 gives ARL0."""
+        return self._chain(threshold, n_channels, shift).average_run_length()
+
+    def alarm_probability(self, threshold: float, n_samples: int, n_channels: int = 1) -> float:
+        """Probability of a false alarm within n samples."""
+        return self._chain(threshold, n_channels).alarm_probability(n_samples)
+
+    def _chain(self, threshold: float, n_channels: int, shift: float = 0.0) -> Chain:
+        law = ncx2(n_channels, shift**2) if shift else chi2(n_channels)
+        return m_of_n_chain(float(law.sf(threshold)), self.needed, self.among)
+
+    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
+        """Exact threshold on the NIS (chi-square and Markov chain)."""
+        value = wanted.solve(
+            lambda threshold: self.average_run_length(threshold, n_channels=n_channels),
+            lambda threshold, count: self.alarm_probability(threshold, count, n_channels),
+            low=0.0,
+            step=1.0,
+        )
+        return Threshold(value, 0.0, "exact: chi-square and Markov chain of the last hits")
+
+
+def nis_rule() -> MOfN:
+    """The plain test of each sample's NIS (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4)."""
+    return MOfN(1, 1)
+
+
+def in_a_row(count: int) -> MOfN:
+    """`count` samples in a row with a NIS above the threshold (paper, Figure 1: confirmation; Feller 1968)."""
+    return MOfN(count, count)

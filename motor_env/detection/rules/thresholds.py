@@ -1,0 +1,87 @@
+"""What a threshold is asked for, and what comes back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from motor_env.motor.parameters import require
+
+
+class Threshold(NamedTuple):
+    """A solved threshold.
+
+    Attributes:
+        value: the rule alarms where its statistic is larger.
+        standard_error: 0 where the threshold is exact, else that of the calibrating simulation.
+        method: how it was found.
+    """
+
+    value: float
+    standard_error: float
+    method: str
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What a threshold is asked for: an average run length, or a probability within some samples."""
+
+    arl0: float | None
+    probability: float | None
+    n_samples: int
+
+    @classmethod
+    def checked(
+        cls, arl0: float | None, false_alarm_probability: float | None, n_samples: int | None
+    ) -> Wanted:
+        """The request, refused in one sentence unless exactly one of the two is given and sensible."""
+        require(
+            (arl0 is None) != (false_alarm_probability is None),
+            "give one of arl0 and false_alarm_probability, got " + ("none" if arl0 is None else "both"),
+        )
+        if arl0 is not None:
+            require(np.isfinite(arl0) and arl0 > 1.0, f"arl0 must be > 1 sample, got {arl0:g}")
+            return cls(float(arl0), None, 0)
+        probability = float(false_alarm_probability or 0.0)
+        require(
+            0.0 < probability < 1.0, f"false_alarm_probability must lie between 0 and 1, got {probability:g}"
+        )
+        require(
+            n_samples is not None and n_samples >= 1,
+            f"false_alarm_probability needs the transient's n_samples >= 1, got {n_samples}",
+        )
+        return cls(None, probability, int(n_samples or 0))
+
+    def solve(
+        self,
+        average_run_length: Callable[[float], float],
+        alarm_probability: Callable[[float, int], float],
+        low: float,
+        step: float,
+    ) -> float:
+        """Threshold that meets the request; both functions are monotonic in it.
+
+        Args:
+            average_run_length: of a threshold.
+            alarm_probability: of a threshold and a number of samples.
+            low: threshold that is surely too low.
+            step: first step upwards from there; the steps grow by a half each.
+        """
+
+        def excess(threshold: float) -> float:
+            if self.arl0 is not None:
+                return float(np.log(average_run_length(threshold)) - np.log(self.arl0))
+            assert self.probability is not None  # noqa: S101  # one of the two is given: see `checked`
+            return float(
+                np.log(self.probability) - np.log(max(alarm_probability(threshold, self.n_samples), 1e-300))
+            )
+
+        high = low + step
+        while excess(high) < 0.0:
+            low, high, step = high, high + 1.5 * step, 1.5 * step
+        root = brentq(excess, low, high, xtol=1e-10, rtol=1e-12) if excess(low) < 0.0 else low
+        return float(root)

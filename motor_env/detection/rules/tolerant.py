@@ -1,0 +1,154 @@
+"""The residual of a motor that is known only up to its tolerances, made white for the rules."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from motor_env.filters.kalman import KalmanFilter, run_filter
+from motor_env.filters.stream import FilterStream
+from motor_env.inference.fit import step_voltage
+from motor_env.inference.posterior import class_coordinates
+from motor_env.inference.whitening import MarginalWhitener
+from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.recipes import FaultClass, Recipe
+from motor_env.simulation.simulate import simulate_states
+
+_UNSEEN = (
+    0.01  # standard deviations of the noise: a direction of the tolerances that moves the residual by less
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TolerantFilter:
+    """Filter of a recipe's nominal motor, and a whitening that takes out what the recipe's tolerances explain.
+
+    The tolerances are further states that the filter only considers (Schmidt 1966; second order: Athans et al. 1968).
+
+    Attributes:
+        belief: filter of the nominal motor.
+        voltage_v: nominal voltage, shape (n_samples,).
+        bias: what the tolerances add to the whitened innovation on average, shape (n_samples, n_channels).
+        whitener: whitens with S + J P J' (`motor_env.inference.whitening`).
+    """
+
+    belief: KalmanFilter
+    voltage_v: FloatArray
+    bias: FloatArray
+    whitener: MarginalWhitener
+
+    @classmethod
+    def of(cls, recipe: Recipe) -> Self:
+        """From the recipe's motor, supply, tolerances, sensor and timing; its fault classes are not looked at."""
+        belief = KalmanFilter.from_parameters(
+            recipe.motor, recipe.sensor, recipe.timing.dt_s, process_noise_std=(0.0, 0.0)
+        )
+        bias, slopes = second_order(recipe, belief)
+        voltage = step_voltage(recipe.timing, float(np.asarray(recipe.supply.voltage_v)))
+        return cls(belief, voltage, bias, MarginalWhitener.of(_seen(slopes)))
+
+    def white(self, measurements: ArrayLike) -> FloatArray:
+        """Residuals for the rules, white for healthy motors of the recipe, shape (..., n_samples, n_channels).
+
+        Args:
+            measurements: whole transients, shape (..., n_channels, n_samples).
+        """
+        innovation = run_filter(self.belief, measurements, self.voltage_v).whitened
+        return self.whitener.whiten(innovation - self.bias)
+
+    def stream(self, n_streams: int = 1) -> TolerantStream:
+        """A running copy of the filter, fed one sample at a time from the start of a transient."""
+        return TolerantStream(self, n_streams)
+
+
+class TolerantStream:
+    """A tolerant filter in service: `update(sample)` gives what `TolerantFilter.white` gives at that sample.
+
+    What it knows about each motor's place within the tolerances is a mean and a covariance, updated value by value
+    (recursive least squares: Plackett 1950).
+
+    Attributes:
+        tolerant: the filter.
+        n_streams: motors followed side by side.
+    """
+
+    def __init__(self, tolerant: TolerantFilter, n_streams: int) -> None:
+        size = tolerant.whitener.slopes.shape[-1]
+        self.tolerant, self.n_streams = tolerant, n_streams
+        self._slopes = tolerant.whitener.slopes.reshape(*tolerant.bias.shape, size)
+        self._filter = FilterStream(tolerant.belief, n_streams)
+        self._mean = np.zeros((n_streams, size))
+        self._covariance = np.broadcast_to(np.eye(size), (n_streams, size, size)).copy()
+        self._at = 0
+
+    def update(self, measurement: ArrayLike) -> FloatArray:
+        """White residual of one more sample, shape (n_streams, n_channels), from measurements of that shape.
+
+        Raises:
+            ValueError: the transient is over.
+        """
+        end = len(self.tolerant.bias)
+        require(self._at < end, f"a transient of the recipe has {end} samples, got one more")
+        innovation = self._filter.update(measurement, self.tolerant.voltage_v[self._at]).whitened
+        residual, white = innovation - self.tolerant.bias[self._at], np.full(innovation.shape, np.nan)
+        for channel, slope in enumerate(self._slopes[self._at]):
+            seen = ~np.isnan(residual[:, channel])
+            ahead = self._covariance @ slope
+            variance = 1.0 + ahead @ slope
+            error = np.where(seen, residual[:, channel] - self._mean @ slope, 0.0)
+            ahead *= (seen / np.sqrt(variance))[:, None]
+            self._mean += ahead * (error / np.sqrt(variance))[:, None]
+            self._covariance -= ahead[:, :, None] * ahead[:, None, :]
+            white[seen, channel] = (error / np.sqrt(variance))[seen]
+        self._at += 1
+        return white
+
+
+def second_order(recipe: Recipe, belief: KalmanFilter) -> tuple[FloatArray, FloatArray]:
+    """Mean of the whitened innovation over the recipe's healthy motors, and its slopes, to second order.
+
+    With tolerances z ~ N(0, 1) the innovation is r = G z + z'Hz / 2 + e. The products z_i z_j and (z_i^2 - 1) / sqrt(2)
+    are uncorrelated with z and with each other and have unit variance, so their slopes stand beside G as if they were
+    further tolerances (second-order filter: Athans, Wishner & Bertolini 1968).
+
+    Returns:
+        Mean, shape (n_samples, n_channels); slopes, shape (n_samples, n_channels, n_slopes).
+    """
+    coordinates = class_coordinates(recipe, FaultClass())
+    voltage = step_voltage(recipe.timing, float(np.asarray(recipe.supply.voltage_v)))
+    size = coordinates.size
+
+    def response(values: FloatArray) -> FloatArray:
+        motors, supply = coordinates.motors(values)
+        states = simulate_states(motors, supply[:, None] * voltage, recipe.timing.dt_s)
+        measured = recipe.sensor.observation @ np.moveaxis(states, -1, -2)
+        return run_filter(belief, measured, voltage).whitened
+
+    middle = response(np.zeros((1, size)))[0]
+    if size == 0:
+        return middle, np.zeros((*middle.shape, 0))
+    unit = np.eye(size)
+    up, down = response(unit), response(-unit)
+    bent = up + down - 2.0 * middle
+    first, second = np.triu_indices(size, 1)
+    mixed = 0.25 * (
+        response(unit[first] + unit[second])
+        - response(unit[first] - unit[second])
+        - response(unit[second] - unit[first])
+        + response(-unit[first] - unit[second])
+    )
+    slopes = np.concatenate([0.5 * (up - down), bent / np.sqrt(2.0), mixed])
+    return middle + 0.5 * bent.sum(axis=0), np.moveaxis(slopes, 0, -1)
+
+
+def _seen(slopes: FloatArray) -> FloatArray:
+    """The same covariance from the directions that the noise does not hide: principal components (Hotelling 1933)."""
+    if slopes.shape[-1] == 0:
+        return slopes
+    left, sizes, _ = np.linalg.svd(slopes.reshape(-1, slopes.shape[-1]), full_matrices=False)
+    count = int((sizes > _UNSEEN).sum())
+    seen: FloatArray = (left[:, :count] * sizes[:count]).reshape(*slopes.shape[:-1], count)
+    return seen

@@ -1,0 +1,120 @@
+"""Rules that look back over a window: summed NIS, and the generalised likelihood ratio with a scanned onset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from motor_env.detection.rules import kernels
+from motor_env.detection.rules.base import Rule
+from motor_env.detection.rules.cusum import DirectedRule
+from motor_env.detection.rules.nis import normalised_square
+from motor_env.detection.rules.thresholds import Threshold
+from motor_env.motor.parameters import FloatArray, require
+
+_LEAST_BUFFER = 512  # samples that the GLR holds beside the longest age, so that it seldom has to move them
+
+
+@dataclass(frozen=True, slots=True)
+class WindowedNis(Rule):
+    """Sum of the NIS over the last w samples (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4).
+
+    One look at it after w samples or more has the chi-square law with w degrees of freedom a channel (`one_look`);
+    watching it all along does not, and its threshold is simulated.
+
+    Attributes:
+        window: w.
+    """
+
+    window: int
+
+    def __post_init__(self) -> None:
+        require(self.window >= 1, f"window must be >= 1, got {self.window}")
+
+    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+        """A ring of the last w squares, the place of the oldest, and their sum."""
+        return np.zeros((n_streams, self.window + 2))
+
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """Sum of the last w squares."""
+        answer = np.empty(whitened.shape[:2])
+        kernels.windowed_sum(normalised_square(whitened), state, answer)
+        return answer
+
+    def one_look(self, false_alarm_probability: float, n_channels: int = 1) -> Threshold:
+        """Exact threshold for one look at a full window."""
+        value = float(chi2.isf(false_alarm_probability, self.window * n_channels))
+        return Threshold(value, 0.0, "exact: chi-square, one look")
+
+
+def scanned_ages(shortest: int, longest: int, ratio: float = 1.15) -> NDArray[np.int64]:
+    """Ages of an onset on a grid that is near geometric (Lai 1995), from `shortest` to `longest` samples."""
+    count = 1 + int(np.ceil(np.log(longest / shortest) / np.log(ratio)))
+    grid: NDArray[np.int64] = np.unique(np.round(np.geomspace(shortest, longest, count)).astype(np.int64))
+    return grid
+
+
+@dataclass(frozen=True, slots=True)
+class Glr(DirectedRule):
+    """Generalised likelihood ratio of a fault of unknown size that began m samples ago, maximised over m and size.
+
+    The statistic is the largest of x|x| + 2 ln m over the ages m, x = sum_i s_i r_i / sqrt(sum_i s_i^2), i = 1 .. m
+    samples since the onset, with the fault's signature s: the growth of the whitened innovation after an onset (Willsky
+    & Jones 1976; window-limited on a geometric grid of ages: Lai 1995). Without a signature the fault is a step of the
+    mean. The term 2 ln m is what makes one rule serve small and large faults (a scale's own critical value: Dumbgen &
+    Spokoiny 2001): N samples hold N / m independent looks at the age m, so that each octave of ages gives about as
+    many false alarms as the next; without it nearly all come from the youngest ages, and the small faults, which only
+    show after hundreds of samples, pay for them.
+
+    Attributes:
+        shortest: least age of an onset that is scanned, in samples.
+        longest: greatest one.
+        two_sided: whether both signs of the fault count (|x|^2 for x|x|); else a positive multiple of the signature.
+        signature: shape (n,) for one channel; beyond its end it keeps its last value. None: a step.
+        direction: over the channels; by default the first one.
+    """
+
+    shortest: int = 1
+    longest: int = 1000
+    two_sided: bool = False
+    signature: tuple[float, ...] | None = None
+    direction: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        require(
+            1 <= self.shortest <= self.longest,
+            f"shortest and longest must satisfy 1 <= shortest <= longest, got {self.shortest} and {self.longest}",
+        )
+        if self.signature is not None:
+            require(
+                len(self.signature) > 0 and any(self.signature), "signature must not be empty or all zero"
+            )
+
+    @property
+    def ages(self) -> NDArray[np.int64]:
+        """Scanned ages."""
+        return scanned_ages(self.shortest, self.longest)
+
+    def _shape(self) -> FloatArray:
+        if self.signature is None:
+            return np.zeros(0)
+        given = np.asarray(self.signature, dtype=np.float64)[: self.longest]
+        return np.concatenate([given, np.full(self.longest - len(given), given[-1])])
+
+    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+        """The last samples (their running sums for a step), how many are held, and how many there have been."""
+        held = self.longest + 1 + max(self.longest + 1, _LEAST_BUFFER)
+        state = np.zeros((n_streams, held + 2))
+        state[:, -2] = 1.0  # the sum of no sample
+        return state
+
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """Largest value over the ages that fit into the samples so far; minus infinity before there is one."""
+        answer, ages = np.empty(whitened.shape[:2]), self.ages
+        kernels.glr(
+            self.series(whitened), ages, self._shape(), 2.0 * np.log(ages), self.two_sided, state, answer
+        )
+        return answer

@@ -1,0 +1,229 @@
+"""From recordings to motor files: `motor-env identify` and `motor-env commission`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, smallest_changes
+from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
+from motor_env.diagnosis.report import UNITS, extension_unit, ripple_json, ripple_lines
+from motor_env.errors import InputError
+from motor_env.identification.identify import EXTENSIONS, Identified, identify_best
+from motor_env.identification.residuals import AMBIGUOUS
+from motor_env.motor import identifiable as quantities
+from motor_env.motor.data_sheet import MotorFile, StartReference
+from motor_env.motor.parameters import MotorParameters
+from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.recording import ColumnChoice, Recording, read_recording
+from motor_env.recordings.splitting import chosen_starts, split_starts
+from motor_env.recordings.start import Circuit, prepare
+
+FEWEST_STARTS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Commissioned:
+    """A commissioned motor, the fits that it comes from, and the smallest changes that it will show."""
+
+    motor: MotorFile
+    fits: tuple[Identified, ...]
+    smallest: dict[str, float]
+    quantile: float
+
+
+def identify_file(
+    path: Path,
+    columns: Sequence[ColumnChoice] = (),
+    *,
+    voltage_v: float | None = None,
+    circuit: Circuit | None = None,
+    start: int | None = None,
+) -> list[tuple[Recording, Identified]]:
+    """Read a recording and fit each of its starts, or one of them, with the model that the evidence prefers.
+
+    Raises:
+        InputError: it cannot be read, or holds no start.
+    """
+    parts = chosen_starts(read_recording(path, columns), start)
+    try:
+        return [(part, identify_best(prepare(part, voltage_v, circuit), EXTENSIONS)) for part in parts]
+    except UnusableError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def commission(
+    paths: Sequence[Path],
+    name: str,
+    columns: Sequence[ColumnChoice] = (),
+    *,
+    voltage_v: float | None = None,
+    false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
+    circuit: Circuit | None = None,
+) -> Commissioned:
+    """Learn a motor from healthy starts; a file may hold several.
+
+    Raises:
+        InputError: fewer than three, one that cannot be read or fitted, or such that hold different columns.
+    """
+    if len({path.resolve() for path in paths}) < len(paths):
+        raise InputError("a healthy start is given twice: it would make the spread look smaller than it is")
+    starts = [part for path in paths for part in split_starts(read_recording(path, columns))]
+    if len(starts) < FEWEST_STARTS:
+        raise InputError(f"commissioning needs at least {FEWEST_STARTS} healthy starts, got {len(starts)}")
+    try:
+        fits = fit_healthy(starts, voltage_v=voltage_v, circuit=circuit)
+    except UnusableError as error:
+        raise InputError(f"a healthy start cannot be used: {error}") from None
+    if len({fit.quantity_names for fit in fits}) > 1:
+        raise InputError("the healthy starts hold different columns; give such that agree")
+    reference = learn_reference(fits)
+    first = fits[0].start
+    exponents = quantities.matrix(has_voltage=first.voltage_known, has_speed=first.speed_rad_s is not None)
+    quantile = float(
+        stats.t.isf(false_alarm_rate / (len(quantities.FAULT_DIRECTIONS) + 2), reference.degrees_of_freedom)
+    )
+    motor = to_motor(fits, name, kind="commissioned", reference=reference)
+    smallest = smallest_changes(reference.log_covariance, exponents, quantile)
+    return Commissioned(motor, tuple(fits), smallest, quantile)
+
+
+def to_motor(
+    fits: Sequence[Identified],
+    name: str,
+    *,
+    kind: Any = "identified",
+    reference: StartReference | None = None,
+) -> MotorFile:
+    """Motor file of fits of one motor: the geometric mean of their parameters."""
+    mean = {
+        field: float(np.exp(np.mean([math.log(max(getattr(fit.parameters, field), 1e-300)) for fit in fits])))
+        for field in MotorParameters.__dataclass_fields__
+    }
+    known = fits[0].start.voltage_known
+    extension = [fit.extension for fit in fits]
+    return MotorFile(
+        name=name,
+        kind=kind,
+        parameters=MotorParameters(**mean),
+        nominal_voltage_v=float(np.mean([fit.start.level_v for fit in fits])),
+        current_noise_a=float(np.exp(np.mean([math.log(max(fit.noise_a, 1e-12)) for fit in fits]))),
+        coulomb_friction_n_m=float(np.mean([e.coulomb_friction_n_m for e in extension])),
+        brush_drop_v=float(np.mean([e.brush_drop_v for e in extension])),
+        reference=reference,
+        notes=() if known and fits[0].start.speed_rad_s is not None else tuple(not_told(fits[0])),
+    )
+
+
+def not_told(fit: Identified) -> list[str]:
+    """What this recording cannot tell, in sentences."""
+    sentences = []
+    if not fit.start.voltage_known:
+        sentences.append("the voltage is unknown: everything is per volt, the supply counts as 1 V")
+    if fit.start.speed_rad_s is None:
+        sentences.append(
+            "the current alone tells K^2/J and B/J, not K, J and B (K down looks like J and B up): K is assumed"
+        )
+    if fit.start.voltage_v is None:
+        sentences.append("a step cannot tell a brush drop from a lower supply")
+    if fit.start.voltage_v is None and AMBIGUOUS & set(fit.model):
+        sentences.append("a supply that rises slowly, a lag of the sensor and L look alike: L is hardly told")
+    sigma = np.sqrt(np.diag(fit.log_covariance))
+    sentences += [
+        f"{name} is not told by this recording (its standard error is {100 * s:.0f} %)"
+        for name, s in zip(fit.quantity_names, sigma, strict=True)
+        if s > 0.5
+    ]
+    return sentences
+
+
+def identified_text(recording: Recording, fit: Identified, periods_per_turn: float | None = None) -> str:
+    """Parameters, correlations and what cannot be told."""
+    lines = [
+        f"{recording.path}: model {' + '.join(['textbook', *fit.model])}",
+        "  read: " + "; ".join(recording.columns),
+    ]
+    for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True):
+        lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {UNITS[name]}")
+    for name, (value, error) in fit.fitted_extension.items():
+        lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {extension_unit(fit, name)}")
+    sigma = np.sqrt(np.diag(fit.log_covariance))
+    correlation = fit.log_covariance / np.outer(sigma, sigma)
+    pairs = [
+        f"{fit.quantity_names[i]} with {fit.quantity_names[j]} {correlation[i, j]:+.2f}"
+        for i in range(len(sigma))
+        for j in range(i)
+    ]
+    lines.append("  correlations: " + ", ".join(pairs))
+    speed = "" if fit.r2_speed is None else f", of the speed {fit.r2_speed:.4f}"
+    lines.append(
+        f"  R2 of the current {fit.r2_current:.4f}{speed}; residual's autocorrelation at one sample {fit.lag_one:.2f}"
+    )
+    lines += ripple_lines(fit, periods_per_turn)
+    lines += [f"  noticed: {defect}" for defect in fit.defects]
+    lines += [f"  note: {sentence}" for sentence in not_told(fit)]
+    return "\n".join(lines)
+
+
+def identified_json(
+    recording: Recording, fit: Identified, periods_per_turn: float | None = None
+) -> dict[str, Any]:
+    """The same as one object."""
+    sigma = np.sqrt(np.diag(fit.log_covariance))
+    return {
+        "file": str(recording.path),
+        "model": ["textbook", *fit.model],
+        "parameters": {
+            name: {"value": float(v), "standard_error": float(e), "unit": UNITS[name]}
+            for name, v, e in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True)
+        },
+        "extensions": {
+            name: {"value": value, "standard_error": error, "unit": extension_unit(fit, name)}
+            for name, (value, error) in fit.fitted_extension.items()
+        },
+        "correlations": (fit.log_covariance / np.outer(sigma, sigma)).tolist(),
+        "r2_current": fit.r2_current,
+        "r2_speed": fit.r2_speed,
+        "residual_autocorrelation": fit.lag_one,
+        "commutation": ripple_json(fit, periods_per_turn),
+        "onset_s": fit.onset_s,
+        "offset_a": fit.offset_a,
+        "columns": list(recording.columns),
+        "defects": list(fit.defects),
+        "not_told": not_told(fit),
+    }
+
+
+def commissioned_text(result: Commissioned, rate: float) -> str:
+    """What was learned, with the interval of the next healthy start."""
+    reference = result.motor.reference
+    if reference is None:
+        return ""
+    freedom = reference.degrees_of_freedom
+    half = float(stats.t.isf(rate / 2.0, freedom)) * np.sqrt(np.diag(reference.log_covariance))
+    model = " + ".join(["textbook", *reference.model])
+    interval = (
+        f"prediction interval of the next healthy start ({1.0 - rate:.0%}, Student t, {freedom:.0f} degrees)"
+    )
+    lines = [f"{reference.starts} healthy starts, model {model}; {interval}"]
+    for name, value, h in zip(reference.quantities, reference.values, half, strict=True):
+        lines.append(
+            f"  {name:<12} {value:11.4g} {UNITS[name]:<12} {math.exp(-h) - 1.0:+.1%} to {math.exp(h) - 1.0:+.1%}"
+        )
+    lines.append(
+        f"  R2 of the current {min(fit.r2_current for fit in result.fits):.4f} to"
+        f" {max(fit.r2_current for fit in result.fits):.4f}"
+    )
+    told = ", ".join(f"{kind} {severity:.1%}" for kind, severity in result.smallest.items())
+    lines.append(f"  smallest change that is found in 95 of 100 cases: {told}")
+    lines.append(
+        "  the spread between starts is believed to be 2 % before any start is seen, worth 4 starts: few starts give"
+        " wide intervals, more starts narrow them"
+    )
+    return "\n".join(lines)

@@ -1,0 +1,160 @@
+"""From files to diagnoses: the steps of `motor-env diagnose`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motor_env.diagnosis import report
+from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, Diagnosis
+from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
+from motor_env.diagnosis.pictures import plot_diagnosis
+from motor_env.errors import InputError
+from motor_env.motor.data_sheet import MotorFile, StartReference, load_motor
+from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.recording import ColumnChoice, Recording, read_recording
+from motor_env.recordings.splitting import chosen_starts, split_starts
+from motor_env.recordings.start import Circuit
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one file: a diagnosis, or the sentence why it could not be read."""
+
+    path: Path
+    diagnosis: Diagnosis | None
+    error: str | None = None
+    periods_per_turn: float | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """One object; a file that could not be read has the verdict unusable, and the error."""
+        if self.diagnosis is not None:
+            return report.as_json(self.diagnosis, self.periods_per_turn)
+        return {
+            "file": str(self.path),
+            "verdict": "unusable",
+            "severity": None,
+            "confidence": None,
+            "parameters": {},
+            "r2_current": None,
+            "error": self.error,
+        }
+
+    def as_text(self) -> str:
+        """What a maintenance engineer reads; empty for a file that could not be read."""
+        return "" if self.diagnosis is None else report.as_text(self.diagnosis, self.periods_per_turn)
+
+
+def learn(
+    healthy: Sequence[Path],
+    motor: MotorFile | None,
+    voltage_v: float | None,
+    columns: Sequence[ColumnChoice] = (),
+    circuit: Circuit | None = None,
+) -> StartReference | None:
+    """Reference from healthy recordings.
+
+    Raises:
+        InputError: one of them cannot be read or used.
+    """
+    if not healthy:
+        return None
+    if voltage_v is None and motor is not None:
+        voltage_v = motor.nominal_voltage_v
+    constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
+    try:
+        starts = [part for path in healthy for part in split_starts(read_recording(path, columns))]
+        fits = fit_healthy(starts, voltage_v=voltage_v, constant=constant, circuit=circuit)
+    except UnusableError as error:
+        raise InputError(f"a healthy recording cannot be used: {error}") from None
+    if len({fit.quantity_names for fit in fits}) > 1:
+        raise InputError("the healthy recordings hold different columns; give such that agree")
+    return learn_reference(fits)
+
+
+def diagnose_files(
+    files: Sequence[Path],
+    *,
+    motor: str | None = None,
+    healthy: Sequence[Path] = (),
+    voltage_v: float | None = None,
+    false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
+    out: Path | None = None,
+    columns: Sequence[str] = (),
+    circuit: Circuit | None = None,
+    start: int | None = None,
+    periods_per_turn: float | None = None,
+    progress: Callable[[Path], None] = lambda path: None,
+) -> list[Outcome]:
+    """Diagnose each start of each file; one that cannot be read does not stop the others.
+
+    Args:
+        files: recordings.
+        motor: motor file, or name of a catalogue motor.
+        healthy: healthy recordings of the same motor.
+        voltage_v: level of the supply, for recordings without a voltage.
+        false_alarm_rate: per healthy recording.
+        out: folder for one picture a file; none are drawn without it.
+        columns: columns named by the user, see `ColumnChoice.parse`.
+        circuit: what is known of the measuring circuit.
+        start: number of the start in files that hold several; all of them unless given.
+        periods_per_turn: periods of the commutation ripple in a turn, for the true speed.
+        progress: told each file before it is read.
+
+    Raises:
+        InputError: the motor, a healthy recording or the folder cannot be used.
+    """
+    if not files:
+        raise InputError("give at least one recording")
+    if not 0.0 < false_alarm_rate < 0.5:
+        raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
+    if voltage_v is not None and not 0.0 < voltage_v < float("inf"):
+        raise InputError(f"voltage must be > 0, got {voltage_v:g}")
+    loaded = None if motor is None else load_motor(motor)
+    choices = [ColumnChoice.parse(text) for text in columns]
+    if periods_per_turn is not None and not 0.0 < periods_per_turn < float("inf"):
+        raise InputError(f"ripple-periods-per-turn must be > 0, got {periods_per_turn:g}")
+    learned = learn(healthy, loaded, voltage_v, choices, circuit)
+    outcomes: list[Outcome] = []
+    for path, recording, sentence in _starts(files, choices, start):
+        progress(path)
+        if recording is None:
+            outcomes.append(Outcome(path, None, sentence))
+            continue
+        try:
+            diagnosis = diagnose(
+                recording,
+                loaded,
+                learned,
+                voltage_v=voltage_v,
+                false_alarm_rate=false_alarm_rate,
+                circuit=circuit,
+            )
+        except (
+            ValueError
+        ) as error:  # values so far from any motor that the numerics give up; the others go on
+            outcomes.append(Outcome(path, None, f"{path}: cannot be judged ({' '.join(str(error).split())})"))
+            continue
+        if out is not None:
+            plot_diagnosis(diagnosis, out / f"{len(outcomes) + 1:03d}-{path.name.replace('.', '-')}.png")
+        outcomes.append(Outcome(path, diagnosis, None, periods_per_turn))
+    return outcomes
+
+
+def _starts(
+    files: Sequence[Path], choices: Sequence[ColumnChoice], number: int | None
+) -> Iterator[tuple[Path, Recording | None, str]]:
+    """Each start of each file, or the sentence why the file cannot be read."""
+    for path in files:
+        try:
+            parts = chosen_starts(read_recording(path, choices), number)
+        except InputError as error:
+            yield path, None, str(error)
+            continue
+        for part in parts:
+            yield part.path, part, ""

@@ -1,0 +1,175 @@
+"""Where a healthy motor lies: from its data sheet, or from healthy starts of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from motor_env.identification.commutation import ripple_quantities
+from motor_env.identification.identify import NUISANCES, Identified, identify, identify_best
+from motor_env.motor import identifiable as quantities
+from motor_env.motor.data_sheet import MotorFile, StartReference
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.recording import Recording
+from motor_env.recordings.start import Circuit, prepare
+
+START_SPREAD_PRIOR = 0.02
+START_PRIOR_WEIGHT = 4.0
+NOISE_SPREAD_PRIOR = 0.10
+SHEET_NOISE_SD = 0.10
+NORMAL_DOF = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Where a healthy motor lies, for the quantities that one kind of recording can tell.
+
+    Attributes:
+        source: in words, for the user.
+        names: the quantities.
+        log_values: logarithms of the quantities of a healthy motor, shape (n,).
+        log_covariance: covariance of the next healthy start about them, the fit's own error left out, shape (n, n).
+        degrees_of_freedom: of that covariance.
+        log_noise: logarithm of the noise of the current, or None where unknown.
+        log_noise_sd: its standard deviation from start to start.
+        model: extensions to fit with, or None to choose by evidence.
+        includes_fit_error: the covariance was estimated from fits, and holds their errors already.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    log_values: FloatArray
+    log_covariance: FloatArray
+    degrees_of_freedom: float = NORMAL_DOF
+    log_noise: float | None = None
+    log_noise_sd: float = SHEET_NOISE_SD
+    model: tuple[str, ...] | None = None
+    includes_fit_error: bool = False
+
+
+def reference_from_motor(motor: MotorFile, *, has_voltage: bool, has_speed: bool) -> Reference | None:
+    """Reference from a data sheet or a commissioned motor; None where it does not speak of the same quantities."""
+    names = quantities.names(has_voltage=has_voltage, has_speed=has_speed)
+    if motor.reference is not None:
+        return reference_from_starts(motor.reference, names, motor.name)
+    if not has_voltage:
+        return None
+    exponents = quantities.matrix(has_voltage=has_voltage, has_speed=has_speed)
+    voltage = motor.nominal_voltage_v or 1.0
+    # V is held at what the recording says; its tolerance scales the current, so it acts like R, L, ... per volt.
+    covariance = quantities.tolerance_covariance(motor.tolerance)
+    supply = motor.tolerance.supply
+    per_volt = quantities.matrix(has_voltage=False, has_speed=has_speed)[:, -1]
+    return Reference(
+        source=f"data sheet {motor.name}"
+        if motor.kind == "data_sheet"
+        else f"{motor.kind} motor {motor.name}",
+        names=names,
+        log_values=exponents @ quantities.logarithms(motor.parameters, voltage),
+        log_covariance=exponents @ covariance @ exponents.T + supply**2 * np.outer(per_volt, per_volt),
+        log_noise=None if motor.current_noise_a is None else math.log(motor.current_noise_a),
+    )
+
+
+def reference_from_starts(starts: StartReference, names: tuple[str, ...], motor: str) -> Reference | None:
+    """Reference from healthy starts of a motor; None where they tell other quantities."""
+    if starts.quantities != names:
+        return None
+    return Reference(
+        source=f"{starts.starts} healthy starts of {motor}",
+        names=names,
+        log_values=np.log(starts.values),
+        log_covariance=starts.log_covariance,
+        degrees_of_freedom=starts.degrees_of_freedom,
+        log_noise=starts.log_noise,
+        log_noise_sd=starts.log_noise_sd,
+        model=starts.model,
+        includes_fit_error=True,
+    )
+
+
+def fit_healthy(
+    recordings: list[Recording],
+    *,
+    voltage_v: float | None = None,
+    constant: float | None = None,
+    circuit: Circuit | None = None,
+) -> list[Identified]:
+    """Fit healthy starts with one common model: the one that the evidence prefers in most of them.
+
+    All are fitted twice, the second time from the median of the first fits, so that no start is left in an optimum
+    of its own, and an ambiguous inductance is the same in all.
+
+    Raises:
+        UnusableError: a recording cannot be judged.
+    """
+    starts = [prepare(recording, voltage_v, circuit) for recording in recordings]
+    chosen = [identify_best(start, NUISANCES, constant=constant).model for start in starts[:3]]
+    model = tuple(
+        name for name in NUISANCES if sum(name in candidate for candidate in chosen) > 0.5 * len(chosen)
+    )
+    first = [identify(start, model, constant=constant) for start in starts]
+    if len({fit.quantity_names for fit in first}) > 1:
+        return first
+    middle = np.exp(np.median([fit.log_values for fit in first], axis=0))
+    typical = dict(zip(first[0].quantity_names, middle.tolist(), strict=True))
+    return [identify(start, model, constant=constant, typical=typical) for start in starts]
+
+
+def learn_reference(fits: list[Identified]) -> StartReference:
+    """What healthy starts of one motor teach about its next start.
+
+    The spread between few starts is hardly known. A prior stands in: an inverse-Wishart whose mean is 2 % (1 sd) on
+    every quantity, worth 4 starts (Gelman et al. 2013, ch. 3.6). The next start then follows a multivariate Student t
+    with n - 1 + 4 degrees of freedom and the scale (1 + 1/n) S, never the sample's own sigma.
+
+    Args:
+        fits: healthy starts, fitted with the same model, one or more.
+    """
+    logs = np.array([fit.log_values for fit in fits])
+    n, p = logs.shape
+    centre = logs.mean(axis=0)
+    scatter = (logs - centre).T @ (logs - centre)
+    # The fit's own error is white between starts; it is the least that the next start will differ by.
+    fit_error = np.mean([white_error(fit) for fit in fits], axis=0)
+    prior = np.eye(p) * START_SPREAD_PRIOR**2 + fit_error
+    freedom = n - 1 + START_PRIOR_WEIGHT
+    covariance = (scatter + START_PRIOR_WEIGHT * prior) / freedom * (1.0 + 1.0 / n)
+    noise = np.log([max(fit.noise_a, 1e-12) for fit in fits])
+    ripples = [ripple_quantities(fit) for fit in fits]
+    ripple = np.log([pair for pair in ripples if pair is not None])
+    has_ripple = len(ripple) == n
+    return StartReference(
+        starts=n,
+        degrees_of_freedom=freedom,
+        quantities=fits[0].quantity_names,
+        values=np.exp(centre),
+        log_covariance=covariance,
+        log_noise=float(noise.mean()),
+        log_noise_sd=_next_sd(noise, NOISE_SPREAD_PRIOR),
+        model=fits[0].model,
+        model_low=tuple(min(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
+        model_high=tuple(max(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
+        sampling_rate_hz=1.0 / float(np.mean([fit.start.dt_s for fit in fits])),
+        duration_s=min(float(fit.start.time_s[-1]) - fit.onset_s for fit in fits),
+        quiet_s=max(min(fit.onset_s - float(fit.start.time_s[0]) for fit in fits), 0.0),
+        ripple_hz=float(np.exp(ripple[:, 0].mean())) if has_ripple else None,
+        ripple_constant_v_s=float(np.exp(ripple[:, 1].mean())) if has_ripple else None,
+        ripple_log_sd=max(_next_sd(row, START_SPREAD_PRIOR) for row in ripple.T) if has_ripple else None,
+    )
+
+
+def _next_sd(values: FloatArray, prior_sd: float) -> float:
+    """Scale of the next value's Student t, from values that scatter and a prior worth 4 of them."""
+    n = len(values)
+    scatter = float(np.sum((values - values.mean()) ** 2))
+    freedom = n - 1 + START_PRIOR_WEIGHT
+    return math.sqrt((scatter + START_PRIOR_WEIGHT * prior_sd**2) / freedom * (1.0 + 1.0 / n))
+
+
+def white_error(fit: Identified) -> FloatArray:
+    """Covariance of the fit from its white noise alone: what differs from one start to the next of one motor."""
+    left = float(np.var(fit.residual_a[fit.start.alignment.onset_index :]))
+    return fit.log_covariance * min(fit.noise_a**2 / max(left, 1e-300), 1.0)

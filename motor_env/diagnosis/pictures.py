@@ -1,0 +1,171 @@
+"""Pictures of fitted starts: of a diagnosis, of an identification, of a commissioning."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from scipy import stats
+
+from motor_env.diagnosis.decision import Diagnosis
+from motor_env.diagnosis.report import headline
+from motor_env.identification.identify import Identified
+from motor_env.identification.residuals import started
+from motor_env.motor.data_sheet import StartReference
+from motor_env.motor.parameters import FloatArray, MotorParameters
+from motor_env.plotting import COLOUR, drawing, save, subplots
+
+
+def plot_diagnosis(diagnosis: Diagnosis, path: Path) -> None:
+    """Measured, fitted and expected current, residual, and the filter's innovation; nothing without a fit.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    fit, check = diagnosis.identified, diagnosis.filter_check
+    if fit is None or check is None:
+        return
+    colour = COLOUR.get(str(diagnosis.verdict), COLOUR["other"])
+    with drawing():
+        figure, (top, middle, bottom) = subplots(3, height_in=8.5, height_ratios=(2.2, 1.0, 1.0))
+        _currents(top, fit, colour)
+        reference = reference_current(diagnosis)
+        if reference is not None:
+            label = "expected of the reference"
+            top.plot(
+                _time_ms(fit),
+                reference,
+                color=COLOUR["threshold"],
+                linewidth=1.3,
+                linestyle="--",
+                label=label,
+            )
+        top.set_title(f"{diagnosis.recording.path.name}: {headline(diagnosis)}")
+        top.legend(loc="upper right")
+        _residual(middle, fit, colour)
+        time_ms = _time_ms(fit)
+        whitened = check.result.whitened[..., 0]
+        begin = len(time_ms) - whitened.shape[-1]
+        bottom.plot(time_ms[begin:], np.ravel(whitened), color=COLOUR["other"], linewidth=0.8)
+        for level in (-3.0, 3.0):
+            bottom.axhline(level, color=COLOUR["threshold"], linestyle="--", linewidth=1.0)
+        bottom.set_ylabel("innovation (sigma)")
+        bottom.set_xlabel("time after the start (ms)")
+        figure.align_ylabels()
+        save(figure, path)
+
+
+def plot_identified(fit: Identified, name: str, path: Path) -> None:
+    """Measured and fitted current (and speed), and their residuals.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    with drawing():
+        rows = 2 if fit.start.speed_rad_s is None else 4
+        figure, axes = subplots(rows, height_in=3.0 + 1.6 * rows, height_ratios=(2.2, 1.0) * (rows // 2))
+        _currents(axes[0], fit, COLOUR["healthy"])
+        axes[0].set_title(f"{name}: {' + '.join(['textbook', *fit.model])}, R² {fit.r2_current:.4f}")
+        axes[0].legend(loc="upper right")
+        _residual(axes[1], fit, COLOUR["healthy"])
+        if fit.start.speed_rad_s is not None:
+            time_ms, speed = _time_ms(fit), fit.start.speed_rad_s
+            axes[2].plot(time_ms, speed, color=COLOUR["measured"], linewidth=1.2, label="measured")
+            axes[2].plot(time_ms, fit.expected[:, 1], color=COLOUR["healthy"], label="fitted")
+            axes[2].set_ylabel("speed (rad/s)")
+            axes[3].plot(time_ms, speed - fit.expected[:, 1], color=COLOUR["healthy"], linewidth=0.8)
+            axes[3].set_ylabel("residual (rad/s)")
+        axes[-1].set_xlabel("time after the start (ms)")
+        figure.align_ylabels()
+        save(figure, path)
+
+
+def plot_commissioned(
+    fits: Sequence[Identified],
+    reference: StartReference,
+    smallest: Mapping[str, float],
+    rate: float,
+    path: Path,
+) -> None:
+    """All starts and their fits, their residuals, and how far each quantity spreads, with the next start's interval.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    with drawing():
+        figure, (top, middle, bottom) = subplots(
+            3, height_in=9.5, sharex=False, height_ratios=(2.0, 1.0, 1.6)
+        )
+        for n, fit in enumerate(fits):
+            time_ms = _time_ms(fit)
+            labels = ("measured", "fitted") if n == 0 else (None, None)
+            top.plot(time_ms, fit.start.current_a, color=COLOUR["measured"], linewidth=0.8, label=labels[0])
+            top.plot(time_ms, fit.expected[:, 0], color=COLOUR["healthy"], linewidth=1.2, label=labels[1])
+            middle.plot(time_ms, fit.residual_a, linewidth=0.6, color=COLOUR["healthy"], alpha=0.6)
+        top.set_ylabel("current (A)")
+        top.legend(loc="upper right")
+        top.set_title(f"{reference.starts} healthy starts")
+        middle.set_ylabel("residual (A)")
+        middle.set_xlabel("time after the start (ms)")
+        middle.set_xlim(top.get_xlim())
+        _spread(bottom, fits, reference, rate)
+        told = ", ".join(f"{kind.replace('_', ' ')} {severity:.0%}" for kind, severity in smallest.items())
+        bottom.set_xlabel(f"off the mean (%)\nsmallest change found in 95 of 100 cases: {told}")
+        save(figure, path)
+
+
+def _spread(axes: Axes, fits: Sequence[Identified], reference: StartReference, rate: float) -> None:
+    """A bar a quantity, the interval of the next healthy start, and a point a start."""
+    half = float(stats.t.isf(rate / 2.0, reference.degrees_of_freedom))
+    for row in range(len(reference.quantities)):
+        width = half * math.sqrt(reference.log_covariance[row, row])
+        low, high = 100.0 * (math.exp(-width) - 1.0), 100.0 * (math.exp(width) - 1.0)
+        axes.barh(row, high - low, left=low, height=0.55, color=COLOUR["healthy"], alpha=0.18)
+        # Beyond the axis the bar is cut: its ends are said.
+        ends = f"{low:+.0f} … {high:+.0f} %"
+        axes.annotate(ends, (1.005, row), xycoords=("axes fraction", "data"), va="center", fontsize=10)
+        off = [100.0 * (math.exp(fit.log_values[row]) / reference.values[row] - 1.0) for fit in fits]
+        axes.plot(off, [row] * len(off), "o", color=COLOUR["healthy"], markersize=5)
+    widths = half * np.sqrt(np.diag(reference.log_covariance))
+    room = 100.0 * 1.3 * float(np.median(np.expm1(np.minimum(widths, 1.0))))
+    axes.set_xlim(-room, room)
+    axes.set_yticks(range(len(reference.quantities)), list(reference.quantities))
+    axes.set_title(f"Interval of the next healthy start ({1.0 - rate:.0%})")
+
+
+def reference_current(diagnosis: Diagnosis) -> FloatArray | None:
+    """The current that the reference's motor would have drawn in this start; None without a reference.
+
+    K is that of the fit where the current alone is told: the current depends on K^2/J and B/J only.
+    """
+    fit, reference = diagnosis.identified, diagnosis.reference
+    if fit is None or reference is None:
+        return None
+    values = dict(zip(reference.names, np.exp(reference.log_values).tolist(), strict=True))
+    plain = {name.replace("(J V)", "J").replace("/V", ""): value for name, value in values.items()}
+    constant = plain.get("K", float(np.max(fit.parameters.back_emf_constant_v_s_per_rad)))
+    inertia = plain["J"] if "J" in plain else constant**2 / plain["K^2/J"]
+    friction = plain["B"] if "B" in plain else plain["B/J"] * inertia
+    ohm = plain["R"] + fit.start.circuit.shunt_ohm
+    motor = MotorParameters(ohm, plain["L"], constant, constant, inertia, friction)
+    states = started(fit.start, motor, fit.extension, fit.onset_s)
+    current: FloatArray = states[:, 0] + (0.0 if fit.start.alignment.rectified else fit.offset_a)
+    return current
+
+
+def _time_ms(fit: Identified) -> FloatArray:
+    return 1e3 * (fit.start.time_s - fit.onset_s)
+
+
+def _currents(axes: Axes, fit: Identified, colour: str) -> None:
+    axes.plot(_time_ms(fit), fit.start.current_a, color=COLOUR["measured"], linewidth=1.2, label="measured")
+    axes.plot(_time_ms(fit), fit.expected[:, 0], color=colour, label="fitted")
+    axes.set_ylabel("current (A)")
+
+
+def _residual(axes: Axes, fit: Identified, colour: str) -> None:
+    axes.plot(_time_ms(fit), fit.residual_a, color=colour, linewidth=0.8)
+    axes.set_ylabel("residual (A)")

@@ -1,0 +1,195 @@
+"""A diagnosis for people and for programs: table, sentences, JSON, picture."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from motor_env import console
+from motor_env.diagnosis.decision import Diagnosis, Verdict
+from motor_env.identification.commutation import ripple_speed
+from motor_env.identification.identify import Identified
+from motor_env.motor.parameters import RAD_S_PER_RPM
+
+UNITS = {
+    "R": "ohm",
+    "L": "H",
+    "K": "V s/rad",
+    "J": "kg m2",
+    "B": "N m s/rad",
+    "K^2/J": "V/(A s)",
+    "B/J": "1/s",
+    "R/V": "1/A",
+    "L/V": "s/A",
+    "K/V": "s/rad",
+    "K^2/(J V)": "1/(A s)",
+    "J/V": "A s3",
+    "B/V": "A s2",
+}
+
+
+def exit_status(diagnoses: list[Diagnosis], *, unreadable: bool) -> int:
+    """0: all healthy; 1: any fault; 2: any input unreadable; 3: no fault, but some undecided."""
+    if unreadable:
+        return int(console.ExitStatus.BAD_INPUT)
+    if any(d.verdict.is_fault for d in diagnoses):
+        return int(console.ExitStatus.FAULT)
+    if any(d.verdict is not Verdict.HEALTHY for d in diagnoses):
+        return int(console.ExitStatus.UNDECIDED)
+    return int(console.ExitStatus.HEALTHY)
+
+
+def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict[str, Any]:
+    """One object: file, verdict, severity, confidence, parameters, r2_current, and what they rest on."""
+    fit, check = diagnosis.identified, diagnosis.filter_check
+    return {
+        "file": str(diagnosis.recording.path),
+        "verdict": str(diagnosis.verdict),
+        "fault_kind": None if diagnosis.fault_kind is None else str(diagnosis.fault_kind),
+        "severity": _number(diagnosis.severity),
+        "severity_interval": _interval(diagnosis.severity_low, diagnosis.severity_high),
+        "confidence": _number(diagnosis.confidence),
+        "reasons": list(diagnosis.reasons),
+        "parameters": {} if fit is None else _parameters(fit),
+        "changes": {
+            c.name: {"ratio": c.ratio, "interval": [c.low, c.high], "significant": c.significant}
+            for c in diagnosis.changes
+        },
+        "smallest_changes": diagnosis.smallest_changes,
+        "reference": None if diagnosis.reference is None else diagnosis.reference.source,
+        "model": None if fit is None else ["textbook", *fit.model],
+        "r2_current": None if fit is None else _number(fit.r2_current),
+        "r2_speed": None if fit is None else _number(fit.r2_speed),
+        "residual_autocorrelation": None if fit is None else _number(fit.lag_one),
+        "mean_nis": None if check is None else _number(check.mean_nis),
+        "sensor_noise_a": None if check is None else _number(check.sensor_noise_a),
+        "model_error_a": None if check is None else _number(check.model_error_a),
+        "consistent": None if check is None or check.consistency is None else check.consistency.holds,
+        "warning": diagnosis.warning or None,
+        "commutation": None if fit is None else ripple_json(fit, periods_per_turn),
+        "columns": list(diagnosis.recording.columns),
+        "defects": [] if fit is None else list(fit.defects),
+    }
+
+
+def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, Any] | None:
+    """What the commutation ripple tells; None without one."""
+    found = ripple_speed(fit, periods_per_turn)
+    if found is None:
+        return None
+    return {
+        "ripple_hz": found.ripple.frequency_hz,
+        "standard_error_hz": found.ripple.standard_error_hz,
+        "amplitude_a": found.ripple.amplitude_a,
+        "speed_rad_s": found.speed_rad_s,
+        **{name: {"value": value, "unit": UNITS[name]} for name, value in found.constants.items()},
+    }
+
+
+def ripple_lines(fit: Identified, periods_per_turn: float | None) -> list[str]:
+    """The same in sentences, none without a ripple."""
+    found = ripple_speed(fit, periods_per_turn)
+    if found is None:
+        return []
+    line = f"commutation ripple of {found.ripple.frequency_hz:.5g} Hz at the end"
+    if found.speed_rad_s is None:
+        return [
+            f"  {line}; with its periods a turn (--ripple-periods-per-turn) it tells the speed, K, J and B"
+        ]
+    told = ", ".join(f"{name} {value:.4g} {UNITS[name]}" for name, value in found.constants.items())
+    return [
+        f"  {line}: {found.speed_rad_s:.5g} rad/s ({found.speed_rad_s / RAD_S_PER_RPM:.0f} rpm), so {told}"
+    ]
+
+
+def _parameters(fit: Identified) -> dict[str, Any]:
+    out: dict[str, Any] = {
+        name: {"value": float(value), "standard_error": float(error), "unit": UNITS[name]}
+        for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True)
+    }
+    for name, (value, error) in fit.fitted_extension.items():
+        out[name] = {"value": value, "standard_error": error, "unit": extension_unit(fit, name)}
+    out["onset_s"] = {"value": fit.onset_s, "unit": "s"}
+    out["offset_a"] = {"value": fit.offset_a, "unit": "A"}
+    return out
+
+
+_EXTENSION_UNITS = {
+    "supply_ramp": "s",
+    "supply_curve": "of the rise (its middle)",
+    "sensor_lag": "s",
+    "speed_lag": "s",
+    "dead_zone": "A",
+    "coulomb": "N m",
+    "brush_drop": "V",
+}
+_PER_VOLT = {"coulomb": "N m/V", "brush_drop": "of the supply"}
+
+
+def extension_unit(fit: Identified, name: str) -> str:
+    """Unit of an extension's value; where the voltage is not known it is told for a supply of 1 V."""
+    per_volt = {} if fit.start.voltage_known else _PER_VOLT
+    return per_volt.get(name, _EXTENSION_UNITS[name])
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def _interval(low: float | None, high: float | None) -> list[float] | None:
+    return None if low is None or high is None else [low, high]
+
+
+def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
+    """What a maintenance engineer reads."""
+    lines = [f"{diagnosis.recording.path}: {headline(diagnosis)}"]
+    lines += [f"  {reason}." for reason in diagnosis.reasons]
+    lines.append("  read: " + "; ".join(diagnosis.recording.columns))
+    fit, check = diagnosis.identified, diagnosis.filter_check
+    if fit is not None:
+        changes = {change.name: change for change in diagnosis.changes}
+        for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True):
+            line = f"  {name:<12} {value:11.4g} +- {error:.2g} {UNITS[name]:<12}"
+            if name in changes:
+                c = changes[name]
+                line += f" {c.ratio - 1.0:+6.1%} from the reference (95 %: {c.low - 1.0:+.1%} to {c.high - 1.0:+.1%})"
+            lines.append(line.rstrip())
+        for name, (value, error) in fit.fitted_extension.items():
+            lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {extension_unit(fit, name)}")
+        for name in [name for name in changes if name not in fit.quantity_names]:
+            c = changes[name]
+            span = f"(95 %: {c.low - 1.0:+.1%} to {c.high - 1.0:+.1%})"
+            lines.append(
+                f"  {name:<12} {c.ratio - 1.0:+6.1%} from the reference {span}, by the commutation ripple"
+            )
+        lines += ripple_lines(fit, periods_per_turn)
+        speed = "" if fit.r2_speed is None else f", of the speed {fit.r2_speed:.4f}"
+        lines.append(
+            f"  fit: R2 of the current {fit.r2_current:.4f}{speed}; model {' + '.join(['textbook', *fit.model])}"
+        )
+        lines += [f"  noticed: {defect}" for defect in fit.defects]
+    if check is not None:
+        lines.append(
+            f"  filter: sensor noise {check.sensor_noise_a:.3g} A, model error {check.model_error_a:.3g} A,"
+            f" mean NIS {check.mean_nis:.2f} (with the sensor's noise alone {check.sensor_only_nis:.2f})"
+        )
+    if diagnosis.warning:
+        # The fit's errors come from the autocorrelated residual, not from the filter.
+        allowed = "; the verdict above allows for it" if diagnosis.reference is not None else ""
+        lines.append(f"  warning: {diagnosis.warning}{allowed}")
+    if diagnosis.smallest_changes:
+        told = ", ".join(f"{kind} {severity:.0%}" for kind, severity in diagnosis.smallest_changes.items())
+        lines.append(f"  smallest change that this comparison finds in 95 of 100 cases: {told}")
+    return "\n".join(lines)
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """Verdict, severity and confidence in one line."""
+    words = str(diagnosis.verdict)
+    if diagnosis.severity and diagnosis.verdict.is_fault:
+        words += f" {diagnosis.severity:+.0%}"
+        if diagnosis.severity_low is not None and diagnosis.severity_high is not None:
+            words += f" (95 %: {diagnosis.severity_low:+.0%} to {diagnosis.severity_high:+.0%})"
+    if diagnosis.confidence is not None:
+        words += f", confidence {diagnosis.confidence:.2f}"
+    return words

@@ -1,0 +1,1 @@
+"""Policies and bounds that scores in the environments are compared with."""

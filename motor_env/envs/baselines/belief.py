@@ -1,0 +1,278 @@
+"""What can be known of a probed motor: likelihood and posterior of every fault and onset, whatever voltage was applied.
+
+A motor whose own parameters are known is deterministic but for the sensor's noise. Under the hypothesis (class c, onset
+k) plant and filter follow from the voltages that were applied, so the mean of the innovation is known, and the
+observed one is that plus white noise of standard deviation 1. The logarithm of the likelihood ratio to a healthy motor
+grows by mean (innovation - mean / 2) a step. Its sum over the prior is the posterior (Shiryaev 1963), its maximum over
+onset and severity the generalised likelihood ratio of a kind (Lorden 1971; Willsky & Jones 1976).
+
+The innovation is that of a whole step, its mean over the root of its number of samples: all that an agent sees. An
+onset is taken in the middle of a step. Onsets older than `LONGEST_AGE_S` are kept together: what they show agrees.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from motor_env.envs import kernel
+from motor_env.envs.baselines.hypotheses import (
+    N_HYPOTHESIS,
+    StepModel,
+    kind_matrix,
+    known_faults,
+    step_models,
+)
+from motor_env.envs.baselines.policies import Actions, Observations, column
+from motor_env.envs.options import MonitorOptions
+from motor_env.envs.setup import INNOVATION_BOUND, Setup
+from motor_env.motor.parameters import FloatArray
+
+LONGEST_AGE_S = 40e-3
+
+
+class Hypotheses(NamedTuple):
+    """What is thought of every class and onset: the newest onset has age 0, the last age gathers the old ones.
+
+    Attributes:
+        ratio: log-likelihood ratio to a healthy motor, shape (n_lanes, n_classes, n_ages).
+        weight: the same plus the logarithm of the onset's prior; -inf where there is no onset yet.
+        states: mean of the motor's state and of the filter's estimate, shape (n_lanes, n_classes, n_ages, 4).
+    """
+
+    ratio: FloatArray
+    weight: FloatArray
+    states: FloatArray
+
+
+def worth(options: MonitorOptions, quiet: FloatArray, kinds: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What to expect from declaring the likeliest kind, and from being silent at the horizon.
+
+    Args:
+        options: of the task.
+        quiet: probability that nothing has happened yet, shape (count,).
+        kinds: of each kind, shape (count, n_kinds).
+    """
+    faulty = kinds.sum(axis=1)
+    right = kinds.max(axis=1)
+    declared = right * options.correct_reward - (faulty - right) * options.wrong_kind_cost
+    return (
+        declared - quiet * options.false_alarm_cost,
+        quiet * options.silent_reward - faulty * options.miss_cost,
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _mean_and_move(model: StepModel, c: int, u: float, s: FloatArray) -> float:
+    """Mean of the innovation of a step of class c from state s, which moves. It is clipped as an observation is."""
+    s0, s1, s2, s3 = s[0], s[1], s[2], s[3]
+    row = model.row[c]
+    mean = row[0] * s0 + row[1] * s1 + row[2] * s2 + row[3] * s3
+    mean += model.feed_bias[c, 0] * u + model.feed_bias[c, 1]
+    matrix, gain, drift = model.transition[c], model.gain[c], model.drift[c]
+    for m in range(N_HYPOTHESIS):
+        s[m] = matrix[m, 0] * s0 + matrix[m, 1] * s1 + matrix[m, 2] * s2 + matrix[m, 3] * s3
+        s[m] += gain[m] * u + drift[m]
+    return float(min(max(mean, -INNOVATION_BOUND), INNOVATION_BOUND))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _age(ratio: FloatArray, weight: FloatArray, states: FloatArray, begun: int) -> None:
+    """Make room for a hypothesis of age 0; where all ages are in use, the two oldest become one."""
+    n_ages = ratio.shape[0]
+    newest_free = begun
+    if begun == n_ages:
+        last, young = n_ages - 1, n_ages - 2
+        ratio[last] = max(ratio[last], ratio[young])
+        high = max(weight[last], weight[young])
+        weight[last] = high + np.log(np.exp(weight[last] - high) + np.exp(weight[young] - high))
+        newest_free = young
+    for age in range(newest_free, 0, -1):
+        ratio[age], weight[age] = ratio[age - 1], weight[age - 1]
+        for m in range(N_HYPOTHESIS):
+            states[age, m] = states[age - 1, m]
+
+
+@njit(cache=True, error_model="numpy")
+def _update(
+    hypotheses: Hypotheses,
+    begun: NDArray[np.int64],
+    healthy: FloatArray,
+    voltage: FloatArray,
+    innovation: FloatArray,
+    born: FloatArray,
+    whole: StepModel,
+    split: StepModel,
+) -> None:
+    """One more step of every lane.
+
+    Args:
+        hypotheses: changed in place.
+        begun: number of ages in use in every lane, changed in place.
+        healthy: state without a fault, shape (n_lanes, 4), changed in place.
+        voltage: offset that was applied, shape (n_lanes,).
+        innovation: observed, shape (n_lanes,).
+        born: logarithm of the prior probability that the fault set in within this step; -inf: it cannot have.
+        whole: see `step_models`.
+        split: see `step_models`.
+    """
+    n_lanes, n_classes, n_ages = hypotheses.ratio.shape
+    for n in range(n_lanes):
+        u, r = voltage[n], innovation[n]
+        for c in range(n_classes):
+            ratio, weight, states = hypotheses.ratio[n, c], hypotheses.weight[n, c], hypotheses.states[n, c]
+            for age in range(begun[n]):
+                mean = _mean_and_move(whole, c + 1, u, states[age])
+                gain = mean * (r - 0.5 * mean)
+                ratio[age] += gain
+                weight[age] += gain
+            if born[n] > -np.inf:
+                _age(ratio, weight, states, begun[n])
+                for m in range(N_HYPOTHESIS):
+                    states[0, m] = healthy[n, m]
+                mean = _mean_and_move(split, c + 1, u, states[0])
+                ratio[0] = mean * (r - 0.5 * mean)
+                weight[0] = born[n] + ratio[0]
+        if born[n] > -np.inf:
+            begun[n] = min(begun[n] + 1, n_ages)
+        _mean_and_move(whole, 0, u, healthy[n])
+
+
+class ProbeBelief:
+    """Likelihood ratios and posterior of many sub-environments, from what an agent observes.
+
+    Args:
+        setup: of a task that starts running, with an abrupt fault and a recipe without spread or noise faults, which
+            observes `innovation_current` and `voltage`.
+
+    Raises:
+        ValueError: the task is another one.
+
+    Attributes:
+        quiet: posterior probability that nothing has happened yet, shape (count,).
+        classes: posterior probability that the fault of a class is there, shape (count, n_classes).
+        kinds: of a kind, shape (count, n_kinds).
+        ratios: generalised log-likelihood ratio of each kind to a healthy motor, shape (count, n_kinds); 0 before.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        faults = known_faults(setup)
+        options, recipe = setup.options, setup.options.task
+        self.setup = setup
+        self._whole, self._split = step_models(setup, faults)
+        self._innovation, self._voltage = column(setup, "innovation_current"), column(setup, "voltage")
+        view = setup.view[:, kernel.FEATURES.index("voltage")].astype(np.float64)
+        self._to_volt, self._rest_volt = 1.0 / view[0], view[2]
+        self._n_ages = max(3, round(LONGEST_AGE_S / (options.dt_s * options.samples_per_step)))
+        prior = recipe.class_probabilities[faults]
+        self._log_prior, self._healthy = np.log(prior), float(1.0 - prior.sum())
+        self._of_kind = kind_matrix(setup, faults)
+        mean = options.mean_onset_s / options.dt_s
+        self._stay, self._earliest = mean / (1.0 + mean), round(options.earliest_onset_s / options.dt_s)
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        shape = (count, len(self._log_prior), self._n_ages)
+        self._hypotheses = Hypotheses(
+            np.full(shape, -np.inf), np.full(shape, -np.inf), np.zeros((*shape, N_HYPOTHESIS))
+        )
+        self._path = np.zeros((count, N_HYPOTHESIS))
+        self._begun, self.steps = np.zeros((2, count), dtype=np.int64)
+        self._offset_v = np.zeros(count)
+        self._conclude()
+
+    def restart(self, over: NDArray[np.bool_]) -> None:
+        """Forget what was seen where an episode is over."""
+        if over.any():
+            self._hypotheses.ratio[over], self._hypotheses.weight[over] = -np.inf, -np.inf
+            self._path[over], self._begun[over], self.steps[over] = 0.0, 0, 0
+            self._offset_v[over] = 0.0
+            self._conclude()
+
+    def update(self, observations: Observations) -> None:
+        """Learn from what followed a step of every sub-environment."""
+        per_step = self.setup.options.samples_per_step
+        first = np.maximum(self.steps * per_step - self._earliest, 0)
+        last = np.maximum((self.steps + 1) * per_step - self._earliest, 0)
+        with np.errstate(divide="ignore"):
+            born = np.log(self._stay**first - self._stay**last)
+        self._offset_v = observations[:, self._voltage] * self._to_volt - self._rest_volt
+        _update(
+            self._hypotheses,
+            self._begun,
+            self._path,
+            self._offset_v,
+            observations[:, self._innovation].astype(np.float64),
+            born,
+            self._whole,
+            self._split,
+        )
+        self.steps += 1
+        self._conclude()
+
+    def _conclude(self) -> None:
+        """Posterior and generalised ratios."""
+        weight = self._hypotheses.weight
+        high = np.maximum(weight.max(axis=(1, 2)), 0.0)
+        mass = np.exp(weight - high[:, None, None]).sum(axis=2) * np.exp(self._log_prior)
+        since = np.maximum(self.steps * self.setup.options.samples_per_step - self._earliest, 0)
+        quiet = (self._healthy + (1.0 - self._healthy) * self._stay**since) * np.exp(-high)
+        total = quiet + mass.sum(axis=1)
+        self.quiet, self.classes = quiet / total, mass / total[:, None]
+        self.kinds = self.classes @ self._of_kind
+        best = np.maximum(self._hypotheses.ratio.max(axis=2), 0.0)
+        self.ratios = (best[:, :, None] * self._of_kind).max(axis=1)
+
+    @property
+    def speed_offset_v(self) -> FloatArray:
+        """What the speed of a healthy motor has left its rest by, as the voltage that it balances, shape (count,)."""
+        constant = float(np.asarray(self.setup.options.task.motor.back_emf_constant_v_s_per_rad))
+        return self._path[:, 1] * constant
+
+    def expected_reward(self, actions: Actions) -> FloatArray:
+        """Reward of a step to expect from an action, shape (count,): the same on average, without the noise of luck.
+
+        An agent that knows the posterior learns from it as from the true reward, only sooner (Rao-Blackwell).
+        """
+        setup, options = self.setup, self.setup.options
+        declared = setup.declarations[actions].astype(np.int64)
+        faulty = self.kinds.sum(axis=1)
+        right = np.where(declared > 0, self.kinds[np.arange(len(actions)), declared - 1], 0.0)
+        verdict = right * options.correct_reward - (faulty - right) * options.wrong_kind_cost
+        verdict -= self.quiet * options.false_alarm_cost
+        per_step = options.samples_per_step
+        begun = np.maximum(self.steps * per_step - self._earliest, 0)
+        unborn = (1.0 - self._healthy) * self._stay**begun
+        comes = self.quiet * unborn / (self._healthy + unborn)
+        comes *= np.where(self.steps * per_step >= self._earliest, 1.0 - self._stay**per_step, 0.0)
+        delay = options.delay_cost_per_s * (faulty + 0.5 * comes)  # one that comes does so in mid-step
+        price = delay + options.probe_cost_per_v2_s * setup.offsets_v[actions] ** 2
+        missed = faulty + comes
+        silence = (1.0 - missed) * options.silent_reward - missed * options.miss_cost
+        waited = -price * options.dt_s * per_step + np.where(self.steps >= options.n_steps - 1, silence, 0.0)
+        reward: FloatArray = np.where(declared > 0, verdict, waited)
+        return reward
+
+    def summary(self) -> NDArray[np.float32]:
+        """What an agent needs to know, each about as large as 1, shape (count, 5 + n_classes + 2 n_kinds).
+
+        Remaining time, posterior of nothing, of each class and kind, its log-odds by kind and of any fault (a fifth
+        of them, from -2 to 2), and where the healthy motor stands: the last offset and `speed_offset_v`.
+        """
+        remaining = 1.0 - self.steps / self.setup.options.n_steps
+        odds = np.column_stack([self.kinds, 1.0 - self.quiet])
+        with np.errstate(divide="ignore"):
+            logits = np.clip(0.2 * (np.log(odds) - np.log1p(-np.minimum(odds, 1.0 - 1e-9))), -2.0, 2.0)
+        columns = [
+            remaining,
+            self.quiet,
+            self.classes,
+            self.kinds,
+            logits,
+            self._offset_v,
+            self.speed_offset_v,
+        ]
+        return np.column_stack(columns).astype(np.float32)

@@ -1,0 +1,178 @@
+"""Scores of a policy on a task: one episode in each sub-environment, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_env.envs.baselines.policies import Actions, Policy, ThresholdPolicy
+from motor_env.envs.vector import MotorVectorEnv
+from motor_env.motor.parameters import FloatArray
+
+
+class Runs(NamedTuple):
+    """What happened in each episode, and its truth; all of shape (episodes,).
+
+    Attributes:
+        returns: sum of the rewards.
+        steps: step in which it ended by a declaration, else 0.
+        declared: number of the declared kind, 0 for none.
+        right: number of the kind that would be right, 0 for healthy.
+        onset: in samples, -1 without a fault.
+        probing: share of the steps until the end in which the voltage was moved.
+    """
+
+    returns: FloatArray
+    steps: NDArray[np.int64]
+    declared: NDArray[np.int64]
+    right: NDArray[np.int64]
+    onset: NDArray[np.int64]
+    probing: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """How a policy did over a number of episodes.
+
+    Attributes:
+        episodes: their number.
+        mean_return: mean return of an episode.
+        return_half_width: half the width of its 95 % interval.
+        false_alarm_share: share of all episodes that end in a declaration before any fault had acted.
+        detected_share: share of the episodes with a fault, not ended before, that end in a declaration after it.
+        isolated_share: share of those declarations that name the right kind.
+        median_delay_s: median time from onset to declaration among the detected.
+        late_share: share of the episodes with a fault whose onset leaves less than 1 % of the horizon: no rule's fault.
+        probing_share: share of the steps in which the voltage was moved.
+    """
+
+    episodes: int
+    mean_return: float
+    return_half_width: float
+    false_alarm_share: float
+    detected_share: float
+    isolated_share: float
+    median_delay_s: float
+    late_share: float
+    probing_share: float
+
+    def as_row(self) -> dict[str, float]:
+        """The fields by name."""
+        return asdict(self)
+
+
+def run_episodes(envs: MotorVectorEnv, policy: Policy, seed: int) -> Runs:
+    """One episode of each sub-environment."""
+    count = envs.num_envs
+    observations, info = envs.reset(seed=seed)
+    right, onset = envs.right_declaration[info["class_index"]], info["onset_sample"]
+    policy.start(count)
+    returns, probing = np.zeros((2, count))
+    steps, declared, lengths = np.zeros((3, count), dtype=np.int64)
+    alive = np.ones(count, dtype=bool)
+    for step in range(envs.options.n_steps):
+        actions = policy.act(observations)
+        observations, rewards, terminated, _, _ = envs.step(actions)
+        returns += rewards * alive
+        probing += (envs.setup.offsets_v[actions] != 0.0) & alive
+        lengths += alive
+        ended = alive & terminated
+        declared[ended] = envs.setup.declarations[actions[ended]]
+        steps[ended & (declared > 0)] = step
+        alive &= ~terminated
+        if not alive.any():
+            break
+    return Runs(returns, steps, declared, right, onset, probing / lengths)
+
+
+def sweep(
+    envs: MotorVectorEnv, policy: ThresholdPolicy, thresholds: Sequence[float], seed: int
+) -> list[Runs]:
+    """What `run_episodes` gives with each threshold, from one run over the whole horizon.
+
+    Until it declares, a policy's voltages and statistic do not depend on its threshold.
+    """
+    count, limits = envs.num_envs, np.asarray(thresholds, dtype=np.float64)[:, None]
+    observations, info = envs.reset(seed=seed)
+    right, onset = envs.right_declaration[info["class_index"]], info["onset_sample"]
+    policy.start(count)
+    waited, probed = np.zeros((2, count))
+    returns, probing = np.zeros((2, len(limits), count))
+    steps, declared = np.zeros((2, len(limits), count), dtype=np.int64)
+    alive = np.ones((len(limits), count), dtype=bool)
+    for step in range(envs.options.n_steps):
+        statistic, declaration = policy.judge(observations)
+        says = alive & (statistic >= limits)
+        if says.any():
+            verdict = _verdict(envs, declaration, step, right, onset)
+            returns = np.where(says, waited + verdict, returns)
+            declared = np.where(says, envs.setup.declarations[declaration].astype(np.int64), declared)
+            steps[says] = step
+            probing = np.where(says, probed / (step + 1), probing)
+            alive &= ~says
+            if not alive.any():
+                break
+        actions = policy.probe()
+        observations, rewards, _, _, _ = envs.step(actions)
+        waited += rewards
+        probed += envs.setup.offsets_v[actions] != 0.0
+    returns = np.where(alive, waited, returns)
+    probing = np.where(alive, probed / envs.options.n_steps, probing)
+    return [
+        Runs(r, s, d, right, onset, p) for r, s, d, p in zip(returns, steps, declared, probing, strict=True)
+    ]
+
+
+def _verdict(
+    envs: MotorVectorEnv, actions: Actions, step: int, right: NDArray[np.int64], onset: NDArray[np.int64]
+) -> FloatArray:
+    """Reward of declaring now, as `motor_env.envs.kernel.settle` gives it."""
+    options = envs.options
+    happened = (onset >= 0) & (step * options.samples_per_step > onset)
+    correct = envs.setup.declarations[actions] == right
+    worth: FloatArray = np.where(
+        happened,
+        np.where(correct, options.correct_reward, -options.wrong_kind_cost),
+        -options.false_alarm_cost,
+    )
+    return worth
+
+
+def joined(runs: Sequence[Runs]) -> Runs:
+    """Episodes of several seeds, one after the other."""
+    return Runs(*(np.concatenate(parts) for parts in zip(*runs, strict=True)))
+
+
+def interval(values: FloatArray) -> tuple[float, float]:
+    """Mean of independent values, and half the width of its 95 % interval."""
+    return float(values.mean()), float(1.96 * values.std(ddof=1) / np.sqrt(len(values)))
+
+
+def score(envs: MotorVectorEnv, runs: Runs) -> Score:
+    """Score of what a policy did in a vector of environments."""
+    options = envs.options
+    onset, said = runs.onset, runs.declared > 0
+    at = runs.steps * options.samples_per_step
+    happens = (onset >= 0) & (onset < options.n_samples)
+    false = said & ~((onset >= 0) & (at > onset))
+    detected = said & ~false
+    could = happens & ~false
+    delay = (at - onset)[detected] * options.dt_s
+    mean, half_width = interval(runs.returns)
+    return Score(
+        episodes=len(onset),
+        mean_return=mean,
+        return_half_width=half_width,
+        false_alarm_share=float(false.mean()),
+        detected_share=float(detected.sum() / max(1, could.sum())),
+        isolated_share=float((runs.declared == runs.right)[detected].mean())
+        if detected.any()
+        else float("nan"),
+        median_delay_s=float(np.median(delay)) if detected.any() else float("nan"),
+        late_share=float((happens & (onset > 0.99 * options.n_samples)).sum() / max(1, happens.sum())),
+        probing_share=float(runs.probing.mean()),
+    )

@@ -1,0 +1,155 @@
+"""The Bayes posterior over onset and fault of a monitored motor whose parameters are known, as a policy.
+
+A motor at its operating point whose own parameters are known is deterministic but for the sensor's noise: fault c with
+onset k puts the signature s_c[age] on the current, whatever else. So the likelihood ratio of every hypothesis (c, k) is
+a product over the samples, and the posterior a sum over the geometric prior of the onset (Shiryaev 1963, with a
+signature and several faults). Onsets older than `LONGEST_AGE_S` are kept together: the transient is over, their
+signatures agree.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from motor_env.envs.baselines.belief import worth
+from motor_env.envs.baselines.hypotheses import kind_matrix, known_faults
+from motor_env.envs.baselines.policies import Actions, Observations, ThresholdPolicy, column, declarations
+from motor_env.envs.setup import Setup
+from motor_env.motor.faults import apply_faults
+from motor_env.motor.model import State
+from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.simulate import simulate_states
+
+LONGEST_AGE_S = 20e-3
+LARGEST_EXPONENT = 600.0
+LARGEST_WEIGHT = 1e40  # before it times exp(LARGEST_EXPONENT) is more than a float holds
+
+
+def signatures(setup: Setup, n_samples: int) -> FloatArray:
+    """Change of the current by each class of the recipe, in standard deviations, shape (n_classes, n_samples)."""
+    options, recipe = setup.options, setup.options.task
+    answer = np.zeros((len(recipe.classes), n_samples))
+    for row, fault_class in zip(answer, recipe.classes, strict=True):
+        states = simulate_states(
+            apply_faults(recipe.motor, fault_class.faults),
+            np.full(n_samples, float(recipe.supply.voltage_v)),
+            options.dt_s,
+            load_torque_n_m=options.load_torque_n_m,
+            initial_state=setup.rest,
+        )
+        row[:] = (states[:, State.CURRENT] - setup.rest[State.CURRENT]) / recipe.sensor.current_noise_a
+    return answer
+
+
+@njit(cache=True, error_model="numpy")
+def _update(
+    weights: FloatArray,
+    begun: int,
+    deviation: FloatArray,
+    signature: FloatArray,
+    prior: FloatArray,
+    mass: FloatArray,
+) -> None:
+    """One more sample: weights[lane, class, age] are prior times likelihood ratio; the last age gathers the old ones.
+
+    Args:
+        weights: changed in place; `begun` onsets are in it, the newest at age 0.
+        begun: number of ages in use.
+        deviation: of the current from rest, in standard deviations, shape (n_lanes,).
+        signature: shape (n_classes, n_ages).
+        prior: probability that the fault set in with this sample, in the unit of the weights, shape (n_lanes,).
+        mass: sum of the weights over the onsets, shape (n_lanes, n_classes).
+    """
+    n_ages = weights.shape[2]
+    for n in range(weights.shape[0]):
+        e = deviation[n]
+        for c in range(weights.shape[1]):
+            row, shape = weights[n, c], signature[c]
+            row[n_ages - 1] += row[n_ages - 2]
+            for age in range(min(begun, n_ages - 2), 0, -1):
+                row[age] = row[age - 1]
+            row[0] = prior[n]
+            total = 0.0
+            for age in range(min(begun + 1, n_ages)):
+                row[age] *= np.exp(min(shape[age] * (e - 0.5 * shape[age]), LARGEST_EXPONENT))
+                total += row[age]
+            mass[n, c] = total
+
+
+class BayesPolicy(ThresholdPolicy):
+    """Declares the kind whose declaration is worth a threshold in expectation under the exact posterior.
+
+    At the last step it declares whatever is worth more than silence. A fixed threshold is not the solved
+    problem of optimal stopping: it gives a lower bound of the best return, `baselines.bounds` an upper one.
+
+    Args:
+        setup: of a Monitor-v0 that starts running, with an abrupt fault and a recipe without spread or noise faults.
+        threshold: of the expected reward.
+
+    Raises:
+        ValueError: the task is another one.
+
+    Attributes:
+        quiet: posterior probability that nothing has happened yet, shape (count,).
+        kinds: of each kind of fault, shape (count, n_kinds).
+    """
+
+    def __init__(self, setup: Setup, threshold: float) -> None:
+        fault = known_faults(setup)
+        options = setup.options
+        require(options.samples_per_step == 1, "samples_per_step must be 1 for the posterior of every sample")
+        self.setup, self.threshold = setup, threshold
+        recipe = options.task
+        self._class_prior = recipe.class_probabilities[fault]
+        self._healthy_prior = float(1.0 - self._class_prior.sum())
+        self._signature = signatures(setup, round(LONGEST_AGE_S / options.dt_s))[fault]
+        self._kind_of = kind_matrix(setup, fault)
+        self._declarations = declarations(setup)
+        self._measured = column(setup, "measured_current")
+        stall = 1.0 / float(setup.view[0, 0])
+        self._to_stds = stall / recipe.sensor.current_noise_a
+        self._rest_stds = float(setup.rest[State.CURRENT]) / recipe.sensor.current_noise_a
+        mean = options.mean_onset_s / options.dt_s
+        self._hazard = 1.0 / (1.0 + mean)
+        self._earliest = round(options.earliest_onset_s / options.dt_s)
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        super().start(count)
+        n_classes, n_ages = self._signature.shape
+        self._weights = np.zeros((count, n_classes, n_ages))
+        self._mass = np.zeros((count, n_classes))
+        self._unit = np.ones(count)  # of the weights, so that they stay finite
+        self._sample, self._begun, self._unborn = -1, 0, 1.0
+
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """Worth of the best declaration, and that."""
+        self._sample += 1
+        interval = self._sample - 1  # the interval at whose end this sample was read; none for the first
+        if interval >= self._earliest:
+            born = self._unborn * self._hazard
+            self._unborn -= born
+            stds = observations[:, self._measured].astype(np.float64) * self._to_stds - self._rest_stds
+            _update(self._weights, self._begun, stds, self._signature, born / self._unit, self._mass)
+            self._begun += 1
+        self._rescale()
+        faulty = self._mass * self._class_prior
+        quiet = (self._healthy_prior + (1.0 - self._healthy_prior) * self._unborn) / self._unit
+        total = quiet + faulty.sum(axis=1)
+        self.quiet, self.kinds = quiet / total, (faulty @ self._kind_of) / total[:, None]
+        options = self.setup.options
+        value, silence = worth(options, self.quiet, self.kinds)
+        if self._sample >= options.n_samples - 1:
+            value = np.where(value > silence, np.inf, -np.inf)
+        return value, self._declarations[self.kinds.argmax(axis=1)]
+
+    def _rescale(self) -> None:
+        """Let the weights of a lane be counted in a larger unit where they have become large."""
+        largest = self._mass.max(axis=1)
+        large = largest > LARGEST_WEIGHT
+        if large.any():
+            with np.errstate(over="ignore"):
+                self._unit[large] *= largest[large]
+            self._weights[large] /= largest[large, None, None]
+            self._mass[large] /= largest[large, None]

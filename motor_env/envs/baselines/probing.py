@@ -1,0 +1,150 @@
+"""Policies that move the voltage, and tests that know what it does: open loop, and as the posterior asks for it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_env.envs.baselines.belief import ProbeBelief, worth
+from motor_env.envs.baselines.policies import Actions, Observations, ThresholdPolicy, declarations
+from motor_env.envs.setup import Setup
+from motor_env.motor.parameters import FloatArray, require
+
+
+class Bursts(NamedTuple):
+    """An open-loop probe: bursts of steps in which the voltage is moved; times in steps.
+
+    Attributes:
+        start: of the first burst.
+        period: from burst to burst.
+        length: of a burst; at most `period`.
+        half_period: steps before the voltage changes sides; `length` or more: one pulse, always to the same side.
+        first: action of the first side, 1 or 2, among the offsets.
+    """
+
+    start: int
+    period: int
+    length: int
+    half_period: int = 1
+    first: int = 1
+
+    def actions(self, n_steps: int) -> Actions:
+        """The action of every step of an episode, with offsets 1 and 2 as the two sides."""
+        require(1 <= self.length <= self.period, f"length must be from 1 to {self.period}, got {self.length}")
+        since = np.arange(n_steps) - self.start
+        within = since % self.period
+        side = (within // self.half_period) % 2
+        moved = (since >= 0) & (within < self.length)
+        return np.where(moved, np.where(side == 0, self.first, 3 - self.first), 0)
+
+
+class RatioTest(ThresholdPolicy):
+    """Declares the kind whose generalised likelihood ratio reaches a threshold: matched to the voltage applied.
+
+    Args:
+        setup: see `ProbeBelief`.
+        threshold: log-likelihood ratio, maximised over onset and severity.
+    """
+
+    def __init__(self, setup: Setup, threshold: float) -> None:
+        self.belief, self.threshold = ProbeBelief(setup), threshold
+        self._declarations = declarations(setup)
+        self._seen = False
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        super().start(count)
+        self.belief.start(count)
+        self._seen = False
+
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """The largest ratio, and its kind. The first observation follows no step."""
+        if self._seen:
+            self.belief.update(observations)
+        self._seen = True
+        return self._statistic()
+
+    def _statistic(self) -> tuple[FloatArray, Actions]:
+        ratios = self.belief.ratios
+        return ratios.max(axis=1), self._declarations[ratios.argmax(axis=1)]
+
+
+class WorthTest(RatioTest):
+    """Declares the kind whose declaration is worth a threshold in expectation under the posterior.
+
+    At the last step whatever is worth more than silence.
+    """
+
+    def _statistic(self) -> tuple[FloatArray, Actions]:
+        options, belief = self.belief.setup.options, self.belief
+        value, silence = worth(options, belief.quiet, belief.kinds)
+        at_end = belief.steps >= options.n_steps - 1
+        value = np.where(at_end, np.where(value > silence, np.inf, -np.inf), value)
+        return value, self._declarations[belief.kinds.argmax(axis=1)]
+
+
+class OpenLoop(ThresholdPolicy):
+    """A test under voltages that were chosen beforehand.
+
+    Args:
+        test: decides.
+        schedule: action of every step.
+    """
+
+    def __init__(self, test: ThresholdPolicy, schedule: Actions) -> None:
+        self.test, self.threshold = test, test.threshold
+        self._schedule, self._step = schedule, -1
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        super().start(count)
+        self.test.start(count)
+        self._step = -1
+
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """What the test says."""
+        self._step += 1
+        return self.test.judge(observations)
+
+    def probe(self) -> Actions:
+        """The action that is due."""
+        return np.full(self.count, self._schedule[self._step])
+
+
+class OnDemand(ThresholdPolicy):
+    """Moves the voltage while a winding fault is likely enough: on-off control of Banerjee & Veeravalli (2012).
+
+    Each step changes sides. Left alone, the probability of a fault grows with the hazard until it is worth a look.
+
+    Args:
+        test: decides.
+        above: probability of a winding fault from which on the voltage is moved.
+        actions: of the two sides.
+    """
+
+    def __init__(self, test: RatioTest, above: float, actions: tuple[int, int] = (1, 2)) -> None:
+        self.test, self.threshold, self.above = test, test.threshold, above
+        self._actions = np.array(actions)
+        kinds = test.belief.setup.kinds
+        require("winding" in kinds, f"a probe needs a recipe with winding faults, got {', '.join(kinds)}")
+        self._winding = kinds.index("winding")
+        self._side: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        super().start(count)
+        self.test.start(count)
+        self._side = np.zeros(count, dtype=np.int64)
+
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """What the test says."""
+        return self.test.judge(observations)
+
+    def probe(self) -> Actions:
+        """Move where a winding fault is likely enough."""
+        moves = self.test.belief.kinds[:, self._winding] >= self.above
+        actions = np.where(moves, self._actions[self._side], 0)
+        self._side = np.where(moves, 1 - self._side, self._side)
+        return actions

@@ -1,0 +1,1 @@
+"""Kalman filters: batch, stream, smoother, adaptive noise, joint state and parameters, consistency tests."""

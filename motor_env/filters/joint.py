@@ -1,0 +1,217 @@
+"""State and parameters estimated together, sample by sample: the extended and the unscented Kalman filter.
+
+The state is [current, speed, theta], theta being logarithms of factors on parameters, which do not change, and for dry
+friction its share of the drag. What is measured is linear in it, so the two filters differ in the time update alone:
+the extended one takes the slope of the exact discretisation (Ljung 1979), the unscented one 2 L points of it (Julier &
+Uhlmann 1997, with kappa = 0).
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import chi2
+
+from motor_env.filters.adaptive import adapted_noise
+from motor_env.motor.model import N_STATES, discretize
+from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, require
+
+_FIELDS = {
+    "resistance": ("resistance_ohm",),
+    "inductance": ("inductance_h",),
+    "constants": ("back_emf_constant_v_s_per_rad", "torque_constant_n_m_per_a"),
+    "inertia": ("inertia_kg_m2",),
+    "friction": ("viscous_friction_n_m_s_per_rad",),
+}
+
+_COULOMB = "coulomb"
+
+FREE = (*_FIELDS, _COULOMB)
+"""What may be estimated: factors on parameters; `constants` is one common factor on Kt and Kb. `coulomb` is dry
+friction, which the believed motor has none of: its theta is the torque over `coulomb_unit_n_m`."""
+
+_STEP = 1e-4
+
+
+class JointKind(StrEnum):
+    """Which filter."""
+
+    EXTENDED = "extended"
+    UNSCENTED = "unscented"
+
+
+class JointResult(NamedTuple):
+    """Parameters as the samples come in.
+
+    Attributes:
+        names: estimated parameters.
+        theta: logarithms of the factors after each sample, `coulomb` as it is; shape (n_cases, n_samples,
+            n_parameters).
+        covariance: of theta after each sample, shape (n_cases, n_samples, n_parameters, n_parameters).
+        innovation: shape (n_cases, n_samples, n_channels).
+        nis: shape (n_cases, n_samples).
+    """
+
+    names: tuple[str, ...]
+    theta: FloatArray
+    covariance: FloatArray
+    innovation: FloatArray
+    nis: FloatArray
+
+    @property
+    def statistic(self) -> FloatArray:
+        """Theta' P^-1 theta after each sample (Wald 1943), (n_cases, n_samples): distance from the believed motor."""
+        solved = np.linalg.solve(self.covariance, self.theta[..., None])[..., 0]
+        distance: FloatArray = np.sum(self.theta * solved, axis=-1)
+        return distance
+
+
+def coulomb_unit_n_m(motor: MotorParameters, voltage_v: ArrayLike) -> float:
+    """The believed motor's viscous torque at the speed that balances the highest voltage: B V / Kb (paper, eq. (2))."""
+    speed = np.max(np.abs(np.asarray(voltage_v))) / motor.back_emf_constant_v_s_per_rad
+    return float(motor.viscous_friction_n_m_s_per_rad * speed)
+
+
+class _Motion(NamedTuple):
+    """The believed motor and how long a step is."""
+
+    motor: MotorParameters
+    names: tuple[str, ...]
+    dt_s: float
+    coulomb_unit_n_m: float
+
+    def ahead(self, points: FloatArray, voltage: float) -> tuple[FloatArray, FloatArray]:
+        """Current and speed one sample later for each row of [current, speed, theta], and their slope in these two.
+
+        Dry friction is Tc w / sqrt(w^2 + 1 (rad/s)^2), as in the simulation, held over the step.
+        """
+        theta, speed = points[:, N_STATES:], points[:, 1]
+        factors = {
+            field: np.exp(theta[:, j]) for j, name in enumerate(self.names) for field in _FIELDS.get(name, ())
+        }
+        model = discretize(self.motor.scaled(**factors), self.dt_s)
+        state = (model.transition @ points[:, :N_STATES, None])[..., 0] + model.gain[..., 0] * voltage
+        slope = np.broadcast_to(model.transition, (len(points), 2, 2))
+        if _COULOMB in self.names:
+            torque = self.coulomb_unit_n_m * theta[:, self.names.index(_COULOMB)]
+            load = np.broadcast_to(model.gain[..., 1], state.shape)
+            state = state + load * (torque * speed / np.hypot(speed, 1.0))[:, None]
+            slope = slope.copy()
+            slope[:, :, 1] += load * (torque / np.hypot(speed, 1.0) ** 3)[:, None]
+        return state, slope
+
+
+def _extended(
+    motion: _Motion, mean: FloatArray, covariance: FloatArray, voltage: float
+) -> tuple[FloatArray, FloatArray]:
+    n, size = mean.shape
+    steps = np.zeros((2 * (size - 2) + 1, 1, size))
+    steps[1 : size - 1, 0, 2:], steps[size - 1 :, 0, 2:] = (
+        _STEP * np.eye(size - 2),
+        -_STEP * np.eye(size - 2),
+    )
+    state, slope = motion.ahead((mean + steps).reshape(-1, size), voltage)
+    state = state.reshape(len(steps), n, 2)
+    jacobian = np.broadcast_to(np.eye(size), (n, size, size)).copy()
+    jacobian[:, :2, :2] = slope[:n]
+    jacobian[:, :2, 2:] = np.moveaxis((state[1 : size - 1] - state[size - 1 :]) / (2.0 * _STEP), 0, -1)
+    spread = jacobian @ covariance @ np.swapaxes(jacobian, 1, 2)
+    return np.concatenate([state[0], mean[:, 2:]], axis=1), spread
+
+
+def _unscented(
+    motion: _Motion, mean: FloatArray, covariance: FloatArray, voltage: float
+) -> tuple[FloatArray, FloatArray]:
+    size = mean.shape[1]
+    root = np.swapaxes(np.linalg.cholesky(size * covariance), 1, 2)  # rows are directions
+    points = np.concatenate([mean[:, None] + root, mean[:, None] - root], axis=1)
+    flat = points.reshape(-1, size)
+    moved = np.concatenate([motion.ahead(flat, voltage)[0], flat[:, 2:]], axis=1).reshape(points.shape)
+    centre: FloatArray = moved.mean(axis=1)
+    off = moved - centre[:, None]
+    spread: FloatArray = np.einsum("npi,npj->nij", off, off) / (2 * size)
+    return centre, spread
+
+
+def joint_filter(
+    motor: MotorParameters,
+    sensor: SensorParameters,
+    dt_s: float,
+    measurements: ArrayLike,
+    voltage_v: ArrayLike,
+    *,
+    names: tuple[str, ...] = ("resistance", "friction"),
+    prior_std: float = 0.3,
+    process_noise_std: tuple[float, float] = (1e-5, 1e-3),
+    kind: JointKind = JointKind.EXTENDED,
+    memory: float | None = None,
+) -> JointResult:
+    """Joint filter over one or many transients (extended: Ljung 1979; unscented: Julier & Uhlmann 1997).
+
+    Args:
+        motor: believed motor, where theta is 0.
+        sensor: channels and noise.
+        dt_s: sampling interval.
+        measurements: shape (n_cases, n_channels, n_samples).
+        voltage_v: shape (n_samples,).
+        names: what to estimate, of `FREE`.
+        prior_std: of each theta before the first sample.
+        process_noise_std: in [A, rad/s] an interval.
+        kind: which filter.
+        memory: samples over which it adapts the measurement noise (Sage & Husa 1969); None keeps the sensor's.
+
+    Raises:
+        ValueError: unknown names, shapes that do not fit, or a memory below 1.
+    """
+    measured, voltage = np.asarray(measurements, dtype=np.float64), np.asarray(voltage_v, dtype=np.float64)
+    unknown = [name for name in names if name not in FREE]
+    require(
+        len(names) > 0 and not unknown,
+        f"names must be of {', '.join(FREE)}, got {', '.join(unknown) or 'none'}",
+    )
+    c = np.concatenate([sensor.observation, np.zeros((len(sensor.channels), len(names)))], axis=1)
+    require(
+        measured.ndim == 3 and measured.shape[1] == len(c) and voltage.shape == (measured.shape[2],),
+        f"measurements must have shape (n_cases, {len(c)}, n_samples) with a voltage for each sample, "
+        f"got {measured.shape} and {voltage.shape}",
+    )
+    n_cases, n_channels, n_samples = measured.shape
+    size = N_STATES + len(names)
+    # The unscented filter needs a covariance with a root: a start that is known to a microampere will do.
+    start = np.square(np.array([1e-6, 1e-4, *[prior_std] * len(names)]))
+    mean, covariance = np.zeros((n_cases, size)), np.tile(np.diag(start), (n_cases, 1, 1))
+    process: FloatArray = np.diag(np.square(np.array([*process_noise_std, *[0.0] * len(names)])))
+    require(memory is None or memory >= 1.0, f"memory must be >= 1 sample, got {memory}")
+    noise: FloatArray = np.tile(np.diag(np.square(sensor.noise_std)), (n_cases, 1, 1))
+    motion = _Motion(motor, names, dt_s, coulomb_unit_n_m(motor, voltage))
+    ahead = _extended if kind is JointKind.EXTENDED else _unscented
+    thetas, spreads = (
+        np.empty((n_cases, n_samples, size - 2)),
+        np.empty((n_cases, n_samples, size - 2, size - 2)),
+    )
+    innovations, nis = np.empty((n_cases, n_samples, n_channels)), np.empty((n_cases, n_samples))
+    for k in range(n_samples):
+        mean, covariance = ahead(motion, mean, covariance, float(voltage[k]))
+        covariance = covariance + process
+        s = c @ covariance @ c.T + noise
+        gain = np.swapaxes(np.linalg.solve(s, c @ covariance), 1, 2)
+        innovation = measured[:, :, k] - mean @ c.T
+        mean = mean + (gain @ innovation[..., None])[..., 0]
+        left = np.eye(size) - gain @ c
+        covariance = left @ covariance @ np.swapaxes(left, 1, 2) + gain @ noise @ np.swapaxes(gain, 1, 2)
+        if memory is not None:
+            noise = adapted_noise(noise, measured[:, :, k] - mean @ c.T, c @ covariance @ c.T, memory)
+        thetas[:, k], spreads[:, k], innovations[:, k] = mean[:, 2:], covariance[:, 2:, 2:], innovation
+        nis[:, k] = np.sum(innovation * np.linalg.solve(s, innovation[..., None])[..., 0], axis=-1)
+    return JointResult(names, thetas, spreads, innovations, nis)
+
+
+def parameter_test_threshold(n_parameters: int, false_alarm_probability: float) -> float:
+    """Threshold on `JointResult.statistic` at one chosen sample: chi-square (Wald 1943).
+
+    Exact for normal estimates whose prior is wide; watching it all along alarms more often.
+    """
+    return float(chi2.isf(false_alarm_probability, n_parameters))

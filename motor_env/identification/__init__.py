@@ -1,0 +1,1 @@
+"""A real motor's parameters, fitted to recorded starts and coast-downs."""

@@ -1,0 +1,145 @@
+"""Speed from the commutation ripple of the current: order tracking on the angle that the fitted start turns.
+
+The commutator modulates the current so many times a turn. Over time the ripple's frequency rises with the speed;
+over the angle it is a line. The residual of a fit is therefore resampled evenly over the angle that the fitted motor
+turns (computed order tracking: Fyfe & Munck 1997), and its strongest line gives the frequency at the last
+speed: the start's shape comes from the fit, its scale from the ripple alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from motor_env.identification.identify import Identified
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.alignment import over_angle
+
+_FEWEST_SAMPLES = 256
+_FEWEST_PERIODS = 15.0
+_PADDING = 4
+_BACKGROUND_BINS = 401
+_STRONG = 200.0  # times the background's power; the largest of 10,000 bins of white noise reaches about 14
+
+
+@dataclass(frozen=True, slots=True)
+class CommutationRipple:
+    """The strongest line of the current over the angle.
+
+    Attributes:
+        frequency_hz: of the ripple at the last sample's speed.
+        standard_error_hz: of that frequency, from the line's height over its background.
+        amplitude_a: of the line.
+        strength: power over the background's.
+        time_s: of the samples since the onset, shape (n,).
+        track_hz: frequency at these times, shape (n,): proportional to the speed.
+    """
+
+    frequency_hz: float
+    standard_error_hz: float
+    amplitude_a: float
+    strength: float
+    time_s: FloatArray
+    track_hz: FloatArray
+
+    def speed_rad_s(self, periods_per_turn: float) -> float:
+        """Speed at the last sample."""
+        return 2.0 * math.pi * self.frequency_hz / periods_per_turn
+
+
+def find_ripple(fit: Identified) -> CommutationRipple | None:
+    """The commutation ripple of a start, or None where no line stands out, or the motor's ripple is a converter's.
+
+    Args:
+        fit: a fitted start from rest; a ripple of constant frequency has been taken off it.
+    """
+    start = fit.start
+    begin = int(np.searchsorted(start.time_s, fit.onset_s, side="right"))
+    n = len(start.time_s) - begin
+    if n < _FEWEST_SAMPLES or not start.from_rest:
+        return None
+    time_s, residual = start.time_s[begin:], fit.residual_a[begin:]
+    speed = fit.states[begin:, 1]
+    turning = over_angle(residual, time_s, speed)
+    if turning is None:
+        return None
+    even, resampled = turning
+    window = np.hanning(n)
+    power = np.abs(np.fft.rfft((resampled - resampled.mean()) * window, _PADDING * n)) ** 2
+    frequency = np.fft.rfftfreq(_PADDING * n, even[1])
+    seen = (frequency > _FEWEST_PERIODS / even[-1]) & (frequency < 0.45 / start.dt_s)
+    if not seen.any():
+        return None
+    # The median of the power of noise is log 2 of its mean.
+    background = median_filter(power, _BACKGROUND_BINS, mode="nearest") / math.log(2.0)
+    strength = np.where(seen, power / np.maximum(background, 1e-300), 0.0)
+    peak = int(np.argmax(np.where(strength > _STRONG, power, 0.0)))
+    if strength[peak] <= _STRONG:
+        return None
+    left, middle, right = np.log(power[peak - 1 : peak + 2])
+    offset = 0.5 * (left - right) / (left - 2.0 * middle + right)
+    found = float(frequency[peak] + offset * (frequency[1] - frequency[0]))
+    return CommutationRipple(
+        frequency_hz=found,
+        # Cramer-Rao for a windowed line: sqrt(6 / (4 pi^2 SNR)) / T, with the window's loss.
+        standard_error_hz=math.sqrt(6.0 / strength[peak]) / (math.pi * float(even[-1])),
+        amplitude_a=2.0 * math.sqrt(float(power[peak])) / float(window.sum()),
+        strength=float(strength[peak]),
+        time_s=time_s - fit.onset_s,
+        track_hz=found * np.maximum(speed / np.mean(speed[-max(n // 20, 1) :]), 0.0),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RippleSpeed:
+    """What the ripple adds to a fit.
+
+    Attributes:
+        ripple: the line.
+        speed_rad_s: last speed; None where the periods per turn are not known.
+        constants: K, J and B (over volt where the voltage is unknown) by name, of that speed; empty without it.
+    """
+
+    ripple: CommutationRipple
+    speed_rad_s: float | None
+    constants: dict[str, float]
+
+
+def ripple_quantities(fit: Identified) -> tuple[float, float] | None:
+    """Frequency at the last speed, and K times the periods a turn, in V s (s where the voltage is unknown)."""
+    ripple = find_ripple(fit)
+    if ripple is None:
+        return None
+    return ripple.frequency_hz, back_emf_v(fit) / (2.0 * math.pi * ripple.frequency_hz)
+
+
+def ripple_speed(fit: Identified, periods_per_turn: float | None = None) -> RippleSpeed | None:
+    """Speed and, with it, the constants that the current alone does not tell.
+
+    At the last sample V = R i + K w; with K, J follows from K^2/J and B from B/J.
+    """
+    ripple = find_ripple(fit)
+    if ripple is None:
+        return None
+    if periods_per_turn is None:
+        return RippleSpeed(ripple, None, {})
+    speed = ripple.speed_rad_s(periods_per_turn)
+    constant = back_emf_v(fit) / speed
+    known = fit.start.voltage_known
+    p = fit.parameters
+    believed = float(np.max(p.back_emf_constant_v_s_per_rad))
+    # The fit's K^2/J and B/J hold whatever K it believed.
+    inertia = float(np.max(p.inertia_kg_m2)) * (constant / believed) ** 2
+    friction = float(np.max(p.viscous_friction_n_m_s_per_rad)) * (constant / believed) ** 2
+    names = ("K", "J", "B") if known else ("K/V", "J/V", "B/V")
+    return RippleSpeed(ripple, speed, dict(zip(names, (constant, inertia, friction), strict=True)))
+
+
+def back_emf_v(fit: Identified) -> float:
+    """Back-EMF at the end of the start: what the resistance leaves of the voltage (1 V where it is unknown)."""
+    tail = slice(-max(len(fit.states) // 20, 1), None)
+    ohm = float(np.max(fit.parameters.resistance_ohm)) + fit.start.circuit.shunt_ohm
+    return float(fit.start.level_v - ohm * np.mean(fit.states[tail, 0]))

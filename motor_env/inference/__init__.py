@@ -1,0 +1,1 @@
+"""What a transient tells about a motor: fits, bounds, posterior probabilities of faults and their severity."""

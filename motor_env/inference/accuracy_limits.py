@@ -1,0 +1,116 @@
+"""What can be known at best from the starts of a recipe: measured on drawn cases, none of which a rule has seen.
+
+Each figure is an average over the recipe's own cases of what the exact posterior expects: no rule does better on
+average. The truth is drawn here, and only scored; what decides gets the recipe, the samples and the nominal voltage.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from motor_env.inference.posterior import Limit, bayes_limit, class_probabilities
+from motor_env.inference.severity import SeverityPrior, severity_posterior
+from motor_env.motor.faults import Fault
+from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.random_streams import Stream, uniforms
+from motor_env.simulation.recipes import FaultClass, Recipe, draw
+from motor_env.simulation.simulate import simulate
+
+_CHUNK = 2000
+
+
+class ClassLimit(NamedTuple):
+    """The best accuracy on drawn cases.
+
+    Attributes:
+        limit: expected accuracy and its standard error.
+        hits: share of the cases that the most probable class names rightly.
+    """
+
+    limit: Limit
+    hits: float
+
+
+class SeverityLimit(NamedTuple):
+    """The smallest error of a severity, for severities drawn uniformly from a range.
+
+    Attributes:
+        expected_rmse: root mean posterior variance.
+        rmse: of the posterior mean on the drawn cases.
+        prior_std: what guessing the middle of the range gives.
+        coverage: share of the 90 % intervals that hold the severity.
+    """
+
+    expected_rmse: float
+    rmse: float
+    prior_std: float
+    coverage: float
+
+
+def _chunks(n_cases: int) -> Iterator[np.ndarray[tuple[int], np.dtype[np.int64]]]:
+    require(n_cases >= 2, f"n_cases must be >= 2, got {n_cases}")
+    for begin in range(0, n_cases, _CHUNK):
+        yield np.arange(begin, min(begin + _CHUNK, n_cases))
+
+
+def class_limits(
+    recipe: Recipe, seed: int, n_cases: int, samples_seen: Sequence[int] | None = None
+) -> tuple[ClassLimit, ...]:
+    """Bayes-optimal accuracy from the first samples of each transient.
+
+    Args:
+        recipe: what the cases are drawn from.
+        seed: the random seed.
+        n_cases: cases 0 .. n_cases - 1 of that seed.
+        samples_seen: numbers of samples, each giving one limit; all samples by default.
+    """
+    seen = (recipe.timing.n_samples,) if samples_seen is None else tuple(samples_seen)
+    require(
+        all(1 <= count <= recipe.timing.n_samples for count in seen),
+        f"samples_seen must be in 1 .. {recipe.timing.n_samples}, got {seen}",
+    )
+    probabilities: list[list[FloatArray]] = [[] for _ in seen]
+    labels = []
+    for cases in _chunks(n_cases):
+        drawn = draw(recipe, seed, cases)
+        measured = simulate(drawn.scenario, seed, cases).measurements
+        labels.append(drawn.class_index)
+        for column, count in zip(probabilities, seen, strict=True):
+            column.append(class_probabilities(recipe, measured[..., :count]))
+    truth = np.concatenate(labels)
+    limits = []
+    for column in probabilities:
+        posterior = np.concatenate(column)
+        limits.append(ClassLimit(bayes_limit(posterior), float((posterior.argmax(axis=1) == truth).mean())))
+    return tuple(limits)
+
+
+def severity_limit(recipe: Recipe, prior: SeverityPrior, seed: int, n_cases: int) -> SeverityLimit:
+    """Smallest error of the severity of one kind of fault.
+
+    Args:
+        recipe: nominal motor, tolerances, sensor and timing; its classes are not looked at.
+        prior: kind and range.
+        seed: the random seed.
+        n_cases: cases 0 .. n_cases - 1 of that seed.
+    """
+    sound = replace(recipe, classes=(FaultClass(),))
+    errors, variances, covered = [], [], []
+    for cases in _chunks(n_cases):
+        severity = prior.at(2.0 * uniforms(seed, Stream.ONSET, cases, 1)[:, 0] - 1.0)
+        scenario = replace(draw(sound, seed, cases).scenario, faults=(Fault(prior.kind, severity),))
+        posterior = severity_posterior(recipe, prior, simulate(scenario, seed, cases).measurements)
+        low, high = posterior.interval(0.90).T
+        errors.append(posterior.mean - severity)
+        variances.append(np.square(posterior.std))
+        covered.append((low <= severity) & (severity <= high))
+    return SeverityLimit(
+        expected_rmse=float(np.sqrt(np.concatenate(variances).mean())),
+        rmse=float(np.sqrt(np.square(np.concatenate(errors)).mean())),
+        prior_std=(prior.largest - prior.smallest) / np.sqrt(12.0),
+        coverage=float(np.concatenate(covered).mean()),
+    )

@@ -1,0 +1,332 @@
+"""Parameters from measured transients: maximum likelihood or maximum a posteriori, their covariance, their bound.
+
+The noise is white and Gaussian, so maximum likelihood is weighted least squares, found by Gauss-Newton steps with
+Levenberg-Marquardt damping where a step fails (Levenberg 1944; Marquardt 1963) for a whole batch at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from motor_env.inference.parametrisation import Coordinates
+from motor_env.inference.sensitivities import (
+    NormalEquations,
+    Observed,
+    common_equations,
+    fitted_residuals,
+    normal_equations,
+)
+from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, require
+from motor_env.simulation.recipes import Spread
+from motor_env.simulation.simulate import Timing
+
+_LARGEST_RELATIVE_STEP = 0.5  # no factor is more than halved, or raised by half, in one step
+_TOLERANCE = 1e-7  # of the objective: a step that promises less changes no posterior and no interval
+_RIDGE = 1e-12  # lets a direction that stays open reach the sentence that says so
+_FIRST_DAMPING = 1e-3
+_LARGEST_DAMPING = 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Gaussian prior on coordinates.
+
+    Attributes:
+        mean: shape (size,), or (n, size) where each case has its own.
+        precision: inverse covariance, shape (size, size) or (n, size, size); 0 where nothing is known.
+    """
+
+    mean: FloatArray
+    precision: FloatArray
+
+    @classmethod
+    def flat(cls, size: int) -> Prior:
+        """Nothing is known: maximum likelihood."""
+        return cls(np.zeros(size), np.zeros((size, size)))
+
+    @classmethod
+    def of(cls, std: ArrayLike, mean: ArrayLike = 0.0) -> Prior:
+        """Independent, from standard deviations, infinite where nothing is known."""
+        deviations = np.asarray(std, dtype=np.float64)
+        require(
+            bool((deviations > 0.0).all()), f"standard deviations of a prior must be > 0, got {deviations}"
+        )
+        return cls(
+            np.broadcast_to(np.asarray(mean, float), deviations.shape), np.diag(1.0 / np.square(deviations))
+        )
+
+    def rows(self, chosen: NDArray[np.int64]) -> Prior:
+        """The prior of some of the cases."""
+        return Prior(
+            self.mean[chosen] if self.mean.ndim > 1 else self.mean,
+            self.precision[chosen] if self.precision.ndim > 2 else self.precision,
+        )
+
+    def pull(self, values: FloatArray) -> FloatArray:
+        """Precision times the distance from the mean, shape (n, size): half the gradient of the prior's squares."""
+        off = values - self.mean
+        common = self.precision.ndim == 2
+        pulled: FloatArray = off @ self.precision if common else np.einsum("nij,nj->ni", self.precision, off)
+        return pulled
+
+
+class Fit(NamedTuple):
+    """Estimates of a batch.
+
+    Attributes:
+        values: coordinates, shape (n, size).
+        factors: factors on the nominal values, shape (n, size).
+        covariance: of the coordinates, the inverse information (prior included), shape (n, size, size).
+        information: shape (n, size, size).
+        chi2: sum of squared residuals in units of the noise, shape (n,); near n_values for a right model.
+        objective: chi2 plus the prior's squares, shape (n,).
+        log_likelihood: of the measurements, shape (n,).
+        converged: shape (n,).
+    """
+
+    values: FloatArray
+    factors: FloatArray
+    covariance: FloatArray
+    information: FloatArray
+    chi2: FloatArray
+    objective: FloatArray
+    log_likelihood: FloatArray
+    converged: NDArray[np.bool_]
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviation of each coordinate, shape (n, size)."""
+        deviations: FloatArray = np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
+        return deviations
+
+
+def _with_prior(equations: NormalEquations, values: FloatArray, prior: Prior) -> NormalEquations:
+    """The prior is one more measurement of each coordinate: chi2 becomes the objective."""
+    pull = prior.pull(values)
+    return NormalEquations(
+        equations.chi2 + ((values - prior.mean) * pull).sum(axis=-1),
+        equations.gradient - pull,
+        equations.information + prior.precision,
+    )
+
+
+def _steps(
+    equations: NormalEquations, damping: FloatArray, coordinates: Coordinates, values: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Damped steps (Marquardt 1963), shortened where a factor would leave its region; what the objective would gain."""
+    information = equations.information.copy()
+    diagonal = np.einsum("nii->ni", information)  # a view
+    diagonal *= 1.0 + _RIDGE + damping[:, None]
+    diagonal += 1e-300  # a coordinate that no sample sees and no prior holds stays where it is
+    step = np.asarray(np.linalg.solve(information, equations.gradient[..., None])[..., 0], dtype=np.float64)
+    slope = np.asarray(coordinates.scales)
+    relative = np.abs(step) * slope / (1.0 if coordinates.logarithmic else coordinates.factors(values))
+    step *= np.minimum(1.0, _LARGEST_RELATIVE_STEP / np.maximum(relative.max(axis=-1), 1e-300))[:, None]
+    curvature = np.einsum("ni,nij,nj->n", step, equations.information, step)
+    gain: FloatArray = 2.0 * (step * equations.gradient).sum(axis=-1) - curvature
+    return step, gain
+
+
+def fit(
+    observed: Observed,
+    coordinates: Coordinates,
+    prior: Prior | None = None,
+    start: FloatArray | None = None,
+    max_iterations: int = 40,
+) -> Fit:
+    """Most likely, or most probable, coordinates of each case (Levenberg 1944; Marquardt 1963).
+
+    Args:
+        observed: the measured transients.
+        coordinates: what is free; all else is believed to be nominal.
+        prior: what is known beforehand; nothing by default.
+        start: coordinates at which to begin, shape (size,) or (n, size); the prior's mean by default.
+        max_iterations: of each case; a case that needs more is marked as not converged.
+
+    Raises:
+        ValueError: the samples and the prior together leave a direction open.
+    """
+    n, size = observed.n_cases, coordinates.size
+    belief = Prior.flat(size) if prior is None else prior
+    begin = np.asarray(belief.mean if start is None else start, dtype=np.float64)
+    values = np.broadcast_to(begin, (n, size)).copy()
+    equations = (common_equations if begin.ndim == 1 else normal_equations)(observed, coordinates, begin)
+    best = _with_prior(equations, values, belief)
+    damping = np.zeros(n)
+    converged = np.zeros(n, dtype=np.bool_)
+    active = np.arange(n)
+    for _ in range(max_iterations):
+        here = NormalEquations(*(part[active] for part in best))
+        step, gain = _steps(here, damping[active], coordinates, values[active])
+        small = np.abs(gain) <= _TOLERANCE
+        # The last step is taken without another look: it is some 1e-4 standard deviations long, and the information
+        # changes by as little.
+        ended = active[small]
+        values[ended] += step[small]
+        best.chi2[ended] -= gain[small]
+        converged[ended] = True
+        active = active[~small]
+        if active.size == 0:
+            break
+        here, tried = NormalEquations(*(part[~small] for part in here)), values[active] + step[~small]
+        equations = normal_equations(observed, coordinates, tried, active)
+        trial = _with_prior(equations, tried, belief.rows(active))
+        better = (trial.chi2 < here.chi2) & np.isfinite(trial.gradient).all(axis=-1)
+        moved = active[better]
+        values[moved] = tried[better]
+        for whole, part in zip(best, trial, strict=True):
+            whole[moved] = part[better]
+        damping[moved] *= 0.1
+        damping[moved] = np.where(damping[moved] < _FIRST_DAMPING, 0.0, damping[moved])
+        worse = active[~better]
+        damping[worse] = np.maximum(10.0 * damping[worse], _FIRST_DAMPING)
+        active = active[damping[active] < _LARGEST_DAMPING]
+    chi2 = best.chi2 - ((values - belief.mean) * belief.pull(values)).sum(axis=-1)
+    return Fit(
+        values=values,
+        factors=coordinates.factors(values),
+        covariance=_inverse(best.information, coordinates.names),
+        information=best.information,
+        chi2=chi2,
+        objective=best.chi2,
+        log_likelihood=observed.log_normaliser - 0.5 * chi2,
+        converged=converged,
+    )
+
+
+_OPEN_DIRECTION = 1e-9  # smallest eigenvalue of the information scaled to a unit diagonal
+
+
+def _inverse(information: FloatArray, names: tuple[str, ...]) -> FloatArray:
+    """Inverse of positive definite matrices (..., size, size); scaled first, so that units do not matter."""
+    root = np.sqrt(np.einsum("...ii->...i", information))
+    seen = root.min(initial=np.inf) > 0.0
+    outer = root[..., :, None] * root[..., None, :]
+    identifiable = seen and bool((np.linalg.eigvalsh(information / outer)[..., 0] > _OPEN_DIRECTION).all())
+    require(
+        identifiable,
+        f"free quantities {', '.join(names)} cannot all be told from these samples without a prior: "
+        "fix one, give a prior, or measure one channel more",
+    )
+    inverse: FloatArray = np.linalg.inv(information / outer) / outer
+    return inverse
+
+
+def step_voltage(timing: Timing, voltage_v: float) -> FloatArray:
+    """Voltage of a step at time 0, shape (n_samples,)."""
+    return np.where(np.arange(timing.n_samples) >= timing.n_quiet, voltage_v, 0.0)
+
+
+def fisher_information(
+    coordinates: Coordinates, timing: Timing, sensor: SensorParameters, voltage_v: ArrayLike
+) -> FloatArray:
+    """Fisher information of the coordinates at the nominal motor, shape (size, size) (Fisher 1925).
+
+    Args:
+        coordinates: what is free.
+        timing: time axis.
+        sensor: channels and noise.
+        voltage_v: level of a step at time 0, or the voltage of every interval, shape (n_samples,).
+    """
+    voltage = step_voltage(timing, float(voltage_v)) if np.ndim(voltage_v) == 0 else np.asarray(voltage_v)  # type: ignore[arg-type]  # a scalar by the test
+    nothing = np.zeros((1, len(sensor.channels), voltage.size))
+    observed = Observed.of(nothing, voltage, sensor, timing.dt_s)
+    information: FloatArray = normal_equations(
+        observed, coordinates, np.zeros((1, coordinates.size))
+    ).information[0]
+    return information
+
+
+def cramer_rao_bound(
+    parameters: MotorParameters,
+    timing: Timing,
+    sensor: SensorParameters,
+    voltage_v: ArrayLike,
+    free: tuple[str, ...] = ("resistance", "friction"),
+    prior_std: ArrayLike | None = None,
+) -> FloatArray:
+    """Smallest covariance of unbiased estimates of the free quantities' relative values (Rao 1945; Cramer 1946).
+
+    Args:
+        parameters: the motor.
+        timing: time axis.
+        sensor: channels and noise.
+        voltage_v: level of a step at time 0, or the voltage of every interval, shape (n_samples,).
+        free: quantities that are not known, of `coordinates.QUANTITIES`; all others are.
+        prior_std: relative standard deviations known beforehand, infinite for none: then the Bayesian bound of van
+            Trees (1968), linearised at the nominal motor.
+
+    Returns:
+        Covariance of relative errors, shape (n_free, n_free): sqrt of its diagonal is 0.01 for 1 %.
+
+    Raises:
+        ValueError: the samples leave a direction open.
+    """
+    information = fisher_information(Coordinates.of(parameters, free), timing, sensor, voltage_v)
+    if prior_std is not None:
+        information = information + Prior.of(np.broadcast_to(prior_std, len(free))).precision
+    return _inverse(information, free)
+
+
+FEATURE_FREE = ("resistance", "friction", "supply", "constants", "inertia")
+"""What the features' fit frees: the faults' quantities first, then the nuisances."""
+
+FEATURE_NAMES = (
+    *(f"log_{name}" for name in FEATURE_FREE),
+    *(f"log_std_{name}" for name in FEATURE_FREE[:2]),
+    "reduced_chi2",
+    "residual_mean",
+    "residual_late_mean",
+    "residual_lag1",
+    "residual_largest",
+)
+"""Names of the columns of `physical_features`."""
+
+
+def physical_features(
+    measurements: ArrayLike,
+    voltage_v: ArrayLike,
+    nominal: MotorParameters,
+    spread: Spread,
+    sensor: SensorParameters,
+    dt_s: float,
+    fault_std: float = 0.3,
+) -> FloatArray:
+    """Features for classifiers: most probable factors, their errors, what the fit leaves over (Isermann 1984).
+
+    R and B are held by a wide prior (`fault_std`), the supply, K and J by their tolerances; L is nominal.
+
+    Args:
+        measurements: shape (n_cases, n_channels, n_samples).
+        voltage_v: nominal voltage, shape (n_samples,) or (n_cases, n_samples).
+        nominal: the healthy motor of the data sheet.
+        spread: tolerances.
+        sensor: channels and noise.
+        dt_s: sampling interval.
+        fault_std: standard deviation of the wide prior on log R and log B.
+
+    Returns:
+        Shape (n_cases, len(FEATURE_NAMES)), columns as named there. Residuals are in units of the noise.
+    """
+    observed = Observed.of(measurements, voltage_v, sensor, dt_s)
+    tolerances = [max(getattr(spread, name), 1e-6) for name in FEATURE_FREE[2:]]
+    coordinates = Coordinates.of(nominal, FEATURE_FREE)
+    fitted = fit(observed, coordinates, Prior.of([fault_std, fault_std, *tolerances]))
+    residual = fitted_residuals(observed, coordinates, fitted.values).reshape(observed.n_cases, -1)
+    late = residual[:, -max(1, residual.shape[1] // 5) :]
+    lag1 = (residual[:, 1:] * residual[:, :-1]).mean(axis=1)
+    return np.column_stack(
+        [
+            fitted.values,
+            np.log(fitted.std[:, :2]),
+            fitted.chi2 / observed.n_values,
+            residual.mean(axis=1),
+            late.mean(axis=1),
+            lag1,
+            np.abs(residual).max(axis=1),
+        ]
+    )

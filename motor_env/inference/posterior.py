@@ -1,0 +1,214 @@
+"""The Bayes-optimal posterior over the classes of a recipe: what no classifier can beat on average.
+
+For each class the nuisance factors are integrated out by Laplace's method (Laplace 1774; MacKay 2003, ch. 27): a fit
+of the factors under their Gaussian prior, and the volume of the peak from its curvature. Only the recipe, the measured
+samples and the nominal voltage enter.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import logsumexp
+
+from motor_env.inference.fit import Prior, fit, step_voltage
+from motor_env.inference.parametrisation import Coordinates
+from motor_env.inference.sensitivities import Observed, fitted_residuals
+from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_factor
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
+
+_CHUNK = 512  # cases fitted at once: bounds the memory, and keeps them in the cache
+
+
+def class_coordinates(recipe: Recipe, fault_class: FaultClass) -> Coordinates:
+    """Standard normal coordinates of the motors of a class: each factor is 1 + sd z; those without spread are fixed."""
+    free = tuple((name, float(sd)) for name, sd in zip(FACTORS, recipe.spread.std, strict=True) if sd > 0.0)
+    return Coordinates(
+        nominal=apply_faults(recipe.motor, fault_class.faults),
+        names=tuple(name for name, _ in free),
+        scales=tuple(sd for _, sd in free),
+        logarithmic=False,
+    )
+
+
+def variance_factor(fault_class: FaultClass) -> float:
+    """Factor of a class on the variance of the measurement noise."""
+    return float(noise_variance_factor(fault_class.faults, NoiseSource.MEASUREMENT, np.zeros(1))[0, 0])
+
+
+def recipe_observed(recipe: Recipe, measurements: ArrayLike, voltage_v: ArrayLike | None = None) -> Observed:
+    """The measured transients as the recipe sees them; the first part of a transient is taken for a shorter one.
+
+    Args:
+        recipe: what the cases were drawn from.
+        measurements: shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
+        voltage_v: nominal voltage; the recipe's step by default.
+    """
+    measured = np.asarray(measurements, dtype=np.float64)
+    voltage = step_voltage(recipe.timing, float(recipe.supply.voltage_v)) if voltage_v is None else voltage_v
+    shown = np.asarray(voltage)[..., : measured.shape[-1]]
+    return Observed.of(measured, shown, recipe.sensor, recipe.timing.dt_s)
+
+
+def laplace_evidence(observed: Observed, coordinates: Coordinates, prior: Prior | None = None) -> FloatArray:
+    """Log probability density of each transient, coordinates integrated out (Laplace 1774), shape (n,).
+
+    Args:
+        observed: the measured transients.
+        coordinates: the nuisances.
+        prior: of the coordinates; standard normal by default.
+    """
+    if coordinates.size == 0:
+        exact = np.zeros((observed.n_cases, 0))
+        chi2 = np.square(fitted_residuals(observed, coordinates, exact)).sum(axis=(-2, -1))
+        likelihood: FloatArray = observed.log_normaliser - 0.5 * chi2
+        return likelihood
+    belief = Prior.of(np.ones(coordinates.size)) if prior is None else prior
+    fitted = fit(observed, coordinates, belief)
+    # The peak's volume over the prior's.
+    _, log_determinant = np.linalg.slogdet(fitted.information)
+    _, log_precision = np.linalg.slogdet(belief.precision)
+    evidence: FloatArray = observed.log_normaliser - 0.5 * (
+        fitted.objective + log_determinant - log_precision
+    )
+    return evidence
+
+
+def class_log_evidence(
+    recipe: Recipe,
+    measurements: ArrayLike,
+    voltage_v: ArrayLike | None = None,
+    prior: Prior | None = None,
+) -> FloatArray:
+    """Log probability density of each transient under each class (Laplace 1774), shape (n_cases, n_classes).
+
+    Exact for a recipe without spread: then it is the plain likelihood. A process noise fault leaves no trace here.
+
+    Args:
+        recipe: what the cases were drawn from.
+        measurements: shape (n_cases, n_channels, n_samples); fewer samples than the recipe's are its first ones.
+        voltage_v: nominal voltage, shape (n_samples,) or (n_cases, n_samples); the recipe's step by default.
+        prior: of the nuisances, in the coordinates of `class_coordinates`, such as `prior_from_starts` gives; standard
+            normal by default.
+
+    Raises:
+        ValueError: shapes do not fit, a value is not finite, or the recipe's sensor has no noise.
+    """
+    observed = recipe_observed(recipe, measurements, voltage_v)
+    evidence = np.empty((observed.n_cases, len(recipe.classes)))
+    for begin in range(0, observed.n_cases, _CHUNK):
+        chosen = slice(begin, begin + _CHUNK)
+        part = observed.rows(chosen)
+        own = None if prior is None else prior.rows(np.arange(begin, begin + part.n_cases))
+        for column, fault_class in enumerate(recipe.classes):
+            noisy = part.with_variance(variance_factor(fault_class))
+            evidence[chosen, column] = laplace_evidence(noisy, class_coordinates(recipe, fault_class), own)
+    return evidence
+
+
+def class_probabilities(
+    recipe: Recipe,
+    measurements: ArrayLike,
+    voltage_v: ArrayLike | None = None,
+    prior: Prior | None = None,
+) -> FloatArray:
+    """Posterior of each class (Bayes 1763), shape (n_cases, n_classes), rows summing to 1; as `class_log_evidence`."""
+    joint = class_log_evidence(recipe, measurements, voltage_v, prior) + np.log(recipe.class_probabilities)
+    posterior: FloatArray = np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
+    return posterior
+
+
+def prior_from_starts(recipe: Recipe, starts: ArrayLike) -> Prior:
+    """What healthy starts of the same motor tell of its next one: the prior of its nuisances then.
+
+    Start by start the posterior of the motor's own factors becomes their next prior; the supply is another one in each
+    start, and forgotten. Each posterior is taken for Gaussian, as in Laplace's method (MacKay 2003, ch. 27).
+
+    Args:
+        recipe: what the motors are drawn from.
+        starts: healthy starts of each motor, shape (n_motors, n_starts, n_channels, n_samples); n_starts may be 0.
+
+    Returns:
+        A prior of each motor's own, in the coordinates of `class_coordinates`.
+    """
+    measured = np.asarray(starts, dtype=np.float64)
+    coordinates = class_coordinates(recipe, FaultClass())
+    n_motors, size = len(measured), coordinates.size
+    mean, covariance = np.zeros((n_motors, size)), np.tile(np.eye(size), (n_motors, 1, 1))
+    for start in np.moveaxis(measured, 1, 0) if size else ():
+        observed = recipe_observed(recipe, start)
+        believed = Prior(mean.copy(), _inverse(covariance))
+        for begin in range(0, n_motors, _CHUNK):
+            chosen = slice(begin, begin + _CHUNK)
+            part = observed.rows(chosen)
+            fitted = fit(part, coordinates, believed.rows(np.arange(begin, begin + part.n_cases)))
+            mean[chosen], covariance[chosen] = fitted.values, fitted.covariance
+        if "supply" in coordinates.names:
+            supply = coordinates.names.index("supply")
+            mean[:, supply] = 0.0
+            covariance[:, supply, :] = covariance[:, :, supply] = 0.0
+            covariance[:, supply, supply] = 1.0
+    return Prior(mean, _inverse(covariance))
+
+
+def _inverse(covariance: FloatArray) -> FloatArray:
+    precision: FloatArray = np.linalg.inv(covariance).astype(np.float64)
+    return precision
+
+
+class Limit(NamedTuple):
+    """The Bayes-optimal accuracy on given cases.
+
+    Attributes:
+        expected_accuracy: mean of the largest probabilities.
+        standard_error: its standard error.
+    """
+
+    expected_accuracy: float
+    standard_error: float
+
+
+def bayes_limit(probabilities: FloatArray) -> Limit:
+    """Best accuracy that any rule can have (Chow 1957), from posterior probabilities of drawn cases.
+
+    The mean of the largest probability has half the standard error of counting hits, and needs no labels.
+
+    Args:
+        probabilities: shape (n_cases, n_classes), at least two cases.
+    """
+    largest = probabilities.max(axis=1)
+    return Limit(float(largest.mean()), float(largest.std(ddof=1) / np.sqrt(len(largest))))
+
+
+class Excess(NamedTuple):
+    """How far a classifier's accuracy lies above the Bayes-optimal one on the same cases.
+
+    Attributes:
+        excess: accuracy minus that of the most probable class; at most 0 on average for every honest classifier.
+        standard_error: of the excess, from the cases on which the two are not both right or both wrong.
+    """
+
+    excess: float
+    standard_error: float
+
+    @property
+    def is_suspicious(self) -> bool:
+        """Whether the excess is above three standard errors: then the classifier saw what it must not see."""
+        return self.excess > 3.0 * self.standard_error and self.excess > 0.0
+
+
+def excess_over_limit(probabilities: FloatArray, class_index: ArrayLike, predicted: ArrayLike) -> Excess:
+    """Compare a classifier with the limit in pairs, case by case (McNemar 1947).
+
+    Args:
+        probabilities: posterior probabilities of the cases, shape (n_cases, n_classes).
+        class_index: true classes, shape (n_cases,).
+        predicted: the classifier's, shape (n_cases,).
+    """
+    truth = np.asarray(class_index)
+    best = probabilities.argmax(axis=1) == truth
+    difference = (np.asarray(predicted) == truth).astype(np.float64) - best
+    return Excess(float(difference.mean()), float(difference.std(ddof=1) / np.sqrt(len(difference))))

@@ -1,0 +1,295 @@
+"""Residuals of a motor known only up to its tolerances: whitened with S + J P J', and the matched test on them.
+
+A residual that is white with unit variance for the nominal motor is, to first order, r = G z + e for a motor whose
+nuisance coordinates are z ~ N(0, 1): its covariance is 1 + G G'. The Cholesky factor of that covariance makes it white
+again, and it is causal: sample k is divided by what samples 0 .. k leave unknown. It is computed as the recursive
+least squares that it is (Plackett 1950), in one pass and without a matrix of samples by samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq
+from scipy.special import ndtr
+
+from motor_env.filters.kalman import KalmanFilter, run_filter
+from motor_env.inference.fit import step_voltage
+from motor_env.inference.posterior import class_coordinates
+from motor_env.inference.sensitivities import jacobian
+from motor_env.motor.faults import Fault, apply_fault
+from motor_env.motor.parameters import FloatArray, MotorParameters, require
+from motor_env.simulation.recipes import FaultClass, Recipe
+from motor_env.simulation.simulate import simulate_states
+
+
+@njit(cache=True)
+def _gains(slopes: FloatArray, gain: FloatArray, scale: FloatArray) -> None:
+    """Gain and root variance of each sample's recursive least-squares step; the coordinates begin at N(0, 1)."""
+    size = slopes.shape[1]
+    covariance = np.eye(size)
+    for k in range(slopes.shape[0]):
+        ahead = covariance @ slopes[k]
+        variance = 1.0 + np.dot(slopes[k], ahead)
+        gain[k] = ahead / variance
+        scale[k] = np.sqrt(variance)
+        for i in range(size):
+            for j in range(size):
+                covariance[i, j] -= ahead[i] * ahead[j] / variance
+
+
+@njit(cache=True)
+def _whiten(
+    residual: FloatArray, slopes: FloatArray, gain: FloatArray, scale: FloatArray, out: FloatArray
+) -> None:
+    size = slopes.shape[1]
+    for n in range(residual.shape[0]):
+        mean = np.zeros(size)
+        for k in range(residual.shape[1]):
+            error = residual[n, k]
+            for j in range(size):
+                error -= slopes[k, j] * mean[j]
+            for j in range(size):
+                mean[j] += gain[k, j] * error
+            out[n, k] = error / scale[k]
+
+
+@dataclass(frozen=True, slots=True)
+class MarginalWhitener:
+    """Takes the nuisances' share out of residuals, sample by sample, and leaves them white with unit variance.
+
+    Recursive least squares (Plackett 1950); the nuisances are states that a filter only considers (Schmidt 1966).
+
+    Attributes:
+        slopes: change of the unit-variance residual for one standard deviation of each nuisance, G, shape
+            (n_samples * n_channels, n_nuisances): samples in time order, the channels of a sample side by side.
+        gain: recursive least-squares gain of each sample, of the same shape.
+        scale: standard deviation of each residual given those before it, shape (n_samples * n_channels,).
+    """
+
+    slopes: FloatArray
+    gain: FloatArray
+    scale: FloatArray
+
+    @classmethod
+    def of(cls, slopes: ArrayLike) -> Self:
+        """From G, shape (n_samples, n_channels, n_nuisances) or (n_values, n_nuisances)."""
+        given = np.asarray(slopes, dtype=np.float64)
+        flat = np.ascontiguousarray(given.reshape(int(np.prod(given.shape[:-1])), given.shape[-1]))
+        gain, scale = np.empty_like(flat), np.empty(len(flat))
+        _gains(flat, gain, scale)
+        return cls(flat, gain, scale)
+
+    def whiten(self, residual: ArrayLike) -> FloatArray:
+        """White residuals, in the shape given: (..., n_samples, n_channels), the layout of `FilterResult.whitened`.
+
+        A value that is NaN was not measured: it stays NaN, and teaches nothing about the nuisances.
+
+        Raises:
+            ValueError: the last two axes do not hold as many values as the slopes.
+        """
+        given = np.asarray(residual, dtype=np.float64)
+        n_values = len(self.slopes)
+        held = int(np.prod(given.shape[-2:]))
+        require(
+            given.ndim >= 2 and held == n_values, f"residual must hold {n_values} values a case, got {held}"
+        )
+        flat = np.ascontiguousarray(given.reshape(-1, n_values))
+        out = np.empty_like(flat)
+        missing = np.isnan(flat)
+        if not missing.any():
+            _whiten(flat, self.slopes, self.gain, self.scale, out)
+            return out.reshape(given.shape)
+        gain, scale = np.empty_like(self.gain), np.empty_like(self.scale)
+        for row, absent, white in zip(flat, missing, out, strict=True):
+            seen = np.where(absent[:, None], 0.0, self.slopes)  # what was not measured depends on nothing
+            _gains(seen, gain, scale)
+            _whiten(np.nan_to_num(row)[None], seen, gain, scale, white[None])
+            white[absent] = np.nan
+        return out.reshape(given.shape)
+
+
+def innovation_slopes(recipe: Recipe, belief: KalmanFilter) -> FloatArray:
+    """Change of the filter's whitened innovations for one standard deviation of each of the recipe's nuisances.
+
+    Their covariance is 1 + G G' with these slopes as G (Kay 1993, ch. 10).
+
+    The filter is linear in what is measured, so its answer to the motor's slopes is the slope of its answer.
+
+    Returns:
+        Shape (n_samples, n_channels, n_nuisances); the nuisances of the recipe that have a spread.
+    """
+    voltage = step_voltage(recipe.timing, float(recipe.supply.voltage_v))
+    coordinates = class_coordinates(recipe, FaultClass())
+    response, slopes = jacobian(coordinates, voltage, recipe.sensor, recipe.timing.dt_s)
+    measured = np.concatenate([response[None], response + np.moveaxis(slopes, -1, 0)])
+    whitened = run_filter(belief, measured, voltage).whitened
+    return np.moveaxis(whitened[1:] - whitened[:1], 0, -1)
+
+
+class StatisticLaw(NamedTuple):
+    """Distribution of a test's statistic over motors and noise: a mixture of normals of one width.
+
+    Attributes:
+        means: what motors at the quadrature's nodes give without noise.
+        weights: of the nodes, summing to 1.
+        std: of the statistic for one motor, from the measurement noise.
+    """
+
+    means: FloatArray
+    weights: FloatArray
+    std: float
+
+    def above(self, threshold: float) -> float:
+        """Probability of a statistic above the threshold."""
+        return float(self.weights @ ndtr((self.means - threshold) / self.std))
+
+    def beyond(self, threshold: float) -> float:
+        """Probability of a magnitude above the threshold."""
+        return self.above(threshold) + float(self.weights @ ndtr((-threshold - self.means) / self.std))
+
+
+@dataclass(frozen=True, slots=True)
+class MatchedTest:
+    """The most powerful test of a known fault, nuisances marginalised (Neyman & Pearson 1933).
+
+    The statistic is linear in what is measured: whitened with S + J P J', projected on the fault's signature. To first
+    order in the tolerances it is standard normal for healthy motors. A motor's response is not quite linear in its
+    parameters, so thresholds and powers come from `law`, which is exact to the quadrature's error.
+
+    Attributes:
+        recipe: nominal motor, tolerances, sensor, timing.
+        fault: what is looked for.
+        belief: the filter of the nominal motor.
+        whitener: for its whitened innovations.
+        signature: what the fault adds to the white residual, shape (n_samples, n_channels).
+    """
+
+    recipe: Recipe
+    fault: Fault
+    belief: KalmanFilter
+    whitener: MarginalWhitener
+    signature: FloatArray
+
+    @classmethod
+    def of(cls, recipe: Recipe, fault: Fault, belief: KalmanFilter | None = None) -> Self:
+        """Test for the fault on a motor drawn from the recipe's tolerances.
+
+        Args:
+            recipe: what the healthy motors are drawn from; its classes are not looked at.
+            fault: what is looked for; it must be there from the beginning, and change the motor.
+            belief: filter of the nominal motor; by default one without process noise, whose innovations are the
+                differences from the nominal trajectory.
+
+        Raises:
+            ValueError: the fault has an onset in mid-run, or leaves the motor as it is.
+        """
+        require(fault.is_constant, f"onset_s must be that of a fault always there, got {fault.onset_s:g}")
+        faulty = apply_fault(recipe.motor, fault)
+        require(faulty != recipe.motor, f"fault must change the motor, got {fault.kind} of {fault.severity}")
+        believed = belief or KalmanFilter.from_parameters(
+            recipe.motor, recipe.sensor, recipe.timing.dt_s, process_noise_std=(0.0, 0.0)
+        )
+        whitener = MarginalWhitener.of(innovation_slopes(recipe, believed))
+        voltage = step_voltage(recipe.timing, float(recipe.supply.voltage_v))
+        whitened = [
+            whitener.whiten(_noise_free_innovations(recipe, believed, motor, voltage))
+            for motor in (recipe.motor, faulty)
+        ]
+        return cls(recipe, fault, believed, whitener, whitened[1] - whitened[0])
+
+    @property
+    def separation(self) -> float:
+        """d': distance of healthy and faulty, in standard deviations of the statistic, to first order."""
+        return float(np.linalg.norm(self.signature))
+
+    def statistic(self, measurements: ArrayLike) -> FloatArray:
+        """Near standard normal for healthy motors, around `separation` for faulty ones, shape (n_cases,).
+
+        Args:
+            measurements: shape (n_cases, n_channels, n_samples).
+        """
+        voltage = step_voltage(self.recipe.timing, float(self.recipe.supply.voltage_v))
+        return self._project(run_filter(self.belief, measurements, voltage).whitened)
+
+    def _project(self, innovations: FloatArray) -> FloatArray:
+        direction = self.signature / self.separation
+        statistic: FloatArray = np.tensordot(self.whitener.whiten(innovations), direction, axes=2)
+        return statistic
+
+    def law(self, *, faulty: bool = False) -> StatisticLaw:
+        """Distribution of the statistic over the recipe's motors, healthy or with the fault.
+
+        Innovations are taken for white with unit variance: a belief's process noise must be the motors' own.
+        Along the direction of the nuisances that moves the statistic most it is sampled, fitted by a polynomial and
+        integrated on a fine grid; across it Gauss-Hermite nodes suffice.
+        """
+        slopes = np.moveaxis(self.whitener.slopes.reshape(*self.signature.shape, -1), -1, 0)
+        gradient = self._project(slopes) if len(slopes) else np.zeros(0)
+        std = float(np.sqrt(1.0 - gradient @ gradient))
+        fault_class = FaultClass(self.fault.kind, float(self.fault.severity)) if faulty else FaultClass()
+        coordinates = class_coordinates(self.recipe, fault_class)
+        values, weights = _quadrature(gradient)
+        motors, supply = coordinates.motors(values)
+        nominal = step_voltage(self.recipe.timing, float(self.recipe.supply.voltage_v))
+        innovations = _noise_free_innovations(self.recipe, self.belief, motors, supply[:, None] * nominal)
+        means: FloatArray = self._project(innovations).reshape(-1, len(_ALONG))
+        if not gradient.any():
+            return StatisticLaw(means[:, 0], weights, std)
+        fitted = np.polynomial.chebyshev.chebfit(_ALONG / _REACH, means.T, deg=_DEGREE)
+        dense = np.asarray(np.polynomial.chebyshev.chebval(_DENSE / _REACH, fitted), dtype=np.float64)
+        along = np.exp(-0.5 * np.square(_DENSE))
+        return StatisticLaw(dense.ravel(), np.outer(weights, along / along.sum()).ravel(), std)
+
+    def threshold_for(self, false_alarm_rate: float, *, two_sided: bool = False) -> float:
+        """Threshold on the statistic, or on its magnitude where two-sided, for a false-alarm rate a transient."""
+        require(0.0 < false_alarm_rate < 1.0, f"false_alarm_rate must be in (0, 1), got {false_alarm_rate:g}")
+        law = self.law()
+        rate = law.beyond if two_sided else law.above
+        lowest = 0.0 if two_sided else float(law.means.min()) - 40.0 * law.std
+        highest = float(np.abs(law.means).max()) + 40.0 * law.std
+        return float(brentq(lambda threshold: rate(threshold) - false_alarm_rate, lowest, highest))
+
+    def power(self, false_alarm_rate: float, *, two_sided: bool = False) -> float:
+        """Share of the recipe's faulty motors that the test finds at that false-alarm rate."""
+        threshold = self.threshold_for(false_alarm_rate, two_sided=two_sided)
+        law = self.law(faulty=True)
+        return law.beyond(threshold) if two_sided else law.above(threshold)
+
+
+_REACH = 6.0
+_ALONG = np.linspace(-_REACH, _REACH, 17)
+_DENSE = np.linspace(-_REACH, _REACH, 2401)
+_DEGREE = 8
+_ACROSS = 3  # Gauss-Hermite nodes of each direction across: exact to the fifth power of a tolerance
+
+
+def _quadrature(gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Nodes in coordinates, shape (n_across * n_along, size), and the weights of the nodes across, (n_across,)."""
+    size = len(gradient)
+    if not gradient.any():
+        return np.zeros((len(_ALONG), size)), np.ones(1)
+    # A basis whose first axis is the gradient.
+    basis, _ = np.linalg.qr(np.column_stack([gradient, np.eye(size)]))
+    nodes, weights = np.polynomial.hermite_e.hermegauss(_ACROSS)
+    grid = np.stack(np.meshgrid(*[nodes] * (size - 1), indexing="ij"), axis=-1).reshape(-1, size - 1)
+    share: FloatArray = np.stack(np.meshgrid(*[weights / weights.sum()] * (size - 1), indexing="ij")).reshape(
+        size - 1, -1
+    )
+    rotated = np.empty((len(grid), len(_ALONG), size))
+    rotated[..., 0] = _ALONG
+    rotated[..., 1:] = grid[:, None, :]
+    return rotated.reshape(-1, size) @ basis.T, share.prod(axis=0)
+
+
+def _noise_free_innovations(
+    recipe: Recipe, belief: KalmanFilter, motors: MotorParameters, voltage_v: FloatArray
+) -> FloatArray:
+    """Whitened innovations of noise-free motors, shape (n_motors, n_samples, n_channels), or without the first axis."""
+    states = simulate_states(motors, voltage_v, recipe.timing.dt_s)
+    nominal = step_voltage(recipe.timing, float(recipe.supply.voltage_v))
+    return run_filter(belief, recipe.sensor.observation @ np.moveaxis(states, -1, -2), nominal).whitened

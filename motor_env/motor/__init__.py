@@ -1,0 +1,1 @@
+"""The motor: parameters, equations, faults, and the file that holds its data sheet."""

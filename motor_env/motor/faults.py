@@ -1,0 +1,132 @@
+"""Faults as values: what is wrong, how much, since when, and what that does to the parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require, require_positive
+
+HEALTHY = "healthy"
+"""The label of a motor without a fault."""
+
+ALWAYS = -math.inf
+"""The onset of a fault that is there from the beginning."""
+
+
+class FaultKind(StrEnum):
+    """What can be wrong with the motor (paper, parts 3 and 4)."""
+
+    BEARING = "bearing"
+    WINDING_CONTACT = "winding_contact"
+    WINDING_SHORT = "winding_short"
+    NOISE = "noise"
+
+
+class NoiseSource(StrEnum):
+    """Where a noise fault enters (paper, part 3B)."""
+
+    MEASUREMENT = "measurement"
+    PROCESS = "process"
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault.
+
+    Attributes:
+        kind: bearing: friction B up by the severity. winding_contact: resistance R up by the severity (bad contact or
+            brush). winding_short: a fraction of the turns equal to the severity is shorted. noise: the variance of
+            `noise_source` up by the severity.
+        severity: relative size, 0.25 for 25 %; a float, or one entry a motor. Below 1 for winding_short.
+        onset_s: time of the onset, counted from the step of the supply; `ALWAYS` for a fault that was always there.
+            The fault acts in every sampling interval that begins at or after it.
+        growth_s: time over which the severity rises linearly from 0; 0 for an abrupt fault.
+        noise_source: for kind noise only.
+
+    Raises:
+        ValueError: a severity is negative (or not below 1 for a short), a time is not a number, or a fault that
+            is always there grows.
+    """
+
+    kind: FaultKind
+    severity: Floats
+    onset_s: float = ALWAYS
+    growth_s: float = 0.0
+    noise_source: NoiseSource = NoiseSource.MEASUREMENT
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", FaultKind(self.kind))
+        object.__setattr__(self, "noise_source", NoiseSource(self.noise_source))
+        require_positive("severity", self.severity, zero_allowed=True)
+        if self.kind is FaultKind.WINDING_SHORT:
+            largest = float(np.max(self.severity))
+            require(largest < 1.0, f"severity of winding_short must be < 1, got {largest:g}")
+        require(not math.isnan(self.onset_s), "onset_s must be a number, got nan")
+        require_positive("growth_s", self.growth_s, zero_allowed=True)
+        require(
+            self.growth_s == 0.0 or math.isfinite(self.onset_s),
+            f"growth_s must be 0 for a fault that is always there, got {self.growth_s:g}",
+        )
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether the severity never changes."""
+        return self.onset_s == ALWAYS
+
+    def fraction_at(self, time_s: FloatArray) -> FloatArray:
+        """Share of the severity reached in the sampling intervals that begin at the given times, 0 to 1."""
+        # Intervals begin on a grid of floats: an onset meant to be on the grid must not slip by a rounding error.
+        elapsed = time_s - self.onset_s + 1e-9 * np.maximum(1.0, np.abs(time_s))
+        if self.growth_s == 0.0:
+            return (elapsed >= 0.0).astype(np.float64)
+        return np.clip(elapsed / self.growth_s, 0.0, 1.0)
+
+
+def apply_fault(parameters: MotorParameters, fault: Fault) -> MotorParameters:
+    """Parameters of the motor with the fault at its full severity.
+
+    Bearing (paper, part 4): B (1 + s). Winding contact (the paper's numbers): R (1 + s). Winding short of a
+    fraction m of the turns: R (1 - m), L (1 - m)^2, K (1 - m), both constants (signs: Isermann 2006, table 7.1.3).
+    Noise leaves the motor as it is: see `noise_variance_factor`.
+    """
+    severity = fault.severity
+    match fault.kind:
+        case FaultKind.BEARING:
+            return parameters.scaled(viscous_friction_n_m_s_per_rad=1.0 + severity)
+        case FaultKind.WINDING_CONTACT:
+            return parameters.scaled(resistance_ohm=1.0 + severity)
+        case FaultKind.WINDING_SHORT:
+            left = 1.0 - severity
+            return parameters.scaled(
+                resistance_ohm=left,
+                inductance_h=left * left,
+                back_emf_constant_v_s_per_rad=left,
+                torque_constant_n_m_per_a=left,
+            )
+        case FaultKind.NOISE:
+            return parameters
+
+
+def apply_faults(parameters: MotorParameters, faults: Iterable[Fault]) -> MotorParameters:
+    """Parameters of the motor with all the faults at their full severities."""
+    for fault in faults:
+        parameters = apply_fault(parameters, fault)
+    return parameters
+
+
+def noise_variance_factor(faults: Iterable[Fault], source: NoiseSource, time_s: FloatArray) -> FloatArray:
+    """Factor on the variance of a noise source in the intervals that begin at `time_s`: the product of (1 + severity).
+
+    Returns:
+        Shape (1, n_times), or (n_motors, n_times) where a severity is an array.
+    """
+    factor = np.ones((1, len(time_s)))
+    for fault in faults:
+        if fault.kind is FaultKind.NOISE and fault.noise_source is source:
+            factor = factor * (1.0 + np.reshape(fault.severity, (-1, 1)) * fault.fraction_at(time_s))
+    return factor

@@ -1,0 +1,81 @@
+"""Which combinations of the parameters a recording can tell: all are products of powers, so linear in logarithms.
+
+From the current alone, R, L, K^2/J and B/J (K^2 = Kt Kb): scaling K by a, and J and B by a^2, leaves the current as
+it is. With the speed, R, L, K, J and B (Kt and Kb being one number in SI units). With the voltage unknown, ratios per
+volt: every one of the parameters over V.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motor_env.motor.data_sheet import Tolerance
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import FloatArray, MotorParameters
+
+PARAMETERS = ("R", "L", "K", "J", "B", "V")
+"""Order of the logarithms; K is the geometric mean of Kt and Kb."""
+
+_CURRENT_ALONE = {"R": "R", "L": "L", "K^2/J": "KK/J", "B/J": "B/J"}
+_WITH_SPEED = {"R": "R", "L": "L", "K": "K", "J": "J", "B": "B"}
+_CURRENT_PER_VOLT = {"R/V": "R/V", "L/V": "L/V", "K^2/(J V)": "KK/JV", "B/J": "B/J"}
+_SPEED_PER_VOLT = {"R/V": "R/V", "L/V": "L/V", "K/V": "K/V", "J/V": "J/V", "B/V": "B/V"}
+
+COPPER_PER_KELVIN = 0.00393
+MAGNET_PER_KELVIN = -0.001
+
+FAULT_DIRECTIONS: dict[FaultKind, dict[str, float]] = {
+    FaultKind.BEARING: {"B": 1.0},
+    FaultKind.WINDING_CONTACT: {"R": 1.0},
+    FaultKind.WINDING_SHORT: {"R": -1.0, "L": -2.0, "K": -1.0},
+}
+"""How the logarithms move with a fault: by log(1 + s) for bearing and contact, by -log(1 - m) for a short."""
+
+
+def _rows(*, has_voltage: bool, has_speed: bool) -> dict[str, str]:
+    if has_voltage:
+        return _WITH_SPEED if has_speed else _CURRENT_ALONE
+    return _SPEED_PER_VOLT if has_speed else _CURRENT_PER_VOLT
+
+
+def names(*, has_voltage: bool, has_speed: bool) -> tuple[str, ...]:
+    """Names of the identifiable quantities."""
+    return tuple(_rows(has_voltage=has_voltage, has_speed=has_speed))
+
+
+def matrix(*, has_voltage: bool, has_speed: bool) -> FloatArray:
+    """Exponents of (R, L, K, J, B, V) in each quantity, shape (n_quantities, 6)."""
+    rows = _rows(has_voltage=has_voltage, has_speed=has_speed).values()
+    out = np.zeros((len(rows), len(PARAMETERS)))
+    for n, formula in enumerate(rows):
+        above, _, below = formula.partition("/")
+        for letter in above:
+            out[n, PARAMETERS.index(letter)] += 1.0
+        for letter in below:
+            out[n, PARAMETERS.index(letter)] -= 1.0
+    return out
+
+
+def logarithms(parameters: MotorParameters, voltage_v: float) -> FloatArray:
+    """Logarithms of (R, L, K, J, B, V) of one motor."""
+    p = parameters
+    constant = np.sqrt(np.multiply(p.back_emf_constant_v_s_per_rad, p.torque_constant_n_m_per_a))
+    friction = np.maximum(p.viscous_friction_n_m_s_per_rad, 1e-300)
+    values = [p.resistance_ohm, p.inductance_h, constant, p.inertia_kg_m2, friction, voltage_v]
+    out: FloatArray = np.log(np.array(values, dtype=np.float64))
+    return out
+
+
+def tolerance_covariance(tolerance: Tolerance) -> FloatArray:
+    """Covariance of the logarithms (R, L, K, J, B, V) of healthy motors about their data sheet, with temperature."""
+    t = tolerance
+    spread = np.array([t.resistance, t.inductance, t.constants, t.inertia, t.friction, t.supply])
+    heat = t.temperature_k * np.array([COPPER_PER_KELVIN, 0.0, MAGNET_PER_KELVIN, 0.0, 0.0, 0.0])
+    out: FloatArray = np.diag(spread**2) + np.outer(heat, heat)
+    return out
+
+
+def fault_direction(kind: FaultKind) -> FloatArray:
+    """How the logarithms (R, L, K, J, B, V) move with one unit of the fault, shape (6,)."""
+    moved = FAULT_DIRECTIONS[kind]
+    return np.array([moved.get(name, 0.0) for name in PARAMETERS])

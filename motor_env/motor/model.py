@@ -1,0 +1,155 @@
+"""The motor's equations, continuous and discrete: the one place where they stand.
+
+State x = [current_a, speed_rad_s], input u = [voltage_v, load_torque_n_m]:
+
+    L di/dt = V - R i - Kb w                 (paper, eq. (1), with Kb where the paper prints Kt)
+    J dw/dt = Kt i - B w - Tload             (paper, eq. (2), with Kt where the paper prints Kb)
+
+Timing, everywhere in the package: u[k] is held over the interval k and takes x[k] to x[k+1]; the measurement z[k] is
+read at the end of that interval, of x[k+1].
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require_positive
+
+
+class State(IntEnum):
+    """Index of each state."""
+
+    CURRENT = 0
+    SPEED = 1
+
+
+class Input(IntEnum):
+    """Index of each input."""
+
+    VOLTAGE = 0
+    LOAD_TORQUE = 1
+
+
+N_STATES = len(State)
+N_INPUTS = len(Input)
+
+
+class ContinuousModel(NamedTuple):
+    """dx/dt = `transition` x + `gain` u; shapes (..., 2, 2), the leading axes being the batch of motors."""
+
+    transition: FloatArray
+    gain: FloatArray
+
+
+class DiscreteModel(NamedTuple):
+    """x[k+1] = `transition` x[k] + `gain` u[k], with u held over `dt_s`; shapes (..., 2, 2)."""
+
+    transition: FloatArray
+    gain: FloatArray
+    dt_s: float
+
+
+def continuous_model(parameters: MotorParameters) -> ContinuousModel:
+    """Continuous state space of the motor (paper, eqs. (1) and (2), constants in their right places)."""
+    shape = parameters.batch_shape
+    transition = np.empty((*shape, N_STATES, N_STATES))
+    transition[..., State.CURRENT, State.CURRENT] = -parameters.resistance_ohm / parameters.inductance_h
+    transition[..., State.CURRENT, State.SPEED] = (
+        -parameters.back_emf_constant_v_s_per_rad / parameters.inductance_h
+    )
+    transition[..., State.SPEED, State.CURRENT] = (
+        parameters.torque_constant_n_m_per_a / parameters.inertia_kg_m2
+    )
+    transition[..., State.SPEED, State.SPEED] = (
+        -parameters.viscous_friction_n_m_s_per_rad / parameters.inertia_kg_m2
+    )
+    gain = np.zeros((*shape, N_STATES, N_INPUTS))
+    gain[..., State.CURRENT, Input.VOLTAGE] = 1.0 / parameters.inductance_h
+    gain[..., State.SPEED, Input.LOAD_TORQUE] = -1.0 / parameters.inertia_kg_m2
+    return ContinuousModel(transition, gain)
+
+
+_SERIES_NORM = 0.25
+_SERIES_ORDER = 12  # 0.25^13 / 14! is below 1e-18: the series ends under the rounding error
+
+
+@njit(cache=True)
+def _exponential_and_phi(
+    transition: FloatArray, dt_s: float, exponential: FloatArray, phi: FloatArray
+) -> None:
+    """exp(A dt) and phi1(A dt) = (A dt)^-1 (exp(A dt) - 1) of each 2 x 2 matrix, by series and doubling.
+
+    phi1(X) = sum X^k / (k+1)!, exp(X) = 1 + X phi1(X), phi1(2X) = (exp(X) + 1) phi1(X) / 2 (Higham 2008, ch. 10.7).
+    No difference of nearly equal numbers, no division by a small eigenvalue: full accuracy for any dt and any damping.
+    """
+    for n in range(transition.shape[0]):
+        a, b = transition[n, 0, 0] * dt_s, transition[n, 0, 1] * dt_s
+        c, d = transition[n, 1, 0] * dt_s, transition[n, 1, 1] * dt_s
+        # The similarity diag(1, scale) evens out b and c, so that the norm is free of the units.
+        scale = np.sqrt(abs(b / c)) if b != 0.0 and c != 0.0 else 1.0
+        b, c = b / scale, c * scale
+        norm = max(abs(a) + abs(b), abs(c) + abs(d))
+        doublings = 0
+        while norm > _SERIES_NORM:
+            norm *= 0.5
+            doublings += 1
+        shrink = 0.5**doublings
+        a, b, c, d = a * shrink, b * shrink, c * shrink, d * shrink
+        p, q, r, s = 1.0, 0.0, 0.0, 1.0
+        for k in range(_SERIES_ORDER, 0, -1):  # Horner: phi <- 1 + X phi / (k + 1)
+            f = 1.0 / (k + 1.0)
+            p, q, r, s = (
+                1.0 + f * (a * p + b * r),
+                f * (a * q + b * s),
+                f * (c * p + d * r),
+                1.0 + f * (c * q + d * s),
+            )
+        e, g, h, j = 1.0 + a * p + b * r, a * q + b * s, c * p + d * r, 1.0 + c * q + d * s
+        for _ in range(doublings):
+            p, q, r, s = (
+                0.5 * ((e + 1.0) * p + g * r),
+                0.5 * ((e + 1.0) * q + g * s),
+                0.5 * (h * p + (j + 1.0) * r),
+                0.5 * (h * q + (j + 1.0) * s),
+            )
+            e, g, h, j = e * e + g * h, g * (e + j), h * (e + j), j * j + g * h
+        exponential[n, 0, 0], exponential[n, 0, 1] = e, g * scale
+        exponential[n, 1, 0], exponential[n, 1, 1] = h / scale, j
+        phi[n, 0, 0], phi[n, 0, 1] = p, q * scale
+        phi[n, 1, 0], phi[n, 1, 1] = r / scale, s
+
+
+def discretize(parameters: MotorParameters, dt_s: float) -> DiscreteModel:
+    """Exact zero-order hold: Ad = exp(A dt), Bd = dt phi1(A dt) B (Franklin, Powell & Workman 1998, ch. 4.3).
+
+    Args:
+        parameters: one motor, or a batch.
+        dt_s: sampling interval, > 0.
+
+    Raises:
+        ValueError: `dt_s` is not positive.
+    """
+    require_positive("dt_s", dt_s)
+    model = continuous_model(parameters)
+    flat = np.ascontiguousarray(model.transition.reshape(-1, N_STATES, N_STATES))
+    exponential, phi = np.empty_like(flat), np.empty_like(flat)
+    _exponential_and_phi(flat, float(dt_s), exponential, phi)
+    shape = model.transition.shape
+    gain = dt_s * (phi.reshape(shape) @ model.gain)
+    return DiscreteModel(exponential.reshape(shape), gain, float(dt_s))
+
+
+def steady_state(parameters: MotorParameters, voltage_v: Floats, load_torque_n_m: Floats = 0.0) -> FloatArray:
+    """Current and speed at rest of the dynamics, shape (..., 2): -A^-1 B u."""
+    p = parameters
+    # -A^-1 B u written out: the determinant of A is (R B + Kt Kb) / (L J).
+    stiffness = p.torque_constant_n_m_per_a * p.back_emf_constant_v_s_per_rad
+    total = p.resistance_ohm * p.viscous_friction_n_m_s_per_rad + stiffness
+    voltage, load = np.asarray(voltage_v, dtype=np.float64), np.asarray(load_torque_n_m, dtype=np.float64)
+    current = (p.viscous_friction_n_m_s_per_rad * voltage + p.back_emf_constant_v_s_per_rad * load) / total
+    speed = (p.torque_constant_n_m_per_a * voltage - p.resistance_ohm * load) / total
+    return np.stack(np.broadcast_arrays(current, speed), axis=-1)

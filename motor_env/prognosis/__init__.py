@@ -1,0 +1,1 @@
+"""Wear over many starts: trend, remaining life, simulated runs to failure."""

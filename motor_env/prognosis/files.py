@@ -1,0 +1,195 @@
+"""From files to trends: the steps of `motor-env trend`."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from motor_env.diagnosis.healthy_motor import fit_healthy
+from motor_env.errors import InputError
+from motor_env.identification.identify import Identified, identify
+from motor_env.prognosis.page import leading, status
+from motor_env.prognosis.trend import (
+    Series,
+    Trend,
+    build_series,
+    date_of,
+    judge_all,
+    read_estimates,
+)
+from motor_env.prognosis.wear import RemainingLife
+from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.recording import read_recording
+from motor_env.recordings.start import prepare
+
+_SECONDS_PER_DAY = 86_400.0
+
+
+class DateSource(StrEnum):
+    """Where the date of a recording comes from."""
+
+    NAME = "name"
+    MODIFIED = "modified"
+
+
+def load_series(
+    paths: Sequence[Path],
+    *,
+    voltage_v: float | None = None,
+    date: DateSource = DateSource.NAME,
+    progress: Callable[[Path], None] = lambda path: None,
+) -> tuple[list[Series], list[str]]:
+    """Series from one table of estimates, or from a folder (or a list) of dated recordings.
+
+    Returns:
+        The series, and a sentence for every recording that could not be used.
+
+    Raises:
+        InputError: nothing can be used.
+    """
+    if not paths:
+        raise InputError("give a table of estimates, or a folder of dated recordings")
+    missing = [path for path in paths if not path.exists()]
+    if missing:
+        raise InputError(f"{missing[0]}: no such file or folder")
+    if len(paths) == 1 and paths[0].is_file() and _is_table(paths[0]):
+        return read_estimates(paths[0]), []
+    files: list[Path] = []
+    for path in paths:
+        files += sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+    files = [file for file in files if not file.name.startswith(".")]
+    return _from_recordings(files, voltage_v, date, progress)
+
+
+def _is_table(path: Path) -> bool:
+    """A table of estimates has a column named time or date, or is JSON; a recording has `time_s` and a current."""
+    if path.suffix.lower() == ".json":
+        return True
+    with path.open("rb") as file:
+        head = file.readline(4096).decode("utf-8", errors="replace").lower()
+    return "current" not in head
+
+
+def _from_recordings(
+    files: Sequence[Path], voltage_v: float | None, date: DateSource, progress: Callable[[Path], None]
+) -> tuple[list[Series], list[str]]:
+    notes: list[str] = []
+    dated: list[tuple[float, Path]] = []
+    for file in files:
+        when = date_of(file.name)
+        if date is DateSource.MODIFIED:
+            when = datetime.fromtimestamp(file.stat().st_mtime, tz=UTC)
+        if when is None:
+            notes.append(f"{file.name}: its name holds no date such as 2026-01-31 (or use --date modified)")
+        else:
+            dated.append((when.timestamp() / _SECONDS_PER_DAY, file))
+    fits = _fits(sorted(dated), voltage_v, notes, progress)
+    if not fits:
+        raise InputError(
+            f"no recording can be used; the first reason: {notes[0] if notes else 'there are none'}"
+        )
+    found: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
+    for day, fit in fits:
+        for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True):
+            found[name].append((day, float(value), float(error)))
+    return build_series(found, "days", dated=True), notes
+
+
+def _fits(
+    dated: Sequence[tuple[float, Path]],
+    voltage_v: float | None,
+    notes: list[str],
+    progress: Callable[[Path], None],
+) -> list[tuple[float, Identified]]:
+    """Fit every recording with one model, the one that the first three prefer: a change of model would be a jump."""
+    recordings = []
+    for when, file in dated:
+        try:
+            recordings.append((when, read_recording(file)))
+        except InputError as error:
+            notes.append(str(error))
+    model: tuple[str, ...] | None = None
+    fits = []
+    for number, (when, recording) in enumerate(recordings):
+        progress(recording.path)
+        try:
+            if model is None:
+                first = [entry for _, entry in recordings[number : number + 3]]
+                model = fit_healthy(first, voltage_v=voltage_v)[0].model
+            fits.append((when, identify(prepare(recording, voltage_v), model)))
+        except UnusableError as error:
+            notes.append(f"{recording.path.name}: {error}")
+    return fits
+
+
+def trends_of(
+    paths: Sequence[Path],
+    limits: Mapping[str, tuple[float, ...]],
+    *,
+    level: float = 0.9,
+    voltage_v: float | None = None,
+    date: DateSource = DateSource.NAME,
+    reference_count: int = 3,
+    progress: Callable[[Path], None] = lambda path: None,
+) -> tuple[list[Trend], list[str]]:
+    """Read and judge: what the command does before it prints.
+
+    Raises:
+        InputError: bad options or files.
+    """
+    if not 0.0 < level < 1.0:
+        raise InputError(f"level must lie between 0 and 1, got {level:g}")
+    if reference_count < 1:
+        raise InputError(f"reference-count must be >= 1, got {reference_count}")
+    series, notes = load_series(paths, voltage_v=voltage_v, date=date, progress=progress)
+    return judge_all(series, limits, level, reference_count), notes
+
+
+def as_json(trend: Trend) -> dict[str, Any]:
+    """One object a quantity; infinite times are null."""
+    series, chosen = trend.series, leading(trend)
+    return {
+        "quantity": series.name,
+        "state": status(trend),
+        "sentence": trend.sentence,
+        "reference": trend.reference,
+        "last_estimate": float(series.estimate[-1]),
+        "estimates": len(series.time),
+        "time_unit": series.unit,
+        "first_date": None if series.start is None else series.start.isoformat(),
+        "limits": [
+            {
+                "limit": forecast.limit,
+                "factor": forecast.factor,
+                "probability_of_trend": forecast.wear.probability_trend,
+                "trends": forecast.trends,
+                "reached": forecast.reached,
+                "probability_reached": forecast.life.probability_reached,
+                "drift_per_time_unit": forecast.wear.mean_drift * trend.reference,
+                "remaining_life": _life(forecast.life)
+                if forecast is chosen and not forecast.reached
+                else None,
+            }
+            for forecast in trend.forecasts
+        ],
+    }
+
+
+def _life(life: RemainingLife) -> dict[str, float | None]:
+    ends = {"low": life.low, "median": life.median, "high": life.high}
+    return {**{key: _finite(value) for key, value in ends.items()}, "level": life.level}
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def as_text(trends: Sequence[Trend]) -> str:
+    """A line a quantity."""
+    width = max(len(trend.series.name) for trend in trends)
+    return "\n".join(f"{trend.series.name:<{width}}  {trend.sentence}" for trend in trends)

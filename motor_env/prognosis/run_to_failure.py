@@ -1,0 +1,297 @@
+"""Synthetic runs to failure: a bearing that wears from start to start, and what each start lets one see of it.
+
+Wear is the severity of the core's bearing fault, a Wiener process with drift from its onset on (Whitmore 1995). Each
+start is a simulated transient of the motor with that fault; its friction is fitted as on a real start. The truth
+(wear, drift, onset, time of failure) and the estimates are separate objects.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from motor_env.inference.fit import Prior, fit, step_voltage
+from motor_env.inference.sensitivities import Coordinates, Observed
+from motor_env.motor.faults import Fault, FaultKind
+from motor_env.motor.parameters import (
+    PAPER_MOTOR,
+    FloatArray,
+    MotorParameters,
+    SensorParameters,
+    SupplyParameters,
+    require,
+    require_positive,
+)
+from motor_env.prognosis.wear import TREND_PROBABILITY, degradation
+from motor_env.simulation.random_streams import Stream, normals, uniforms
+from motor_env.simulation.simulate import Scenario, Timing, simulate
+
+_SUBSTEPS = 8  # of an interval between starts; crossings between them are drawn from the Brownian bridge
+_MOST_STARTS = 1 << 20
+_LEAST_FRICTION = 0.2  # of the nominal one: a bearing does not run in to nothing
+
+
+@dataclass(frozen=True, slots=True)
+class WearRecipe:
+    """What a run is drawn from. Wear is relative: 0.25 is 25 % more friction than nominal.
+
+    Attributes:
+        drift_per_day: mean growth of the wear.
+        drift_spread: standard deviation of the logarithm of the drift from motor to motor.
+        diffusion: standard deviation of the wear's random part after one day.
+        diffusion_spread: standard deviation of the logarithm of the diffusion from motor to motor.
+        onset_days: the growth begins at a uniform time between these two.
+        limit: wear at which the motor has failed.
+        interval_days: time between two starts.
+        starts: number of starts that are recorded.
+        horizon: the wear is followed for `horizon` times as long as starts are recorded.
+        supply_spread: relative standard deviation of the supply from start to start.
+        motor: the nominal motor.
+        supply: nominal supply.
+        sensor: channels and noise.
+        timing: time axis of a start.
+    """
+
+    drift_per_day: float = 0.01
+    drift_spread: float = 0.5
+    diffusion: float = 0.02
+    diffusion_spread: float = 0.5
+    onset_days: tuple[float, float] = (0.0, 20.0)
+    limit: float = 0.5
+    interval_days: float = 1.0
+    starts: int = 60
+    horizon: float = 20.0
+    supply_spread: float = 0.0
+    motor: MotorParameters = PAPER_MOTOR
+    supply: SupplyParameters = field(default_factory=SupplyParameters)
+    sensor: SensorParameters = field(default_factory=SensorParameters)
+    timing: Timing = field(default_factory=lambda: Timing(sampling_rate_hz=2_000.0, duration_s=0.1))
+
+    def __post_init__(self) -> None:
+        for name in ("limit", "interval_days", "horizon"):
+            require_positive(name, getattr(self, name))
+        for name in ("drift_per_day", "drift_spread", "diffusion", "diffusion_spread", "supply_spread"):
+            require_positive(name, getattr(self, name), zero_allowed=True)
+        require(
+            1 <= self.starts < _MOST_STARTS, f"starts must lie in 1 .. {_MOST_STARTS - 1}, got {self.starts}"
+        )
+        first, last = self.onset_days
+        require(0.0 <= first <= last, f"onset_days must be 0 <= first <= last, got {first:g}, {last:g}")
+
+    @property
+    def time_days(self) -> FloatArray:
+        """Time of each start, shape (starts,)."""
+        return np.arange(self.starts, dtype=np.float64) * self.interval_days
+
+
+class Runs(NamedTuple):
+    """The truth of n runs.
+
+    Attributes:
+        cases: case numbers, shape (n,).
+        wear: at each start, shape (n, starts).
+        drift_per_day: shape (n,).
+        diffusion: shape (n,).
+        onset_days: shape (n,).
+        failure_days: when the wear first reached the limit, infinite where it did not, shape (n,).
+    """
+
+    cases: NDArray[np.int64]
+    wear: FloatArray
+    drift_per_day: FloatArray
+    diffusion: FloatArray
+    onset_days: FloatArray
+    failure_days: FloatArray
+
+
+class Estimates(NamedTuple):
+    """What the starts let one see: friction over nominal friction, minus 1.
+
+    Attributes:
+        time_days: shape (starts,).
+        wear: estimated, shape (n, starts).
+        standard_error: shape (n, starts).
+    """
+
+    time_days: FloatArray
+    wear: FloatArray
+    standard_error: FloatArray
+
+
+@njit(cache=True)
+def _walk(
+    drift: FloatArray,
+    onset: FloatArray,
+    diffusion: FloatArray,
+    limit: float,
+    dt: float,
+    substeps: int,
+    noise: FloatArray,
+    uniform: FloatArray,
+    wear: FloatArray,
+    failure: FloatArray,
+) -> None:
+    """Wear at the starts and first passage.
+
+    A substep from a to b, both below the limit, crosses it with the Brownian bridge's probability,
+    exp(-2 (limit - a) (limit - b) / (diffusion^2 dt)).
+    """
+    for n in range(drift.shape[0]):
+        level, failure[n] = 0.0, np.inf
+        for k in range(noise.shape[1]):
+            if k % substeps == 0 and k // substeps < wear.shape[1]:
+                wear[n, k // substeps] = level
+            begin = max(k * dt, onset[n])
+            active = (k + 1) * dt - begin
+            if active <= 0.0:
+                continue
+            before = level
+            variance = diffusion[n] * diffusion[n] * active
+            level += drift[n] * active + np.sqrt(variance) * noise[n, k]
+            if failure[n] < np.inf:
+                if (k + 1) // substeps >= wear.shape[1]:
+                    break
+                continue
+            if level >= limit:
+                failure[n] = begin + active * (limit - before) / (level - before)
+            elif variance > 0.0 and uniform[n, k] < np.exp(
+                -2.0 * (limit - before) * (limit - level) / variance
+            ):
+                failure[n] = begin + 0.5 * active
+
+
+def run_to_failure(recipe: WearRecipe, seed: int, cases: ArrayLike) -> Runs:
+    """Draw runs; case n depends on (recipe, seed, n) alone.
+
+    Args:
+        recipe: what to draw from.
+        seed: the random seed.
+        cases: case numbers, shape (n,).
+    """
+    numbers = np.atleast_1d(np.asarray(cases, dtype=np.int64))
+    n, steps = len(numbers), int(np.ceil(recipe.starts * recipe.horizon)) * _SUBSTEPS
+    own = normals(seed, Stream.MOTOR, numbers, 2)
+    drift = recipe.drift_per_day * np.exp(recipe.drift_spread * own[:, 0])
+    diffusion = recipe.diffusion * np.exp(recipe.diffusion_spread * own[:, 1])
+    first, last = recipe.onset_days
+    onset = first + (last - first) * uniforms(seed, Stream.ONSET, numbers, 1)[:, 0]
+    wear, failure = np.empty((n, recipe.starts)), np.empty(n)
+    for begin in range(0, n, 64):  # the noise of all runs at once would not fit
+        some = slice(begin, begin + 64)
+        _walk(
+            drift[some],
+            onset[some],
+            diffusion[some],
+            recipe.limit,
+            recipe.interval_days / _SUBSTEPS,
+            _SUBSTEPS,
+            normals(seed, Stream.WEAR, numbers[some], steps),
+            uniforms(seed, Stream.WEAR_CROSSING, numbers[some], steps),
+            wear[some],
+            failure[some],
+        )
+    return Runs(numbers, wear, drift, diffusion, onset, failure)
+
+
+def observe(recipe: WearRecipe, runs: Runs, seed: int) -> Estimates:
+    """Simulate every start of every run and fit its friction; the supply is believed to be nominal.
+
+    Resistance and friction are free; where the supply varies, it is free within its spread.
+    """
+    shape = runs.wear.shape
+    numbers = (runs.cases[:, None] * _MOST_STARTS + np.arange(shape[1])).ravel()
+    wear = runs.wear.ravel()
+    factor = 1.0 + recipe.supply_spread * normals(seed, Stream.SUPPLY, numbers, 1)[:, 0]
+    free, spread = ["resistance", "friction"], [np.inf, np.inf]
+    if recipe.supply_spread > 0.0:
+        free, spread = [*free, "supply"], [*spread, recipe.supply_spread]
+    coordinates = Coordinates.of(recipe.motor, tuple(free))
+    voltage = step_voltage(recipe.timing, float(recipe.supply.voltage_v))
+    values, errors = np.empty(wear.size), np.empty(wear.size)
+    for begin in range(0, wear.size, 4096):
+        some = slice(begin, begin + 4096)
+        # Friction below the nominal one (a bearing that has run in) is the motor's own; what is above is the fault's.
+        less = np.maximum(1.0 + np.minimum(wear[some], 0.0), _LEAST_FRICTION)
+        scenario = Scenario(
+            parameters=recipe.motor.scaled(viscous_friction_n_m_s_per_rad=less),
+            faults=(Fault(FaultKind.BEARING, np.maximum(wear[some], 0.0)),),
+            supply=SupplyParameters(recipe.supply.voltage_v * factor[some]),
+            sensor=recipe.sensor,
+            timing=recipe.timing,
+        )
+        starts = simulate(scenario, seed, numbers[some])
+        observed = Observed.of(starts.measurements, voltage, recipe.sensor, recipe.timing.dt_s)
+        fitted = fit(observed, coordinates, Prior.of(spread))
+        values[some] = fitted.factors[:, 1]
+        errors[some] = fitted.factors[:, 1] * fitted.std[:, 1]
+    return Estimates(recipe.time_days, values.reshape(shape) - 1.0, errors.reshape(shape))
+
+
+class Coverage(NamedTuple):
+    """How the intervals of the remaining life did on synthetic runs, one entry a run.
+
+    Attributes:
+        starts: number of starts seen when the run was judged, shape (n,).
+        low: lower end of the interval, shape (n,).
+        high: upper end, shape (n,).
+        life: true time from the judgement to the failure, 0 where it had failed before, shape (n,).
+        trends: whether a trend to the limit was reported, shape (n,).
+        reached: whether the limit was reported as reached, shape (n,).
+        level: probability of a central interval with two ends.
+    """
+
+    starts: NDArray[np.int64]
+    low: FloatArray
+    high: FloatArray
+    life: FloatArray
+    trends: NDArray[np.bool_]
+    reached: NDArray[np.bool_]
+    level: float
+
+    @property
+    def claimed(self) -> FloatArray:
+        """Probability that each interval claims: one without an upper end, or from 0 on, can fail on one side only."""
+        tails: FloatArray = (self.low > 0.0).astype(np.float64) + np.isfinite(self.high)
+        return 1.0 - 0.5 * (1.0 - self.level) * tails
+
+    @property
+    def covered(self) -> NDArray[np.bool_]:
+        """Whether the interval holds the truth."""
+        return (self.low <= self.life) & (self.life <= self.high)
+
+    @property
+    def reported(self) -> NDArray[np.bool_]:
+        """Whether a remaining life is reported: a trend, and the limit not reached yet."""
+        return self.trends & ~self.reached
+
+
+def remaining_life_coverage(
+    recipe: WearRecipe, seed: int, cases: ArrayLike, *, level: float = 0.9, fewest_starts: int = 8
+) -> Coverage:
+    """Draw runs, judge each at a random start, and compare the remaining life with the truth.
+
+    The start is uniform between `fewest_starts` and the recipe's number, whatever the estimates look like, so that
+    the moment of judgement tells nothing of the run.
+    """
+    runs = run_to_failure(recipe, seed, cases)
+    estimates = observe(recipe, runs, seed)
+    share = uniforms(seed, Stream.SPLIT, runs.cases, 1)[:, 0]
+    starts = (fewest_starts + np.floor(share * (recipe.starts - fewest_starts + 1))).astype(np.int64)
+    rows = []
+    for n, seen in enumerate(starts):
+        wear = degradation(
+            estimates.time_days[:seen],
+            estimates.wear[n, :seen],
+            estimates.standard_error[n, :seen],
+            recipe.limit,
+        )
+        found = wear.remaining_life(level)
+        life = max(float(runs.failure_days[n] - estimates.time_days[seen - 1]), 0.0)
+        trends = wear.probability_trend >= TREND_PROBABILITY
+        rows.append((found.low, found.high, life, trends, found.probability_reached >= 0.5))
+    low, high, life_days, told, reached = np.array(rows, dtype=np.float64).T
+    return Coverage(starts, low, high, life_days, told > 0.0, reached > 0.0, level)

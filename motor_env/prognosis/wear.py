@@ -1,0 +1,370 @@
+"""Wear as a Wiener process with drift, seen through noisy estimates; the time until it first reaches a limit.
+
+    x(t) = x0                                      before the onset
+    dx   = drift dt + diffusion dW                 after it (Whitmore 1995; Si, Wang, Hu & Zhou 2011)
+    y_i  = x(t_i) + e_i,  var e_i = se_i^2 + scatter^2
+
+For a given onset, diffusion and scatter, level and drift are Gaussian: a Kalman filter of [level, drift] gives them
+and the likelihood exactly. Onset, diffusion and scatter are summed over a grid. The first passage of a Wiener process
+is inverse Gaussian; its distribution with a Gaussian drift has a closed form (Whitmore & Schenkelberg 1997, with the
+sign of a drift away from the limit kept: then the limit may never be reached), and the level's uncertainty is
+integrated by quadrature. So the interval of the remaining life holds the uncertainty of every parameter.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import erfcx, ndtr
+
+from motor_env.motor.parameters import FloatArray, require
+
+FEWEST_ESTIMATES = 5
+"""Below this no trend can be told from scatter."""
+
+TREND_PROBABILITY = 0.95
+"""From this posterior probability on a quantity is said to trend to a limit."""
+
+_DIFFUSIONS = np.geomspace(0.004, 2.5, 12)  # in units of distance to the limit / sqrt(time observed)
+_DIFFUSION_SCALE = 0.3  # of the half-Cauchy prior, in the same units
+_DRIFT_SCALE = 0.7  # prior standard deviation of the drift, in distances to the limit / time since the onset
+_SCATTERS = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])  # in units of the typical standard error
+_MOST_ONSETS = 20
+_PRIOR_STEADY = 0.5
+_LEVEL_NODES, _LEVEL_WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
+_LEVEL_WEIGHTS = _LEVEL_WEIGHTS / _LEVEL_WEIGHTS.sum()
+_NEGLIGIBLE = 0.002  # posterior probability of all grid points that are left out
+_LIFE_POINTS = 100
+
+
+class RemainingLife(NamedTuple):
+    """Time from the last estimate until the limit is first reached, in the unit of the time axis.
+
+    Attributes:
+        low: lower end of the central interval; 0 where the limit may have been reached already.
+        median: infinite where the limit is reached with a probability below one half.
+        high: upper end, infinite where the limit may never be reached.
+        level: probability that the interval is meant to hold.
+        probability_reached: probability that the limit has been reached already.
+        probability_ever: probability that it is reached at all.
+    """
+
+    low: float
+    median: float
+    high: float
+    level: float
+    probability_reached: float
+    probability_ever: float
+
+
+@njit(cache=True)
+def _filter_grid(
+    step: FloatArray,
+    estimate: FloatArray,
+    variance: FloatArray,
+    onset: FloatArray,
+    diffusion: FloatArray,
+    scatter: FloatArray,
+    drift_std: FloatArray,
+    level_std: float,
+    log_likelihood: FloatArray,
+    moments: FloatArray,
+) -> None:
+    """Kalman filter of [level, drift] for every grid point; `moments` takes level, drift, and their covariances."""
+    for h in range(onset.shape[0]):
+        level, drift = estimate[0], 0.0
+        p00, p01, p11 = level_std * level_std, 0.0, drift_std[h] * drift_std[h]
+        total = 0.0
+        extra = scatter[h] * scatter[h]
+        for i in range(estimate.shape[0]):
+            if i > 0 and i > onset[h]:
+                dt = step[i - 1]
+                level += drift * dt
+                p00 += 2.0 * dt * p01 + dt * dt * p11 + diffusion[h] * diffusion[h] * dt
+                p01 += dt * p11
+            s = p00 + variance[i] + extra
+            error = estimate[i] - level
+            total -= 0.5 * (error * error / s + math.log(2.0 * math.pi * s))
+            k0, k1 = p00 / s, p01 / s
+            level += k0 * error
+            drift += k1 * error
+            p11 -= k1 * p01
+            p01 *= (variance[i] + extra) / s
+            p00 *= (variance[i] + extra) / s
+        log_likelihood[h] = total
+        moments[h, 0], moments[h, 1] = level, drift
+        moments[h, 2], moments[h, 3], moments[h, 4] = p00, p01, p11
+
+
+def first_passage_cdf(
+    life: FloatArray,
+    distance: FloatArray,
+    drift: FloatArray,
+    drift_variance: FloatArray,
+    diffusion: FloatArray,
+) -> FloatArray:
+    """Probability that a Wiener process with Gaussian drift has come `distance` up within `life`; arrays broadcast.
+
+    Whitmore & Schenkelberg (1997), eq. for a random drift, rewritten with exp(z^2) erfc(z): the two large exponents of
+    the textbook form cancel by hand, so that a small diffusion loses no digits.
+    """
+    spread = drift_variance * life * life + diffusion**2 * life
+    root = np.sqrt(spread)
+    first = ndtr((drift * life - distance) / root)
+    z = (2.0 * drift_variance * distance * life / diffusion**2 + drift * life + distance) / root
+    scaled = (
+        0.5
+        * erfcx(np.maximum(z, 0.0) / math.sqrt(2.0))
+        * np.exp(-0.5 * (distance - drift * life) ** 2 / spread)
+    )
+    exponent = 2.0 * distance * (drift + drift_variance * distance / diffusion**2) / diffusion**2
+    plain = np.exp(np.minimum(exponent, 0.0)) * ndtr(-np.minimum(z, 0.0))
+    cdf = first + np.where(z >= 0.0, scaled, plain)
+    return np.where(distance <= 0.0, 1.0, np.clip(cdf, 0.0, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Degradation:
+    """What the estimates tell about the wear, as a weighted grid of Gaussians; the upward direction is to the limit.
+
+    Attributes:
+        weights: posterior probability of each grid point, given that there is a drift, shape (n,).
+        onset: index of the last estimate before the drift, shape (n,).
+        diffusion: shape (n,).
+        scatter: start-to-start scatter beyond the standard errors, shape (n,).
+        level: posterior mean of the level at the last estimate, shape (n,).
+        drift: posterior mean of the drift, shape (n,).
+        covariance: of [level, drift], shape (n, 2, 2).
+        limit: the limit.
+        sign: +1 for a limit above, -1 for one below; levels and drifts are multiplied by it.
+        probability_trend: posterior probability that there is a drift, and that it goes to the limit.
+    """
+
+    weights: FloatArray
+    onset: FloatArray
+    diffusion: FloatArray
+    scatter: FloatArray
+    level: FloatArray
+    drift: FloatArray
+    covariance: FloatArray
+    limit: float
+    sign: float
+    probability_trend: float
+
+    @property
+    def mean_drift(self) -> float:
+        """Posterior mean of the drift, in the units of the estimates a unit of time."""
+        return self.sign * float(self.weights @ self.drift)
+
+    @property
+    def drift_std(self) -> float:
+        """Posterior standard deviation of the drift."""
+        mean = float(self.weights @ self.drift)
+        return math.sqrt(float(self.weights @ (self.covariance[:, 1, 1] + (self.drift - mean) ** 2)))
+
+    def cdf(self, life: ArrayLike) -> FloatArray:
+        """Probability that the limit is reached within `life` after the last estimate, shape of `life`."""
+        times = np.asarray(life, dtype=np.float64)
+        distance, drift, variance, diffusion, weights = self._nodes()
+        safe = np.maximum(times, 1e-300).reshape(-1, 1)
+        out: FloatArray = first_passage_cdf(safe, distance, drift, variance, diffusion) @ weights
+        return out.reshape(times.shape)
+
+    def _nodes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Distance, drift given the level, its variance, diffusion and weight of every quadrature node."""
+        std = np.sqrt(self.covariance[:, 0, 0])
+        level = self.level[:, None] + std[:, None] * _LEVEL_NODES
+        slope = self.covariance[:, 0, 1] / self.covariance[:, 0, 0]
+        drift = self.drift[:, None] + slope[:, None] * (level - self.level[:, None])
+        variance = np.maximum(self.covariance[:, 1, 1] - slope * self.covariance[:, 0, 1], 0.0)
+        repeated = np.ones(len(_LEVEL_NODES))
+        return (
+            (self.sign * self.limit - level).ravel(),
+            drift.ravel(),
+            np.outer(variance, repeated).ravel(),
+            np.outer(self.diffusion, repeated).ravel(),
+            np.outer(self.weights, _LEVEL_WEIGHTS).ravel(),
+        )
+
+    def life_axis(self) -> FloatArray:
+        """Times that span the distribution of the remaining life, shape (100,), even in the logarithm."""
+        distance = max(self.sign * self.limit - float(self.weights @ self.level), 0.0)
+        spread = math.sqrt(float(self.weights @ self.covariance[:, 0, 0]))
+        reach = distance + 3.0 * spread
+        pace = max(abs(self.mean_drift), 0.05 * self.drift_std)
+        pace = max(pace, 1e-12 * reach, 1e-300)
+        return np.geomspace(1e-4, 1e3, _LIFE_POINTS) * reach / pace
+
+    def remaining_life(self, level: float = 0.9) -> RemainingLife:
+        """Median and central interval of the time until the limit is first reached.
+
+        Raises:
+            ValueError: the level does not lie between 0 and 1.
+        """
+        require(0.0 < level < 1.0, f"level must lie between 0 and 1, got {level:g}")
+        axis = self.life_axis()
+        cdf = np.maximum.accumulate(self.cdf(axis))
+        low, median, high = (
+            self._quantile(axis, cdf, p) for p in (0.5 - level / 2.0, 0.5, 0.5 + level / 2.0)
+        )
+        distance, *_, weights = self._nodes()
+        return RemainingLife(low, median, high, level, float(weights[distance <= 0.0].sum()), float(cdf[-1]))
+
+    @staticmethod
+    def _quantile(axis: FloatArray, cdf: FloatArray, probability: float) -> float:
+        if probability <= cdf[0]:
+            return 0.0
+        if probability >= cdf[-1]:
+            return math.inf
+        at = int(np.searchsorted(cdf, probability))
+        share = (probability - cdf[at - 1]) / (cdf[at] - cdf[at - 1])
+        return float(axis[at - 1] * (axis[at] / axis[at - 1]) ** share)
+
+    def forecast(self, ahead: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation of the level at times after the last estimate, each the shape of `ahead`."""
+        times = np.asarray(ahead, dtype=np.float64)[..., None]
+        mean = self.level + self.drift * times
+        spread = (
+            self.covariance[:, 0, 0]
+            + 2.0 * times * self.covariance[:, 0, 1]
+            + times**2 * self.covariance[:, 1, 1]
+            + self.diffusion**2 * times
+        )
+        centre = mean @ self.weights
+        std = np.sqrt((spread + (mean - centre[..., None]) ** 2) @ self.weights)
+        return self.sign * centre, std
+
+
+class _Grid(NamedTuple):
+    """Hypotheses, each an array (n,): those of a drift first, then those of a steady motor (onset after the end)."""
+
+    onset: FloatArray
+    diffusion: FloatArray
+    scatter: FloatArray
+    drift_std: FloatArray
+    log_prior: FloatArray
+
+
+def degradation(time: ArrayLike, estimate: ArrayLike, standard_error: ArrayLike, limit: float) -> Degradation:
+    """Fit the wear model to a sequence of estimates.
+
+    Args:
+        time: rising, any unit, shape (n,).
+        estimate: shape (n,).
+        standard_error: >= 0, shape (n,).
+        limit: level whose first passage counts; it lies above if it is above the first estimates.
+
+    Raises:
+        ValueError: fewer than five estimates, shapes that differ, a value that is not finite, times that do not rise,
+            or a limit at the first level.
+    """
+    times, values, errors = _checked(time, estimate, standard_error)
+    beginning = float(np.mean(values[: max(3, len(values) // 10)]))
+    distance = abs(limit - beginning)
+    require(distance > 0.0 and math.isfinite(limit), f"limit must differ from the first level, got {limit:g}")
+    sign = 1.0 if limit > beginning else -1.0
+    grid = _grid(times, _typical_error(values, errors), distance)
+    n = len(grid.onset)
+    log_likelihood, moments = np.empty(n), np.empty((n, 5))
+    _filter_grid(
+        np.diff(times),
+        sign * values,
+        errors**2,
+        grid.onset,
+        grid.diffusion,
+        grid.scatter,
+        grid.drift_std,
+        10.0 * (distance + float(np.ptp(values))),
+        log_likelihood,
+        moments,
+    )
+    log_weight = log_likelihood + grid.log_prior
+    weight = np.exp(log_weight - log_weight.max())
+    drifting = grid.onset < len(times)
+    probability_drift = float(weight[drifting].sum() / weight.sum())
+    weight[~drifting] = 0.0
+    kept = _heaviest(weight)
+    weights = weight[kept] / weight[kept].sum()
+    level, drift, p00, p01, p11 = moments[kept].T
+    towards = float(weights @ ndtr(drift / np.sqrt(p11)))
+    return Degradation(
+        weights=weights,
+        onset=grid.onset[kept],
+        diffusion=grid.diffusion[kept],
+        scatter=grid.scatter[kept],
+        level=level,
+        drift=drift,
+        covariance=np.moveaxis(np.array([[p00, p01], [p01, p11]]), -1, 0),
+        limit=float(limit),
+        sign=sign,
+        probability_trend=probability_drift * towards,
+    )
+
+
+def _grid(times: FloatArray, typical_error: float, distance: float) -> _Grid:
+    """All combinations of onset, diffusion and scatter, with their prior: independent.
+
+    Onsets are equally likely; the drift is Gaussian about 0; diffusion and scatter are half-Cauchy (Gelman 2006).
+    """
+    n_onsets = min(len(times) - 1, _MOST_ONSETS)
+    onsets = np.unique(np.linspace(0.0, len(times) - 2.0, n_onsets).round())
+    # The diffusions are even in the logarithm, which adds a factor to their density.
+    log_diffusion = _normalised(np.log(_DIFFUSIONS) - np.log1p((_DIFFUSIONS / _DIFFUSION_SCALE) ** 2))
+    log_scatter = _normalised(-np.log1p(_SCATTERS**2))
+    axes = np.meshgrid(onsets, _DIFFUSIONS, _SCATTERS, indexing="ij")
+    onset, diffusion, scatter = (part.ravel() for part in axes)
+    log_prior = np.add.outer(log_diffusion, log_scatter) + math.log((1.0 - _PRIOR_STEADY) / len(onsets))
+    steady = np.zeros(len(_SCATTERS))
+    since = times[-1] - times[onset.astype(int)]
+    return _Grid(
+        onset=np.concatenate([onset, steady + len(times)]),
+        diffusion=np.concatenate([diffusion * distance / math.sqrt(times[-1] - times[0]), steady]),
+        scatter=np.concatenate([scatter, _SCATTERS]) * typical_error,
+        drift_std=np.concatenate([_DRIFT_SCALE * distance / since, steady]),
+        log_prior=np.concatenate(
+            [np.tile(log_prior.ravel(), len(onsets)), log_scatter + math.log(_PRIOR_STEADY)]
+        ),
+    )
+
+
+def _heaviest(weight: FloatArray) -> NDArray[np.intp]:
+    """The fewest grid points that hold all but a negligible part of the weight."""
+    order = np.argsort(weight)[::-1]
+    held = np.cumsum(weight[order]) / weight.sum()
+    return order[: int(np.searchsorted(held, 1.0 - _NEGLIGIBLE)) + 1]
+
+
+def _normalised(log_prior: FloatArray) -> FloatArray:
+    out: FloatArray = log_prior - np.logaddexp.reduce(log_prior)
+    return out
+
+
+def _typical_error(values: FloatArray, errors: FloatArray) -> float:
+    """Unit of the scatter: the median standard error, or what the jumps between neighbours say where that is larger."""
+    jumps = float(np.median(np.abs(np.diff(values)))) / 0.954  # of white scatter: its standard deviation
+    return max(float(np.median(errors)), 0.3 * jumps, 1e-9 * float(np.ptp(values)), 1e-300)
+
+
+def _checked(
+    time: ArrayLike, estimate: ArrayLike, standard_error: ArrayLike
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    times, values, errors = (np.asarray(part, dtype=np.float64) for part in (time, estimate, standard_error))
+    require(
+        times.ndim == 1 and times.shape == values.shape == errors.shape,
+        f"time, estimate, standard_error must have one shape (n,), got {times.shape}, {values.shape}, {errors.shape}",
+    )
+    require(
+        len(times) >= FEWEST_ESTIMATES,
+        f"a trend needs at least {FEWEST_ESTIMATES} estimates, got {len(times)}",
+    )
+    require(
+        bool(np.isfinite([times, values, errors]).all()), "time, estimate and standard_error must be finite"
+    )
+    require(bool((np.diff(times) > 0.0).all()), "time must rise from estimate to estimate")
+    require(bool((errors >= 0.0).all()), "standard_error must be >= 0")
+    return times, values, errors

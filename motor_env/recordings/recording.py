@@ -1,0 +1,314 @@
+"""Reading recordings of real motors: which column is what, in which unit; all becomes SI on an even time axis."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from motor_env.errors import InputError
+from motor_env.motor.parameters import RAD_S_PER_RPM, FloatArray
+from motor_env.recordings.tables import Table, read_table
+
+FEWEST_SAMPLES = 20
+QUANTITIES = ("time", "current", "voltage", "speed", "duty")
+COLUMNS = {
+    "time": "time_s",
+    "current": "current_a",
+    "voltage": "voltage_v",
+    "speed": "speed_rad_s",
+    "duty": "duty",
+}
+
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "current": {"a": 1.0, "ma": 1e-3, "ua": 1e-6},
+    "voltage": {"v": 1.0, "mv": 1e-3, "kv": 1e3},
+    "speed": {
+        "rad/s": 1.0,
+        "rad_s": 1.0,
+        "rad/sec": 1.0,
+        "rpm": RAD_S_PER_RPM,
+        "1/min": RAD_S_PER_RPM,
+        "u/min": RAD_S_PER_RPM,
+        "min-1": RAD_S_PER_RPM,
+        "deg/s": math.pi / 180.0,
+        "deg_s": math.pi / 180.0,
+        "°/s": math.pi / 180.0,
+    },
+    "duty": {"1": 1.0, "%": 0.01, "percent": 0.01},
+}
+"""Factors to SI."""
+
+_WORDS: dict[str, frozenset[str]] = {
+    "time": frozenset(
+        ["t", "time", "zeit", "temps", "tempo", "tid", "tiempo", "timestamp", "seconds", "second", "x-axis"]
+    ),
+    "current": frozenset(
+        [
+            "i",
+            "ia",
+            "i_a",
+            "current",
+            "armature_current",
+            "strom",
+            "ankerstrom",
+            "courant",
+            "corrente",
+            "corriente",
+            "iarm",
+            "amps",
+            "ampere",
+        ]
+    ),
+    "voltage": frozenset(
+        [
+            "v",
+            "u",
+            "va",
+            "ua",
+            "vin",
+            "voltage",
+            "spannung",
+            "tension",
+            "tensao",
+            "tensão",
+            "voltaje",
+            "volts",
+            "volt",
+            "supply",
+        ]
+    ),
+    "speed": frozenset(
+        [
+            "w",
+            "n",
+            "omega",
+            "ω",
+            "speed",
+            "velocity",
+            "drehzahl",
+            "vitesse",
+            "velocidade",
+            "velocidad",
+            "rpm",
+            "angular_speed",
+            "wm",
+        ]
+    ),
+    "duty": frozenset(["duty", "duty_cycle", "pwm"]),
+}
+_UNIT_IN_HEADER = re.compile(
+    r"^(?P<name>.*?)\s*(?:[\(\[](?P<bracket>[^\)\]]*)[\)\]]|\bin\s+(?P<word>\S+))\s*$"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnChoice:
+    """A column that the user names: `current=CH2:mA`, or by number `current=3:mA`."""
+
+    quantity: str
+    column: str
+    unit: str | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> ColumnChoice:
+        """From the option's text.
+
+        Raises:
+            InputError: not of the form quantity=column:unit, or an unknown quantity or unit.
+        """
+        quantity, equals, rest = text.partition("=")
+        column, _, unit = rest.rpartition(":") if ":" in rest else (rest, "", "")
+        if not equals or quantity not in QUANTITIES or not column:
+            raise InputError(
+                f"--column must read QUANTITY=COLUMN or QUANTITY=COLUMN:UNIT with QUANTITY one of"
+                f" {', '.join(QUANTITIES)}, got {text!r}"
+            )
+        known = UNITS[quantity]
+        if unit and _unit_key(unit) not in known:
+            raise InputError(f"--column {quantity}: the unit must be one of {', '.join(known)}, got {unit!r}")
+        return cls(quantity, column, unit or None)
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """One recording, in SI units, on an even time axis.
+
+    Attributes:
+        path: where it was read from.
+        time_s: shape (n_samples,), evenly spaced.
+        current_a: shape (n_samples,).
+        voltage_v: shape (n_samples,), or None where it was not recorded.
+        speed_rad_s: shape (n_samples,), or None where it was not recorded.
+        duty: duty cycle of the supply, shape (n_samples,), or None: a voltage of unknown scale.
+        columns: how the columns were understood, for the user.
+    """
+
+    path: Path
+    time_s: FloatArray
+    current_a: FloatArray
+    voltage_v: FloatArray | None = None
+    speed_rad_s: FloatArray | None = None
+    duty: FloatArray | None = None
+    columns: tuple[str, ...] = ()
+
+    @property
+    def dt_s(self) -> float:
+        """Sampling interval."""
+        return float((self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
+
+
+def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
+    """Read a recording.
+
+    Args:
+        path: .csv, .txt and the like; .mat, .npy, .npz, .parquet.
+        choices: columns that the user names; the others are recognised by their headers.
+
+    Raises:
+        InputError: the file is missing, empty, binary, lacks a column, or holds a value that is no finite number, or a
+            time axis that does not rise.
+    """
+    path = Path(path)
+    table = read_table(path)
+    found = _recognise(path, table, choices)
+    columns = {quantity: factor * table.values[:, k] for quantity, (k, factor) in found.items()}
+    notes = [
+        f"{quantity} is column {k + 1}"
+        + (f" ({table.names[k]})" if table.names[k] else "")
+        + (f", times {factor:g}" if factor != 1.0 else "")
+        for quantity, (k, factor) in found.items()
+    ]
+    return _recording(path, table, columns, (*notes, *table.remarks))
+
+
+def _unit_key(unit: str) -> str:
+    return unit.strip().replace("µ", "u").replace("μ", "u").lower()
+
+
+def understand(header: str) -> tuple[str | None, float]:
+    """Quantity and factor to SI of a header such as `current_a`, `I (mA)`, `Speed [rpm]`, `t_ms`; None if unknown."""
+    name, unit = header.strip(), ""
+    match = _UNIT_IN_HEADER.match(name)
+    if match:
+        name, unit = match["name"].strip(), _unit_key(match["bracket"] or match["word"] or "")
+    word = name.lower().replace(" ", "_").strip("_:")
+    for quantity in QUANTITIES:
+        units, words = UNITS[quantity], _WORDS[quantity]
+        if word in words:
+            own = units.get(word, 1.0) if quantity == "speed" else 1.0
+            if not unit:
+                return quantity, own
+            return (quantity, units[unit]) if unit in units else (None, 1.0)
+        for suffix, factor in sorted(units.items(), key=lambda item: -len(item[0])):
+            stem = word.removesuffix(f"_{suffix}")
+            if not unit and stem != word and (stem in words or stem.split("_")[-1] in words):
+                return quantity, factor
+    if unit:
+        for quantity in ("current", "speed", "voltage", "time"):
+            if unit in UNITS[quantity] and not (quantity == "time" and unit == "min"):
+                return quantity, UNITS[quantity][unit]
+    return None, 1.0
+
+
+def _recognise(path: Path, table: Table, choices: Sequence[ColumnChoice]) -> dict[str, tuple[int, float]]:
+    found = {choice.quantity: _chosen(path, table, choice) for choice in choices}
+    taken = {k for k, _ in found.values()}
+    for k, name in enumerate(table.names):
+        quantity, factor = understand(name) if name and k not in taken else (None, 1.0)
+        if quantity is None or (quantity in found and quantity in {choice.quantity for choice in choices}):
+            continue
+        if quantity in found:
+            first = table.names[found[quantity][0]]
+            raise InputError(
+                f"{path}: the columns {first} and {name} both look like the {quantity};"
+                f" say which: --column {quantity}={name}"
+            )
+        found[quantity] = (k, factor)
+    if not any(table.names) and not choices:
+        if table.values.shape[1] != 2:
+            raise InputError(
+                f"{path}: the {table.values.shape[1]} columns have no header; name them:"
+                " --column time=1 --column current=2"
+            )
+        found = {"time": (0, 1.0), "current": (1, 1.0)}
+    for quantity in ("time", "current"):
+        if quantity not in found:
+            names = ", ".join(repr(name[:30]) for name in table.names[:8])
+            raise InputError(
+                f"{path}, {table.where} {max(table.lines[0] - 1, 1)}: the column {COLUMNS[quantity]} is missing,"
+                f" found {names}; name it: --column {quantity}=..."
+            )
+    return found
+
+
+def _chosen(path: Path, table: Table, choice: ColumnChoice) -> tuple[int, float]:
+    if choice.column in table.names:
+        k = table.names.index(choice.column)
+    elif choice.column.isdigit() and 1 <= int(choice.column) <= table.values.shape[1]:
+        k = int(choice.column) - 1
+    else:
+        raise InputError(
+            f"{path}: there is no column {choice.column}; there are"
+            f" {', '.join(filter(None, table.names)) or table.values.shape[1]}"
+        )
+    if choice.unit is not None:
+        return k, UNITS[choice.quantity][_unit_key(choice.unit)]
+    quantity, factor = understand(table.names[k])
+    return k, factor if quantity == choice.quantity else 1.0
+
+
+def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: tuple[str, ...]) -> Recording:
+    """Check the time axis and even it out."""
+    time = columns["time"]
+    if len(time) < FEWEST_SAMPLES:
+        raise InputError(f"{path}: must hold at least {FEWEST_SAMPLES} samples, got {len(time)}")
+    steps = np.diff(time)
+    if not (steps > 0.0).all():
+        bad = int(np.argmax(steps <= 0.0)) + 1
+        raise InputError(
+            f"{path}, {table.where} {table.lines[bad]}: the column time_s must rise,"
+            f" got {time[bad]:.10g} after {time[bad - 1]:.10g}"
+        )
+    largest = max(float(np.max(np.abs(values))) for values in columns.values())
+    if largest > 1e9:
+        raise InputError(f"{path}: a value of {largest:.3g} is no reading of a motor")
+    even, columns, note = evened(time, columns)
+    notes = (*notes, *note)
+    return Recording(
+        path=path,
+        time_s=even,
+        current_a=columns["current"],
+        voltage_v=columns.get("voltage"),
+        speed_rad_s=columns.get("speed"),
+        duty=columns.get("duty"),
+        columns=notes,
+    )
+
+
+def evened(
+    time_s: FloatArray, columns: dict[str, FloatArray]
+) -> tuple[FloatArray, dict[str, FloatArray], tuple[str, ...]]:
+    """Columns on an even time axis, and a note where they had to be interpolated."""
+    even, jitter = _even(time_s)
+    if not jitter:
+        return even, columns, ()
+    note = ("the time axis is uneven: interpolated to an even one",)
+    return even, {name: np.interp(even, time_s, values) for name, values in columns.items()}, note
+
+
+def _even(time_s: FloatArray) -> tuple[FloatArray, bool]:
+    """An even time axis at the median step, and whether the samples must be interpolated to lie on it."""
+    steps = np.diff(time_s)
+    line = np.linspace(time_s[0], time_s[-1], len(time_s))
+    step = line[1] - line[0]
+    if np.max(np.abs(line - time_s)) < 0.5 * step:
+        return line, bool(np.max(np.abs(line - time_s)) > 0.02 * step)
+    step = float(np.median(steps))
+    count = int(min((time_s[-1] - time_s[0]) / step, 4 * len(time_s)))
+    return np.linspace(time_s[0], time_s[-1], max(count, 1) + 1), True

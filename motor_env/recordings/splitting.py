@@ -1,0 +1,100 @@
+"""Several starts in one recording: cut it where the motor is switched on again."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_env.errors import InputError
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.alignment import wild_samples
+from motor_env.recordings.recording import Recording
+
+_FEWEST_APART = 40
+_HIGH, _LOW, _REST = 0.5, 0.25, 0.05
+_FEWEST_AT_REST = 10
+
+
+def split_starts(recording: Recording) -> list[Recording]:
+    """The starts of a recording, each with the rest before it; a recording with one start is returned as it is.
+
+    Where a voltage was recorded, a start is its rise from rest; else it is the inrush of the current: a rise
+    beyond half of the largest, after less than a quarter of it for a while. A part's name is that of the file with #2.
+    """
+    if recording.voltage_v is not None:
+        begins = _rises(np.abs(recording.voltage_v), rest=_REST)
+    else:
+        current = recording.current_a.copy()
+        for k in wild_samples(current):
+            current[k] = 0.5 * (current[k - 1] + current[k + 1])
+        current = current - np.median(current[: max(len(current) // 50, 5)])
+        begins = _rises(current if current.max() >= -current.min() else -current, rest=_LOW)
+    if len(begins) < 2:
+        return [recording]
+    cuts = [0, *(_switched_off(recording, a, b) for a, b in pairwise(begins))]
+    ends = [*cuts[1:], len(recording.time_s)]
+    parts = []
+    for number, (first, last) in enumerate(zip(cuts, ends, strict=True), 1):
+        part = {
+            f.name: getattr(recording, f.name)[first:last]
+            for f in fields(recording)
+            if isinstance(getattr(recording, f.name), np.ndarray)
+        }
+        notes = (*recording.columns, f"start {number} of {len(cuts)} in the file")
+        parts.append(replace(recording, path=Path(f"{recording.path}#{number}"), columns=notes, **part))
+    return parts
+
+
+def chosen_starts(recording: Recording, number: int | None) -> list[Recording]:
+    """All starts, or the one with that number.
+
+    Raises:
+        InputError: there is no such start.
+    """
+    parts = split_starts(recording)
+    if number is None:
+        return parts
+    if not 1 <= number <= len(parts):
+        raise InputError(f"{recording.path}: --start must lie in 1 .. {len(parts)}, got {number}")
+    return [parts[number - 1]]
+
+
+def _rises(values: FloatArray, rest: float) -> list[int]:
+    """Samples where the values rise beyond half of their largest, after having been at rest."""
+    top = float(np.percentile(values, 99.9)) if len(values) > 2000 else float(values.max())
+    high, low = values > _HIGH * top, values < rest * top
+    begins: list[int] = []
+    at_rest, since = 0, _FEWEST_APART
+    armed = True
+    for k in range(len(values)):
+        at_rest = at_rest + 1 if low[k] else 0
+        armed = armed or at_rest >= _FEWEST_AT_REST
+        since += 1
+        if armed and high[k]:
+            if since >= _FEWEST_APART or not begins:
+                begins.append(k)
+                since = 0
+            armed = False
+    return begins
+
+
+def _switched_off(recording: Recording, begin: int, following: int) -> int:
+    """Where the motor is switched off between two starts: the voltage's fall, or a change of the current's level."""
+    if recording.voltage_v is not None:
+        off = np.abs(recording.voltage_v[begin:following]) < _REST * np.abs(recording.voltage_v).max()
+        return begin + (int(np.argmax(off)) if off.any() else following - begin)
+    stretch = recording.current_a[begin + (following - begin) // 3 : following - 3]
+    return following - 3 - len(stretch) + _change_of_level(stretch)
+
+
+def _change_of_level(values: FloatArray) -> int:
+    """First sample of the second level: the least-squares split in two."""
+    n = np.arange(1, len(values))
+    sums = np.cumsum(values)
+    before, after = sums[:-1] / n, (sums[-1] - sums[:-1]) / (len(values) - n)
+    gain: NDArray[np.float64] = n * (len(values) - n) * np.square(before - after)
+    return int(np.argmax(gain)) + 1

@@ -1,0 +1,153 @@
+"""One start out of a recording: turned, aligned, with what is known of its supply and its sensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.alignment import Alignment, PeriodicLine, UnusableError, align
+from motor_env.recordings.recording import Recording
+
+_REST_SHARE = 0.05
+_FEWEST_AFTER = 15
+
+
+@dataclass(frozen=True, slots=True)
+class Circuit:
+    """What the user knows of the measuring circuit.
+
+    Attributes:
+        shunt_ohm: resistance in series with the motor: shunt and leads; it is not the motor's.
+        sensor_lag_s: time constant of the current sensor; it is not fitted then.
+    """
+
+    shunt_ohm: float = 0.0
+    sensor_lag_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """What is fitted: one start, turned so that its current is positive.
+
+    Attributes:
+        time_s: shape (n_samples,).
+        current_a: shape (n_samples,).
+        speed_rad_s: shape (n_samples,), or None.
+        voltage_v: measured voltage, shape (n_samples,), or None for a step.
+        level_v: level of the step; 1 where the voltage is unknown (everything is then per volt).
+        voltage_known: whether volts are volts.
+        alignment: onset and quiet part.
+        from_rest: whether the motor stands before; else it runs steadily under the first voltage.
+        circuit: what is known of the measuring circuit.
+        lines: ripple of constant frequency in the current of the running motor, which belongs to the supply.
+    """
+
+    time_s: FloatArray
+    current_a: FloatArray
+    speed_rad_s: FloatArray | None
+    voltage_v: FloatArray | None
+    level_v: float
+    voltage_known: bool
+    alignment: Alignment
+    from_rest: bool = True
+    circuit: Circuit = Circuit()
+    lines: tuple[PeriodicLine, ...] = ()
+
+    @property
+    def dt_s(self) -> float:
+        """Sampling interval."""
+        return float((self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
+
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """Which samples of the current count: all but the wild ones, shape (n_samples,)."""
+        out = np.ones(len(self.time_s), dtype=np.bool_)
+        out[[k for k in self.alignment.wild if k < len(out)]] = False
+        return out
+
+    @property
+    def ripple_a(self) -> FloatArray:
+        """The lines' current, from the onset on, shape (n_samples,)."""
+        out = np.zeros(len(self.time_s))
+        running = self.time_s >= self.alignment.onset_s
+        for line in self.lines:
+            out[running] += line.current_a(self.time_s[running])
+        return out
+
+    def lateness(self, onset_s: float) -> float:
+        """How much later than the middle of an interval a measured voltage changes, in intervals."""
+        return (onset_s - self.alignment.onset_s) / self.dt_s
+
+    def shortened(self, count: int) -> Start:
+        """The same with at most `count` samples after the onset."""
+        end = self.alignment.onset_index + count
+        if end >= len(self.time_s):
+            return self
+        return replace(
+            self,
+            time_s=self.time_s[:end],
+            current_a=self.current_a[:end],
+            speed_rad_s=None if self.speed_rad_s is None else self.speed_rad_s[:end],
+            voltage_v=None if self.voltage_v is None else self.voltage_v[:end],
+        )
+
+
+def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circuit | None = None) -> Start:
+    """Align a recording and decide what is known of its supply.
+
+    Args:
+        recording: as read.
+        voltage_v: level of the supply, given by the user or the data sheet, for a recording without a voltage.
+        circuit: what is known of the measuring circuit.
+
+    Raises:
+        UnusableError: no start in it, or too few samples after it; a shunt is given and no voltage is known.
+    """
+    alignment = align(recording)
+    sign, after = alignment.sign, len(recording.time_s) - alignment.onset_index
+    if after < _FEWEST_AFTER:
+        raise UnusableError(f"only {after} samples follow the start; at least {_FEWEST_AFTER} are needed")
+    measured, level, known = None, 1.0, False
+    if recording.voltage_v is not None:
+        level, measured, sign = _supply(recording.voltage_v, sign)
+        known = True
+    elif recording.duty is not None:
+        scale = 1.0 if voltage_v is None else abs(voltage_v)
+        level, measured, sign = _supply(scale * recording.duty, sign)
+        known = voltage_v is not None
+    elif voltage_v is not None:
+        level, known = abs(voltage_v), True
+    if circuit is not None and circuit.shunt_ohm > 0.0 and not known:
+        raise UnusableError("a shunt in series can be taken off only where the voltage is known")
+    speed = None
+    if recording.speed_rad_s is not None and np.ptp(recording.speed_rad_s) > 0.0:
+        speed = recording.speed_rad_s * (1.0 if mean_tail(recording.speed_rad_s) >= 0.0 else -1.0)
+    from_rest = measured is None or abs(float(measured[0])) < _REST_SHARE * float(np.max(np.abs(measured)))
+    alignment = replace(alignment, sign=sign, offset_a=sign * alignment.offset_a)
+    if not from_rest:
+        alignment = replace(alignment, offset_a=0.0, n_quiet=0)
+    current = sign * recording.current_a
+    return Start(
+        recording.time_s, current, speed, measured, level, known, alignment, from_rest, circuit or Circuit()
+    )
+
+
+def mean_tail(values: FloatArray) -> float:
+    """Mean of the last tenth."""
+    return float(np.mean(values[-max(len(values) // 10, 1) :]))
+
+
+def _supply(voltage: FloatArray, sign: float) -> tuple[float, FloatArray | None, float]:
+    """Level of a commanded step, or the measured curve: a command takes at most two values."""
+    levels = np.unique(voltage)
+    tail = float(np.median(voltage[-max(len(voltage) // 4, 1) :]))
+    if len(levels) == 1 or (len(levels) == 2 and 0.0 in levels):
+        if tail == 0.0:
+            raise UnusableError("the voltage is 0 at the end: this is no start under voltage")
+        return abs(tail), None, sign
+    # An even square wave has the median 0.
+    largest = float(np.max(np.abs(voltage)))
+    return abs(tail) if abs(tail) > _REST_SHARE * largest else largest, voltage, 1.0

@@ -1,0 +1,147 @@
+"""What surrounds a motor in the field, as priors: friction, brushes, temperature, supply, load, trigger, sensor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require
+from motor_env.simulation.nonlinear import Effects
+from motor_env.simulation.random_streams import Stream, uniforms
+from motor_env.simulation.sensor import SensorChain
+
+Range = tuple[float, float]
+
+NOTHING: Range = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """Uniform priors (low, high) over departures from the textbook motor and over the current sensor's errors.
+
+    Torques are given relative to the nominal viscous friction torque at no-load speed, so that a recipe fits any motor.
+
+    Attributes:
+        coulomb_ratio: Coulomb friction, one draw a motor; a bearing fault raises it with the viscous friction.
+        stribeck_ratio: breakaway torque above it, one a motor.
+        brush_drop_v: voltage drop of the brushes, one a motor.
+        supply_resistance_ohm: resistance of supply and leads, one a motor.
+        commutation_ripple: relative ripple of the torque constant, one a motor.
+        sensor_gain: factor of the current sensor, one a motor.
+        sensor_offset_a: its offset, one a start.
+        temperature_rise_k: of winding and magnets above the data sheet's temperature, one a start.
+        load_ratio: load torque, one a start.
+        ramp_s: rise time of the supply, one a start.
+        ripple_v: amplitude of the supply's ripple, one a start.
+        trigger_jitter: delay of the step within its sampling interval, as a share of it, one a start.
+        bearing_ripple_ratio: torque ripple of a bearing fault of severity 1, one a start.
+        ripple_hz: frequency of the supply's ripple.
+        sensor_lag_s: time constant of the current sensor.
+        sensor_range_a: where the current sensor saturates; 0 for no limit.
+        adc_bits: bits of its converter; 0 for none.
+        missing_fraction: share of samples that read NaN.
+    """
+
+    coulomb_ratio: Range = NOTHING
+    stribeck_ratio: Range = NOTHING
+    brush_drop_v: Range = NOTHING
+    supply_resistance_ohm: Range = NOTHING
+    commutation_ripple: Range = NOTHING
+    sensor_gain: Range = (1.0, 1.0)
+    sensor_offset_a: Range = NOTHING
+    temperature_rise_k: Range = NOTHING
+    load_ratio: Range = NOTHING
+    ramp_s: Range = NOTHING
+    ripple_v: Range = NOTHING
+    trigger_jitter: Range = NOTHING
+    bearing_ripple_ratio: Range = NOTHING
+    ripple_hz: float = 100.0
+    sensor_lag_s: float = 0.0
+    sensor_range_a: float = 0.0
+    adc_bits: int = 0
+    missing_fraction: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in PRIORS:
+            low, high = getattr(self, name)
+            require(
+                math.isfinite(low) and math.isfinite(high) and low <= high,
+                f"field.{name} must be a finite [low, high] with low <= high, got [{low:g}, {high:g}]",
+            )
+            signed = ("sensor_offset_a", "temperature_rise_k")
+            require(name in signed or low >= 0.0, f"field.{name} must be >= 0, got {low:g}")
+        require(
+            self.trigger_jitter[1] < 1.0, f"field.trigger_jitter must be < 1, got {self.trigger_jitter[1]:g}"
+        )
+        require(self.sensor_gain[0] > 0.0, f"field.sensor_gain must be > 0, got {self.sensor_gain[0]:g}")
+        SensorChain(
+            range_a=self.sensor_range_a,
+            adc_bits=self.adc_bits,
+            lag_s=self.sensor_lag_s,
+            missing_fraction=self.missing_fraction,
+        )
+
+
+PRIORS = tuple(f.name for f in fields(Field) if "Range" in str(f.type))
+"""Names of the priors, in the order in which they are drawn."""
+
+PER_MOTOR = PRIORS[:6]
+"""Those drawn once a motor; the others are drawn once a start."""
+
+
+def draw_field(
+    field: Field,
+    nominal: MotorParameters,
+    voltage_v: Floats,
+    dt_s: float,
+    bearing_severity: FloatArray,
+    seed: int,
+    motor_id: NDArray[np.int64],
+    cases: NDArray[np.int64],
+) -> tuple[Effects, SensorChain]:
+    """Draw what surrounds each case; everything has shape (n_cases,).
+
+    Args:
+        field: the priors.
+        nominal: motor that the torque ratios refer to.
+        voltage_v: nominal supply, for the no-load speed.
+        dt_s: sampling interval.
+        bearing_severity: of each case, 0 without a bearing fault.
+        seed: the random seed.
+        motor_id: motor of each case.
+        cases: case numbers.
+    """
+    low, high = np.array([getattr(field, name) for name in PRIORS]).T
+    by_motor = uniforms(seed, Stream.FIELD_MOTOR, motor_id, len(PRIORS))
+    by_start = uniforms(seed, Stream.FIELD_START, cases, len(PRIORS))
+    is_motor = np.array([name in PER_MOTOR for name in PRIORS])
+    drawn = low + (high - low) * np.where(is_motor, by_motor, by_start)
+    v = dict(zip(PRIORS, drawn.T, strict=True))
+    no_load_speed = voltage_v / nominal.back_emf_constant_v_s_per_rad
+    torque = nominal.viscous_friction_n_m_s_per_rad * no_load_speed
+    effects = Effects(
+        coulomb_friction_n_m=v["coulomb_ratio"] * torque * (1.0 + bearing_severity),
+        stribeck_friction_n_m=v["stribeck_ratio"] * torque,
+        brush_drop_v=v["brush_drop_v"],
+        temperature_rise_k=v["temperature_rise_k"],
+        supply_resistance_ohm=v["supply_resistance_ohm"],
+        ramp_s=v["ramp_s"],
+        ripple_v=v["ripple_v"],
+        ripple_hz=field.ripple_hz,
+        load_torque_n_m=v["load_ratio"] * torque,
+        commutation_ripple=v["commutation_ripple"],
+        bearing_ripple_n_m=v["bearing_ripple_ratio"] * torque * bearing_severity,
+        delay_s=v["trigger_jitter"] * dt_s,
+    )
+    chain = SensorChain(
+        gain=v["sensor_gain"],
+        offset_a=v["sensor_offset_a"],
+        lag_s=field.sensor_lag_s,
+        range_a=field.sensor_range_a,
+        adc_bits=field.adc_bits,
+        missing_fraction=field.missing_fraction,
+    )
+    return effects, chain

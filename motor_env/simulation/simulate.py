@@ -1,0 +1,291 @@
+"""From a scenario to measured transients: the linear motor by exact zero-order hold, one motor or a batch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from motor_env.motor.faults import Fault, NoiseSource, apply_faults, noise_variance_factor
+from motor_env.motor.model import N_STATES, Input, discretize
+from motor_env.motor.parameters import (
+    Channel,
+    FloatArray,
+    MotorParameters,
+    SensorParameters,
+    SupplyParameters,
+    require,
+    require_positive,
+)
+from motor_env.simulation.random_streams import Stream, normals
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """The time axis of a transient. Time 0 is the step of the supply.
+
+    Attributes:
+        sampling_rate_hz: samples a second.
+        duration_s: time sampled after the step.
+        quiet_s: time sampled before the step, on top of the duration.
+    """
+
+    sampling_rate_hz: float = 10_000.0
+    duration_s: float = 0.1
+    quiet_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive("sampling_rate_hz", self.sampling_rate_hz)
+        require_positive("duration_s", self.duration_s)
+        require_positive("quiet_s", self.quiet_s, zero_allowed=True)
+        require(
+            self.n_after >= 1,
+            f"duration_s must hold at least one sample at {self.sampling_rate_hz:g} Hz, got {self.duration_s:g}",
+        )
+
+    @property
+    def dt_s(self) -> float:
+        """Sampling interval."""
+        return 1.0 / self.sampling_rate_hz
+
+    @property
+    def n_quiet(self) -> int:
+        """Samples before the step (the last one is read at the very moment of the step)."""
+        return round(self.quiet_s * self.sampling_rate_hz)
+
+    @property
+    def n_after(self) -> int:
+        """Samples after the step."""
+        return round(self.duration_s * self.sampling_rate_hz)
+
+    @property
+    def n_samples(self) -> int:
+        """All samples."""
+        return self.n_quiet + self.n_after
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Time of each sample, shape (n_samples,): sample k is read at the end of interval k."""
+        return np.arange(1 - self.n_quiet, self.n_after + 1, dtype=np.float64) * self.dt_s
+
+    @property
+    def interval_start_s(self) -> FloatArray:
+        """Begin of each sampling interval, shape (n_samples,)."""
+        return np.arange(-self.n_quiet, self.n_after, dtype=np.float64) * self.dt_s
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """Everything that decides a transient but the noise's random numbers; one motor, or a batch of them.
+
+    Attributes:
+        parameters: the motor without its faults, one or a batch.
+        faults: the faults; in a batch a severity is an array, 0 for the motors that do not have the fault.
+        supply: voltage step, one level or one a motor.
+        sensor: channels and noise.
+        timing: time axis.
+        load_torque_n_m: constant load from the step on.
+        process_noise_std: standard deviation of the noise added to [current, speed] in each interval.
+    """
+
+    parameters: MotorParameters
+    faults: tuple[Fault, ...] = ()
+    supply: SupplyParameters = field(default_factory=SupplyParameters)
+    sensor: SensorParameters = field(default_factory=SensorParameters)
+    timing: Timing = field(default_factory=Timing)
+    load_torque_n_m: float = 0.0
+    process_noise_std: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """`()` for one motor, `(n_motors,)` for a batch."""
+        severities = (np.shape(fault.severity) for fault in self.faults)
+        return np.broadcast_shapes(self.parameters.batch_shape, np.shape(self.supply.voltage_v), *severities)
+
+
+@dataclass(frozen=True, slots=True)
+class Transients:
+    """Simulated transients: what a sensor saw, and beside it the truth, which nothing that decides may read.
+
+    Attributes:
+        time_s: shape (n_samples,); 0 is the step.
+        voltage_v: applied voltage, shape (n_cases, n_samples).
+        measurements: what the sensors read, shape (n_cases, n_channels, n_samples).
+        channels: names of the channels.
+        states: true current and speed, shape (n_cases, n_samples, 2).
+    """
+
+    time_s: FloatArray
+    voltage_v: FloatArray
+    measurements: FloatArray
+    channels: tuple[Channel, ...]
+    states: FloatArray
+
+
+@njit(cache=True)
+def _propagate(
+    transition: FloatArray,
+    gain: FloatArray,
+    inputs: FloatArray,
+    noise: FloatArray,
+    state: FloatArray,
+    out: FloatArray,
+) -> None:
+    """x[k+1] = A x[k] + B u[k] + w[k] for every case; `state` is carried on; one-row arrays serve all cases."""
+    for n in range(out.shape[0]):
+        a = transition[n if transition.shape[0] > 1 else 0]
+        b = gain[n if gain.shape[0] > 1 else 0]
+        u = inputs[n if inputs.shape[0] > 1 else 0]
+        a00, a01, a10, a11 = a[0, 0], a[0, 1], a[1, 0], a[1, 1]
+        b00, b01, b10, b11 = b[0, 0], b[0, 1], b[1, 0], b[1, 1]
+        current, speed = state[n, 0], state[n, 1]
+        noisy = noise.shape[0] > 0
+        for k in range(out.shape[1]):
+            new_current = a00 * current + a01 * speed + b00 * u[k, 0] + b01 * u[k, 1]
+            speed = a10 * current + a11 * speed + b10 * u[k, 0] + b11 * u[k, 1]
+            current = new_current
+            if noisy:
+                current += noise[n, k, 0]
+                speed += noise[n, k, 1]
+            out[n, k, 0] = current
+            out[n, k, 1] = speed
+        state[n, 0], state[n, 1] = current, speed
+
+
+def simulate_states(
+    parameters: MotorParameters,
+    voltage_v: ArrayLike,
+    dt_s: float,
+    *,
+    faults: tuple[Fault, ...] = (),
+    load_torque_n_m: ArrayLike = 0.0,
+    initial_state: ArrayLike = (0.0, 0.0),
+    process_noise: FloatArray | None = None,
+    start_s: float = 0.0,
+) -> FloatArray:
+    """True current and speed of one motor or a batch, for any voltage profile (paper, eq. (3)).
+
+    Args:
+        parameters: the motor without its faults.
+        voltage_v: voltage held in each interval, shape (n_samples,) or (n_cases, n_samples).
+        dt_s: sampling interval.
+        faults: their onsets count from time 0; parameters are held within an interval.
+        load_torque_n_m: scalar, or the shape of `voltage_v`.
+        initial_state: current and speed before the first interval, shape (2,) or (n_cases, 2).
+        process_noise: added to the state at the end of each interval, shape (n_cases, n_samples, 2).
+        start_s: time at which the first interval begins.
+
+    Returns:
+        States at the end of each interval, shape (n_samples, 2), or (n_cases, n_samples, 2) for a batch.
+
+    Raises:
+        ValueError: the voltage is not finite, or shapes do not fit.
+    """
+    voltage = np.asarray(voltage_v, dtype=np.float64)
+    require(
+        voltage.ndim in (1, 2),
+        f"voltage_v must have shape (n_samples,) or (n_cases, n_samples), got {voltage.shape}",
+    )
+    require(bool(np.isfinite(voltage).all()), "voltage_v must be finite, got a value that is not")
+    n_samples = voltage.shape[-1]
+    batch = np.broadcast_shapes(
+        voltage.shape[:-1],
+        parameters.batch_shape,
+        np.shape(initial_state)[:-1],
+        () if process_noise is None else process_noise.shape[:-2],
+        *(np.shape(fault.severity) for fault in faults),
+    )
+    n_cases = int(np.prod(batch))
+    inputs = np.empty((int(np.prod(voltage.shape[:-1])), n_samples, len(Input)))
+    inputs[..., Input.VOLTAGE] = voltage
+    inputs[..., Input.LOAD_TORQUE] = load_torque_n_m
+    state = np.broadcast_to(np.asarray(initial_state, dtype=np.float64), (n_cases, N_STATES)).copy()
+    noise = np.empty((0, n_samples, N_STATES))
+    if process_noise is not None:
+        noise = np.ascontiguousarray(np.broadcast_to(process_noise, (n_cases, n_samples, N_STATES)))
+    out = np.empty((n_cases, n_samples, N_STATES))
+    for begin, end, active in _segments(faults, start_s + dt_s * np.arange(n_samples, dtype=np.float64)):
+        model = discretize(apply_faults(parameters, active), dt_s)
+        _propagate(
+            model.transition.reshape(-1, N_STATES, N_STATES),
+            np.ascontiguousarray(model.gain).reshape(-1, N_STATES, len(Input)),
+            inputs[:, begin:end],
+            noise[:, begin:end],
+            state,
+            out[:, begin:end],
+        )
+    return out.reshape(*batch, n_samples, N_STATES)
+
+
+def _segments(
+    faults: tuple[Fault, ...], interval_start_s: FloatArray
+) -> list[tuple[int, int, tuple[Fault, ...]]]:
+    """Cut the time axis where a severity changes: (begin, end, faults at their severities between)."""
+    n_samples = len(interval_start_s)
+    changing = [fault for fault in faults if not fault.is_constant]
+    if not changing:
+        return [(0, n_samples, faults)]
+    fractions = np.stack([fault.fraction_at(interval_start_s) for fault in changing])
+    cuts = [0, *(np.flatnonzero(np.any(np.diff(fractions, axis=1) != 0.0, axis=0)) + 1).tolist(), n_samples]
+    constant = tuple(fault for fault in faults if fault.is_constant)
+    segments = []
+    for begin, end in pairwise(cuts):
+        held = tuple(
+            Fault(fault.kind, fault.severity * float(fraction), noise_source=fault.noise_source)
+            for fault, fraction in zip(changing, fractions[:, begin], strict=True)
+        )
+        segments.append((begin, end, constant + held))
+    return segments
+
+
+def simulate(scenario: Scenario, seed: int, cases: ArrayLike) -> Transients:
+    """Simulate a scenario; the noise of row n comes from the streams of case `cases[n]` alone.
+
+    Args:
+        scenario: one motor (then every case is a repetition with noise of its own), or a batch of n_cases motors.
+        seed: the random seed.
+        cases: case numbers, shape (n_cases,).
+
+    Raises:
+        ValueError: the batch of the scenario is not n_cases long.
+    """
+    case_numbers = np.atleast_1d(np.asarray(cases))
+    n_cases, timing, sensor = case_numbers.size, scenario.timing, scenario.sensor
+    require(
+        scenario.batch_shape in ((), (n_cases,)),
+        f"cases must number as many as the scenario's motors {scenario.batch_shape}, got {n_cases}",
+    )
+    begins = timing.interval_start_s
+    driven = np.arange(timing.n_samples) >= timing.n_quiet
+    level = np.broadcast_to(np.asarray(scenario.supply.voltage_v, dtype=np.float64), (n_cases,))
+    voltage = level[:, None] * driven
+    states = simulate_states(
+        scenario.parameters,
+        voltage,
+        timing.dt_s,
+        faults=scenario.faults,
+        load_torque_n_m=scenario.load_torque_n_m * driven,
+        process_noise=process_noise(scenario, seed, case_numbers),
+        start_s=float(begins[0]),
+    )
+    n_channels = len(sensor.channels)
+    stride = 4 * ((timing.n_samples + 3) // 4)  # a channel begins with a block of its own
+    noise = normals(seed, Stream.MEASUREMENT, case_numbers, n_channels * stride)
+    noise = noise.reshape(n_cases, n_channels, stride)[..., : timing.n_samples] * sensor.noise_std[:, None]
+    noise *= np.sqrt(noise_variance_factor(scenario.faults, NoiseSource.MEASUREMENT, begins))[:, None, :]
+    columns = sensor.observation @ np.moveaxis(states, -1, -2)
+    return Transients(timing.time_s, voltage, columns + noise, sensor.channels, states)
+
+
+def process_noise(scenario: Scenario, seed: int, cases: ArrayLike) -> FloatArray | None:
+    """Noise of the state of each case, shape (n_cases, n_samples, 2); None where there is none."""
+    if not any(scenario.process_noise_std):
+        return None
+    n_samples = scenario.timing.n_samples
+    noise = normals(seed, Stream.PROCESS, cases, n_samples * N_STATES).reshape(-1, n_samples, N_STATES)
+    factor = noise_variance_factor(scenario.faults, NoiseSource.PROCESS, scenario.timing.interval_start_s)
+    scaled: FloatArray = noise * np.asarray(scenario.process_noise_std) * np.sqrt(factor)[:, :, None]
+    return scaled

@@ -1,0 +1,226 @@
+"""The amortised posterior network against the exact posterior, and what its training stands on."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import ks_2samp, kstest, truncnorm
+from sklearn.base import clone
+
+from motor_classifiers.estimators import severity_density
+from motor_classifiers.estimators.perceptron import one_thread
+from motor_classifiers.estimators.posterior_network import PosteriorNetwork, severity_priors, severity_recipe
+from motor_classifiers.estimators.signal_space import SignalSpace
+from motor_classifiers.estimators.stream_training import louder
+from motor_classifiers.scoring.limit_cells import limit_cell
+from motor_datasets.generate import generate_arrays
+from motor_env.inference.severity import severity_posterior
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import Channel, SensorParameters
+from motor_env.simulation.recipes import FaultClass, Recipe, named_recipe
+from motor_env.simulation.simulate import Timing
+
+RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+FULL = named_recipe("bench-full", timing=Timing(1_000.0, 0.1))
+QUICK: dict[str, Any] = {"steps": 400, "batch_size": 256, "n_hidden": 32}
+
+
+@pytest.fixture(scope="module")
+def trained() -> PosteriorNetwork:
+    return PosteriorNetwork(RECIPE, random_state=0, **QUICK).fit_stream()
+
+
+def test_it_is_near_the_limit_and_not_above(trained: PosteriorNetwork) -> None:
+    cell = limit_cell(trained, RECIPE, 4, 3000, 400)
+    assert abs(cell.excess.excess) < 0.01 + 2.0 * cell.excess.standard_error
+    assert not cell.excess.is_suspicious
+    assert cell.model.log_loss < 1.03 * cell.limit.log_loss
+    assert cell.model.ece < cell.limit.ece + 0.015
+    assert [str(severity.prior.kind) for severity in cell.severities] == [
+        "bearing",
+        "winding_contact",
+        "winding_short",
+    ]
+    for severity in cell.severities:
+        assert severity.model.rmse < 1.10 * severity.limit.rmse
+        assert 0.84 < severity.model.coverage < 0.96
+
+
+def test_coefficients_of_noise_are_white_and_the_rest_is_chi_square() -> None:
+    """The oracle of `louder` and of the standardisation: what white noise becomes."""
+    space = SignalSpace.of_recipe(FULL, 8, sees_noise=True)
+    rng = np.random.default_rng(0)
+    noise = space.noise.numpy() * rng.standard_normal((4000, len(space.noise)))
+    coefficients, energy = space.coordinates(space.nominal + torch.from_numpy(noise))
+    np.testing.assert_allclose(np.cov(coefficients.T), np.eye(8), atol=0.08)
+    assert kstest(energy, "chi2", args=(space.freedom,)).pvalue > 1e-3
+    for column in coefficients.T:
+        assert kstest(column, "norm").pvalue > 1e-3
+
+
+def test_added_noise_is_that_of_a_noisier_sensor() -> None:
+    space = SignalSpace.of_recipe(RECIPE, 8, sees_noise=True)
+    many = np.arange(4000)
+    quiet = generate_arrays(RECIPE, 1, many).X.reshape(len(many), -1)
+    sensor = replace(RECIPE.sensor, current_noise_a=3.0 * RECIPE.sensor.current_noise_a)
+    loud = generate_arrays(replace(RECIPE, sensor=sensor), 2, many).X.reshape(len(many), -1)
+    factor = np.full(len(many), 3.0)
+    before = space.coordinates(torch.from_numpy(quiet).double())
+    made = louder(*before, space.freedom, factor, np.random.default_rng(3))
+    found = space.coordinates(torch.from_numpy(loud).double())
+    for ours, theirs in zip((*made[0].T, made[1]), (*found[0].T, found[1]), strict=True):
+        assert ks_2samp(ours, theirs).pvalue > 1e-3
+
+
+@pytest.mark.parametrize(("place", "width"), [(0.4, 0.1), (-0.2, 0.3), (0.98, 0.05), (0.5, 3.0)])
+def test_density_is_the_cut_normal(place: float, width: float) -> None:
+    parameters = torch.tensor([[place - 0.5, np.log(width) + 1.0]], dtype=torch.float64)
+    exact = truncnorm(-place / width, (1.0 - place) / width, loc=place, scale=width)
+    share = severity_density.weights(parameters)
+    assert severity_density.mean(share).item() == pytest.approx(exact.mean(), abs=1e-3)
+    for probability in (0.05, 0.5, 0.95):
+        found = severity_density.quantile(share, probability).item()
+        assert found == pytest.approx(exact.ppf(probability), abs=2e-3)
+    position = torch.tensor([0.3], dtype=torch.float64)
+    loss = severity_density.negative_log_likelihood(parameters, position).item()
+    assert loss == pytest.approx(-exact.logpdf(0.3), abs=0.02)
+
+
+def test_it_repeats_itself_to_the_bit_and_leaves_torch_alone() -> None:
+    X = generate_arrays(RECIPE, 2, 50).X
+    state, threads = torch.random.get_rng_state(), torch.get_num_threads()
+    first, second = (
+        PosteriorNetwork(RECIPE, steps=20, batch_size=64, random_state=7).fit_stream() for _ in range(2)
+    )
+    np.testing.assert_array_equal(first.predict_proba(X), second.predict_proba(X))
+    np.testing.assert_array_equal(first.predict_severity(X).low, second.predict_severity(X).low)
+    other = PosteriorNetwork(RECIPE, steps=20, batch_size=64, random_state=8).fit_stream()
+    assert not np.array_equal(first.predict_proba(X), other.predict_proba(X))
+    assert torch.equal(state, torch.random.get_rng_state())
+    assert threads == torch.get_num_threads()
+
+
+def test_a_recipe_with_more_nuisances_is_seen_along_more_directions() -> None:
+    seen = {
+        name: SignalSpace.of_recipe(named_recipe(name), None, sees_noise=False).n_coordinates
+        for name in ("bench", "field")
+    }
+    assert seen == {"bench": 10, "field": 32}
+    assert SignalSpace.of_recipe(RECIPE, 3, sees_noise=False).n_coordinates == 3
+
+
+def test_commissioning_starts_are_not_learned_as_healthy_motors() -> None:
+    X = generate_arrays(RECIPE, 2, 50).X
+    several = replace(RECIPE, starts_per_motor=5, healthy_starts=3)
+    first, second = (
+        PosteriorNetwork(recipe, steps=20, batch_size=64, random_state=7).fit_stream()
+        for recipe in (RECIPE, several)
+    )
+    np.testing.assert_array_equal(first.predict_proba(X), second.predict_proba(X))
+
+
+def test_fit_checks_the_cases_and_learns_from_the_stream() -> None:
+    data = generate_arrays(RECIPE, 3, 60)
+    model = PosteriorNetwork(RECIPE, steps=10, batch_size=32, random_state=0)
+    streamed = clone(model).fit_stream().predict_proba(data.X)
+    np.testing.assert_array_equal(clone(model).fit(data.X, data.class_name).predict_proba(data.X), streamed)
+    with pytest.raises(ValueError, match="class must be one of"):
+        model.fit(data.X, np.where(data.class_index > 0, "odd", "healthy"))
+    with pytest.raises(ValueError, match="1 x 100 values"):
+        model.fit(data.X[:, :, :50], data.class_name)
+
+
+def test_severity_of_the_most_probable_kind(trained: PosteriorNetwork) -> None:
+    data = generate_arrays(RECIPE, 5, 300)
+    told = trained.predict_severity(data.X)
+    assert set(told.kind) <= {"bearing", "winding_contact"}
+    windings = data.kind == "winding_contact"
+    assert (told.kind[windings] == "winding_contact").mean() > 0.97
+    np.testing.assert_array_equal(
+        told.mean[told.kind == "bearing"],
+        trained.predict_severity(data.X, "bearing").mean[told.kind == "bearing"],
+    )
+    assert ((told.low <= told.mean) & (told.mean <= told.high)).all()
+    narrow = trained.predict_severity(data.X, "bearing", coverage=0.5)
+    wide = trained.predict_severity(data.X, "bearing", coverage=0.9)
+    assert (narrow.high - narrow.low < wide.high - wide.low).all()
+    with pytest.raises(ValueError, match="kind must be one of bearing"):
+        trained.predict_severity(data.X, "noise")
+    with pytest.raises(ValueError, match="coverage must be in"):
+        trained.predict_severity(data.X, coverage=1.0)
+
+
+def test_without_a_recipe_it_learns_the_cases_and_tells_no_severity() -> None:
+    train, test = generate_arrays(RECIPE, 1, 1000), generate_arrays(RECIPE, 2, 400)
+    model = PosteriorNetwork(steps=300, batch_size=64, n_components=6, random_state=0).fit(
+        train.X, train.class_name
+    )
+    assert model.score(test.X, test.class_name) > 0.7  # the limit at 1 kHz is 0.80
+    with pytest.raises(ValueError, match="trained with a recipe"):
+        model.predict_severity(test.X)
+    with pytest.raises(ValueError, match="needs a recipe"):
+        PosteriorNetwork().fit_stream()
+
+
+def test_a_noise_fault_is_told_by_what_is_left_over() -> None:
+    recipe = replace(FULL, classes=(FULL.classes[0], FULL.classes[-1]))
+    data = generate_arrays(recipe, 2, 1000)
+    model = PosteriorNetwork(recipe, steps=200, batch_size=128, random_state=0).fit_stream()
+    assert model.score(data.X, data.class_name) > 0.97  # twice the variance over 100 samples
+    loud = data.X[data.class_index == 1][:60]
+    exact = severity_posterior(recipe, model.severity_priors_[-1], loud)
+    told = model.predict_severity(loud, "noise")
+    assert np.sqrt(np.square(told.mean - exact.mean).mean()) < 0.05
+
+
+def test_the_noise_may_be_unknown() -> None:
+    model = PosteriorNetwork(RECIPE, noise_range=(0.25, 5.0), random_state=0, **QUICK).fit_stream()
+    for factor in (0.25, 5.0):
+        sensor = replace(RECIPE.sensor, current_noise_a=factor * RECIPE.sensor.current_noise_a)
+        cell = limit_cell(model, replace(RECIPE, sensor=sensor), 4, 2000)
+        # A network that takes the noise for the recipe's has 2.8 and 8.9 times the log-loss of the limit.
+        assert cell.excess.excess > -0.03
+        assert cell.model.log_loss < 1.2 * cell.limit.log_loss
+    for bad in ((0.0, 1.0), (2.0, 1.0)):
+        with pytest.raises(ValueError, match="noise_range must be 0 < low < high"):
+            PosteriorNetwork(RECIPE, noise_range=bad).fit_stream()
+    with pytest.raises(ValueError, match="they look the same"):
+        PosteriorNetwork(FULL, noise_range=(0.5, 2.0)).fit_stream()
+
+
+def recipes() -> Iterator[Recipe]:
+    yield replace(RECIPE, sensor=SensorParameters(channels=(Channel.CURRENT, Channel.SPEED)))
+    yield named_recipe("field", timing=Timing(1_000.0, 0.05, quiet_s=0.01))
+    yield named_recipe("paper", timing=Timing(1_000.0, 0.006))
+    joint = FaultClass(FaultKind.BEARING, 0.1, also=(FaultClass(FaultKind.NOISE, 1.0),))
+    yield replace(RECIPE, classes=(FaultClass(), joint, FaultClass(FaultKind.BEARING, 0.05, severity_to=0.5)))
+
+
+@pytest.mark.parametrize("recipe", list(recipes()), ids=["speed", "field", "few samples", "joint"])
+def test_any_recipe_trains(recipe: Recipe) -> None:
+    model = PosteriorNetwork(recipe, steps=10, batch_size=32, random_state=0).fit_stream()
+    data = generate_arrays(recipe, 2, 20)
+    probabilities = model.predict_proba(data.X)
+    np.testing.assert_allclose(probabilities.sum(axis=1), 1.0)
+    assert model.classes_.tolist() == sorted(recipe.class_names)
+    assert np.isfinite(model.predict_severity(data.X).mean).all()
+
+
+def test_ranges_of_severities() -> None:
+    ranges = {str(prior.kind): prior.largest for prior in severity_priors(FULL)}
+    assert ranges == pytest.approx(
+        {"bearing": 0.3, "winding_contact": 0.3, "winding_short": 0.3, "noise": 1.2}
+    )
+    drawn = generate_arrays(severity_recipe(FULL), 1, 2000)
+    for n, top in enumerate(ranges.values()):
+        assert kstest(drawn.severity[drawn.class_index == n] / top, "uniform").pvalue > 1e-3
+
+
+def test_one_thread_is_handed_back() -> None:
+    before = torch.get_num_threads()
+    with one_thread():
+        assert torch.get_num_threads() == 1
+    assert torch.get_num_threads() == before

@@ -1,0 +1,156 @@
+"""Reference starts: the posterior against one joint fit of all starts, the limits known, and features that use them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from sklearn.base import clone
+from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis
+from sklearn.pipeline import make_pipeline
+
+from motor_classifiers.estimators.features import ResidualProjection
+from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.reference_starts import (
+    RecentredStarts,
+    referenced_probabilities,
+    referenced_starts,
+    split_starts,
+)
+from motor_datasets.generate import generate_arrays
+from motor_env.inference.fit import step_voltage
+from motor_env.inference.posterior import class_probabilities, prior_from_starts
+from motor_env.motor.faults import apply_faults
+from motor_env.motor.parameters import FloatArray, MotorParameters
+from motor_env.simulation.recipes import FaultClass, Recipe, Spread, apply_factors, named_recipe
+from motor_env.simulation.simulate import Timing, simulate_states
+
+BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+
+
+def _current(recipe: Recipe, motor: MotorParameters, own: FloatArray, supply: float) -> FloatArray:
+    factors = 1.0 + recipe.spread.std * np.concatenate([[0.0], own])
+    voltage = (1.0 + recipe.spread.supply * supply) * step_voltage(recipe.timing, 12.0)
+    states: FloatArray = simulate_states(apply_factors(motor, factors), voltage, recipe.timing.dt_s)
+    return states[:, 0]
+
+
+def _joint_log_evidence(recipe: Recipe, starts: FloatArray, fault_class: FaultClass) -> float:
+    """Laplace's method over all starts at once: own factors common to all, a supply for each; up to a constant."""
+    faulty = apply_faults(recipe.motor, fault_class.faults)
+
+    def residuals(values: FloatArray) -> FloatArray:
+        own, supplies = values[:4], values[4:]
+        off = [
+            start - _current(recipe, faulty if n == 0 else recipe.motor, own, supply)
+            for n, (start, supply) in enumerate(zip(starts, supplies, strict=True))
+        ]
+        return np.concatenate([np.concatenate(off) / recipe.sensor.current_noise_a, values])
+
+    found = least_squares(residuals, np.zeros(4 + len(starts)))
+    jacobian = np.asarray(found.jac)
+    _, log_determinant = np.linalg.slogdet(jacobian.T @ jacobian)
+    return float(-found.cost - 0.5 * log_determinant)
+
+
+@pytest.mark.parametrize("n_references", [1, 3])
+def test_the_posterior_is_that_of_all_starts_at_once(n_references: int) -> None:
+    drawn = referenced_starts(BENCH, 4, np.arange(6), n_references)
+    got = referenced_probabilities(BENCH, drawn.X)
+    starts = split_starts(drawn.X, BENCH)[:, :, 0].astype(np.float64)
+    for case, probabilities in zip(starts, got, strict=True):
+        evidence = np.array([_joint_log_evidence(BENCH, case, fault) for fault in BENCH.classes])
+        expected = np.exp(evidence - evidence.max())
+        np.testing.assert_allclose(probabilities, expected / expected.sum(), atol=0.006)
+
+
+def test_without_references_nothing_changes() -> None:
+    drawn = referenced_starts(BENCH, 4, np.arange(20), 0)
+    plain = generate_arrays(BENCH, 4, 20)
+    np.testing.assert_array_equal(drawn.X, plain.X)
+    np.testing.assert_array_equal(drawn.class_name, plain.class_name)
+    expected = class_probabilities(BENCH, plain.X)
+    np.testing.assert_allclose(referenced_probabilities(BENCH, drawn.X), expected, atol=1e-9)
+
+
+def test_references_are_healthy_starts_of_the_same_motor() -> None:
+    recipe = replace(BENCH, sensor=replace(BENCH.sensor, current_noise_a=0.005))
+    n = 200
+    drawn = referenced_starts(recipe, 4, np.arange(n), 2)
+    prior = prior_from_starts(recipe, split_starts(drawn.X, recipe)[:, 1:])
+    several = replace(recipe, starts_per_motor=3, healthy_starts=2)
+    truth = generate_arrays(several, 4, np.arange(n) * 3 + 2)
+    resistance = truth.parameters["resistance_ohm"] / recipe.motor.resistance_ohm
+    error = prior.mean[:, 1] * recipe.spread.resistance + 1.0 - resistance
+    std = recipe.spread.resistance * np.sqrt(np.linalg.inv(prior.precision)[:, 1, 1])
+    assert std.max() < 0.9 * recipe.spread.resistance
+    assert np.square(error / std).mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / n))
+    # The supply of the next start is another one.
+    np.testing.assert_allclose(prior.mean[:, 0], 0.0)
+    np.testing.assert_allclose(prior.precision[:, 0], np.tile(np.eye(5)[0], (n, 1)), atol=1e-9)
+
+
+def test_the_limit_rises_towards_that_of_a_known_motor() -> None:
+    recipe = replace(BENCH, timing=Timing(2_000.0, 0.1))
+    known = replace(
+        recipe, spread=Spread(supply=0.01, resistance=0.003, constants=0.002, inertia=0.002, friction=0.002)
+    )
+    few = [
+        referenced_probabilities(recipe, referenced_starts(recipe, 5, np.arange(600), k).X).max(axis=1)
+        for k in (0, 1, 5)
+    ]
+    best = class_probabilities(known, generate_arrays(known, 5, 600).X).max(axis=1)
+    expected = [share.mean() for share in (*few, best)]
+    error = 4.0 * max(share.std() for share in few) / np.sqrt(600)
+    assert expected[0] + 0.005 < expected[2] < expected[3] + error
+    assert expected[0] - error < expected[1] < expected[2] + error
+
+
+def test_a_plain_classifier_uses_references_by_recentred_starts() -> None:
+    recipe = named_recipe("bench", timing=Timing(5_000.0, 0.1))
+    train, test = (referenced_starts(recipe, 6, np.arange(1500) + first, 3) for first in (0, 10_000))
+    alone = make_pipeline(ResidualProjection(recipe, 6), QuadraticDiscriminantAnalysis())
+    given = make_pipeline(RecentredStarts(recipe), clone(alone))
+    judged = len(recipe.sensor.channels)
+    one = given.fit(train.X, train.class_name).predict(test.X) == test.class_name
+    other = alone.fit(train.X[:, :judged], train.class_name).score(test.X[:, :judged], test.class_name)
+    assert one.mean() > other + 0.005
+    best = referenced_probabilities(recipe, test.X).argmax(axis=1) == test.class_index
+    difference = one.astype(np.float64) - best
+    assert abs(difference.mean()) < 0.005 + 3.0 * difference.std() / np.sqrt(len(best))
+    with pytest.raises(ValueError, match="a case must be starts of 1 x 500 values"):
+        split_starts(test.X[:, :, :-1], recipe)
+
+
+def test_recentred_starts_are_those_of_the_nominal_motor() -> None:
+    """Of healthy motors seen without noise nothing but the supply of the judged start is left."""
+    quiet = replace(BENCH, sensor=replace(BENCH.sensor, current_noise_a=1e-4))
+    sound = replace(quiet, classes=(FaultClass(),), spread=replace(quiet.spread, supply=0.0))
+    drawn = referenced_starts(sound, 3, np.arange(20), 4)
+    nominal = generate_arrays(replace(sound, spread=Spread()), 3, 1).X[0, 0]
+    recentred = RecentredStarts(sound).fit_transform(drawn.X)
+    assert recentred.shape == (20, 100)
+    assert np.abs(drawn.X[:, 0] - nominal).max() > 0.02
+    assert np.abs(recentred - nominal).max() < 1e-3
+    np.testing.assert_array_equal(RecentredStarts(sound).fit_transform(drawn.X[:, :1]), drawn.X[:, 0])
+
+
+def test_a_network_learns_from_the_stream_of_referenced_starts() -> None:
+    model = PosteriorNetwork(
+        BENCH, n_components=12, steps=150, batch_size=256, n_references=1, random_state=0
+    ).fit_stream()
+    test = referenced_starts(BENCH, 7, np.arange(1000), 1)
+    limit = referenced_probabilities(BENCH, test.X)
+    columns = [model.classes_.tolist().index(name) for name in BENCH.class_names]
+    own = model.predict_proba(test.X)[:, columns]
+    hits = [(p.argmax(axis=1) == test.class_index).mean() for p in (limit, own)]
+    assert hits[1] > hits[0] - 0.03
+    assert np.abs(own - limit).mean() < 0.05
+    told = model.predict_severity(test.X, "winding_contact")
+    contact = test.kind == "winding_contact"
+    assert np.abs(told.mean - test.severity)[contact].mean() < 0.03
+    with pytest.raises(ValueError, match="a case must be 2 starts, got 1"):
+        model.fit(test.X[:, :1], test.class_name)
+    full = named_recipe("bench-full", timing=BENCH.timing)
+    with pytest.raises(ValueError, match="n_references must be 0 for a recipe with a noise fault"):
+        PosteriorNetwork(full, n_references=1).fit_stream()

@@ -1,0 +1,40 @@
+"""Line charts: where values stand, and that no label covers another."""
+
+import re
+from itertools import pairwise
+
+import pytest
+
+from motor_classifiers.report.line_charts import Axis, Line, line_chart, share_axis
+
+
+def test_places_on_plain_and_logarithmic_axes() -> None:
+    plain = Axis("ms", 0.0, 100.0, [0.0, 100.0])
+    assert [plain.place(value) for value in (0.0, 25.0, 100.0, 130.0)] == [0.0, 0.25, 1.0, 1.0]
+    log = Axis("wrong", 0.001, 1.0, [], is_share=True, is_log=True)
+    assert log.place(0.001) == 0.0
+    assert log.place(0.1) == pytest.approx(2.0 / 3.0)
+    assert log.place(1e-9) == 0.0
+    assert (plain.name(20.0), log.name(0.002), log.name(0.5)) == ("20", "0.2 %", "50 %")
+
+
+def test_points_are_drawn_where_the_axes_say() -> None:
+    line = Line("one", "s1 dashed", [0.0, 10.0], [0.5, 1.0])
+    chart = line_chart(
+        [line], Axis("x", 0.0, 10.0, [0.0, 10.0]), Axis("y", 0.5, 1.0, [0.5, 1.0]), named=False
+    )
+    (left, low), (right, high) = (
+        (float(x), float(y)) for x, y in re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)"', chart)
+    )
+    assert left < right
+    assert low > high  # up on the page is small y
+    assert 'class="series s1 dashed"' in chart
+    assert "one, 10: 1" in chart
+
+
+def test_labels_of_equal_ends_do_not_cover_each_other() -> None:
+    lines = [Line(f"m{n}", "s1", [1.0, 2.0], [0.8, 0.9]) for n in range(5)]
+    chart = line_chart(lines, Axis("x", 1.0, 2.0, [1.0, 2.0], is_log=True), share_axis([0.8, 0.9]))
+    heights = sorted(float(y) for y in re.findall(r'y="([\d.]+)">m\d</text>', chart))
+    assert len(heights) == 5
+    assert all(below - above >= 12.9 for above, below in pairwise(heights))

@@ -1,0 +1,135 @@
+"""Answers of other packages' classifiers: exported, read back, and refused where they speak of other starts."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from motor_classifiers.scoring import trust as trust_module
+from motor_classifiers.scoring.benchmark import run_plan
+from motor_classifiers.scoring.judging import Cell
+from motor_classifiers.scoring.peers import PEERS, export_cases, read_peers, shipped_peers
+from motor_classifiers.scoring.plan import Plan
+from motor_classifiers.scoring.results import result_rows
+from motor_classifiers.scoring.trust import Counts
+from motor_env.errors import InputError
+from motor_env.simulation.recipes import named_recipe
+from motor_env.simulation.simulate import Timing
+
+CELL = Cell(named_recipe("bench", timing=Timing(1_000.0, 0.1)), 100, 60)
+
+
+def _answers(cases: Path, target: Path, **changes: Any) -> None:
+    """What benchmarks/aeon_peers.py writes, from a peer that calls every second start healthy and no other."""
+    with np.load(cases) as held:
+        arrays = {name: held[name] for name in held.files}
+    n_classes = int(arrays["n_classes"])
+    found = np.full((len(arrays["test_X"]), n_classes), 0.5 / (n_classes - 1))
+    found[::2, 0] = 0.5
+    found[1::2] = np.eye(n_classes)[1]
+    told = {
+        "train_s": 1.5,
+        "microseconds_per_transient": 200.0,
+        "train_memory_mb": None,
+        "inference_memory_mb": 3.0,
+        "graded": True,
+    }
+    facts = {
+        "date": "2026-11-21",
+        "machine": "one",
+        "aeon": "1.6.0",
+        "command": "test",
+        "methods": {"quant": told},
+    }
+    identity = ("train_mean", "test_mean", "train_class_index", "test_class_index")
+    written = {name: arrays[name] for name in identity}
+    np.savez(target, facts=np.array(json.dumps(facts)), quant=found.astype(np.float16), **(written | changes))
+
+
+@pytest.fixture
+def peers(tmp_path: Path) -> Path:
+    """A file of answers to the starts of `CELL`."""
+    export_cases(CELL, tmp_path / "cases.npz")
+    _answers(tmp_path / "cases.npz", tmp_path / "peers.npz")
+    return tmp_path / "peers.npz"
+
+
+def test_exported_starts_are_those_of_the_benchmark(tmp_path: Path) -> None:
+    export_cases(CELL, tmp_path / "cases.npz")
+    with np.load(tmp_path / "cases.npz") as held:
+        np.testing.assert_array_equal(held["train_X"], CELL.train().X)
+        np.testing.assert_array_equal(held["test_class_index"], CELL.test().class_index)
+
+
+def test_peers_stand_in_the_table_and_are_no_leak(peers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = Counts(threshold=100, known=60, foreign=20, early=40, healthy=60)
+    monkeypatch.setattr(trust_module, "COUNTS", few)
+    (result,) = run_plan(Plan((CELL,), (), peers))
+    (quant,) = result.methods
+    assert quant.name == "quant"
+    assert quant.origin.startswith("2026-11-21")
+    expected = np.where(np.arange(60) % 2 == 0, 0, 1)
+    np.testing.assert_array_equal(quant.judged.answer.decided, expected)
+    row = result_rows([result])[1]
+    assert row["family"] == "peer"
+    assert row["train_memory_mb"] is None
+    assert row["microseconds_per_transient"] == pytest.approx(200.0)
+    assert row["accuracy"] == pytest.approx((expected == CELL.test().class_index).mean())
+
+
+def test_answers_to_other_starts_are_left_out(peers: Path) -> None:
+    recipe = CELL.recipe
+    assert read_peers(peers, CELL) is not None
+    assert read_peers(peers, Cell(recipe, 100, 50)) is not None  # the first of its starts
+    for other in (
+        Cell(recipe, 101, 60),
+        Cell(recipe, 100, 61),
+        Cell(recipe, 100, 60, seed=1),
+        Cell(named_recipe("bench", timing=Timing(2_000.0, 0.1)), 100, 60),
+    ):
+        assert read_peers(peers, other) is None
+
+
+def test_a_shifted_level_is_another_start(tmp_path: Path) -> None:
+    export_cases(CELL, tmp_path / "cases.npz")
+    moved = CELL.test().X.mean(axis=(1, 2)) + np.float32(1e-4)
+    _answers(tmp_path / "cases.npz", tmp_path / "peers.npz", test_mean=moved)
+    assert read_peers(tmp_path / "peers.npz", CELL) is None
+
+
+class _Evil:
+    """Runs code when it is unpickled."""
+
+    def __reduce__(self) -> tuple[Any, tuple[str]]:
+        return (print, ("run by a poisoned file",))
+
+
+def test_poisoned_and_damaged_files_are_refused(
+    peers: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = peers.read_bytes()
+    poisoned = tmp_path / "poisoned.npz"
+    np.savez(poisoned, facts=np.array([_Evil()], dtype=object))
+    cut = tmp_path / "cut.npz"
+    cut.write_bytes(whole[: len(whole) // 2])
+    text = tmp_path / "text.npz"
+    text.write_text("no archive")
+    for path in (poisoned, cut, text, tmp_path / "none.npz"):
+        with pytest.raises(InputError, match=path.name):
+            read_peers(path, CELL)
+    assert "poisoned" not in capsys.readouterr().out
+
+
+def test_shipped_answers_are_those_of_the_default_setting() -> None:
+    found = read_peers(shipped_peers(), Cell(named_recipe("bench")))
+    assert found is not None
+    assert set(found.answers) == set(PEERS)
+    truth = Cell(named_recipe("bench")).test().class_index
+    accuracy = {name: (answer.decided == truth).mean() for name, answer in found.answers.items()}
+    # Measured before: QUANT 0.932, MiniRocket 0.817, MultiRocket-Hydra 0.828 on other starts of the recipe.
+    assert accuracy["quant"] == pytest.approx(0.935, abs=0.02)
+    assert accuracy["minirocket"] == pytest.approx(0.82, abs=0.03)
+    assert accuracy["multirocket-hydra"] == pytest.approx(0.83, abs=0.03)
+    assert found.graded == {"quant"}

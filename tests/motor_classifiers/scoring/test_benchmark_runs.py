@@ -1,0 +1,316 @@
+"""The command `motor-classifiers benchmark`: the page, the check against the limit, sweeps that go on, wrong use."""
+
+import csv
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from motor_classifiers.cli.main import main
+from motor_classifiers.report.page import write_results
+from motor_classifiers.scoring import benchmark as benchmark_module
+from motor_classifiers.scoring import trust as trust_module
+from motor_classifiers.scoring.benchmark import run_plan
+from motor_classifiers.scoring.judging import (
+    LIMIT,
+    Answer,
+    Cell,
+    answer_key,
+    judge,
+    judge_apart,
+    judged_cases,
+    load_answer,
+    posterior,
+    save_answer,
+)
+from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, make_cells, units
+from motor_classifiers.scoring.results import result_rows
+from motor_classifiers.scoring.trust import TRUST, Counts
+from motor_env.errors import InputError
+from motor_env.simulation.recipes import Recipe, named_recipe
+from motor_env.simulation.simulate import Timing
+
+SLOW = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+CELL = Cell(SLOW, 300, 200)
+FAST = ["benchmark", "--sampling-rate-hz", "1000", "--n-train", "300", "--n-test", "200"]
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures on trust from few starts: what they say is tested elsewhere."""
+    few = Counts(threshold=100, known=60, foreign=20, severity=20, early=40, healthy=60, steps=5)
+    monkeypatch.setattr(trust_module, "COUNTS", few)
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Judge in this process: what is tested is not the isolation."""
+    monkeypatch.setattr(benchmark_module, "judge_apart", judge)
+
+
+@pytest.mark.usefixtures("at_once")
+def test_benchmark_writes_a_page_that_needs_nothing_else(tmp_path: Path) -> None:
+    methods = ["threshold", "residual-qda", "network"]
+    assert main([*FAST, "--methods", ",".join(methods), "--out", str(tmp_path)]) == 0
+    rows = json.loads((tmp_path / "results.json").read_text())
+    assert [row["method"] for row in rows] == ["Bayes limit", *methods]
+    for row in rows:
+        assert row["accuracy_low"] <= row["accuracy"] <= row["accuracy_high"]
+        assert (row["recipe"], row["sampling_rate_hz"], row["noise_a"]) == ("bench", 1000.0, 0.02)
+        assert 0.7 < row["bayes_accuracy"] < 0.9
+        assert row["accuracy"] < row["bayes_accuracy"] + 0.05
+        assert sum(map(sum, row["confusion"])) == 200
+    with (tmp_path / "results.csv").open() as file:
+        flat = list(csv.DictReader(file))
+    assert [float(row["accuracy"]) for row in flat] == [row["accuracy"] for row in rows]
+    page = (tmp_path / "report.html").read_text()
+    assert not re.search(r"src\s*=|href\s*=\s*\"?[^#\"]|@import|url\(|https?://", page)
+    # accuracy, three sub-scores, four curves of confidence, severities, three of trust, and three charts a class
+    assert page.count("<svg") == 1 + 3 + 4 + 1 + 3 + 15
+    assert not (tmp_path / "answers").exists()
+    trust = json.loads((tmp_path / "trust.json").read_text())
+    assert [row["method"] for row in trust["sets"]["methods"]] == [
+        "limit", *sorted(methods, key=lambda name: -next(r["accuracy"] for r in rows if r["method"] == name))
+    ]  # fmt: skip
+    assert "posterior-network, which tells severities, is not among the methods" in page
+
+
+@pytest.mark.usefixtures("at_once")
+def test_a_method_above_the_limit_fails_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The limit is made worse here, so that an honest method stands above it."""
+
+    def worse(cell: Cell) -> Answer:
+        true = posterior(cell)
+        return true._replace(probabilities=np.roll(true.probabilities, 1, axis=1))
+
+    monkeypatch.setattr(benchmark_module, "posterior", worse)
+    assert main([*FAST, "--methods", "residual-qda", "--out", str(tmp_path)]) == 1
+    assert "residual-qda scored above the Bayes limit" in capsys.readouterr().err
+    assert "Failing check: residual-qda" in (tmp_path / "report.html").read_text()
+
+
+def test_a_process_of_its_own_gives_the_same_answer() -> None:
+    here, apart = judge("residual-qda", CELL), judge_apart("residual-qda", CELL)
+    np.testing.assert_array_equal(here.probabilities, apart.probabilities)
+    assert apart.train.seconds > 0.0
+    if sys.platform == "linux":
+        assert apart.train.memory_mb is not None
+        # 1,000 noise-free starts of 100 samples and their singular vectors: some MB, and not the libraries.
+        assert 0.0 <= apart.train.memory_mb < 200.0
+
+
+def test_a_process_that_dies_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=r"residual-qda on bench, .*: its process ended without an answer"):
+        judge_apart("residual-qda", _Deadly(SLOW, 300, 200))
+
+
+class _Monotonous(Cell):
+    """A setting whose training starts are all healthy."""
+
+    def train(self) -> Any:
+        starts = super().train()
+        return starts.select(np.flatnonzero(starts.class_index == 0))
+
+
+class _Deadly(Cell):
+    """A setting whose starts kill the process that asks for them, as too little memory would."""
+
+    def train(self) -> Any:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_method_that_fails_is_named_and_costs_no_other_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def judged(name: str, cell: Cell) -> Answer:
+        return judge_apart(name, _Monotonous(SLOW, 50, 50)) if name == "residual-qda" else judge(name, cell)
+
+    monkeypatch.setattr(benchmark_module, "judge_apart", judged)
+    store = AnswerStore(tmp_path)
+    plan = Plan((Cell(SLOW, 50, 50),), ("residual-qda", "raw-logistic"))
+    with pytest.raises(InputError, match=r"1 of 4 answers failed, the first: residual-qda on bench.*class"):
+        run_plan(plan, store)
+    assert [store.find(unit) is not None for unit in units(plan)] == [True, False, True, True]
+
+
+def test_sweep_crosses_rates_and_noises_and_tries_sizes_at_the_usual_noise() -> None:
+    cells = make_cells((SLOW,), (1e3, 1e4), (0.02, 0.1), (300, 100), 200, 0)
+    found = {(c.recipe.timing.sampling_rate_hz, c.recipe.sensor.current_noise_a, c.n_train) for c in cells}
+    assert found == {
+        (rate, noise, 300) for rate in (1e3, 1e4) for noise in (0.02, 0.1)
+    } | {(rate, 0.02, 100) for rate in (1e3, 1e4)}  # fmt: skip
+    plan = Plan(cells, ("residual-qda", "posterior-network"))
+    names = [unit.name for unit in units(plan)]
+    # Neither the limit nor a network with a stream of its own depends on the given training starts.
+    assert names.count(LIMIT) == names.count("posterior-network") == 4
+    assert names.count("residual-qda") == 6
+
+
+def test_answers_survive_and_damaged_ones_are_had_again(tmp_path: Path) -> None:
+    answer = posterior(CELL)
+    path = tmp_path / "answer.npz"
+    save_answer(answer, path)
+    found = load_answer(path, CELL)
+    assert found is not None
+    np.testing.assert_array_equal(found.probabilities, answer.probabilities)
+    assert (found.train, found.inference) == (answer.train, answer.inference)
+    assert load_answer(path, Cell(SLOW, 300, 201)) is None
+    whole = path.read_bytes()
+    for cut in (0, 10, len(whole) // 2, len(whole) - 3):
+        path.write_bytes(whole[:cut])
+        assert load_answer(path, CELL) is None
+    assert load_answer(tmp_path / "none.npz", CELL) is None
+
+
+def test_the_key_holds_all_that_an_answer_depends_on() -> None:
+    other = named_recipe("bench", timing=Timing(2_000.0, 0.1))
+    cells = [CELL, Cell(SLOW, 301, 200), Cell(SLOW, 300, 201), Cell(SLOW, 300, 200, 1), Cell(other, 300, 200)]
+    assert len({answer_key("residual-qda", cell) for cell in cells}) == len(cells)
+    assert answer_key(LIMIT, cells[0]) == answer_key(LIMIT, cells[1])
+    assert answer_key("network", CELL) != answer_key("residual-qda", CELL)
+
+
+@pytest.mark.usefixtures("at_once")
+def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    plan = Plan(make_cells((SLOW,), (), (0.02, 0.1), (300,), 200, 0), ("residual-qda",))
+    first = units(plan)[2]
+    assert units(plan)[4].name == TRUST
+
+    def interrupt(unit: Unit, known: bool) -> None:
+        if unit == first:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_plan(plan, AnswerStore(tmp_path), interrupt)
+    asked: list[bool] = []
+    results = run_plan(plan, AnswerStore(tmp_path), lambda unit, known: asked.append(known))
+    assert asked == [True, True, False, False, False]
+    asked.clear()
+    again = run_plan(plan, AnswerStore(tmp_path), lambda unit, known: asked.append(known))
+    assert all(asked)
+    assert [result.trust is not None for result in again] == [True, False]
+    assert again[0].trust == results[0].trust
+    asked.clear()
+    run_plan(plan, AnswerStore(tmp_path, fresh=True), lambda unit, known: asked.append(known))
+    assert not any(asked)
+    for result in results:
+        assert result.methods[0].judged.scores.accuracy.value > 0.4
+    page = write_results(plan, results, tmp_path / "page").read_text()
+    assert "Against the noise of the sensor" in page
+    settings = page.split('id="settings"')[1].split("</tbody>")[0]
+    assert settings.split("<tbody>")[1].count("<tr>") == 2
+    assert len(json.loads((tmp_path / "page" / "results.json").read_text())) == 4
+
+
+@pytest.mark.long
+@pytest.mark.timeout(400)
+def test_a_killed_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    """Killed without warning after the first answers; then only the others are asked for."""
+    arguments = [
+        *FAST,
+        "--current-noise-a",
+        "0.02,0.1",
+        "--methods",
+        "residual-qda,threshold",
+        "--out",
+        str(tmp_path),
+    ]
+    command = [sys.executable, "-m", "motor_classifiers", *arguments]
+    answers = tmp_path / "answers"
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as process:
+        until = time.monotonic() + 300.0
+        while (
+            len(list(answers.glob("[!.]*.npz"))) < 2 and time.monotonic() < until and process.poll() is None
+        ):
+            time.sleep(0.02)
+        process.kill()
+    kept = {path.name: path.stat().st_mtime_ns for path in answers.glob("[!.]*.npz")}
+    assert len(kept) >= 2
+    asked: list[str] = []
+    plan = Plan(make_cells((SLOW,), (1e3,), (0.02, 0.1), (300,), 200, 0), ("residual-qda", "threshold"))
+    results = run_plan(plan, AnswerStore(answers), lambda unit, known: asked.append(f"{unit.name} {known}"))
+    assert len(asked) == 7
+    assert sum(line.endswith("True") for line in asked) == len(kept)
+    assert {name: (answers / name).stat().st_mtime_ns for name in kept} == kept
+    fresh = run_plan(plan)
+    for one, other in zip(results, fresh, strict=True):
+        for mine, theirs in zip(one.methods, other.methods, strict=True):
+            np.testing.assert_array_equal(
+                mine.judged.answer.probabilities, theirs.judged.answer.probabilities
+            )
+
+
+def test_dry_run_tells_what_is_there_and_makes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["benchmark", "--full", "--dry-run", "--json", "--out", str(tmp_path / "none")]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    settings = {row["setting"] for row in rows}
+    assert len(settings) == 4 * (2 * 3 + 2 * 4)
+    assert not any(row["done"] for row in rows)
+    assert all(row["about_s"] > 0.0 for row in rows)
+    assert not list(tmp_path.iterdir())
+
+
+def test_commissioning_starts_are_not_judged() -> None:
+    field = named_recipe("field")
+    cases = judged_cases(field, 0, 5)
+    assert cases.tolist() == [3, 4, 8, 9, 13]
+    assert (judged_cases(SLOW, 7, 3) == [7, 8, 9]).all()
+    assert set(Cell(field, 200, 200).test().class_name.tolist()) == set(field.class_names)
+
+
+def _field_cell() -> Cell:
+    recipe: Recipe = named_recipe("field", timing=Timing(1_000.0, 0.1, 0.02))
+    return Cell(recipe, 200, 100)
+
+
+def test_the_limit_of_the_field_is_called_an_estimate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The estimate itself is made elsewhere; here a quick method stands for it."""
+    monkeypatch.setattr(benchmark_module, "judge_apart", lambda name, cell: judge("residual-qda", cell))
+    plan = Plan((_field_cell(),), ("residual-qda",))
+    results = run_plan(plan)
+    rows = result_rows(results)
+    assert rows[0]["method"] == "Bayes estimate"
+    assert all(row["bayes_is_estimate"] for row in rows)
+    page = write_results(plan, results, tmp_path).read_text()
+    assert "estimate of the limit" in page
+    assert "Bayes limit on these motors" not in page
+    assert page.count("Left out: the likelihood of recipe field has no closed form") == 3
+    told = results[0].trust
+    assert told is not None
+    assert [row["method"] for row in told["sets"]["methods"]] == ["limit", "residual-qda"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["benchmark", "--methods", "none"],
+        ["benchmark", "--recipe", "none"],
+        ["benchmark", "--n-train", "3"],
+        ["benchmark", "--n-train", "300,300"],
+        ["benchmark", "--sampling-rate-hz", "fast"],
+        ["benchmark", "--peers", "none.npz"],
+        ["train", "none", "--out", "x"],
+        ["predict", "none.csv", "--model", "none"],
+    ],
+)
+def test_wrong_use_is_one_sentence(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())

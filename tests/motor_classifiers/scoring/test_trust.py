@@ -1,0 +1,220 @@
+"""How far models can be trusted: under other conditions, on foreign faults, on halves; what the figures say."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sklearn.metrics import roc_auc_score
+
+from motor_classifiers.scoring import trust as trust_module
+from motor_classifiers.scoring.judging import Cell
+from motor_classifiers.scoring.shifts import shift_scores, textbook_shifts
+from motor_classifiers.scoring.trust import (
+    SECTIONS,
+    Counts,
+    halves_coverage,
+    load_figures,
+    save_figures,
+    shipped_network,
+    trust_figures,
+    trust_key,
+)
+from motor_classifiers.scoring.unknown_faults import (
+    DISTANCE,
+    FALSE_ALARM_RATES,
+    UNKNOWN_FAULTS,
+    ForeignFault,
+    foreign_scores,
+    foreign_starts,
+    plot_roc,
+)
+from motor_classifiers.wrappers.conformal import ConformalSets
+from motor_classifiers.wrappers.open_set import FaultFamilyDetector
+from motor_datasets.generate import generate_arrays
+from motor_env.inference.posterior import class_probabilities
+from motor_env.simulation.recipes import FaultClass, Recipe, Spread, named_recipe
+from motor_env.simulation.simulate import Timing
+
+BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+
+
+class Posterior:
+    """The exact posterior as a fitted classifier."""
+
+    def __init__(self, recipe: Recipe) -> None:
+        self.recipe = recipe
+        self.classes_ = np.array(recipe.class_names)
+
+    def predict_proba(self, X: Any) -> Any:
+        return class_probabilities(self.recipe, X)
+
+
+def calibrated(model: Posterior) -> ConformalSets:
+    known = generate_arrays(BENCH, 2, np.arange(800) + 5_000)
+    return ConformalSets.calibrate(model.predict_proba(known.X), known.class_index)
+
+
+def test_the_posterior_keeps_its_word_and_loses_it_under_shifts() -> None:
+    model = Posterior(BENCH)
+    detector = FaultFamilyDetector(BENCH).fit(generate_arrays(BENCH, 2, 500).X)
+    conditions = {"same": BENCH, **textbook_shifts(BENCH)}
+    got = shift_scores(
+        model, BENCH, conditions, sets=calibrated(model), detector=detector, seed=3, cases=np.arange(300)
+    )
+    by_name = {score.name: score for score in got}
+    same = by_name["same"]
+    assert same.accuracy == same.limit
+    assert same.ece < 0.06
+    # A set may hold another level of the true kind, so kinds are covered more often than classes.
+    assert same.coverage > 0.86
+    assert same.other < 0.05
+    short = by_name["shorted turns, 10 %"]
+    assert (short.accuracy, short.limit, short.coverage) == (0.0, 1.0, 0.0)
+    assert short.other > 0.9
+    hotter = by_name["20 K hotter"]
+    assert hotter.accuracy < hotter.limit - 0.02
+    assert hotter.ece > same.ece + 0.05
+    assert by_name["sensor twice as noisy"].ece > same.ece
+    assert by_name["severities between the levels"].accuracy > 0.5
+
+
+def test_a_field_needs_a_reference() -> None:
+    model = Posterior(BENCH)
+    still = replace(
+        named_recipe("field").shifted("hotter"), motor=BENCH.motor, timing=BENCH.timing,
+        starts_per_motor=1, healthy_starts=0,
+    )  # fmt: skip
+    sets = calibrated(model)
+    cases = np.arange(60)
+    alone, estimated = (
+        shift_scores(model, BENCH, {"hotter": still}, sets=sets, reference=reference, seed=3, cases=cases)[0]
+        for reference in (None, lambda recipe: model)
+    )
+    assert np.isnan(alone.limit)
+    assert np.isnan(alone.other)
+    assert estimated.limit == estimated.accuracy
+    with pytest.raises(ValueError, match="has a field"):
+        foreign_starts(still, UNKNOWN_FAULTS[0], 0, np.arange(2))
+
+
+def test_foreign_starts_are_the_healthy_motors_with_the_change() -> None:
+    certain = replace(BENCH, spread=Spread(), classes=(FaultClass(),))
+    none = ForeignFault("none")
+    starts = foreign_starts(certain, none, 4, np.arange(5))
+    np.testing.assert_allclose(starts, generate_arrays(certain, 4, 5).X, atol=1e-6)
+    weak = ForeignFault("supply -50 %", supply=0.5)
+    silent = replace(certain, sensor=replace(certain.sensor, current_noise_a=1e-9))
+    half, full = (foreign_starts(silent, fault, 4, np.arange(1)) for fault in (weak, none))
+    np.testing.assert_allclose(half, 0.5 * full, atol=1e-6)
+
+
+def foreign() -> Any:
+    """Three foreign faults on few starts, told by distance and by the exact posterior's confidence."""
+    return foreign_scores(
+        BENCH, {"limit": Posterior(BENCH).predict_proba}, UNKNOWN_FAULTS, seed=5, first_case=0,
+        n_threshold=600, n_known=600, n_foreign=100,
+    )  # fmt: skip
+
+
+def test_distance_tells_foreign_faults_and_confidence_does_not(tmp_path: Path) -> None:
+    got = foreign()
+    assert 0.0 <= got.false_alarms < 0.03
+    heavy, _, weak = got.faults
+    assert heavy.auroc[DISTANCE] > 0.99
+    assert heavy.found > 0.99
+    assert weak.auroc[DISTANCE] > 0.92
+    assert weak.auroc["limit"] < 0.5
+    # The area by scikit-learn on the same starts, and the drawn curve's own area.
+    known = class_probabilities(BENCH, generate_arrays(BENCH, 5, 600).X).max(axis=1)
+    trust = class_probabilities(BENCH, foreign_starts(BENCH, UNKNOWN_FAULTS[2], 5, np.arange(100))).max(
+        axis=1
+    )
+    area = roc_auc_score(np.repeat([0, 1], [600, 100]), -np.concatenate([known, trust]))
+    assert weak.auroc["limit"] == pytest.approx(area)
+    assert np.trapezoid(weak.roc["limit"], FALSE_ALARM_RATES) == pytest.approx(area, abs=0.01)
+    first, second = tmp_path / "one.svg", tmp_path / "two.svg"
+    plot_roc(got.faults, "limit", first)
+    plot_roc(got.faults[:1], "limit", second)
+    assert first.read_bytes() != second.read_bytes()
+
+
+def test_each_half_of_the_motors_calibrates_the_other() -> None:
+    rng = np.random.default_rng(1)
+    motors = np.repeat(np.arange(300), 2)
+    truth = rng.integers(3, size=300)[motors]
+    probabilities = rng.dirichlet(np.ones(3), size=600) + 1.5 * np.eye(3)[truth] * rng.random((600, 1))
+    probabilities /= probabilities.sum(axis=1, keepdims=True)
+    got = halves_coverage(probabilities, truth, motors)
+    even = motors % 2 == 0
+    held = np.zeros(600, dtype=bool)
+    for known in (even, ~even):
+        for label in range(3):
+            # The rank of split conformal prediction: the ceil(0.9 (n + 1))-th strangest of a class is still in.
+            strange = np.sort(1.0 - probabilities[known & (truth == label), label])
+            largest = strange[int(np.ceil(0.9 * (len(strange) + 1))) - 1]
+            mine = ~known & (truth == label)
+            held[mine] = 1.0 - probabilities[mine, label] <= largest + 1e-12
+    assert got.overall == pytest.approx(held.mean())
+    assert got.by_class == pytest.approx([held[truth == label].mean() for label in range(3)])
+    with pytest.raises(ValueError, match="each class needs"):
+        halves_coverage(probabilities[:2], truth[:2], motors[[0, 2]])
+
+
+FEW = Counts(threshold=100, known=60, foreign=20, severity=40, early=60, healthy=60, steps=5)
+
+
+def test_figures_are_json_and_survive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trust_module, "COUNTS", FEW)
+    cell = Cell(BENCH, 200, 100)
+    told = trust_figures(cell, with_network=False)
+    assert told["severity"].keys() == {"reason"}
+    assert len(told["unknown"]["settings"]) == 1
+    assert set(told["unknown"]["settings"][0]["faults"][0]["auroc"]) == {DISTANCE, "limit"}
+    assert all(0.0 <= share <= 1.0 for shares in told["early"]["accuracy"].values() for share in shares)
+    assert [row["stated"] for row in told["early"]["stopping"][::2]] == [0.10, 0.05, 0.02, 0.01]
+    path = tmp_path / "figures.json"
+    save_figures(told, path)
+    assert load_figures(path) == json.loads(json.dumps(told))
+    assert load_figures(path) == json.loads(json.dumps(trust_figures(cell, with_network=False)))
+    whole = path.read_bytes()
+    for damaged in (whole[: len(whole) // 2], b"[]", b"{}", b""):
+        path.write_bytes(damaged)
+        assert load_figures(path) is None
+    assert load_figures(tmp_path / "none.json") is None
+
+
+def test_the_shipped_network_is_taken_where_the_recipe_is_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trust_module, "COUNTS", FEW)
+    recipe = named_recipe("bench")
+    assert shipped_network(recipe) is not None
+    assert shipped_network(BENCH) is None
+    told = trust_module._severity(Cell(recipe), shipped_network(recipe))
+    assert told["network_is_shipped"]
+    by_kind = {row["kind"]: row for row in told["kinds"]}
+    assert set(by_kind) == {"bearing", "winding_contact", "winding_short"}
+    for row in by_kind.values():
+        assert row["network"]["rmse"] == pytest.approx(row["limit"]["rmse"], rel=0.15)
+
+
+def test_what_a_setting_cannot_have_is_left_out_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trust_module, "COUNTS", FEW)
+    told = trust_figures(Cell(named_recipe("field"), 100, 100), with_network=True)
+    assert all("no closed form" in told[name]["reason"] for name in SECTIONS)
+    no_bearing = replace(BENCH, classes=(BENCH.classes[0], BENCH.classes[3]))
+    assert "bearing" in trust_module._race(Cell(no_bearing))["reason"]
+
+
+def test_the_key_holds_all_that_the_figures_depend_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    cells = (
+        Cell(BENCH, 200),
+        Cell(BENCH, 300),
+        Cell(BENCH, 200, seed=1),
+        Cell(replace(BENCH, name="b"), 200),
+    )
+    keys = {trust_key(cell, with_network=also) for cell in cells for also in (False, True)}
+    assert len(keys) == 2 * len(cells)
+    monkeypatch.setattr(trust_module, "COUNTS", FEW)
+    assert trust_key(cells[0], with_network=False) not in keys

@@ -1,0 +1,71 @@
+"""Times of verdicts: moments, the alarm by hand, and the order of the rules that theory gives."""
+
+import numpy as np
+import pytest
+
+from motor_classifiers.scoring.verdict_times import (
+    FEWEST_SAMPLES,
+    FIXED_TIME,
+    STATED_ERRORS,
+    STOPPING_RULE,
+    _verdict_time,
+    moments,
+    race,
+    stopping_rows,
+)
+from motor_classifiers.wrappers.early import stop_when_sure, stopping_score
+from motor_env.motor.faults import FaultKind
+from motor_env.simulation.recipes import FaultClass, named_recipe
+from motor_env.simulation.simulate import Timing
+
+
+def test_moments_count_from_the_step() -> None:
+    plain = moments(Timing(10_000.0, 0.1))
+    assert len(plain.samples) == 18
+    assert (plain.samples[0], plain.samples[-1]) == (10, 1000)
+    quiet = moments(Timing(10_000.0, 0.1, 0.02))
+    np.testing.assert_array_equal(quiet.samples, plain.samples + 200)
+    np.testing.assert_allclose(quiet.time_s, plain.time_s)
+    slow = moments(Timing(1_000.0, 0.1))
+    assert slow.samples[0] == FEWEST_SAMPLES
+    np.testing.assert_allclose(slow.time_s, slow.samples / 1_000.0)
+
+
+def test_time_of_an_alarm_by_hand() -> None:
+    above = np.array([[0, 0, 1, 1], [0, 0, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0]], dtype=bool)
+    faulty = np.array([True, True, False, False])
+    got = _verdict_time(above, faulty, Timing(1_000.0, 0.004))
+    assert got.wrong == 0.5  # one fault missed, one false alarm
+    assert got.time_s == pytest.approx((0.003 + 0.004) / 2.0)
+
+
+def test_rows_are_the_scores_of_the_stopping_rule() -> None:
+    rng = np.random.default_rng(0)
+    truth = rng.integers(3, size=50)
+    told = rng.dirichlet(np.ones(3), size=(4, 50))
+    time_s = np.array([0.001, 0.002, 0.003, 0.004])
+    rows = stopping_rows({"one": told, "two": told[:, ::-1]}, truth, time_s)
+    assert [(row.stated, row.classifier) for row in rows[:2]] == [(0.1, "one"), (0.1, "two")]
+    assert len(rows) == 2 * len(STATED_ERRORS)
+    assert rows[2].score == stopping_score(stop_when_sure(told, 0.05), truth, time_s)
+
+
+def test_stopping_when_sure_is_sooner_than_a_fixed_time_and_than_the_rules() -> None:
+    recipe = named_recipe("bench", timing=Timing(2_000.0, 0.1))
+    fault = FaultClass(FaultKind.BEARING, 0.4)
+    curves = race(recipe, fault, seed=1, first_case=0, n_cases=400, n_healthy=800)
+
+    def time_for(name: str, wrong: float) -> float:
+        """Of the soonest setting with no more wrong verdicts."""
+        return min(point.time_s for point in curves[name] if point.wrong <= wrong)
+
+    best = time_for(STOPPING_RULE, 0.05)
+    assert best < time_for(FIXED_TIME, 0.05)
+    assert best < time_for("CUSUM", 0.05) + 0.002
+    assert best < time_for("GLR", 0.05) + 0.002
+    fixed = [point.wrong for point in curves[FIXED_TIME]]
+    assert fixed[0] > 0.3
+    assert fixed[-1] < 0.05
+    for name in ("SPRT", "CUSUM", "GLR"):
+        times = [point.time_s for point in curves[name]]
+        assert times == sorted(times)  # fewer false alarms, later verdicts

@@ -1,0 +1,155 @@
+"""Conformal coverage on a stream of cases, and calibration measures against what is known of them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+from sklearn.frozen import FrozenEstimator
+from sklearn.linear_model import LogisticRegression
+
+from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability, reliability
+from motor_classifiers.wrappers.conformal import (
+    ConformalClassifier,
+    ConformalIntervals,
+    ConformalSets,
+    measured_coverage,
+)
+
+N_CLASSES = 4
+
+
+def stream(rng: np.random.Generator, n: int, temper: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Posterior probabilities of classes that differ much in how well they are told, and classes drawn from them."""
+    ease = np.array([0.5, 1.0, 3.0, 8.0])
+    truth = rng.integers(N_CLASSES, size=n)
+    logits = rng.normal(size=(n, N_CLASSES))
+    logits[np.arange(n), truth] += ease[truth]
+    logits *= temper
+    share = np.exp(logits - logits.max(axis=1, keepdims=True))
+    return share / share.sum(axis=1, keepdims=True), truth
+
+
+@pytest.mark.parametrize("temper", [1.0, 5.0])
+def test_sets_cover_as_they_say_overall_and_in_each_class(temper: float) -> None:
+    rng = np.random.default_rng(4)
+    known, known_truth = stream(rng, 20_000, temper)
+    new, truth = stream(rng, 20_000, temper)
+    marginal = measured_coverage(ConformalSets.calibrate(known, known_truth).sets(new), truth)
+    assert 0.89 < marginal.overall < 0.91
+    assert np.ptp(marginal.by_class) > 0.1  # over all, not in each class
+    each = measured_coverage(
+        ConformalSets.calibrate(known, known_truth, label_conditional=True).sets(new), truth
+    )
+    assert ((each.by_class > 0.88) & (each.by_class < 0.92)).all()
+
+
+def test_p_values_are_uniform_for_the_true_class() -> None:
+    rng = np.random.default_rng(5)
+    coverages = []
+    for _ in range(300):
+        known, known_truth = stream(rng, 50)
+        new, truth = stream(rng, 20)
+        p = ConformalSets.calibrate(known, known_truth).p_values(new)
+        coverages.append((p[np.arange(20), truth] > 0.2).mean())
+    # Exactly floor(0.2 * 51) / 51 of the true classes lie at or below, averaged over calibrations.
+    expected = 1.0 - np.floor(0.2 * 51) / 51
+    assert abs(np.mean(coverages) - expected) < 4.0 * np.std(coverages) / np.sqrt(300)
+
+
+def test_clear_cases_are_not_all_alike() -> None:
+    probabilities = np.array([[1.0, 1e-40], [1.0, 1e-30], [1.0, 1e-20]])
+    sets = ConformalSets.calibrate(probabilities, np.zeros(3, dtype=int))
+    p = sets.p_values(probabilities)[:, 0]
+    assert len(set(p.tolist())) == 3
+
+
+def test_intervals_cover_in_each_group_whatever_the_model_believes() -> None:
+    rng = np.random.default_rng(6)
+
+    def drawn(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        group = rng.choice(["bearing", "winding"], size=n)
+        spread = np.where(group == "bearing", 0.05, 0.01)
+        severity = rng.uniform(0.0, 0.3, size=n)
+        guess = severity + spread * rng.normal(size=n)
+        return np.column_stack([guess - 0.02, guess + 0.02]), severity, group
+
+    intervals, severity, group = drawn(20_000)
+    conformal = ConformalIntervals.calibrate(intervals, severity, groups=group)
+    assert conformal.margin["bearing"] > 0.0 > conformal.margin["winding"]
+    new, truth, kinds = drawn(20_000)
+    low, high = conformal.widen(new, kinds).T
+    held = (low <= truth) & (truth <= high)
+    assert 0.88 < held.mean() < 0.92
+    for kind in ("bearing", "winding"):
+        assert 0.88 < held[kinds == kind].mean() < 0.92
+    with pytest.raises(ValueError, match="group must be one of"):
+        conformal.widen(new, np.full(len(new), "noise"))
+    with pytest.raises(ValueError, match="too few"):
+        ConformalIntervals.calibrate(intervals[:5], severity[:5])
+
+
+def test_classifier_calibrates_on_cases_it_did_not_train_on() -> None:
+    rng = np.random.default_rng(7)
+    centres = np.array([[0.0, 0.0], [1.5, 0.0], [0.0, 5.0]])
+
+    def drawn(n: int) -> tuple[np.ndarray, np.ndarray]:
+        y = rng.integers(3, size=n)
+        return centres[y] + rng.normal(size=(n, 2)), np.array(["a", "b", "c"])[y]
+
+    X, y = drawn(3000)
+    model = ConformalClassifier(random_state=1).fit(X, y)
+    frozen = ConformalClassifier(FrozenEstimator(LogisticRegression().fit(X, y))).fit(*drawn(3000))
+    new, truth = drawn(10_000)
+    index = np.searchsorted(model.classes_, truth)
+    for fitted in (model, frozen):
+        got = measured_coverage(fitted.predict_set(new), index)
+        # Calibrated on some 300 (or 1,000) cases a class: two standard deviations are 0.035.
+        assert (np.abs(got.by_class - 0.9) < 0.05).all()
+        assert got.mean_size < 2.0
+    with pytest.raises(ValueError, match="does not know the class 'd'"):
+        ConformalClassifier(FrozenEstimator(LogisticRegression().fit(X, y))).fit(
+            X, np.where(y == "a", "d", y)
+        )
+
+
+def test_scores_of_the_true_posterior_and_of_one_that_boasts() -> None:
+    rng = np.random.default_rng(8)
+    honest = rng.dirichlet(np.full(3, 0.5), size=40_000)
+    truth = (rng.random((40_000, 1)) > np.cumsum(honest, axis=1)).sum(axis=1)
+    boasting = honest**3 / (honest**3).sum(axis=1, keepdims=True)
+    good, bad = calibration_scores(honest, truth), calibration_scores(boasting, truth)
+    assert good.accuracy == bad.accuracy
+    assert good.ece < 0.01 < 0.08 < bad.ece
+    entropy = -(honest * np.log(np.maximum(honest, 1e-300))).sum(axis=1).mean()
+    assert abs(good.log_loss - entropy) < 0.01 < bad.log_loss - entropy
+    assert abs(good.brier - (1.0 - np.square(honest).sum(axis=1).mean())) < 0.01 < bad.brier - good.brier
+    binned = good.reliability
+    assert binned.n_cases.sum() == 40_000
+    # What each bin says lies within what chance allows of its share of hits.
+    for confidence, share, n in zip(*binned, strict=True):
+        if n > 0:
+            low, high = binom.interval(0.9999, int(n), confidence)
+            assert low <= share * n <= high
+
+
+def test_bins_by_hand() -> None:
+    probabilities = np.array([[0.9, 0.1], [0.8, 0.2], [0.4, 0.6]])
+    binned = reliability(probabilities, [0, 1, 1], np.array([0.0, 0.7, 1.0]))
+    np.testing.assert_allclose(binned.confidence, [0.6, 0.85])
+    np.testing.assert_allclose(binned.accuracy, [1.0, 0.5])
+    scores = calibration_scores(probabilities, [0, 1, 1], np.array([0.0, 0.7, 1.0]))
+    assert scores.ece == pytest.approx((0.4 + 2 * 0.35) / 3)
+    assert scores.brier == pytest.approx((0.02 + 1.28 + 0.32) / 3)
+    assert scores.log_loss == pytest.approx(-np.log([0.9, 0.2, 0.6]).mean())
+
+
+def test_reliability_is_drawn(tmp_path: Path) -> None:
+    probabilities, truth = stream(np.random.default_rng(9), 2000)
+    scores = calibration_scores(probabilities, truth)
+    few = calibration_scores(probabilities[:10], truth[:10])
+    first, second = tmp_path / "one.svg", tmp_path / "two.svg"
+    plot_reliability({"limit": scores}, first)
+    plot_reliability({"limit": scores, "few cases": few}, second)
+    assert first.read_bytes() != second.read_bytes()
+    assert second.read_text().rstrip().endswith("</svg>")

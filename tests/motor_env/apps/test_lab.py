@@ -1,0 +1,317 @@
+"""The lab: what it computes, what its server refuses, and the page in a real headless browser."""
+
+import base64
+import fcntl
+import http.client
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pytest
+
+from motor_env.apps import lab
+from motor_env.apps.lab_server import address, make_server
+from motor_env.cli import main
+from motor_env.errors import InputError
+from motor_env.filters.kalman import KalmanFilter, run_filter
+from motor_env.motor.parameters import CATALOGUE, SensorParameters
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[str]:
+    with make_server() as running:
+        thread = threading.Thread(target=running.serve_forever, daemon=True)
+        thread.start()
+        yield address(running)
+        running.shutdown()
+        thread.join()
+
+
+def write_start(path: Path, kind: str, severity_percent: float = 25.0) -> Path:
+    start = lab.start_of(lab.Settings(kind=kind, severity_percent=severity_percent, noise_ma=5.0))
+    rows = zip(start.time_s, start.measurements[0, 0], start.voltage_v[0], strict=True)
+    text = "\n".join(["time_s,current_a,voltage_v", *(f"{t:.6f},{i:.6f},{v:g}" for t, i, v in rows)])
+    path.write_text(text + "\n")
+    return path
+
+
+def request(
+    server: str, method: str, path: str, body: bytes = b"", headers: dict[str, str] | None = None
+) -> tuple[int, dict[str, Any], http.client.HTTPMessage]:
+    connection = http.client.HTTPConnection(server.removeprefix("http://").rstrip("/"), timeout=60)
+    connection.request(method, path, body, headers or {})
+    response = connection.getresponse()
+    content = response.read()
+    connection.close()
+    kind = response.getheader("Content-Type", "")
+    return (
+        response.status,
+        json.loads(content) if "json" in kind else {"text": content.decode()},
+        response.headers,
+    )
+
+
+def test_healthy_starts_alarm_as_often_as_they_should() -> None:
+    for rule in lab.RULES:
+        alarms = sum(
+            lab.simulated(lab.Settings(rule=rule, seed=seed))["alarm_ms"] is not None for seed in range(12)
+        )
+        assert alarms <= 2  # 1 % each: three or more in 12 have a probability of 0.02 %
+
+
+def test_residual_is_the_filters() -> None:
+    settings = lab.Settings(kind="bearing")
+    start, shown = lab.start_of(settings), lab.simulated(settings)
+    belief = KalmanFilter.from_parameters(
+        CATALOGUE["paper"], SensorParameters(current_noise_a=0.02), 1e-4, process_noise_std=(1e-9, 1e-9)
+    )
+    result = run_filter(belief, start.measurements[0], start.voltage_v[0])
+    np.testing.assert_allclose(shown["residual_a"], result.innovation[:, 0], rtol=1e-5, atol=1e-12)
+    assert shown["alarm_ms"] is not None
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("healthy", "healthy"),
+        ("bearing", "bearing"),
+        ("winding_contact", "winding"),
+        ("winding_short", "winding"),
+    ],
+)
+def test_verdicts_on_simulated_starts(kind: str, expected: str) -> None:
+    assert lab.verdict(lab.Settings(kind=kind, noise_ma=10.0))["verdict"] == expected
+
+
+@pytest.mark.parametrize(
+    ("document", "sentence"),
+    [
+        ([], "must be an object"),
+        ({"kind": "gremlin"}, "kind must be one of"),
+        ({"severity_percent": 1000}, "severity_percent must lie in 0 .. 60, got 1000"),
+        ({"severity_percent": "x"}, "must be a finite number"),
+        ({"severity_percent": float("nan")}, "must be a finite number"),
+        ({"seed": True}, "must be a finite number"),
+        ({"path": "x"}, "unknown key 'path'"),
+    ],
+)
+def test_settings_are_checked(document: object, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        lab.settings_of(document)
+
+
+def test_uploads_are_data(server: str, tmp_path: Path) -> None:
+    bearing = write_start(tmp_path / "b.csv", "bearing").read_bytes()
+    status, told, _ = request(server, "POST", "/api/diagnose?name=..%2F..%2Fx.csv&motor=paper", bearing)
+    assert (status, told["verdict"], told["file"]) == (200, "bearing", "../../x.csv")
+    for body in (b"", b"\x00\x01\x02\xff" * 100, b"time_s,current_a\n1,2\n", b"<script>alert(1)</script>"):
+        status, told, _ = request(server, "POST", "/api/diagnose?name=x.csv&motor=paper", body)
+        assert status == 400
+        assert told["error"].startswith("x.csv")
+        assert tempfile.gettempdir() not in told["error"]
+    status, told, _ = request(server, "POST", "/api/diagnose?name=x.csv&motor=%2Fetc%2Fpasswd", bearing)
+    assert (status, "motor must be one of" in told["error"]) == (400, True)
+    status, told, _ = request(server, "POST", "/api/diagnose?voltage=-1", bearing)
+    assert (status, told["error"]) == (400, "voltage must be > 0, got '-1'")
+
+
+def test_too_large_an_upload_is_refused_unread(server: str) -> None:
+    connection = http.client.HTTPConnection(server.removeprefix("http://").rstrip("/"), timeout=30)
+    connection.putrequest("POST", "/api/diagnose?name=x.csv")
+    connection.putheader("Content-Length", str(lab.LARGEST_UPLOAD_BYTES + 1))
+    connection.endheaders()
+    response = connection.getresponse()
+    assert (response.status, "at most 20 MB" in json.loads(response.read())["error"]) == (400, True)
+    connection.close()
+    with pytest.raises(InputError, match="may have 20 MB"):
+        lab.recording_verdict("x.csv", bytes(lab.LARGEST_UPLOAD_BYTES + 1), "paper")
+
+
+def test_server_answers_its_own_machine_only(server: str) -> None:
+    assert server.startswith("http://127.0.0.1:")
+    for headers in ({"Host": "evil.example"}, {"Origin": "http://evil.example"}, {"Origin": "null"}):
+        assert request(server, "GET", "/", headers=headers)[0] == 403
+        assert request(server, "POST", "/api/simulate", b"{}", headers)[0] == 403
+    for path in ("/../pyproject.toml", "/lab.py", "/lab_assets/lab.js", "/api/none"):
+        assert request(server, "GET", path)[0] == 404
+    status, told, headers_back = request(server, "GET", "/")
+    assert status == 200
+    assert "default-src 'none'" in headers_back["Content-Security-Policy"]
+    assert "http" not in told["text"]  # nothing from elsewhere
+    assert request(server, "POST", "/api/simulate", b"{")[:2] == (400, {"error": "settings must be JSON"})
+
+
+def test_a_taken_port_is_one_sentence(server: str, capsys: pytest.CaptureFixture[str]) -> None:
+    port = server.rstrip("/").rpartition(":")[2]
+    assert main(["lab", "--port", port, "--no-browser"]) == 2
+    assert f"port {port} cannot be opened" in capsys.readouterr().err
+    assert main(["lab", "--port", "70000", "--no-browser"]) == 2
+
+
+def high_pipe() -> tuple[int, int]:
+    ends = os.pipe()
+    moved = tuple(fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 10) for end in ends)
+    for end in ends:
+        os.close(end)
+    return moved[0], moved[1]
+
+
+class Browser:
+    """Headless Chromium over its debugging pipe (file descriptors 3 and 4, messages that end with a zero byte)."""
+
+    def __init__(self, folder: Path) -> None:
+        assert CHROMIUM is not None
+        # Numbers from 10 on, so that none of them is 3 or 4 when the shell moves them there.
+        read_here, write_there = high_pipe()
+        read_there, write_here = high_pipe()
+        command = f'exec "$0" "$@" 3<&{read_there} 4>&{write_there}'
+        options = [
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-dev-shm-usage",
+            "--disable-extensions",
+        ]
+        options += ["--remote-debugging-pipe", f"--user-data-dir={folder}", "--no-first-run", "about:blank"]
+        options += [
+            "--window-size=1280,1000",
+            "--disable-background-networking",
+            "--disable-component-update",
+        ]
+        self.process = subprocess.Popen(
+            ["/bin/bash", "-c", command, CHROMIUM, *options],
+            pass_fds=(read_there, write_there),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(read_there)
+        os.close(write_there)
+        self._in, self._out, self._buffer, self._last = read_here, write_here, b"", 0
+        self._session: str | None = None
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._session = None
+        os.write(self._out, b'{"id":0,"method":"Browser.close"}\0')
+        try:
+            self.process.wait(timeout=15)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        os.close(self._in)
+        os.close(self._out)
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        self._last += 1
+        message: dict[str, Any] = {"id": self._last, "method": method, "params": parameters}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._out, json.dumps(message).encode() + b"\0")
+        while True:
+            while b"\0" not in self._buffer:
+                chunk = os.read(self._in, 1 << 16)
+                assert chunk, "the browser ended"
+                self._buffer += chunk
+            line, _, self._buffer = self._buffer.partition(b"\0")
+            answer = json.loads(line)
+            if answer.get("id") == self._last:
+                assert "error" not in answer, answer
+                result: dict[str, Any] = answer["result"]
+                return result
+
+    def value(self, expression: str) -> Any:
+        found = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        assert "exceptionDetails" not in found, found
+        return found["result"].get("value")
+
+    def wait(self, expression: str, seconds: float = 60.0) -> None:
+        end = time.monotonic() + seconds
+        while not self.value(expression):
+            assert time.monotonic() < end, f"{expression} stays false"
+            time.sleep(0.05)
+
+    def place(self, selector: str, share: float = 0.5) -> tuple[float, float]:
+        self.value(f"document.querySelector('{selector}').scrollIntoView({{block: 'nearest'}})")
+        box = self.value(f"JSON.stringify(document.querySelector('{selector}').getBoundingClientRect())")
+        found = json.loads(box)
+        return found["x"] + share * found["width"], found["y"] + 0.5 * found["height"]
+
+    def click(self, selector: str, share: float = 0.5) -> None:
+        x, y = self.place(selector, share)
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def drop(self, selector: str, path: Path) -> None:
+        x, y = self.place(selector)
+        data = {"items": [], "files": [str(path)], "dragOperationsMask": 1}
+        for kind in ("dragEnter", "dragOver", "drop"):
+            self.call("Input.dispatchDragEvent", type=kind, x=x, y=y, data=data)
+
+    def screenshot(self, path: Path) -> None:
+        taken = self.call("Page.captureScreenshot", captureBeyondViewport=True)
+        path.write_bytes(base64.b64decode(taken["data"]))
+
+
+@contextmanager
+def page(server: str, folder: Path) -> Iterator[Browser]:
+    with Browser(folder) as browser:
+        browser.call("Page.navigate", url=server)
+        browser.wait("document.body && document.body.dataset.shown !== undefined")
+        yield browser
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium, chromium-browser or google-chrome on this machine")
+def test_page_in_a_browser(server: str, tmp_path: Path) -> None:
+    with page(server, tmp_path / "profile") as browser:
+        curve = "document.querySelector('#current path.measured').getAttribute('d')"
+        assert browser.value("document.querySelectorAll('#results svg path').length") == 4
+        browser.wait("document.body.dataset.judged !== undefined")
+        assert browser.value("document.getElementById('verdict').textContent").startswith("healthy")
+        assert browser.value("document.getElementById('alarm').textContent") == "no alarm"
+
+        browser.value(
+            "document.getElementById('kind').value = 'winding_contact';"
+            "document.getElementById('kind').dispatchEvent(new Event('change'))"
+        )
+        browser.wait("document.getElementById('alarm').textContent.startsWith('alarm after')")
+        before, severity = (
+            browser.value(curve),
+            browser.value("document.getElementById('severity_percent').value"),
+        )
+        shown = browser.value("document.body.dataset.shown")
+        browser.click("#severity_percent", 0.9)
+        browser.wait(f"Number(document.body.dataset.shown) > {shown}")
+        assert float(browser.value("document.getElementById('severity_percent').value")) > float(severity)
+        assert browser.value(curve) != before
+        browser.wait("document.body.dataset.judged === document.body.dataset.shown")
+        assert browser.value("document.getElementById('verdict').textContent").startswith("winding")
+
+        browser.drop("#drop", write_start(tmp_path / "capture.csv", "bearing"))
+        browser.wait("document.body.dataset.taken === 'capture.csv'")
+        assert browser.value("document.getElementById('recording-verdict').textContent").startswith("bearing")
+        assert browser.value("document.querySelectorAll('#recording svg path').length") == 3
+
+        broken = tmp_path / "<b>broken<b>.csv"
+        broken.write_bytes(b"\xff\xfe\x00nonsense")
+        browser.drop("#drop", broken)
+        browser.wait(f"document.body.dataset.taken === {json.dumps(broken.name)}")
+        assert broken.name in browser.value("document.getElementById('recording-verdict').textContent")
+        assert browser.value("document.querySelectorAll('#recording b').length") == 0

@@ -1,0 +1,163 @@
+"""The paper's numbers, and ours that are promised, each pinned; the command that writes them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_env import cli
+from motor_env.apps import paper
+from motor_env.apps import reproduce as reproduction
+from motor_env.errors import InputError
+from motor_env.motor.faults import Fault, FaultKind
+from motor_env.motor.model import continuous_model, discretize, steady_state
+from motor_env.motor.parameters import PAPER_MATRICES_DT_S, PAPER_MATRICES_MOTOR, PAPER_MOTOR, MotorParameters
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_printed_matrices_to_every_digit() -> None:
+    model = discretize(PAPER_MATRICES_MOTOR, PAPER_MATRICES_DT_S)
+    assert model.transition.round(4).tolist() == [[-0.0344, -0.0007], [1.6343, 0.0300]]
+    assert model.gain[:, 0].round(4).tolist() == [0.0334, 41.0557]
+    assert (PAPER_MATRICES_DT_S, PAPER_MATRICES_MOTOR.resistance_ohm) == pytest.approx((10e-3, 2.06))
+    assert PAPER_MATRICES_MOTOR.inductance_h == pytest.approx(2.38e-3)
+
+
+def test_same_digits_from_the_other_source() -> None:
+    model = discretize(paper.OTHER_MATRICES_MOTOR, paper.OTHER_MATRICES_DT_S)
+    assert model.transition.round(4).tolist() == [[-0.0344, -0.0007], [1.6343, 0.0300]]
+    assert model.gain[:, 0].round(4).tolist() == [0.0334, 41.0557]
+
+
+def test_the_table_at_the_stated_sampling_time_gives_other_matrices() -> None:
+    model = discretize(PAPER_MOTOR, 10e-6)
+    assert model.transition.round(5).tolist() == [[0.91237, -0.00094], [0.20986, 0.99988]]
+    assert model.gain[:, 0].round(5).tolist() == [0.04015, 0.00448]
+
+
+@pytest.mark.parametrize(
+    ("fault", "peak_a", "peak_ms", "settling_ms", "final_ma"),
+    [
+        (None, 5.111, 0.42, 16.50, 25.93),
+        (Fault(FaultKind.WINDING_CONTACT, 0.10), 4.690, 0.39, 18.14, 25.92),
+        (Fault(FaultKind.WINDING_CONTACT, 0.25), 4.173, 0.37, 20.60, 25.90),
+        (Fault(FaultKind.BEARING, 0.10), 5.111, 0.42, 16.49, 28.51),
+        (Fault(FaultKind.BEARING, 0.25), 5.111, 0.42, 16.48, 32.37),
+    ],
+)
+def test_start_up_figures(
+    fault: Fault | None, peak_a: float, peak_ms: float, settling_ms: float, final_ma: float
+) -> None:
+    figures = paper.start_up(paper.faulty(fault))
+    shown = (
+        round(figures.peak_a, 3),
+        round(1e3 * figures.peak_time_s, 2),
+        round(1e3 * figures.settling_time_s, 2),
+        round(1e3 * figures.final_current_a, 2),
+    )
+    assert shown == (peak_a, peak_ms, settling_ms, final_ma)
+
+
+def test_final_speed() -> None:
+    assert round(paper.start_up(PAPER_MOTOR).final_speed_rpm, 1) == 4849.1
+
+
+def _closed_form_peak(motor: MotorParameters) -> tuple[float, float]:
+    """Peak of i(t) = i_end + a exp(p t) + b exp(q t), from i(0) = 0 and i'(0) = V / L."""
+    p, q = np.linalg.eigvals(continuous_model(motor).transition)
+    end = steady_state(motor, 12.0)[0]
+    a = (12.0 / float(motor.inductance_h) + q * end) / (p - q)
+    b = -end - a
+    time = np.log(-b * q / (a * p)) / (p - q)
+    return end + a * np.exp(p * time) + b * np.exp(q * time), time
+
+
+@pytest.mark.parametrize("fault", paper.FAULT_LEVELS, ids=paper.level_name)
+def test_peak_against_the_closed_form(fault: Fault | None) -> None:
+    motor = paper.faulty(fault)
+    peak, time = _closed_form_peak(motor)
+    figures = paper.start_up(motor)
+    assert figures.peak_a == pytest.approx(peak, rel=1e-5)
+    assert figures.peak_time_s == pytest.approx(time, rel=1e-5)
+
+
+def test_every_printed_number_has_a_row_that_agrees() -> None:
+    rows = [row for row in paper.comparisons() if row.paper is not None]
+    agreeing = {row.paper for row in rows if row.agrees}
+    printed = {number for row in paper.PRINTED_A for number in row} | set(paper.PRINTED_B)
+    printed |= {*paper.PRINTED_RESISTANCES.values(), *paper.PRINTED_FRICTIONS.values(), "4850"}
+    assert agreeing == printed
+    # With the table as it stands at 10 microseconds no entry of the matrices agrees, and no resistance.
+    assert sum(row.agrees is False for row in rows) == 8
+
+
+@pytest.mark.parametrize(
+    ("printed", "ours", "agrees"),
+    [
+        ("0.0300", 0.030049, True),
+        ("0.0300", 0.030051, False),
+        ("4850", 4845.1, True),
+        ("4850", 4844.0, False),
+        ("13.2e-7", 1.324e-6, True),
+        ("13.2e-7", 1.326e-6, False),
+    ],
+)
+def test_agreement_is_to_every_printed_digit(printed: str, ours: float, agrees: bool) -> None:
+    assert paper.Comparison("x", "", printed, ours, 4, "").agrees is agrees
+
+
+def test_slips_carry_their_numbers() -> None:
+    holds = " ".join(slip.holds for slip in paper.slips())
+    for number in (
+        "1.6357",
+        "2.06 Ω",
+        "2.38 mH",
+        "3.9 and 18.1 %",
+        "4.173 A at +25 %",
+        "25.9, 28.5 and 32.4 mA",
+    ):
+        assert number in holds
+
+
+def test_command_writes_page_figures_and_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "new" / "paper"
+    assert cli.main(["reproduce", "--out", str(out), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result == json.loads((out / "reproduce.json").read_text(encoding="utf-8"))
+    page = (out / "index.html").read_text(encoding="utf-8")
+    assert len(result["figures"]) == 9
+    for figure in result["figures"]:
+        assert (out / figure["image"]).stat().st_size > 10_000
+        assert figure["image"] in page
+    assert "not printed" in page
+    assert sorted(path.name for path in out.iterdir()) == [
+        "images",
+        "index.html",
+        "paper.md",
+        "reproduce.json",
+    ]
+    text = (out / "paper.md").read_text(encoding="utf-8")
+    assert text == (ROOT / "docs" / "paper.md").read_text(encoding="utf-8"), (
+        "run the command and copy its page"
+    )
+    # A folder that the command wrote may be written again.
+    assert cli.main(["reproduce", "--out", str(out)]) == 0
+
+
+def test_command_leaves_foreign_files_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "paper.md").write_text("mine")
+    assert cli.main(["reproduce", "--out", str(tmp_path)]) == 2
+    assert "did not write" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["paper.md"]
+    assert cli.main(["reproduce", "--out", str(tmp_path / "paper.md")]) == 2
+    assert "not a folder" in capsys.readouterr().err
+    assert cli.main(["reproduce", "--out", str(tmp_path / "paper.md" / "below")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_unknown_image_format_writes_nothing(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="image format must be one of svg, png, got 'gif'"):
+        reproduction.reproduce(tmp_path / "out", image_format="gif")
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,277 @@
+"""Rules against theory and simulation: known values, thresholds that keep their rate, stream equals batch."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import binom, chi2
+
+from motor_env.detection.rules import (
+    Cusum,
+    Glr,
+    ModelBank,
+    MOfN,
+    Rule,
+    ShiryaevRoberts,
+    SignatureCusum,
+    Sprt,
+    WindowedNis,
+    in_a_row,
+    nis_rule,
+    run_lengths,
+)
+from motor_env.detection.run_length import (
+    cusum_chain,
+    m_of_n_chain,
+    shiryaev_roberts_chain,
+    siegmund_average_run_length,
+    two_sided,
+)
+
+RULES: dict[str, Rule] = {
+    "nis": nis_rule(),
+    "in a row": in_a_row(3),
+    "m of n": MOfN(3, 5),
+    "cusum": Cusum(0.5),
+    "two-sided cusum": Cusum(0.5, two_sided=True),
+    "shiryaev-roberts": ShiryaevRoberts(0.5),
+    "sprt": Sprt(0.3),
+    "restarted sprt": Sprt(0.3, restart=True),
+}
+
+
+def test_known_run_lengths() -> None:
+    assert m_of_n_chain(0.05, 3, 5).average_run_length() == pytest.approx(1608.44, abs=0.01)
+    assert cusum_chain(0.5, 5.0).average_run_length() == pytest.approx(930.887, abs=1e-3)
+    # Two-sided, k = 0.5, h = 4 and 5: tabled as 168 and 465 (Montgomery 2013, table 9.3).
+    assert Cusum(1.0, two_sided=True).average_run_length(4.0) == pytest.approx(168.0, abs=0.5)
+    assert Cusum(1.0, two_sided=True).average_run_length(5.0) == pytest.approx(465.0, abs=0.5)
+
+
+@pytest.mark.parametrize(("shift", "delay"), [(1.0, 15.1), (0.5, 49.0), (0.13, 416.0)])
+def test_the_matched_cusums_worst_case_delay_at_arl0_of_ten_thousand(shift: float, delay: float) -> None:
+    rule = Cusum(shift)
+    threshold = rule.threshold_for(arl0=1e4).value
+    assert rule.average_run_length(threshold) == pytest.approx(1e4, rel=1e-6)
+    assert rule.average_run_length(threshold, shift) == pytest.approx(delay, rel=0.004)
+
+
+@given(p=st.floats(0.01, 0.9), k=st.integers(1, 8))
+def test_k_in_a_row_has_fellers_run_length(p: float, k: int) -> None:
+    expected = (1.0 - p**k) / (p**k * (1.0 - p))
+    if expected < 1e9:
+        assert m_of_n_chain(p, k, k).average_run_length() == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_chain_of_hits_counts_every_pattern() -> None:
+    p, needed, among, length = 0.3, 2, 4, 10
+    probability = 0.0
+    for pattern in range(2**length):
+        hits = [(pattern >> k) & 1 for k in range(length)]
+        if any(sum(hits[max(0, k - among + 1) : k + 1]) >= needed for k in range(length)):
+            probability += p ** sum(hits) * (1 - p) ** (length - sum(hits))
+    assert m_of_n_chain(p, needed, among).alarm_probability(length) == pytest.approx(probability, abs=1e-12)
+
+
+def test_survival_and_matrix_power_agree() -> None:
+    chain = cusum_chain(0.25, 6.0)
+    assert 1.0 - chain.survival(777)[-1] == pytest.approx(chain.alarm_probability(777), abs=1e-12)
+    # The sum of survivals is the average run length.
+    assert chain.survival(60_000).sum() == pytest.approx(chain.average_run_length(), rel=1e-6)
+
+
+def test_integral_equation_is_near_siegmunds_approximation() -> None:
+    for reference, threshold in [(0.5, 4.0), (0.25, 8.0), (0.065, 30.0)]:
+        exact = cusum_chain(reference, threshold).average_run_length()
+        assert siegmund_average_run_length(reference, threshold) == pytest.approx(exact, rel=0.03)
+
+
+def test_shiryaev_roberts_is_a_martingale_at_its_alarm() -> None:
+    # R_n - n is a martingale, so ARL0 = E[R at the alarm] > A (Pollak 1985): simulate the overshoot.
+    rule, threshold = ShiryaevRoberts(1.0), float(np.log(20.0))
+    noise = np.random.default_rng(5).standard_normal((20_000, 400, 1))
+    statistic = rule.statistic(noise)
+    index = rule.alarm_index(noise, threshold)
+    assert (index >= 0).all()
+    at_alarm = np.exp(statistic[np.arange(len(index)), index])
+    arl0 = shiryaev_roberts_chain(1.0, threshold).average_run_length()
+    assert arl0 == pytest.approx(at_alarm.mean(), abs=4.0 * at_alarm.std() / np.sqrt(len(index)))
+    assert arl0 == pytest.approx((index + 1).mean(), abs=4.0 * index.std() / np.sqrt(len(index)))
+
+
+def test_two_sided_survival_matches_its_run_length() -> None:
+    survival = two_sided(cusum_chain(0.5, 3.0).survival(4000))
+    assert survival.sum() == pytest.approx(Cusum(1.0, two_sided=True).average_run_length(3.0), rel=1e-6)
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_thresholds_keep_their_rate_in_a_transient(name: str) -> None:
+    rule, n_samples, wanted, runs = RULES[name], 200, 0.02, 10_000
+    threshold = rule.threshold_for(false_alarm_probability=wanted, n_samples=n_samples)
+    noise = np.random.default_rng(11).standard_normal((runs, n_samples, 1))
+    alarms = int((rule.alarm_index(noise, threshold) >= 0).sum())
+    level = 0.01 / len(RULES)
+    assert binom.ppf(level / 2, runs, wanted) <= alarms <= binom.ppf(1 - level / 2, runs, wanted)
+
+
+@pytest.mark.parametrize("name", ["m of n", "cusum", "two-sided cusum", "shiryaev-roberts", "restarted sprt"])
+def test_delays_are_those_of_simulated_runs(name: str) -> None:
+    rule = RULES[name]
+    threshold = rule.threshold_for(arl0=300.0).value
+    lengths = run_lengths(rule, threshold, 2_000, seed=8, mean=0.7)[:, 0]
+    exact = rule.average_run_length(threshold, 0.7)
+    assert lengths.mean() == pytest.approx(exact, abs=4.0 * lengths.std() / np.sqrt(2_000.0))
+
+
+@pytest.mark.parametrize("name", ["nis", "m of n"])
+def test_thresholds_count_the_channels(name: str) -> None:
+    rule = RULES[name]
+    threshold = rule.threshold_for(false_alarm_probability=0.05, n_samples=100, n_channels=2)
+    noise = np.random.default_rng(12).standard_normal((5000, 100, 2))
+    alarms = int((rule.alarm_index(noise, threshold) >= 0).sum())
+    assert binom.ppf(5e-4, 5000, 0.05) <= alarms <= binom.ppf(1 - 5e-4, 5000, 0.05)
+
+
+def test_nis_threshold_is_the_chi_square_quantile() -> None:
+    threshold = nis_rule().threshold_for(false_alarm_probability=0.01, n_samples=1, n_channels=2)
+    assert threshold.value == pytest.approx(chi2.isf(0.01, 2), rel=1e-9)
+    assert threshold.standard_error == 0.0
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_stream_gives_what_the_batch_gives(name: str) -> None:
+    rule = RULES[name]
+    values = np.random.default_rng(3).standard_normal((4, 60, 1))
+    values[1, 20:25] = np.nan
+    stream = rule.stream(n_streams=4)
+    streamed = np.stack([stream.update(values[:, k]) for k in range(60)], axis=1)
+    np.testing.assert_array_equal(streamed, rule.statistic(values))
+    assert not np.isnan(streamed).any()
+    stream.reset(np.array([True, False, False, False]))
+    again = stream.update(values[:, 0])
+    assert again[0] == streamed[0, 0]
+
+
+def test_direction_projects_the_channels() -> None:
+    values = np.random.default_rng(4).standard_normal((3, 40, 2))
+    along = (values @ np.array([0.6, 0.8]))[..., None]
+    np.testing.assert_allclose(
+        Cusum(0.5, direction=(3.0, 4.0)).statistic(values), Cusum(0.5).statistic(along), atol=1e-12
+    )
+
+
+def test_bad_requests_are_refused_in_one_sentence() -> None:
+    with pytest.raises(ValueError, match="give one of arl0 and false_alarm_probability, got none"):
+        nis_rule().threshold_for()
+    with pytest.raises(ValueError, match="got both"):
+        nis_rule().threshold_for(arl0=100.0, false_alarm_probability=0.1, n_samples=3)
+    with pytest.raises(ValueError, match="needs the transient's n_samples"):
+        nis_rule().threshold_for(false_alarm_probability=0.1)
+    with pytest.raises(ValueError, match="arl0 needs restart=True"):
+        Sprt(0.3).threshold_for(arl0=100.0)
+    with pytest.raises(ValueError, match="1 <= M <= N"):
+        MOfN(4, 3)
+    with pytest.raises(ValueError, match="shift must be finite and > 0"):
+        Cusum(0.0)
+    with pytest.raises(ValueError, match="whitened must have shape"):
+        Cusum(1.0, direction=(1.0, 0.0)).statistic(np.zeros((10, 1)))
+
+
+WINDOWED: dict[str, Rule] = {
+    "cusum of a signature": SignatureCusum(tuple(0.5 * (1.0 - np.exp(-np.arange(1, 21) / 6.0)))),
+    "summed nis": WindowedNis(10),
+    "glr": Glr(2, 40),
+    "two-sided glr": Glr(1, 30, two_sided=True),
+    "glr of a signature": Glr(1, 25, signature=tuple(1.0 - np.exp(-np.arange(1, 21) / 6.0))),
+    "bank": ModelBank((0.5, -0.5, 1.0)),
+}
+
+
+@pytest.mark.parametrize("name", WINDOWED)
+def test_stream_of_a_windowed_rule_gives_what_the_batch_gives(name: str) -> None:
+    rule = WINDOWED[name]
+    values = np.random.default_rng(3).standard_normal((4, 90, 1))
+    values[1, 20:25] = np.nan
+    stream = rule.stream(n_streams=4)
+    streamed = np.stack([stream.update(values[:, k]) for k in range(90)], axis=1)
+    np.testing.assert_allclose(streamed, rule.statistic(values), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", WINDOWED)
+def test_simulated_thresholds_keep_their_rate(name: str) -> None:
+    rule, n_samples, wanted, runs = WINDOWED[name], 100, 0.05, 4000
+    threshold = rule.threshold_for(false_alarm_probability=wanted, n_samples=n_samples, runs=40_000)
+    assert threshold.standard_error > 0.0
+    noise = np.random.default_rng(12).standard_normal((runs, n_samples, 1))
+    alarms = int((rule.alarm_index(noise, threshold) >= 0).sum())
+    level = 0.01 / len(WINDOWED)
+    assert binom.ppf(level / 2, runs, wanted) <= alarms <= binom.ppf(1 - level / 2, runs, wanted)
+
+
+def test_simulation_finds_the_threshold_that_the_integral_equation_gives() -> None:
+    exact = ShiryaevRoberts(1.0).threshold_for(arl0=300.0).value
+    found = ModelBank((1.0,)).threshold_for(arl0=300.0, runs=2000)
+    assert found.value == pytest.approx(exact, abs=4.0 * found.standard_error)
+    assert found.standard_error < 0.05
+
+
+def test_the_cusum_of_a_signature_looks_at_every_onset() -> None:
+    values = np.random.default_rng(7).standard_normal(80)
+    signature = np.array([0.1, 0.3, 0.6])
+    shape = np.concatenate([signature, np.full(77, 0.6)])
+    found = SignatureCusum(tuple(signature)).statistic(values[:, None])
+    for k in (0, 1, 5, 79):
+        sums = [shape[:m] @ values[k + 1 - m : k + 1] - 0.5 * shape[:m] @ shape[:m] for m in range(1, k + 2)]
+        assert found[k] == pytest.approx(max(0.0, *sums), abs=1e-12)
+    np.testing.assert_allclose(
+        SignatureCusum((0.5,)).statistic(values[:, None]),
+        Cusum(0.5).statistic(values[:, None]) * 0.5,
+        atol=1e-12,
+    )
+
+
+def test_one_glr_finds_faults_of_any_size_nearly_as_fast_as_the_matched_cusum() -> None:
+    """Within a quarter of the least worst-case delay from 0.5 to 2 sigma, at ARL0 1,000, without knowing the size."""
+    rule = Glr()
+    threshold = rule.threshold_for(arl0=1e3, runs=2_000).value
+    for shift in (0.5, 1.0, 2.0):
+        matched = Cusum(shift)
+        least = matched.average_run_length(matched.threshold_for(arl0=1e3).value, shift)
+        assert run_lengths(rule, threshold, 2_000, mean=shift).mean() < 1.25 * least
+
+
+@pytest.mark.parametrize("two_sided", [False, True])
+@pytest.mark.parametrize("signature", [None, (0.2, 0.6, 1.0)])
+def test_glr_scans_every_onset_of_its_grid(signature: tuple[float, ...] | None, two_sided: bool) -> None:
+    """Against sums over every age at every sample, over more samples than the rule holds at a time."""
+    values = np.random.default_rng(9).standard_normal(1200)
+    rule = Glr(3, 30, signature=signature, two_sided=two_sided)
+    shape = np.ones(30) if signature is None else np.concatenate([[0.2, 0.6], np.ones(28)])
+    found = rule.statistic(values[:, None])
+    assert (found[:2] == -np.inf).all()
+    for k in (2, 3, 40, 600, 1199):
+        along = {
+            m: shape[:m] @ values[k + 1 - m : k + 1] / np.linalg.norm(shape[:m])
+            for m in rule.ages.tolist()
+            if m <= k + 1
+        }
+        expected = max((abs(x) if two_sided else x) * abs(x) + 2.0 * np.log(m) for m, x in along.items())
+        assert found[k] == pytest.approx(expected, rel=1e-9)
+
+
+def test_one_look_at_a_summed_nis_is_chi_square() -> None:
+    assert WindowedNis(10).one_look(0.01, 2).value == pytest.approx(chi2.isf(0.01, 20))
+
+
+def test_bank_posterior_is_bayes_rule_over_all_onsets() -> None:
+    hazard, shifts = 0.02, (0.7, -1.2)
+    values = np.random.default_rng(2).standard_normal(15) + 0.4
+    weights = {(-1, -1): (1.0 - hazard) ** 15}
+    for j, shift in enumerate(shifts):
+        for onset in range(15):
+            likelihood = np.exp(np.sum(shift * values[onset:] - 0.5 * shift**2))
+            weights[j, onset] = hazard / 2 * (1.0 - hazard) ** onset * likelihood
+    total = sum(weights.values())
+    expected = [sum(w for (model, _), w in weights.items() if model == j) / total for j in (-1, 0, 1)]
+    found = ModelBank(shifts).probabilities(values[:, None], hazard)[-1]
+    np.testing.assert_allclose(found, expected, rtol=1e-10)

@@ -1,0 +1,207 @@
+"""Captures with every defect of real ones, through the diagnosis; what a start tells beyond its current."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_env import PAPER_MOTOR, Fault, FaultKind, Timing
+from motor_env.diagnosis.decision import Diagnosis, Verdict
+from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
+from motor_env.errors import InputError
+from motor_env.identification.commutation import find_ripple, ripple_speed
+from motor_env.identification.identify import TEXTBOOK, identify, identify_best
+from motor_env.identification.start_model import Extension, driven
+from motor_env.motor.data_sheet import load_motor
+from motor_env.motor.parameters import Channel, FloatArray, SensorParameters
+from motor_env.recordings.alignment import difference_noise
+from motor_env.recordings.recording import Recording
+from motor_env.recordings.simulated import DEFECTS, Defect, captures
+from motor_env.recordings.splitting import chosen_starts, split_starts
+from motor_env.recordings.start import Circuit, prepare
+from motor_env.simulation.fast_path import measure
+from motor_env.simulation.simulate import Scenario
+
+MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml")
+FAULTS = {
+    Verdict.HEALTHY: (),
+    Verdict.BEARING: (Fault(FaultKind.BEARING, 0.30),),
+    Verdict.WINDING: (Fault(FaultKind.WINDING_CONTACT, 0.30),),
+}
+
+
+def judge(defect: Defect, truth: Verdict, circuit: Circuit | None = None) -> Diagnosis:
+    (recording,) = captures(defect, FAULTS[truth], MOTOR.parameters, 5, 1)
+    return diagnose(recording, MOTOR, circuit=circuit)
+
+
+JUDGED = [name for name, defect in DEFECTS.items() if defect.judged]
+TURNS = [(name, (Verdict.BEARING, Verdict.WINDING)[n % 2]) for n, name in enumerate(JUDGED)]
+OTHERS = [(name, (Verdict.WINDING, Verdict.BEARING)[n % 2]) for n, name in enumerate(JUDGED)]
+
+
+@pytest.mark.parametrize(
+    ("name", "truth"), [*TURNS, *(pytest.param(*other, marks=pytest.mark.long) for other in OTHERS)]
+)
+def test_a_fault_is_seen_through_each_defect(name: str, truth: Verdict) -> None:
+    defect = DEFECTS[name]
+    found = judge(defect, truth, Circuit(shunt_ohm=defect.shunt_ohm))
+    assert found.verdict is truth
+    assert found.identified is not None
+    assert defect.words in " ".join([*found.recording.columns, *found.identified.defects])
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["pwm", "sensor lag", "quantisation", "jitter", pytest.param("supply ramp", marks=pytest.mark.long)],
+)
+def test_a_defect_is_no_fault(name: str) -> None:
+    assert judge(DEFECTS[name], Verdict.HEALTHY).verdict is Verdict.HEALTHY
+
+
+@pytest.mark.parametrize("truth", [Verdict.HEALTHY, Verdict.WINDING])
+@pytest.mark.parametrize("name", [name for name, defect in DEFECTS.items() if not defect.judged])
+def test_what_cannot_be_judged_is_unusable(name: str, truth: Verdict) -> None:
+    assert judge(DEFECTS[name], truth).verdict is Verdict.UNUSABLE
+
+
+def test_a_converter_too_coarse_for_the_friction_is_never_healthy() -> None:
+    coarse = replace(DEFECTS["quantisation"], chain=replace(DEFECTS["quantisation"].chain, adc_bits=5))  # type: ignore[type-var]  # it has a chain
+    found = judge(coarse, Verdict.HEALTHY)
+    assert found.verdict is Verdict.UNUSABLE
+    assert "friction" in found.reasons[0]
+
+
+def test_a_known_lag_and_a_known_shunt_are_taken_off() -> None:
+    defect = Defect(lag_s=0.0003, shunt_ohm=0.5)
+    (recording,) = captures(defect, (), MOTOR.parameters, 6, 1)
+    fit = identify(prepare(recording, None, Circuit(0.5, 0.0003)), TEXTBOOK)
+    (plain,) = captures(Defect(), (), MOTOR.parameters, 6, 1)
+    expected = identify(prepare(plain), TEXTBOOK)
+    np.testing.assert_allclose(fit.values[[0, 2, 3]], expected.values[[0, 2, 3]], rtol=0.03)
+    assert fit.values[1] == pytest.approx(expected.values[1], rel=0.1)
+
+
+def rippled(constant: float = 1.0, periods: float = 14.0) -> tuple[Recording, float]:
+    """A start whose current is modulated by the angle that the simulated motor turns, and its last speed."""
+    motor = PAPER_MOTOR.scaled(back_emf_constant_v_s_per_rad=constant, torque_constant_n_m_per_a=constant)
+    sensor = SensorParameters((Channel.CURRENT, Channel.SPEED), 0.002, 1e-9)
+    scenario = Scenario(motor, sensor=sensor, timing=Timing(20_000.0, 0.3, 0.02))
+    current, speed = measure(scenario, 3, [0])[0].astype(np.float64)
+    time = scenario.timing.time_s
+    angle = np.cumsum(speed) * scenario.timing.dt_s
+    current = current * (1.0 + 0.1 * np.cos(periods * angle)) * (time > 0.0)
+    voltage = np.where(time > 1e-9, 12.0, 0.0)
+    return Recording(Path("x"), time, current, voltage), float(speed[-200:].mean())
+
+
+@pytest.mark.parametrize("constant", [1.0, 1.2])
+def test_the_ripple_tells_the_speed_and_the_constants(constant: float) -> None:
+    recording, speed = rippled(constant)
+    found = ripple_speed(identify_best(prepare(recording)), 14.0)
+    assert found is not None
+    assert found.speed_rad_s == pytest.approx(speed, rel=0.002)
+    nominal = float(PAPER_MOTOR.back_emf_constant_v_s_per_rad)
+    assert found.constants["K"] == pytest.approx(constant * nominal, rel=0.01)
+    assert found.constants["J"] == pytest.approx(float(PAPER_MOTOR.inertia_kg_m2), rel=0.05)
+
+
+def test_without_a_ripple_there_is_no_speed() -> None:
+    (recording,) = captures(Defect(), (), MOTOR.parameters, 5, 1)
+    assert find_ripple(identify(prepare(recording))) is None
+
+
+def test_the_ripple_compares_speeds_between_recordings() -> None:
+    healthy = [rippled()[0]] * 3
+    learned = learn_reference(fit_healthy(healthy))
+    assert learned.ripple_hz is not None
+    found = diagnose(rippled(1.2)[0], None, learned)
+    moved = {change.name: change.ratio for change in found.changes if change.significant}
+    assert moved["K"] == pytest.approx(1.2, rel=0.02)
+    assert moved["speed"] == pytest.approx(1.0 / 1.2, rel=0.02)
+
+
+def several(*, voltage: bool) -> Recording:
+    """Two starts in one recording, the second with a contact fault."""
+    parts = [
+        captures(Defect(), faults, MOTOR.parameters, 5, 1)[0]
+        for faults in (FAULTS[Verdict.HEALTHY], FAULTS[Verdict.WINDING])
+    ]
+    current = np.concatenate([part.current_a for part in parts])
+    volts = np.concatenate([part.voltage_v for part in parts if part.voltage_v is not None])
+    time: FloatArray = np.arange(len(current), dtype=np.float64) * parts[0].dt_s
+    return Recording(Path("two.csv"), time, current, volts if voltage else None)
+
+
+@pytest.mark.parametrize("voltage", [True, False])
+def test_each_start_of_a_file_is_judged(voltage: bool) -> None:
+    parts = split_starts(several(voltage=voltage))
+    assert [str(part.path) for part in parts] == ["two.csv#1", "two.csv#2"]
+    assert [diagnose(part, MOTOR).verdict for part in parts] == [Verdict.HEALTHY, Verdict.WINDING]
+    assert chosen_starts(several(voltage=voltage), 2)[0].path.name == "two.csv#2"
+    with pytest.raises(InputError, match=r"--start must lie in 1 \.\. 2, got 3"):
+        chosen_starts(several(voltage=voltage), 3)
+
+
+def test_a_recording_that_the_model_does_not_explain_is_said_to_be_inconsistent() -> None:
+    (good,) = captures(Defect(), (), MOTOR.parameters, 5, 1)
+    assert diagnose(good, MOTOR).warning == ""
+    wavy = replace(good, current_a=good.current_a + 0.1 * np.sin(60.0 * good.time_s))
+    assert "correlated in time" in diagnose(wavy, MOTOR).warning
+
+
+def test_a_sensor_that_hides_small_currents_is_told_by_the_evidence() -> None:
+    (plain,) = captures(Defect(noise_a=0.005), (), MOTOR.parameters, 8, 1)
+    seen = np.where(plain.current_a > 0.3, plain.current_a, 0.0)
+    hiding = replace(plain, current_a=seen)
+    fit = identify_best(prepare(hiding))
+    assert fit.model == ("dead_zone",)
+    assert fit.fitted_extension["dead_zone"][0] == pytest.approx(0.3, abs=0.03)
+    assert any("hides currents below" in defect for defect in fit.defects)
+    true = identify_best(prepare(plain))
+    assert true.model == TEXTBOOK
+    assert fit.log_values[0] == pytest.approx(true.log_values[0], abs=0.01)
+    found = diagnose(hiding, MOTOR)
+    assert found.verdict is Verdict.UNUSABLE
+    assert "friction" in found.reasons[0]
+
+
+def test_no_start_knows_the_friction_better_than_its_noise_allows() -> None:
+    """The friction is a level of 26 mA above the quiet part's: white noise bounds both means."""
+    starts = [prepare(recording) for recording in captures(Defect(), (), MOTOR.parameters, 7, 6)]
+    errors = [math.sqrt(identify(start).log_covariance[3, 3]) for start in starts]
+    bound = 0.02 * math.sqrt(1.0 / 1000 + 1.0 / 1900) / 0.026
+    assert all(0.85 * bound < error < 1.5 * bound for error in errors)
+
+
+@pytest.mark.parametrize("with_reference", [False, True])
+def test_friction_that_is_not_viscous_is_tried_where_nothing_is_compared(with_reference: bool) -> None:
+    """A square wave of the supply tells Coulomb friction from viscous; a comparison keeps to the sheet's model."""
+    time_s = np.linspace(0.0, 0.3998, 2000)
+    voltage: FloatArray = np.where(time_s % 0.1 < 0.05, 1.5, -1.5) * (time_s > 0.01)
+    states = driven(PAPER_MOTOR, Extension(coulomb_friction_n_m=2e-3), voltage, 2e-4, from_rest=True)
+    noise = np.random.default_rng(3).normal(0.0, 0.002, len(time_s))
+    recording = Recording(Path("square"), time_s, states[:, 0] + noise, voltage)
+    found = diagnose(recording, MOTOR if with_reference else None)
+    assert found.identified is not None
+    assert ("coulomb" in found.identified.model) is not with_reference
+    if not with_reference:  # and the filter, which is linear, takes it as a load that it knows
+        assert found.filter_check is not None
+        assert found.filter_check.sensor_only_nis == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("noise", [0.3, 0.5, 0.7, 0.9, 1.2, 2.0])
+def test_noise_of_a_coarse_converter_is_the_same_from_start_to_start(noise: float) -> None:
+    """In steps of the converter; its own error adds 1 / sqrt(12)."""
+    rng = np.random.default_rng(3)
+    decay = 50.0 * np.exp(-np.linspace(0.0, 5.0, 2000))
+    levels = rng.uniform(0.0, 1.0, 40)
+    found = [
+        difference_noise(np.round(decay + v + noise * rng.standard_normal(2000)) - decay) for v in levels
+    ]
+    np.testing.assert_allclose(found, math.hypot(noise, 12.0**-0.5), rtol=0.2)

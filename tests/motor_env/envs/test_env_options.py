@@ -1,0 +1,205 @@
+"""Options: every environment that can be made can be stepped to its end, or refuses with one sentence."""
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.wrappers import RecordEpisodeStatistics
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from motor_env.envs.monitor import MonitorEnv, MonitorVectorEnv
+from motor_env.envs.options import MonitorOptions
+from motor_env.envs.probe import ProbeContinuousEnv, ProbeEnv, ProbeVectorEnv
+from motor_env.envs.tasks import TASKS
+from motor_env.motor.parameters import Channel, MotorParameters, SensorParameters, SupplyParameters
+from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.simulate import Timing
+
+POSITIVE = st.floats(-4.0, 2.0).map(lambda exponent: 10.0**exponent)
+MOTORS = st.builds(MotorParameters, *[POSITIVE] * 5, viscous_friction_n_m_s_per_rad=POSITIVE | st.just(0.0))
+CHANNELS = st.sampled_from(
+    [(Channel.CURRENT,), (Channel.SPEED,), (Channel.CURRENT, Channel.SPEED), (Channel.SPEED, Channel.CURRENT)]
+)
+RATES_HZ = st.sampled_from([100.0, 5e3, 1e4, 1e6])
+
+
+def recipe_of(
+    motor: MotorParameters, channels: tuple[Channel, ...], rate_hz: float, voltage_v: float
+) -> Recipe:
+    """A recipe of any motor, sensor, sampling rate and supply."""
+    sensor = SensorParameters(channels=channels, current_noise_a=0.02, speed_noise_rad_s=0.5)
+    return replace(
+        TASKS["hard"],
+        name="any",
+        motor=motor,
+        sensor=sensor,
+        timing=Timing(rate_hz, 200.0 / rate_hz),
+        supply=SupplyParameters(voltage_v),
+    )
+
+
+NUMBERS = st.floats(-1.0, 2.0) | st.sampled_from([0.0, 1e-3, 0.01, 0.02, float("nan"), float("inf"), 1e9])
+MONITOR = {
+    "recipe": st.sampled_from(
+        ["easy", "medium", "hard", "paper", "bench", "small", "field", "no such recipe"]
+    )
+    | st.builds(recipe_of, MOTORS, CHANNELS, RATES_HZ, st.floats(-30.0, 30.0)),
+    "motor": st.sampled_from(["examples/motor.toml", "maxon", "no such motor"]) | MOTORS,
+    "horizon_s": st.sampled_from([0.0, 1e-4, 0.01, 0.0203, -1.0, float("nan")]) | st.floats(0.0, 0.03),
+    "samples_per_step": st.integers(-1, 25),
+    "start": st.sampled_from(["running", "standstill", "flying"]),
+    "load_torque_n_m": NUMBERS,
+    "earliest_onset_s": NUMBERS,
+    "mean_onset_s": NUMBERS,
+    "growth_s": st.sampled_from([0.0, 0.001, 0.01, 3.0, -1.0]),
+    "growth_levels": st.integers(-1, 40),
+    "belief_noise_std": st.tuples(NUMBERS, NUMBERS),
+    "delay_cost_per_s": NUMBERS,
+    "miss_cost": NUMBERS,
+    "precision": st.sampled_from(["float32", "float32", "float16"]),
+    "observe": st.sampled_from(
+        [(), ("time",), ("evidence_bearing", "excess"), ("label",), ("measured_speed",)]
+    ),
+}
+PROBE = {
+    **MONITOR,
+    "offsets_v": st.lists(NUMBERS, max_size=4).map(tuple),
+    "max_offset_v": NUMBERS,
+    "probe_cost_per_v2_s": NUMBERS,
+}
+
+
+def some_of(options: dict[str, st.SearchStrategy[Any]]) -> st.SearchStrategy[dict[str, Any]]:
+    """Any of the options, few at a time, so that some of the sets are good."""
+    names = st.lists(st.sampled_from(sorted(options)), max_size=3, unique=True)
+    return names.flatmap(lambda chosen: st.fixed_dictionaries({name: options[name] for name in chosen}))
+
+
+def runs_or_refuses(make: Any, options: dict[str, Any]) -> None:
+    """The property."""
+    try:
+        env = make(**options)
+    except ValueError as refusal:
+        sentence = str(refusal)
+        assert "\n" not in sentence
+        assert 10 < len(sentence) < 400
+        return
+    observation, _ = env.reset(seed=3)
+    wait = env.action_space.low * 0.0 if isinstance(env.action_space, gym.spaces.Box) else 0
+    for step in range(min(env.options.n_steps, 400)):
+        assert env.observation_space.contains(observation), observation
+        observation, reward, over, _, _ = env.step(wait)
+        assert np.isfinite(reward)
+        assert over == (step == env.options.n_steps - 1)
+    assert env.observation_space.contains(observation)
+
+
+@settings(max_examples=120)
+@given(some_of(MONITOR))
+def test_monitor_runs_or_refuses(options: dict[str, Any]) -> None:
+    runs_or_refuses(MonitorEnv, options)
+
+
+@settings(max_examples=120)
+@given(some_of(PROBE), st.sampled_from([ProbeEnv, ProbeContinuousEnv]))
+def test_probe_runs_or_refuses(options: dict[str, Any], make: Any) -> None:
+    runs_or_refuses(make, options)
+
+
+@pytest.mark.parametrize("kind", ["recipe", "motor"])
+def test_any_file_runs_or_refuses(kind: str, tmp_path: Path) -> None:
+    """A recipe or a motor of one's own as an option of gymnasium.make."""
+    files = {
+        "recipe": {
+            "good": 'base = "bench"\n[sensor]\nchannels = ["current", "speed"]\n[timing]\nsampling_rate_hz = 5000.0',
+            "unknown key 'resistanc_ohm'": "[motor]\nresistanc_ohm = 2.0",
+            "is not TOML": "[motor",
+            "joint faults": '[[classes]]\n[[classes]]\nkind = "bearing"\nseverity = 0.1\n'
+            '[[classes.also]]\nkind = "noise"\nseverity = 0.5',
+            "a table field": 'base = "field"',
+            "healthy only": "[[classes]]",
+        },
+        "motor": {
+            "good": Path("examples/motor.toml").read_text(encoding="utf-8"),
+            "resistance": "[motor]\nresistance_ohm = -2.0",
+            "is not TOML": "resistance = ",
+            "an environment's motor is linear": Path("examples/motor.toml")
+            .read_text(encoding="utf-8")
+            .replace("[tolerance]", "coulomb_friction_n_m = 1e-5\n[tolerance]"),
+        },
+    }[kind]
+    for sentence, content in files.items():
+        path = tmp_path / "own.toml"
+        path.write_text(content, encoding="utf-8")
+        options: dict[str, Any] = {kind: str(path), "horizon_s": 0.02}
+        if sentence == "good":
+            observation, _ = gym.make("motor_env/Monitor-v0", **options).reset(seed=0)
+            assert observation.shape == ((13,) if kind == "recipe" else (9,))
+            runs_or_refuses(ProbeEnv, {**options, "samples_per_step": 1})
+        else:
+            with pytest.raises(ValueError, match=sentence) as refusal:
+                gym.make("motor_env/Monitor-v0", **options)
+            assert "\n" not in str(refusal.value)
+    with pytest.raises(ValueError, match="no such"):
+        MonitorEnv(**{kind: "absent.toml"})  # type: ignore[arg-type]  # the name is one of two options
+
+
+def test_an_unknown_option_is_named_and_the_known_ones_listed() -> None:
+    with pytest.raises(ValueError, match="no option 'horizn_s'; there are recipe, motor, horizon_s"):
+        MonitorEnv(horizn_s=1.0)
+
+
+@pytest.mark.parametrize("make", [MonitorEnv, ProbeEnv, ProbeContinuousEnv, MonitorVectorEnv, ProbeVectorEnv])
+def test_environments_and_options_survive_pickling(make: Any) -> None:
+    env = make()
+    env.reset(seed=4)
+    copy = pickle.loads(pickle.dumps(env))  # noqa: S301  # our own bytes
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        action = np.clip(env.action_space.sample(), 0, 0) if rng.random() < 0.5 else env.action_space.sample()
+        mine, theirs = env.step(action), copy.step(action)
+        np.testing.assert_array_equal(mine[0], theirs[0])
+        np.testing.assert_array_equal(mine[1], theirs[1])
+        if np.ndim(mine[2]) == 0 and mine[2]:
+            break
+    assert pickle.loads(pickle.dumps(MonitorOptions())) == MonitorOptions()  # noqa: S301
+
+
+def test_wrappers_and_frames() -> None:
+    env = RecordEpisodeStatistics(gym.make("motor_env/Probe-v0", render_mode="rgb_array", horizon_s=0.02))
+    env.reset(seed=0)
+    over = False
+    while not over:
+        _, _, over, _, info = env.step(1)
+    assert info["episode"]["l"] == 10
+    frame = env.render()
+    assert isinstance(frame, np.ndarray)
+    assert frame.shape == (560, 800, 3)
+    assert frame.dtype == np.uint8
+    assert len(np.unique(frame.reshape(-1, 3), axis=0)) > 20  # traces, text, grid: not one colour
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+def test_a_thousand_million_random_steps() -> None:
+    import resource
+
+    envs = MonitorVectorEnv(8192, recipe="hard", growth_s=0.01)
+    rng = np.random.default_rng(0)
+    envs.reset(seed=0)
+    lows, highs = envs.single_observation_space.low, envs.single_observation_space.high  # type: ignore[attr-defined]
+    memory = []
+    for step in range(10**9 // 8192 + 1):
+        if step % 500 == 0:
+            declared = rng.integers(1, envs.single_action_space.n, (500, 8192))  # type: ignore[attr-defined]
+            actions = np.where(rng.random((500, 8192)) < 0.999, 0, declared)
+            memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+        observations, rewards, _, _, _ = envs.step(actions[step % 500])
+        assert (observations >= lows).all() and (observations <= highs).all()  # noqa: PT018  # also without NaN
+        assert np.isfinite(rewards).all()
+    assert memory[-1] < 1.02 * memory[len(memory) // 4]

@@ -1,0 +1,255 @@
+"""Baselines and their scores: against the truth, against the posterior built by hand, and below their bounds."""
+
+import importlib.util
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import expit
+
+from motor_env.detection.rules import Cusum
+from motor_env.envs import kernel
+from motor_env.envs.baselines import bounds
+from motor_env.envs.baselines.belief import ProbeBelief
+from motor_env.envs.baselines.evaluation import run_episodes, score, sweep
+from motor_env.envs.baselines.policies import (
+    BankPolicy,
+    Never,
+    Random,
+    RulePolicy,
+    ThresholdPolicy,
+    baseline_features,
+    column,
+)
+from motor_env.envs.baselines.posterior_policies import BayesPolicy
+from motor_env.envs.baselines.probing import Bursts, OnDemand, OpenLoop, RatioTest, WorthTest
+from motor_env.envs.monitor import MonitorVectorEnv
+from motor_env.envs.probe import ProbeOptions, ProbeVectorEnv
+from motor_env.envs.setup import converged_gain, make_setup
+from motor_env.envs.tasks import EASY, MEDIUM, SMALL
+from motor_env.motor.faults import apply_faults
+from motor_env.motor.model import discretize
+
+MONITOR: dict[str, Any] = {"recipe": "easy", "horizon_s": 0.05, "observe": baseline_features(EASY)}
+PROBE: dict[str, Any] = {"recipe": "small", "horizon_s": 0.1}
+
+
+def monitor(count: int = 200) -> MonitorVectorEnv:
+    return MonitorVectorEnv(count, **MONITOR)
+
+
+def test_silence_costs_what_the_truth_says() -> None:
+    envs = monitor()
+    runs = run_episodes(envs, Never(), 3)
+    options = envs.options
+    late = (runs.onset < 0) | (runs.onset >= options.n_samples)
+    delay = options.delay_cost_per_s * options.dt_s * (options.n_samples - runs.onset)
+    wanted = np.where(late, options.silent_reward, -options.miss_cost - delay)
+    np.testing.assert_allclose(runs.returns, wanted, atol=1e-4)  # float32 sums 500 costs
+    found = score(envs, runs)
+    assert found.detected_share == found.false_alarm_share == 0.0
+
+
+@pytest.mark.parametrize("name", ["bank", "cusum", "bayes", "open loop", "on demand"])
+def test_a_sweep_gives_what_every_threshold_gives_alone(name: str) -> None:
+    envs = monitor(100) if name in ("bank", "cusum", "bayes") else ProbeVectorEnv(100, **PROBE)
+    setup = envs.setup
+    cases: dict[str, Callable[[], tuple[ThresholdPolicy, tuple[float, ...]]]] = {
+        "bank": lambda: (BankPolicy(setup, 0.0), (0.5, 3.0, 30.0)),
+        "cusum": lambda: (RulePolicy(setup, Cusum(0.5, two_sided=True), 0.0), (2.0, 8.0, 1e9)),
+        "bayes": lambda: (BayesPolicy(setup, 0.0), (0.0, 0.8, 0.97)),
+        "open loop": lambda: (
+            OpenLoop(RatioTest(setup, 0.0), Bursts(5, 8, 3).actions(envs.options.n_steps)),
+            (1.0, 4.0, 9.0),
+        ),
+        "on demand": lambda: (OnDemand(WorthTest(setup, 0.0), 0.05), (0.2, 0.8, 0.97)),
+    }
+    policy, thresholds = cases[name]()
+    swept = sweep(envs, policy, thresholds, 7)
+    for threshold, runs in zip(thresholds, swept, strict=True):
+        policy.threshold = threshold
+        alone = run_episodes(envs, policy, 7)
+        np.testing.assert_allclose(runs.returns, alone.returns, atol=1e-6)
+        for one, other in zip(runs[1:], alone[1:], strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_random_declares_as_often_as_its_probability_says() -> None:
+    envs = monitor(2000)
+    runs = run_episodes(envs, Random(envs.setup, np.random.default_rng(1), 2e-3), 4)
+    silent = 1.0 - (1.0 - 2e-3) ** envs.options.n_steps
+    assert abs((runs.declared > 0).mean() - silent) < 4.0 * np.sqrt(silent * (1.0 - silent) / 2000)
+
+
+def test_bursts_move_where_they_say() -> None:
+    actions = Bursts(start=2, period=6, length=3, half_period=1).actions(12)
+    assert actions.tolist() == [0, 0, 1, 2, 1, 0, 0, 0, 1, 2, 1, 0]
+    one_pulse = Bursts(start=1, period=10, length=4, half_period=4, first=2).actions(8)
+    assert one_pulse.tolist() == [0, 2, 2, 2, 2, 0, 0, 0]
+    with pytest.raises(ValueError, match="length must be from 1 to 3, got 4"):
+        Bursts(0, 3, 4).actions(5)
+
+
+def test_likelihood_ratio_is_that_of_plant_and_filter_simulated_sample_by_sample() -> None:
+    """The mean innovation under a fault, from the plant's and the filter's own recursions, gives the same ratio."""
+    setup = make_setup(ProbeOptions(**PROBE, earliest_onset_s=0.0))
+    n, steps, which, onset_step, rng = 20, 12, 3, 4, np.random.default_rng(5)
+    offsets = rng.choice([-1.0, 0.0, 1.0], steps)
+    plants = [discretize(apply_faults(SMALL.motor, SMALL.classes[c].faults), 1e-4) for c in (0, which)]
+    gain, covariance = converged_gain(setup.belief)
+    state, estimate = np.array(setup.rest), np.array(setup.rest)
+    shown = []
+    for sample in range(steps * n):
+        u = np.array([12.0 + offsets[sample // n], 0.0])
+        plant = plants[int(sample >= onset_step * n + n // 2)]
+        state = plant.transition @ state + plant.gain @ u
+        predicted = plants[0].transition @ estimate + plants[0].gain @ u
+        surprise = state[0] - predicted[0]
+        estimate = predicted + gain[:, 0] * surprise
+        shown.append(surprise / np.sqrt(covariance[0, 0]))
+    means = np.array(shown).reshape(steps, n).sum(axis=1) / np.sqrt(n)
+    seen = (rng.normal(size=steps) + means).astype(np.float32)
+    belief = ProbeBelief(setup)
+    belief.start(1)
+    voltage = kernel.FEATURES.index("voltage")
+    for step in range(steps):
+        observation = np.zeros((1, len(setup.chosen)), dtype=np.float32)
+        observation[0, column(setup, "innovation_current")] = seen[step]
+        observation[0, column(setup, "voltage")] = (offsets[step] + 12.0) * setup.view[0, voltage]
+        belief.update(observation)
+    wanted = (means * (seen - 0.5 * means))[onset_step:].sum()
+    age = steps - 1 - onset_step
+    np.testing.assert_allclose(belief._hypotheses.ratio[0, which - 1, age], wanted, rtol=1e-5, atol=1e-6)
+
+
+def test_posterior_of_a_probed_motor_is_calibrated() -> None:
+    """Among the moments at which it says 30 %, a fault has set in at 30 %."""
+    envs = ProbeVectorEnv(1500, **PROBE)
+    belief, schedule = ProbeBelief(envs.setup), Bursts(5, 8, 3).actions(envs.options.n_steps)
+    _, info = envs.reset(seed=21)
+    belief.start(1500)
+    said, true = [], []
+    for step, action in enumerate(schedule[:-1]):
+        observations = envs.step(np.full(1500, action))[0]
+        belief.update(observations)
+        np.testing.assert_allclose(belief.quiet + belief.kinds.sum(axis=1), 1.0, atol=1e-9)
+        if step % 5 == 4:
+            said.append(1.0 - belief.quiet)
+            onset = info["onset_sample"]
+            true.append((onset >= 0) & (onset < (step + 1) * envs.options.samples_per_step))
+    p, happened = np.concatenate(said), np.concatenate(true)
+    for low, high in ((0.0, 0.02), (0.02, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.01)):
+        chosen = (p >= low) & (p < high)
+        assert chosen.sum() > 50
+        expected = p[chosen].mean()
+        # moments of one episode are not independent: five of them may be alike
+        error = np.sqrt(5.0 * expected * (1.0 - expected) / chosen.sum())
+        assert abs(happened[chosen].mean() - expected) < 4.0 * error + 1e-3
+
+
+def test_expected_reward_is_the_reward_on_average() -> None:
+    envs = ProbeVectorEnv(4000, **PROBE)
+    rule = OnDemand(WorthTest(envs.setup, 0.3), 0.05)  # declares early and is often wrong
+    observations, _ = envs.reset(seed=31)
+    rule.start(4000)
+    difference, alive = np.zeros(4000), np.ones(4000, dtype=bool)
+    for _ in range(envs.options.n_steps):
+        actions = rule.act(observations)
+        expected = rule.test.belief.expected_reward(actions)
+        observations, rewards, terminated, _, _ = envs.step(actions)
+        difference += (rewards - expected) * alive
+        alive &= ~terminated
+    assert not alive.any()
+    assert difference.std() > 0.1
+    assert abs(difference.mean()) < 4.0 * difference.std() / np.sqrt(4000)
+
+
+def test_restart_forgets_where_an_episode_is_over() -> None:
+    envs = ProbeVectorEnv(64, **PROBE)
+    belief = ProbeBelief(envs.setup)
+    envs.reset(seed=1)
+    belief.start(64)
+    for _ in range(20):
+        belief.update(envs.step(np.full(64, 1))[0])
+    over = np.arange(64) % 2 == 0
+    kept = belief.summary()[~over]
+    belief.restart(over)
+    fresh = ProbeBelief(envs.setup)
+    fresh.start(64)
+    np.testing.assert_array_equal(belief.summary()[over], fresh.summary()[over])
+    np.testing.assert_array_equal(belief.summary()[~over], kept)
+
+
+def test_a_matched_probe_sees_what_a_waiting_rule_does_not() -> None:
+    envs = ProbeVectorEnv(400, **PROBE)
+    setup, steps = envs.setup, envs.options.n_steps
+    waiting = sweep(envs, WorthTest(setup, 0.0), [0.9], 5)[0]
+    probing = sweep(envs, OpenLoop(WorthTest(setup, 0.0), Bursts(10, 10, 2).actions(steps)), [0.9], 5)[0]
+    assert score(envs, probing).detected_share > score(envs, waiting).detected_share + 0.3
+    assert probing.probing.mean() > 0.1 > waiting.probing.mean() == 0.0
+
+
+def test_no_policy_is_above_the_bound() -> None:
+    envs = MonitorVectorEnv(400, recipe="medium", horizon_s=0.05, observe=baseline_features(MEDIUM))
+    thresholds = (0.5, 0.8, 0.9, 0.95, 0.98)
+    best = max(
+        sweep(envs, BayesPolicy(envs.setup, 0.0), thresholds, 42), key=lambda runs: runs.returns.mean()
+    )
+    bound = bounds.upper_bound(envs.options)
+    assert best.returns.mean() < bound + 2.0 * best.returns.std() / 20.0
+    assert bound - 0.1 < best.returns.mean()  # and the bound is not an idle one
+    assert bound < 1.0
+
+
+def test_posterior_stays_finite_when_a_fault_is_far_beyond_doubt() -> None:
+    envs = monitor(100)
+    policy = BayesPolicy(envs.setup, np.inf)
+    observations, _ = envs.reset(seed=2)
+    policy.start(100)
+    for _ in range(envs.options.n_steps):
+        value, _ = policy.judge(observations)
+        assert not np.isnan(value).any()
+        np.testing.assert_allclose(policy.quiet + policy.kinds.sum(axis=1), 1.0, atol=1e-9)
+        observations = envs.step(np.zeros(100, dtype=np.int64))[0]
+
+
+def test_a_look_keeps_probabilities_and_at_last_tells_all() -> None:
+    p = expit(bounds.LOG_ODDS)
+    out = np.empty_like(p)
+    for information in (1e-3, 0.3, 4.0):
+        bounds.expected(p, information, out)
+        np.testing.assert_allclose(out, p, atol=2e-3)
+    better = np.maximum(p, 1.0 - p)
+    bounds.expected(better, 400.0, out)
+    np.testing.assert_allclose(out, 1.0, atol=1e-6)
+    previous = better
+    for information in (0.1, 1.0, 10.0):
+        bounds.expected(better, information, out)
+        assert (out >= previous - 1e-4).all()
+        previous = out.copy()
+
+
+@pytest.mark.long
+def test_agent_trains_and_is_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("stable_baselines3", reason="extra rl")
+    path = Path(__file__).parents[3] / "examples" / "train_probe.py"
+    spec = importlib.util.spec_from_file_location("train_probe", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    out = tmp_path / "agent"
+    arguments = ["train_probe.py", "--steps", "600", "--envs", "8", "--episodes", "20", "--out", str(out)]
+    monkeypatch.setattr(sys, "argv", arguments)
+    module.main()
+    found = json.loads((out / "evaluation.json").read_text())
+    assert found["scores"]["agent"]["episodes"] == 100
+    assert len(found["curve"]) >= 2
+    assert all(
+        (out / name).stat().st_size > 1000
+        for name in ("learning-curve.svg", "learning-curve.png", "episode.gif")
+    )

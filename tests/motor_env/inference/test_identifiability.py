@@ -1,0 +1,121 @@
+"""What experiments can tell: against the Cramer-Rao bound, and against transients that must look the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from motor_env.inference.fit import cramer_rao_bound
+from motor_env.inference.identifiability import (
+    FAULT_DIRECTIONS,
+    Experiment,
+    identifiability,
+    isolability,
+)
+from motor_env.inference.parametrisation import QUANTITIES, Coordinates
+from motor_env.inference.whitening import MatchedTest
+from motor_env.motor.faults import Fault, FaultKind, apply_fault
+from motor_env.motor.parameters import PAPER_MOTOR, Channel, SensorParameters
+from motor_env.simulation.recipes import Spread, named_recipe
+from motor_env.simulation.simulate import Timing, simulate_states
+
+TIMING = Timing(10_000.0, 0.1)
+CURRENT = SensorParameters()
+BOTH = SensorParameters(
+    channels=(Channel.CURRENT, Channel.SPEED), current_noise_a=0.02, speed_noise_rad_s=2.0
+)
+START = Experiment.start(TIMING, CURRENT)
+STEADY = replace(Experiment.start(Timing(10_000.0, 0.2), CURRENT), first_sample=1000)
+BENCH = named_recipe("bench")
+
+
+def test_bounds_are_those_of_cramer_and_rao() -> None:
+    free = ("resistance", "inductance", "friction")
+    got = identifiability(PAPER_MOTOR, START, free)
+    covariance = cramer_rao_bound(PAPER_MOTOR, TIMING, CURRENT, 12.0, free)
+    std = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(got.std, std, rtol=1e-9)
+    np.testing.assert_allclose(got.correlation, covariance / np.outer(std, std), atol=1e-9)
+    assert got.open_directions.shape == (0, 3)
+    assert got.sentences()[0] == "resistance: known to 0.11 %"
+
+
+def test_current_alone_leaves_one_direction_open() -> None:
+    got = identifiability(PAPER_MOTOR, START)
+    np.testing.assert_array_equal(got.open_directions, [[0.0, 0.0, 1.0, 2.0, 2.0]])
+    assert np.isfinite(got.std).tolist() == [True, True, False, False, False]
+    assert "constants by a, inertia by a^2, friction by a^2 changes no sample, for any a" in got.sentences()
+    assert got.sentences()[2] == "constants: not identifiable"
+    assert not np.isfinite(got.correlation[2]).any()
+
+
+@pytest.mark.parametrize(("sensor", "n_open"), [(CURRENT, 2), (BOTH, 1)])
+def test_open_directions_change_no_sample(sensor: SensorParameters, n_open: int) -> None:
+    experiment = Experiment.start(TIMING, sensor)
+    got = identifiability(PAPER_MOTOR, experiment, QUANTITIES)
+    assert got.open_directions.shape == (n_open, 6)
+    coordinates = Coordinates.of(PAPER_MOTOR, QUANTITIES)
+    nominal = simulate_states(PAPER_MOTOR, experiment.voltage_v, experiment.dt_s) @ sensor.observation.T
+    for direction in got.open_directions:
+        motor, supply = coordinates.motors(0.2 * direction)
+        same = simulate_states(motor, supply * experiment.voltage_v, experiment.dt_s) @ sensor.observation.T
+        np.testing.assert_allclose(same, nominal, rtol=1e-9, atol=1e-12)
+
+
+def test_a_prior_closes_the_open_direction() -> None:
+    prior = [np.inf, np.inf, 0.01, np.inf, np.inf]
+    got = identifiability(PAPER_MOTOR, START, prior_std=prior)
+    assert got.open_directions.size == 0
+    np.testing.assert_allclose(got.std[2:4], [0.01, 0.02], rtol=0.01)
+    assert [pair[:2] for pair in got.correlated_pairs(0.99)] == [("inertia", "constants")]
+    expected = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, TIMING, CURRENT, 12.0, got.names, prior)))
+    np.testing.assert_allclose(got.std, expected, rtol=1e-6)
+
+
+def test_unloaded_steady_state_hides_the_winding_and_load_shows_it() -> None:
+    waits = identifiability(PAPER_MOTOR, STEADY, ("resistance",)).std[0]
+    starts = identifiability(PAPER_MOTOR, START, ("resistance",)).std[0]
+    assert waits > 1.0 > 0.01 > starts
+    assert identifiability(PAPER_MOTOR, STEADY, ("friction",)).std[0] < 0.03
+    both = replace(STEADY, sensor=BOTH)
+    driven = np.full(len(STEADY.voltage_v), 0.028)
+    loaded = identifiability(PAPER_MOTOR, replace(both, load_torque_n_m=driven), ("resistance",)).std[0]
+    assert loaded < 0.1 * identifiability(PAPER_MOTOR, both, ("resistance",)).std[0]
+
+
+def test_detectability_is_the_separation_of_the_matched_test() -> None:
+    got = isolability(PAPER_MOTOR, START, BENCH.spread, severity=1e-4)
+    for kind, separation in zip(got.kinds, got.detectable, strict=True):
+        exact = MatchedTest.of(BENCH, Fault(kind, 1e-4)).separation
+        assert separation == pytest.approx(exact, rel=1e-3)
+
+
+def test_fault_directions_are_those_of_apply_fault() -> None:
+    step = 1e-6
+    coordinates = Coordinates.of(PAPER_MOTOR, QUANTITIES)
+    for kind, direction in FAULT_DIRECTIONS.items():
+        values = step * np.array([direction.get(name, 0.0) for name in QUANTITIES])
+        motor, _ = coordinates.motors(values)
+        faulty = apply_fault(PAPER_MOTOR, Fault(kind, step))
+        for field in (
+            "resistance_ohm",
+            "inductance_h",
+            "torque_constant_n_m_per_a",
+            "viscous_friction_n_m_s_per_rad",
+        ):
+            assert getattr(motor, field) == pytest.approx(getattr(faulty, field), rel=1e-11)
+
+
+def test_steady_current_cannot_tell_a_bearing_from_a_short() -> None:
+    steady = isolability(PAPER_MOTOR, STEADY, Spread())
+    bearing, short = steady.kinds.index(FaultKind.BEARING), steady.kinds.index(FaultKind.WINDING_SHORT)
+    assert steady.detectable[bearing] > 3.0
+    assert steady.isolable[bearing, short] < 1e-3
+    assert isolability(PAPER_MOTOR, START, Spread()).isolable[bearing, short] > 3.0
+
+
+def test_bad_experiments_are_named() -> None:
+    with pytest.raises(ValueError, match=r"first_sample must be in 0 .. 999, got 1000"):
+        replace(START, first_sample=1000)
+    with pytest.raises(ValueError, match="noise of each channel must be > 0"):
+        replace(START, sensor=SensorParameters(current_noise_a=0.0))

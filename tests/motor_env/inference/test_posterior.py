@@ -1,0 +1,168 @@
+"""The posterior against importance sampling, the exact likelihood, and the accuracies known for the bench recipe."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import gammaln, logsumexp
+from scipy.stats import norm
+
+from motor_env.inference.fit import Prior, fit
+from motor_env.inference.posterior import (
+    bayes_limit,
+    class_coordinates,
+    class_log_evidence,
+    class_probabilities,
+    excess_over_limit,
+    recipe_observed,
+    variance_factor,
+)
+from motor_env.inference.sensitivities import fitted_residuals
+from motor_env.motor.faults import FaultKind, apply_faults
+from motor_env.motor.parameters import Channel, FloatArray, SensorParameters
+from motor_env.simulation.recipes import Draw, FaultClass, Recipe, draw, named_recipe
+from motor_env.simulation.simulate import Timing, simulate, simulate_states
+
+BENCH_1KHZ = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+ALL_KINDS = (
+    FaultClass(),
+    FaultClass(FaultKind.BEARING, 0.25),
+    FaultClass(FaultKind.WINDING_CONTACT, 0.10),
+    FaultClass(FaultKind.WINDING_SHORT, 0.05, weight=2.0),
+    FaultClass(FaultKind.NOISE, 1.0),
+)
+
+
+def drawn_measurements(recipe: Recipe, n: int, seed: int = 7) -> tuple[Draw, FloatArray]:
+    drawn = draw(recipe, seed, np.arange(n))
+    return drawn, simulate(drawn.scenario, seed, drawn.cases).measurements
+
+
+def importance_evidence(
+    recipe: Recipe, measurements: FloatArray, rng: np.random.Generator, n_draws: int
+) -> FloatArray:
+    """Log evidence by importance sampling from the Laplace approximation with heavier tails (multivariate t)."""
+    observed = recipe_observed(recipe, measurements)
+    evidence = np.empty((observed.n_cases, len(recipe.classes)))
+    freedom = 8.0
+    for column, fault_class in enumerate(recipe.classes):
+        noisy = observed.with_variance(variance_factor(fault_class))
+        coordinates = class_coordinates(recipe, fault_class)
+        size = coordinates.size
+        fitted = fit(noisy, coordinates, Prior.of(np.ones(size)))
+        factor = np.linalg.cholesky(fitted.covariance)
+        for n in range(observed.n_cases):
+            normal = rng.standard_normal((n_draws, size))
+            heavy = normal * np.sqrt(freedom / rng.chisquare(freedom, n_draws))[:, None]
+            values = fitted.values[n] + heavy @ factor[n].T
+            squares = np.square(heavy).sum(axis=1)
+            # log density of the t distribution, up to the constant that follows
+            log_proposal = -0.5 * (freedom + size) * np.log1p(squares / freedom)
+            log_proposal += _log_t_constant(freedom, size) - np.log(np.diagonal(factor[n])).sum()
+            row = replace(
+                noisy.rows(slice(n, n + 1)), whitened=np.repeat(noisy.whitened[n : n + 1], n_draws, 0)
+            )
+            chi2 = np.square(fitted_residuals(row, coordinates, values)).sum(axis=(1, 2))
+            log_joint = noisy.log_normaliser - 0.5 * chi2 + norm.logpdf(values).sum(axis=1)
+            evidence[n, column] = logsumexp(log_joint - log_proposal) - np.log(n_draws)
+    return evidence
+
+
+def _log_t_constant(freedom: float, size: int) -> float:
+    ends = gammaln(0.5 * (freedom + size)) - gammaln(0.5 * freedom)
+    return float(ends - 0.5 * size * np.log(freedom * np.pi))
+
+
+@pytest.mark.parametrize("classes", [BENCH_1KHZ.classes, ALL_KINDS])
+def test_laplace_agrees_with_importance_sampling(classes: tuple[FaultClass, ...]) -> None:
+    recipe = replace(BENCH_1KHZ, classes=classes)
+    _, measured = drawn_measurements(recipe, 24)
+    prior = np.log(recipe.class_probabilities)
+    sampled = importance_evidence(recipe, measured, np.random.default_rng(2), 2000) + prior
+    expected = np.exp(sampled - logsumexp(sampled, axis=1, keepdims=True))
+    got = class_probabilities(recipe, measured)
+    assert np.abs(got - expected).max() < 0.012
+    assert np.abs(got - expected).max(axis=1).mean() < 0.005
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "noise_a", "expected"),
+    [
+        (10_000.0, 0.005, 0.986),
+        (10_000.0, 0.02, 0.951),
+        (10_000.0, 0.1, 0.740),
+        (1_000.0, 0.005, 0.965),
+        (1_000.0, 0.02, 0.804),
+        (1_000.0, 0.1, 0.632),
+    ],
+)
+def test_limit_of_the_bench_recipe(rate_hz: float, noise_a: float, expected: float) -> None:
+    recipe = named_recipe(
+        "bench", sensor=SensorParameters(current_noise_a=noise_a), timing=Timing(rate_hz, 0.1)
+    )
+    drawn, measured = drawn_measurements(recipe, 400)
+    probabilities = class_probabilities(recipe, measured)
+    limit = bayes_limit(probabilities)
+    assert abs(limit.expected_accuracy - expected) < 4.0 * limit.standard_error
+    # A posterior is calibrated: it expects as many hits as it gets.
+    hits = (probabilities.argmax(axis=1) == drawn.class_index).mean()
+    assert abs(hits - limit.expected_accuracy) < 4.0 * np.sqrt(expected * (1.0 - expected) / len(measured))
+
+
+def test_without_spread_the_evidence_is_the_likelihood() -> None:
+    recipe = named_recipe("paper", classes=ALL_KINDS, timing=Timing(1_000.0, 0.05, quiet_s=0.01))
+    _, measured = drawn_measurements(recipe, 20)
+    expected = np.empty((20, len(ALL_KINDS)))
+    voltage = np.where(recipe.timing.interval_start_s >= -1e-12, 12.0, 0.0)
+    for column, fault_class in enumerate(ALL_KINDS):
+        motor = apply_faults(recipe.motor, fault_class.faults)
+        current = simulate_states(motor, voltage, recipe.timing.dt_s)[:, 0]
+        std = 0.02 * np.sqrt(2.0 if fault_class.kind is FaultKind.NOISE else 1.0)
+        density = np.asarray(norm.logpdf(measured[:, 0], current, std))
+        expected[:, column] = density.sum(axis=1)
+    np.testing.assert_allclose(class_log_evidence(recipe, measured), expected, rtol=1e-10)
+
+
+def test_two_known_signals_reach_the_matched_filter() -> None:
+    """Two equally likely known signals in white noise: best accuracy Phi(d' / 2)."""
+    classes = (FaultClass(), FaultClass(FaultKind.BEARING, 0.10))
+    recipe = named_recipe("paper", classes=classes)
+    _, measured = drawn_measurements(recipe, 2000)
+    dt = recipe.timing.dt_s
+    voltage = np.full(recipe.timing.n_samples, 12.0)
+    signals = [simulate_states(apply_faults(recipe.motor, c.faults), voltage, dt)[:, 0] for c in classes]
+    separation = np.linalg.norm(signals[1] - signals[0]) / recipe.sensor.current_noise_a
+    assert separation == pytest.approx(3.8, abs=0.1)
+    limit = bayes_limit(class_probabilities(recipe, measured))
+    assert abs(limit.expected_accuracy - norm.cdf(separation / 2.0)) < 4.0 * limit.standard_error
+
+
+def test_more_samples_and_more_channels_do_not_hurt() -> None:
+    both = SensorParameters(channels=(Channel.CURRENT, Channel.SPEED), speed_noise_rad_s=5.0)
+    recipe = replace(BENCH_1KHZ, sensor=both)
+    _, measured = drawn_measurements(recipe, 400)
+    with_speed = bayes_limit(class_probabilities(recipe, measured)).expected_accuracy
+    alone = bayes_limit(class_probabilities(BENCH_1KHZ, measured[:, :1])).expected_accuracy
+    early = bayes_limit(class_probabilities(BENCH_1KHZ, measured[:, :1, :20])).expected_accuracy
+    assert early < alone < with_speed
+
+
+def test_probabilities_do_not_depend_on_the_batch() -> None:
+    _, measured = drawn_measurements(BENCH_1KHZ, 6)
+    together = class_probabilities(BENCH_1KHZ, measured)
+    np.testing.assert_allclose(class_probabilities(BENCH_1KHZ, measured[4:5])[0], together[4], atol=1e-9)
+    np.testing.assert_allclose(together.sum(axis=1), 1.0)
+
+
+def test_a_classifier_that_saw_the_labels_is_suspicious_and_an_honest_one_is_not() -> None:
+    drawn, measured = drawn_measurements(BENCH_1KHZ, 600)
+    probabilities = class_probabilities(BENCH_1KHZ, measured)
+    honest = class_probabilities(BENCH_1KHZ, measured[..., :30]).argmax(axis=1)
+    below = excess_over_limit(probabilities, drawn.class_index, honest)
+    assert below.excess < 0.0
+    assert not below.is_suspicious
+    equal = excess_over_limit(probabilities, drawn.class_index, probabilities.argmax(axis=1))
+    assert equal == (0.0, 0.0)
+    assert not equal.is_suspicious
+    peeked = np.where(np.arange(600) % 4 == 0, drawn.class_index, probabilities.argmax(axis=1))
+    assert excess_over_limit(probabilities, drawn.class_index, peeked).is_suspicious

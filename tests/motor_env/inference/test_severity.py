@@ -1,0 +1,96 @@
+"""The severity's posterior against direct numerical integration, its own calibration and the known errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import simpson
+from scipy.stats import norm
+
+from motor_env.inference.posterior import class_log_evidence
+from motor_env.inference.severity import SeverityPrior, severity_posterior
+from motor_env.motor.faults import Fault, FaultKind, apply_fault
+from motor_env.motor.parameters import FloatArray, SensorParameters
+from motor_env.simulation.recipes import FaultClass, Recipe, draw, named_recipe
+from motor_env.simulation.simulate import Timing, simulate, simulate_states
+
+BENCH = named_recipe("bench", classes=(FaultClass(),))
+
+
+def graded(recipe: Recipe, kind: FaultKind, n: int, seed: int = 9) -> tuple[FloatArray, FloatArray]:
+    """Measurements of motors with severities uniform from 0 to 30 %, and the severities."""
+    severity = np.random.default_rng(seed).uniform(0.0, 0.3, n)
+    drawn = draw(recipe, seed, np.arange(n))
+    scenario = replace(drawn.scenario, faults=(Fault(kind, severity),))
+    return simulate(scenario, seed, drawn.cases).measurements, severity
+
+
+@pytest.mark.parametrize("kind", list(FaultKind))
+@pytest.mark.parametrize("noise_a", [0.002, 0.05])
+def test_known_motor_posterior_is_the_integral(kind: FaultKind, noise_a: float) -> None:
+    recipe = named_recipe(
+        "paper",
+        classes=(FaultClass(),),
+        sensor=SensorParameters(current_noise_a=noise_a),
+        timing=Timing(1_000.0, 0.03),
+    )
+    measured, _ = graded(recipe, kind, 3)
+    got = severity_posterior(recipe, SeverityPrior(kind), measured)
+    for case in range(3):
+        reach = 9.0 * got.std[case]
+        grid = np.linspace(max(0.0, got.mean[case] - reach), min(0.3, got.mean[case] + reach), 2001)
+        motors = apply_fault(recipe.motor, Fault(kind, grid))
+        current = simulate_states(motors, np.full((2001, 30), 12.0), 1e-3)[..., 0]
+        std = noise_a * np.sqrt(1.0 + grid[:, None] if kind is FaultKind.NOISE else 1.0)
+        log_likelihood = np.asarray(norm.logpdf(measured[case, 0], current, std)).sum(axis=1)
+        top = log_likelihood.max()
+        total, first, second = (simpson(grid**k * np.exp(log_likelihood - top), x=grid) for k in (0, 1, 2))
+        mean = first / total
+        assert got.mean[case] == pytest.approx(mean, abs=1e-3 * got.std[case])
+        assert got.std[case] == pytest.approx(np.sqrt(second / total - mean**2), rel=1e-3)
+        assert got.log_evidence[case] == pytest.approx(top + np.log(total / 0.3), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "noise_a", "points"),
+    [(10_000.0, 0.02, 3.4), (1_000.0, 0.005, 3.2), (1_000.0, 0.02, 6.2), (1_000.0, 0.1, 8.5)],
+)
+def test_bearing_severity_error(rate_hz: float, noise_a: float, points: float) -> None:
+    recipe = replace(BENCH, sensor=SensorParameters(current_noise_a=noise_a), timing=Timing(rate_hz, 0.1))
+    measured, severity = graded(recipe, FaultKind.BEARING, 500)
+    got = severity_posterior(recipe, SeverityPrior(FaultKind.BEARING), measured)
+    expected = np.sqrt(np.square(got.std).mean())
+    assert 100.0 * expected == pytest.approx(points, rel=0.05)
+    # The error that the posterior expects is the one it makes, and its intervals cover.
+    assert np.sqrt(np.square(got.mean - severity).mean()) == pytest.approx(expected, rel=0.10)
+    low, high = got.interval(0.90).T
+    assert ((low <= severity) & (severity <= high)).mean() == pytest.approx(0.90, abs=0.04)
+
+
+@pytest.mark.parametrize("kind", list(FaultKind))
+def test_every_kind_is_graded_under_tolerances(kind: FaultKind) -> None:
+    recipe = replace(BENCH, timing=Timing(1_000.0, 0.1))
+    measured, severity = graded(recipe, kind, 300)
+    got = severity_posterior(recipe, SeverityPrior(kind), measured)
+    score = (got.mean - severity) / np.sqrt(np.square(got.std).mean())
+    assert np.square(score).mean() == pytest.approx(1.0, abs=0.25)
+    low, high = got.interval(0.90).T
+    assert ((low <= severity) & (severity <= high)).mean() == pytest.approx(0.90, abs=0.05)
+    assert (got.quantile(0.5) > low).all()
+
+
+def test_evidence_of_a_narrow_range_is_that_of_the_class() -> None:
+    recipe = replace(BENCH, classes=(FaultClass(FaultKind.BEARING, 0.1),), timing=Timing(1_000.0, 0.1))
+    measured, _ = graded(recipe, FaultKind.BEARING, 5)
+    narrow = SeverityPrior(FaultKind.BEARING, 0.0999, 0.1001)
+    got = severity_posterior(recipe, narrow, measured)
+    np.testing.assert_allclose(got.log_evidence, class_log_evidence(recipe, measured)[:, 0], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "sentence"),
+    [((0.2, 0.1), "must range from >= 0 to more, got 0.2 to 0.1"), ((0.0, 1.0), "must be < 1, got 1")],
+)
+def test_bad_ranges_are_named(bounds: tuple[float, float], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        SeverityPrior(FaultKind.WINDING_SHORT, *bounds)

@@ -1,0 +1,121 @@
+"""Whitening with S + J P J' against the dense Cholesky factor; matched tests against simulation and theory."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest, norm
+
+from motor_env.filters.kalman import KalmanFilter, run_filter
+from motor_env.inference.whitening import MarginalWhitener, MatchedTest, innovation_slopes
+from motor_env.motor.faults import Fault, FaultKind
+from motor_env.motor.parameters import Channel, FloatArray, SensorParameters
+from motor_env.simulation.recipes import FaultClass, Recipe, draw, named_recipe
+from motor_env.simulation.simulate import Timing, simulate
+
+BENCH = named_recipe("bench")
+PAPER = named_recipe("paper")
+BEARING_10 = Fault(FaultKind.BEARING, 0.10)
+CONTACT_5 = Fault(FaultKind.WINDING_CONTACT, 0.05)
+
+
+def motors_of(recipe: Recipe, fault: Fault | None, n: int, seed: int = 4) -> FloatArray:
+    only = FaultClass() if fault is None else FaultClass(fault.kind, float(fault.severity))
+    drawn = draw(replace(recipe, classes=(only,)), seed, np.arange(n))
+    return simulate(drawn.scenario, seed, drawn.cases).measurements
+
+
+def test_whitening_is_the_cholesky_factor_of_the_dense_covariance() -> None:
+    rng = np.random.default_rng(5)
+    slopes = rng.standard_normal((30, 2, 4)) * [0.1, 1.0, 5.0, 30.0]
+    residual = rng.standard_normal((3, 30, 2)) * 10.0
+    flat = slopes.reshape(60, 4)
+    factor = np.linalg.cholesky(np.eye(60) + flat @ flat.T)
+    expected = np.linalg.solve(factor, residual.reshape(3, 60).T).T.reshape(3, 30, 2)
+    np.testing.assert_allclose(MarginalWhitener.of(slopes).whiten(residual), expected, atol=1e-9)
+    residual[1, 10, 0] = residual[1, 20:25, 1] = np.nan
+    seen = ~np.isnan(residual[1].ravel())
+    factor = np.linalg.cholesky(np.eye(seen.sum()) + flat[seen] @ flat[seen].T)
+    found = MarginalWhitener.of(slopes).whiten(residual)[1].ravel()
+    expected = np.linalg.solve(factor, residual[1].ravel()[seen])
+    np.testing.assert_allclose(found[seen], expected, atol=1e-9)
+    assert np.isnan(found[~seen]).all()
+    with pytest.raises(ValueError, match="residual must hold 60 values a case, got 58"):
+        MarginalWhitener.of(slopes).whiten(residual[:, :29])
+
+
+@pytest.mark.parametrize("process_noise_std", [(0.0, 0.0), (1e-3, 0.1)])
+def test_innovation_slopes_are_those_of_the_filter(process_noise_std: tuple[float, float]) -> None:
+    """Filtering two motors whose friction differs by a little gives the friction's slope."""
+    both = SensorParameters(
+        channels=(Channel.CURRENT, Channel.SPEED), current_noise_a=0.02, speed_noise_rad_s=2.0
+    )
+    recipe = replace(BENCH, sensor=both, timing=Timing(1_000.0, 0.1))
+    belief = KalmanFilter.from_parameters(recipe.motor, both, 1e-3, process_noise_std=process_noise_std)
+    slopes = innovation_slopes(recipe, belief)
+    step = 1e-4
+    whitened = []
+    for sign in (-1.0, 1.0):
+        motor = recipe.motor.scaled(viscous_friction_n_m_s_per_rad=1.0 + sign * step)
+        exact = replace(PAPER, motor=motor, sensor=replace(both, current_noise_a=0.0, speed_noise_rad_s=0.0))
+        measured = motors_of(replace(exact, timing=recipe.timing), None, 1)
+        whitened.append(run_filter(belief, measured[0], np.full(100, 12.0)).whitened)
+    expected = (whitened[1] - whitened[0]) / (2.0 * step) * recipe.spread.friction
+    np.testing.assert_allclose(slopes[..., -1], expected, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    ("fault", "one_sided", "two_sided"),
+    [(BEARING_10, 0.935, 0.897), (Fault(FaultKind.WINDING_CONTACT, 0.005), 0.983, 0.969)],
+)
+def test_known_motor_power_is_that_of_theory(fault: Fault, one_sided: float, two_sided: float) -> None:
+    test = MatchedTest.of(PAPER, fault)
+    assert test.threshold_for(0.01) == pytest.approx(norm.isf(0.01), abs=1e-9)
+    assert test.power(0.01) == pytest.approx(one_sided, abs=0.001)
+    assert test.power(0.01, two_sided=True) == pytest.approx(two_sided, abs=0.001)
+
+
+def check_rates(recipe: Recipe, fault: Fault, n: int) -> float:
+    """Rates of false alarms and of detections are the computed ones; returns the measured one-sided power."""
+    test = MatchedTest.of(recipe, fault)
+    healthy, faulty = (test.statistic(motors_of(recipe, known, n)) for known in (None, fault))
+    for two_sided in (True, False):
+        threshold = test.threshold_for(0.01, two_sided=two_sided)
+        alarms, found = (
+            int(((np.abs(values) if two_sided else values) > threshold).sum()) for values in (healthy, faulty)
+        )
+        assert binomtest(alarms, n, 0.01).pvalue > 0.01
+        assert binomtest(found, n, test.power(0.01, two_sided=two_sided)).pvalue > 0.01
+    return found / n
+
+
+@pytest.mark.parametrize("fault", [BEARING_10, CONTACT_5])
+def test_tolerances_keep_the_rate_and_the_power(fault: Fault) -> None:
+    check_rates(replace(BENCH, timing=Timing(2_000.0, 0.1)), fault, 10_000)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("fault", "bar"), [(BEARING_10, 0.63), (CONTACT_5, 0.95)])
+def test_power_on_the_bench_recipe(fault: Fault, bar: float) -> None:
+    assert check_rates(BENCH, fault, 20_000) >= bar
+
+
+@pytest.mark.parametrize(("fault", "power"), [(BEARING_10, 0.641), (CONTACT_5, 0.960)])
+def test_computed_power_on_the_bench_recipe(fault: Fault, power: float) -> None:
+    assert MatchedTest.of(BENCH, fault).power(0.01) == pytest.approx(power, abs=0.002)
+
+
+def test_known_parameters_thresholds_fail_under_tolerances() -> None:
+    """The same signature without the nuisances' share alarms in most healthy starts."""
+    measured = motors_of(BENCH, None, 1000)
+    for fault, rate in ((BEARING_10, 0.69), (CONTACT_5, 0.84)):
+        test = MatchedTest.of(PAPER, fault)
+        alarms = (np.abs(test.statistic(measured)) > test.threshold_for(0.01, two_sided=True)).mean()
+        assert alarms == pytest.approx(rate, abs=0.05)
+
+
+def test_bad_faults_are_named() -> None:
+    with pytest.raises(ValueError, match="onset_s must be that of a fault always there"):
+        MatchedTest.of(BENCH, Fault(FaultKind.BEARING, 0.1, onset_s=0.05))
+    with pytest.raises(ValueError, match="fault must change the motor"):
+        MatchedTest.of(BENCH, Fault(FaultKind.NOISE, 0.5))

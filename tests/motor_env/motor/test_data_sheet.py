@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_env.errors import InputError
+from motor_env.motor.data_sheet import MotorFile, StartReference, load_motor, save_motor
+from motor_env.motor.parameters import PAPER_MOTOR
+
+SHEET = """
+name = "sheet"
+[motor]
+resistance_ohm = 2.18
+inductance_mh = 0.238
+torque_constant_mnm_per_a = 23.5
+speed_constant_rpm_per_v = 406.0
+rotor_inertia_g_cm2 = 10.7
+no_load_current_ma = 26.3
+no_load_speed_rpm = 4860.0
+"""
+
+
+def load(tmp_path: Path, text: str) -> MotorFile:
+    path = tmp_path / "motor.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_motor(path)
+
+
+def test_data_sheet_units_become_si(tmp_path: Path) -> None:
+    p = load(tmp_path, SHEET).parameters
+    assert p.resistance_ohm == 2.18
+    assert p.inductance_h == pytest.approx(0.238e-3)
+    assert p.torque_constant_n_m_per_a == pytest.approx(0.0235)
+    assert p.back_emf_constant_v_s_per_rad == pytest.approx(60.0 / (2.0 * np.pi * 406.0))
+    assert p.inertia_kg_m2 == pytest.approx(1.07e-6)
+
+
+def test_friction_comes_from_the_no_load_point(tmp_path: Path) -> None:
+    friction = load(tmp_path, SHEET).parameters.viscous_friction_n_m_s_per_rad
+    assert friction == pytest.approx(0.0235 * 0.0263 / (4860.0 * 2.0 * np.pi / 60.0))
+
+
+def test_one_constant_stands_for_the_other(tmp_path: Path) -> None:
+    text = SHEET.replace("torque_constant_mnm_per_a = 23.5\n", "")
+    p = load(tmp_path, text).parameters
+    assert p.torque_constant_n_m_per_a == p.back_emf_constant_v_s_per_rad
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "needle"),
+    [
+        ("resistance_ohm = 2.18", "resistance_ohm = -2.18", "motor.resistance_ohm"),
+        ("resistance_ohm = 2.18", "resistance_ohm = nan", "motor.resistance_ohm"),
+        ("resistance_ohm = 2.18", "", "motor.resistance_ohm is missing"),
+        ("resistance_ohm = 2.18", "resistence_ohm = 2.18", "resistence_ohm is not a key"),
+        ("resistance_ohm = 2.18", "resistance_ohm = 2.18\nresistance_mohm = 2180.0", "give one of them"),
+        ("no_load_current_ma = 26.3", "", "no_load_current_ma"),
+        ("inductance_mh = 0.238", 'inductance_mh = "x"', "motor.inductance_mh"),
+        ("[motor]", "[motor", "is not TOML"),
+    ],
+)
+def test_a_bad_file_gets_one_sentence_that_names_it(tmp_path: Path, old: str, new: str, needle: str) -> None:
+    with pytest.raises(InputError) as error:
+        load(tmp_path, SHEET.replace(old, new))
+    assert needle in str(error.value)
+    assert "motor.toml" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_unknown_motor_lists_the_presets() -> None:
+    with pytest.raises(InputError, match="presets are paper"):
+        load_motor("no-such-motor")
+
+
+def test_catalogue_motor_by_name() -> None:
+    assert load_motor("paper").parameters == PAPER_MOTOR
+
+
+def test_a_saved_motor_is_read_back_to_the_last_bit(tmp_path: Path) -> None:
+    reference = StartReference(
+        starts=5,
+        degrees_of_freedom=8.0,
+        quantities=("R", "L"),
+        values=np.array([2.0 / 3.0, 1e-4]),
+        log_covariance=np.array([[1e-4, 2e-5], [2e-5, 3e-4]]),
+        log_noise=-3.2,
+        log_noise_sd=0.1,
+        model=("supply_ramp",),
+    )
+    motor = MotorFile(
+        'with "quotes"', "commissioned", PAPER_MOTOR, 12.0, reference=reference, notes=("a", "b")
+    )
+    save_motor(motor, tmp_path / "deep" / "m.toml")
+    back = load_motor(tmp_path / "deep" / "m.toml")
+    assert back.parameters == motor.parameters
+    assert (back.name, back.kind, back.notes, back.tolerance) == (
+        motor.name,
+        motor.kind,
+        motor.notes,
+        motor.tolerance,
+    )
+    assert back.reference is not None
+    np.testing.assert_array_equal(back.reference.log_covariance, reference.log_covariance)
+    assert list(tmp_path.glob("deep/.*")) == []

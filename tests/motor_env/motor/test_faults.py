@@ -1,0 +1,102 @@
+"""Faults: their exact effect on the parameters, when they switch, how they grow."""
+
+import numpy as np
+import pytest
+
+from motor_env.motor.faults import (
+    ALWAYS,
+    Fault,
+    FaultKind,
+    NoiseSource,
+    apply_fault,
+    apply_faults,
+    noise_variance_factor,
+)
+from motor_env.motor.parameters import PAPER_MOTOR
+
+GRID_S = np.arange(1000, dtype=np.float64) * 1e-4
+
+
+def test_bearing_raises_friction_alone() -> None:
+    assert apply_fault(PAPER_MOTOR, Fault(FaultKind.BEARING, 0.25)) == PAPER_MOTOR.scaled(
+        viscous_friction_n_m_s_per_rad=1.25
+    )
+    faulty = apply_fault(PAPER_MOTOR, Fault(FaultKind.BEARING, 0.10))
+    assert faulty.viscous_friction_n_m_s_per_rad == pytest.approx(13.2e-7)
+
+
+def test_winding_contact_raises_resistance_alone() -> None:
+    faulty = apply_fault(PAPER_MOTOR, Fault(FaultKind.WINDING_CONTACT, 0.10))
+    assert faulty == PAPER_MOTOR.scaled(resistance_ohm=1.10)
+    assert faulty.resistance_ohm == pytest.approx(2.398)
+
+
+def test_winding_short_of_a_fifth_of_the_turns() -> None:
+    faulty = apply_fault(PAPER_MOTOR, Fault(FaultKind.WINDING_SHORT, 0.2))
+    assert faulty.resistance_ohm == pytest.approx(2.18 * 0.8)
+    assert faulty.inductance_h == pytest.approx(0.238e-3 * 0.64)
+    assert faulty.torque_constant_n_m_per_a == pytest.approx(0.0235 * 0.8)
+    assert faulty.back_emf_constant_v_s_per_rad == pytest.approx(0.02352 * 0.8)
+    assert faulty.inertia_kg_m2 == PAPER_MOTOR.inertia_kg_m2
+    assert faulty.viscous_friction_n_m_s_per_rad == PAPER_MOTOR.viscous_friction_n_m_s_per_rad
+
+
+def test_noise_leaves_the_motor_and_raises_one_source() -> None:
+    fault = Fault(FaultKind.NOISE, 3.0, noise_source=NoiseSource.PROCESS)
+    assert apply_fault(PAPER_MOTOR, fault) == PAPER_MOTOR
+    assert noise_variance_factor([fault], NoiseSource.PROCESS, GRID_S[:2]).tolist() == [[4.0, 4.0]]
+    assert noise_variance_factor([fault], NoiseSource.MEASUREMENT, GRID_S[:2]).tolist() == [[1.0, 1.0]]
+
+
+def test_faults_combine() -> None:
+    faults = (Fault(FaultKind.BEARING, 0.1), Fault(FaultKind.WINDING_CONTACT, 0.25), Fault("noise", 1.0))  # type: ignore[arg-type]  # a name is taken too
+    expected = PAPER_MOTOR.scaled(viscous_friction_n_m_s_per_rad=1.1, resistance_ohm=1.25)
+    assert apply_faults(PAPER_MOTOR, faults) == expected
+
+
+def test_severities_of_a_batch() -> None:
+    fault = Fault(FaultKind.NOISE, np.array([0.0, 3.0]), onset_s=1e-4)
+    factor = noise_variance_factor([fault], NoiseSource.MEASUREMENT, GRID_S[:3])
+    assert factor.tolist() == [[1.0, 1.0, 1.0], [1.0, 4.0, 4.0]]
+
+
+@pytest.mark.parametrize("index", [0, 1, 7, 29, 333, 999])
+def test_an_onset_on_the_grid_acts_from_that_interval_on(index: int) -> None:
+    # 7 * 1e-4 and 0.0007 differ in the last bit: the comparison must not.
+    fault = Fault(FaultKind.BEARING, 0.1, onset_s=round(index * 1e-4, 4))
+    fraction = fault.fraction_at(GRID_S)
+    assert int(np.flatnonzero(fraction)[0]) == index
+    assert np.all(fraction[index:] == 1.0)
+
+
+def test_an_onset_between_acts_from_the_next_interval_on() -> None:
+    assert Fault(FaultKind.BEARING, 0.1, onset_s=2.5e-4).fraction_at(GRID_S[:5]).tolist() == [0, 0, 0, 1, 1]
+
+
+def test_growth_is_linear_and_ends() -> None:
+    fault = Fault(FaultKind.BEARING, 0.1, onset_s=0.01, growth_s=0.02)
+    at = fault.fraction_at(np.array([0.0, 0.01, 0.015, 0.02, 0.03, 1.0]))
+    np.testing.assert_allclose(at, [0.0, 0.0, 0.25, 0.5, 1.0, 1.0], atol=1e-6)
+
+
+def test_a_fault_without_onset_was_always_there() -> None:
+    fault = Fault(FaultKind.BEARING, 0.1)
+    assert (fault.onset_s, fault.is_constant) == (ALWAYS, True)
+    assert np.all(fault.fraction_at(np.array([-1e6, 0.0, 1e6])) == 1.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"severity": -0.1}, "severity must be finite and >= 0, got -0.1"),
+        ({"severity": float("nan")}, "severity must be finite"),
+        ({"kind": "winding_short", "severity": 1.0}, "severity of winding_short must be < 1, got 1"),
+        ({"onset_s": float("nan")}, "onset_s must be a number, got nan"),
+        ({"onset_s": 0.0, "growth_s": -1.0}, "growth_s must be finite and >= 0, got -1"),
+        ({"growth_s": 1.0}, "growth_s must be 0 for a fault that is always there, got 1"),
+        ({"kind": "rust"}, "'rust' is not a valid FaultKind"),
+    ],
+)
+def test_bad_fault(arguments: dict[str, object], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        Fault(**{"kind": "bearing", "severity": 0.1, **arguments})  # type: ignore[arg-type]  # bad on purpose

@@ -1,0 +1,132 @@
+"""The equations and their discretisation, against scipy's expm, a stiff solver, and the balance of power."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from motor_env.motor.model import Input, State, continuous_model, discretize, steady_state
+from motor_env.motor.parameters import PAPER_MOTOR, FloatArray, MotorParameters
+from motor_env.simulation.simulate import simulate_states
+
+
+def motors() -> st.SearchStrategy[MotorParameters]:
+    """Motors from a watch's to a rolling mill's: each parameter over several decades."""
+
+    def decades(low: int, high: int) -> st.SearchStrategy[float]:
+        return st.floats(low, high).map(lambda exponent: 10.0**exponent)
+
+    friction = st.one_of(st.just(0.0), decades(-9, -2))
+    return st.builds(
+        MotorParameters,
+        decades(-2, 2),
+        decades(-6, -1),
+        decades(-3, 0),
+        decades(-3, 0),
+        decades(-8, -1),
+        friction,
+    )
+
+
+def augmented_expm(motor: MotorParameters, dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """Ad and Bd from expm of [[A, B], [0, 0]] dt (Van Loan 1978)."""
+    model = continuous_model(motor)
+    matrix = np.zeros((4, 4))
+    matrix[:2, :2], matrix[:2, 2:] = model.transition, model.gain
+    exponential = expm(matrix * dt_s)
+    return exponential[:2, :2], exponential[:2, 2:]
+
+
+@given(motor=motors(), shift=st.floats(-6.0, 1.5))
+def test_discretisation_against_expm(motor: MotorParameters, shift: float) -> None:
+    # dt from a millionth to thirty times the fastest time scale; far beyond it expm itself loses digits.
+    model = continuous_model(motor)
+    dt_s = 10.0**shift / float(np.abs(np.linalg.eigvals(model.transition)).max())
+    discrete = discretize(motor, dt_s)
+    transition, gain = augmented_expm(motor, dt_s)
+    # Errors count in balanced units: amperes and rad/s differ by decades.
+    balance = np.sqrt(np.abs(model.transition[0, 1] / model.transition[1, 0]))
+    units = np.array([[1.0, 1.0 / balance], [balance, 1.0]])
+    assert np.abs((discrete.transition - transition) * units).max() < 1e-10
+    for column in Input:
+        scale = np.abs(gain[:, column] * np.array([1.0, balance])).max()
+        error = np.abs((discrete.gain - gain)[:, column] * np.array([1.0, balance])).max()
+        assert error < 1e-9 * scale
+
+
+@given(motor=motors(), shift=st.floats(-5.0, 0.0))
+def test_two_halves_make_a_whole_step(motor: MotorParameters, shift: float) -> None:
+    dt_s = 10.0**shift / float(np.abs(np.linalg.eigvals(continuous_model(motor).transition)).max())
+    half, whole = discretize(motor, 0.5 * dt_s), discretize(motor, dt_s)
+    np.testing.assert_allclose(half.transition @ half.transition, whole.transition, rtol=1e-9, atol=1e-13)
+    np.testing.assert_allclose(half.transition @ half.gain + half.gain, whole.gain, rtol=1e-9)
+
+
+@pytest.mark.parametrize("dt_s", [1e-6, 1e-4, 1e-2])
+def test_against_a_stiff_solver(dt_s: float) -> None:
+    model, start, inputs = continuous_model(PAPER_MOTOR), np.array([1.5, 80.0]), np.array([9.0, 3e-3])
+    solution = solve_ivp(
+        lambda _, x: model.transition @ x + model.gain @ inputs,
+        (0.0, dt_s),
+        start,
+        method="Radau",
+        rtol=1e-11,
+        atol=1e-13,
+    )
+    discrete = discretize(PAPER_MOTOR, dt_s)
+    np.testing.assert_allclose(
+        discrete.transition @ start + discrete.gain @ inputs, solution.y[:, -1], rtol=1e-8
+    )
+
+
+def test_signs_of_the_equations() -> None:
+    model = continuous_model(PAPER_MOTOR)
+    current, speed, voltage, load = 2.0, 300.0, 12.0, 1e-3
+    derivative = model.transition @ [current, speed] + model.gain @ [voltage, load]
+    assert derivative[State.CURRENT] == pytest.approx((12.0 - 2.18 * 2.0 - 0.02352 * 300.0) / 0.238e-3)
+    assert derivative[State.SPEED] == pytest.approx((0.0235 * 2.0 - 1.2e-6 * 300.0 - 1e-3) / 1.07e-6)
+
+
+def test_balance_of_energy() -> None:
+    # With Kt = Kb no energy is lost between the two equations: supply = copper + friction + load + stored.
+    motor = PAPER_MOTOR.scaled(back_emf_constant_v_s_per_rad=0.0235 / 0.02352)
+    dt_s, load, n = 1e-6, 2e-3, 20_000
+    states = np.vstack([np.zeros(2), simulate_states(motor, np.full(n, 12.0), dt_s, load_torque_n_m=load)])
+    current, speed = states.T
+    b = float(motor.viscous_friction_n_m_s_per_rad)
+    power = 12.0 * current - 2.18 * current**2 - b * speed**2 - load * speed
+    stored = 0.5 * 0.238e-3 * current[-1] ** 2 + 0.5 * 1.07e-6 * speed[-1] ** 2
+    assert np.trapezoid(power, dx=dt_s) == pytest.approx(stored, rel=1e-6)
+
+
+def test_steady_state_is_where_the_simulation_ends() -> None:
+    loads = np.array([0.0, 5e-3])
+    states = simulate_states(PAPER_MOTOR, np.full((2, 2000), 12.0), 1e-4, load_torque_n_m=loads[:, None])
+    np.testing.assert_allclose(states[:, -1], steady_state(PAPER_MOTOR, 12.0, loads), rtol=1e-10)
+
+
+def test_a_batch_is_its_motors() -> None:
+    factors = np.linspace(0.5, 2.0, 7)
+    batch = PAPER_MOTOR.scaled(resistance_ohm=factors, inertia_kg_m2=factors[::-1])
+    whole = discretize(batch, 1e-4)
+    for index in range(7):
+        alone = discretize(batch.motor(index), 1e-4)
+        assert np.array_equal(whole.transition[index], alone.transition)
+        np.testing.assert_allclose(whole.gain[index], alone.gain, rtol=1e-15)
+
+
+def test_step_of_any_size_stays_finite() -> None:
+    ends = [discretize(PAPER_MOTOR, dt_s).gain[:, Input.VOLTAGE] * 12.0 for dt_s in (1.0, 1e3, 1e6)]
+    for first, second in pairwise(ends):
+        np.testing.assert_allclose(first, second, rtol=1e-9)
+    np.testing.assert_allclose(ends[0], steady_state(PAPER_MOTOR, 12.0), rtol=1e-9)
+
+
+@pytest.mark.parametrize("dt_s", [0.0, -1e-4, float("nan")])
+def test_bad_sampling_interval(dt_s: float) -> None:
+    with pytest.raises(ValueError, match="dt_s must be finite and > 0"):
+        discretize(PAPER_MOTOR, dt_s)

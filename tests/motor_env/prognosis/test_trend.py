@@ -1,0 +1,311 @@
+"""Trends and remaining life: against simulation, closed forms, and coverage on synthetic runs to failure."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import invgauss, multivariate_normal
+
+from motor_env.cli import main
+from motor_env.errors import InputError
+from motor_env.prognosis.page import page
+from motor_env.prognosis.run_to_failure import WearRecipe, observe, remaining_life_coverage, run_to_failure
+from motor_env.prognosis.trend import Series, build_series, date_of, judge, parse_limits, read_estimates
+from motor_env.prognosis.wear import _filter_grid, degradation, first_passage_cdf
+
+
+def array(*values: float) -> np.ndarray:
+    return np.array(values)
+
+
+def test_first_passage_of_a_known_drift_is_inverse_gaussian() -> None:
+    life = np.geomspace(0.1, 100.0, 50)
+    distance, drift, diffusion = 2.0, 0.3, 0.5
+    found = first_passage_cdf(life, array(distance), array(drift), array(0.0), array(diffusion))
+    scale = distance**2 / diffusion**2
+    np.testing.assert_allclose(found, invgauss.cdf(life, distance / drift / scale, scale=scale), atol=1e-12)
+
+
+@pytest.mark.parametrize(("drift", "variance"), [(0.3, 0.01), (-0.2, 0.04), (0.3, 0.0), (0.0, 0.25)])
+def test_first_passage_of_a_gaussian_drift_is_the_mixture(drift: float, variance: float) -> None:
+    life = np.geomspace(0.05, 200.0, 40)
+    z = np.linspace(-9.0, 9.0, 6001)
+    weights = np.exp(-0.5 * z**2)
+    each = first_passage_cdf(
+        life[:, None], array(2.0), drift + math.sqrt(variance) * z, array(0.0), array(0.6)
+    )
+    closed = first_passage_cdf(life, array(2.0), array(drift), array(variance), array(0.6))
+    np.testing.assert_allclose(closed, each @ weights / weights.sum(), atol=1e-9)
+
+
+def test_first_passage_keeps_its_digits_for_a_small_diffusion() -> None:
+    life = np.linspace(5.0, 20.0, 30)
+    found = first_passage_cdf(life, array(1.0), array(0.1), array(1e-4), array(1e-5))
+    from scipy.special import ndtr
+
+    np.testing.assert_allclose(found, ndtr((0.1 * life - 1.0) / (0.01 * life)), atol=1e-4)
+    assert np.isfinite(found).all()
+
+
+def test_likelihood_and_moments_equal_the_joint_gaussian() -> None:
+    rng = np.random.default_rng(5)
+    time = np.cumsum(rng.uniform(0.5, 2.0, 9))
+    y, variance = rng.normal(0.0, 0.3, 9), rng.uniform(0.01, 0.05, 9)
+    onset, diffusion, scatter, drift_std, level_std = 3, 0.2, 0.1, 0.4, 2.0
+    log_likelihood, moments = np.empty(1), np.empty((1, 5))
+    _filter_grid(
+        np.diff(time), y, variance, array(onset), array(diffusion), array(scatter), array(drift_std), level_std,
+        log_likelihood, moments,
+    )  # fmt: skip
+    elapsed = np.maximum(time - time[onset], 0.0)
+    walk = diffusion**2 * np.minimum.outer(elapsed, elapsed)
+    wear = level_std**2 + drift_std**2 * np.outer(elapsed, elapsed) + walk
+    joint = wear + np.diag(variance + scatter**2)
+    # The filter's level starts at the first estimate.
+    expected = multivariate_normal.logpdf(y, np.full(9, y[0]), joint)
+    np.testing.assert_allclose(log_likelihood[0], expected, rtol=1e-9)
+    cross = np.stack([wear[-1], drift_std**2 * elapsed])
+    mean = array(y[0], 0.0) + cross @ np.linalg.solve(joint, y - y[0])
+    prior = np.array([[wear[-1, -1], drift_std**2 * elapsed[-1]], [drift_std**2 * elapsed[-1], drift_std**2]])
+    covariance = prior - cross @ np.linalg.solve(joint, cross.T)
+    np.testing.assert_allclose(moments[0, :2], mean, rtol=1e-9)
+    np.testing.assert_allclose(moments[0, 2:], covariance[np.triu_indices(2)], rtol=1e-8)
+
+
+def test_runs_first_reach_the_limit_when_theory_says() -> None:
+    recipe = WearRecipe(
+        drift_spread=0.0, diffusion_spread=0.0, onset_days=(0.0, 0.0), diffusion=0.05, starts=2, horizon=200.0
+    )
+    failure = run_to_failure(recipe, 3, np.arange(1500)).failure_days
+    scale = recipe.limit**2 / recipe.diffusion**2
+    law = invgauss(recipe.limit / recipe.drift_per_day / scale, scale=scale)
+    for probability in (0.1, 0.25, 0.5, 0.75, 0.9):
+        share = float((failure <= law.ppf(probability)).mean())
+        assert abs(share - probability) < 4.0 * math.sqrt(probability * (1.0 - probability) / 1500)
+
+
+def test_runs_do_not_depend_on_the_others() -> None:
+    recipe = WearRecipe(starts=12)
+    many, one = run_to_failure(recipe, 1, np.arange(70)), run_to_failure(recipe, 1, [66])
+    np.testing.assert_array_equal(many.wear[66], one.wear[0])
+    assert many.failure_days[66] == one.failure_days[0]
+    seen_by_many = observe(recipe, run_to_failure(recipe, 1, [65, 66]), 1)
+    np.testing.assert_array_equal(seen_by_many.wear[1], observe(recipe, one, 1).wear[0])
+
+
+def test_estimates_of_wear_are_calibrated() -> None:
+    recipe = WearRecipe(starts=10, supply_spread=0.01)
+    runs = run_to_failure(recipe, 4, np.arange(60))
+    seen = observe(recipe, runs, 4)
+    score = (seen.wear - runs.wear) / seen.standard_error
+    assert abs(score.mean()) < 0.2
+    assert 0.9 < score.std() < 1.1
+
+
+def test_a_certain_line_reaches_the_limit_when_it_says() -> None:
+    time = np.arange(30.0)
+    life = degradation(time, 1.0 + 0.01 * time, np.full(30, 1e-4), 1.5).remaining_life()
+    assert life.low < 21.0 < life.high
+    assert abs(life.median - 21.0) < 0.3
+    down = degradation(time, 1.0 - 0.01 * time, np.full(30, 1e-4), 0.5)
+    np.testing.assert_allclose(down.remaining_life().median, life.median, rtol=1e-9)
+    assert down.mean_drift == pytest.approx(-0.01, rel=0.01)
+
+
+def test_coverage_of_the_remaining_life() -> None:
+    """The quick version of the long test: 120 runs leave a standard error of 3 points."""
+    result = remaining_life_coverage(WearRecipe(), 11, np.arange(120))
+    assert result.reported.mean() > 0.25
+    assert abs(result.covered.mean() - result.claimed.mean()) < 0.08
+    assert abs(result.covered[result.reported].mean() - 0.9) < 0.12
+
+
+def test_an_interval_without_an_upper_end_claims_more() -> None:
+    result = remaining_life_coverage(WearRecipe(), 11, np.arange(40))
+    open_ended = np.isinf(result.high)
+    np.testing.assert_allclose(result.claimed[open_ended & (result.low > 0.0)], 0.95)
+    np.testing.assert_allclose(result.claimed[~open_ended & (result.low > 0.0)], 0.90)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_coverage_of_the_remaining_life_on_many_runs() -> None:
+    result = remaining_life_coverage(WearRecipe(), 12, np.arange(5000))
+    assert abs(result.covered[result.reported].mean() - 0.9) < 0.03
+    assert abs(result.covered.mean() - result.claimed.mean()) < 0.03
+
+
+def test_a_steady_motor_is_said_to_have_no_trend() -> None:
+    rng = np.random.default_rng(8)
+    false = 0
+    for _ in range(20):
+        series = Series("B", np.arange(30.0), 1.0 + 0.05 * rng.standard_normal(30), np.full(30, 0.05))
+        trend = judge(series)
+        false += any(forecast.trends for forecast in trend.forecasts)
+    assert false <= 2
+    assert "no trend" in trend.sentence
+    assert "no remaining life" in trend.sentence
+
+
+def write_table(path: Path, *, rows: int = 30, slope: float = 0.01) -> Path:
+    lines = ["date,B,B_se,R,R_se"]
+    lines += [
+        f"2026-03-{day + 1:02d},{1.2e-6 * (1 + slope * day):.9g},1e-8,{2.18 + 0.002 * (-1) ** day:.9g},0.002"
+        for day in range(rows)
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_command_writes_page_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table, out = write_table(tmp_path / "estimates.csv"), tmp_path / "page.html"
+    status = main(
+        ["trend", str(table), "--limit", "B=1.5", "--limit", "R=0.9,1.1", "--out", str(out), "--json"]
+    )
+    found = {entry["quantity"]: entry for entry in json.loads(capsys.readouterr().out)}
+    assert status == 1
+    assert found["B"]["state"] == "trending"
+    life = found["B"]["limits"][0]["remaining_life"]
+    assert life["low"] < 20.5 < life["high"]
+    assert found["R"]["state"] == "steady"
+    assert all(limit["remaining_life"] is None for limit in found["R"]["limits"])
+    text = out.read_text()
+    assert text.count("<svg") == 2
+    assert "http" not in text
+    assert "<script" not in text
+    assert main(["trend", str(write_table(table, slope=0.0)), "--out", str(out)]) == 0
+
+
+def test_a_folder_of_dated_recordings_becomes_a_trend(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from motor_env import PAPER_MOTOR, Scenario, SensorParameters, Timing, simulate
+    from motor_env.motor.faults import Fault, FaultKind
+
+    timing = Timing(sampling_rate_hz=5_000.0, duration_s=0.06, quiet_s=0.01)
+    for day in range(8):
+        fault = Fault(FaultKind.BEARING, 0.05 * day)
+        scenario = Scenario(
+            PAPER_MOTOR, (fault,), sensor=SensorParameters(current_noise_a=1e-3), timing=timing
+        )
+        start = simulate(scenario, 2, [day])
+        rows = zip(start.time_s, start.measurements[0, 0], start.voltage_v[0], strict=True)
+        text = "\n".join(["time_s,current_a,voltage_v", *(f"{t:.6f},{i:.6f},{v:g}" for t, i, v in rows)])
+        (tmp_path / f"2026-05-{day + 1:02d}T08-00-00.csv").write_text(text + "\n")
+    (tmp_path / "notes.csv").write_text("time_s,current_a\n")
+    status = main(
+        ["trend", str(tmp_path), "--limit", "B/J=1.5", "--out", str(tmp_path / "out" / "t.html"), "--json"]
+    )
+    captured = capsys.readouterr()
+    found = {entry["quantity"]: entry for entry in json.loads(captured.out)}
+    assert "notes.csv: its name holds no date" in captured.err
+    assert status == 1
+    assert found["B/J"]["state"] == "trending"
+    life = found["B/J"]["limits"][0]["remaining_life"]
+    # reference 1.05, so 1.5 of it is 57.5 % more friction: day 11.5, in 4.5
+    assert life["low"] < 4.5 < life["high"]
+    assert found["R"]["state"] == "steady"
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("2026-01-31.csv", "2026-01-31T00:00:00"),
+        ("start 2026-01-31T11:00:14.csv", "2026-01-31T11:00:14"),
+        ("2026-01-31T11-00-14.csv", "2026-01-31T11:00:14"),
+        ("Jan-15-2022_11-00-14.csv", "2022-01-15T11:00:14"),
+        ("startup_01.csv", None),
+        ("2026-13-31.csv", None),
+    ],
+)
+def test_dates_in_names(name: str, expected: str | None) -> None:
+    found = date_of(name)
+    assert (None if found is None else found.strftime("%Y-%m-%dT%H:%M:%S")) == expected
+
+
+def test_long_tables_and_json_read_like_wide_ones(tmp_path: Path) -> None:
+    wide, long, entries = tmp_path / "w.csv", tmp_path / "l.csv", tmp_path / "e.json"
+    wide.write_text("time_hours;B;B_se\n1;2,5;0,1\n2;2,6;0,1\n")
+    long.write_text("time_hours,parameter,estimate,standard_error\n2,B,2.6,0.1\n1,B,2.5,0.1\n")
+    entries.write_text(
+        json.dumps(
+            [
+                {"time": t, "parameter": "B", "estimate": y, "standard_error": 0.1}
+                for t, y in ((1, 2.5), (2, 2.6))
+            ]
+        )
+    )
+    for path in (wide, long, entries):
+        (series,) = read_estimates(path)
+        np.testing.assert_array_equal(series.time, [1.0, 2.0])
+        np.testing.assert_allclose(series.estimate, [2.5, 2.6])
+        np.testing.assert_allclose(series.standard_error, 0.1)
+    assert read_estimates(wide)[0].unit == "hours"
+
+
+def test_estimates_of_one_time_are_averaged() -> None:
+    (series,) = build_series(
+        {"B": [(1.0, 2.0, 0.1), (1.0, 4.0, 0.1), (2.0, 5.0, 0.2)]}, "starts", dated=False
+    )
+    np.testing.assert_allclose(series.estimate, [3.0, 5.0])
+    np.testing.assert_allclose(series.standard_error, [0.1 / math.sqrt(2.0), 0.2])
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "is empty"),
+        ("a,b\n1,2\n", "a column named time"),
+        ("time,B\n1,x\n", "line 2: B must be a finite number, got 'x'"),
+        ("time,B\n1,nan\n", "must be a finite number"),
+        ("time,B,B_se\n1,2,-1\n", "must be >= 0, got -1"),
+        ("time,B\n1,2,3\n", "has 3 cells where the header has 2"),
+        ("time,B\n1,2\n2026-01-01,2\n", "all be dates or all be numbers"),
+        ("time,B\n", "holds no estimates"),
+    ],
+)
+def test_bad_tables_get_one_sentence(
+    tmp_path: Path, text: str, sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    assert main(["trend", str(path), "--out", str(tmp_path / "t.html")]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "t.html").exists()
+
+
+def test_bad_options_get_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = str(write_table(tmp_path / "t.csv"))
+    for options, sentence in (
+        (["--limit", "B"], "--limit must look like"),
+        (["--limit", "X=1.5"], "the quantities are B, R"),
+        (["--level", "1.5"], "level must lie between 0 and 1, got 1.5"),
+        (["--date", "moon"], "date must be one of"),
+        (["--reference-count", "0"], "must be >= 1, got 0"),
+    ):
+        assert main(["trend", table, *options, "--out", str(tmp_path / "t.html")]) == 2
+        assert sentence in capsys.readouterr().err
+    assert main(["trend", str(tmp_path / "none.csv")]) == 2
+    with pytest.raises(InputError, match="factors on the reference"):
+        parse_limits(["B=1.0"])
+
+
+def test_names_of_quantities_are_text_on_the_page() -> None:
+    series = Series("<script>alert(1)</script>", np.arange(6.0), np.linspace(1.0, 1.2, 6), np.full(6, 0.01))
+    html = page([judge(series)], ["<b>note</b>"])
+    assert "<script" not in html
+    assert "<b>" not in html
+
+
+def test_wear_recipe_is_checked() -> None:
+    with pytest.raises(ValueError, match="onset_days must be"):
+        replace(WearRecipe(), onset_days=(3.0, 1.0))
+    with pytest.raises(ValueError, match="at least 5 estimates"):
+        degradation([0.0, 1.0], [1.0, 1.0], [0.1, 0.1], 1.5)
+    with pytest.raises(ValueError, match="must rise"):
+        degradation([0.0, 1.0, 1.0, 2.0, 3.0], np.ones(5), np.ones(5), 1.5)

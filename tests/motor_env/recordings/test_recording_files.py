@@ -1,0 +1,232 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from motor_env import cli
+from motor_env.errors import InputError
+from motor_env.motor.data_sheet import load_motor
+from motor_env.recordings.recording import ColumnChoice, read_recording, understand
+
+TIME = np.linspace(0.0, 0.049, 50)
+CURRENT = np.sin(50.0 * TIME) + 1.0
+SPEED = 100.0 * TIME
+EXAMPLES = Path(__file__).parents[3] / "examples"
+
+
+def write(path: Path, text: str, encoding: str = "utf-8") -> Path:
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def check(path: Path, *columns: str) -> None:
+    recording = read_recording(path, [ColumnChoice.parse(column) for column in columns])
+    np.testing.assert_allclose(recording.time_s, TIME, atol=1e-9)
+    np.testing.assert_allclose(recording.current_a, CURRENT, atol=1e-4)
+    if recording.speed_rad_s is not None:
+        np.testing.assert_allclose(recording.speed_rad_s, SPEED, atol=1e-3)
+
+
+def test_semicolons_decimal_comma_and_units(tmp_path: Path) -> None:
+    rows = (
+        f"{1e3 * t:.3f};{1e3 * i:.3f};{s / (2.0 * np.pi) * 60.0:.4f}".replace(".", ",")
+        for t, i, s in zip(TIME, CURRENT, SPEED, strict=True)
+    )
+    check(write(tmp_path / "a.csv", "Zeit (ms);Strom (mA);Drehzahl (rpm)\n" + "\n".join(rows)))
+
+
+def test_a_scope_with_a_preamble_and_a_row_of_units(tmp_path: Path) -> None:
+    rows = (f"{t:.6f},{i:.6f}" for t, i in zip(TIME, CURRENT, strict=True))
+    text = "Model,X1\nDate,today\nTime Base,1 ms\n\nX-axis,CH1\ns,A\n" + "\n".join(rows)
+    check(write(tmp_path / "a.csv", text))
+
+
+def test_a_scope_with_its_settings_beside_the_data(tmp_path: Path) -> None:
+    rows = (
+        (f"Setting {n},{n}," if n < 15 else ",,") + f"Points,{t:.6f},{i:.6f}"
+        for n, (t, i) in enumerate(zip(TIME, CURRENT, strict=True))
+    )
+    check(write(tmp_path / "a.csv", "\n".join(rows)))
+
+
+def test_tabs_micro_signs_and_old_code_pages(tmp_path: Path) -> None:
+    rows = (f"{1e6 * t:.2f}\t{1e3 * i:.4f}" for t, i in zip(TIME, CURRENT, strict=True))
+    check(write(tmp_path / "a.txt", "Time [µs]\tCurrent [mA]\n" + "\n".join(rows), "cp1252"))
+
+
+def test_columns_named_by_the_user(tmp_path: Path) -> None:
+    rows = "\n".join(f"{t:.6f},{1e3 * i:.4f}" for t, i in zip(TIME, CURRENT, strict=True))
+    path = write(tmp_path / "a.csv", "time_s,CH1\n" + rows)
+    check(path, "current=CH1:mA")
+    check(path, "current=2:mA")
+    with pytest.raises(InputError, match="current_a is missing"):
+        read_recording(path)
+    with pytest.raises(InputError, match="there is no column CH9"):
+        read_recording(path, [ColumnChoice.parse("current=CH9")])
+
+
+def test_binary_files(tmp_path: Path) -> None:
+    savemat(tmp_path / "a.mat", {"t": TIME, "current": CURRENT, "omega": SPEED})
+    np.savez(tmp_path / "a.npz", time_s=TIME, current_a=CURRENT)
+    np.save(tmp_path / "a.npy", np.column_stack([TIME, CURRENT]))
+    for name in ("a.mat", "a.npz", "a.npy"):
+        check(tmp_path / name)
+
+
+def test_parquet(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    parquet.write_table(pa.table({"time_s": TIME, "current_a": CURRENT}), tmp_path / "a.parquet")
+    check(tmp_path / "a.parquet")
+
+
+def test_a_pickle_in_a_numpy_file_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.array([{}], dtype=object), allow_pickle=True)
+    with pytest.raises(InputError, match="is not a NumPy file that can be read"):
+        read_recording(tmp_path / "a.npy")
+
+
+@pytest.mark.parametrize(
+    ("header", "quantity", "factor"),
+    [
+        ("time_s", "time", 1.0),
+        ("t_us", "time", 1e-6),
+        ("I (mA)", "current", 1e-3),
+        ("speed_rad_s", "speed", 1.0),
+        ("n [1/min]", "speed", 2.0 * np.pi / 60.0),
+        ("Speed in deg/s", "speed", np.pi / 180.0),
+        ("CH2 (V)", "voltage", 1.0),
+        ("duty", "duty", 1.0),
+        ("temperature", None, 1.0),
+    ],
+)
+def test_headers(header: str, quantity: str | None, factor: float) -> None:
+    found, scale = understand(header)
+    assert found == quantity
+    assert scale == pytest.approx(factor)
+
+
+def malformed(kind: int, good: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
+    """Bytes that are no recording, and the ending of their file; every kind beyond all doubt."""
+    lines = good.split(b"\n")
+    place = int(rng.integers(5, len(lines) - 5))
+
+    def with_line(line: bytes) -> bytes:
+        return b"\n".join([*lines[:place], line, *lines[place + 1 :]])
+
+    letters = bytes(rng.integers(97, 123, 6).tolist())
+    kinds: list[tuple[bytes, str]] = [
+        (b"", ".csv"),
+        (b" \n\n\t\n" * (place % 7 + 1), ".csv"),
+        (rng.bytes(50 + place), ".csv"),
+        (rng.bytes(50 + place), ".mat"),
+        (b"\x93NUMPY" + rng.bytes(40), ".npy"),
+        (b"PK\x03\x04" + rng.bytes(60), ".npz"),
+        (b"PAR1" + rng.bytes(80), ".parquet"),
+        (b"MATLAB 5.0 MAT-file" + rng.bytes(200), ".mat"),
+        (b"MATLAB 7.3 MAT-file" + rng.bytes(200), ".mat"),
+        (with_line(b"0.01,12,nan"), ".csv"),
+        (with_line(b"0.01,12,inf"), ".csv"),
+        (with_line(b"0.01,12,1e999"), ".csv"),
+        (with_line(b"0.01,12," + letters), ".csv"),
+        (with_line(b"0.01,12"), ".csv"),
+        (with_line(b"-5,12,0"), ".csv"),
+        (with_line(b"0.01,12,"), ".txt"),
+        (b"\n".join(lines[: 2 + place % 15]), ".csv"),
+        (b"\n".join([b"a,b," + letters, *lines[1:]]), ".csv"),
+        (b"\n".join([b"time_s,voltage_v,voltage_v", *lines[1:]]), ".csv"),
+        (b"\n".join(b"%d,%d" % (k, 10**12 + k) for k in range(30 + place)), ".csv"),
+        (b"\n".join(line.rsplit(b",", 1)[0] for line in lines), ".csv"),
+        (letters * place, ".csv"),
+        (b"{" + letters + b": [1, 2]}", ".json"),
+        (good[: len(good) // 2] + b"\0" * place + good[len(good) // 2 :], ".csv"),
+        (b"<html><body>" + letters + b"</body></html>", ".csv"),
+    ]
+    return kinds[kind % len(kinds)]
+
+
+COMMANDS = {
+    "diagnose": ["diagnose", "{}"],
+    "identify": ["identify", "{}", "-o", "{out}"],
+    "commission": ["commission", "{}", "{good}", "{other}", "-o", "{out}"],
+    "coastdown": ["coastdown", "{}"],
+}
+
+
+@pytest.mark.parametrize("command", list(COMMANDS))
+def test_a_hundred_malformed_files_get_one_sentence_each(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Through the command: status 2, one sentence that names the file, nothing written."""
+    good = (EXAMPLES / "startup_capture.csv").read_bytes()[:8000].rsplit(b"\n", 1)[0]
+    rng = np.random.default_rng([3, len(command)])
+    out, seen = tmp_path / "out.toml", set()
+    count = 110 if command == "diagnose" else 25
+    for n in range(count):
+        content, ending = malformed(n, good, rng)
+        seen.add(content)
+        path = tmp_path / f"f{n}{ending}"
+        path.write_bytes(content)
+        places = {
+            "good": EXAMPLES / "startup_capture.csv",
+            "other": EXAMPLES / "startup_capture.csv",
+            "out": out,
+        }
+        status = cli.main([word.format(path, **places) for word in COMMANDS[command]])
+        printed = capsys.readouterr()
+        assert status == 2, (n, content[:80], printed)
+        assert printed.err.count("\n") == 1, printed.err
+        assert command == "commission" or path.name in printed.err
+        assert printed.out.strip() in ("", "[]")
+        assert not out.exists()
+    assert len(seen) > 0.8 * count
+
+
+def test_a_folder_of_malformed_files_has_no_trend(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = (EXAMPLES / "startup_capture.csv").read_bytes()[:8000].rsplit(b"\n", 1)[0]
+    rng = np.random.default_rng(4)
+    for n in range(25):
+        content, ending = malformed(n, good, rng)
+        (tmp_path / f"2026-01-{n + 1:02d}{ending}").write_bytes(content)
+    assert cli.main(["trend", str(tmp_path), "--out", str(tmp_path / "t.html")]) == 2
+    printed = capsys.readouterr()
+    assert "Traceback" not in printed.err
+    assert not (tmp_path / "t.html").exists()
+
+
+def test_identify_writes_a_motor_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "m.toml"
+    assert cli.main(["identify", str(EXAMPLES / "startup_capture.csv"), "-o", str(target)]) == 0
+    assert "K down looks like J and B up" in capsys.readouterr().out
+    motor = load_motor(target)
+    assert motor.kind == "identified"
+    assert motor.parameters.resistance_ohm == pytest.approx(2.18, rel=0.01)
+
+
+def test_commission_needs_three_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status = cli.main(["commission", str(EXAMPLES / "startup_capture.csv"), "-o", str(tmp_path / "m.toml")])
+    assert status == 2
+    assert "at least 3 healthy starts, got 1" in capsys.readouterr().err
+    assert not (tmp_path / "m.toml").exists()
+
+
+def test_commissioned_motor_judges_its_own_starts(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    table = np.loadtxt(EXAMPLES / "startup_capture.csv", delimiter=",", skiprows=1)
+    paths = []
+    for n in range(4):
+        noisy = table.copy()
+        noisy[:, 2] += 0.01 * rng.standard_normal(len(table))
+        path = tmp_path / f"start_{n}.csv"
+        np.savetxt(path, noisy, delimiter=",", header="time_s,voltage_v,current_a", comments="")
+        paths.append(str(path))
+    target = str(tmp_path / "m.toml")
+    assert cli.main(["commission", *paths[:3], "-o", target]) == 0
+    assert cli.main(["diagnose", paths[3], "--motor", target]) == 0
+    weaker = np.loadtxt(paths[3], delimiter=",", skiprows=1)
+    weaker[:, 2] *= 0.8
+    np.savetxt(paths[3], weaker, delimiter=",", header="time_s,voltage_v,current_a", comments="")
+    assert cli.main(["diagnose", paths[3], "--motor", target]) == 1

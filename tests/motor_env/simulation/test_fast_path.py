@@ -1,0 +1,175 @@
+"""The compiled pass against independent ways to the same transient."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import lsim
+
+from motor_env.motor.faults import Fault, FaultKind
+from motor_env.motor.model import continuous_model, steady_state
+from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, SensorParameters
+from motor_env.simulation.fast_path import measure
+from motor_env.simulation.nonlinear import Effects, integrate
+from motor_env.simulation.recipes import RECIPES, draw, measure_draw
+from motor_env.simulation.sensor import SensorChain
+from motor_env.simulation.simulate import Scenario, Timing, simulate, simulate_states
+
+BOTH = SensorParameters(channels=(Channel.SPEED, Channel.CURRENT))
+SILENT = SensorParameters(
+    channels=(Channel.CURRENT, Channel.SPEED), current_noise_a=0.0, speed_noise_rad_s=0.0
+)
+
+
+@pytest.mark.parametrize("quiet_s", [0.0, 0.0013])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"load_torque_n_m": 1e-4},
+        {
+            "faults": (
+                Fault(FaultKind.BEARING, 0.3, onset_s=0.004),
+                Fault(FaultKind.NOISE, 0.5, onset_s=0.003),
+            )
+        },
+        {"faults": (Fault(FaultKind.NOISE, 2.0),)},
+        {"process_noise_std": (0.01, 0.5)},
+    ],
+)
+def test_measure_is_simulate_in_float32(quiet_s: float, changes: dict[str, object]) -> None:
+    recipe = replace(RECIPES["bench"], sensor=BOTH, timing=Timing(duration_s=0.0203, quiet_s=quiet_s))
+    drawn = draw(recipe, 3, np.arange(30))
+    scenario = replace(drawn.scenario, **changes)  # type: ignore[arg-type]  # fields by name
+    expected = simulate(scenario, 3, drawn.cases).measurements
+    got = measure(scenario, 3, drawn.cases)
+    scale = np.abs(expected).max(axis=(0, 2), keepdims=True)
+    assert np.abs((got - expected) / scale).max() < 3e-7
+
+
+def test_the_linear_motor_agrees_with_scipy() -> None:
+    timing = Timing(duration_s=0.1)
+    states = simulate_states(PAPER_MOTOR, np.full(timing.n_samples, 12.0), timing.dt_s)
+    model = continuous_model(PAPER_MOTOR)
+    time = np.concatenate([[0.0], timing.time_s])
+    system = (model.transition, model.gain[:, :1], np.eye(2), np.zeros((2, 1)))
+    expected = lsim(system, np.full(len(time), 12.0), time)[1][1:]
+    np.testing.assert_allclose(states, expected, rtol=1e-9, atol=1e-12)
+    settled = steady_state(PAPER_MOTOR, 12.0, 1e-4)
+    residual = model.transition @ settled + model.gain @ np.array([12.0, 1e-4])
+    assert np.abs(residual / (np.abs(model.transition) @ np.abs(settled))).max() < 1e-12
+
+
+def reference(effects: Effects, voltage: float, times: FloatArray) -> FloatArray:
+    """Current and speed of the paper's motor with effects: the equations written anew, a stiff solver."""
+    e, m = effects, PAPER_MOTOR
+    cold, hot = float(m.resistance_ohm), 1.0 + 0.00393 * e.temperature_rise_k
+    flux = 1.0 - 0.001 * e.temperature_rise_k
+
+    def rates(t: float, x: FloatArray) -> list[float]:
+        i, w, angle, heat = x
+        r = cold * hot * (1.0 + 0.00393 * heat)
+        s = 1.0 if e.ramp_s == 0.0 else min(t / e.ramp_s, 1.0)
+        v = (voltage + e.ripple_v * np.cos(2 * np.pi * e.ripple_hz * t)) * (3 * s**2 - 2 * s**3)
+        v -= e.brush_drop_v * i / np.hypot(i, 0.02) + e.supply_resistance_ohm * i
+        sign = w / np.hypot(w, 1.0)
+        dry = e.coulomb_friction_n_m + e.stribeck_friction_n_m / (1 + (w / e.stribeck_speed_rad_s) ** 2)
+        dry += e.load_torque_n_m + e.bearing_ripple_n_m * np.cos(e.bearing_per_turn * angle)
+        k = flux * (1 + e.commutation_ripple * np.cos(e.commutation_per_turn * angle))
+        torque = m.torque_constant_n_m_per_a * k * i - m.viscous_friction_n_m_s_per_rad * w - dry * sign
+        return [
+            (v - r * i - flux * m.back_emf_constant_v_s_per_rad * w) / m.inductance_h,
+            torque / m.inertia_kg_m2,
+            w,
+            (i * i * r - heat / e.thermal_resistance_k_per_w) / e.heat_capacity_j_per_k,
+        ]
+
+    last = float(times[-1])
+    answer = solve_ivp(
+        rates, (0.0, last), np.zeros(4), method="Radau", t_eval=times, rtol=1e-9, atol=1e-11, max_step=5e-4
+    )
+    states: FloatArray = answer.y[:2]
+    return states
+
+
+FIELD_LIKE = Effects(
+    coulomb_friction_n_m=2e-4,
+    stribeck_friction_n_m=6e-5,
+    brush_drop_v=0.1,
+    temperature_rise_k=15.0,
+    supply_resistance_ohm=0.06,
+    ramp_s=2.5e-4,
+    ripple_v=0.05,
+    ripple_hz=100.0,
+    load_torque_n_m=3e-5,
+    commutation_ripple=0.02,
+    bearing_ripple_n_m=1e-4,
+    delay_s=3.7e-5,
+)
+
+
+@pytest.mark.parametrize(
+    ("effects", "tolerance"),
+    [(FIELD_LIKE, 1e-4), (replace(FIELD_LIKE, ramp_s=0.0), 4e-4), (Effects(), 1e-3)],
+    ids=["field", "hard step", "textbook motor"],
+)
+def test_the_nonlinear_motor_agrees_with_a_stiff_solver(effects: Effects, tolerance: float) -> None:
+    """The error relative to the peak; the textbook motor's is that of a bare step, the worst for a fixed step."""
+    timing = Timing(duration_s=0.05)
+    expected = reference(effects, 12.0, timing.time_s - effects.delay_s)
+    got = measure(Scenario(PAPER_MOTOR, sensor=SILENT, timing=timing), 0, [0], effects=effects)[0]
+    for channel in range(2):
+        assert np.abs(got[channel] - expected[channel]).max() < tolerance * np.abs(expected[channel]).max()
+
+
+def test_the_integration_converges_with_the_fourth_order() -> None:
+    errors = []
+    flag = np.array([True])
+    fine = np.empty((1, 1, 50), dtype=np.float32)
+    integrate(PAPER_MOTOR, FIELD_LIKE, 12.0, 2e-4, 400, 0, flag, fine)
+    for steps in (4, 8):
+        out = np.empty_like(fine)
+        integrate(PAPER_MOTOR, FIELD_LIKE, 12.0, 2e-4, steps, 0, flag, out)
+        errors.append(float(np.abs(out - fine).max()))
+    assert errors[0] / errors[1] > 6.0
+
+
+def test_a_field_case_does_not_depend_on_its_batch() -> None:
+    recipe = RECIPES["field"]
+    together = measure_draw(draw(recipe, 4, np.arange(20)), recipe, 4)
+    alone = measure_draw(draw(recipe, 4, [13]), recipe, 4)
+    assert np.array_equal(together[13:14], alone)
+
+
+def test_the_sensor_chain_step_by_step() -> None:
+    scenario = Scenario(PAPER_MOTOR, sensor=replace(SILENT, channels=(Channel.CURRENT,)))
+    true = measure(scenario, 0, [0])[0, 0].astype(np.float64)
+    gained = measure(scenario, 0, [0], chain=SensorChain(gain=1.1, offset_a=0.01))[0, 0]
+    np.testing.assert_allclose(gained, 1.1 * true + 0.01, atol=1e-6)
+    lagged = measure(scenario, 0, [0], chain=SensorChain(lag_s=3e-4))[0, 0]
+    kept, value = np.exp(-1e-4 / 3e-4), 0.0
+    for k, current in enumerate(true):
+        value = kept * value + (1.0 - kept) * current
+        assert lagged[k] == pytest.approx(value, abs=1e-5)
+    coarse = measure(scenario, 0, [0], chain=SensorChain(range_a=4.0, adc_bits=8))[0, 0]
+    step = 8.0 / 256
+    assert np.array_equal(coarse, (coarse / step).round() * step)
+    inside = true < 3.9
+    assert np.abs(coarse - true)[inside].max() <= step / 2 + 1e-6
+    assert coarse.max() == pytest.approx(4.0 - step)
+    lost = measure(scenario, 0, [0], chain=SensorChain(missing_fraction=0.2))[0, 0]
+    assert 120 < np.isnan(lost).sum() < 280
+    assert np.array_equal(lost[~np.isnan(lost)], true[~np.isnan(lost)].astype(np.float32))
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(ValueError, match="range_a must be > 0"):
+        SensorChain(adc_bits=12)
+    with pytest.raises(ValueError, match="brush_drop_v must be finite and >= 0, got -1"):
+        Effects(brush_drop_v=-1.0)
+    onset = Scenario(PAPER_MOTOR, faults=(Fault(FaultKind.BEARING, 0.1, onset_s=0.01),))
+    with pytest.raises(ValueError, match="faults without an onset"):
+        measure(onset, 0, [0], effects=Effects())
+    with pytest.raises(ValueError, match="delay_s must be <"):
+        measure(Scenario(PAPER_MOTOR), 0, [0], effects=Effects(delay_s=1e-3))

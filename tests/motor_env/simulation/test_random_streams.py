@@ -1,0 +1,96 @@
+"""The noise: standard checks of its distribution, and proofs that no two cases share it."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from motor_env.simulation.random_streams import Stream, normals, philox, uniforms
+
+
+def test_philox_gives_the_published_words() -> None:
+    """Known answers of Random123's kat_vectors for philox4x32-10."""
+    ones = np.uint32(0xFFFFFFFF)
+    zero = np.uint32(0)
+    assert philox.py_func is not None
+    with np.errstate(over="ignore"):
+        assert [int(w) for w in philox(zero, zero, zero, zero, zero, zero)] == [
+            0x6627E8D5,
+            0xE169C58D,
+            0xBC57AC4C,
+            0x9B00DBD8,
+        ]
+        assert [int(w) for w in philox(ones, ones, ones, ones, ones, ones)] == [
+            0x408F276D,
+            0x41C83B0E,
+            0xA20BC7C6,
+            0x6D5451FD,
+        ]
+
+
+def test_philox_is_a_bijection_of_the_counter() -> None:
+    """Each round can be undone, so different counters never give the same block: undo all ten for random counters."""
+    rng = np.random.default_rng(1)
+    mask = 0xFFFFFFFF
+    inverse_0, inverse_1 = pow(0xD2511F53, -1, 2**32), pow(0xCD9E8D57, -1, 2**32)
+    for counter in rng.integers(0, 2**32, (200, 4)):
+        key = [int(k) for k in rng.integers(0, 2**32, 2)]
+        c = [int(w) for w in philox(*(np.uint32(w) for w in counter), np.uint32(key[0]), np.uint32(key[1]))]
+        for turn in range(9, -1, -1):
+            k0, k1 = (key[0] + turn * 0x9E3779B9) & mask, (key[1] + turn * 0xBB67AE85) & mask
+            c0, c2 = (c[3] * inverse_0) & mask, (c[1] * inverse_1) & mask
+            c1 = c[0] ^ k0 ^ ((0xCD9E8D57 * c2) >> 32)
+            c3 = c[2] ^ k1 ^ ((0xD2511F53 * c0) >> 32)
+            c = [c0, c1, c2, c3]
+        assert c == [int(w) for w in counter]
+
+
+def test_normals_are_the_box_muller_transform_of_the_words() -> None:
+    words = (uniforms(5, Stream.MEASUREMENT, range(50), 1000) * 2.0**32 - 0.5).round()
+    u, v = (words.reshape(50, -1, 2) + 0.5).transpose(2, 0, 1) * 2.0**-32
+    radius = np.sqrt(-2.0 * np.log(u))
+    expected = np.stack([radius * np.cos(2.0 * np.pi * v), radius * np.sin(2.0 * np.pi * v)], axis=-1)
+    np.testing.assert_allclose(
+        normals(5, Stream.MEASUREMENT, range(50), 1000), expected.reshape(50, 1000), atol=1e-5
+    )
+
+
+def test_a_row_does_not_depend_on_its_length_or_neighbours() -> None:
+    long = normals(1, Stream.MEASUREMENT, range(20), 1000)
+    for count in (1, 3, 5, 255, 256, 257, 999):
+        assert np.array_equal(normals(1, Stream.MEASUREMENT, [13], count), long[13:14, :count]), count
+
+
+def check_standard_normal(z: NDArray[np.float64]) -> None:
+    """Moments, tails, Kolmogorov-Smirnov, neighbours in time and in case: each within 4.5 standard errors."""
+    n = z.size
+    flat = z.ravel()
+    assert abs(flat.mean()) < 4.5 / np.sqrt(n)
+    assert abs(np.square(flat).mean() - 1.0) < 4.5 * np.sqrt(2.0 / n)
+    assert abs((flat**3).mean()) < 4.5 * np.sqrt(15.0 / n)
+    assert abs((flat**4).mean() - 3.0) < 4.5 * np.sqrt(96.0 / n)
+    for limit in (2.0, 3.0, 4.0):
+        p = 2.0 * stats.norm.sf(limit)
+        assert abs((np.abs(flat) > limit).mean() - p) < 4.5 * np.sqrt(p / n), limit
+    for lag in (1, 2, 3, 4, 8, 256):
+        assert abs((z[:, lag:] * z[:, :-lag]).mean()) < 4.5 / np.sqrt(n), f"lag {lag}"
+    assert abs((z[1:] * z[:-1]).mean()) < 4.5 / np.sqrt(n), "neighbouring cases"
+    squares = np.square(z) - 1.0
+    assert abs((squares[1:] * squares[:-1]).mean()) < 9.0 / np.sqrt(n), "variances of neighbouring cases"
+    distance = stats.kstest(flat, "norm").statistic
+    assert distance < 2.0 / np.sqrt(n)
+
+
+def test_a_million_draws_are_standard_normal() -> None:
+    check_standard_normal(normals(7, Stream.MEASUREMENT, range(1000), 1000))
+
+
+@pytest.mark.long
+def test_ten_million_draws_are_standard_normal() -> None:
+    check_standard_normal(normals(11, Stream.MEASUREMENT, np.arange(10_000) + 2**33, 1000))
+
+
+def test_cases_beyond_32_bits_have_their_own_numbers() -> None:
+    near = normals(1, Stream.MEASUREMENT, [5], 64)
+    far = normals(1, Stream.MEASUREMENT, [5 + 2**32], 64)
+    assert not np.isin(near, far).any()

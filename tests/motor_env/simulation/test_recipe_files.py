@@ -1,0 +1,89 @@
+"""Recipes to dictionaries and back, and from TOML."""
+
+from pathlib import Path
+
+import pytest
+
+from motor_env.errors import InputError
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import Channel
+from motor_env.simulation.recipe_files import load_recipe, recipe_from_dict, recipe_to_dict
+from motor_env.simulation.recipes import RECIPES
+
+EXAMPLE = """
+base = "bench"
+motor = "paper"
+starts_per_motor = 3
+healthy_starts = 1
+[timing]
+sampling_rate_hz = 2000
+quiet_s = 0.02
+[sensor]
+channels = ["current", "speed"]
+[field]
+temperature_rise_k = [0.0, 30.0]
+missing_fraction = 0.01
+[[classes]]
+[[classes]]
+kind = "bearing"
+severity = 0.05
+severity_to = 0.3
+weight = 2.0
+[[classes.also]]
+kind = "noise"
+severity = 0.5
+[[shifts]]
+name = "hot"
+field = { temperature_rise_k = [40.0, 60.0] }
+"""
+
+
+@pytest.mark.parametrize("name", sorted(RECIPES))
+def test_a_recipe_survives_its_dictionary(name: str) -> None:
+    assert recipe_from_dict(recipe_to_dict(RECIPES[name])) == RECIPES[name]
+
+
+def test_a_file_changes_what_it_names(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(EXAMPLE)
+    recipe = load_recipe(tmp_path / "mine.toml")
+    assert recipe.name == "mine"
+    assert recipe.spread == RECIPES["bench"].spread
+    assert recipe.timing.sampling_rate_hz == 2000.0
+    assert recipe.timing.duration_s == RECIPES["bench"].timing.duration_s
+    assert recipe.sensor.channels == (Channel.CURRENT, Channel.SPEED)
+    assert recipe.class_names == ("healthy", "bearing+noise_50")
+    assert recipe.classes[1].also[0].kind is FaultKind.NOISE
+    hot = recipe.shifted("hot").field
+    assert hot is not None
+    assert hot.temperature_rise_k == (40.0, 60.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("sampling_rate = 3", "unknown key 'sampling_rate' in the recipe"),
+        ("[timing]\nrate = 3", "unknown key 'rate' in timing"),
+        ("[timing]\nduration_s = 'long'", "timing.duration_s must be a number, got 'long'"),
+        ("[timing]\nduration_s = -1", "duration_s must be finite and > 0, got -1"),
+        ("[[classes]]\nkind = 'rust'", "classes[0].kind must be one of bearing"),
+        ("[spread]\nsupply = 3.0", "spread of supply must be <= 0.14, got 3"),
+        ("[field]\nramp_s = [2.0, 1.0]", "field.ramp_s must be a finite [low, high]"),
+        ("[field]\nramp_s = 2.0", "field.ramp_s must be a list"),
+        ("healthy_starts = 2", "healthy_starts must be in 0 .. starts_per_motor (1)"),
+        ("base = 'nope'", "recipe must be one of"),
+        ("a = [", "is not TOML"),
+    ],
+)
+def test_a_wrong_file_is_one_sentence(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_recipe(path)
+    assert said in str(caught.value)
+    assert "bad.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_said() -> None:
+    with pytest.raises(InputError, match="no such recipe file"):
+        load_recipe("none.toml")
