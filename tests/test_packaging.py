@@ -65,7 +65,7 @@ def test_wheel_holds_the_three_packages_and_nothing_beside_them(wheel: Path) -> 
     for package in PACKAGES:
         assert f"{package}/__init__.py" in names
         assert f"{package}/py.typed" in names
-    assert "motor_classifiers/pretrained/paper-motor.safetensors" in names
+    assert "motor_classifiers/model_files/pretrained/paper-motor.safetensors" in names
 
 
 def test_folders_around_the_packages_are_no_packages() -> None:
@@ -116,8 +116,9 @@ def test_importing_motor_env_is_light(tmp_path: Path) -> None:
 @pytest.mark.parametrize("command", ["motor-env", "motor-datasets", "motor-classifiers"])
 def test_console_scripts_are_declared(command: str, installed: Path) -> None:
     (entry_points,) = installed.glob("motor_env-*.dist-info/entry_points.txt")
-    package = command.replace("-", "_")
-    assert f"{command} = {package}.cli:main" in entry_points.read_text().splitlines()
+    module = f"{command.replace('-', '_')}.cli"
+    module += ".main" if command == "motor-classifiers" else ""
+    assert f"{command} = {module}:main" in entry_points.read_text().splitlines()
 
 
 def test_pins_name_no_host_and_no_local_build() -> None:
