@@ -1,1 +1,5 @@
-"""Classifiers of motor faults, and the benchmark that compares them."""
+"""Classifiers of motor faults, and the benchmark that compares them. `__init__.pyi` lists what is public."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

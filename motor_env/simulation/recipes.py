@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from dataclasses import field as dataclass_field
+from dataclasses import dataclass, field as dataclass_field, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -16,8 +16,7 @@ import pytest
 
 from motor_classifiers.cli.main import main
 from motor_classifiers.report.page import write_results
-from motor_classifiers.scoring import benchmark as benchmark_module
-from motor_classifiers.scoring import trust as trust_module
+from motor_classifiers.scoring import benchmark as benchmark_module, trust as trust_module
 from motor_classifiers.scoring.benchmark import run_plan
 from motor_classifiers.scoring.judging import (
     LIMIT,

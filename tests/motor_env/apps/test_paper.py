@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from motor_env import cli
-from motor_env.apps import paper
-from motor_env.apps import reproduce as reproduction
+from motor_env.apps import paper, reproduce as reproduction
 from motor_env.errors import InputError
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.model import continuous_model, discretize, steady_state

@@ -9,8 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.wrappers import RecordEpisodeStatistics
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from motor_env.envs.monitor import MonitorEnv, MonitorVectorEnv
 from motor_env.envs.options import MonitorOptions

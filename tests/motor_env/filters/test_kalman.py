@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter as FilterpyFilter
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.stats import chi2, multivariate_normal
 
 from motor_env.filters.kalman import (

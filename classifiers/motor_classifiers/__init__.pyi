@@ -1,0 +1,50 @@
+from .estimators.confirmation import (
+    ConfirmationClassifier as ConfirmationClassifier,
+)
+from .estimators.features import (
+    PhysicalFeatures as PhysicalFeatures,
+    ResidualProjection as ResidualProjection,
+)
+from .estimators.methods import (
+    METHODS as METHODS,
+    make_method as make_method,
+)
+from .estimators.perceptron import (
+    NetworkClassifier as NetworkClassifier,
+)
+from .estimators.posterior_network import (
+    PosteriorNetwork as PosteriorNetwork,
+)
+from .estimators.residual_network import (
+    ResidualNetworkClassifier as ResidualNetworkClassifier,
+)
+from .estimators.rule_statistics import (
+    RuleStatistics as RuleStatistics,
+)
+from .model_files.onnx_export import (
+    export_onnx as export_onnx,
+)
+from .model_files.persistence import (
+    load_model as load_model,
+    save_model as save_model,
+)
+from .prediction import (
+    Opinion as Opinion,
+    opinions as opinions,
+    predict_recording as predict_recording,
+)
+from .scoring.evaluation import (
+    evaluate_model as evaluate_model,
+)
+from .wrappers.conformal import (
+    ConformalClassifier as ConformalClassifier,
+    ConformalIntervals as ConformalIntervals,
+    ConformalSets as ConformalSets,
+)
+from .wrappers.early import (
+    EarlyClassifier as EarlyClassifier,
+)
+from .wrappers.open_set import (
+    FaultFamilyDetector as FaultFamilyDetector,
+    OpenSetClassifier as OpenSetClassifier,
+)

@@ -1,0 +1,114 @@
+# What a user imports from `motor_env`: listed here and nowhere else; loaded when first used.
+from .detection.rules import (
+    Cusum as Cusum,
+    Glr as Glr,
+    ModelBank as ModelBank,
+    MOfN as MOfN,
+    Rule as Rule,
+    ShiryaevRoberts as ShiryaevRoberts,
+    SignatureCusum as SignatureCusum,
+    Sprt as Sprt,
+    Threshold as Threshold,
+    TolerantFilter as TolerantFilter,
+    WindowedNis as WindowedNis,
+    in_a_row as in_a_row,
+    nis_rule as nis_rule,
+    recipe_thresholds as recipe_thresholds,
+)
+from .diagnosis.decision import (
+    Diagnosis as Diagnosis,
+    Verdict as Verdict,
+)
+from .diagnosis.diagnose import (
+    diagnose as diagnose,
+)
+from .diagnosis.healthy_motor import (
+    reference_from_motor as reference_from_motor,
+    reference_from_starts as reference_from_starts,
+)
+from .errors import (
+    InputError as InputError,
+)
+from .filters.adaptive import (
+    adaptive_filter as adaptive_filter,
+)
+from .filters.consistency import (
+    check_consistency as check_consistency,
+)
+from .filters.joint import (
+    joint_filter as joint_filter,
+)
+from .filters.kalman import (
+    FilterResult as FilterResult,
+    KalmanFilter as KalmanFilter,
+    run_filter as run_filter,
+)
+from .filters.smoothing import (
+    smooth as smooth,
+)
+from .filters.stream import (
+    FilterStream as FilterStream,
+)
+from .identification.identify import (
+    Identified as Identified,
+    identify as identify,
+)
+from .inference.identifiability import (
+    Experiment as Experiment,
+    identifiability as identifiability,
+)
+from .inference.isolation import (
+    Isolator as Isolator,
+)
+from .inference.posterior import (
+    class_probabilities as class_probabilities,
+)
+from .motor.data_sheet import (
+    MotorFile as MotorFile,
+    load_motor as load_motor,
+    save_motor as save_motor,
+)
+from .motor.faults import (
+    Fault as Fault,
+    FaultKind as FaultKind,
+    apply_fault as apply_fault,
+    apply_faults as apply_faults,
+)
+from .motor.model import (
+    State as State,
+    continuous_model as continuous_model,
+    discretize as discretize,
+    steady_state as steady_state,
+)
+from .motor.parameters import (
+    CATALOGUE as CATALOGUE,
+    PAPER_MOTOR as PAPER_MOTOR,
+    Channel as Channel,
+    MotorParameters as MotorParameters,
+    SensorParameters as SensorParameters,
+    SupplyParameters as SupplyParameters,
+    catalogue_motor as catalogue_motor,
+)
+from .recordings.recording import (
+    ColumnChoice as ColumnChoice,
+    Recording as Recording,
+    read_recording as read_recording,
+)
+from .simulation.recipe_files import (
+    load_recipe as load_recipe,
+)
+from .simulation.recipes import (
+    RECIPES as RECIPES,
+    Recipe as Recipe,
+    draw as draw,
+    named_recipe as named_recipe,
+)
+from .simulation.simulate import (
+    Scenario as Scenario,
+    Timing as Timing,
+    Transients as Transients,
+    simulate as simulate,
+    simulate_states as simulate_states,
+)
+
+__version__: str
