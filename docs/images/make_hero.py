@@ -4,7 +4,6 @@ Run it as `python docs/images/make_hero.py`; it writes hero.png beside itself. M
 motor_env; the threshold is solved for 1 % false alarms in a healthy transient.
 """
 
-# ruff: noqa: INP001  (a script beside its picture, no package)
 from pathlib import Path
 
 import numpy as np

@@ -1,0 +1,69 @@
+"""How the code is laid out: small rooms, short argument lists, nothing written twice, one list of public names."""
+
+import ast
+import importlib
+import importlib.util
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = [
+    ROOT / "motor_env",
+    ROOT / "datasets" / "motor_datasets",
+    ROOT / "classifiers" / "motor_classifiers",
+]
+MODULES = sorted(file for package in PACKAGES for file in package.rglob("*.py"))
+COMPILED = ("njit", "vectorize")
+
+
+def make_pages() -> ModuleType:
+    """The script docs/make_pages.py as a module."""
+    spec = importlib.util.spec_from_file_location("make_pages", ROOT / "docs" / "make_pages.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
+    """Where each function stands, and its syntax."""
+    for file in MODULES:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                yield f"{file.relative_to(ROOT)}:{node.lineno} {node.name}", node
+
+
+def test_no_folder_is_crowded() -> None:
+    count: dict[Path, int] = defaultdict(int)
+    for file in MODULES:
+        count[file.parent] += not file.stem.startswith("__")
+    assert {str(folder): n for folder, n in count.items() if n > 15} == {}
+    top = [path.name for path in (ROOT / "motor_env").iterdir() if path.is_file()]
+    assert len([name for name in top if name not in ("py.typed", "__init__.pyi")]) <= 8
+
+
+@pytest.mark.parametrize("name", make_pages().PACKAGES)
+def test_public_names_exist_and_say_what_they_are(name: str) -> None:
+    pages, package = make_pages(), importlib.import_module(name)
+    listed = pages.homes(pages.stub_of(package))
+    assert sorted(listed) == sorted(package.__all__)
+    assert [each for each, home in listed.items() if not pages.summary(package, each, home)] == []
+    with pytest.raises(AttributeError):
+        _ = package.no_such_name
+
+
+def test_page_of_public_names_is_up_to_date() -> None:
+    """`python docs/make_pages.py` writes it."""
+    assert (ROOT / "docs" / "api.md").read_text(encoding="utf-8") == make_pages().api_page()
+
+
+def test_every_public_name_can_be_imported_alone() -> None:
+    code = "from motor_env import *; from motor_datasets import *; from motor_classifiers import *"
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, timeout=120)
