@@ -23,7 +23,6 @@ from motor_classifiers.estimators.posterior_network import PosteriorNetwork
 from motor_classifiers.scoring.judging import Cell
 from motor_classifiers.scoring.peers import export_cases
 from motor_datasets.arrays import Dataset
-from motor_env.detection.confirmation import nominal_voltage
 from motor_env.inference.fit import Prior, fit
 from motor_env.inference.posterior import class_coordinates, recipe_observed
 from motor_env.motor.parameters import FloatArray
@@ -55,7 +54,7 @@ def general_fit(measured: FloatArray) -> FloatArray:
     recipe = CELL.recipe
     std = recipe.spread.std
     supply = FACTORS.index("supply")
-    voltage = nominal_voltage(recipe)
+    voltage = recipe.nominal_voltage_v
 
     def residual(z: FloatArray) -> FloatArray:
         factors = 1.0 + std * z
@@ -78,7 +77,7 @@ def _check_fit(test: Dataset) -> None:
     recipe = CELL.recipe
     healthy = np.flatnonzero(test.class_index == 0)[:3]
     coordinates = class_coordinates(recipe, recipe.classes[0])
-    ours = fit(recipe_observed(recipe, test.X[healthy]), coordinates, Prior.of(np.ones(5))).values
+    ours = fit(recipe_observed(recipe, test.X[healthy]), coordinates, Prior.from_std(np.ones(5))).values
     peer = np.stack([general_fit(test.X[case, 0].astype(np.float64)) for case in healthy])
     assert np.abs(ours - peer).max() < 0.01
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from motor_env.detection.confirmation import class_filter, nominal_voltage
+from motor_env.detection.confirmation import class_filter
 from motor_env.detection.rules.cusum import Cusum
 from motor_env.filters.adaptive import MEMORY, adaptive_filter
 from motor_env.filters.consistency import check_consistency, signature_energy
@@ -175,7 +175,7 @@ def main() -> None:
     assert names == ["None", "bearing", "bearing", "winding_contact", "winding_contact"], names
     drawn = draw(RECIPE, 5, range(cases))
     measured = simulate(drawn.scenario, 5, drawn.cases).measurements
-    voltage, labels = nominal_voltage(RECIPE), drawn.class_index
+    voltage, labels = RECIPE.nominal_voltage_v, drawn.class_index
     healthy_case = draw(RECIPE, 6, range(5 * cases))
     healthy = simulate(healthy_case.scenario, 6, healthy_case.cases).measurements[
         healthy_case.class_index == 0

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from motor_env.inference.accuracy_limits import class_limits, severity_limit
-from motor_env.inference.fit import cramer_rao_bound
+from motor_env.inference.identifiability import Experiment, cramer_rao_bound
 from motor_env.inference.severity import SeverityPrior
 from motor_env.inference.whitening import MatchedTest
 from motor_env.motor.faults import Fault, FaultKind
@@ -98,7 +98,7 @@ def power(n_cases: int) -> Iterable[Iterable[str]]:
     for name in ("paper", "bench"):
         recipe = named_recipe(name)
         sound = replace(recipe, classes=recipe.classes[:1])
-        tests = [MatchedTest.of(recipe, fault) for fault in faults]
+        tests = [MatchedTest.from_recipe(recipe, fault) for fault in faults]
         chunks = []
         for begin in range(0, n_cases, 2000):
             part = draw(sound, SEED, np.arange(begin, min(begin + 2000, n_cases)))
@@ -120,7 +120,8 @@ def power(n_cases: int) -> Iterable[Iterable[str]]:
 def bounds() -> Iterable[Iterable[str]]:
     """Cramer-Rao bounds, other parameters known."""
     for noise_a in (0.0034, 0.02, 0.04):
-        covariance = cramer_rao_bound(PAPER_MOTOR, Timing(), SensorParameters(current_noise_a=noise_a), 12.0)
+        start = Experiment.start(Timing(), SensorParameters(current_noise_a=noise_a))
+        covariance = cramer_rao_bound(PAPER_MOTOR, start)
         yield f"{1e3 * noise_a:g} mA", *(f"{100.0 * np.sqrt(v):.3f} %" for v in np.diag(covariance))
 
 

@@ -16,11 +16,10 @@ from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.open_set import OTHER, OpenSetClassifier
 from motor_env.console import ExitStatus
-from motor_env.detection.confirmation import nominal_voltage
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.report import as_json
 from motor_env.identification.identify import identify
-from motor_env.inference.fit import FEATURE_NAMES, physical_features
+from motor_env.inference.features import FEATURE_NAMES, physical_features
 from motor_env.motor.data_sheet import MotorFile, Tolerance
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.model import State
@@ -241,14 +240,7 @@ def aligned_case(
         shifted = _moved_onto_a_sample(recording, recipe)
     else:
         shifted = np.stack([_resampled(recording, recipe, start, shift) for shift in _FINE_SHIFTS])
-    features = physical_features(
-        shifted,
-        nominal_voltage(recipe),
-        recipe.motor,
-        recipe.spread,
-        recipe.sensor,
-        recipe.timing.dt_s,
-    )
+    features = physical_features(recipe, shifted)
     misfit = features[:, FEATURE_NAMES.index("reduced_chi2")]
     best = int(misfit.argmin())
     n_values = shifted[0].size

@@ -51,12 +51,6 @@ class ConfirmationResult(NamedTuple):
     statistic: FloatArray
 
 
-def nominal_voltage(recipe: Recipe) -> FloatArray:
-    """The voltage that a believer in the recipe's nominal supply expects, shape (n_samples,)."""
-    driven = np.arange(recipe.timing.n_samples) >= recipe.timing.n_quiet
-    return float(np.asarray(recipe.supply.voltage_v)) * driven.astype(np.float64)
-
-
 @dataclass(frozen=True, slots=True)
 class ThresholdConfirmation:
     """The tuned rule (paper, Figure 1). Make one with `ThresholdConfirmation.tune(recipe, measurements, class_index)`.
@@ -116,7 +110,7 @@ class ThresholdConfirmation:
                 the wanted false-alarm rate.
         """
         measured, labels = _checked(recipe, measurements, class_index)
-        voltage = nominal_voltage(recipe) if voltage_v is None else np.asarray(voltage_v, dtype=np.float64)
+        voltage = recipe.nominal_voltage_v if voltage_v is None else np.asarray(voltage_v, dtype=np.float64)
         healthy = [c.kind for c in recipe.classes].index(None)
         _check_rate(false_alarm_rate, int((labels == healthy).sum()))
         filters = tuple(class_filter(recipe, c) for c in recipe.classes)

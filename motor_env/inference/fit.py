@@ -1,4 +1,4 @@
-"""Parameters from measured transients: maximum likelihood or maximum a posteriori, their covariance, their bound.
+"""Parameters from measured transients: maximum likelihood or maximum a posteriori, and their covariance.
 
 The noise is white and Gaussian, so maximum likelihood is weighted least squares, found by Gauss-Newton steps with
 Levenberg-Marquardt damping where a step fails (Levenberg 1944; Marquardt 1963) for a whole batch at once.
@@ -17,12 +17,9 @@ from motor_env.inference.sensitivities import (
     NormalEquations,
     Observed,
     common_equations,
-    fitted_residuals,
     normal_equations,
 )
-from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, require
-from motor_env.simulation.recipes import Spread
-from motor_env.simulation.simulate import Timing
+from motor_env.motor.parameters import FloatArray, require
 
 _LARGEST_RELATIVE_STEP = 0.5  # no factor is more than halved, or raised by half, in one step
 _TOLERANCE = 1e-7  # of the objective: a step that promises less changes no posterior and no interval
@@ -49,7 +46,7 @@ class Prior:
         return cls(np.zeros(size), np.zeros((size, size)))
 
     @classmethod
-    def of(cls, std: ArrayLike, mean: ArrayLike = 0.0) -> Prior:
+    def from_std(cls, std: ArrayLike, mean: ArrayLike = 0.0) -> Prior:
         """Independent, from standard deviations, infinite where nothing is known."""
         deviations = np.asarray(std, dtype=np.float64)
         require(
@@ -189,7 +186,7 @@ def fit(
     return Fit(
         values=values,
         factors=coordinates.factors(values),
-        covariance=_inverse(best.information, coordinates.names),
+        covariance=inverse_information(best.information, coordinates.names),
         information=best.information,
         chi2=chi2,
         objective=best.chi2,
@@ -201,8 +198,12 @@ def fit(
 _OPEN_DIRECTION = 1e-9  # smallest eigenvalue of the information scaled to a unit diagonal
 
 
-def _inverse(information: FloatArray, names: tuple[str, ...]) -> FloatArray:
-    """Inverse of positive definite matrices (..., size, size); scaled first, so that units do not matter."""
+def inverse_information(information: FloatArray, names: tuple[str, ...]) -> FloatArray:
+    """Inverse of positive definite matrices (..., size, size); scaled first, so that units do not matter.
+
+    Raises:
+        ValueError: a direction is open; the sentence names the quantities.
+    """
     root = np.sqrt(np.einsum("...ii->...i", information))
     seen = root.min(initial=np.inf) > 0.0
     outer = root[..., :, None] * root[..., None, :]
@@ -214,119 +215,3 @@ def _inverse(information: FloatArray, names: tuple[str, ...]) -> FloatArray:
     )
     inverse: FloatArray = np.linalg.inv(information / outer) / outer
     return inverse
-
-
-def step_voltage(timing: Timing, voltage_v: float) -> FloatArray:
-    """Voltage of a step at time 0, shape (n_samples,)."""
-    return np.where(np.arange(timing.n_samples) >= timing.n_quiet, voltage_v, 0.0)
-
-
-def fisher_information(
-    coordinates: Coordinates, timing: Timing, sensor: SensorParameters, voltage_v: ArrayLike
-) -> FloatArray:
-    """Fisher information of the coordinates at the nominal motor, shape (size, size) (Fisher 1925).
-
-    Args:
-        coordinates: what is free.
-        timing: time axis.
-        sensor: channels and noise.
-        voltage_v: level of a step at time 0, or the voltage of every interval, shape (n_samples,).
-    """
-    voltage = step_voltage(timing, float(voltage_v)) if np.ndim(voltage_v) == 0 else np.asarray(voltage_v)  # type: ignore[arg-type]  # a scalar by the test
-    nothing = np.zeros((1, len(sensor.channels), voltage.size))
-    observed = Observed.of(nothing, voltage, sensor, timing.dt_s)
-    information: FloatArray = normal_equations(
-        observed, coordinates, np.zeros((1, coordinates.size))
-    ).information[0]
-    return information
-
-
-def cramer_rao_bound(
-    parameters: MotorParameters,
-    timing: Timing,
-    sensor: SensorParameters,
-    voltage_v: ArrayLike,
-    free: tuple[str, ...] = ("resistance", "friction"),
-    prior_std: ArrayLike | None = None,
-) -> FloatArray:
-    """Smallest covariance of unbiased estimates of the free quantities' relative values (Rao 1945; Cramer 1946).
-
-    Args:
-        parameters: the motor.
-        timing: time axis.
-        sensor: channels and noise.
-        voltage_v: level of a step at time 0, or the voltage of every interval, shape (n_samples,).
-        free: quantities that are not known, of `coordinates.QUANTITIES`; all others are.
-        prior_std: relative standard deviations known beforehand, infinite for none: then the Bayesian bound of van
-            Trees (1968), linearised at the nominal motor.
-
-    Returns:
-        Covariance of relative errors, shape (n_free, n_free): sqrt of its diagonal is 0.01 for 1 %.
-
-    Raises:
-        ValueError: the samples leave a direction open.
-    """
-    information = fisher_information(Coordinates.of(parameters, free), timing, sensor, voltage_v)
-    if prior_std is not None:
-        information = information + Prior.of(np.broadcast_to(prior_std, len(free))).precision
-    return _inverse(information, free)
-
-
-FEATURE_FREE = ("resistance", "friction", "supply", "constants", "inertia")
-"""What the features' fit frees: the faults' quantities first, then the nuisances."""
-
-FEATURE_NAMES = (
-    *(f"log_{name}" for name in FEATURE_FREE),
-    *(f"log_std_{name}" for name in FEATURE_FREE[:2]),
-    "reduced_chi2",
-    "residual_mean",
-    "residual_late_mean",
-    "residual_lag1",
-    "residual_largest",
-)
-"""Names of the columns of `physical_features`."""
-
-
-def physical_features(
-    measurements: ArrayLike,
-    voltage_v: ArrayLike,
-    nominal: MotorParameters,
-    spread: Spread,
-    sensor: SensorParameters,
-    dt_s: float,
-    fault_std: float = 0.3,
-) -> FloatArray:
-    """Features for classifiers: most probable factors, their errors, what the fit leaves over (Isermann 1984).
-
-    R and B are held by a wide prior (`fault_std`), the supply, K and J by their tolerances; L is nominal.
-
-    Args:
-        measurements: shape (n_cases, n_channels, n_samples).
-        voltage_v: nominal voltage, shape (n_samples,) or (n_cases, n_samples).
-        nominal: the healthy motor of the data sheet.
-        spread: tolerances.
-        sensor: channels and noise.
-        dt_s: sampling interval.
-        fault_std: standard deviation of the wide prior on log R and log B.
-
-    Returns:
-        Shape (n_cases, len(FEATURE_NAMES)), columns as named there. Residuals are in units of the noise.
-    """
-    observed = Observed.of(measurements, voltage_v, sensor, dt_s)
-    tolerances = [max(getattr(spread, name), 1e-6) for name in FEATURE_FREE[2:]]
-    coordinates = Coordinates.of(nominal, FEATURE_FREE)
-    fitted = fit(observed, coordinates, Prior.of([fault_std, fault_std, *tolerances]))
-    residual = fitted_residuals(observed, coordinates, fitted.values).reshape(observed.n_cases, -1)
-    late = residual[:, -max(1, residual.shape[1] // 5) :]
-    lag1 = (residual[:, 1:] * residual[:, :-1]).mean(axis=1)
-    return np.column_stack(
-        [
-            fitted.values,
-            np.log(fitted.std[:, :2]),
-            fitted.chi2 / observed.n_values,
-            residual.mean(axis=1),
-            late.mean(axis=1),
-            lag1,
-            np.abs(residual).max(axis=1),
-        ]
-    )

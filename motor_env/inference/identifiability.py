@@ -13,7 +13,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.inference.fit import Prior, step_voltage
+from motor_env.inference.fit import Prior, inverse_information
 from motor_env.inference.parametrisation import QUANTITIES, Coordinates
 from motor_env.inference.sensitivities import jacobian
 from motor_env.inference.whitening import MarginalWhitener
@@ -72,17 +72,43 @@ class Experiment:
         cls, timing: Timing, sensor: SensorParameters, voltage_v: float = 12.0, load_torque_n_m: float = 0.0
     ) -> Self:
         """A step of the supply at time 0, the load from then on."""
-        driven = step_voltage(timing, 1.0)
+        driven = timing.step(1.0)
         return cls(voltage_v * driven, timing.dt_s, sensor, load_torque_n_m * driven)
 
     def slopes(self, parameters: MotorParameters, names: tuple[str, ...]) -> FloatArray:
         """Change of the samples, in units of the noise, for the logarithm of each quantity, (n_values, n_names)."""
-        coordinates = Coordinates.of(parameters, names)
+        coordinates = Coordinates.from_names(parameters, names)
         _, slopes = jacobian(
             coordinates, self.voltage_v, self.sensor, self.dt_s, load_torque_n_m=self.load_torque_n_m
         )
         white = slopes[:, self.first_sample :] / self.sensor.noise_std[:, None, None]
         return np.ascontiguousarray(np.moveaxis(white, 0, 1)).reshape(-1, len(names))
+
+
+def cramer_rao_bound(
+    parameters: MotorParameters,
+    experiment: Experiment,
+    free: tuple[str, ...] = ("resistance", "friction"),
+    prior_std: ArrayLike = np.inf,
+) -> FloatArray:
+    """Smallest covariance of unbiased estimates of the free quantities' relative values (Rao 1945; Cramer 1946).
+
+    Args:
+        parameters: the motor.
+        experiment: what drives it and what is read.
+        free: quantities that are not known, of `QUANTITIES`; all others are.
+        prior_std: relative standard deviation known beforehand of each, infinite for none; with one it is the Bayesian
+            bound of van Trees (1968), linearised at the motor.
+
+    Returns:
+        Covariance of relative errors, shape (n_free, n_free): sqrt of its diagonal is 0.01 for 1 %.
+
+    Raises:
+        ValueError: the samples leave a direction open.
+    """
+    slopes = experiment.slopes(parameters, free)
+    information = slopes.T @ slopes + Prior.from_std(np.broadcast_to(prior_std, len(free))).precision
+    return inverse_information(information, free)
 
 
 class Identifiability(NamedTuple):
@@ -147,7 +173,7 @@ def identifiability(
         prior_std: relative standard deviation known beforehand of each, infinite for none.
     """
     slopes = experiment.slopes(parameters, free)
-    precision = Prior.of(np.broadcast_to(prior_std, len(free))).precision
+    precision = Prior.from_std(np.broadcast_to(prior_std, len(free))).precision
     rows = np.concatenate([slopes, np.sqrt(precision)])  # the precision is diagonal
     _, singular, directions = np.linalg.svd(rows, full_matrices=False)
     seen = singular > _UNSEEN
@@ -216,7 +242,7 @@ def isolability(
             for direction in FAULT_DIRECTIONS.values()
         ]
     )
-    white = MarginalWhitener.of(nuisances).whiten(signatures[..., None])[..., 0]
+    white = MarginalWhitener.from_slopes(nuisances).whiten(signatures[..., None])[..., 0]
     gram = white @ white.T
     squares = np.diag(gram)
     # What is left of fault i when the best multiple of fault j is taken off.

@@ -182,7 +182,7 @@ class Isolator:
         known = known[(known != 0.0).sum(axis=1) > 1]  # a quantity that no sample shows stands for no other
         open_directions = np.zeros((len(known), len(QUANTITIES)))
         open_directions[:, [QUANTITIES.index(name) for name in MOTOR_QUANTITIES]] = known
-        coordinates = Coordinates.of(parameters, QUANTITIES)
+        coordinates = Coordinates.from_names(parameters, QUANTITIES)
         return cls(
             coordinates, experiment, directions, tolerances, hidden, open_directions, false_alarm_rate, level
         )
@@ -296,7 +296,7 @@ class _Fitted(NamedTuple):
 
 
 def _whitener(slopes: FloatArray, tolerances: FloatArray) -> MarginalWhitener:
-    return MarginalWhitener.of((slopes * tolerances)[:, tolerances > 0.0])
+    return MarginalWhitener.from_slopes((slopes * tolerances)[:, tolerances > 0.0])
 
 
 def _white(whitener: MarginalWhitener, values: FloatArray) -> FloatArray:

@@ -63,7 +63,7 @@ class Coordinates:
         )
 
     @classmethod
-    def of(cls, nominal: MotorParameters, names: tuple[str, ...]) -> Coordinates:
+    def from_names(cls, nominal: MotorParameters, names: tuple[str, ...]) -> Coordinates:
         """Natural logarithms of the factors."""
         return cls(nominal, tuple(names), (1.0,) * len(names))
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
-from motor_env.inference.fit import Prior, fit, step_voltage
+from motor_env.inference.fit import Prior, fit
 from motor_env.inference.parametrisation import Coordinates
 from motor_env.inference.sensitivities import Observed, fitted_residuals
 from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_factor
@@ -48,9 +48,9 @@ def recipe_observed(recipe: Recipe, measurements: ArrayLike, voltage_v: ArrayLik
         voltage_v: nominal voltage; the recipe's step by default.
     """
     measured = np.asarray(measurements, dtype=np.float64)
-    voltage = step_voltage(recipe.timing, float(recipe.supply.voltage_v)) if voltage_v is None else voltage_v
+    voltage = recipe.nominal_voltage_v if voltage_v is None else voltage_v
     shown = np.asarray(voltage)[..., : measured.shape[-1]]
-    return Observed.of(measured, shown, recipe.sensor, recipe.timing.dt_s)
+    return Observed.from_measurements(measured, shown, recipe.sensor, recipe.timing.dt_s)
 
 
 def laplace_evidence(observed: Observed, coordinates: Coordinates, prior: Prior | None = None) -> FloatArray:
@@ -66,7 +66,7 @@ def laplace_evidence(observed: Observed, coordinates: Coordinates, prior: Prior 
         chi2 = np.square(fitted_residuals(observed, coordinates, exact)).sum(axis=(-2, -1))
         likelihood: FloatArray = observed.log_normaliser - 0.5 * chi2
         return likelihood
-    belief = Prior.of(np.ones(coordinates.size)) if prior is None else prior
+    belief = Prior.from_std(np.ones(coordinates.size)) if prior is None else prior
     fitted = fit(observed, coordinates, belief)
     # The peak's volume over the prior's.
     _, log_determinant = np.linalg.slogdet(fitted.information)

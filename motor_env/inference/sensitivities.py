@@ -10,151 +10,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.inference.kernels import fill_normal_equations, fill_residuals, fill_sensitivities
 from motor_env.inference.parametrisation import Coordinates, discrete_models, model_slopes
 from motor_env.motor.model import N_STATES
 from motor_env.motor.parameters import FloatArray, SensorParameters, require
-
-__all__ = [
-    "Coordinates",
-    "NormalEquations",
-    "Observed",
-    "common_equations",
-    "fitted_residuals",
-    "jacobian",
-    "normal_equations",
-]
-
-
-@njit(cache=True)
-def _states(
-    transition: FloatArray,
-    gain: FloatArray,
-    voltage: FloatArray,
-    load: FloatArray,
-    initial_state: FloatArray,
-    states: FloatArray,
-) -> None:
-    """One motor's states, (2, n_samples), by the exact recursion x[k+1] = A x[k] + B u[k]."""
-    a00, a01, a10, a11 = transition[0, 0], transition[0, 1], transition[1, 0], transition[1, 1]
-    b00, b01, b10, b11 = gain[0, 0], gain[0, 1], gain[1, 0], gain[1, 1]
-    x0, x1 = initial_state[0], initial_state[1]
-    for k in range(states.shape[1]):
-        v, t = voltage[k], load[k]
-        x0, x1 = (
-            a00 * x0 + a01 * x1 + b00 * v + b01 * t,
-            a10 * x0 + a11 * x1 + b10 * v + b11 * t,
-        )
-        states[0, k], states[1, k] = x0, x1
-
-
-@njit(cache=True)
-def _sensitivities(
-    transition: FloatArray,
-    gain: FloatArray,
-    transition_slope: FloatArray,
-    gain_slope: FloatArray,
-    voltage: FloatArray,
-    load: FloatArray,
-    initial_state: FloatArray,
-    states: FloatArray,
-    slopes: FloatArray,
-) -> None:
-    """One motor's states, (2, n_samples), and their derivatives, (size, 2, n_samples), by the exact recursion.
-
-    s[k+1] = A s[k] + A' x[k] + B' u[k]; the initial state does not depend on the parameters.
-    """
-    _states(transition, gain, voltage, load, initial_state, states)
-    a00, a01, a10, a11 = transition[0, 0], transition[0, 1], transition[1, 0], transition[1, 1]
-    for j in range(slopes.shape[0]):
-        d00, d01 = transition_slope[j, 0, 0], transition_slope[j, 0, 1]
-        d10, d11 = transition_slope[j, 1, 0], transition_slope[j, 1, 1]
-        e00, e01 = gain_slope[j, 0, 0], gain_slope[j, 0, 1]
-        e10, e11 = gain_slope[j, 1, 0], gain_slope[j, 1, 1]
-        x0, x1 = initial_state[0], initial_state[1]
-        s0, s1 = 0.0, 0.0
-        for k in range(states.shape[1]):
-            v, t = voltage[k], load[k]
-            f0 = d00 * x0 + d01 * x1 + e00 * v + e01 * t
-            f1 = d10 * x0 + d11 * x1 + e10 * v + e11 * t
-            s0, s1 = a00 * s0 + a01 * s1 + f0, a10 * s0 + a11 * s1 + f1
-            slopes[j, 0, k], slopes[j, 1, k] = s0, s1
-            x0, x1 = states[0, k], states[1, k]
-
-
-@njit(cache=True)
-def _normal_equations(
-    rows: NDArray[np.int64],
-    transition: FloatArray,
-    gain: FloatArray,
-    transition_slope: FloatArray,
-    gain_slope: FloatArray,
-    voltage: FloatArray,
-    load: FloatArray,
-    measurements: FloatArray,
-    observation: FloatArray,
-    initial_state: FloatArray,
-    chi2: FloatArray,
-    gradient: FloatArray,
-    information: FloatArray,
-) -> None:
-    """Weighted squares, J'r and J'J of each row; `observation` is C divided by the noise, as `measurements` are."""
-    n_channels, n_samples, size = measurements.shape[1], measurements.shape[2], gradient.shape[1]
-    states = np.empty((N_STATES, n_samples))
-    slopes = np.empty((size, N_STATES, n_samples))
-    residual = np.empty(n_samples)
-    jacobian = np.empty((size, n_samples))
-    for n in range(rows.shape[0]):
-        row = rows[n]
-        _sensitivities(
-            transition[n],
-            gain[n],
-            transition_slope[n],
-            gain_slope[n],
-            voltage[row if voltage.shape[0] > 1 else 0],
-            load[row if load.shape[0] > 1 else 0],
-            initial_state,
-            states,
-            slopes,
-        )
-        chi2[n] = 0.0
-        gradient[n] = 0.0
-        information[n] = 0.0
-        for m in range(n_channels):
-            c0, c1 = observation[m, 0], observation[m, 1]
-            for k in range(n_samples):
-                residual[k] = measurements[row, m, k] - c0 * states[0, k] - c1 * states[1, k]
-            for j in range(size):
-                for k in range(n_samples):
-                    jacobian[j, k] = c0 * slopes[j, 0, k] + c1 * slopes[j, 1, k]
-            chi2[n] += np.dot(residual, residual)
-            gradient[n] += np.dot(jacobian, residual)
-            information[n] += np.dot(jacobian, jacobian.T)
-
-
-@njit(cache=True)
-def _residuals(
-    transition: FloatArray,
-    gain: FloatArray,
-    voltage: FloatArray,
-    load: FloatArray,
-    measurements: FloatArray,
-    observation: FloatArray,
-    initial_state: FloatArray,
-    residual: FloatArray,
-) -> None:
-    """Measured less expected of each case, of the shape of `measurements`; no state outlives its case."""
-    states = np.empty((N_STATES, measurements.shape[2]))
-    for n in range(measurements.shape[0]):
-        own_voltage = voltage[n if voltage.shape[0] > 1 else 0]
-        own_load = load[n if load.shape[0] > 1 else 0]
-        _states(transition[n], gain[n], own_voltage, own_load, initial_state, states)
-        for m in range(measurements.shape[1]):
-            c0, c1 = observation[m, 0], observation[m, 1]
-            for k in range(measurements.shape[2]):
-                residual[n, m, k] = measurements[n, m, k] - c0 * states[0, k] - c1 * states[1, k]
 
 
 class NormalEquations(NamedTuple):
@@ -194,12 +55,13 @@ class Observed:
     load_torque_n_m: FloatArray
 
     @classmethod
-    def of(
+    def from_measurements(
         cls,
         measurements: ArrayLike,
         voltage_v: ArrayLike,
         sensor: SensorParameters,
         dt_s: float,
+        *,
         initial_state: ArrayLike = (0.0, 0.0),
         load_torque_n_m: ArrayLike = 0.0,
     ) -> Observed:
@@ -284,7 +146,7 @@ def normal_equations(
     centre, slope = model_slopes(coordinates, values, observed.dt_s)
     n, size = len(chosen), coordinates.size
     result = NormalEquations(np.empty(n), np.empty((n, size)), np.empty((n, size, size)))
-    _normal_equations(
+    fill_normal_equations(
         chosen,
         *centre,
         *slope,
@@ -306,11 +168,8 @@ def common_equations(observed: Observed, coordinates: Coordinates, value: FloatA
     n, size = observed.n_cases, coordinates.size
     if len(observed.voltage_v) > 1 or len(observed.load_torque_n_m) > 1:
         return normal_equations(observed, coordinates, np.broadcast_to(value, (n, size)))
-    centre, slope = model_slopes(coordinates, value[None], observed.dt_s)
-    n_samples = observed.voltage_v.shape[1]
-    states, slopes = np.empty((N_STATES, n_samples)), np.empty((size, N_STATES, n_samples))
     driving = observed.voltage_v[0], observed.load_torque_n_m[0], observed.initial_state
-    _sensitivities(*(part[0] for part in (*centre, *slope)), *driving, states, slopes)
+    states, slopes = _state_slopes(coordinates, value, observed.dt_s, driving)
     moved = (observed.observation @ slopes).reshape(size, -1)
     residual = (observed.whitened - observed.observation @ states).reshape(n, -1)
     return NormalEquations(
@@ -324,7 +183,7 @@ def fitted_residuals(observed: Observed, coordinates: Coordinates, values: Float
     """Measured less expected at coordinates of shape (n, size), in units of the noise, shape as `observed.whitened`."""
     model = discrete_models(coordinates, values, observed.dt_s)
     left = np.empty_like(observed.whitened)
-    _residuals(
+    fill_residuals(
         *(np.ascontiguousarray(part) for part in model),
         observed.voltage_v,
         observed.load_torque_n_m,
@@ -341,11 +200,11 @@ def jacobian(
     voltage_v: ArrayLike,
     sensor: SensorParameters,
     dt_s: float,
+    *,
     values: ArrayLike | None = None,
-    initial_state: ArrayLike = (0.0, 0.0),
     load_torque_n_m: ArrayLike = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """Response (n_channels, n_samples) of one motor and its derivative (n_channels, n_samples, size), physical units.
+    """Response (n_channels, n_samples) from rest of one motor, and its derivative (n_channels, n_samples, size).
 
     Args:
         coordinates: what the derivative is taken with respect to.
@@ -353,24 +212,28 @@ def jacobian(
         sensor: channels.
         dt_s: sampling interval.
         values: coordinates of the motor, shape (size,); the nominal motor by default.
-        initial_state: known current and speed before the first interval.
         load_torque_n_m: known load, scalar or shape (n_samples,).
     """
     at = np.zeros(coordinates.size) if values is None else np.asarray(values, dtype=np.float64)
     voltage = np.ascontiguousarray(voltage_v, dtype=np.float64)
-    centre, slope = model_slopes(coordinates, at[None], dt_s)
-    states = np.empty((N_STATES, voltage.size))
-    slopes = np.empty((coordinates.size, N_STATES, voltage.size))
-    _sensitivities(
-        centre.transition[0],
-        centre.gain[0],
-        slope.transition[0],
-        slope.gain[0],
-        voltage,
-        np.ascontiguousarray(np.broadcast_to(np.asarray(load_torque_n_m, dtype=np.float64), voltage.shape)),
-        np.asarray(initial_state, dtype=np.float64),
-        states,
-        slopes,
-    )
+    load = np.ascontiguousarray(np.broadcast_to(np.asarray(load_torque_n_m, dtype=np.float64), voltage.shape))
+    states, slopes = _state_slopes(coordinates, at, dt_s, (voltage, load, np.zeros(N_STATES)))
     response: FloatArray = sensor.observation @ states
     return response, np.einsum("cs,jsk->ckj", sensor.observation, slopes)
+
+
+def _state_slopes(
+    coordinates: Coordinates,
+    value: FloatArray,
+    dt_s: float,
+    driving: tuple[FloatArray, FloatArray, FloatArray],
+) -> tuple[FloatArray, FloatArray]:
+    """States of one motor, (2, n_samples), and their slopes, (size, 2, n_samples).
+
+    `driving` is voltage and load, each of shape (n_samples,), and the initial state.
+    """
+    centre, slope = model_slopes(coordinates, value[None], dt_s)
+    n_samples = len(driving[0])
+    states, slopes = np.empty((N_STATES, n_samples)), np.empty((coordinates.size, N_STATES, n_samples))
+    fill_sensitivities(*(part[0] for part in (*centre, *slope)), *driving, states, slopes)
+    return states, slopes

@@ -18,7 +18,6 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from motor_env.filters.kalman import KalmanFilter, run_filter
-from motor_env.inference.fit import step_voltage
 from motor_env.inference.posterior import class_coordinates
 from motor_env.inference.sensitivities import jacobian
 from motor_env.motor.faults import Fault, apply_fault
@@ -76,7 +75,7 @@ class MarginalWhitener:
     scale: FloatArray
 
     @classmethod
-    def of(cls, slopes: ArrayLike) -> Self:
+    def from_slopes(cls, slopes: ArrayLike) -> Self:
         """From G, shape (n_samples, n_channels, n_nuisances) or (n_values, n_nuisances)."""
         given = np.asarray(slopes, dtype=np.float64)
         flat = np.ascontiguousarray(given.reshape(int(np.prod(given.shape[:-1])), given.shape[-1]))
@@ -123,7 +122,7 @@ def innovation_slopes(recipe: Recipe, belief: KalmanFilter) -> FloatArray:
     Returns:
         Shape (n_samples, n_channels, n_nuisances); the nuisances of the recipe that have a spread.
     """
-    voltage = step_voltage(recipe.timing, float(recipe.supply.voltage_v))
+    voltage = recipe.nominal_voltage_v
     coordinates = class_coordinates(recipe, FaultClass())
     response, slopes = jacobian(coordinates, voltage, recipe.sensor, recipe.timing.dt_s)
     measured = np.concatenate([response[None], response + np.moveaxis(slopes, -1, 0)])
@@ -176,7 +175,7 @@ class MatchedTest:
     signature: FloatArray
 
     @classmethod
-    def of(cls, recipe: Recipe, fault: Fault, belief: KalmanFilter | None = None) -> Self:
+    def from_recipe(cls, recipe: Recipe, fault: Fault, belief: KalmanFilter | None = None) -> Self:
         """Test for the fault on a motor drawn from the recipe's tolerances.
 
         Args:
@@ -194,8 +193,8 @@ class MatchedTest:
         believed = belief or KalmanFilter.from_parameters(
             recipe.motor, recipe.sensor, recipe.timing.dt_s, process_noise_std=(0.0, 0.0)
         )
-        whitener = MarginalWhitener.of(innovation_slopes(recipe, believed))
-        voltage = step_voltage(recipe.timing, float(recipe.supply.voltage_v))
+        whitener = MarginalWhitener.from_slopes(innovation_slopes(recipe, believed))
+        voltage = recipe.nominal_voltage_v
         whitened = [
             whitener.whiten(_noise_free_innovations(recipe, believed, motor, voltage))
             for motor in (recipe.motor, faulty)
@@ -213,7 +212,7 @@ class MatchedTest:
         Args:
             measurements: shape (n_cases, n_channels, n_samples).
         """
-        voltage = step_voltage(self.recipe.timing, float(self.recipe.supply.voltage_v))
+        voltage = self.recipe.nominal_voltage_v
         return self._project(run_filter(self.belief, measurements, voltage).whitened)
 
     def _project(self, innovations: FloatArray) -> FloatArray:
@@ -235,7 +234,7 @@ class MatchedTest:
         coordinates = class_coordinates(self.recipe, fault_class)
         values, weights = _quadrature(gradient)
         motors, supply = coordinates.motors(values)
-        nominal = step_voltage(self.recipe.timing, float(self.recipe.supply.voltage_v))
+        nominal = self.recipe.nominal_voltage_v
         innovations = _noise_free_innovations(self.recipe, self.belief, motors, supply[:, None] * nominal)
         means: FloatArray = self._project(innovations).reshape(-1, len(_ALONG))
         if not gradient.any():
@@ -291,5 +290,5 @@ def _noise_free_innovations(
 ) -> FloatArray:
     """Whitened innovations of noise-free motors, shape (n_motors, n_samples, n_channels), or without the first axis."""
     states = simulate_states(motors, voltage_v, recipe.timing.dt_s)
-    nominal = step_voltage(recipe.timing, float(recipe.supply.voltage_v))
+    nominal = recipe.nominal_voltage_v
     return run_filter(belief, recipe.sensor.observation @ np.moveaxis(states, -1, -2), nominal).whitened

@@ -14,8 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.inference.fit import Prior, fit, step_voltage
-from motor_env.inference.sensitivities import Coordinates, Observed
+from motor_env.inference.fit import Prior, fit
+from motor_env.inference.parametrisation import Coordinates
+from motor_env.inference.sensitivities import Observed
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.parameters import (
     PAPER_MOTOR,
@@ -209,8 +210,8 @@ def observe(recipe: WearRecipe, runs: Runs, seed: int) -> Estimates:
     free, spread = ["resistance", "friction"], [np.inf, np.inf]
     if recipe.supply_spread > 0.0:
         free, spread = [*free, "supply"], [*spread, recipe.supply_spread]
-    coordinates = Coordinates.of(recipe.motor, tuple(free))
-    voltage = step_voltage(recipe.timing, float(recipe.supply.voltage_v))
+    coordinates = Coordinates.from_names(recipe.motor, tuple(free))
+    voltage = recipe.timing.step(float(recipe.supply.voltage_v))
     values, errors = np.empty(wear.size), np.empty(wear.size)
     for begin in range(0, wear.size, 4096):
         some = slice(begin, begin + 4096)
@@ -224,8 +225,8 @@ def observe(recipe: WearRecipe, runs: Runs, seed: int) -> Estimates:
             timing=recipe.timing,
         )
         starts = simulate(scenario, seed, numbers[some])
-        observed = Observed.of(starts.measurements, voltage, recipe.sensor, recipe.timing.dt_s)
-        fitted = fit(observed, coordinates, Prior.of(spread))
+        observed = Observed.from_measurements(starts.measurements, voltage, recipe.sensor, recipe.timing.dt_s)
+        fitted = fit(observed, coordinates, Prior.from_std(spread))
         values[some] = fitted.factors[:, 1]
         errors[some] = fitted.factors[:, 1] * fitted.std[:, 1]
     return Estimates(recipe.time_days, values.reshape(shape) - 1.0, errors.reshape(shape))

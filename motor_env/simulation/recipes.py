@@ -235,6 +235,11 @@ class Recipe:
         probabilities: FloatArray = weights / weights.sum()
         return probabilities
 
+    @property
+    def nominal_voltage_v(self) -> FloatArray:
+        """Step of the nominal supply at time 0, shape (n_samples,)."""
+        return self.timing.step(float(np.asarray(self.supply.voltage_v)))
+
     def shifted(self, name: str) -> Recipe:
         """The recipe under the conditions of one of its shifts.
 

@@ -76,6 +76,10 @@ class Timing:
         """Begin of each sampling interval, shape (n_samples,)."""
         return np.arange(-self.n_quiet, self.n_after, dtype=np.float64) * self.dt_s
 
+    def step(self, level: float) -> FloatArray:
+        """A step to `level` at time 0, for each interval, shape (n_samples,)."""
+        return np.where(np.arange(self.n_samples) >= self.n_quiet, level, 0.0)
+
 
 @dataclass(frozen=True, slots=True)
 class Scenario:

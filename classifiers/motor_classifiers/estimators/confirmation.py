@@ -16,7 +16,7 @@ from motor_classifiers.estimators.cases import (
     severities_of,
     with_channels,
 )
-from motor_env.detection.confirmation import ThresholdConfirmation, nominal_voltage
+from motor_env.detection.confirmation import ThresholdConfirmation
 from motor_env.motor.faults import HEALTHY
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
@@ -82,7 +82,7 @@ class ConfirmationClassifier(ClassifierMixin, BaseEstimator):
             columns = np.arange(len(self.classes_))
         else:
             recipe = fitting_recipe(self.recipe, flat.shape[1])
-            result = self.rule_.decide(with_channels(flat, recipe), nominal_voltage(recipe))
+            result = self.rule_.decide(with_channels(flat, recipe), recipe.nominal_voltage_v)
             columns = self._recipe_index()
         graded = result.probabilities.copy()
         rows = np.arange(len(flat))

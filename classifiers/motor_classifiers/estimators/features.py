@@ -14,9 +14,8 @@ from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, Transfo
 from sklearn.utils.validation import check_is_fitted
 
 from motor_classifiers.estimators.cases import fitting_recipe, flat_cases, with_channels
-from motor_env.detection.confirmation import nominal_voltage
 from motor_env.filters.kalman import KalmanFilter, run_filter
-from motor_env.inference.fit import FEATURE_NAMES, physical_features
+from motor_env.inference.features import FEATURE_NAMES, physical_features
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe, draw
 from motor_env.simulation.simulate import simulate
@@ -36,7 +35,7 @@ def whitened_residual(recipe: Recipe, measurements: FloatArray) -> FloatArray:
         Shape (n_cases, n_samples * n_channels).
     """
     belief = KalmanFilter.from_parameters(recipe.motor, recipe.sensor, recipe.timing.dt_s)
-    whitened = run_filter(belief, measurements, nominal_voltage(recipe)).whitened
+    whitened = run_filter(belief, measurements, recipe.nominal_voltage_v).whitened
     return whitened.reshape(len(measurements), -1)
 
 
@@ -137,7 +136,7 @@ class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Base
 class PhysicalFeatures(TransformerMixin, BaseEstimator):
     """Most probable parameters of each transient, their errors, and what the fit leaves over.
 
-    The columns are named in `motor_env.inference.fit.FEATURE_NAMES`.
+    The columns are named in `motor_env.inference.features.FEATURE_NAMES`.
 
     Args:
         recipe: nominal motor, tolerances, supply, sensor and timing; without one, the paper's motor at 10 kHz.
@@ -160,14 +159,7 @@ class PhysicalFeatures(TransformerMixin, BaseEstimator):
         check_is_fitted(self, "n_features_in_")
         flat = flat_cases(self, X, reset=False)
         recipe = fitting_recipe(self.recipe, flat.shape[1])
-        return physical_features(
-            with_channels(flat, recipe),
-            nominal_voltage(recipe),
-            recipe.motor,
-            recipe.spread,
-            recipe.sensor,
-            recipe.timing.dt_s,
-        )
+        return physical_features(recipe, with_channels(flat, recipe))
 
     def get_feature_names_out(self, input_features: Any = None) -> Any:
         """Names of the columns."""

@@ -51,7 +51,7 @@ class RuleStatistics(TransformerMixin, BaseEstimator):
         flat = flat_cases(self, X, reset=True, min_features=2)
         recipe = fitting_recipe(self.recipe, flat.shape[1])
         single = [c for c in recipe.classes if len(c.faults) == 1 and c.kind is not FaultKind.NOISE]
-        tests = [MatchedTest.of(recipe, c.faults[0]) for c in single]
+        tests = [MatchedTest.from_recipe(recipe, c.faults[0]) for c in single]
         self.weights_, self.offset_ = affine_map(
             recipe,
             lambda measured: np.column_stack(
@@ -88,4 +88,4 @@ def _levels(recipe: Recipe, measured: FloatArray) -> FloatArray:
 @lru_cache(maxsize=4)
 def _filter(recipe: Recipe) -> TolerantFilter:
     """Filter and whitening: all of it follows from the recipe, so no model holds it."""
-    return TolerantFilter.of(recipe)
+    return TolerantFilter.from_recipe(recipe)

@@ -13,7 +13,6 @@ from motor_classifiers.report.names import readable
 from motor_classifiers.scoring.benchmark import CellResult, MethodResult
 from motor_classifiers.scoring.judging import TEST_FIRST_CASE, judged_cases
 from motor_datasets.generate import generate_arrays
-from motor_env.detection.confirmation import nominal_voltage
 from motor_env.motor.parameters import Channel, FloatArray
 from motor_env.simulation.simulate import simulate_states
 
@@ -40,7 +39,7 @@ def examples(result: CellResult, best: MethodResult) -> list[dict[str, Any]]:
         return []
     column = recipe.sensor.channels.index(Channel.CURRENT)
     time_ms = 1e3 * recipe.timing.time_s
-    nominal = simulate_states(recipe.motor, nominal_voltage(recipe), recipe.timing.dt_s)[:, 0]
+    nominal = simulate_states(recipe.motor, recipe.nominal_voltage_v, recipe.timing.dt_s)[:, 0]
     rows = [np.flatnonzero(result.truth == n) for n in range(len(recipe.classes))]
     chosen = [(n, int(members[0])) for n, members in enumerate(rows) if len(members)]
     numbers = judged_cases(recipe, TEST_FIRST_CASE, result.cell.n_test)[[case for _, case in chosen]]

@@ -139,7 +139,7 @@ def race(
     test = generate_arrays(two, seed, judged_cases(two, first_case, n_cases))
     faulty = test.class_index == 1
     curves = _limit_curves(two, test.X, faulty)
-    tolerant = TolerantFilter.of(two)
+    tolerant = TolerantFilter.from_recipe(two)
     others = judged_cases(healthy, int(test.case_id.max()) + 1, n_healthy)
     quiet = tolerant.white(generate_arrays(healthy, seed, others).X)
     white = tolerant.white(test.X)

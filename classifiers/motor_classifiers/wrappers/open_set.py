@@ -86,9 +86,12 @@ def family_fit(recipe: Recipe, measurements: ArrayLike) -> FamilyFit:
 
 
 def _fit_part(recipe: Recipe, observed: Observed) -> FamilyFit:
-    coordinates = Coordinates.of(recipe.motor, QUANTITIES)
+    coordinates = Coordinates.from_names(recipe.motor, QUANTITIES)
     loose = fit(
-        observed, coordinates, Prior.of(np.full(len(QUANTITIES), _ANY_MOTOR)), max_iterations=_MOST_STEPS
+        observed,
+        coordinates,
+        Prior.from_std(np.full(len(QUANTITIES), _ANY_MOTOR)),
+        max_iterations=_MOST_STEPS,
     )
     # Any motor, and noise of any variance above the believed one: n log f + chi2 / f is least at f = chi2 / n.
     n_values = observed.n_values

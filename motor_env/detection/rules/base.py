@@ -77,7 +77,7 @@ class Rule(ABC):
         """Threshold for a wanted rate of false alarms: exact where theory gives it, else by calibrated simulation.
 
         Give `arl0`, or `false_alarm_probability` with `n_samples` or a `recipe`. The recipe's healthy motors are known
-        only up to their tolerances: its threshold is for the residuals that `TolerantFilter.of(recipe)` whitens.
+        only up to their tolerances: its threshold is for the residuals of `TolerantFilter.from_recipe(recipe)`.
 
         Args:
             arl0: average number of samples between false alarms.

@@ -76,7 +76,7 @@ def recipe_thresholds(
     threshold is exact; without tolerances it is white noise, and the rules' own thresholds are taken.
 
     Args:
-        rules: on the residual that `TolerantFilter.of(recipe).white` gives.
+        rules: on the residual that `TolerantFilter.from_recipe(recipe).white` gives.
         recipe: what healthy motors are drawn from.
         false_alarm_probability: in a transient.
         runs: healthy motors to simulate, by default 100,000; at least 10 / probability.
@@ -92,7 +92,7 @@ def recipe_thresholds(
             for rule in rules
         ]
     count = runs or _TRANSIENTS
-    tolerant = TolerantFilter.of(recipe)
+    tolerant = TolerantFilter.from_recipe(recipe)
     largest = np.empty((len(rules), count))
     batch = max(1, _AT_ONCE // tolerant.bias.size)
     for first in range(0, count, batch):

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from motor_env.filters.kalman import KalmanFilter, run_filter
 from motor_env.filters.stream import FilterStream
-from motor_env.inference.fit import step_voltage
 from motor_env.inference.posterior import class_coordinates
 from motor_env.inference.whitening import MarginalWhitener
 from motor_env.motor.parameters import FloatArray, require
@@ -41,14 +40,14 @@ class TolerantFilter:
     whitener: MarginalWhitener
 
     @classmethod
-    def of(cls, recipe: Recipe) -> Self:
+    def from_recipe(cls, recipe: Recipe) -> Self:
         """From the recipe's motor, supply, tolerances, sensor and timing; its fault classes are not looked at."""
         belief = KalmanFilter.from_parameters(
             recipe.motor, recipe.sensor, recipe.timing.dt_s, process_noise_std=(0.0, 0.0)
         )
         bias, slopes = second_order(recipe, belief)
-        voltage = step_voltage(recipe.timing, float(np.asarray(recipe.supply.voltage_v)))
-        return cls(belief, voltage, bias, MarginalWhitener.of(_seen(slopes)))
+        voltage = recipe.nominal_voltage_v
+        return cls(belief, voltage, bias, MarginalWhitener.from_slopes(_seen(slopes)))
 
     def white(self, measurements: ArrayLike) -> FloatArray:
         """Residuals for the rules, white for healthy motors of the recipe, shape (..., n_samples, n_channels).
@@ -118,7 +117,7 @@ def second_order(recipe: Recipe, belief: KalmanFilter) -> tuple[FloatArray, Floa
         Mean, shape (n_samples, n_channels); slopes, shape (n_samples, n_channels, n_slopes).
     """
     coordinates = class_coordinates(recipe, FaultClass())
-    voltage = step_voltage(recipe.timing, float(np.asarray(recipe.supply.voltage_v)))
+    voltage = recipe.nominal_voltage_v
     size = coordinates.size
 
     def response(values: FloatArray) -> FloatArray:

@@ -18,7 +18,6 @@ from motor_classifiers.estimators.reference_starts import (
     split_starts,
 )
 from motor_datasets.generate import generate_arrays
-from motor_env.inference.fit import step_voltage
 from motor_env.inference.posterior import class_probabilities, prior_from_starts
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray, MotorParameters
@@ -30,7 +29,7 @@ BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 
 def _current(recipe: Recipe, motor: MotorParameters, own: FloatArray, supply: float) -> FloatArray:
     factors = 1.0 + recipe.spread.std * np.concatenate([[0.0], own])
-    voltage = (1.0 + recipe.spread.supply * supply) * step_voltage(recipe.timing, 12.0)
+    voltage = (1.0 + recipe.spread.supply * supply) * recipe.timing.step(12.0)
     states: FloatArray = simulate_states(apply_factors(motor, factors), voltage, recipe.timing.dt_s)
     return states[:, 0]
 

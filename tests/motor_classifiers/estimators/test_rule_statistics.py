@@ -24,9 +24,9 @@ def test_columns_are_the_rules_own() -> None:
     features = RuleStatistics(BENCH).fit(cases.X)
     names = list(features.get_feature_names_out())
     got = dict(zip(names, features.transform(cases.X).T, strict=True))
-    test = MatchedTest.of(BENCH, Fault(FaultKind.BEARING, 0.25))
+    test = MatchedTest.from_recipe(BENCH, Fault(FaultKind.BEARING, 0.25))
     np.testing.assert_allclose(got["matched_bearing_25"], test.statistic(cases.X), rtol=1e-9, atol=1e-9)
-    white = TolerantFilter.of(BENCH).white(cases.X)
+    white = TolerantFilter.from_recipe(BENCH).white(cases.X)
     np.testing.assert_allclose(np.expm1(got["nis"]), np.square(white).max(axis=(1, 2)))
     np.testing.assert_allclose(np.expm1(got["mean_nis"]), np.square(white).mean(axis=(1, 2)))
     np.testing.assert_allclose(

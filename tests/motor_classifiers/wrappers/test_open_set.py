@@ -19,7 +19,6 @@ from motor_classifiers.wrappers.open_set import (
     family_fit,
 )
 from motor_datasets.generate import generate_arrays
-from motor_env.inference.fit import step_voltage
 from motor_env.motor.faults import Fault, FaultKind, apply_fault
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
 from motor_env.simulation.recipes import FaultClass, Recipe, named_recipe
@@ -53,7 +52,7 @@ def _residuals(logarithms: FloatArray, measured: FloatArray, recipe: Recipe) -> 
         back_emf_constant_v_s_per_rad=factor["constants"],
         **{field: factor[name] for name, field in FIELDS.items()},
     )
-    voltage = factor["supply"] * step_voltage(recipe.timing, 12.0)
+    voltage = factor["supply"] * recipe.timing.step(12.0)
     current = simulate_states(motor, voltage, recipe.timing.dt_s)[:, 0]
     residuals: FloatArray = (measured - current) / recipe.sensor.current_noise_a
     return residuals

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from motor_env.detection.confirmation import ThresholdConfirmation, nominal_voltage, window_features
+from motor_env.detection.confirmation import ThresholdConfirmation, window_features
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass, Recipe, draw, named_recipe
@@ -40,7 +40,7 @@ def test_window_features_of_white_noise_are_standard_normal() -> None:
 def test_healthy_cases_alarm_at_the_wanted_rate_in_spite_of_tolerances(tuned: Tuned) -> None:
     recipe, rule = tuned
     measurements, _ = cases(replace(recipe, classes=(FaultClass(),)), 2, 2000)
-    alarms = int((rule.decide(measurements, nominal_voltage(recipe)).alarm_index >= 0).sum())
+    alarms = int((rule.decide(measurements, recipe.nominal_voltage_v).alarm_index >= 0).sum())
     # The threshold is an order statistic of about 200 healthy cases: the rate itself is spread by 0.016.
     assert binom.ppf(1e-3, 2000, 0.01) <= alarms <= binom.ppf(1 - 1e-3, 2000, 0.11)
 
@@ -48,7 +48,7 @@ def test_healthy_cases_alarm_at_the_wanted_rate_in_spite_of_tolerances(tuned: Tu
 def test_windings_are_told_and_alarms_carry_a_time(tuned: Tuned) -> None:
     recipe, rule = tuned
     measurements, labels = cases(recipe, 3, 600)
-    result = rule.decide(measurements, nominal_voltage(recipe))
+    result = rule.decide(measurements, recipe.nominal_voltage_v)
     windings = np.isin(labels, (3, 4))
     assert (result.class_index == labels)[windings].mean() > 0.97
     assert np.array_equal(result.alarm_index >= 0, result.statistic > 1.0)
@@ -60,8 +60,8 @@ def test_windings_are_told_and_alarms_carry_a_time(tuned: Tuned) -> None:
 def test_a_case_is_decided_alike_alone_and_in_company(tuned: Tuned) -> None:
     recipe, rule = tuned
     measurements, _ = cases(recipe, 4, 20)
-    together = rule.decide(measurements, nominal_voltage(recipe))
-    alone = rule.decide(measurements[7:8], nominal_voltage(recipe))
+    together = rule.decide(measurements, recipe.nominal_voltage_v)
+    alone = rule.decide(measurements[7:8], recipe.nominal_voltage_v)
     assert alone.class_index[0] == together.class_index[7]
     np.testing.assert_allclose(alone.probabilities[0], together.probabilities[7], rtol=1e-9)
 
@@ -71,7 +71,7 @@ def test_a_rise_of_the_noise_is_told_from_a_bearing() -> None:
     recipe = named_recipe("paper", classes=classes)
     rule = ThresholdConfirmation.tune(recipe, *cases(recipe, 1, 300))
     measurements, labels = cases(recipe, 2, 300)
-    result = rule.decide(measurements, nominal_voltage(recipe))
+    result = rule.decide(measurements, recipe.nominal_voltage_v)
     assert (result.class_index == labels).mean() > 0.95
 
 
@@ -86,4 +86,4 @@ def test_bad_training_cases_are_refused_in_one_sentence() -> None:
         ThresholdConfirmation.tune(recipe, measurements[labels > 0], labels[labels > 0])
     rule = ThresholdConfirmation.tune(recipe, measurements, labels)
     with pytest.raises(ValueError, match="measurements must have shape"):
-        rule.decide(measurements[..., :-1], nominal_voltage(recipe)[:-1])
+        rule.decide(measurements[..., :-1], recipe.nominal_voltage_v[:-1])

@@ -60,7 +60,7 @@ def false_alarms(recipe_name: str, timing: Timing, tested: int) -> dict[str, int
     """Alarms of each rule on healthy motors of a recipe, simulated thresholds from ten times as many others."""
     recipe = named_recipe(recipe_name, timing=timing)
     thresholds = recipe_thresholds(list(RULES.values()), recipe, WANTED, runs=10 * tested)
-    tolerant, counts = TolerantFilter.of(recipe), dict.fromkeys(RULES, 0)
+    tolerant, counts = TolerantFilter.from_recipe(recipe), dict.fromkeys(RULES, 0)
     for cases in np.array_split(np.arange(tested), max(1, tested // 500)):
         white = tolerant.white(healthy_measurements(recipe, SEED, cases))
         for (name, rule), threshold in zip(RULES.items(), thresholds, strict=True):
@@ -165,7 +165,7 @@ def test_the_tolerant_stream_gives_what_the_batch_gives() -> None:
     measurements = healthy_measurements(recipe, 3, np.arange(4)).astype(np.float64)
     measurements[1, 0, 20:25] = np.nan
     measurements[2, :, 30] = np.nan
-    tolerant = TolerantFilter.of(recipe)
+    tolerant = TolerantFilter.from_recipe(recipe)
     white = tolerant.white(measurements)
     stream = tolerant.stream(4)
     streamed = np.stack([stream.update(measurements[..., k]) for k in range(50)], axis=1)

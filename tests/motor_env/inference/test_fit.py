@@ -6,14 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from motor_env.inference.fit import (
-    FEATURE_NAMES,
-    Prior,
-    cramer_rao_bound,
-    fit,
-    physical_features,
-    step_voltage,
-)
+from motor_env.inference.features import FEATURE_NAMES, physical_features
+from motor_env.inference.fit import Prior, fit
+from motor_env.inference.identifiability import Experiment, cramer_rao_bound
 from motor_env.inference.parametrisation import QUANTITIES, Coordinates
 from motor_env.inference.sensitivities import Observed, jacobian
 from motor_env.motor.parameters import (
@@ -32,7 +27,8 @@ SENSOR = SensorParameters()
 BOTH = SensorParameters(
     channels=(Channel.CURRENT, Channel.SPEED), current_noise_a=0.02, speed_noise_rad_s=2.0
 )
-VOLTAGE = step_voltage(TIMING, 12.0)
+VOLTAGE = TIMING.step(12.0)
+START = Experiment.start(TIMING, SENSOR)
 
 
 def healthy(
@@ -51,7 +47,7 @@ def test_jacobian_is_the_slope_of_the_simulated_response(logarithmic: bool) -> N
         motor, supply = coordinates.motors(values)
         return simulate_states(motor, VOLTAGE * supply, TIMING.dt_s).T
 
-    got_response, got = jacobian(coordinates, VOLTAGE, BOTH, TIMING.dt_s, at)
+    got_response, got = jacobian(coordinates, VOLTAGE, BOTH, TIMING.dt_s, values=at)
     np.testing.assert_allclose(got_response, response(at), rtol=1e-10, atol=1e-12)
     for j in range(len(QUANTITIES)):
         # Richardson's extrapolation of two central differences: an error of the fourth order.
@@ -65,13 +61,12 @@ def test_jacobian_is_the_slope_of_the_simulated_response(logarithmic: bool) -> N
 
 
 def test_cramer_rao_bound_of_the_paper_motor() -> None:
-    std = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, TIMING, SENSOR, 12.0)))
+    std = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, START)))
     np.testing.assert_allclose(std, [0.0011, 0.026], rtol=0.03)
-    quiet = np.sqrt(
-        np.diag(cramer_rao_bound(PAPER_MOTOR, TIMING, SensorParameters(current_noise_a=0.0034), 12.0))
-    )
+    quieter = Experiment.start(TIMING, SensorParameters(current_noise_a=0.0034))
+    quiet = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, quieter)))
     np.testing.assert_allclose(quiet, 0.17 * std, rtol=1e-9)
-    covariance = cramer_rao_bound(PAPER_MOTOR, TIMING, SENSOR, 12.0, free=("inertia", "friction"))
+    covariance = cramer_rao_bound(PAPER_MOTOR, START, free=("inertia", "friction"))
     deviations = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(deviations, [0.0012, 0.027], rtol=0.06)
     assert covariance[0, 1] / deviations.prod() == pytest.approx(-0.22, abs=0.01)
@@ -79,10 +74,10 @@ def test_cramer_rao_bound_of_the_paper_motor() -> None:
 
 def test_maximum_likelihood_reaches_the_bound_and_its_intervals_cover() -> None:
     n = 4000
-    observed = Observed.of(healthy(n), VOLTAGE, SENSOR, TIMING.dt_s)
-    fitted = fit(observed, Coordinates.of(PAPER_MOTOR, ("resistance", "friction")))
+    observed = Observed.from_measurements(healthy(n), VOLTAGE, SENSOR, TIMING.dt_s)
+    fitted = fit(observed, Coordinates.from_names(PAPER_MOTOR, ("resistance", "friction")))
     assert fitted.converged.all()
-    bound = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, TIMING, SENSOR, 12.0)))
+    bound = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, START)))
     np.testing.assert_allclose(fitted.values.std(axis=0), bound, rtol=0.05)
     coverage = (np.abs(fitted.values) < 1.6449 * fitted.std).mean(axis=0)
     assert ((coverage > 0.88) & (coverage < 0.92)).all()
@@ -98,8 +93,10 @@ def test_fit_finds_the_minimum_that_scipy_finds(sensor: SensorParameters) -> Non
     true = PAPER_MOTOR.scaled(resistance_ohm=1.4, inertia_kg_m2=0.7, viscous_friction_n_m_s_per_rad=2.5)
     measured = healthy(2, sensor, parameters=true)
     std = np.array([0.01, 0.5, 0.2, 0.01, 0.5, 0.8])
-    coordinates = Coordinates.of(PAPER_MOTOR, names)
-    fitted = fit(Observed.of(measured, VOLTAGE, sensor, TIMING.dt_s), coordinates, Prior.of(std))
+    coordinates = Coordinates.from_names(PAPER_MOTOR, names)
+    fitted = fit(
+        Observed.from_measurements(measured, VOLTAGE, sensor, TIMING.dt_s), coordinates, Prior.from_std(std)
+    )
     assert fitted.converged.all()
 
     def residuals(values: FloatArray, case: int) -> FloatArray:
@@ -115,8 +112,8 @@ def test_fit_finds_the_minimum_that_scipy_finds(sensor: SensorParameters) -> Non
 
 
 def test_a_fit_does_not_depend_on_its_batch() -> None:
-    observed = Observed.of(healthy(5), VOLTAGE, SENSOR, TIMING.dt_s)
-    coordinates = Coordinates.of(PAPER_MOTOR, ("resistance", "friction"))
+    observed = Observed.from_measurements(healthy(5), VOLTAGE, SENSOR, TIMING.dt_s)
+    coordinates = Coordinates.from_names(PAPER_MOTOR, ("resistance", "friction"))
     together = fit(observed, coordinates)
     alone = fit(observed.rows(slice(3, 4)), coordinates)
     np.testing.assert_allclose(alone.values[0], together.values[3], rtol=0, atol=1e-12)
@@ -124,8 +121,8 @@ def test_a_fit_does_not_depend_on_its_batch() -> None:
 
 def test_far_starts_converge() -> None:
     true = PAPER_MOTOR.scaled(resistance_ohm=4.0, inertia_kg_m2=0.2, viscous_friction_n_m_s_per_rad=5.0)
-    observed = Observed.of(healthy(3, parameters=true), VOLTAGE, SENSOR, TIMING.dt_s)
-    fitted = fit(observed, Coordinates.of(PAPER_MOTOR, ("resistance", "inertia", "friction")))
+    observed = Observed.from_measurements(healthy(3, parameters=true), VOLTAGE, SENSOR, TIMING.dt_s)
+    fitted = fit(observed, Coordinates.from_names(PAPER_MOTOR, ("resistance", "inertia", "friction")))
     assert fitted.converged.all()
     np.testing.assert_allclose(fitted.factors, np.tile([4.0, 0.2, 5.0], (3, 1)), rtol=0.1)
     assert (fitted.chi2 < 1.2 * observed.n_values).all()
@@ -134,15 +131,13 @@ def test_far_starts_converge() -> None:
 def test_the_null_direction_of_current_alone_is_refused_and_speed_opens_it() -> None:
     free = ("resistance", "constants", "inertia", "friction")
     with pytest.raises(ValueError, match="cannot all be told"):
-        cramer_rao_bound(PAPER_MOTOR, TIMING, SENSOR, 12.0, free=free)
-    observed = Observed.of(healthy(2), VOLTAGE, SENSOR, TIMING.dt_s)
+        cramer_rao_bound(PAPER_MOTOR, START, free=free)
+    observed = Observed.from_measurements(healthy(2), VOLTAGE, SENSOR, TIMING.dt_s)
     with pytest.raises(ValueError, match="cannot all be told"):
-        fit(observed, Coordinates.of(PAPER_MOTOR, free))
-    assert np.isfinite(cramer_rao_bound(PAPER_MOTOR, TIMING, BOTH, 12.0, free=free)).all()
+        fit(observed, Coordinates.from_names(PAPER_MOTOR, free))
+    assert np.isfinite(cramer_rao_bound(PAPER_MOTOR, Experiment.start(TIMING, BOTH), free=free)).all()
     # A prior on K of 1 % goes to J and B doubled: both scale with its square.
-    std = np.sqrt(
-        np.diag(cramer_rao_bound(PAPER_MOTOR, TIMING, SENSOR, 12.0, free, [np.inf, 0.01, np.inf, np.inf]))
-    )
+    std = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, START, free, [np.inf, 0.01, np.inf, np.inf])))
     np.testing.assert_allclose(std[2:], np.hypot(0.02, [0.00114, 0.0267]), rtol=0.02)
 
 
@@ -150,7 +145,7 @@ def test_physical_features_see_the_faults() -> None:
     recipe = named_recipe("bench")
     drawn = draw(recipe, 5, np.arange(200))
     measured = simulate(drawn.scenario, 5, drawn.cases).measurements
-    features = physical_features(measured, VOLTAGE, recipe.motor, recipe.spread, SENSOR, TIMING.dt_s)
+    features = physical_features(recipe, measured)
     assert features.shape == (200, len(FEATURE_NAMES))
     assert np.isfinite(features).all()
     truth = np.array([fault_class.severity for fault_class in recipe.classes])[drawn.class_index]
@@ -179,20 +174,22 @@ def test_bad_input_is_named(change: dict[str, Any], sentence: str) -> None:
         "dt_s": 1e-4,
     }
     with pytest.raises(ValueError, match=sentence):
-        Observed.of(**(good | change))
+        Observed.from_measurements(**(good | change))
 
 
 def test_unknown_quantities_are_named() -> None:
     with pytest.raises(ValueError, match=r"free must be among .*, got 'mass'"):
-        Coordinates.of(PAPER_MOTOR, ("resistance", "mass"))
+        Coordinates.from_names(PAPER_MOTOR, ("resistance", "mass"))
 
 
 def test_load_enters_the_response_and_its_slopes() -> None:
-    coordinates = Coordinates.of(PAPER_MOTOR, ("resistance", "inertia", "friction"))
+    coordinates = Coordinates.from_names(PAPER_MOTOR, ("resistance", "inertia", "friction"))
     load = np.where(np.arange(1000) >= 400, 0.02, 0.0)
     true = PAPER_MOTOR.scaled(resistance_ohm=1.1, inertia_kg_m2=0.9, viscous_friction_n_m_s_per_rad=1.3)
     states = simulate_states(true, VOLTAGE, TIMING.dt_s, load_torque_n_m=load, initial_state=(0.5, 100.0))
-    observed = Observed.of(states.T[:1], VOLTAGE, SENSOR, TIMING.dt_s, (0.5, 100.0), load)
+    observed = Observed.from_measurements(
+        states.T[:1], VOLTAGE, SENSOR, TIMING.dt_s, initial_state=(0.5, 100.0), load_torque_n_m=load
+    )
     fitted = fit(observed, coordinates)
     assert fitted.chi2[0] == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(fitted.factors[0], [1.1, 0.9, 1.3], rtol=1e-6)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motor_env.inference.fit import cramer_rao_bound
 from motor_env.inference.identifiability import (
     FAULT_DIRECTIONS,
     Experiment,
+    cramer_rao_bound,
     identifiability,
     isolability,
 )
@@ -32,7 +32,7 @@ BENCH = named_recipe("bench")
 def test_bounds_are_those_of_cramer_and_rao() -> None:
     free = ("resistance", "inductance", "friction")
     got = identifiability(PAPER_MOTOR, START, free)
-    covariance = cramer_rao_bound(PAPER_MOTOR, TIMING, CURRENT, 12.0, free)
+    covariance = cramer_rao_bound(PAPER_MOTOR, START, free)
     std = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(got.std, std, rtol=1e-9)
     np.testing.assert_allclose(got.correlation, covariance / np.outer(std, std), atol=1e-9)
@@ -54,7 +54,7 @@ def test_open_directions_change_no_sample(sensor: SensorParameters, n_open: int)
     experiment = Experiment.start(TIMING, sensor)
     got = identifiability(PAPER_MOTOR, experiment, QUANTITIES)
     assert got.open_directions.shape == (n_open, 6)
-    coordinates = Coordinates.of(PAPER_MOTOR, QUANTITIES)
+    coordinates = Coordinates.from_names(PAPER_MOTOR, QUANTITIES)
     nominal = simulate_states(PAPER_MOTOR, experiment.voltage_v, experiment.dt_s) @ sensor.observation.T
     for direction in got.open_directions:
         motor, supply = coordinates.motors(0.2 * direction)
@@ -68,7 +68,7 @@ def test_a_prior_closes_the_open_direction() -> None:
     assert got.open_directions.size == 0
     np.testing.assert_allclose(got.std[2:4], [0.01, 0.02], rtol=0.01)
     assert [pair[:2] for pair in got.correlated_pairs(0.99)] == [("inertia", "constants")]
-    expected = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, TIMING, CURRENT, 12.0, got.names, prior)))
+    expected = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, START, got.names, prior)))
     np.testing.assert_allclose(got.std, expected, rtol=1e-6)
 
 
@@ -86,13 +86,13 @@ def test_unloaded_steady_state_hides_the_winding_and_load_shows_it() -> None:
 def test_detectability_is_the_separation_of_the_matched_test() -> None:
     got = isolability(PAPER_MOTOR, START, BENCH.spread, severity=1e-4)
     for kind, separation in zip(got.kinds, got.detectable, strict=True):
-        exact = MatchedTest.of(BENCH, Fault(kind, 1e-4)).separation
+        exact = MatchedTest.from_recipe(BENCH, Fault(kind, 1e-4)).separation
         assert separation == pytest.approx(exact, rel=1e-3)
 
 
 def test_fault_directions_are_those_of_apply_fault() -> None:
     step = 1e-6
-    coordinates = Coordinates.of(PAPER_MOTOR, QUANTITIES)
+    coordinates = Coordinates.from_names(PAPER_MOTOR, QUANTITIES)
     for kind, direction in FAULT_DIRECTIONS.items():
         values = step * np.array([direction.get(name, 0.0) for name in QUANTITIES])
         motor, _ = coordinates.motors(values)

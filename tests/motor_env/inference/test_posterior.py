@@ -49,7 +49,7 @@ def importance_evidence(
         noisy = observed.with_variance(variance_factor(fault_class))
         coordinates = class_coordinates(recipe, fault_class)
         size = coordinates.size
-        fitted = fit(noisy, coordinates, Prior.of(np.ones(size)))
+        fitted = fit(noisy, coordinates, Prior.from_std(np.ones(size)))
         factor = np.linalg.cholesky(fitted.covariance)
         for n in range(observed.n_cases):
             normal = rng.standard_normal((n_draws, size))

@@ -32,16 +32,16 @@ def test_whitening_is_the_cholesky_factor_of_the_dense_covariance() -> None:
     flat = slopes.reshape(60, 4)
     factor = np.linalg.cholesky(np.eye(60) + flat @ flat.T)
     expected = np.linalg.solve(factor, residual.reshape(3, 60).T).T.reshape(3, 30, 2)
-    np.testing.assert_allclose(MarginalWhitener.of(slopes).whiten(residual), expected, atol=1e-9)
+    np.testing.assert_allclose(MarginalWhitener.from_slopes(slopes).whiten(residual), expected, atol=1e-9)
     residual[1, 10, 0] = residual[1, 20:25, 1] = np.nan
     seen = ~np.isnan(residual[1].ravel())
     factor = np.linalg.cholesky(np.eye(seen.sum()) + flat[seen] @ flat[seen].T)
-    found = MarginalWhitener.of(slopes).whiten(residual)[1].ravel()
+    found = MarginalWhitener.from_slopes(slopes).whiten(residual)[1].ravel()
     expected = np.linalg.solve(factor, residual[1].ravel()[seen])
     np.testing.assert_allclose(found[seen], expected, atol=1e-9)
     assert np.isnan(found[~seen]).all()
     with pytest.raises(ValueError, match="residual must hold 60 values a case, got 58"):
-        MarginalWhitener.of(slopes).whiten(residual[:, :29])
+        MarginalWhitener.from_slopes(slopes).whiten(residual[:, :29])
 
 
 @pytest.mark.parametrize("process_noise_std", [(0.0, 0.0), (1e-3, 0.1)])
@@ -69,7 +69,7 @@ def test_innovation_slopes_are_those_of_the_filter(process_noise_std: tuple[floa
     [(BEARING_10, 0.935, 0.897), (Fault(FaultKind.WINDING_CONTACT, 0.005), 0.983, 0.969)],
 )
 def test_known_motor_power_is_that_of_theory(fault: Fault, one_sided: float, two_sided: float) -> None:
-    test = MatchedTest.of(PAPER, fault)
+    test = MatchedTest.from_recipe(PAPER, fault)
     assert test.threshold_for(0.01) == pytest.approx(norm.isf(0.01), abs=1e-9)
     assert test.power(0.01) == pytest.approx(one_sided, abs=0.001)
     assert test.power(0.01, two_sided=True) == pytest.approx(two_sided, abs=0.001)
@@ -77,7 +77,7 @@ def test_known_motor_power_is_that_of_theory(fault: Fault, one_sided: float, two
 
 def check_rates(recipe: Recipe, fault: Fault, n: int) -> float:
     """Rates of false alarms and of detections are the computed ones; returns the measured one-sided power."""
-    test = MatchedTest.of(recipe, fault)
+    test = MatchedTest.from_recipe(recipe, fault)
     healthy, faulty = (test.statistic(motors_of(recipe, known, n)) for known in (None, fault))
     for two_sided in (True, False):
         threshold = test.threshold_for(0.01, two_sided=two_sided)
@@ -102,20 +102,20 @@ def test_power_on_the_bench_recipe(fault: Fault, bar: float) -> None:
 
 @pytest.mark.parametrize(("fault", "power"), [(BEARING_10, 0.641), (CONTACT_5, 0.960)])
 def test_computed_power_on_the_bench_recipe(fault: Fault, power: float) -> None:
-    assert MatchedTest.of(BENCH, fault).power(0.01) == pytest.approx(power, abs=0.002)
+    assert MatchedTest.from_recipe(BENCH, fault).power(0.01) == pytest.approx(power, abs=0.002)
 
 
 def test_known_parameters_thresholds_fail_under_tolerances() -> None:
     """The same signature without the nuisances' share alarms in most healthy starts."""
     measured = motors_of(BENCH, None, 1000)
     for fault, rate in ((BEARING_10, 0.69), (CONTACT_5, 0.84)):
-        test = MatchedTest.of(PAPER, fault)
+        test = MatchedTest.from_recipe(PAPER, fault)
         alarms = (np.abs(test.statistic(measured)) > test.threshold_for(0.01, two_sided=True)).mean()
         assert alarms == pytest.approx(rate, abs=0.05)
 
 
 def test_bad_faults_are_named() -> None:
     with pytest.raises(ValueError, match="onset_s must be that of a fault always there"):
-        MatchedTest.of(BENCH, Fault(FaultKind.BEARING, 0.1, onset_s=0.05))
+        MatchedTest.from_recipe(BENCH, Fault(FaultKind.BEARING, 0.1, onset_s=0.05))
     with pytest.raises(ValueError, match="fault must change the motor"):
-        MatchedTest.of(BENCH, Fault(FaultKind.NOISE, 0.5))
+        MatchedTest.from_recipe(BENCH, Fault(FaultKind.NOISE, 0.5))
