@@ -7,11 +7,12 @@ import argparse
 from collections import Counter
 from pathlib import Path
 
+from simulated_captures import DEFECTS, captures
+
 from motor_env.diagnosis.decision import Diagnosis, Verdict
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.faults import Fault, FaultKind
-from motor_env.recordings.simulated import DEFECTS, captures
 from motor_env.recordings.start import Circuit
 
 CASES: dict[Verdict, tuple[Fault, ...]] = {

@@ -7,9 +7,9 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
+from run_to_failure import WearRecipe, remaining_life_coverage
 
 from motor_env.motor.parameters import SensorParameters
-from motor_env.prognosis.run_to_failure import WearRecipe, remaining_life_coverage
 
 POPULATION = WearRecipe()
 ALIKE = replace(POPULATION, drift_spread=0.0, diffusion_spread=0.0, onset_days=(0.0, 0.0))

@@ -57,9 +57,6 @@ from .inference.identifiability import (
     Experiment as Experiment,
     identifiability as identifiability,
 )
-from .inference.isolation import (
-    Isolator as Isolator,
-)
 from .inference.posterior import (
     class_probabilities as class_probabilities,
 )

@@ -1,8 +1,9 @@
-"""What the three commands share: errors as one sentence with exit status 2, exit statuses of verdicts."""
+"""What the three commands share: errors as one sentence with exit status 2, exit statuses of verdicts and of bugs."""
 
 from __future__ import annotations
 
 import sys
+import traceback
 from collections.abc import Sequence
 from enum import IntEnum
 
@@ -18,10 +19,14 @@ class ExitStatus(IntEnum):
     FAULT = 1
     BAD_INPUT = 2
     UNDECIDED = 3
+    BUG = 70  # EX_SOFTWARE of sysexits.h; Python's own 1 would read as a fault of the motor
 
 
 def run(app: App, arguments: Sequence[str] | None = None) -> int:
-    """Run a command line and return its exit status; bad input becomes one sentence on standard error and status 2."""
+    """Run a command line and return its exit status.
+
+    Bad input becomes one sentence on standard error and status 2; an unexpected error its traceback and status 70.
+    """
     app.suppress_keyboard_interrupt = False  # otherwise cyclopts exits before anything can be said
     try:
         status = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
@@ -32,6 +37,9 @@ def run(app: App, arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"{app.name[0]}: interrupted", file=sys.stderr)
         return 130
+    except Exception:  # noqa: BLE001  # a bug, whatever it is, must not end with the exit status of a verdict
+        traceback.print_exc()
+        return int(ExitStatus.BUG)
     else:
         return int(status) if isinstance(status, int) else 0
     print(f"{app.name[0]}: {message}", file=sys.stderr)

@@ -135,9 +135,8 @@ def diagnose_files(
                 false_alarm_rate=false_alarm_rate,
                 circuit=circuit,
             )
-        except (
-            ValueError
-        ) as error:  # values so far from any motor that the numerics give up; the others go on
+        except (ValueError, ArithmeticError, LookupError) as error:
+            # Values so far from any motor that the numerics give up; the others go on.
             outcomes.append(Outcome(path, None, f"{path}: cannot be judged ({' '.join(str(error).split())})"))
             continue
         if out is not None:

@@ -52,9 +52,10 @@ def test_wrong_use_is_one_sentence(arguments: list[str], capsys: pytest.CaptureF
     assert captured.err.count("\n") == 1
 
 
-def test_a_bug_is_no_bad_input() -> None:
-    with pytest.raises(ZeroDivisionError):
-        console.run(_app(ZeroDivisionError()), ["work"])
+def test_a_bug_is_neither_bad_input_nor_a_fault(capsys: pytest.CaptureFixture[str]) -> None:
+    assert console.run(_app(ZeroDivisionError("by zero")), ["work"]) == ExitStatus.BUG
+    assert "Traceback" in (captured := capsys.readouterr().err)
+    assert captured.endswith("ZeroDivisionError: by zero\n")
 
 
 def test_interrupt(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated_captures import DEFECTS, Defect, captures
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind, Timing
 from motor_env.diagnosis.decision import Diagnosis, Verdict
@@ -21,7 +22,6 @@ from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters
 from motor_env.recordings.alignment import difference_noise
 from motor_env.recordings.recording import Recording
-from motor_env.recordings.simulated import DEFECTS, Defect, captures
 from motor_env.recordings.splitting import chosen_starts, split_starts
 from motor_env.recordings.start import Circuit, prepare
 from motor_env.simulation.fast_path import measure

@@ -5,13 +5,14 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from motor_env import Fault, FaultKind, Scenario, SensorParameters, SupplyParameters, Timing, cli, simulate
 from motor_env.diagnosis.commission import identify_file
-from motor_env.diagnosis.decision import Verdict
+from motor_env.diagnosis.decision import Diagnosis, Verdict
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.files import diagnose_files
 from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
@@ -221,6 +222,26 @@ def test_the_example_is_what_its_script_writes(tmp_path: Path) -> None:
     (tmp_path / "motor.toml").write_bytes((EXAMPLES / "motor.toml").read_bytes())
     subprocess.run([sys.executable, str(script)], check=True)
     assert (tmp_path / "startup_capture.csv").read_bytes() == (EXAMPLES / "startup_capture.csv").read_bytes()
+
+
+def test_a_file_on_which_the_numerics_fail_does_not_cost_the_others_their_verdicts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls = iter([ZeroDivisionError("by zero"), None])
+
+    def sometimes(*arguments: Any, **options: Any) -> Diagnosis:
+        error = next(calls)
+        if error is not None:
+            raise error
+        return diagnose(*arguments, **options)
+
+    monkeypatch.setattr("motor_env.diagnosis.files.diagnose", sometimes)
+    capture = EXAMPLES / "startup_capture.csv"
+    bad, good = diagnose_files([capture, capture], motor=str(EXAMPLES / "motor.toml"))
+    assert bad.error is not None
+    assert "cannot be judged (by zero)" in bad.error
+    assert good.diagnosis is not None
+    assert good.diagnosis.verdict is Verdict.BEARING
 
 
 SLOW = [pytest.mark.long, pytest.mark.timeout(900)]

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from run_to_failure import WearRecipe, observe, remaining_life_coverage, run_to_failure
 from scipy.stats import invgauss, multivariate_normal
 
 from motor_env.cli import main
 from motor_env.errors import InputError
 from motor_env.prognosis.page import page
-from motor_env.prognosis.run_to_failure import WearRecipe, observe, remaining_life_coverage, run_to_failure
 from motor_env.prognosis.trend import Series, build_series, date_of, judge, parse_limits, read_estimates
 from motor_env.prognosis.wear import _filter_grid, degradation, first_passage_cdf
 
