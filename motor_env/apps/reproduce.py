@@ -6,7 +6,6 @@ are made from one list of blocks.
 
 from __future__ import annotations
 
-import html
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,6 +24,7 @@ from motor_env.apps.paper_figures import (
 )
 from motor_env.errors import InputError
 from motor_env.files import write_text
+from motor_env.pages.html import render
 from motor_env.plotting import drawing, save
 
 MADE_BY = "motor-env reproduce"
@@ -117,43 +117,6 @@ def markdown(blocks: Sequence[Block]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-_PAGE_HEAD = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<title>The paper, reproduced</title><style>
-body{font:17px/1.55 system-ui,sans-serif;color:#1f2933;max-width:62rem;margin:2rem auto;padding:0 1rem}
-table{border-collapse:collapse;width:100%;font-size:15px}td,th{padding:.35rem .6rem;border-bottom:1px solid #e4e7eb;
-text-align:left;vertical-align:top;font-variant-numeric:tabular-nums}figure{margin:2.2rem 0}img{width:100%}
-figcaption{color:#52606d}
-</style></head><body>
-"""
-
-
-def page_html(blocks: Sequence[Block]) -> str:
-    """The page as HTML; the images lie beside it."""
-    parts = []
-    for block in blocks:
-        text = html.escape(block.text)
-        match block.kind:
-            case "heading":
-                parts.append(f"<h1>{text}</h1>")
-            case "heading 2":
-                parts.append(f"<h2>{text}</h2>")
-            case "table":
-                tags = ["th"] + ["td"] * (len(block.rows) - 1)
-                parts.append("<table>")
-                for tag, row in zip(tags, block.rows, strict=True):
-                    cells = "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in row)
-                    parts.append(f"<tr>{cells}</tr>")
-                parts.append("</table>")
-            case "image":
-                title = html.escape(block.text.partition(":")[0])
-                image = f'<img src="{html.escape(block.image)}" alt="{title}">'
-                parts.append(f"<figure>{image}<figcaption>{text}</figcaption></figure>")
-            case _:
-                parts.append(f"<p>{text.replace('`', '')}</p>")
-    return _PAGE_HEAD + "\n".join(parts) + "\n</body></html>\n"
-
-
 def record(image_format: str) -> dict[str, Any]:
     """The same for machines; `paper` is null where the paper prints no number."""
     return {
@@ -208,7 +171,8 @@ def reproduce(
             save(figure.draw(), out / "images" / f"{figure.name}.{image_format}")
     blocks = page(image_format)
     write_text(out / "paper.md", markdown(blocks))
-    write_text(out / "index.html", page_html(blocks))
+    title = blocks[0].text
+    write_text(out / "index.html", render("motor_env.apps", "paper.html.j2", title=title, blocks=blocks))
     return result
 
 

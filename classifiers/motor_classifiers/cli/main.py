@@ -27,7 +27,7 @@ Flag = Annotated[bool, Parameter(negative=())]
 
 
 def _require_extras() -> None:
-    for module in ("sklearn", "torch", "skops", "safetensors", "jinja2", "pyarrow"):
+    for module in ("sklearn", "torch", "skops", "safetensors", "pyarrow"):
         require_extra(module, "classifiers")
 
 

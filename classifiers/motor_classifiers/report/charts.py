@@ -1,16 +1,15 @@
-"""Charts of the report as inline SVG; colours are the page's variables, so they follow light and dark."""
+"""Charts of the benchmark's page."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from typing import NamedTuple
 
 import numpy as np
 
-from motor_classifiers.report.line_charts import ticks
 from motor_classifiers.scoring.calibration import Reliability
 from motor_env.motor.parameters import FloatArray
+from motor_env.pages.svg import Axis, Chart, percent, round_ticks
 
 _POINTS = 700  # of a drawn curve
 
@@ -29,41 +28,20 @@ def interval_chart(
     bars: Sequence[Bar], limit: float, limit_label: str, *, width: int = 760, left: int = 170, title: str = ""
 ) -> str:
     """A score of each method with its interval, and the limit as a line."""
-    row, top = 28, 34
     low = min([*(bar.low for bar in bars), limit]) - 0.01
     high = min(1.0, max([*(bar.high for bar in bars), limit]) + 0.01)
-
-    def x(value: float) -> float:
-        return left + (width - left - 54) * (value - low) / (high - low)
-
-    height = top + row * len(bars) + 30
-    bottom = top + row * len(bars)
-    parts = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title or limit_label)}">']
-    for tick in ticks(low, high, 6 if width > 500 else 3):
-        parts.append(f'<line class="grid" x1="{x(tick):.1f}" x2="{x(tick):.1f}" y1="{top}" y2="{bottom}"/>')
-        parts.append(
-            f'<text class="tick" x="{x(tick):.1f}" y="{bottom + 18}" text-anchor="middle">{100 * tick:g} %</text>'
-        )
-    anchor = "end" if x(limit) > 0.6 * width else "middle"
-    parts.append(
-        f'<line class="limit" x1="{x(limit):.1f}" x2="{x(limit):.1f}" y1="{top - 6}" y2="{bottom}"/>'
-    )
-    parts.append(
-        f'<text class="limit-label" x="{x(limit) + 4:.1f}" y="{top - 13}" text-anchor="{anchor}">'
-        f"{escape(limit_label)}</text>"
-    )
-    for n, bar in enumerate(bars):
-        y = top + row * (n + 0.5)
-        parts.append(
-            f'<text class="name" x="{left - 12}" y="{y + 4:.1f}" text-anchor="end">{escape(bar.label)}</text>'
-        )
-        parts.append(f'<line class="range" x1="{x(bar.low):.1f}" x2="{x(bar.high):.1f}" y1="{y}" y2="{y}"/>')
-        parts.append(f'<circle class="dot {escape(bar.family)}" cx="{x(bar.value):.1f}" cy="{y}" r="5.5"/>')
-        parts.append(
-            f'<text class="value" x="{x(bar.high) + 8:.1f}" y="{y + 4:.1f}">{100 * bar.value:.1f}</text>'
-        )
-    parts.append("</svg>")
-    return "".join(parts)
+    shares = Axis("", low, high, round_ticks(low, high, 6 if width > 500 else 3), percent)
+    chart = _rows(shares, len(bars), 28, size=(width, 64), margins=(left, 54, 34), label=title or limit_label)
+    x = chart.x(limit)
+    chart.line("limit", (x, chart.top - 6), (x, chart.bottom))
+    chart.text((x + 4, chart.top - 13), limit_label, "limit-label", "end" if x > 0.6 * width else "middle")
+    for row, bar in enumerate(bars):
+        y = chart.y(row + 0.5)
+        chart.text((left - 12, y + 4), bar.label, "name", "end")
+        chart.line("range", (chart.x(bar.low), y), (chart.x(bar.high), y))
+        chart.dot(f"dot {bar.family}", (chart.x(bar.value), y), 5.5)
+        chart.text((chart.x(bar.high) + 8, y + 4), f"{100 * bar.value:.1f}", "value")
+    return chart.svg()
 
 
 class Boxes(NamedTuple):
@@ -76,52 +54,49 @@ class Boxes(NamedTuple):
 
 def severity_chart(names: Sequence[str], truth: Sequence[float], methods: Sequence[Boxes]) -> str:
     """Estimated severities of each true class, a bar a method; the true severity as a mark."""
-    width, left, right, top, thick = 760, 170, 20, 10, 13
-    row = thick * len(methods) + 12
-    most = [quantile for method in methods for row_ in method.quantiles for quantile in row_]
-    low, high = min(0.0, *most), max(*truth, *most) * 1.03
-
-    def x(value: float) -> float:
-        return left + (width - left - right) * (value - low) / (high - low)
-
-    height = top + row * len(names) + 40
-    floor = top + row * len(names)
-    parts = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="Estimated severity of each class">']
-    for tick in ticks(low, high, 8):
-        parts.append(f'<line class="grid" x1="{x(tick):.1f}" x2="{x(tick):.1f}" y1="{top}" y2="{floor}"/>')
-        parts.append(
-            f'<text class="tick" x="{x(tick):.1f}" y="{floor + 18}" text-anchor="middle">{100 * tick:g}</text>'
-        )
-    parts.append(
-        f'<text class="tick" x="{(left + width) / 2}" y="{floor + 34}" text-anchor="middle">points</text>'
+    every = [quantile for method in methods for row in method.quantiles for quantile in row]
+    low, high = min(0.0, *every), max(*truth, *every) * 1.03
+    points = Axis("points", low, high, round_ticks(low, high, 8), lambda value: f"{100 * value:g}")
+    thick, label = 13, "Estimated severity of each class"
+    chart = _rows(
+        points, len(names), thick * len(methods) + 12, size=(760, 50), margins=(170, 20, 10), label=label
     )
-    for n, (name, true) in enumerate(zip(names, truth, strict=True)):
-        begin = top + row * n + 6
-        middle = begin + thick * len(methods) / 2
-        parts.append(
-            f'<text class="name" x="{left - 12}" y="{middle + 4:.1f}" text-anchor="end">{escape(name)}</text>'
-        )
-        for m, method in enumerate(methods):
-            y = begin + thick * (m + 0.5)
-            q = [x(value) for value in method.quantiles[n]]
-            style = escape(method.style)
-            told = f"{method.label}: median {100 * method.quantiles[n][2]:.1f} points"
-            parts.append(
-                f'<g class="boxes {style}"><title>{escape(told)}</title>'
-                f'<line x1="{q[0]:.1f}" x2="{q[4]:.1f}" y1="{y:.1f}" y2="{y:.1f}"/>'
-                f'<rect x="{q[1]:.1f}" y="{y - 4:.1f}" width="{max(q[3] - q[1], 1.5):.1f}" height="8" rx="2"/></g>'
-            )
-        parts.append(
-            f'<line class="truth" x1="{x(true):.1f}" x2="{x(true):.1f}" y1="{begin - 2}" '
-            f'y2="{begin + thick * len(methods) + 2}"/>'
-        )
-    parts.append("</svg>")
-    return "".join(parts)
+    chart.text(((chart.left + 760) / 2, chart.bottom + 34), points.title, anchor="middle")
+    for row, (name, true) in enumerate(zip(names, truth, strict=True)):
+        begin, end = chart.y(row) + 6, chart.y(row + 1.0) - 6
+        chart.text((chart.left - 12, (begin + end) / 2 + 4), name, "name", "end")
+        for number, method in enumerate(methods):
+            y, quantiles = begin + thick * (number + 0.5), method.quantiles[row]
+            ends = [chart.x(value) for value in quantiles]
+            with chart.group(
+                f"boxes {method.style}", f"{method.label}: median {100 * quantiles[2]:.1f} points"
+            ):
+                chart.line("", (ends[0], y), (ends[4], y))
+                chart.shape("rect", x=ends[1], y=y - 4, width=max(ends[3] - ends[1], 1.5), height=8, rx=2)
+        chart.line("truth", (chart.x(true), begin - 2), (chart.x(true), end + 2))
+    return chart.svg()
 
 
-def _thin(time: FloatArray, *curves: FloatArray) -> tuple[FloatArray, ...]:
-    step = max(1, len(time) // _POINTS)
-    return tuple(values[::step] for values in (time, *curves))
+def _rows(
+    x_axis: Axis,
+    count: int,
+    height: int,
+    *,
+    size: tuple[int, int],
+    margins: tuple[int, int, int],
+    label: str,
+) -> Chart:
+    """A chart of so many rows, counted downwards, with a grid along x; `size` holds the height without the rows."""
+    left, right, top = margins
+    chart = Chart(
+        x_axis,
+        Axis("", 0.0, count, is_reversed=True),
+        size=(size[0], size[1] + height * count),
+        margins=(left, right, top, size[1] - top),
+        label=label,
+    )
+    chart.x_numbers(grid=True)
+    return chart
 
 
 class Trace(NamedTuple):
@@ -139,50 +114,31 @@ def trace_chart(
     span: tuple[float, float],
     levels: Sequence[float] = (),
     mark_ms: float | None = None,
-    width: int = 480,
-    height: int = 150,
     with_time: bool = False,
 ) -> str:
     """Curves over time, horizontal thresholds as dashed lines, and a moment as a vertical mark."""
-    left, right, top, bottom = 52, 10, 8, 32 if with_time else 12
     begin = min(float(trace.time_ms[0]) for trace in traces)
     end = max(float(trace.time_ms[-1]) for trace in traces)
-    low, high = span
-
-    def x(value: float) -> float:
-        return left + (width - left - right) * (value - begin) / (end - begin)
-
-    def y(value: float) -> float:
-        clipped = min(max(value, low), high)
-        return top + (height - top - bottom) * (high - clipped) / (high - low)
-
-    parts = [f'<svg viewBox="0 0 {width} {height}" role="img">']
-    for tick in ticks(low, high, 4):
-        parts.append(
-            f'<line class="grid" x1="{left}" x2="{width - right}" y1="{y(tick):.1f}" y2="{y(tick):.1f}"/>'
-        )
-        parts.append(
-            f'<text class="tick" x="{left - 6}" y="{y(tick) + 4:.1f}" text-anchor="end">{tick:g}</text>'
-        )
+    chart = Chart(
+        Axis("ms", begin, end, round_ticks(begin, end, 6)),
+        Axis(unit, *span, round_ticks(*span, 4)),
+        size=(480, 150),
+        margins=(52, 10, 8, 32 if with_time else 12),
+        label=f"{unit} over time",
+    )
+    chart.y_numbers()
     if with_time:
-        for tick in ticks(begin, end, 6):
-            place = f'x="{x(tick):.1f}" y="{height - 14}" text-anchor="middle"'
-            parts.append(f'<text class="tick" {place}>{tick:g}</text>')
-        parts.append(f'<text class="tick" x="{width - right}" y="{height - 2}" text-anchor="end">ms</text>')
-    parts.append(f'<text class="tick" x="2" y="{top + 4}">{escape(unit)}</text>')
+        chart.x_numbers()
+        chart.text((chart.right, 148), "ms", anchor="end")
+    chart.text((2, 12), unit)
     for trace in traces:
-        time, values = _thin(trace.time_ms, trace.values)
-        points = " ".join(f"{x(t):.1f},{y(v):.1f}" for t, v in zip(time, values, strict=True))
-        parts.append(f'<polyline class="{escape(trace.style)}" points="{points}"/>')
+        step = max(1, len(trace.time_ms) // _POINTS)
+        chart.curve(trace.style, trace.time_ms[::step], trace.values[::step])
     for level in levels:
-        at = f'y1="{y(level):.1f}" y2="{y(level):.1f}"'
-        parts.append(f'<line class="threshold" x1="{left}" x2="{width - right}" {at}/>')
+        chart.across("threshold", level)
     if mark_ms is not None:
-        parts.append(
-            f'<line class="mark" x1="{x(mark_ms):.1f}" x2="{x(mark_ms):.1f}" y1="{top}" y2="{height - bottom}"/>'
-        )
-    parts.append("</svg>")
-    return "".join(parts)
+        chart.upright("mark", mark_ms)
+    return chart.svg()
 
 
 def reliability_chart(binned: Reliability, low: float) -> str:
@@ -192,32 +148,79 @@ def reliability_chart(binned: Reliability, low: float) -> str:
         binned: from `calibration.reliability`.
         low: where both axes begin.
     """
-    size, left, bottom = 190, 34, 26
+    axis = Axis("", low, 1.0, (low, 1.0))
+    chart = Chart(axis, axis, size=(190, 190), margins=(34, 8, 8, 26), label="Reliability")
+    chart.y_numbers()
+    chart.x_numbers()
+    chart.line("threshold", (chart.left, chart.bottom), (chart.right, chart.top))
+    filled = binned.n_cases > 0
+    confidence, shares, counts = binned.confidence[filled], binned.accuracy[filled], binned.n_cases[filled]
+    chart.curve("estimate", confidence, shares)
+    errors = np.sqrt(shares * (1.0 - shares) / counts)
+    for sure, share, error, count in zip(confidence, shares, errors, counts, strict=True):
+        x = chart.x(sure)
+        chart.line("range", (x, chart.y(share + error)), (x, chart.y(share - error)))
+        radius = 1.8 + 2.4 * float(np.sqrt(count / counts.max()))
+        chart.dot("dot", (x, chart.y(share)), radius, f"{count:.0f} starts")
+    return chart.svg()
 
-    def at(p: float, q: float) -> tuple[float, float]:
-        inner = size - left - 8
-        clipped = [min(max((value - low) / (1.0 - low), 0.0), 1.0) for value in (p, q)]
-        return left + inner * clipped[0], 8 + (size - bottom - 8) * (1.0 - clipped[1])
 
-    (x0, y0), (x1, y1) = at(low, low), at(1.0, 1.0)
-    parts = [f'<svg viewBox="0 0 {size} {size}" role="img" aria-label="Reliability">']
-    parts.append(f'<line class="threshold" x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}"/>')
-    for tick in (low, 1.0):
-        x, y = at(tick, tick)
-        parts.append(f'<text class="tick" x="{x:.1f}" y="{size - 10}" text-anchor="middle">{tick:g}</text>')
-        parts.append(f'<text class="tick" x="{left - 5}" y="{y + 4:.1f}" text-anchor="end">{tick:g}</text>')
-    seen = np.flatnonzero(binned.n_cases > 0)
-    points = [at(float(binned.confidence[n]), float(binned.accuracy[n])) for n in seen]
-    curve = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-    parts.append(f'<polyline class="estimate" points="{curve}"/>')
-    most = float(binned.n_cases.max())
-    for n, (x, y) in zip(seen, points, strict=True):
-        share = float(binned.accuracy[n])
-        error = float(np.sqrt(share * (1.0 - share) / binned.n_cases[n]))
-        above, below = at(0.0, share + error)[1], at(0.0, share - error)[1]
-        parts.append(f'<line class="range" x1="{x:.1f}" x2="{x:.1f}" y1="{above:.1f}" y2="{below:.1f}"/>')
-        radius = 1.8 + 2.4 * float(np.sqrt(binned.n_cases[n] / most))
-        told = f"<title>{binned.n_cases[n]:.0f} starts</title>"
-        parts.append(f'<circle class="dot" cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}">{told}</circle>')
-    parts.append("</svg>")
-    return "".join(parts)
+class Line(NamedTuple):
+    """A curve: label, style classes (`limit`, s0, s1, ...; `dashed`), positions and values."""
+
+    label: str
+    style: str
+    x: Sequence[float]
+    y: Sequence[float]
+
+
+def share_axis(values: Sequence[float]) -> Axis:
+    """Axis for shares, a point wider than the values."""
+    low, high = min(values) - 0.01, min(1.0, max(values) + 0.01)
+    return Axis("", low, high, round_ticks(low, high, 6), percent)
+
+
+def line_chart(
+    lines: Sequence[Line], x_axis: Axis, y_axis: Axis, *, named: bool = True, marked: bool = True
+) -> str:
+    """Curves over two axes.
+
+    Args:
+        lines: curves.
+        x_axis: of the positions.
+        y_axis: of the values.
+        named: whether each line is named at its right end.
+        marked: whether points are drawn, each with its values when it is pointed at.
+    """
+    margins = (58, 132 if named else 22, 24, 40) if y_axis.title else (52, 132 if named else 22, 12, 40)
+    label = f"{y_axis.title or 'Accuracy'} against {x_axis.title}"
+    chart = Chart(x_axis, y_axis, size=(520, 400), margins=margins, label=label)
+    chart.y_numbers()
+    chart.x_numbers()
+    chart.text(((chart.left + chart.right) / 2, 394), x_axis.title, anchor="middle")
+    chart.text((4, 12), y_axis.title)
+    ends = _spread_out([chart.y(line.y[-1]) for line in lines], 13.0, chart.top + 4.0, chart.bottom + 14.0)
+    for line, label_y in zip(lines, ends, strict=True):
+        with chart.group(f"series {line.style}"):
+            chart.curve("", line.x, line.y)
+            for x, y in zip(line.x, line.y, strict=True) if marked else ():
+                title = f"{line.label}, {x_axis.number(x)}: {y_axis.number(y)}"
+                chart.dot("", (chart.x(x), chart.y(y)), 3, title)
+            if named:
+                tip, level = chart.x(line.x[-1]), chart.y(line.y[-1])
+                chart.line("lead", (tip, level), (tip + 12, label_y))
+                chart.text((tip + 15, label_y + 4), line.label, "")
+    return chart.svg()
+
+
+def _spread_out(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
+    """Places near the wanted ones, `gap` apart, so that no label covers another."""
+    order = np.argsort(wanted, kind="stable")
+    placed = np.asarray(wanted, dtype=np.float64)[order]
+    for n in range(len(placed)):
+        placed[n] = max(placed[n], low if n == 0 else placed[n - 1] + gap)
+    for n in range(len(placed) - 1, -1, -1):
+        placed[n] = min(placed[n], high if n == len(placed) - 1 else placed[n + 1] - gap)
+    result = np.empty(len(placed))
+    result[order] = placed
+    return [float(value) for value in result]

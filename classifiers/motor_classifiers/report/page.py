@@ -28,6 +28,7 @@ from motor_classifiers.scoring.peers import PEERS
 from motor_classifiers.scoring.plan import Plan
 from motor_classifiers.scoring.results import as_csv, family, result_rows, trust_document
 from motor_env.files import write_text
+from motor_env.pages.html import render
 from motor_env.simulation.recipe_files import recipe_to_dict
 
 _QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
@@ -41,20 +42,14 @@ def render_report(plan: Plan, results: Sequence[CellResult], machine: str) -> st
         results: of `run_plan`.
         machine: what it ran on, in words.
     """
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("motor_classifiers.report", "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"share": _share, "points": _points, "quantity": _quantity}
     result = results[plan.reference]
     recipe, ranked = result.cell.recipe, result.ranked()
     ours = [method for method in ranked if not method.origin]
-    return environment.get_template("report.html.j2").render(
+    return render(
+        "motor_classifiers.report",
+        "report.html.j2",
+        title=f"Motor fault classifiers on {recipe.name}",
+        filters={"share": _share, "points": _points, "quantity": _quantity},
         cell=result.cell,
         recipe=recipe,
         machine=machine,

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from motor_classifiers.report.line_charts import Axis, Line, line_chart, share_axis
+from motor_classifiers.report.charts import Line, line_chart, share_axis
 from motor_classifiers.scoring.benchmark import CellResult
 from motor_classifiers.scoring.judging import Cell
 from motor_classifiers.scoring.plan import Plan
+from motor_env.pages.svg import Axis
 
 _LINES = 10  # styles of lines, s0 to s9; more methods are drawn in a quiet colour
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from motor_classifiers.estimators.methods import ESTIMATE
-from motor_classifiers.report.line_charts import Axis, Line, line_chart, share_axis
+from motor_classifiers.report.charts import Line, line_chart, share_axis
 from motor_classifiers.report.names import readable
 from motor_classifiers.scoring.benchmark import CellResult
 from motor_classifiers.scoring.trust import Figures
 from motor_classifiers.scoring.unknown_faults import DISTANCE, FALSE_ALARM_RATES
+from motor_env.pages.svg import Axis, percent
 
 _STYLES = ("s1", "s8", "s2", "s4")
 _TIME_TICKS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
@@ -41,8 +42,8 @@ def _unknown(told: Figures, result: CellResult) -> dict[str, Any]:
         keys.append((style, fault["fault"]))
     ticks = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]
     axes = (
-        Axis("known motors called other", 0.0, 1.0, ticks, is_share=True),
-        Axis("foreign faults called other", 0.0, 1.0, ticks, is_share=True),
+        Axis("known motors called other", 0.0, 1.0, ticks, percent),
+        Axis("foreign faults called other", 0.0, 1.0, ticks, percent),
     )
     return {
         "chart": line_chart(lines, *axes, named=False, marked=False),
@@ -84,7 +85,7 @@ def _race(told: Figures, result: CellResult) -> dict[str, Any]:
             lines.append(Line(name, style, xs, ys))
     end = 1e3 * result.cell.recipe.timing.duration_s
     x_axis = Axis("mean ms to the verdict on faulty motors", 0.0, end, [end * share for share in _TIME_TICKS])
-    y_axis = Axis("wrong verdicts", 0.0005, 0.6, _RACE_TICKS, is_share=True, is_log=True)
+    y_axis = Axis("wrong verdicts", 0.0005, 0.6, _RACE_TICKS, percent, is_log=True)
     return {
         "chart": line_chart(lines, x_axis, y_axis, named=False),
         "legend": [(line.style, line.label) for line in lines],

@@ -3,19 +3,8 @@
 import re
 from itertools import pairwise
 
-import pytest
-
-from motor_classifiers.report.line_charts import Axis, Line, line_chart, share_axis
-
-
-def test_places_on_plain_and_logarithmic_axes() -> None:
-    plain = Axis("ms", 0.0, 100.0, [0.0, 100.0])
-    assert [plain.place(value) for value in (0.0, 25.0, 100.0, 130.0)] == [0.0, 0.25, 1.0, 1.0]
-    log = Axis("wrong", 0.001, 1.0, [], is_share=True, is_log=True)
-    assert log.place(0.001) == 0.0
-    assert log.place(0.1) == pytest.approx(2.0 / 3.0)
-    assert log.place(1e-9) == 0.0
-    assert (plain.name(20.0), log.name(0.002), log.name(0.5)) == ("20", "0.2 %", "50 %")
+from motor_classifiers.report.charts import Line, line_chart, share_axis
+from motor_env.pages.svg import Axis
 
 
 def test_points_are_drawn_where_the_axes_say() -> None:

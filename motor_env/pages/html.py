@@ -1,0 +1,30 @@
+"""HTML pages from Jinja2 templates: text is escaped, a missing value is an error, a page needs no other file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+
+def render(
+    package: str, template: str, *, filters: Mapping[str, Callable[..., str]] | None = None, **values: Any
+) -> str:
+    """A page of a package's folder `templates`; it may extend `base.html.j2`, which holds colours and common style.
+
+    Args:
+        package: import name of the package.
+        template: file name of the template.
+        filters: functions that the template applies to its values.
+        **values: what the template names.
+    """
+    environment = Environment(
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader("motor_env.pages")]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= filters or {}
+    return environment.get_template(template).render(values)
