@@ -23,7 +23,8 @@ from filterpy.kalman import KalmanFilter as FilterpyFilter
 from result import Result
 from timing import best_rate
 
-from motor_env.filters.kalman import KalmanFilter, filter_residuals, schedule
+from motor_env.filters.batch import filter_residuals
+from motor_env.filters.kalman import KalmanFilter, schedule
 from motor_env.motor.model import Input
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray, SensorParameters
 from motor_env.simulation.simulate import Scenario, Timing, simulate

@@ -22,9 +22,11 @@ from scipy.stats import binomtest
 from motor_env.detection.confirmation import class_filter
 from motor_env.detection.rules.cusum import Cusum
 from motor_env.filters.adaptive import MEMORY, adaptive_filter
-from motor_env.filters.consistency import check_consistency, signature_energy
+from motor_env.filters.batch import run_filter
+from motor_env.filters.consistency import check_consistency
 from motor_env.filters.joint import JointKind, JointResult, joint_filter
-from motor_env.filters.kalman import KalmanFilter, run_filter, schedule
+from motor_env.filters.kalman import KalmanFilter, schedule
+from motor_env.filters.process_noise import signature_energy
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe, draw, named_recipe
@@ -152,8 +154,8 @@ def class_row(name: str, found: Found, labels: IntArray) -> str:
 def noise_row(std: tuple[float, float], healthy: FloatArray, faulty: FloatArray, voltage: FloatArray) -> str:
     """One line of the third table."""
     motor = apply_faults(RECIPE.motor, RECIPE.classes[1].faults)
-    separation = signature_energy(RECIPE.motor, motor, RECIPE.sensor, RECIPE.timing.dt_s, voltage, std)
     belief = noisy(class_filter(RECIPE, RECIPE.classes[0]), std)
+    separation = signature_energy(belief, motor, voltage, RECIPE.timing.dt_s)
     squares = check_consistency(run_filter(belief, healthy, voltage).whitened).mean_square
     change = partial(noisy, std=std)
     alarms = watch(change, faulty, voltage) > np.quantile(watch(change, healthy, voltage), 0.99)

@@ -32,6 +32,10 @@ from .errors import (
 from .filters.adaptive import (
     adaptive_filter as adaptive_filter,
 )
+from .filters.batch import (
+    FilterResult as FilterResult,
+    run_filter as run_filter,
+)
 from .filters.consistency import (
     check_consistency as check_consistency,
 )
@@ -39,9 +43,11 @@ from .filters.joint import (
     joint_filter as joint_filter,
 )
 from .filters.kalman import (
-    FilterResult as FilterResult,
     KalmanFilter as KalmanFilter,
-    run_filter as run_filter,
+)
+from .filters.process_noise import (
+    choose_process_noise as choose_process_noise,
+    matched_power as matched_power,
 )
 from .filters.smoothing import (
     smooth as smooth,

@@ -21,7 +21,8 @@ from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.files import diagnose_files
 from motor_env.diagnosis.report import as_json, headline
 from motor_env.errors import InputError
-from motor_env.filters.kalman import KalmanFilter, run_filter
+from motor_env.filters.batch import run_filter
+from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.data_sheet import MotorFile, load_motor
 from motor_env.motor.faults import HEALTHY, Fault, FaultKind
 from motor_env.motor.parameters import CATALOGUE, FloatArray, SensorParameters, SupplyParameters

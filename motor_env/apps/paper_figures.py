@@ -13,7 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from motor_env.apps.paper import VOLTAGE_V, faulty, level_name, start_up
-from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, FilterResult, KalmanFilter, run_filter
+from motor_env.filters.batch import FilterResult, run_filter
+from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, KalmanFilter
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.model import State
 from motor_env.motor.parameters import PAPER_MOTOR, RAD_S_PER_RPM, FloatArray, SensorParameters

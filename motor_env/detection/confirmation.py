@@ -17,7 +17,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.filters.kalman import KalmanFilter, run_filter
+from motor_env.filters.batch import run_filter
+from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.faults import FaultKind, apply_faults
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import FaultClass, Recipe

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from motor_env.filters.batch import FilterResult, run_filter
 from motor_env.filters.consistency import Consistency, check_consistency
-from motor_env.filters.kalman import FilterResult, KalmanFilter, run_filter
+from motor_env.filters.kalman import KalmanFilter
 from motor_env.identification.identify import Identified
 from motor_env.identification.start_model import between_samples, rise_of_supply
 from motor_env.motor.parameters import SensorParameters

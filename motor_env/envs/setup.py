@@ -70,7 +70,9 @@ def converged_gain(belief: KalmanFilter) -> tuple[FloatArray, FloatArray]:
         belief.measurement_covariance,
     )
     predicted = np.asarray(solution, dtype=np.float64)
-    gain, innovation_covariance, _ = gain_and_covariance(belief, predicted)
+    gain, innovation_covariance, _ = gain_and_covariance(
+        predicted, belief.observation, belief.measurement_covariance
+    )
     return gain, innovation_covariance
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.filters.kalman import KalmanFilter
+from motor_env.filters.kalman import KalmanFilter, measurement_update, score
 from motor_env.motor.model import N_STATES, Input
 from motor_env.motor.parameters import FloatArray, require
 
@@ -22,7 +22,7 @@ that the estimate does not ride on the state's own motion."""
 
 
 class AdaptiveResult(NamedTuple):
-    """What the filter made of the measurements and how much noise it came to believe in.
+    """Innovations and states, and the noise that the filter believed in after each sample.
 
     Attributes:
         innovation: z - C x-, shape (n_cases, n_samples, n_channels).
@@ -92,27 +92,22 @@ def adaptive_filter(
     state, covariance = np.tile(kalman.initial_state, (n_cases, 1)), kalman.initial_covariance
     noise = np.tile(kalman.measurement_covariance, (n_cases, 1, 1))
     process = np.tile(np.diag(kalman.process_covariance), (n_cases, 1))
-    innovations, whitened = (np.empty((n_cases, n_samples, n_channels)) for _ in range(2))
+    innovations = np.empty((n_cases, n_samples, n_channels))
+    spreads, noises = (np.empty((n_cases, n_samples, n_channels, n_channels)) for _ in range(2))
     states, processes = (np.empty((n_cases, n_samples, N_STATES)) for _ in range(2))
-    noises, score = np.empty((n_cases, n_samples, n_channels, n_channels)), np.zeros(n_cases)
     for k in range(n_samples):
         carried = a @ covariance @ a.T
-        predicted = carried + process[:, :, None] * np.eye(N_STATES)
-        spread = c @ predicted @ c.T + noise
-        gain = np.swapaxes(np.linalg.solve(spread, c @ predicted), 1, 2)
-        ahead = state @ a.T + kalman.model.gain[:, Input.VOLTAGE] * voltage[k]
-        innovation = measured[:, :, k] - ahead @ c.T
-        correction = (gain @ innovation[..., None])[..., 0]
-        state, left = ahead + correction, np.eye(N_STATES) - gain @ c
-        covariance = left @ predicted @ np.swapaxes(left, 1, 2) + gain @ noise @ np.swapaxes(gain, 1, 2)
-        root = np.linalg.cholesky(spread)
-        innovations[:, k], states[:, k] = innovation, state
-        whitened[:, k] = np.linalg.solve(root, innovation[..., None])[..., 0]
-        score += np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+        step = measurement_update(
+            state @ a.T + kalman.model.gain[:, Input.VOLTAGE] * voltage[k],
+            carried + process[:, :, None] * np.eye(N_STATES),
+            measured[:, :, k],
+            observation=c,
+            noise=noise,
+        )
+        state, covariance = step.state, step.covariance
         noise = adapted_noise(noise, measured[:, :, k] - state @ c.T, c @ covariance @ c.T, memory)
-        moved = np.square(correction) + np.diagonal(covariance - carried, axis1=1, axis2=2)
+        moved = np.square(step.correction) + np.diagonal(covariance - carried, axis1=1, axis2=2)
         process = np.maximum(process + 2.0 / (memory + 1.0) * (moved - process), 0.0)
+        innovations[:, k], spreads[:, k], states[:, k] = step.innovation, step.innovation_covariance, state
         noises[:, k], processes[:, k] = noise, process
-    nis = np.square(whitened).sum(axis=-1)
-    likelihood = -0.5 * (nis.sum(axis=1) + n_samples * n_channels * np.log(2.0 * np.pi)) - score
-    return AdaptiveResult(innovations, whitened, nis, likelihood, states, noises, processes)
+    return AdaptiveResult(innovations, *score(innovations, spreads), states, noises, processes)

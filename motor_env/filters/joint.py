@@ -16,20 +16,13 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from motor_env.filters.adaptive import adapted_noise
+from motor_env.filters.kalman import measurement_update, score
 from motor_env.motor.model import N_STATES, discretize
-from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, require
-
-_FIELDS = {
-    "resistance": ("resistance_ohm",),
-    "inductance": ("inductance_h",),
-    "constants": ("back_emf_constant_v_s_per_rad", "torque_constant_n_m_per_a"),
-    "inertia": ("inertia_kg_m2",),
-    "friction": ("viscous_friction_n_m_s_per_rad",),
-}
+from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters, SensorParameters, require
 
 _COULOMB = "coulomb"
 
-FREE = (*_FIELDS, _COULOMB)
+FREE = (*QUANTITY_FIELDS, _COULOMB)
 """What may be estimated: factors on parameters; `constants` is one common factor on Kt and Kb. `coulomb` is dry
 friction, which the believed motor has none of: its theta is the torque over `coulomb_unit_n_m`."""
 
@@ -90,7 +83,9 @@ class _Motion(NamedTuple):
         """
         theta, speed = points[:, N_STATES:], points[:, 1]
         factors = {
-            field: np.exp(theta[:, j]) for j, name in enumerate(self.names) for field in _FIELDS.get(name, ())
+            field: np.exp(theta[:, j])
+            for j, name in enumerate(self.names)
+            for field in QUANTITY_FIELDS.get(name, ())
         }
         model = discretize(self.motor.scaled(**factors), self.dt_s)
         state = (model.transition @ points[:, :N_STATES, None])[..., 0] + model.gain[..., 0] * voltage
@@ -108,11 +103,8 @@ def _extended(
     motion: _Motion, mean: FloatArray, covariance: FloatArray, voltage: float
 ) -> tuple[FloatArray, FloatArray]:
     n, size = mean.shape
-    steps = np.zeros((2 * (size - 2) + 1, 1, size))
-    steps[1 : size - 1, 0, 2:], steps[size - 1 :, 0, 2:] = (
-        _STEP * np.eye(size - 2),
-        -_STEP * np.eye(size - 2),
-    )
+    unit = np.eye(size)[2:]
+    steps = _STEP * np.concatenate([np.zeros((1, size)), unit, -unit])[:, None]
     state, slope = motion.ahead((mean + steps).reshape(-1, size), voltage)
     state = state.reshape(len(steps), n, 2)
     jacobian = np.broadcast_to(np.eye(size), (n, size, size)).copy()
@@ -188,25 +180,19 @@ def joint_filter(
     noise: FloatArray = np.tile(np.diag(np.square(sensor.noise_std)), (n_cases, 1, 1))
     motion = _Motion(motor, names, dt_s, coulomb_unit_n_m(motor, voltage))
     ahead = _extended if kind is JointKind.EXTENDED else _unscented
-    thetas, spreads = (
-        np.empty((n_cases, n_samples, size - 2)),
-        np.empty((n_cases, n_samples, size - 2, size - 2)),
-    )
-    innovations, nis = np.empty((n_cases, n_samples, n_channels)), np.empty((n_cases, n_samples))
+    thetas = np.empty((n_cases, n_samples, size - N_STATES))
+    covariances = np.empty((*thetas.shape, size - N_STATES))
+    innovations = np.empty((n_cases, n_samples, n_channels))
+    spreads = np.empty((*innovations.shape, n_channels))
     for k in range(n_samples):
         mean, covariance = ahead(motion, mean, covariance, float(voltage[k]))
-        covariance = covariance + process
-        s = c @ covariance @ c.T + noise
-        gain = np.swapaxes(np.linalg.solve(s, c @ covariance), 1, 2)
-        innovation = measured[:, :, k] - mean @ c.T
-        mean = mean + (gain @ innovation[..., None])[..., 0]
-        left = np.eye(size) - gain @ c
-        covariance = left @ covariance @ np.swapaxes(left, 1, 2) + gain @ noise @ np.swapaxes(gain, 1, 2)
+        step = measurement_update(mean, covariance + process, measured[:, :, k], observation=c, noise=noise)
+        mean, covariance = step.state, step.covariance
         if memory is not None:
             noise = adapted_noise(noise, measured[:, :, k] - mean @ c.T, c @ covariance @ c.T, memory)
-        thetas[:, k], spreads[:, k], innovations[:, k] = mean[:, 2:], covariance[:, 2:, 2:], innovation
-        nis[:, k] = np.sum(innovation * np.linalg.solve(s, innovation[..., None])[..., 0], axis=-1)
-    return JointResult(names, thetas, spreads, innovations, nis)
+        thetas[:, k], covariances[:, k] = mean[:, N_STATES:], covariance[:, N_STATES:, N_STATES:]
+        innovations[:, k], spreads[:, k] = step.innovation, step.innovation_covariance
+    return JointResult(names, thetas, covariances, innovations, score(innovations, spreads).nis)
 
 
 def parameter_test_threshold(n_parameters: int, false_alarm_probability: float) -> float:

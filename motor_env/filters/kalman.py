@@ -1,7 +1,9 @@
-"""The Kalman filter (paper, Table 1): the only one in the package. Its model is a belief, never the truth.
+"""The Kalman filter (paper, Table 1): its belief, which is never the truth, its update and its gains.
 
-Arrays have a time axis before the last one here: innovations are (..., n_samples, n_channels). What the paper
-calls R is `measurement_covariance`, its Q `process_covariance`, its H `observation`.
+`measurement_update` is the one update of the package: the stream, the adaptive filter and the joint filters call it.
+Batches of transients (`batch.py`) run the same equations compiled for two states (`kernels.covariance_step`), because a
+loop over samples in Python would take a thousand times as long; a test compares the two. What the paper calls R is
+`measurement_covariance`, its Q `process_covariance`, its H `observation`.
 """
 
 from __future__ import annotations
@@ -10,18 +12,10 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from motor_env.filters.kernels import (
-    AnyFloat,
-    fill_schedule,
-    filter_case_by_case,
-    filter_one_channel,
-    filter_states,
-    filter_two_channels,
-    propagate_nominal,
-)
-from motor_env.motor.model import N_STATES, DiscreteModel, Input, discretize
+from motor_env.filters.kernels import fill_schedule
+from motor_env.motor.model import N_STATES, DiscreteModel, discretize
 from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, require
 
 DEFAULT_PROCESS_NOISE_STD = (1e-5, 1e-3)
@@ -80,80 +74,70 @@ class KalmanFilter:
         )
 
 
-class FilterResult(NamedTuple):
-    """What the filter makes of measurements.
-
-    The covariances and the gain depend on no data, so they are common to all cases: shape (n_samples, ...). Where
-    samples are missing, or each case has its own motor, the cases' axes stand in front: shape (..., n_samples, ...).
+class Updated(NamedTuple):
+    """A measurement update of n cases with any number of states.
 
     Attributes:
-        innovation: z - C x-, shape (..., n_samples, n_channels); NaN where a sample is missing.
-        innovation_covariance: S, shape (n_samples, n_channels, n_channels).
-        whitened: innovation times the inverse of S's Cholesky factor, white and standard normal while the belief
-            holds, shape (..., n_samples, n_channels); NaN where a sample is missing.
-        nis: normalised innovation squared (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4), shape (..., n_samples), over
-            the channels measured; 0 where none was.
-        log_likelihood: of all samples measured, shape (...).
-        state: estimate after the update, shape (..., n_samples, 2).
-        covariance: its covariance P, shape (n_samples, 2, 2).
-        gain: Kalman gain, shape (n_samples, 2, n_channels).
+        state: updated estimate, shape (n, n_states).
+        covariance: its covariance, shape (n, n_states, n_states).
+        innovation: z - C x-, shape (n, n_channels); NaN where a channel is missing.
+        innovation_covariance: S, shape (n, n_channels, n_channels).
+        correction: K times the innovation, shape (n, n_states).
     """
 
-    innovation: FloatArray
-    innovation_covariance: FloatArray
-    whitened: FloatArray
-    nis: FloatArray
-    log_likelihood: FloatArray
     state: FloatArray
     covariance: FloatArray
-    gain: FloatArray
-
-
-class Residuals(NamedTuple):
-    """Innovations of a batch and nothing that costs more, in single or double precision.
-
-    Attributes:
-        innovation: z - C x-, shape (..., n_samples, n_channels).
-        innovation_covariance: S, shape (n_samples, n_channels, n_channels), in double precision.
-        nis: normalised innovation squared, shape (..., n_samples).
-    """
-
-    innovation: AnyFloat
+    innovation: FloatArray
     innovation_covariance: FloatArray
-    nis: AnyFloat
-
-
-def predict(
-    kalman: KalmanFilter, state: FloatArray, covariance: FloatArray, inputs: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Time update (Kalman 1960; paper, Table 1): x- = A x + B u, P- = A P A' + Q."""
-    transition = kalman.model.transition
-    predicted: FloatArray = transition @ state + kalman.model.gain @ inputs
-    return predicted, transition @ covariance @ transition.T + kalman.process_covariance
+    correction: FloatArray
 
 
 def gain_and_covariance(
-    kalman: KalmanFilter, covariance: FloatArray
+    covariance: FloatArray, observation: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Gain K, innovation covariance S and updated covariance for a predicted covariance (paper, Table 1).
 
     The covariance is updated in the Joseph form, (I - K C) P (I - K C)' + K R K', which stays symmetric and positive
     where the paper's (I - K C) P loses both to rounding (Bucy & Joseph 1968).
+
+    Args:
+        covariance: predicted P-, shape (..., n_states, n_states).
+        observation: C, shape (..., n_channels, n_states).
+        noise: R, shape (..., n_channels, n_channels).
     """
-    observation, noise = kalman.observation, kalman.measurement_covariance
-    innovation_covariance = observation @ covariance @ observation.T + noise
-    gain = np.linalg.solve(innovation_covariance, observation @ covariance).T.astype(np.float64, copy=False)
-    left = np.eye(N_STATES) - gain @ observation
-    return gain, innovation_covariance, left @ covariance @ left.T + gain @ noise @ gain.T
+    innovation_covariance = observation @ covariance @ np.swapaxes(observation, -1, -2) + noise
+    gain = np.swapaxes(np.linalg.solve(innovation_covariance, observation @ covariance), -1, -2)
+    left = np.eye(covariance.shape[-1]) - gain @ observation
+    updated: FloatArray = left @ covariance @ np.swapaxes(left, -1, -2) + gain @ noise @ np.swapaxes(
+        gain, -1, -2
+    )
+    return gain, innovation_covariance, updated
 
 
-def update(
-    kalman: KalmanFilter, state: FloatArray, covariance: FloatArray, measurement: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Measurement update (Kalman 1960; paper, Table 1): state, covariance, innovation and its covariance."""
-    gain, innovation_covariance, updated = gain_and_covariance(kalman, covariance)
-    innovation = measurement - kalman.observation @ state
-    return state + gain @ innovation, updated, innovation, innovation_covariance
+def measurement_update(
+    state: FloatArray,
+    covariance: FloatArray,
+    measurement: FloatArray,
+    *,
+    observation: FloatArray,
+    noise: FloatArray,
+) -> Updated:
+    """Measurement update of n cases (Kalman 1960; paper, Table 1), in the Joseph form.
+
+    Args:
+        state: predicted x-, shape (n, n_states).
+        covariance: predicted P-, shape (n, n_states, n_states).
+        measurement: shape (n, n_channels); NaN is missing and updates nothing.
+        observation: C, shape (n_channels, n_states).
+        noise: R, shape (n_channels, n_channels) or (n, n_channels, n_channels).
+    """
+    missing = np.isnan(measurement)
+    seen = np.where(missing[:, :, None], 0.0, observation)
+    apart = np.where(missing[:, :, None] ^ missing[:, None, :], 0.0, noise)
+    gain, innovation_covariance, updated = gain_and_covariance(covariance, seen, apart)
+    innovation = measurement - state @ observation.T
+    correction = (gain @ np.where(missing, 0.0, innovation)[:, :, None])[:, :, 0]
+    return Updated(state + correction, updated, innovation, innovation_covariance, correction)
 
 
 class Schedule(NamedTuple):
@@ -214,226 +198,28 @@ def padded_sensor(kalman: KalmanFilter) -> tuple[FloatArray, FloatArray]:
     return observation, noise
 
 
-class _Series(NamedTuple):
-    """Checked measurements, shape (n_cases, n_channels, n_samples), the batch's own shape, and the nominal states."""
+class Scores(NamedTuple):
+    """Innovations of n cases, normalised.
 
-    measured: AnyFloat
-    batch: tuple[int, ...]
-    nominal: FloatArray
-
-
-def _series(
-    kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike
-) -> _Series:
-    given = np.asarray(measurements)
-    measured = given if given.dtype == np.float32 else given.astype(np.float64, copy=False)
-    n_channels = len(kalman.observation)
-    require(
-        measured.ndim in (2, 3) and measured.shape[-2] == n_channels,
-        f"measurements must have shape (..., {n_channels}, n_samples), got {measured.shape}",
-    )
-    n_samples = measured.shape[-1]
-    voltage = np.asarray(voltage_v, dtype=np.float64)
-    require(
-        voltage.ndim in (1, 2) and voltage.shape[-1] == n_samples,
-        f"voltage_v must have shape (..., {n_samples}), got {voltage.shape}",
-    )
-    batch = measured.shape[:-2]
-    flat = np.ascontiguousarray(measured).reshape(-1, n_channels, n_samples)
-    inputs = np.empty((*voltage.shape, len(Input)))
-    inputs[..., Input.VOLTAGE] = voltage
-    inputs[..., Input.LOAD_TORQUE] = load_torque_n_m
-    inputs = inputs.reshape(-1, n_samples, len(Input))
-    require(len(inputs) in (1, len(flat)), f"voltage_v must have 1 or {len(flat)} rows, got {len(inputs)}")
-    transition = kalman.model.transition.reshape(-1, N_STATES, N_STATES)
-    require(
-        len(transition) in (1, len(flat)),
-        f"the belief must be of 1 or {len(flat)} motors, got {len(transition)}",
-    )
-    nominal = np.empty((max(len(inputs), len(transition)), n_samples, N_STATES))
-    gain = np.ascontiguousarray(kalman.model.gain.reshape(-1, N_STATES, len(Input)))
-    propagate_nominal(transition, gain, kalman.initial_state, inputs, nominal)
-    return _Series(flat, batch, nominal)
-
-
-def output_coordinates(
-    transition: FloatArray, row: FloatArray, forward: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Motion (a, b, d) and gains (g, h) of a state (p, q) whose p is the output `row` x (Luenberger 1967).
-
-    p <- a p + q + g e and q <- b p + d q + h e: three factors instead of six, and the output without any.
-    `forward` is A K of each sample, shape (n_samples, 2), and so are the gains.
+    Attributes:
+        whitened: innovation times the inverse of S's Cholesky factor, shape (..., n_samples, n_channels).
+        nis: normalised innovation squared over the channels measured, shape (..., n_samples); 0 where none was.
+        log_likelihood: of all samples measured, shape (...).
     """
-    basis = np.array([row, [-row[1], row[0]]])
-    moved = basis @ transition @ np.linalg.inv(basis)
-    gain = forward @ basis.T
-    couple = moved[0, 1]
-    return np.array([moved[0, 0], couple * moved[1, 0], moved[1, 1]]), gain * np.array([1.0, couple])
+
+    whitened: FloatArray
+    nis: FloatArray
+    log_likelihood: FloatArray
 
 
-def _common_gain(
-    kalman: KalmanFilter, series: _Series, plan: Schedule, dtype: type[np.floating]
-) -> tuple[AnyFloat, AnyFloat]:
-    """Innovations (n_cases, n_samples, n_channels) and NIS where all cases share the gain.
-
-    The deviation from the nominal trajectory is filtered, so that in single precision nothing large is subtracted.
-    """
-    n_cases, n_channels, n_samples = series.measured.shape
-    transition = kalman.model.transition
-    # One block for both: two arrays of some megabytes would go back to the system after each call, and their pages
-    # be zeroed anew in the next one, which took longer than to filter.
-    size = n_cases * n_samples
-    block = np.empty(size * (n_channels + 1), dtype=dtype)
-    innovation = block[: size * n_channels].reshape(n_cases, n_samples, n_channels)
-    nis = block[size * n_channels :].reshape(n_cases, n_samples)
-    expected = series.nominal @ kalman.observation.T
-    forward = transition @ plan.gain
-    if n_channels == 1:
-        a, gain = output_coordinates(transition, kalman.observation[0], forward[:, :, 0])
-        filter_one_channel(
-            a.astype(dtype),
-            gain.astype(dtype),
-            (1.0 / plan.innovation_covariance[:, 0, 0]).astype(dtype),
-            np.ascontiguousarray(expected[:, :, 0]),
-            series.measured[:, 0],
-            innovation[:, :, 0],
-            nis,
-        )
-    else:
-        filter_two_channels(
-            transition.astype(dtype),
-            kalman.observation.astype(dtype),
-            np.ascontiguousarray(forward, dtype=dtype),
-            np.linalg.inv(plan.innovation_covariance).astype(dtype),
-            expected,
-            series.measured,
-            innovation,
-            nis,
-        )
-    return innovation, nis
-
-
-def filter_residuals(
-    kalman: KalmanFilter,
-    measurements: ArrayLike,
-    voltage_v: ArrayLike,
-    load_torque_n_m: ArrayLike = 0.0,
-    *,
-    dtype: type[np.float32 | np.float64] = np.float64,
-) -> Residuals:
-    """Innovations and NIS of many transients, and nothing else: the quick way (Kalman 1960).
-
-    Args:
-        kalman: the belief, of one motor.
-        measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples); float32 is read as it is.
-        voltage_v: believed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
-        load_torque_n_m: believed load, scalar or the shape of `voltage_v`.
-        dtype: precision of innovations and NIS. Covariances are in double precision always: they depend on no data,
-            so that costs nothing.
-
-    Raises:
-        ValueError: shapes do not fit, a sample is not finite (`run_filter` takes missing samples), or another dtype.
-    """
-    require(dtype in {np.float32, np.float64}, f"dtype must be float32 or float64, got {np.dtype(dtype)}")
-    plan = schedule(kalman, np.shape(measurements)[-1])
-    series = _series(kalman, measurements, voltage_v, load_torque_n_m)
-    innovation, nis = _common_gain(kalman, series, plan, dtype)
-    # A sample that is not finite makes all later innovations of its case not finite.
-    require(
-        bool(np.isfinite(innovation[:, -1]).all()), "measurements must be finite, got a value that is not"
-    )
-    n_samples = innovation.shape[1]
-    return Residuals(
-        innovation.reshape(*series.batch, n_samples, -1),
-        plan.innovation_covariance,
-        nis.reshape(*series.batch, n_samples),
-    )
-
-
-def run_filter(
-    kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike = 0.0
-) -> FilterResult:
-    """Filter one or many measured transients (Kalman 1960; paper, Table 1); `smoothing.smooth` looks back from there.
-
-    Args:
-        kalman: the belief, of one motor or of one for each case.
-        measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples). NaN is a missing sample: it
-            updates nothing. The answer is in double precision, also for float32.
-        voltage_v: believed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
-        load_torque_n_m: believed load, scalar or the shape of `voltage_v`.
-
-    Raises:
-        ValueError: shapes do not fit, or a measurement is infinite.
-    """
-    series = _series(kalman, measurements, voltage_v, load_torque_n_m)
-    require(not bool(np.isinf(series.measured).any()), "measurements must be finite, got an infinite value")
-    own_covariance = kalman.model.transition.ndim > 2 or bool(np.isnan(series.measured).any())
-    parts = _with_own_covariance(kalman, series) if own_covariance else _with_common(kalman, series)
-    innovation, innovation_covariance, state, covariance, gain = parts
-    n_samples, n_channels = innovation.shape[1:]
-    whitened, log_determinant, missing = whitened_innovation(innovation, innovation_covariance)
-    nis = np.square(np.where(missing, 0.0, whitened)).sum(axis=-1)
-    log_determinant = np.where(missing, 0.0, log_determinant).sum(axis=(-2, -1))
-    measured_values = (~missing).sum(axis=(-2, -1))
-    log_likelihood = -0.5 * (nis.sum(axis=-1) + log_determinant + measured_values * np.log(2.0 * np.pi))
-    batch = series.batch
-    lead = batch if own_covariance else ()
-    return FilterResult(
-        innovation=innovation.reshape(*batch, n_samples, n_channels),
-        innovation_covariance=innovation_covariance.reshape(*lead, n_samples, n_channels, n_channels),
-        whitened=whitened.reshape(*batch, n_samples, n_channels),
-        nis=nis.reshape(*batch, n_samples),
-        log_likelihood=log_likelihood.reshape(batch),
-        state=state.reshape(*batch, n_samples, N_STATES),
-        covariance=covariance.reshape(*lead, n_samples, N_STATES, N_STATES),
-        gain=gain.reshape(*lead, n_samples, N_STATES, n_channels),
-    )
-
-
-_Parts = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-
-
-def _with_common(kalman: KalmanFilter, series: _Series) -> _Parts:
-    n_samples = series.measured.shape[-1]
-    plan = schedule(kalman, n_samples)
-    found, _ = _common_gain(kalman, series, plan, np.float64)
-    innovation = found.astype(np.float64, copy=False)
-    state = np.empty((len(innovation), n_samples, N_STATES))
-    filter_states(kalman.model.transition, plan.gain, series.nominal, innovation, state)
-    return innovation, plan.innovation_covariance, state, plan.covariance, plan.gain
-
-
-def _with_own_covariance(kalman: KalmanFilter, series: _Series) -> _Parts:
-    n_cases, m, n_samples = series.measured.shape
-    observation, noise = padded_sensor(kalman)
-    measured = np.full((n_cases, 2, n_samples), np.nan)
-    measured[:, :m] = series.measured
-    innovation, state = np.empty((n_cases, n_samples, 2)), np.empty((n_cases, n_samples, N_STATES))
-    innovation_covariance, covariance, gain = (np.empty((n_cases, n_samples, 2, 2)) for _ in range(3))
-    filter_case_by_case(
-        np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES),
-        kalman.process_covariance,
-        observation,
-        noise,
-        kalman.initial_covariance,
-        series.nominal,
-        measured,
-        innovation,
-        innovation_covariance,
-        state,
-        covariance,
-        gain,
-    )
-    cut = innovation_covariance[..., :m, :m]
-    return innovation[..., :m], np.ascontiguousarray(cut), state, covariance, gain[..., :m]
-
-
-def whitened_innovation(
-    innovation: FloatArray, innovation_covariance: FloatArray
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Innovation by the inverse Cholesky factor of S, log of S's pivots, and what is missing, all by channel.
+def score(innovation: FloatArray, innovation_covariance: FloatArray) -> Scores:
+    """Whitened innovations, NIS and log-likelihood (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4; Schweppe 1965).
 
     Where the first of two channels is missing the second is scaled alone; S has no covariance between them then.
+
+    Args:
+        innovation: of one or two channels, shape (..., n_samples, n_channels); NaN is missing.
+        innovation_covariance: S, shape (..., n_samples, n_channels, n_channels).
     """
     missing = np.isnan(innovation)
     pivot = innovation_covariance[..., 0, 0]
@@ -446,4 +232,8 @@ def whitened_innovation(
         first = np.where(missing[..., 0], 0.0, innovation[..., 0])
         whitened[..., 1] = (innovation[..., 1] - slope * first) / np.sqrt(rest)
         log_pivot.append(np.log(rest))
-    return whitened, np.stack(log_pivot, axis=-1), missing
+    nis = np.square(np.where(missing, 0.0, whitened)).sum(axis=-1)
+    log_determinant = np.where(missing, 0.0, np.stack(log_pivot, axis=-1)).sum(axis=(-2, -1))
+    n_measured = (~missing).sum(axis=(-2, -1))
+    log_likelihood = -0.5 * (nis.sum(axis=-1) + log_determinant + n_measured * np.log(2.0 * np.pi))
+    return Scores(whitened, nis, log_likelihood)

@@ -18,7 +18,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from motor_env.filters.kalman import FilterResult, KalmanFilter, padded_sensor
+from motor_env.filters.batch import FilterResult
+from motor_env.filters.kalman import KalmanFilter, padded_sensor
 from motor_env.motor.model import N_STATES
 from motor_env.motor.parameters import FloatArray
 

@@ -1,4 +1,4 @@
-"""The Kalman filter in service: one sample at a time, with the numbers of `motor_env.filters.kalman.run_filter`."""
+"""The Kalman filter in service: one sample at a time, with the numbers of `motor_env.filters.batch.run_filter`."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.filters.kalman import KalmanFilter, whitened_innovation
+from motor_env.filters.kalman import KalmanFilter, measurement_update, score
 from motor_env.motor.model import N_STATES, Input
 from motor_env.motor.parameters import FloatArray
 
 
 class StreamSample(NamedTuple):
-    """What one sample told, for each of the streams.
+    """The filter's results for one sample of each stream.
 
     Attributes:
         innovation: shape (n_streams, n_channels).
@@ -30,8 +30,6 @@ class StreamSample(NamedTuple):
 
 class FilterStream:
     """A filter in service: `update(sample)` gives what `run_filter` gives at that sample.
-
-    It filters each sample as a batch of one from the state where the last one left it.
 
     Attributes:
         kalman: the belief, from which it began.
@@ -57,27 +55,18 @@ class FilterStream:
             voltage_v: voltage held in the interval that the sample ends, scalar or shape (n_streams,).
             load_torque_n_m: load torque in that interval.
         """
-        m = len(self.kalman.observation)
-        measured = np.asarray(measurement, dtype=np.float64).reshape(self.n_streams, m)
-        missing = np.isnan(measured)
+        kalman, a = self.kalman, self._transition
+        measured = np.asarray(measurement, dtype=np.float64).reshape(self.n_streams, len(kalman.observation))
         inputs = np.empty((self.n_streams, len(Input)))
         inputs[:, Input.VOLTAGE] = voltage_v
         inputs[:, Input.LOAD_TORQUE] = load_torque_n_m
-        a = self._transition
-        state = (a @ self._state[:, :, None] + self._gain @ inputs[:, :, None])[:, :, 0]
-        covariance = a @ self._covariance @ np.swapaxes(a, 1, 2) + self.kalman.process_covariance
-        c = np.where(missing[:, :, None], 0.0, self.kalman.observation)
-        off = missing[:, :, None] ^ missing[:, None, :]
-        noise = np.where(off, 0.0, self.kalman.measurement_covariance)
-        spread = c @ covariance @ np.swapaxes(c, 1, 2) + noise
-        gain = np.swapaxes(np.linalg.solve(spread, c @ covariance), 1, 2)
-        left = np.eye(N_STATES) - gain @ c
-        innovation = measured - state @ self.kalman.observation.T
-        known = np.where(missing, 0.0, innovation)
-        self._state = state + (gain @ known[:, :, None])[:, :, 0]
-        self._covariance = left @ covariance @ np.swapaxes(left, 1, 2) + gain @ noise @ np.swapaxes(
-            gain, 1, 2
+        updated = measurement_update(
+            (a @ self._state[:, :, None] + self._gain @ inputs[:, :, None])[:, :, 0],
+            a @ self._covariance @ np.swapaxes(a, 1, 2) + kalman.process_covariance,
+            measured,
+            observation=kalman.observation,
+            noise=kalman.measurement_covariance,
         )
-        whitened, _, _ = whitened_innovation(innovation, spread)
-        nis = np.square(np.where(missing, 0.0, whitened)).sum(axis=-1)
-        return StreamSample(innovation, whitened, nis, self._state.copy())
+        self._state, self._covariance = updated.state, updated.covariance
+        scores = score(updated.innovation[:, None], updated.innovation_covariance[:, None])
+        return StreamSample(updated.innovation, scores.whitened[:, 0], scores.nis[:, 0], self._state.copy())

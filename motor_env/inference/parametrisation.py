@@ -12,16 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from motor_env.motor.model import N_INPUTS, N_STATES, Input, discretize
-from motor_env.motor.parameters import FloatArray, MotorParameters, require
+from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters, require
 
-_FIELDS: dict[str, tuple[str, ...]] = {
-    "supply": (),
-    "resistance": ("resistance_ohm",),
-    "inductance": ("inductance_h",),
-    "constants": ("back_emf_constant_v_s_per_rad", "torque_constant_n_m_per_a"),
-    "inertia": ("inertia_kg_m2",),
-    "friction": ("viscous_friction_n_m_s_per_rad",),
-}
+_FIELDS: dict[str, tuple[str, ...]] = {"supply": (), **QUANTITY_FIELDS}
 
 QUANTITIES = tuple(_FIELDS)
 """What a fit can free: a factor on the supply, or on a parameter; `constants` is one common factor on Kt and Kb."""

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from motor_env.filters.kalman import KalmanFilter, run_filter
+from motor_env.filters.batch import run_filter
+from motor_env.filters.kalman import KalmanFilter
 from motor_env.inference.posterior import class_coordinates
 from motor_env.inference.sensitivities import jacobian
 from motor_env.motor.faults import Fault, apply_fault

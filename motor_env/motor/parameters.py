@@ -53,6 +53,16 @@ def require_positive(name: str, value: Floats, *, zero_allowed: bool = False) ->
         raise ValueError(f"{name} must be finite and {'>=' if zero_allowed else '>'} 0, got {bad:g}")
 
 
+QUANTITY_FIELDS: dict[str, tuple[str, ...]] = {
+    "resistance": ("resistance_ohm",),
+    "inductance": ("inductance_h",),
+    "constants": ("back_emf_constant_v_s_per_rad", "torque_constant_n_m_per_a"),
+    "inertia": ("inertia_kg_m2",),
+    "friction": ("viscous_friction_n_m_s_per_rad",),
+}
+"""Parameters that each quantity scales: `constants` is one common factor on Kt and Kb."""
+
+
 @dataclass(frozen=True, slots=True)
 class MotorParameters:
     """The textbook brushed DC motor (paper, part 2B).

@@ -14,7 +14,8 @@ from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, Transfo
 from sklearn.utils.validation import check_is_fitted
 
 from motor_classifiers.estimators.cases import fitting_recipe, flat_cases, with_channels
-from motor_env.filters.kalman import KalmanFilter, run_filter
+from motor_env.filters.batch import run_filter
+from motor_env.filters.kalman import KalmanFilter
 from motor_env.inference.features import FEATURE_NAMES, physical_features
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe, draw

@@ -8,7 +8,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.filters.kalman import KalmanFilter, run_filter
+from motor_env.filters.batch import run_filter
+from motor_env.filters.kalman import KalmanFilter
 from motor_env.filters.stream import FilterStream
 from motor_env.inference.posterior import class_coordinates
 from motor_env.inference.whitening import MarginalWhitener

@@ -23,7 +23,8 @@ from motor_env.apps import lab
 from motor_env.apps.lab_server import address, make_server
 from motor_env.cli import main
 from motor_env.errors import InputError
-from motor_env.filters.kalman import KalmanFilter, run_filter
+from motor_env.filters.batch import run_filter
+from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.parameters import CATALOGUE, SensorParameters
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

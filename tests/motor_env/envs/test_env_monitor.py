@@ -14,7 +14,8 @@ from motor_env.envs.base import Info
 from motor_env.envs.monitor import MonitorEnv
 from motor_env.envs.noise import LANES, case_of
 from motor_env.envs.setup import converged_gain
-from motor_env.filters.kalman import KalmanFilter, run_filter, schedule
+from motor_env.filters.batch import run_filter
+from motor_env.filters.kalman import KalmanFilter, schedule
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray

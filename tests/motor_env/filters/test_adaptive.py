@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from motor_env.filters.adaptive import MEMORY, adapted_noise, adaptive_filter
-from motor_env.filters.kalman import KalmanFilter, run_filter
+from motor_env.filters.batch import run_filter
+from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, SensorParameters
 from motor_env.simulation.simulate import Scenario, Timing, simulate
 

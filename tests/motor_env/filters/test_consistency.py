@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 
 from motor_env.detection.rules import Cusum
-from motor_env.filters.consistency import (
-    check_consistency,
-    choose_process_noise,
-    matched_power,
-    signature_energy,
-)
-from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, KalmanFilter, run_filter
+from motor_env.filters.batch import run_filter
+from motor_env.filters.consistency import check_consistency
+from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, KalmanFilter
+from motor_env.filters.process_noise import choose_process_noise, matched_power, signature_energy
 from motor_env.motor.faults import Fault, FaultKind, apply_fault
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray, SensorParameters
 from motor_env.simulation.simulate import Scenario, Timing, simulate
@@ -50,10 +47,11 @@ def test_each_kind_of_inconsistency_is_named(spoil: Callable[[FloatArray], Float
 def test_too_much_process_noise_absorbs_a_bearing_fault() -> None:
     faulty = apply_fault(PAPER_MOTOR, Fault(FaultKind.BEARING, 0.1))
     voltage = np.full(1000, 12.0)
-    energy = [
-        signature_energy(PAPER_MOTOR, faulty, SENSOR, 1e-4, voltage, std)
+    beliefs = [
+        KalmanFilter.from_parameters(PAPER_MOTOR, SENSOR, 1e-4, process_noise_std=std)
         for std in ((0.0, 0.0), (1e-5, 1e-3), (1e-2, 0.316))
     ]
+    energy = [signature_energy(belief, faulty, voltage, 1e-4) for belief in beliefs]
     # Without process noise it is the separation of the two known signals, 3.8 at 20 mA.
     assert energy[0] == pytest.approx(3.8, abs=0.1)
     assert energy[0] > energy[1] > energy[2]

@@ -8,14 +8,8 @@ from filterpy.kalman import KalmanFilter as FilterpyFilter
 from hypothesis import given, strategies as st
 from scipy.stats import chi2, multivariate_normal
 
-from motor_env.filters.kalman import (
-    KalmanFilter,
-    filter_residuals,
-    predict,
-    run_filter,
-    schedule,
-    update,
-)
+from motor_env.filters.batch import filter_residuals, run_filter
+from motor_env.filters.kalman import KalmanFilter, gain_and_covariance, schedule
 from motor_env.filters.smoothing import smooth
 from motor_env.filters.stream import FilterStream
 from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, SensorParameters
@@ -185,19 +179,6 @@ def test_filter_agrees_with_filterpy(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_predict_and_update_are_the_steps_of_the_batch(name: str) -> None:
-    kalman = correlated(belief(SENSORS[name]))
-    measured, voltage = random_case(len(kalman.observation), 30)
-    result = run_filter(kalman, measured, voltage)
-    state, covariance = kalman.initial_state, kalman.initial_covariance
-    for k in range(30):
-        state, covariance = predict(kalman, state, covariance, np.array([voltage[k], 0.0]))
-        state, covariance, innovation, _ = update(kalman, state, covariance, measured[2, :, k])
-        np.testing.assert_allclose(innovation, result.innovation[2, k], atol=1e-11)
-        np.testing.assert_allclose(state, result.state[2, k], atol=1e-11)
-
-
-@pytest.mark.parametrize("name", SENSORS)
 def test_stream_gives_what_the_batch_gives(name: str) -> None:
     kalman = correlated(belief(SENSORS[name]))
     measured, voltage = random_case(len(kalman.observation), 50)
@@ -308,10 +289,10 @@ def test_the_converged_gain_is_detected_and_held(name: str) -> None:
     np.testing.assert_array_equal(
         plan.gain[plan.held_from :], plan.gain[[plan.held_from - 1]].repeat(4000 - plan.held_from, 0)
     )
-    covariance = kalman.initial_covariance
+    a, covariance = kalman.model.transition, kalman.initial_covariance
     for _ in range(4000):
-        _, covariance = predict(kalman, np.zeros(2), covariance, np.zeros(2))
-        _, covariance, _, _ = update(kalman, np.zeros(2), covariance, np.zeros(len(kalman.observation)))
+        predicted = a @ covariance @ a.T + kalman.process_covariance
+        *_, covariance = gain_and_covariance(predicted, kalman.observation, kalman.measurement_covariance)
     np.testing.assert_allclose(plan.covariance[-1], covariance, rtol=1e-9)
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, norm
 
-from motor_env.filters.kalman import KalmanFilter, run_filter
+from motor_env.filters.batch import run_filter
+from motor_env.filters.kalman import KalmanFilter
 from motor_env.inference.whitening import MarginalWhitener, MatchedTest, innovation_slopes
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters
