@@ -57,7 +57,9 @@ def main() -> None:
             cells.append(f"{sum(good)}/{len(good)}")
             wrong.update(f"{truth}: {d.verdict}" for d, ok in zip(found, good, strict=True) if not ok)
             told = [
-                " ".join([*d.recording.columns, *(d.identified.defects if d.identified else d.reasons)])
+                " ".join(
+                    [*d.recording.columns, *(map(str, d.identified.defects) if d.identified else d.reasons)]
+                )
                 for d in found
             ]
             noticed += sum(DEFECTS[name].words in text for text in told)

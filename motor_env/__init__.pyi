@@ -92,8 +92,10 @@ from .motor.parameters import (
     SupplyParameters as SupplyParameters,
     catalogue_motor as catalogue_motor,
 )
-from .recordings.recording import (
+from .recordings.headers import (
     ColumnChoice as ColumnChoice,
+)
+from .recordings.recording import (
     Recording as Recording,
     read_recording as read_recording,
 )

@@ -215,7 +215,7 @@ def identify(
     """
     from motor_env.diagnosis import commission as steps
     from motor_env.motor.data_sheet import save_motor
-    from motor_env.recordings.recording import ColumnChoice
+    from motor_env.recordings.headers import ColumnChoice
 
     choices, circuit = [ColumnChoice.parse(text) for text in column or ()], _circuit(shunt_ohm, sensor_lag)
     periods = ripple_periods_per_turn
@@ -270,7 +270,7 @@ def commission(
     """
     from motor_env.diagnosis import commission as steps
     from motor_env.motor.data_sheet import save_motor
-    from motor_env.recordings.recording import ColumnChoice
+    from motor_env.recordings.headers import ColumnChoice
 
     if not 0.0 < false_alarm_rate < 0.5:
         raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
@@ -337,7 +337,7 @@ def coastdown(file: Path, *, json_: Annotated[bool, Parameter(name="--json", neg
     from dataclasses import asdict
 
     from motor_env.identification.coastdown import fit_coastdown
-    from motor_env.recordings.alignment import UnusableError
+    from motor_env.recordings.defects import UnusableError
     from motor_env.recordings.recording import read_recording
 
     recording = read_recording(file)

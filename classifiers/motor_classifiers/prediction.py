@@ -24,7 +24,8 @@ from motor_env.motor.data_sheet import MotorFile, Tolerance
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.model import State
 from motor_env.motor.parameters import Channel, FloatArray
-from motor_env.recordings.alignment import Alignment, UnusableError, align
+from motor_env.recordings.alignment import Alignment, align
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.start import prepare
 from motor_env.simulation.recipes import Recipe

@@ -20,8 +20,9 @@ from motor_env.identification.residuals import AMBIGUOUS
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import MotorFile, StartReference
 from motor_env.motor.parameters import MotorParameters
-from motor_env.recordings.alignment import UnusableError
-from motor_env.recordings.recording import ColumnChoice, Recording, read_recording
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.headers import ColumnChoice
+from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.splitting import chosen_starts, split_starts
 from motor_env.recordings.start import Circuit, prepare
 
@@ -195,7 +196,7 @@ def identified_json(
         "onset_s": fit.onset_s,
         "offset_a": fit.offset_a,
         "columns": list(recording.columns),
-        "defects": list(fit.defects),
+        "defects": [str(defect) for defect in fit.defects],
         "not_told": not_told(fit),
     }
 

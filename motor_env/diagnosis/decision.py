@@ -264,7 +264,7 @@ def _noise_is_hidden(fit: Identified, reference: Reference) -> bool:
     alignment = fit.start.alignment
     coarse = alignment.quantum_a > math.exp(reference.log_noise or 0.0)
     hides = alignment.rectified or fit.extension.dead_zone_a > 0.0
-    return coarse or hides or any(defect.startswith("PWM") for defect in fit.defects)
+    return coarse or hides or bool(fit.start.lines)
 
 
 def _fisher(squared: float, n: int, freedom: float) -> float:

@@ -15,7 +15,7 @@ from motor_env.identification.commutation import ripple_quantities
 from motor_env.identification.identify import EXTENSIONS, NUISANCES, Identified, identify, identify_best
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import MotorFile, StartReference
-from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 from motor_env.recordings.start import Circuit, Start, prepare
 
@@ -51,7 +51,7 @@ def diagnose(
         typical = None
         if reference is not None:
             typical = dict(zip(reference.names, np.exp(reference.log_values).tolist(), strict=True))
-        if _clipped(start):
+        if start.alignment.saturation:
             fit = identify(start, constant=constant)
         elif reference is None:
             fit = identify_best(start, EXTENSIONS, constant=constant)
@@ -108,14 +108,9 @@ def _reference(start: Start, motor: MotorFile | None, learned: StartReference | 
     return None if motor is None else reference_from_motor(motor, **which)
 
 
-def _clipped(start: Start) -> str | None:
-    """The sentence on saturation, where there is some."""
-    return next((defect for defect in start.alignment.defects if defect.startswith("saturation")), None)
-
-
 def _trouble(fit: Identified) -> str | None:
     """Why a fit cannot carry a verdict."""
-    clipped = _clipped(fit.start)
+    clipped = fit.start.alignment.saturation
     if clipped:
         return f"the recording is clipped, {clipped}"
     if fit.r2_current < _POOR_FIT:

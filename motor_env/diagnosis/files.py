@@ -16,8 +16,9 @@ from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
 from motor_env.diagnosis.pictures import plot_diagnosis
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import MotorFile, StartReference, load_motor
-from motor_env.recordings.alignment import UnusableError
-from motor_env.recordings.recording import ColumnChoice, Recording, read_recording
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.headers import ColumnChoice
+from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.splitting import chosen_starts, split_starts
 from motor_env.recordings.start import Circuit
 

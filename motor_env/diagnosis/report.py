@@ -68,7 +68,7 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
         "warning": diagnosis.warning or None,
         "commutation": None if fit is None else ripple_json(fit, periods_per_turn),
         "columns": list(diagnosis.recording.columns),
-        "defects": [] if fit is None else list(fit.defects),
+        "defects": [] if fit is None else [str(defect) for defect in fit.defects],
     }
 
 

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from motor_env.identification.identify import STRONG_EVIDENCE
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 
 _FEWEST = 20

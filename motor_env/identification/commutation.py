@@ -16,7 +16,7 @@ from scipy.ndimage import median_filter
 
 from motor_env.identification.identify import Identified
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.alignment import over_angle
+from motor_env.recordings.periodic_lines import over_angle
 
 _FEWEST_SAMPLES = 256
 _FEWEST_PERIODS = 15.0

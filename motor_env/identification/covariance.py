@@ -12,7 +12,7 @@ from scipy.signal import fftconvolve
 
 from motor_env.identification.residuals import Problem
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.alignment import difference_noise
+from motor_env.recordings.noise import difference_noise
 
 _ANYTHING_LOG_SD = 3.0
 

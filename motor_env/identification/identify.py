@@ -14,13 +14,9 @@ from motor_env.identification.residuals import Problem
 from motor_env.identification.start_model import Extension
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
-from motor_env.recordings.alignment import (
-    UnusableError,
-    difference_noise,
-    line_share,
-    over_angle,
-    periodic_lines,
-)
+from motor_env.recordings.defects import Defect, DefectKind, UnusableError
+from motor_env.recordings.noise import difference_noise
+from motor_env.recordings.periodic_lines import line_share, over_angle, periodic_lines
 from motor_env.recordings.start import Start
 
 TEXTBOOK: tuple[str, ...] = ()
@@ -83,31 +79,28 @@ class Identified:
     inductance_off: float = 0.0
 
     @property
-    def defects(self) -> tuple[str, ...]:
-        """What is wrong with the recording, and what of the model it shows, in words."""
-        start = self.start
+    def defects(self) -> tuple[Defect, ...]:
+        """What is wrong with the recording, and what of the model it shows."""
+        start, size = self.start, {name: value for name, (value, _) in self.fitted_extension.items()}
         found = list(start.alignment.defects)
+        for k in start.alignment.wild:
+            where = f"{start.alignment.sign * start.current_a[k]:.3g} A at {start.time_s[k]:.6g} s"
+            found.append(Defect(DefectKind.WILD_SAMPLE, f"a wild sample of {where}, left out"))
+        for line in start.lines:
+            where = f"{line.amplitude_a:.3g} A at {line.frequency_hz:.4g} Hz"
+            found.append(Defect(DefectKind.PWM_RIPPLE, f"PWM ripple of {where} (or an alias of it)"))
+        if "supply_ramp" in size:
+            text = f"supply ramp: it rises in {1e3 * size['supply_ramp']:.3g} ms"
+            curve = ", in a curve" if "supply_curve" in self.model else ""
+            found.append(Defect(DefectKind.SUPPLY_RAMP, text + curve))
         found += [
-            f"a wild sample of {start.alignment.sign * start.current_a[k]:.3g} A at {start.time_s[k]:.6g} s, left out"
-            for k in start.alignment.wild
+            Defect(kind, f"{kind.replace('_', ' ')} of {1e3 * size[kind]:.3g} ms")
+            for kind in (DefectKind.SENSOR_LAG, DefectKind.SPEED_LAG)
+            if kind in size
         ]
-        found += [
-            f"PWM ripple of {line.amplitude_a:.3g} A at {line.frequency_hz:.4g} Hz (or an alias of it)"
-            for line in self.start.lines
-        ]
-        if "supply_ramp" in self.fitted_extension:
-            curved = ", in a curve" if "supply_curve" in self.model else ""
-            rise_ms = 1e3 * self.fitted_extension["supply_ramp"][0]
-            found.append(f"supply ramp: it rises in {rise_ms:.3g} ms{curved}")
-        found += [
-            f"{name.replace('_', ' ')} of {1e3 * self.fitted_extension[name][0]:.3g} ms"
-            for name in ("sensor_lag", "speed_lag")
-            if name in self.fitted_extension
-        ]
-        if "dead_zone" in self.fitted_extension:
-            found.append(
-                f"dead zone: the sensor hides currents below {self.fitted_extension['dead_zone'][0]:.3g} A"
-            )
+        if "dead_zone" in size:
+            text = f"dead zone: the sensor hides currents below {size['dead_zone']:.3g} A"
+            found.append(Defect(DefectKind.DEAD_ZONE, text))
         return tuple(found)
 
     @property

@@ -13,21 +13,13 @@ from typing import Any
 from motor_env.diagnosis.healthy_motor import fit_healthy
 from motor_env.errors import InputError
 from motor_env.identification.identify import Identified, identify
+from motor_env.prognosis.estimates import SECONDS_PER_DAY, Series, build_series, date_of, read_estimates
 from motor_env.prognosis.page import leading, status
-from motor_env.prognosis.trend import (
-    Series,
-    Trend,
-    build_series,
-    date_of,
-    judge_all,
-    read_estimates,
-)
+from motor_env.prognosis.trend import Trend, judge_all
 from motor_env.prognosis.wear import RemainingLife
-from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import read_recording
 from motor_env.recordings.start import prepare
-
-_SECONDS_PER_DAY = 86_400.0
 
 
 class DateSource(StrEnum):
@@ -87,7 +79,7 @@ def _from_recordings(
         if when is None:
             notes.append(f"{file.name}: its name holds no date such as 2026-01-31 (or use --date modified)")
         else:
-            dated.append((when.timestamp() / _SECONDS_PER_DAY, file))
+            dated.append((when.timestamp() / SECONDS_PER_DAY, file))
     fits = _fits(sorted(dated), voltage_v, notes, progress)
     if not fits:
         raise InputError(

@@ -1,9 +1,7 @@
-"""Reading recordings of real motors: which column is what, in which unit; all becomes SI on an even time axis."""
+"""Reading recordings of real motors: all becomes SI on an even time axis."""
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,128 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from motor_env.errors import InputError
-from motor_env.motor.parameters import RAD_S_PER_RPM, FloatArray
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.headers import ColumnChoice, understand
 from motor_env.recordings.tables import Table, read_table
 
 FEWEST_SAMPLES = 20
-QUANTITIES = ("time", "current", "voltage", "speed", "duty")
-COLUMNS = {
-    "time": "time_s",
-    "current": "current_a",
-    "voltage": "voltage_v",
-    "speed": "speed_rad_s",
-    "duty": "duty",
-}
-
-UNITS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    "current": {"a": 1.0, "ma": 1e-3, "ua": 1e-6},
-    "voltage": {"v": 1.0, "mv": 1e-3, "kv": 1e3},
-    "speed": {
-        "rad/s": 1.0,
-        "rad_s": 1.0,
-        "rad/sec": 1.0,
-        "rpm": RAD_S_PER_RPM,
-        "1/min": RAD_S_PER_RPM,
-        "u/min": RAD_S_PER_RPM,
-        "min-1": RAD_S_PER_RPM,
-        "deg/s": math.pi / 180.0,
-        "deg_s": math.pi / 180.0,
-        "°/s": math.pi / 180.0,
-    },
-    "duty": {"1": 1.0, "%": 0.01, "percent": 0.01},
-}
-"""Factors to SI."""
-
-_WORDS: dict[str, frozenset[str]] = {
-    "time": frozenset(
-        ["t", "time", "zeit", "temps", "tempo", "tid", "tiempo", "timestamp", "seconds", "second", "x-axis"]
-    ),
-    "current": frozenset(
-        [
-            "i",
-            "ia",
-            "i_a",
-            "current",
-            "armature_current",
-            "strom",
-            "ankerstrom",
-            "courant",
-            "corrente",
-            "corriente",
-            "iarm",
-            "amps",
-            "ampere",
-        ]
-    ),
-    "voltage": frozenset(
-        [
-            "v",
-            "u",
-            "va",
-            "ua",
-            "vin",
-            "voltage",
-            "spannung",
-            "tension",
-            "tensao",
-            "tensão",
-            "voltaje",
-            "volts",
-            "volt",
-            "supply",
-        ]
-    ),
-    "speed": frozenset(
-        [
-            "w",
-            "n",
-            "omega",
-            "ω",
-            "speed",
-            "velocity",
-            "drehzahl",
-            "vitesse",
-            "velocidade",
-            "velocidad",
-            "rpm",
-            "angular_speed",
-            "wm",
-        ]
-    ),
-    "duty": frozenset(["duty", "duty_cycle", "pwm"]),
-}
-_UNIT_IN_HEADER = re.compile(
-    r"^(?P<name>.*?)\s*(?:[\(\[](?P<bracket>[^\)\]]*)[\)\]]|\bin\s+(?P<word>\S+))\s*$"
-)
-
-
-@dataclass(frozen=True, slots=True)
-class ColumnChoice:
-    """A column that the user names: `current=CH2:mA`, or by number `current=3:mA`."""
-
-    quantity: str
-    column: str
-    unit: str | None = None
-
-    @classmethod
-    def parse(cls, text: str) -> ColumnChoice:
-        """From the option's text.
-
-        Raises:
-            InputError: not of the form quantity=column:unit, or an unknown quantity or unit.
-        """
-        quantity, equals, rest = text.partition("=")
-        column, _, unit = rest.rpartition(":") if ":" in rest else (rest, "", "")
-        if not equals or quantity not in QUANTITIES or not column:
-            raise InputError(
-                f"--column must read QUANTITY=COLUMN or QUANTITY=COLUMN:UNIT with QUANTITY one of"
-                f" {', '.join(QUANTITIES)}, got {text!r}"
-            )
-        known = UNITS[quantity]
-        if unit and _unit_key(unit) not in known:
-            raise InputError(f"--column {quantity}: the unit must be one of {', '.join(known)}, got {unit!r}")
-        return cls(quantity, column, unit or None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,35 +68,6 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
     return _recording(path, table, columns, (*notes, *table.remarks))
 
 
-def _unit_key(unit: str) -> str:
-    return unit.strip().replace("µ", "u").replace("μ", "u").lower()
-
-
-def understand(header: str) -> tuple[str | None, float]:
-    """Quantity and factor to SI of a header such as `current_a`, `I (mA)`, `Speed [rpm]`, `t_ms`; None if unknown."""
-    name, unit = header.strip(), ""
-    match = _UNIT_IN_HEADER.match(name)
-    if match:
-        name, unit = match["name"].strip(), _unit_key(match["bracket"] or match["word"] or "")
-    word = name.lower().replace(" ", "_").strip("_:")
-    for quantity in QUANTITIES:
-        units, words = UNITS[quantity], _WORDS[quantity]
-        if word in words:
-            own = units.get(word, 1.0) if quantity == "speed" else 1.0
-            if not unit:
-                return quantity, own
-            return (quantity, units[unit]) if unit in units else (None, 1.0)
-        for suffix, factor in sorted(units.items(), key=lambda item: -len(item[0])):
-            stem = word.removesuffix(f"_{suffix}")
-            if not unit and stem != word and (stem in words or stem.split("_")[-1] in words):
-                return quantity, factor
-    if unit:
-        for quantity in ("current", "speed", "voltage", "time"):
-            if unit in UNITS[quantity] and not (quantity == "time" and unit == "min"):
-                return quantity, UNITS[quantity][unit]
-    return None, 1.0
-
-
 def _recognise(path: Path, table: Table, choices: Sequence[ColumnChoice]) -> dict[str, tuple[int, float]]:
     found = {choice.quantity: _chosen(path, table, choice) for choice in choices}
     taken = {k for k, _ in found.values()}
@@ -237,11 +89,11 @@ def _recognise(path: Path, table: Table, choices: Sequence[ColumnChoice]) -> dic
                 " --column time=1 --column current=2"
             )
         found = {"time": (0, 1.0), "current": (1, 1.0)}
-    for quantity in ("time", "current"):
+    for quantity, column in (("time", "time_s"), ("current", "current_a")):
         if quantity not in found:
             names = ", ".join(repr(name[:30]) for name in table.names[:8])
             raise InputError(
-                f"{path}, {table.where} {max(table.lines[0] - 1, 1)}: the column {COLUMNS[quantity]} is missing,"
+                f"{path}, {table.where} {max(table.lines[0] - 1, 1)}: the column {column} is missing,"
                 f" found {names}; name it: --column {quantity}=..."
             )
     return found
@@ -257,8 +109,8 @@ def _chosen(path: Path, table: Table, choice: ColumnChoice) -> tuple[int, float]
             f"{path}: there is no column {choice.column}; there are"
             f" {', '.join(filter(None, table.names)) or table.values.shape[1]}"
         )
-    if choice.unit is not None:
-        return k, UNITS[choice.quantity][_unit_key(choice.unit)]
+    if choice.factor is not None:
+        return k, choice.factor
     quantity, factor = understand(table.names[k])
     return k, factor if quantity == choice.quantity else 1.0
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.alignment import wild_samples
+from motor_env.recordings.noise import wild_samples, without_wild
 from motor_env.recordings.recording import Recording
 
 _FEWEST_APART = 40
@@ -28,9 +28,7 @@ def split_starts(recording: Recording) -> list[Recording]:
     if recording.voltage_v is not None:
         begins = _rises(np.abs(recording.voltage_v), rest=_REST)
     else:
-        current = recording.current_a.copy()
-        for k in wild_samples(current):
-            current[k] = 0.5 * (current[k - 1] + current[k + 1])
+        current = without_wild(recording.current_a, wild_samples(recording.current_a))
         current = current - np.median(current[: max(len(current) // 50, 5)])
         begins = _rises(current if current.max() >= -current.min() else -current, rest=_LOW)
     if len(begins) < 2:

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.alignment import Alignment, PeriodicLine, UnusableError, align
+from motor_env.recordings.alignment import Alignment, align
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.periodic_lines import PeriodicLine
 from motor_env.recordings.recording import Recording
 
 _REST_SHARE = 0.05

@@ -1,32 +1,34 @@
-"""Tables of numbers out of the files that people have: text of many kinds, .mat, .npy, .npz, Parquet."""
+"""Tables out of the files that people have: text of many kinds, .mat, .npy, .npz, Parquet."""
 
 from __future__ import annotations
 
 import csv
-import io
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.array_files import read_arrays
+from motor_env.recordings.headers import is_unit
 
 LARGEST_FILE_BYTES = 500_000_000
-_DELIMITERS = ("\t", ";", ",")
+_DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "blank"}
 _DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*$")
-_LOOK_AHEAD = 60
-_CONTROL_SHARE = 0.01
+_LOOK_AHEAD = 60  # rows at the end of a file, far from any preamble, that show its form
+_MOST = 0.8  # of these rows
+_CONTROL_SHARE = 0.01  # more control characters than that are no text
 _FEWEST = 20
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Columns as they stand in a file.
+    """Columns of numbers as they stand in a file.
 
     Attributes:
         names: header of each column, empty strings where there is none.
@@ -43,6 +45,40 @@ class Table:
     remarks: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class TextTable:
+    """Cells of a text file.
+
+    Attributes:
+        path: of the file.
+        delimiter: between cells.
+        decimal_comma: whether a number near the end of the file has a decimal comma.
+        lines: line number of each row, counted from 1; blank lines are left out.
+        rows: cells of each row.
+    """
+
+    path: Path
+    delimiter: str
+    decimal_comma: bool
+    lines: tuple[int, ...]
+    rows: tuple[list[str], ...]
+
+    def number(self, cell: str) -> float:
+        """A cell as a number; ValueError where it is none."""
+        return float(cell.replace(",", ".") if self.decimal_comma else cell)
+
+    def numbers(self, row: list[str], columns: Sequence[int]) -> int:
+        """How many of these columns hold a number in a row."""
+        return sum(column < len(row) and self._is_number(row[column]) for column in columns)
+
+    def _is_number(self, cell: str) -> bool:
+        try:
+            self.number(cell)
+        except ValueError:
+            return False
+        return True
+
+
 def read_table(path: Path) -> Table:
     """Read a table of numbers.
 
@@ -50,15 +86,26 @@ def read_table(path: Path) -> Table:
         InputError: the file is missing, empty, or not of a kind that can be read; a cell is no finite number.
     """
     content = _content(path)
-    match path.suffix.lower():
-        case ".mat":
-            return _columns(path, _mat(path, content))
-        case ".npy" | ".npz":
-            return _columns(path, _numpy(path, content))
-        case ".parquet" | ".pq":
-            return _columns(path, _parquet(path, content))
-        case _:
-            return _text_table(path, _decoded(path, content))
+    arrays = read_arrays(path, content)
+    return _block_of_numbers(_cells(path, content)) if arrays is None else _columns(path, arrays)
+
+
+def read_text_table(path: Path) -> TextTable:
+    """Read a text file as a table of cells.
+
+    Raises:
+        InputError: the file is missing or empty, or no text.
+    """
+    return _cells(path, _content(path))
+
+
+def read_text(path: Path) -> str:
+    """Read a text file, whatever its code page.
+
+    Raises:
+        InputError: the file is missing or empty, or no text.
+    """
+    return _decoded(path, _content(path))
 
 
 def _content(path: Path) -> bytes:
@@ -68,9 +115,9 @@ def _content(path: Path) -> bytes:
         content = path.read_bytes()
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
         reason = (error.strerror or str(error)).lower() if isinstance(error, OSError) else str(error)
         raise InputError(f"{path}: cannot be read ({reason})") from None
     if not content.strip():
@@ -93,129 +140,99 @@ def _decoded(path: Path, content: bytes) -> str:
     raise InputError(f"{path}: is not text, and its ending is none of .mat, .npy, .npz, .parquet")
 
 
-def _text_table(path: Path, text: str) -> Table:
-    lines = text.splitlines()
+def _cells(path: Path, content: bytes) -> TextTable:
+    lines = _decoded(path, content).splitlines()
     delimiter = _delimiter(lines)
-    rows = _rows(path, lines, delimiter)
-    comma = delimiter != "," and any(
-        _DECIMAL_COMMA.match(cell) for _, row in rows[-_LOOK_AHEAD:] for cell in row
-    )
-    first, columns = _block(rows, comma=comma)
-    if first is None:
-        raise InputError(f"{path}: holds no table of numbers")
-    names = _names(rows, first, columns, comma=comma)
-    body = rows[first:]
-    remarks = []
-    if delimiter != ",":
-        remarks.append(f"delimiter {_SPOKEN[delimiter]}")
-    if comma:
-        remarks.append("decimal comma")
-    if body[0][0] > 2:
-        remarks.append(f"numbers begin in line {body[0][0]}")
-    values = _cells(path, body, columns, names, comma=comma)
-    return Table(tuple(names), values, [line for line, _ in body], remarks=tuple(remarks))
-
-
-_SPOKEN = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "blank"}
+    if delimiter == " ":
+        numbered = [(n, line.split()) for n, line in enumerate(lines, 1)]
+    else:
+        try:
+            reader = csv.reader(lines, delimiter=delimiter)
+            numbered = [(reader.line_num, row) for row in reader]
+        except csv.Error as error:
+            raise InputError(f"{path}: is not a table ({error})") from None
+    kept = [(n, row) for n, row in numbered if any(cell.strip() for cell in row)]
+    near_end = (cell for _, row in kept[-_LOOK_AHEAD:] for cell in row)
+    comma = delimiter != "," and any(_DECIMAL_COMMA.match(cell) for cell in near_end)
+    return TextTable(path, delimiter, comma, tuple(n for n, _ in kept), tuple(row for _, row in kept))
 
 
 def _delimiter(lines: list[str]) -> str:
-    """The delimiter that stands in most lines of the end of the file."""
+    """The delimiter that stands in most lines of the end of the file; a comma where none does."""
     tail = [line for line in lines[-_LOOK_AHEAD:] if line.strip()]
-    for delimiter in _DELIMITERS:
-        if sum(delimiter in line for line in tail) > 0.8 * len(tail):
-            return delimiter
-    return " " if sum(len(line.split()) > 1 for line in tail) > 0.8 * len(tail) else ","
+    frequent = (mark for mark in "\t;," if sum(mark in line for line in tail) > _MOST * len(tail))
+    blanks = sum(len(line.split()) > 1 for line in tail) > _MOST * len(tail)
+    return next(frequent, " " if blanks else ",")
 
 
-def _rows(path: Path, lines: list[str], delimiter: str) -> list[tuple[int, list[str]]]:
-    """Rows that are not blank, each with its line number."""
-    if delimiter == " ":
-        return [(n, line.split()) for n, line in enumerate(lines, 1) if line.strip()]
-    try:
-        reader = csv.reader(lines, delimiter=delimiter)
-        return [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise InputError(f"{path}: is not a table ({error})") from None
-
-
-def _is_number(cell: str, *, comma: bool) -> bool:
-    try:
-        float(cell.replace(",", ".") if comma else cell)
-    except ValueError:
-        return False
-    return True
-
-
-def _block(rows: list[tuple[int, list[str]]], *, comma: bool) -> tuple[int | None, list[int]]:
-    """First row and columns of the block of numbers: the columns that are numbers at the end of the file.
-
-    The columns of a scope that writes its settings beside the first samples are empty or text at the end.
-    """
-    tail = rows[-min(_LOOK_AHEAD, max(len(rows) // 2, min(len(rows) - 1, _FEWEST), 1)) :]
-    width = max(len(row) for _, row in tail)
-    columns = [
-        k
-        for k in range(width)
-        if sum(k < len(row) and _is_number(row[k], comma=comma) for _, row in tail) > 0.5 * len(tail)
-    ]
-    if not columns:
-        return None, []
-    for n, (_, row) in enumerate(rows):
-        if all(k < len(row) and _is_number(row[k], comma=comma) for k in columns):
-            return _back(rows, n, columns, comma=comma), columns
-    return None, []
-
-
-def _back(rows: list[tuple[int, list[str]]], first: int, columns: list[int], *, comma: bool) -> int:
-    """Begin of the block with its damaged first rows: rows with a number in them, up to a header without any."""
-
-    def numbers(row: list[str]) -> int:
-        return sum(k < len(row) and _is_number(row[k], comma=comma) for k in columns)
-
-    begin = first
-    while begin > 0 and numbers(rows[begin - 1][1]) and len(rows[begin - 1][1]) == len(rows[first][1]):
-        begin -= 1
-    header_above = begin > 0 and not numbers(rows[begin - 1][1]) and len(rows[begin - 1][1]) > max(columns)
-    return begin if header_above and first - begin <= 2 else first
-
-
-def _names(rows: list[tuple[int, list[str]]], first: int, columns: list[int], *, comma: bool) -> list[str]:
-    """Header above the block: the row above it, with the row of units below the names where there are two."""
-    above = [row for _, row in rows[max(first - 2, 0) : first] if len(row) > max(columns)]
-    above = [row for row in above if not any(_is_number(row[k], comma=comma) for k in columns)]
-    if not above:
-        return ["" for _ in columns]
-    header = [above[-1][k].strip() for k in columns]
-    if len(above) > 1 and all(cell.strip("()[] ") in UNIT_WORDS or not cell for cell in header):
-        return [
-            f"{above[-2][k].strip()} ({unit.strip('()[] ')})" for k, unit in zip(columns, header, strict=True)
-        ]
-    return header
-
-
-def _cells(
-    path: Path, body: list[tuple[int, list[str]]], columns: list[int], names: list[str], *, comma: bool
-) -> FloatArray:
-    values = np.empty((len(body), len(columns)))
-    for n, (line, row) in enumerate(body):
+def _block_of_numbers(table: TextTable) -> Table:
+    """The block of numbers in a text file, with the header above it."""
+    columns = _number_columns(table)
+    is_full = (table.numbers(row, columns) == len(columns) for row in table.rows)
+    first = next((n for n, full in enumerate(is_full) if full), None) if columns else None
+    if first is None:
+        raise InputError(f"{table.path}: holds no table of numbers")
+    first = _with_damaged_rows(table, first, columns)
+    names, lines = _names(table, first, columns), table.lines[first:]
+    remarks = []
+    if table.delimiter != ",":
+        remarks.append(f"delimiter {_DELIMITERS[table.delimiter]}")
+    if table.decimal_comma:
+        remarks.append("decimal comma")
+    if lines[0] > 2:
+        remarks.append(f"numbers begin in line {lines[0]}")
+    values = np.empty((len(lines), len(columns)))
+    for n, row in enumerate(table.rows[first:]):
         for k, column in enumerate(columns):
             name = names[k] or f"number {column + 1}"
-            if column >= len(row) or not row[column].strip():
-                raise InputError(f"{path}, line {line}: the column {name} has no value")
-            cell = row[column]
-            try:
-                value = float(cell.replace(",", ".") if comma else cell)
-            except ValueError:
-                raise InputError(
-                    f"{path}, line {line}: the column {name} must hold numbers, got {cell[:40]!r}"
-                ) from None
-            if not math.isfinite(value):
-                raise InputError(
-                    f"{path}, line {line}: the column {name} must hold finite numbers, got {cell[:40]!r}"
-                )
-            values[n, k] = value
-    return values
+            cell = row[column] if column < len(row) else ""
+            values[n, k] = _value(table, cell, f"line {lines[n]}: the column {name}")
+    return Table(tuple(names), values, lines, remarks=tuple(remarks))
+
+
+def _number_columns(table: TextTable) -> list[int]:
+    """The columns that are numbers at the end of the file.
+
+    The columns of a scope that writes its settings beside the first samples are empty or text there.
+    """
+    count = len(table.rows)
+    tail = table.rows[-min(_LOOK_AHEAD, max(count // 2, min(count - 1, _FEWEST), 1)) :]
+    width = max((len(row) for row in tail), default=0)
+    return [k for k in range(width) if sum(table.numbers(row, [k]) for row in tail) > 0.5 * len(tail)]
+
+
+def _with_damaged_rows(table: TextTable, first: int, columns: Sequence[int]) -> int:
+    """Begin of the block with its damaged first rows: rows with a number in them, up to a header without any."""
+    rows, begin = table.rows, first
+    while begin > 0 and len(rows[begin - 1]) == len(rows[first]) and table.numbers(rows[begin - 1], columns):
+        begin -= 1
+    above = rows[begin - 1] if begin > 0 else []
+    has_header = len(above) > max(columns) and not table.numbers(above, columns)
+    return begin if has_header and first - begin <= 2 else first
+
+
+def _names(table: TextTable, first: int, columns: Sequence[int]) -> list[str]:
+    """Header above the block: the row above it, with the row of units below the names where there are two."""
+    rows = [row for row in table.rows[max(first - 2, 0) : first] if len(row) > max(columns)]
+    headers = [[row[k].strip() for k in columns] for row in rows if not table.numbers(row, columns)]
+    if not headers:
+        return ["" for _ in columns]
+    units = [cell.strip("()[] ") for cell in headers[-1]]
+    if len(headers) > 1 and all(is_unit(unit) or not unit for unit in units):
+        return [f"{name} ({unit})" for name, unit in zip(headers[-2], units, strict=True)]
+    return headers[-1]
+
+
+def _value(table: TextTable, cell: str, where: str) -> float:
+    if not cell.strip():
+        raise InputError(f"{table.path}, {where} has no value")
+    try:
+        value = table.number(cell)
+    except ValueError:
+        raise InputError(f"{table.path}, {where} must hold numbers, got {cell[:40]!r}") from None
+    if not math.isfinite(value):
+        raise InputError(f"{table.path}, {where} must hold finite numbers, got {cell[:40]!r}")
+    return value
 
 
 def _columns(path: Path, arrays: dict[str, Any]) -> Table:
@@ -246,60 +263,3 @@ def _columns(path: Path, arrays: dict[str, Any]) -> Table:
         )
     names = tuple("" if "#" in name else name for name in flat)
     return Table(names, values, range(1, length + 1), where="row")
-
-
-def _mat(path: Path, content: bytes) -> dict[str, Any]:
-    from scipy.io import loadmat
-
-    try:
-        variables = loadmat(cast("Any", io.BytesIO(content)), simplify_cells=True)
-    except Exception as error:  # noqa: BLE001  # a damaged file makes scipy raise anything, struct.error to MemoryError
-        reason = "it is of version 7.3; save it with -v7" if content[:19] == b"MATLAB 7.3 MAT-file" else error
-        raise InputError(f"{path}: is not a MATLAB file that can be read ({_short(reason)})") from None
-    out: dict[str, Any] = {}
-    for name, value in variables.items():
-        if name.startswith("__"):
-            continue
-        out |= value if isinstance(value, dict) else {name: value}
-    return out
-
-
-def _numpy(path: Path, content: bytes) -> dict[str, Any]:
-    try:
-        loaded = np.load(io.BytesIO(content), allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            if loaded.dtype.names:
-                return {name: loaded[name] for name in loaded.dtype.names}
-            return {"array": loaded}
-        return {name: loaded[name] for name in loaded.files}
-    except Exception as error:  # noqa: BLE001  # a damaged file makes NumPy raise anything, zipfile's errors among them
-        raise InputError(f"{path}: is not a NumPy file that can be read ({_short(error)})") from None
-
-
-def _parquet(path: Path, content: bytes) -> dict[str, Any]:
-    from motor_env.errors import require_extra
-
-    require_extra("pyarrow", "datasets")
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        table = pq.read_table(pa.BufferReader(content))
-        return {
-            name: table.column(name).to_numpy()
-            for name in table.column_names
-            if pa.types.is_floating(table.schema.field(name).type)
-            or pa.types.is_integer(table.schema.field(name).type)
-        }
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError(f"{path}: is not a Parquet file that can be read ({_short(error)})") from None
-
-
-def _short(reason: object) -> str:
-    return " ".join(str(reason).split())[:100]
-
-
-_TIME_UNITS = "s sec ms us µs μs ns S Sec MS US"
-_OTHER_UNITS = "a ma µa A mA MA v mv kv V mV MV % hz rpm RPM 1/min u/min min-1 rad/s rad/sec deg/s °/s"
-UNIT_WORDS = frozenset([*_TIME_UNITS.split(), *_OTHER_UNITS.split()])
-"""What stands in a row of units."""

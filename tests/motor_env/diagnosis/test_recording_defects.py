@@ -20,7 +20,8 @@ from motor_env.identification.identify import TEXTBOOK, identify, identify_best
 from motor_env.identification.start_model import Extension, driven
 from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters
-from motor_env.recordings.alignment import difference_noise
+from motor_env.recordings.defects import DefectKind
+from motor_env.recordings.noise import difference_noise
 from motor_env.recordings.recording import Recording
 from motor_env.recordings.splitting import chosen_starts, split_starts
 from motor_env.recordings.start import Circuit, prepare
@@ -53,7 +54,7 @@ def test_a_fault_is_seen_through_each_defect(name: str, truth: Verdict) -> None:
     found = judge(defect, truth, Circuit(shunt_ohm=defect.shunt_ohm))
     assert found.verdict is truth
     assert found.identified is not None
-    assert defect.words in " ".join([*found.recording.columns, *found.identified.defects])
+    assert defect.words in " ".join([*found.recording.columns, *map(str, found.identified.defects)])
 
 
 @pytest.mark.parametrize(
@@ -162,7 +163,7 @@ def test_a_sensor_that_hides_small_currents_is_told_by_the_evidence() -> None:
     fit = identify_best(prepare(hiding))
     assert fit.model == ("dead_zone",)
     assert fit.fitted_extension["dead_zone"][0] == pytest.approx(0.3, abs=0.03)
-    assert any("hides currents below" in defect for defect in fit.defects)
+    assert any(defect.kind is DefectKind.DEAD_ZONE for defect in fit.defects)
     true = identify_best(prepare(plain))
     assert true.model == TEXTBOOK
     assert fit.log_values[0] == pytest.approx(true.log_values[0], abs=0.01)

@@ -18,7 +18,7 @@ from motor_env.diagnosis.files import diagnose_files
 from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
 from motor_env.identification.identify import identify
 from motor_env.motor.data_sheet import load_motor
-from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.start import prepare
 from motor_env.simulation.random_streams import Stream, normals
@@ -278,7 +278,7 @@ def test_real_starts_are_fitted(
 @needs_recordings
 def test_a_wild_sample_of_a_scope_is_named() -> None:
     ((_, fit),) = identify_file(RECORDINGS / "oscillo_lab" / "startup_F0000.csv", voltage_v=12.3)
-    assert "a wild sample of 13.6 A at 0.05 s, left out" in fit.defects
+    assert "a wild sample of 13.6 A at 0.05 s, left out" in [str(defect) for defect in fit.defects]
 
 
 @needs_recordings

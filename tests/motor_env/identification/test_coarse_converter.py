@@ -40,9 +40,9 @@ def recording(current_a: FloatArray) -> Recording:
 def test_a_round_peak_in_coarse_steps_is_not_clipped(rise: float, noise: float) -> None:
     """Its top step lasts long, and it is reached fast: a clipped one is also left fast."""
     current = start(noise, rise=rise)
-    assert not any("saturation" in d for d in align(recording(np.round(current))).defects)
+    assert align(recording(np.round(current))).saturation is None
     clipped = np.round(np.minimum(current, 0.8 * current.max()))
-    assert any("saturation" in d for d in align(recording(clipped)).defects)
+    assert align(recording(clipped)).saturation is not None
 
 
 @pytest.mark.parametrize("noise", [0.25, 0.3, 0.4, 0.5])

@@ -12,8 +12,9 @@ from scipy.stats import invgauss, multivariate_normal
 
 from motor_env.cli import main
 from motor_env.errors import InputError
+from motor_env.prognosis.estimates import Series, build_series, date_of, read_estimates
 from motor_env.prognosis.page import page
-from motor_env.prognosis.trend import Series, build_series, date_of, judge, parse_limits, read_estimates
+from motor_env.prognosis.trend import judge, parse_limits
 from motor_env.prognosis.wear import _filter_grid, degradation, first_passage_cdf
 
 

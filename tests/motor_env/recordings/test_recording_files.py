@@ -9,7 +9,8 @@ from scipy.io import savemat
 from motor_env import cli
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import load_motor
-from motor_env.recordings.recording import ColumnChoice, read_recording, understand
+from motor_env.recordings.headers import ColumnChoice, understand
+from motor_env.recordings.recording import read_recording
 
 TIME = np.linspace(0.0, 0.049, 50)
 CURRENT = np.sin(50.0 * TIME) + 1.0

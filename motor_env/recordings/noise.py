@@ -1,0 +1,94 @@
+"""Noise of a sensor: how large, which samples stand out of it, what a converter's steps hide."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import ndtr
+
+from motor_env.motor.parameters import FloatArray
+
+_FEW = 5
+_MAD_TO_STD = 1.4826
+_INNER_SHARE = 0.75
+_INNER_VARIANCE = 0.36852  # mean square of the smallest three quarters of normal numbers: |z| < 1.15035
+_FEWEST_FOR_WILD = 50
+_WILD_NOISES = 10.0
+_WILD_SHARE = 0.05  # of the current's range: a smaller jump spoils no fit
+_AGREE = 0.2  # of the jump: the neighbours of a wild sample agree so well among themselves
+_SAMPLES_PER_WILD = 1000
+
+
+def difference_noise(values: FloatArray) -> float:
+    """Standard deviation of white noise on a smooth curve, from its second differences; outliers do not count.
+
+    The second difference of white noise has the variance 6 sigma^2. Its smallest three quarters are squared and
+    averaged: a median of a converter's few steps would jump from one step to the next, by a half of the noise.
+    """
+    if len(values) < _FEW:
+        return 0.0
+    second = np.diff(values, n=2)
+    off = np.sort(np.abs(second - np.median(second)))
+    inner = off[: max(round(_INNER_SHARE * len(off)), 1)]
+    spread = math.sqrt(float(np.mean(inner**2)) / _INNER_VARIANCE)
+    return max(spread, 0.5 * float(np.std(second))) / math.sqrt(6.0)
+
+
+def wild_samples(current: FloatArray) -> tuple[int, ...]:
+    """Single samples that stand far off two neighbours on each side, which agree among themselves.
+
+    Where there are more than one in a thousand they are the nature of the signal, and none is called wild.
+    """
+    if len(current) < _FEWEST_FOR_WILD:
+        return ()
+    around = np.stack([current[:-4], current[1:-3], current[3:-1], current[4:]])
+    off = np.abs(current[2:-2] - np.median(around, axis=0))
+    second = np.diff(current, n=2)
+    noise = _MAD_TO_STD * float(np.median(np.abs(second - np.median(second)))) / math.sqrt(6.0)
+    level = float(np.percentile(np.abs(current - np.median(current)), 99))
+    is_wild = (off > max(_WILD_NOISES * noise, _WILD_SHARE * level)) & (np.ptp(around, axis=0) < _AGREE * off)
+    wild = np.flatnonzero(is_wild) + 2
+    return tuple(wild.tolist()) if len(wild) <= len(current) / _SAMPLES_PER_WILD else ()
+
+
+def without_wild(current: FloatArray, wild: Sequence[int]) -> FloatArray:
+    """The current with each wild sample replaced by the mean of its neighbours."""
+    mended = current.copy()
+    for k in wild:
+        mended[k] = 0.5 * (mended[k - 1] + mended[k + 1])
+    return mended
+
+
+def hidden_level(quiet: FloatArray, noise: float, quantum: float) -> float:
+    """What a converter's steps hide of a steady current, given the quiet part, or without one the noise all through.
+
+    Noise dithers it away: the bias falls as exp(-2 pi^2 (noise / step)^2) (Widrow & Kollar 2008, ch. 4).
+    """
+    if len(quiet) == 0:
+        before = math.sqrt(max(noise**2 - quantum**2 / 12.0, 0.0))
+    elif float(np.std(quiet)) > quantum:
+        return 0.0
+    else:
+        before = _noise_before_rounding(quiet, quantum)
+    return quantum / math.sqrt(12.0) * math.exp(-2.0 * (math.pi * before / quantum) ** 2)
+
+
+def _noise_before_rounding(quiet: FloatArray, quantum: float) -> float:
+    """Standard deviation of the noise that a converter then rounds: most likely, from the counts of its steps.
+
+    The variance less step^2 / 12 (Sheppard) is too small where the noise is below half a step.
+    """
+    codes, counts = np.unique(np.rint((quiet - quiet.min()) / quantum), return_counts=True)
+    if len(codes) == 1:
+        return 0.0
+
+    def unlikely(mean_and_log: FloatArray) -> float:
+        mean, noise = mean_and_log[0], math.exp(mean_and_log[1])
+        share = ndtr((codes + 0.5 - mean) / noise) - ndtr((codes - 0.5 - mean) / noise)
+        return -float(counts @ np.log(np.maximum(share, 1e-300)))
+
+    begin = np.array([float(codes @ counts) / len(quiet), math.log(0.4)])
+    return quantum * math.exp(minimize(unlikely, begin, method="Nelder-Mead").x[1])
