@@ -13,8 +13,12 @@ import numpy as np
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import MotorFile, StartReference
 from motor_env.motor.faults import FaultKind
-from motor_env.motor.identifiable import COPPER_PER_KELVIN, MAGNET_PER_KELVIN
-from motor_env.motor.parameters import SensorParameters, SupplyParameters
+from motor_env.motor.parameters import (
+    COPPER_PER_KELVIN,
+    MAGNET_PER_KELVIN,
+    SensorParameters,
+    SupplyParameters,
+)
 from motor_env.simulation.recipes import LARGEST_SPREAD, FaultClass, Recipe, Spread
 from motor_env.simulation.simulate import Timing
 

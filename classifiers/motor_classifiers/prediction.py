@@ -20,6 +20,7 @@ from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.report import as_json
 from motor_env.identification.identify import identify
 from motor_env.inference.features import FEATURE_NAMES, physical_features
+from motor_env.inference.posterior import variance_factor
 from motor_env.motor.data_sheet import MotorFile, Tolerance
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.model import State
@@ -96,9 +97,8 @@ class Opinion(NamedTuple):
 
 
 def verdict_of(label_kind: str) -> str:
-    """Verdict for a fault kind: both winding faults are winding."""
-    windings = (FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT)
-    return "winding" if label_kind in windings else str(label_kind)
+    """Verdict for a label kind: both winding faults are winding; healthy and joint faults keep their label."""
+    return FaultKind(label_kind).verdict if label_kind in FaultKind else str(label_kind)
 
 
 def opinions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Opinion]:
@@ -245,8 +245,8 @@ def aligned_case(
     misfit = features[:, FEATURE_NAMES.index("reduced_chi2")]
     best = int(misfit.argmin())
     n_values = shifted[0].size
-    noisiest = max([c.severity for c in recipe.classes if c.kind is FaultKind.NOISE], default=0.0)
-    largest = (1.0 + noisiest) * (1.0 + _LARGEST_MISFIT * np.sqrt(2.0 / n_values))
+    noisiest = max(map(variance_factor, recipe.classes))
+    largest = noisiest * (1.0 + _LARGEST_MISFIT * np.sqrt(2.0 / n_values))
     level = 1.0 if noise_range is None else _noise_level(shifted[best], recipe, noise_range)
     if misfit[best] > level * largest:
         raise UnusableError(

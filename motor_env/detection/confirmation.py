@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
-from motor_env.motor.faults import FaultKind, apply_faults
+from motor_env.inference.posterior import variance_factor
+from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import FaultClass, Recipe
 
@@ -115,7 +116,7 @@ class ThresholdConfirmation:
         healthy = [c.kind for c in recipe.classes].index(None)
         _check_rate(false_alarm_rate, int((labels == healthy).sum()))
         filters = tuple(class_filter(recipe, c) for c in recipe.classes)
-        with_spread = any(c.kind is FaultKind.NOISE for c in recipe.classes)
+        with_spread = any(kind.changes_noise for kind in recipe.kinds)
         whitened = np.stack([run_filter(belief, measured, voltage).whitened for belief in filters])
         return cls.tune_on_residuals(
             whitened,
@@ -257,9 +258,9 @@ class ThresholdConfirmation:
 
 def class_filter(recipe: Recipe, fault_class: FaultClass) -> KalmanFilter:
     """The filter that believes in one class of the recipe at its nominal parameters (Magill 1965)."""
-    sensor = recipe.sensor
-    if fault_class.kind is FaultKind.NOISE:
-        factor = float(np.sqrt(1.0 + fault_class.severity))
+    sensor, variance = recipe.sensor, variance_factor(fault_class)
+    if variance != 1.0:
+        factor = float(np.sqrt(variance))
         sensor = replace(
             sensor,
             current_noise_a=sensor.current_noise_a * factor,

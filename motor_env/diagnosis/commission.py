@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, smallest_changes
+from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, significance_limit, smallest_changes
 from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
 from motor_env.diagnosis.report import UNITS, extension_unit, ripple_json, ripple_lines
 from motor_env.errors import InputError
@@ -87,9 +87,7 @@ def commission(
     reference = learn_reference(fits)
     first = fits[0].start
     exponents = quantities.matrix(has_voltage=first.voltage_known, has_speed=first.speed_rad_s is not None)
-    quantile = float(
-        stats.t.isf(false_alarm_rate / (len(quantities.FAULT_DIRECTIONS) + 2), reference.degrees_of_freedom)
-    )
+    quantile = significance_limit(false_alarm_rate, exponents, reference.degrees_of_freedom)
     motor = to_motor(fits, name, kind="commissioned", reference=reference)
     smallest = smallest_changes(reference.log_covariance, exponents, quantile)
     return Commissioned(motor, tuple(fits), smallest, quantile)

@@ -24,7 +24,7 @@ from motor_env.diagnosis.filter_check import FilterCheck
 from motor_env.diagnosis.healthy_motor import NORMAL_DOF, Reference, white_error
 from motor_env.identification.identify import Identified
 from motor_env.motor import identifiable as quantities
-from motor_env.motor.faults import FaultKind
+from motor_env.motor.faults import FaultKind, motor_kinds
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.recording import Recording
 
@@ -44,6 +44,7 @@ class Verdict(StrEnum):
     HEALTHY = "healthy"
     BEARING = "bearing"
     WINDING = "winding"
+    MAGNET = "magnet"
     NOISE = "noise"
     OTHER = "other"
     NO_REFERENCE = "no_reference"
@@ -52,15 +53,19 @@ class Verdict(StrEnum):
     @property
     def is_fault(self) -> bool:
         """Whether it calls for action."""
-        return self in _FAULTS
+        return self not in (Verdict.HEALTHY, Verdict.NO_REFERENCE, Verdict.UNUSABLE)
+
+    @classmethod
+    def _missing_(cls, value: object) -> Verdict | None:
+        """The word of a fault kind that was registered from outside the package."""
+        if value not in {kind.verdict for kind in FaultKind}:
+            return None
+        word = str.__new__(cls, value)
+        word._name_, word._value_ = str(value).upper(), str(value)
+        return _REGISTERED.setdefault(str(value), word)
 
 
-_FAULTS = frozenset({Verdict.BEARING, Verdict.WINDING, Verdict.NOISE, Verdict.OTHER})
-_VERDICT_OF = {
-    FaultKind.BEARING: Verdict.BEARING,
-    FaultKind.WINDING_CONTACT: Verdict.WINDING,
-    FaultKind.WINDING_SHORT: Verdict.WINDING,
-}
+_REGISTERED: dict[str, Verdict] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,16 +123,23 @@ class _Candidate:
     left_over: float
 
 
-def _candidates(difference: FloatArray, inverse: FloatArray, exponents: FloatArray) -> list[_Candidate]:
+def _candidates(
+    difference: FloatArray, inverse: FloatArray, exponents: FloatArray, kinds: tuple[FaultKind, ...]
+) -> list[_Candidate]:
     total = float(difference @ inverse @ difference)
     found = []
-    for kind in quantities.FAULT_DIRECTIONS:
-        direction = exponents @ quantities.fault_direction(kind)
+    for kind in kinds:
+        direction = quantities.visible_direction(kind, exponents)
         information = float(direction @ inverse @ direction)
         step = float(direction @ inverse @ difference) / information
         z = step * math.sqrt(information)
         found.append(_Candidate(kind, z, step, 1.0 / math.sqrt(information), total - z * z))
     return found
+
+
+def significance_limit(rate: float, exponents: FloatArray, freedom: float) -> float:
+    """Standard deviations that are significant: the rate is shared among the faults, "other" and the noise."""
+    return float(stats.t.isf(rate / (len(quantities.nameable_kinds(exponents)) + 2), freedom))
 
 
 def smallest_changes(covariance: FloatArray, exponents: FloatArray, limit: float) -> dict[str, float]:
@@ -136,13 +148,13 @@ def smallest_changes(covariance: FloatArray, exponents: FloatArray, limit: float
     none = np.zeros(len(covariance))
     return {
         str(c.kind): _severity(c.kind, (limit + _POWER_QUANTILE) * c.step_sd)
-        for c in _candidates(none, inverse, exponents)
+        for c in _candidates(none, inverse, exponents, quantities.nameable_kinds(exponents))
     }
 
 
 def _severity(kind: FaultKind, step: float) -> float:
-    """Severity of a step of the logarithm along the fault's direction."""
-    return 1.0 - _factor(-step) if kind is FaultKind.WINDING_SHORT else _factor(step) - 1.0
+    """Severity of a step of the logarithm along the fault's direction, cut beyond any motor."""
+    return float(kind.severity(min(max(step, -_LARGEST_LOG), _LARGEST_LOG)))
 
 
 def _factor(log: float) -> float:
@@ -160,9 +172,10 @@ def decide(
     which = {"has_voltage": fit.start.voltage_known, "has_speed": fit.start.speed_rad_s is not None}
     exponents = quantities.matrix(**which)
     freedom, n = reference.degrees_of_freedom, len(difference)
-    share = rate / (len(quantities.FAULT_DIRECTIONS) + 2)
-    limit = float(stats.t.isf(share, freedom))
-    candidates = _candidates(difference, inverse, exponents)
+    kinds = quantities.nameable_kinds(exponents)
+    share = rate / (len(kinds) + 2)
+    limit = significance_limit(rate, exponents, freedom)
+    candidates = _candidates(difference, inverse, exponents, kinds)
     omnibus = _fisher(float(difference @ inverse @ difference), n, freedom)
     noise_z = 0.0
     if reference.log_noise is not None and not _noise_is_hidden(fit, reference):
@@ -182,15 +195,21 @@ def decide(
         smallest_changes=smallest_changes(covariance, exponents, limit),
     )
     significant = [c for c in candidates if c.z > limit]
-    explaining = [c for c in significant if _fisher(c.left_over, n - 1, freedom) > rate]
+
+    def explains(candidate: _Candidate) -> bool:
+        return candidate.z > limit and _fisher(candidate.left_over, n - 1, freedom) > rate
+
+    explaining = [c for c in significant if explains(c)]
     best = max(explaining, key=lambda c: probability[c.kind], default=None)
     if best is not None and probability[best.kind] >= probability["other"]:
         return _called(base, best, float(stats.t.isf(0.025, freedom)), probability)
     if significant or omnibus < share:
+        unnamed = tuple(kind for kind in motor_kinds() if kind not in kinds)
+        alike = filter(explains, _candidates(difference, inverse, exponents, unnamed))
         return replace(
             base,
             verdict=Verdict.OTHER,
-            reasons=_other_reasons(changes, reference),
+            reasons=(*_other_reasons(changes, reference), *map(_alike_reason, alike)),
             severity=None,
             confidence=probability["other"],
         )
@@ -241,15 +260,18 @@ def _unseen_fault(smallest: dict[str, float]) -> str | None:
 
 def _called(base: Diagnosis, best: _Candidate, quantile: float, probability: dict[str, float]) -> Diagnosis:
     """The diagnosis with a known fault in it."""
-    verdict, half = _VERDICT_OF[best.kind], quantile * best.step_sd
+    verdict, half = Verdict(best.kind.verdict), quantile * best.step_sd
     return replace(
         base,
         verdict=verdict,
-        reasons=_fault_reasons(best.kind, base.reference),
+        reasons=(
+            best.kind.finding,
+            "compared with " + ("nothing" if base.reference is None else base.reference.source),
+        ),
         severity=_severity(best.kind, best.step),
         severity_low=_severity(best.kind, best.step - half),
         severity_high=_severity(best.kind, best.step + half),
-        confidence=sum(probability[kind] for kind, word in _VERDICT_OF.items() if word is verdict),
+        confidence=sum(probability.get(kind, 0.0) for kind in motor_kinds() if kind.verdict == verdict),
         fault_kind=best.kind,
     )
 
@@ -312,7 +334,7 @@ def _posterior(
     density = stats.multivariate_t(loc=zero, shape=covariance, df=_whole(freedom))
     logs: dict[str, float] = {"healthy": float(density.logpdf(difference))}
     for candidate in candidates:
-        direction = exponents @ quantities.fault_direction(candidate.kind)
+        direction = quantities.visible_direction(candidate.kind, exponents)
         steps = max(candidate.step, 0.0) + candidate.step_sd * _STEP_NODES
         steps = steps[steps >= 0.0]
         prior = stats.halfcauchy.logpdf(steps, scale=_SEVERITY_PRIOR)
@@ -330,14 +352,12 @@ def _posterior(
     return {name: math.exp(value - total) for name, value in logs.items()}
 
 
-def _fault_reasons(kind: FaultKind, reference: Reference | None) -> tuple[str, ...]:
-    sentence = {
-        FaultKind.BEARING: "friction is up and nothing else moved: look at the bearings, the lubricant and the load",
-        FaultKind.WINDING_CONTACT: "resistance is up and nothing else moved: look at brushes, commutator and"
-        " connections, and at the winding's temperature",
-        FaultKind.WINDING_SHORT: "resistance, inductance and flux are down together: look for shorted turns",
-    }[kind]
-    return (sentence, "compared with " + ("nothing" if reference is None else reference.source))
+def _alike_reason(candidate: _Candidate) -> str:
+    """A fault that explains the difference, and cannot be named because a coupled load would look the same."""
+    return (
+        f"it may be {candidate.kind} by {_severity(candidate.kind, candidate.step):.0%} ({candidate.kind.finding}),"
+        " or a coupled load: a recording of the speed tells which"
+    )
 
 
 def _other_reasons(changes: tuple[Change, ...], reference: Reference) -> tuple[str, ...]:

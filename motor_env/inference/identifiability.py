@@ -17,7 +17,7 @@ from motor_env.inference.fit import Prior, inverse_information
 from motor_env.inference.parametrisation import QUANTITIES, Coordinates
 from motor_env.inference.sensitivities import jacobian
 from motor_env.inference.whitening import MarginalWhitener
-from motor_env.motor.faults import FaultKind
+from motor_env.motor.faults import FaultKind, motor_kinds
 from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, SensorParameters, require
 from motor_env.simulation.recipes import FACTORS, Spread
 from motor_env.simulation.simulate import Timing
@@ -28,13 +28,6 @@ _UNSEEN = (
     0.01  # d' of a change by a factor of e: a direction seen less than this is known to no factor of 1e43
 )
 _CORRELATED = 0.9
-
-FAULT_DIRECTIONS: dict[FaultKind, dict[str, float]] = {
-    FaultKind.BEARING: {"friction": 1.0},
-    FaultKind.WINDING_CONTACT: {"resistance": 1.0},
-    FaultKind.WINDING_SHORT: {"resistance": -1.0, "inductance": -2.0, "constants": -1.0},
-}
-"""First-order change of the logarithms of the quantities for a severity of 1, as `apply_fault` has them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,11 +229,9 @@ def isolability(
     """
     slopes = dict(zip(QUANTITIES, experiment.slopes(parameters, QUANTITIES).T, strict=True))
     nuisances = np.stack([slopes[name] * getattr(spread, name) for name in FACTORS], axis=-1)
+    kinds = motor_kinds()
     signatures = np.stack(
-        [
-            severity * sum(weight * slopes[name] for name, weight in direction.items())
-            for direction in FAULT_DIRECTIONS.values()
-        ]
+        [severity * sum(power * slopes[name] for name, power in kind.motor_powers.items()) for kind in kinds]
     )
     white = MarginalWhitener.from_slopes(nuisances).whiten(signatures[..., None])[..., 0]
     gram = white @ white.T
@@ -248,4 +239,4 @@ def isolability(
     # What is left of fault i when the best multiple of fault j is taken off.
     left = squares[:, None] - np.square(gram) / np.maximum(squares, 1e-300)
     np.fill_diagonal(left, squares)
-    return Isolability(tuple(FAULT_DIRECTIONS), np.sqrt(squares), np.sqrt(np.maximum(left, 0.0)))
+    return Isolability(kinds, np.sqrt(squares), np.sqrt(np.maximum(left, 0.0)))

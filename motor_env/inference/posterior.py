@@ -116,7 +116,9 @@ def class_probabilities(
     prior: Prior | None = None,
 ) -> FloatArray:
     """Posterior of each class (Bayes 1763), shape (n_cases, n_classes), rows summing to 1; as `class_log_evidence`."""
-    joint = class_log_evidence(recipe, measurements, voltage_v, prior) + np.log(recipe.class_probabilities)
+    with np.errstate(divide="ignore"):  # a class that is never drawn
+        log_prior = np.log(recipe.class_probabilities)
+    joint = class_log_evidence(recipe, measurements, voltage_v, prior) + log_prior
     posterior: FloatArray = np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
     return posterior
 

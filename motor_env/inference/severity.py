@@ -29,7 +29,6 @@ _GRID = 201
 _ZOOMS = 4
 _NEGLIGIBLE = 30.0  # a log density this far below the largest adds nothing
 _CHUNK = 512
-_SMALLEST = 1e-12  # a class with a fault needs a severity; this one is healthy to rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +36,7 @@ class SeverityPrior:
     """A kind of fault whose severity is uniform between two bounds.
 
     Raises:
-        ValueError: bounds out of order, negative, or not below 1 for a short.
+        ValueError: bounds out of order, negative, or not below 1 where something is lost.
     """
 
     kind: FaultKind
@@ -50,10 +49,7 @@ class SeverityPrior:
             0.0 <= self.smallest < self.largest < np.inf,
             f"severity of {self.kind} must range from >= 0 to more, got {self.smallest:g} to {self.largest:g}",
         )
-        require(
-            self.kind is not FaultKind.WINDING_SHORT or self.largest < 1.0,
-            f"severity of winding_short must be < 1, got {self.largest:g}",
-        )
+        self.kind.require_severity(self.largest)
 
     def at(self, position: FloatArray) -> FloatArray:
         """Severities at positions from -1 (smallest) to 1 (largest)."""
@@ -166,7 +162,7 @@ def _evidence_at(
     """Log evidence at each severity, shape (n_severities, n_cases)."""
     evidence = np.empty((len(severities), observed.n_cases))
     for row, severity in enumerate(severities):
-        fault_class = FaultClass(prior.kind, max(float(severity), _SMALLEST))
+        fault_class = FaultClass(prior.kind, float(severity)) if severity > 0.0 else FaultClass()
         noisy = observed.with_variance(variance_factor(fault_class))
         evidence[row] = laplace_evidence(noisy, class_coordinates(recipe, fault_class))
     return evidence

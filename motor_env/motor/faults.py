@@ -1,15 +1,29 @@
-"""Faults as values: what is wrong, how much, since when, and what that does to the parameters."""
+"""Faults as values: what is wrong, how much, since when, and what that does to the parameters.
+
+The table of the fault kinds stands here, once. A kind is a few powers: a fault of severity s multiplies each quantity
+of the motor by (1 + s)^power, or, where all powers are negative, by (1 - s)^-power. In the logarithms of the quantities
+a growing fault is therefore a ray along its powers; all that simulates, estimates or names faults reads the same entry.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require, require_positive
+from motor_env.motor.parameters import (
+    QUANTITY_FIELDS,
+    FloatArray,
+    Floats,
+    MotorParameters,
+    require,
+    require_positive,
+)
 
 HEALTHY = "healthy"
 """The label of a motor without a fault."""
@@ -17,14 +31,182 @@ HEALTHY = "healthy"
 ALWAYS = -math.inf
 """The onset of a fault that is there from the beginning."""
 
+ENTRY_POINTS = "motor_env.fault_kinds"
+"""Entry points of installed packages whose modules register kinds: they are loaded when kinds are first asked for."""
 
-class FaultKind(StrEnum):
-    """What can be wrong with the motor (paper, parts 3 and 4)."""
+_NOISE = "noise"
+_KINDS: dict[str, FaultKind] = {}
 
-    BEARING = "bearing"
-    WINDING_CONTACT = "winding_contact"
-    WINDING_SHORT = "winding_short"
-    NOISE = "noise"
+
+class _Registry(type):
+    def __iter__(cls) -> Iterator[Any]:
+        """All kinds: those of the package, then those registered from outside."""
+        _load_entry_points()
+        return iter(_KINDS.values())
+
+
+class FaultKind(str, metaclass=_Registry):
+    """What can be wrong with the motor: a string that knows its physics.
+
+    `FaultKind("bearing")` looks a kind up, and iterating over `FaultKind` gives all.
+
+    Attributes:
+        powers: power of (1 + severity) on each quantity, of `QUANTITY_FIELDS` or noise (the variance of the noise).
+            Where all are negative, a quantity is multiplied by (1 - severity)^-power: the severity is what is lost.
+        verdict: the word for it, which kinds may share.
+        finding: one sentence for the reader of a diagnosis: what moved, and where to look.
+
+    Raises:
+        ValueError: no such kind; the sentence lists those that exist.
+    """
+
+    BEARING: ClassVar[FaultKind]
+    WINDING_CONTACT: ClassVar[FaultKind]
+    WINDING_SHORT: ClassVar[FaultKind]
+    NOISE: ClassVar[FaultKind]
+    MAGNET: ClassVar[FaultKind]
+
+    powers: Mapping[str, float]
+    verdict: str
+    finding: str
+
+    def __new__(cls, name: str) -> Self:
+        """The registered kind of that name."""
+        require(name in _KINDS or name in cls, f"kind must be one of {', '.join(_KINDS)}, got {name!r}")
+        return _KINDS[name]  # type: ignore[return-value]  # there are no subclasses
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Unpickled in another process, a kind registers itself there."""
+        return register_fault_kind, (str(self), dict(self.powers), self.verdict, self.finding)
+
+    def __deepcopy__(self, memo: object) -> Self:
+        return self
+
+    @property
+    def is_built_in(self) -> bool:
+        """Whether the package itself has it."""
+        return self in BUILT_IN_KINDS
+
+    @property
+    def motor_powers(self) -> dict[str, float]:
+        """Its powers on the motor's quantities: none where only the noise changes."""
+        return {quantity: power for quantity, power in self.powers.items() if quantity != _NOISE}
+
+    @property
+    def changes_noise(self) -> bool:
+        """Whether it changes the variance of a noise source."""
+        return _NOISE in self.powers
+
+    @property
+    def loses(self) -> bool:
+        """Whether the severity is a share that is lost, below 1."""
+        return all(power < 0.0 for power in self.powers.values())
+
+    def factor(self, quantity: str, severity: Floats) -> Floats:
+        """What a fault multiplies a quantity by."""
+        power = self.powers.get(quantity, 0.0)
+        if power == 0.0:
+            return 1.0
+        base = 1.0 - severity if self.loses else 1.0 + severity
+        size = base * base ** (abs(power) - 1.0)  # to the last bit for the powers 1 and 2
+        return size if self.loses or power > 0.0 else 1.0 / size
+
+    def direction(self, quantities: Iterable[str]) -> FloatArray:
+        """How the logarithms of the quantities move with a unit of `log_size`, shape (n,)."""
+        return np.array([self.powers.get(quantity, 0.0) for quantity in quantities])
+
+    def log_size(self, severity: Floats) -> FloatArray:
+        """How far a fault moves along its direction: log(1 + s), or -log(1 - s) where the severity is what is lost."""
+        size: FloatArray = -np.log1p(-severity) if self.loses else np.log1p(severity)
+        return size
+
+    def severity(self, log_size: Floats) -> FloatArray:
+        """The severity that moves so far along the direction: the inverse of `log_size`."""
+        severity: FloatArray = -np.expm1(-log_size) if self.loses else np.expm1(log_size)
+        return severity
+
+    def require_severity(self, severity: Floats) -> None:
+        """Raise `ValueError` unless a fault of this kind can be so large."""
+        largest = float(np.max(severity))
+        require(not self.loses or largest < 1.0, f"severity of {self} must be < 1, got {largest:g}")
+
+
+def register_fault_kind(
+    name: str, powers: Mapping[str, float], verdict: str | None = None, finding: str | None = None
+) -> FaultKind:
+    """Add a kind of fault; from then on it can stand wherever a kind stands (docs/new-fault.md).
+
+    Args:
+        name: an identifier, as it stands in recipes and labels.
+        powers: see `FaultKind`; `{"friction": 1.0}` for a friction that is up by the severity.
+        verdict: the word for it; its name by default.
+        finding: what a diagnosis says; by default which quantities are up and down.
+
+    Raises:
+        ValueError: a name that is none, or taken by another kind; no powers, or such of unknown quantities.
+    """
+    known = [*QUANTITY_FIELDS, _NOISE]
+    require(name.isidentifier() and name != HEALTHY, f"name of a fault kind must be one word, got {name!r}")
+    for quantity, power in powers.items():
+        require(quantity in known, f"powers of {name} must be of {', '.join(known)}, got {quantity!r}")
+        require(math.isfinite(power) and power != 0.0, f"power of {quantity} must not be 0, got {power:g}")
+    require(bool(powers), f"powers of {name} must name a quantity of {', '.join(known)}, got none")
+    kind = str.__new__(FaultKind, name)
+    kind.powers, kind.verdict = dict(powers), verdict or name
+    kind.finding = finding or _moved_words(powers)
+    old = _KINDS.setdefault(name, kind)
+    require(vars(old) == vars(kind), f"fault kind {name} is registered already, with {old.powers}")
+    return old
+
+
+def _moved_words(powers: Mapping[str, float]) -> str:
+    up = [quantity for quantity, power in powers.items() if power > 0.0]
+    down = [quantity for quantity in powers if quantity not in up]
+    parts = [f"{' and '.join(names)} up" for names in [up] if up]
+    parts += [f"{' and '.join(names)} down" for names in [down] if down]
+    return f"{', '.join(parts)}, and nothing else moved"
+
+
+@cache
+def _load_entry_points() -> None:
+    """Import the modules that installed packages name for their kinds."""
+    from importlib.metadata import entry_points
+
+    for entry_point in entry_points(group=ENTRY_POINTS):
+        entry_point.load()
+
+
+def motor_kinds() -> tuple[FaultKind, ...]:
+    """The kinds that change the motor's parameters."""
+    return tuple(kind for kind in FaultKind if kind.motor_powers)
+
+
+FaultKind.BEARING = register_fault_kind(  # paper, part 4
+    "bearing",
+    {"friction": 1.0},
+    finding="friction is up and nothing else moved: look at the bearings, the lubricant and the load",
+)
+FaultKind.WINDING_CONTACT = register_fault_kind(  # the paper's numbers: a bad contact or brush
+    "winding_contact",
+    {"resistance": 1.0},
+    verdict="winding",
+    finding="resistance is up and nothing else moved: look at brushes, commutator and connections, and at the"
+    " winding's temperature",
+)
+FaultKind.WINDING_SHORT = register_fault_kind(  # a share of the turns is shorted (Isermann 2006, table 7.1.3)
+    "winding_short",
+    {"resistance": -1.0, "inductance": -2.0, "constants": -1.0},
+    verdict="winding",
+    finding="resistance, inductance and flux are down together: look for shorted turns",
+)
+FaultKind.NOISE = register_fault_kind("noise", {_NOISE: 1.0})  # paper, part 3B
+FaultKind.MAGNET = register_fault_kind(  # demagnetised: less flux, so both constants fall
+    "magnet",
+    {"constants": -1.0},
+    finding="torque and back-EMF constant are down and nothing else moved: look at the magnets and their temperature",
+)
+BUILT_IN_KINDS = tuple(_KINDS.values())
+"""The kinds of the package. Their order is that of the random numbers of a case: new ones stand at the end."""
 
 
 class NoiseSource(StrEnum):
@@ -41,16 +223,16 @@ class Fault:
     Attributes:
         kind: bearing: friction B up by the severity. winding_contact: resistance R up by the severity (bad contact or
             brush). winding_short: a fraction of the turns equal to the severity is shorted. noise: the variance of
-            `noise_source` up by the severity.
-        severity: relative size, 0.25 for 25 %; a float, or one entry a motor. Below 1 for winding_short.
+            `noise_source` up by the severity. magnet: torque and back-EMF constant down by the severity.
+        severity: relative size, 0.25 for 25 %; a float, or one entry a motor. Below 1 where something is lost.
         onset_s: time of the onset, counted from the step of the supply; `ALWAYS` for a fault that was always there.
             The fault acts in every sampling interval that begins at or after it.
         growth_s: time over which the severity rises linearly from 0; 0 for an abrupt fault.
-        noise_source: for kind noise only.
+        noise_source: for kinds that change the noise only.
 
     Raises:
-        ValueError: a severity is negative (or not below 1 for a short), a time is not a number, or a fault that
-            is always there grows.
+        ValueError: a severity is negative (or not below 1 where something is lost), a time is not a number, or a
+            fault that is always there grows.
     """
 
     kind: FaultKind
@@ -63,9 +245,7 @@ class Fault:
         object.__setattr__(self, "kind", FaultKind(self.kind))
         object.__setattr__(self, "noise_source", NoiseSource(self.noise_source))
         require_positive("severity", self.severity, zero_allowed=True)
-        if self.kind is FaultKind.WINDING_SHORT:
-            largest = float(np.max(self.severity))
-            require(largest < 1.0, f"severity of winding_short must be < 1, got {largest:g}")
+        self.kind.require_severity(self.severity)
         require(not math.isnan(self.onset_s), "onset_s must be a number, got nan")
         require_positive("growth_s", self.growth_s, zero_allowed=True)
         require(
@@ -88,28 +268,14 @@ class Fault:
 
 
 def apply_fault(parameters: MotorParameters, fault: Fault) -> MotorParameters:
-    """Parameters of the motor with the fault at its full severity.
-
-    Bearing (paper, part 4): B (1 + s). Winding contact (the paper's numbers): R (1 + s). Winding short of a
-    fraction m of the turns: R (1 - m), L (1 - m)^2, K (1 - m), both constants (signs: Isermann 2006, table 7.1.3).
-    Noise leaves the motor as it is: see `noise_variance_factor`.
-    """
-    severity = fault.severity
-    match fault.kind:
-        case FaultKind.BEARING:
-            return parameters.scaled(viscous_friction_n_m_s_per_rad=1.0 + severity)
-        case FaultKind.WINDING_CONTACT:
-            return parameters.scaled(resistance_ohm=1.0 + severity)
-        case FaultKind.WINDING_SHORT:
-            left = 1.0 - severity
-            return parameters.scaled(
-                resistance_ohm=left,
-                inductance_h=left * left,
-                back_emf_constant_v_s_per_rad=left,
-                torque_constant_n_m_per_a=left,
-            )
-        case FaultKind.NOISE:
-            return parameters
+    """Parameters of the motor with the fault at its full severity: each quantity times its factor."""
+    return parameters.scaled(
+        **{
+            field: fault.kind.factor(quantity, fault.severity)
+            for quantity in fault.kind.motor_powers
+            for field in QUANTITY_FIELDS[quantity]
+        }
+    )
 
 
 def apply_faults(parameters: MotorParameters, faults: Iterable[Fault]) -> MotorParameters:
@@ -120,13 +286,14 @@ def apply_faults(parameters: MotorParameters, faults: Iterable[Fault]) -> MotorP
 
 
 def noise_variance_factor(faults: Iterable[Fault], source: NoiseSource, time_s: FloatArray) -> FloatArray:
-    """Factor on the variance of a noise source in the intervals that begin at `time_s`: the product of (1 + severity).
+    """Factor on the variance of a noise source in the intervals that begin at `time_s`: the product of all factors.
 
     Returns:
         Shape (1, n_times), or (n_motors, n_times) where a severity is an array.
     """
     factor = np.ones((1, len(time_s)))
     for fault in faults:
-        if fault.kind is FaultKind.NOISE and fault.noise_source is source:
-            factor = factor * (1.0 + np.reshape(fault.severity, (-1, 1)) * fault.fraction_at(time_s))
+        if fault.kind.changes_noise and fault.noise_source is source:
+            severity = np.reshape(fault.severity, (-1, 1)) * fault.fraction_at(time_s)
+            factor = factor * fault.kind.factor(_NOISE, severity)
     return factor

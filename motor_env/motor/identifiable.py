@@ -10,26 +10,29 @@ from __future__ import annotations
 import numpy as np
 
 from motor_env.motor.data_sheet import Tolerance
-from motor_env.motor.faults import FaultKind
-from motor_env.motor.parameters import FloatArray, MotorParameters
+from motor_env.motor.faults import FaultKind, motor_kinds
+from motor_env.motor.parameters import (
+    COPPER_PER_KELVIN,
+    MAGNET_PER_KELVIN,
+    FloatArray,
+    MotorParameters,
+)
 
-PARAMETERS = ("R", "L", "K", "J", "B", "V")
+_QUANTITY_OF = {
+    "R": "resistance",
+    "L": "inductance",
+    "K": "constants",
+    "J": "inertia",
+    "B": "friction",
+    "V": "supply",
+}
+PARAMETERS = tuple(_QUANTITY_OF)
 """Order of the logarithms; K is the geometric mean of Kt and Kb."""
 
 _CURRENT_ALONE = {"R": "R", "L": "L", "K^2/J": "KK/J", "B/J": "B/J"}
 _WITH_SPEED = {"R": "R", "L": "L", "K": "K", "J": "J", "B": "B"}
 _CURRENT_PER_VOLT = {"R/V": "R/V", "L/V": "L/V", "K^2/(J V)": "KK/JV", "B/J": "B/J"}
 _SPEED_PER_VOLT = {"R/V": "R/V", "L/V": "L/V", "K/V": "K/V", "J/V": "J/V", "B/V": "B/V"}
-
-COPPER_PER_KELVIN = 0.00393
-MAGNET_PER_KELVIN = -0.001
-
-FAULT_DIRECTIONS: dict[FaultKind, dict[str, float]] = {
-    FaultKind.BEARING: {"B": 1.0},
-    FaultKind.WINDING_CONTACT: {"R": 1.0},
-    FaultKind.WINDING_SHORT: {"R": -1.0, "L": -2.0, "K": -1.0},
-}
-"""How the logarithms move with a fault: by log(1 + s) for bearing and contact, by -log(1 - m) for a short."""
 
 
 def _rows(*, has_voltage: bool, has_speed: bool) -> dict[str, str]:
@@ -76,6 +79,28 @@ def tolerance_covariance(tolerance: Tolerance) -> FloatArray:
 
 
 def fault_direction(kind: FaultKind) -> FloatArray:
-    """How the logarithms (R, L, K, J, B, V) move with one unit of the fault, shape (6,)."""
-    moved = FAULT_DIRECTIONS[kind]
-    return np.array([moved.get(name, 0.0) for name in PARAMETERS])
+    """How the logarithms (R, L, K, J, B, V) move with one unit of the fault's logarithm, shape (6,)."""
+    return kind.direction(_QUANTITY_OF.values())
+
+
+def visible_direction(kind: FaultKind, exponents: FloatArray) -> FloatArray:
+    """How the logarithms of identifiable quantities move with a fault; `exponents` are those of `matrix`."""
+    direction: FloatArray = exponents @ fault_direction(kind)
+    return direction
+
+
+def nameable_kinds(exponents: FloatArray) -> tuple[FaultKind, ...]:
+    """Kinds that the identifiable quantities can name: those that no coupled load, J and B up together, imitates.
+
+    From the current alone a weak magnet cannot be named: K down by 10 % looks exactly like J and B up by 23.5 %.
+    """
+    load = exponents @ np.array([float(name in "JB") for name in PARAMETERS])
+    return tuple(
+        kind
+        for kind in motor_kinds()
+        if not np.allclose(_unit(visible_direction(kind, exponents)), _unit(load))
+    )
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    return vector / max(float(np.linalg.norm(vector)), 1e-300)

@@ -21,6 +21,10 @@ FloatArray = NDArray[np.float64]
 Floats = float | FloatArray
 
 RAD_S_PER_RPM = 2.0 * math.pi / 60.0
+COPPER_PER_KELVIN = 0.00393
+"""Relative rise of a winding's resistance (IEC 60028)."""
+MAGNET_PER_KELVIN = -0.001
+"""Relative change of both constants with the temperature of ferrite or NdFeB magnets."""
 
 
 class Channel(StrEnum):

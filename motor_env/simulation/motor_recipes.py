@@ -13,8 +13,13 @@ import math
 import numpy as np
 
 from motor_env.motor.data_sheet import MotorFile, StartReference
-from motor_env.motor.identifiable import COPPER_PER_KELVIN, MAGNET_PER_KELVIN
-from motor_env.motor.parameters import Channel, SensorParameters, SupplyParameters
+from motor_env.motor.parameters import (
+    COPPER_PER_KELVIN,
+    MAGNET_PER_KELVIN,
+    Channel,
+    SensorParameters,
+    SupplyParameters,
+)
 from motor_env.simulation.disturbances import NOTHING, Field, Range
 from motor_env.simulation.recipes import LARGEST_SPREAD, PAPER_CLASSES, FaultClass, Recipe, Spread
 from motor_env.simulation.simulate import Timing

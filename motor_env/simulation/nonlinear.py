@@ -25,6 +25,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from motor_env.motor.parameters import (
+    COPPER_PER_KELVIN,
+    MAGNET_PER_KELVIN,
     FloatArray,
     Floats,
     MotorParameters,
@@ -33,8 +35,6 @@ from motor_env.motor.parameters import (
     require_positive,
 )
 
-COPPER_PER_K = 0.00393
-MAGNET_PER_K = -0.001
 _LANES = 8
 _STEPS_PER_TIME_CONSTANT = (
     4.3  # at 10 kHz four steps a sample for the paper's motor; the error is in docs/datasets.md
@@ -130,8 +130,8 @@ def parameter_rows(
 ) -> FloatArray:
     """All constants of the right-hand side, shape (n_groups, n_rows, lanes): groups of cases that go side by side."""
     e = effects
-    copper = 1.0 + COPPER_PER_K * e.temperature_rise_k
-    magnet = 1.0 + MAGNET_PER_K * e.temperature_rise_k
+    copper = 1.0 + COPPER_PER_KELVIN * e.temperature_rise_k
+    magnet = 1.0 + MAGNET_PER_KELVIN * e.temperature_rise_k
     ramp = np.asarray(e.ramp_s, dtype=np.float64)
     values: list[Floats] = [
         parameters.resistance_ohm * copper,
@@ -188,22 +188,24 @@ def _derivative(
     p: FloatArray, n: int, t: float, current: float, speed: float, angle: float, heat: float
 ) -> tuple[float, float, float, float]:
     """Right-hand side of lane n at time t since its step; p is one group of `parameter_rows`, flat."""
-    resistance = p[n + 8 * _R] * (1.0 + COPPER_PER_K * heat)
-    r = t * p[n + 8 * _RAMP_RATE] + p[n + 8 * _NO_RAMP]
+    resistance = p[n + _LANES * _R] * (1.0 + COPPER_PER_KELVIN * heat)
+    r = t * p[n + _LANES * _RAMP_RATE] + p[n + _LANES * _NO_RAMP]
     r = r if r < 1.0 else 1.0
-    ripple = p[n + 8 * _RIPPLE] * _cosine(p[n + 8 * _RIPPLE_RAD_S] * t)
-    supply = (p[n + 8 * _VOLTAGE] + ripple) * r * r * (3.0 - 2.0 * r)
-    brush = p[n + 8 * _BRUSH] * current / np.sqrt(current * current + _BRUSH_CURRENT_A * _BRUSH_CURRENT_A)
-    drop = (resistance + p[n + 8 * _SOURCE_R]) * current + p[n + 8 * _KB] * speed + brush
-    current_rate = (supply - drop) * p[n + 8 * _INVERSE_L]
-    ratio = speed * p[n + 8 * _INVERSE_WS]
+    ripple = p[n + _LANES * _RIPPLE] * _cosine(p[n + _LANES * _RIPPLE_RAD_S] * t)
+    supply = (p[n + _LANES * _VOLTAGE] + ripple) * r * r * (3.0 - 2.0 * r)
+    brush = (
+        p[n + _LANES * _BRUSH] * current / np.sqrt(current * current + _BRUSH_CURRENT_A * _BRUSH_CURRENT_A)
+    )
+    drop = (resistance + p[n + _LANES * _SOURCE_R]) * current + p[n + _LANES * _KB] * speed + brush
+    current_rate = (supply - drop) * p[n + _LANES * _INVERSE_L]
+    ratio = speed * p[n + _LANES * _INVERSE_WS]
     smooth_sign = speed / np.sqrt(speed * speed + _STICTION_SPEED_RAD_S * _STICTION_SPEED_RAD_S)
-    stribeck = p[n + 8 * _STRIBECK] / (1.0 + ratio * ratio)
-    bearing = p[n + 8 * _BEARING] * _cosine(p[n + 8 * _BEARING_TURN] * angle)
-    against = p[n + 8 * _B] * speed + (p[n + 8 * _DRY] + stribeck + bearing) * smooth_sign
-    commutation = 1.0 + p[n + 8 * _COMMUTATION] * _cosine(p[n + 8 * _COMMUTATION_TURN] * angle)
-    speed_rate = (p[n + 8 * _KT] * commutation * current - against) * p[n + 8 * _INVERSE_J]
-    heat_rate = (current * current * resistance - heat * p[n + 8 * _LEAK]) * p[n + 8 * _INVERSE_C]
+    stribeck = p[n + _LANES * _STRIBECK] / (1.0 + ratio * ratio)
+    bearing = p[n + _LANES * _BEARING] * _cosine(p[n + _LANES * _BEARING_TURN] * angle)
+    against = p[n + _LANES * _B] * speed + (p[n + _LANES * _DRY] + stribeck + bearing) * smooth_sign
+    commutation = 1.0 + p[n + _LANES * _COMMUTATION] * _cosine(p[n + _LANES * _COMMUTATION_TURN] * angle)
+    speed_rate = (p[n + _LANES * _KT] * commutation * current - against) * p[n + _LANES * _INVERSE_J]
+    heat_rate = (current * current * resistance - heat * p[n + _LANES * _LEAK]) * p[n + _LANES * _INVERSE_C]
     return current_rate, speed_rate, speed, heat_rate
 
 
@@ -214,9 +216,9 @@ def _step_lanes(p: FloatArray) -> None:
     One flat array and constant offsets: the compiler sees that nothing overlaps, and runs the lanes side by side.
     """
     for lane in range(_LANES):
-        i, w = p[lane + 8 * _CURRENT], p[lane + 8 * _SPEED]
-        a, q = p[lane + 8 * _ANGLE], p[lane + 8 * _HEAT]
-        time, step = p[lane + 8 * _TIME], p[lane + 8 * _STEP]
+        i, w = p[lane + _LANES * _CURRENT], p[lane + _LANES * _SPEED]
+        a, q = p[lane + _LANES * _ANGLE], p[lane + _LANES * _HEAT]
+        time, step = p[lane + _LANES * _TIME], p[lane + _LANES * _STEP]
         half = 0.5 * step
         i1, w1, a1, q1 = _derivative(p, lane, time, i, w, a, q)
         i2, w2, a2, q2 = _derivative(
@@ -229,11 +231,11 @@ def _step_lanes(p: FloatArray) -> None:
             p, lane, time + step, i + step * i3, w + step * w3, a + step * a3, q + step * q3
         )
         sixth = step / 6.0
-        p[lane + 8 * _CURRENT] = i + sixth * (i1 + 2.0 * (i2 + i3) + i4)
-        p[lane + 8 * _SPEED] = w + sixth * (w1 + 2.0 * (w2 + w3) + w4)
-        p[lane + 8 * _ANGLE] = a + sixth * (a1 + 2.0 * (a2 + a3) + a4)
-        p[lane + 8 * _HEAT] = q + sixth * (q1 + 2.0 * (q2 + q3) + q4)
-        p[lane + 8 * _TIME] = time + step
+        p[lane + _LANES * _CURRENT] = i + sixth * (i1 + 2.0 * (i2 + i3) + i4)
+        p[lane + _LANES * _SPEED] = w + sixth * (w1 + 2.0 * (w2 + w3) + w4)
+        p[lane + _LANES * _ANGLE] = a + sixth * (a1 + 2.0 * (a2 + a3) + a4)
+        p[lane + _LANES * _HEAT] = q + sixth * (q1 + 2.0 * (q2 + q3) + q4)
+        p[lane + _LANES * _TIME] = time + step
 
 
 @njit(cache=True, error_model="numpy")  # a check for division by 0 would keep the loop from vectorising
@@ -251,8 +253,8 @@ def _integrate(
         for k in range(n_samples):
             if k >= n_quiet:
                 for lane in range(_LANES):  # the first interval is shorter by the delay of the step
-                    delay = p[lane + 8 * _DELAY] if k == n_quiet else 0.0
-                    p[lane + 8 * _STEP] = (dt_s - delay) / steps
+                    delay = p[lane + _LANES * _DELAY] if k == n_quiet else 0.0
+                    p[lane + _LANES * _STEP] = (dt_s - delay) / steps
                 for _ in range(steps):
                     _step_lanes(p)
             for lane in range(min(_LANES, n_cases - first)):

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from motor_env.errors import InputError
+from motor_env.motor.faults import FaultKind
 from motor_env.simulation.recipes import RECIPES, Recipe, named_recipe
 
 
@@ -28,7 +29,7 @@ def _plain(value: Any) -> Any:
         return {key: _plain(entry) for key, entry in value.items()}
     if isinstance(value, (tuple, list)):
         return [_plain(entry) for entry in value]
-    return str(value) if isinstance(value, Enum) else value
+    return str(value) if isinstance(value, str) else value
 
 
 def recipe_from_dict(content: Mapping[str, Any]) -> Recipe:
@@ -89,8 +90,8 @@ def _convert_list(arguments: tuple[Any, ...], value: Any, where: str) -> tuple[A
 
 
 def _convert_value(hint: Any, value: Any, where: str) -> Any:
-    if isinstance(hint, type) and issubclass(hint, Enum):
-        names = [str(member) for member in hint]
+    if isinstance(hint, type) and issubclass(hint, Enum | FaultKind):
+        names = list(map(str, hint))
         if value not in names:
             raise ValueError(f"{where} must be one of {', '.join(names)}, got {value!r}")
         return hint(value)

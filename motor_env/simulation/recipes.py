@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.motor.faults import HEALTHY, Fault, FaultKind
+from motor_env.motor.faults import BUILT_IN_KINDS, HEALTHY, Fault, FaultKind
 from motor_env.motor.parameters import (
     PAPER_MOTOR,
+    QUANTITY_FIELDS,
     FloatArray,
     MotorParameters,
     SensorParameters,
@@ -66,11 +67,7 @@ def apply_factors(parameters: MotorParameters, factors: FloatArray) -> MotorPara
     """Parameters times the motor's factors; `factors` has shape (n, 5), of which the supply's column is not used."""
     by_name = dict(zip(FACTORS, np.moveaxis(factors, -1, 0), strict=True))
     return parameters.scaled(
-        resistance_ohm=by_name["resistance"],
-        back_emf_constant_v_s_per_rad=by_name["constants"],
-        torque_constant_n_m_per_a=by_name["constants"],
-        inertia_kg_m2=by_name["inertia"],
-        viscous_friction_n_m_s_per_rad=by_name["friction"],
+        **{field: factor for name, factor in by_name.items() for field in QUANTITY_FIELDS.get(name, ())}
     )
 
 
@@ -81,12 +78,12 @@ class FaultClass:
     Attributes:
         kind: the fault; None for healthy.
         severity: its level, or the smallest where `severity_to` is given.
-        weight: how often the class is drawn, relative to the others.
-        severity_to: the largest severity, drawn uniformly; None for one level.
-        also: faults that come with it (joint faults); of their weights nothing depends.
+        weight: how often the class is drawn, relative to the others; 0 for never.
+        severity_to: the largest severity, drawn uniformly, from 0 on where `severity` is 0; None for one level.
+        also: faults that come with it (joint faults); their weights are ignored.
 
     Raises:
-        ValueError: a healthy class with a severity, a fault without one, or a weight that is not positive.
+        ValueError: a healthy class with a severity, a fault without one, or a weight that is negative.
     """
 
     kind: FaultKind | None = None
@@ -102,13 +99,14 @@ class FaultClass:
                 self.severity_to is None and not self.also, "a healthy class cannot have a fault beside it"
             )
         else:
-            require_positive(f"severity of {self.kind}", self.severity)
+            is_range = self.severity_to is not None
+            require_positive(f"severity of {self.kind}", self.severity, zero_allowed=is_range)
         if self.severity_to is not None:
             require(
                 self.severity_to > self.severity,
                 f"severity_to of {self.kind} must be > severity ({self.severity:g}), got {self.severity_to:g}",
             )
-        require_positive("weight", self.weight)
+        require_positive("weight", self.weight, zero_allowed=True)
         kinds = [part.kind for part in self.parts]
         require(
             None not in kinds[1:] and len(set(kinds)) == len(kinds), "joint faults must be of different kinds"
@@ -118,6 +116,11 @@ class FaultClass:
     def parts(self) -> tuple[FaultClass, ...]:
         """This fault and those that come with it."""
         return (self, *self.also)
+
+    @property
+    def largest_severity(self) -> float:
+        """The level, or the upper end of its range."""
+        return self.severity if self.severity_to is None else self.severity_to
 
     @property
     def label_kind(self) -> str:
@@ -212,6 +215,10 @@ class Recipe:
             len(set(names)) == len(names),
             f"classes of recipe {self.name} must differ, got {', '.join(names)}",
         )
+        require(
+            any(fault_class.weight > 0.0 for fault_class in self.classes),
+            f"weights of recipe {self.name} must not all be 0",
+        )
         require(self.starts_per_motor >= 1, f"starts_per_motor must be >= 1, got {self.starts_per_motor}")
         require(
             0 <= self.healthy_starts <= self.starts_per_motor,
@@ -222,6 +229,13 @@ class Recipe:
             "healthy_starts need a healthy class among the classes",
         )
         require(self.motor.batch_shape == (), f"motor of recipe {self.name} must be one motor, got a batch")
+
+    @property
+    def kinds(self) -> tuple[FaultKind, ...]:
+        """Kinds of its faults: those of the package in their order, then others by name."""
+        present = {part.kind for fault_class in self.classes for part in fault_class.parts}
+        known = [kind for kind in BUILT_IN_KINDS if kind in present]
+        return (*known, *sorted(k for k in present if k is not None and k not in BUILT_IN_KINDS))
 
     @property
     def class_names(self) -> tuple[str, ...]:
@@ -310,10 +324,13 @@ def draw(recipe: Recipe, seed: int, cases: ArrayLike) -> Draw:
     )
     first = np.zeros(len(numbers))
     for kind, severity in severities.items():
-        first += severity * np.array([c.kind is kind for c in recipe.classes])[class_index]
+        first += severity * np.array([c.kind == kind for c in recipe.classes])[class_index]
     effects, chain = None, None
     if recipe.field is not None:
-        bearing = severities.get(FaultKind.BEARING, np.zeros(len(numbers)))
+        bearing = sum(
+            (s for kind, s in severities.items() if kind.verdict == FaultKind.BEARING.verdict),
+            np.zeros(len(numbers)),
+        )
         voltage, dt_s = recipe.supply.voltage_v, recipe.timing.dt_s
         effects, chain = draw_field(
             recipe.field, recipe.motor, voltage, dt_s, bearing, seed, motor_id, numbers
@@ -338,18 +355,18 @@ def _draw_severities(
     """Severity of each fault kind that the recipe has, shape (n_cases,); one draw a motor where it is continuous."""
     severities: dict[FaultKind, FloatArray] = {}
     u = None
-    for n, kind in enumerate(FaultKind):
-        ranges = np.zeros((len(recipe.classes), 2))
-        for row, fault_class in zip(ranges, recipe.classes, strict=True):
-            for part in fault_class.parts:
-                if part.kind is kind:
-                    row[:] = part.severity, part.severity if part.severity_to is None else part.severity_to
-        if not ranges.any():
-            continue
-        low, high = ranges[class_index].T
-        if (ranges[:, 0] != ranges[:, 1]).any():
-            u = uniforms(seed, Stream.SEVERITY, motor_id, len(FaultKind)) if u is None else u
-            low = low + (high - low) * u[:, n]
+    others = [kind for kind in recipe.kinds if not kind.is_built_in]
+    columns = [*BUILT_IN_KINDS, *others]  # a case depends on its recipe, not on what else is registered
+    for kind in recipe.kinds:
+        low, high = np.array(
+            [
+                next(((p.severity, p.largest_severity) for p in c.parts if p.kind == kind), (0.0, 0.0))
+                for c in recipe.classes
+            ]
+        )[class_index].T
+        if (low != high).any():
+            u = uniforms(seed, Stream.SEVERITY, motor_id, len(columns)) if u is None else u
+            low = low + (high - low) * u[:, columns.index(kind)]
         severities[kind] = np.ascontiguousarray(low)
     return severities
 

@@ -43,9 +43,7 @@ _LEVEL_CASES = 4096
 _CASES_WEIGHT_DECAY = 0.1
 _CHUNK = 4096  # cases judged at once
 _ALWAYS = (FaultKind.BEARING, FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT)
-_SMALLEST = 1e-6  # a class with a fault needs a severity; this one is healthy to rounding
-_NEVER = 1e-30  # weight of a class that no case is drawn of
-_LEAST_RANGE, _BEYOND, _LARGEST_SHORT = 0.30, 1.2, 0.95
+_LEAST_RANGE, _BEYOND, _LARGEST_LOSS = 0.30, 1.2, 0.95
 
 OnStep = Callable[[int, int], object]
 
@@ -74,10 +72,11 @@ def severity_priors(recipe: Recipe) -> tuple[SeverityPrior, ...]:
     largest: dict[FaultKind, float] = dict.fromkeys(_ALWAYS, _LEAST_RANGE)
     for part in (part for c in recipe.classes for part in c.parts):
         if part.kind is not None:
-            top = _BEYOND * (part.severity if part.severity_to is None else part.severity_to)
+            top = _BEYOND * part.largest_severity
             largest[part.kind] = max(largest.get(part.kind, 0.0), top)
-    largest[FaultKind.WINDING_SHORT] = min(largest[FaultKind.WINDING_SHORT], _LARGEST_SHORT)
-    return tuple(SeverityPrior(kind, 0.0, to) for kind, to in largest.items())
+    return tuple(
+        SeverityPrior(kind, 0.0, min(to, _LARGEST_LOSS) if kind.loses else to) for kind, to in largest.items()
+    )
 
 
 def severity_recipe(recipe: Recipe, *, with_healthy: bool = False) -> Recipe:
@@ -87,9 +86,9 @@ def severity_recipe(recipe: Recipe, *, with_healthy: bool = False) -> Recipe:
         recipe: the motor, its nuisances, faults and sensor.
         with_healthy: whether a healthy class, which is never drawn, stands behind them: reference starts need one.
     """
-    classes = [FaultClass(p.kind, _SMALLEST, severity_to=p.largest) for p in severity_priors(recipe)]
+    classes = [FaultClass(p.kind, 0.0, severity_to=p.largest) for p in severity_priors(recipe)]
     if with_healthy:
-        classes.append(FaultClass(weight=_NEVER))
+        classes.append(FaultClass(weight=0.0))
     return replace(recipe, classes=tuple(classes), healthy_starts=0, shifts=())
 
 
@@ -366,7 +365,7 @@ def _tensor(flat: FloatArray) -> torch.Tensor:
 
 
 def _tells_noise(recipe: Recipe) -> bool:
-    return any(part.kind is FaultKind.NOISE for c in recipe.classes for part in c.parts)
+    return any(kind.changes_noise for kind in recipe.kinds)
 
 
 def _with_noise(recipe: Recipe, factor: float) -> Recipe:

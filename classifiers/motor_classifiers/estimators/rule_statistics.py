@@ -14,7 +14,6 @@ from motor_classifiers.estimators.features import affine_map
 from motor_env.detection.rules import Cusum, Rule, nis_rule
 from motor_env.detection.rules.tolerant import TolerantFilter
 from motor_env.inference.whitening import MatchedTest
-from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
 
@@ -50,7 +49,9 @@ class RuleStatistics(TransformerMixin, BaseEstimator):
         """Prepare the tests; there is nothing to learn from the cases."""
         flat = flat_cases(self, X, reset=True, min_features=2)
         recipe = fitting_recipe(self.recipe, flat.shape[1])
-        single = [c for c in recipe.classes if len(c.faults) == 1 and c.kind is not FaultKind.NOISE]
+        single = [
+            c for c in recipe.classes if len(c.faults) == 1 and c.kind is not None and c.kind.motor_powers
+        ]
         tests = [MatchedTest.from_recipe(recipe, c.faults[0]) for c in single]
         self.weights_, self.offset_ = affine_map(
             recipe,

@@ -24,7 +24,6 @@ RATES_HZ = (10_000.0, 1_000.0)
 NOISES_A = (0.005, 0.02, 0.1)
 
 _FIRST_CASE = 1_000_000_000
-_SMALLEST = 1e-6  # a class with a fault needs a severity; this one is healthy to rounding
 
 
 def six_cells(recipe: Recipe) -> Iterator[Recipe]:
@@ -136,7 +135,7 @@ def severity_cell(
     model: PosteriorNetwork, recipe: Recipe, prior: SeverityPrior, seed: int, n_cases: int
 ) -> SeverityCell:
     """Judge severities, drawn uniformly over the range, of motors that have this kind of fault."""
-    own = replace(recipe, classes=(FaultClass(prior.kind, _SMALLEST, severity_to=prior.largest),))
+    own = replace(recipe, classes=(FaultClass(prior.kind, 0.0, severity_to=prior.largest),))
     test = generate_arrays(own, seed, np.arange(n_cases) + _FIRST_CASE)
     told = model.predict_severity(test.X, str(prior.kind))
     exact = severity_posterior(recipe, prior, test.X)

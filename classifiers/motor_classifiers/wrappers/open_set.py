@@ -36,14 +36,6 @@ OTHER = "other"
 """The verdict on a motor that no class explains."""
 
 QUANTITIES = (*FACTORS, "inductance")
-RAYS: dict[FaultKind, FloatArray] = {
-    FaultKind.BEARING: np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0]),
-    FaultKind.WINDING_CONTACT: np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0]),
-    FaultKind.WINDING_SHORT: np.array([0.0, -1.0, -1.0, 0.0, 0.0, -2.0]),
-}
-"""How the logarithms of `QUANTITIES` move with t >= 0, for each kind that changes the motor (`faults.apply_fault`).
-
-t is log(1 + severity), and of a short -log(1 - severity)."""
 
 _ANY_MOTOR = 0.3  # standard deviation of the logarithms of any motor's parameters around the nominal ones
 _ANY_SEVERITY = 1.0  # of t: 0.7 sd for a fault that doubles its parameter
@@ -124,14 +116,14 @@ class _Hypothesis:
     Attributes:
         label: label kind.
         kinds: those that change the motor.
-        noisy: whether the noise's variance is up, too.
+        noisy: those that change the noise's variance alone.
         largest: largest severity of each of `kinds`, and of the noise where there is such a fault.
         tolerances: covariance of the logarithms without a fault.
     """
 
     label: str
     kinds: tuple[FaultKind, ...]
-    noisy: bool
+    noisy: tuple[FaultKind, ...]
     largest: dict[FaultKind, float]
     tolerances: FloatArray
 
@@ -143,7 +135,7 @@ class _Hypothesis:
             coordinates: logarithms of `QUANTITIES`.
             noise: factor on the noise's variance of each case where the fault is one of noise, shape (n,).
         """
-        rays = np.array([RAYS[kind] for kind in self.kinds]).reshape(-1, len(QUANTITIES))
+        rays = np.array([kind.direction(QUANTITIES) for kind in self.kinds]).reshape(-1, len(QUANTITIES))
         covariance = self.tolerances + _ANY_SEVERITY**2 * rays.T @ rays
         precision = np.linalg.inv(covariance)
         fitted = fit(
@@ -156,15 +148,12 @@ class _Hypothesis:
         objective = np.where((t > 0.0).all(axis=1), objective, np.inf)
         severity, beyond = np.zeros(len(t)), np.zeros(len(t), dtype=np.bool_)
         for column, kind in enumerate(self.kinds):
-            short = kind is FaultKind.WINDING_SHORT
-            severity += -np.expm1(-t[:, column]) if short else np.expm1(t[:, column])
-            largest = self.largest[kind]
-            edge = -np.log1p(-largest) if short else np.log1p(largest)
-            beyond |= t[:, column] - _SURE * std[:, column] > edge
+            severity += kind.severity(t[:, column])
+            beyond |= t[:, column] - _SURE * std[:, column] > kind.log_size(self.largest[kind])
         if self.noisy:
             severity = severity + noise - 1.0
             least = noise * (1.0 - _SURE * np.sqrt(2.0 / observed.n_values))
-            beyond |= least > 1.0 + self.largest[FaultKind.NOISE]
+            beyond |= least > 1.0 + max(self.largest[kind] for kind in self.noisy)
         return FamilyFit(objective, np.full(len(t), self.label), severity, beyond)
 
 
@@ -187,8 +176,7 @@ def _hypotheses(recipe: Recipe) -> Iterator[_Hypothesis]:
         parts: list[FaultKind] = []
         for part in fault_class.parts:
             if part.kind is not None:
-                top = part.severity if part.severity_to is None else part.severity_to
-                largest[part.kind] = max(top, largest.get(part.kind, 0.0))
+                largest[part.kind] = max(part.largest_severity, largest.get(part.kind, 0.0))
                 parts.append(part.kind)
         labels.setdefault(fault_class.label_kind, frozenset(parts))
     tolerances = tolerance_covariance(recipe)
@@ -197,8 +185,9 @@ def _hypotheses(recipe: Recipe) -> Iterator[_Hypothesis]:
         # Tolerances can hide a small one of joint faults: then those that are left stand for all.
         for present in _subsets(kinds):
             if present == kinds or present not in seen:
-                moving = tuple(kind for kind in RAYS if kind in present)
-                yield _Hypothesis(label, moving, FaultKind.NOISE in present, largest, tolerances)
+                moving = tuple(kind for kind in recipe.kinds if kind in present and kind.motor_powers)
+                noisy = tuple(kind for kind in recipe.kinds if kind in present and not kind.motor_powers)
+                yield _Hypothesis(label, moving, noisy, largest, tolerances)
 
 
 def _subsets(kinds: frozenset[FaultKind]) -> Iterator[frozenset[FaultKind]]:

@@ -13,13 +13,12 @@ from motor_classifiers.estimators.features import ResidualProjection
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, ForeignFault, foreign_starts
 from motor_classifiers.wrappers.open_set import (
     QUANTITIES,
-    RAYS,
     FaultFamilyDetector,
     OpenSetClassifier,
     family_fit,
 )
 from motor_datasets.generate import generate_arrays
-from motor_env.motor.faults import Fault, FaultKind, apply_fault
+from motor_env.motor.faults import Fault, FaultKind, apply_fault, motor_kinds
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
 from motor_env.simulation.recipes import FaultClass, Recipe, named_recipe
 from motor_env.simulation.simulate import Timing, simulate_states
@@ -34,15 +33,15 @@ FIELDS = {
 }
 
 
-@pytest.mark.parametrize("kind", RAYS)
+@pytest.mark.parametrize("kind", motor_kinds())
 def test_a_fault_moves_along_its_ray(kind: FaultKind) -> None:
     for severity in (0.05, 0.4):
         faulty = apply_fault(PAPER_MOTOR, Fault(kind, severity))
-        t = -np.log1p(-severity) if kind is FaultKind.WINDING_SHORT else np.log1p(severity)
         for name, field in FIELDS.items():
             moved = np.log(getattr(faulty, field) / getattr(PAPER_MOTOR, field))
-            assert moved == pytest.approx(t * RAYS[kind][QUANTITIES.index(name)], abs=1e-12)
-    assert RAYS[kind][QUANTITIES.index("supply")] == 0.0
+            assert moved == pytest.approx(kind.log_size(severity) * kind.powers.get(name, 0.0), abs=1e-12)
+        assert kind.severity(kind.log_size(severity)) == pytest.approx(severity)
+    assert kind.direction(QUANTITIES)[QUANTITIES.index("supply")] == 0.0
 
 
 def _residuals(logarithms: FloatArray, measured: FloatArray, recipe: Recipe) -> FloatArray:

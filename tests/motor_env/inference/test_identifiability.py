@@ -5,16 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motor_env.inference.identifiability import (
-    FAULT_DIRECTIONS,
-    Experiment,
-    cramer_rao_bound,
-    identifiability,
-    isolability,
-)
+from motor_env.inference.identifiability import Experiment, cramer_rao_bound, identifiability, isolability
 from motor_env.inference.parametrisation import QUANTITIES, Coordinates
 from motor_env.inference.whitening import MatchedTest
-from motor_env.motor.faults import Fault, FaultKind, apply_fault
+from motor_env.motor.faults import Fault, FaultKind, apply_fault, motor_kinds
 from motor_env.motor.parameters import PAPER_MOTOR, Channel, SensorParameters
 from motor_env.simulation.recipes import Spread, named_recipe
 from motor_env.simulation.simulate import Timing, simulate_states
@@ -93,9 +87,8 @@ def test_detectability_is_the_separation_of_the_matched_test() -> None:
 def test_fault_directions_are_those_of_apply_fault() -> None:
     step = 1e-6
     coordinates = Coordinates.from_names(PAPER_MOTOR, QUANTITIES)
-    for kind, direction in FAULT_DIRECTIONS.items():
-        values = step * np.array([direction.get(name, 0.0) for name in QUANTITIES])
-        motor, _ = coordinates.motors(values)
+    for kind in motor_kinds():
+        motor, _ = coordinates.motors(step * kind.direction(QUANTITIES))
         faulty = apply_fault(PAPER_MOTOR, Fault(kind, step))
         for field in (
             "resistance_ohm",
