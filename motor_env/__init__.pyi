@@ -76,6 +76,7 @@ from .motor.faults import (
     FaultKind as FaultKind,
     apply_fault as apply_fault,
     apply_faults as apply_faults,
+    register_fault_kind as register_fault_kind,
 )
 from .motor.model import (
     State as State,
