@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import dlsim
 from timing import best_rate
 
-from motor_datasets import generate_arrays, generate_dataset, storage
+from motor_datasets import generate_arrays, generate_dataset, parquet
 from motor_datasets.layout import make_plan
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.model import discretize
@@ -135,7 +135,7 @@ def _to_disk(folder: Path) -> None:
 def _write_ready(tables: list[pa.Table], folder: Path) -> None:
     folder.mkdir()
     for n, table in enumerate(tables):
-        storage.write_table(table, folder / f"{n}.parquet")
+        parquet.write_table(table, folder / f"{n}.parquet")
     shutil.rmtree(folder)
 
 
@@ -144,7 +144,7 @@ def to_disk() -> list[Result]:
     recipe = RECIPES["bench"]
     plan = make_plan(recipe, N_CASES_TO_DISK, SEED)
     tables = [
-        storage.to_table(generate_arrays(recipe, SEED, file.case_id(recipe, SEED))) for file in plan.files
+        parquet.to_table(generate_arrays(recipe, SEED, file.case_id(recipe, SEED))) for file in plan.files
     ]
     ours = peer = 0.0
     with tempfile.TemporaryDirectory() as folder:

@@ -1,14 +1,17 @@
 from .arrays import (
     Dataset as Dataset,
 )
+from .folder import (
+    generate_dataset as generate_dataset,
+)
 from .generate import (
     generate_arrays as generate_arrays,
-    generate_dataset as generate_dataset,
 )
 from .loaders import (
     load as load,
     to_pandas as to_pandas,
     to_torch as to_torch,
+    to_torch_iterable as to_torch_iterable,
 )
 from .splits import (
     Split as Split,
@@ -16,5 +19,4 @@ from .splits import (
 )
 from .streaming import (
     stream as stream,
-    to_torch_iterable as to_torch_iterable,
 )

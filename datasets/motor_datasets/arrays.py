@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import Channel, FloatArray
 from motor_env.simulation.recipes import Recipe
 
 MOTOR_PARAMETERS = (
@@ -34,6 +34,7 @@ EFFECTS = (
     "delay_s",
 )
 SENSOR_ERRORS = ("gain", "offset_a")
+COLUMN_OF_CHANNEL = {Channel.CURRENT: "current_a", Channel.SPEED: "speed_rad_s"}
 
 
 def parameter_names(recipe: Recipe) -> tuple[str, ...]:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from motor_datasets.describe import describe
-
-if TYPE_CHECKING:
-    from motor_datasets.storage import Manifest
+from motor_datasets.manifest import Manifest
 
 
 def data_card(manifest: Manifest) -> str:

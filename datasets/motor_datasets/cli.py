@@ -69,7 +69,7 @@ def generate(
         dry_run: Print what would be written, write nothing.
     """
     require_extra("pyarrow", "datasets")
-    from motor_datasets.generate import generate_dataset
+    from motor_datasets.folder import generate_dataset, seconds_per_case
     from motor_datasets.layout import make_plan
     from motor_datasets.remote import folder_of
 
@@ -88,7 +88,7 @@ def generate(
         "bytes_uncompressed": plan.bytes_uncompressed,
     }
     if dry_run:
-        summary["seconds"] = round(_seconds(chosen, seed, plan.cases_of_all) / workers, 1)
+        summary["seconds"] = round(plan.cases_of_all * seconds_per_case(chosen, seed) / workers, 1)
     else:
         with _progress(plan.cases_of_all) as advance, _backend(backend, scheduler):
             start = time.perf_counter()
@@ -123,10 +123,10 @@ def verify(folder: str, /, *, json_: Annotated[bool, Parameter(name="--json", ne
         json_: Print the findings as a JSON array.
     """
     require_extra("pyarrow", "datasets")
-    from motor_datasets import storage
+    from motor_datasets.manifest import problems
     from motor_datasets.remote import folder_of
 
-    found = storage.problems(folder_of(folder))
+    found = problems(folder_of(folder))
     if json_:
         print(json.dumps(found))
     else:
@@ -150,8 +150,8 @@ def describe(recipe: str, /, *, picture: Path | None = None, seed: int = 0) -> i
 
     if "://" in recipe or Path(recipe).is_dir():
         require_extra("pyarrow", "datasets")
+        from motor_datasets.manifest import read_manifest
         from motor_datasets.remote import folder_of
-        from motor_datasets.storage import read_manifest
 
         chosen = read_manifest(folder_of(recipe)).recipe
     else:
@@ -185,13 +185,6 @@ def export(folder: str, file: Path, /, *, split: str | None = None) -> int:
     exporting.export(dataset, file)
     print(f"wrote {len(dataset)} cases: {file}")
     return 0
-
-
-def _seconds(recipe: Recipe, seed: int, cases: int) -> float:
-    """Time that one worker needs: measured on a thousand cases written to a temporary file."""
-    from motor_datasets.storage import seconds_per_case
-
-    return cases * seconds_per_case(recipe, seed)
 
 
 @contextmanager

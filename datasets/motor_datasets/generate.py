@@ -1,20 +1,12 @@
-"""From a recipe to labelled transients, in memory or on disk. Case n depends on (recipe, seed, n) alone."""
+"""From a recipe to labelled transients in memory. Case n depends on (recipe, seed, n) alone."""
 
 from __future__ import annotations
-
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_datasets import storage
 from motor_datasets.arrays import EFFECTS, SENSOR_ERRORS, Dataset
-from motor_datasets.layout import Plan, PlannedFile, make_plan
-from motor_datasets.remote import Folder, RemotePath, folder_of
 from motor_datasets.splits import split_of
-from motor_env.errors import InputError
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Draw, Recipe, draw, measure_draw
 
@@ -67,78 +59,3 @@ def _labelled(X: NDArray[np.float32], drawn: Draw, recipe: Recipe, seed: int) ->
         recipe=recipe,
         seed=seed,
     )
-
-
-def _make_file(folder: Folder, file: PlannedFile, recipe: Recipe, seed: int) -> storage.Entry:
-    """Generate and write one file: all that a worker does."""
-    own = recipe if file.shift is None else recipe.shifted(file.shift)
-    dataset = generate_arrays(own, seed, file.case_id(recipe, seed))
-    return storage.write_file(folder, file, dataset)
-
-
-def _run(jobs: list[PlannedFile], folder: Folder, plan: Plan, workers: int) -> Iterator[storage.Entry]:
-    if workers == 1:
-        yield from (_make_file(folder, job, plan.recipe, plan.seed) for job in jobs)
-        return
-    from joblib import Parallel, delayed
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    pool: Any = Parallel(n_jobs=workers, return_as="generator_unordered")
-    try:
-        yield from pool(delayed(_make_file)(folder, job, plan.recipe, plan.seed) for job in jobs)
-    except TerminatedWorkerError:
-        raise InputError(
-            f"a worker was killed (out of memory?); what is whole in {folder} stays: resume it"
-        ) from None
-
-
-def generate_dataset(
-    recipe: Recipe,
-    cases: int,
-    seed: int,
-    out: str | Path | RemotePath,
-    *,
-    workers: int = 1,
-    resume: bool = False,
-    on_progress: Callable[[int], object] = lambda _: None,
-) -> storage.Manifest:
-    """Write a data set to a folder. The bytes do not depend on the workers, nor on interruptions.
-
-    Args:
-        recipe: what to draw from.
-        cases: how many cases, those of the recipe's shifts aside.
-        seed: the random seed.
-        out: folder, or a URL for fsspec (`s3://bucket/prefix`); it must not exist, be empty, or (with `resume`) hold
-            the unfinished same data set.
-        workers: processes; inside `joblib.parallel_config(backend="dask")` those of that backend.
-        resume: finish what an interrupted generation began.
-        on_progress: called with the number of cases just written.
-
-    Raises:
-        ValueError: fewer than one case or worker, or a seed out of range.
-        InputError: `out` holds something else or cannot be used, or a worker was killed.
-    """
-    require(workers >= 1, f"workers must be >= 1, got {workers}")
-    plan = make_plan(recipe, cases, seed)
-    folder = folder_of(out)
-    if isinstance(folder, RemotePath) and not folder.shared:
-        require(
-            workers == 1, f"workers must be 1 for {folder}, which other processes do not see, got {workers}"
-        )
-    finished = storage.open_folder(folder, plan, resume=resume)
-    if finished is not None:
-        on_progress(plan.cases_of_all)
-        return finished
-    entries: dict[str, storage.Entry] = {}
-    jobs = []
-    for file in plan.files:
-        entry = storage.existing_entry(folder, file) if resume else None
-        if entry is None:
-            jobs.append(file)
-        else:
-            entries[file.path] = entry
-            on_progress(entry.rows)
-    for entry in _run(jobs, folder, plan, workers):
-        entries[entry.path] = entry
-        on_progress(entry.rows)
-    return storage.finish_folder(folder, plan, [entries[file.path] for file in plan.files])

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from motor_datasets import storage
-from motor_datasets.arrays import Dataset
+from motor_datasets.arrays import COLUMN_OF_CHANNEL, Dataset
+from motor_datasets.manifest import read_manifest
 from motor_datasets.remote import RemotePath, folder_of
+from motor_env.simulation.recipes import Recipe
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,8 +20,10 @@ def load(folder: str | Path | RemotePath, split: str | None = None) -> Dataset:
     Raises:
         InputError: no data set there, a file missing or damaged, an unknown or empty split.
     """
+    from motor_datasets.parquet import read_files
+
     path = folder_of(folder)
-    return storage.read_files(path, storage.read_manifest(path), split)
+    return read_files(path, read_manifest(path), split)
 
 
 def to_torch(dataset: Dataset) -> Any:
@@ -34,6 +37,13 @@ def to_torch(dataset: Dataset) -> Any:
     )
 
 
+def to_torch_iterable(recipe: Recipe, seed: int, batch_size: int = 256, **options: Any) -> Any:
+    """`torch.utils.data.IterableDataset` of (X, class_index, severity) batches; workers of a loader share them."""
+    from motor_datasets.torch_batches import TorchBatches
+
+    return TorchBatches(recipe, seed, batch_size, options)
+
+
 def to_pandas(dataset: Dataset) -> pd.DataFrame:
     """Labels and parameters, one row a case; samples as arrays in the columns `current_a`, `speed_rad_s`."""
     import pandas as pd
@@ -42,5 +52,5 @@ def to_pandas(dataset: Dataset) -> pd.DataFrame:
     columns: dict[str, Any] = {name: getattr(dataset, name) for name in labels}
     columns.update(dataset.parameters)
     for n, channel in enumerate(dataset.recipe.sensor.channels):
-        columns[storage.COLUMN_OF_CHANNEL[channel]] = list(dataset.X[:, n])
+        columns[COLUMN_OF_CHANNEL[channel]] = list(dataset.X[:, n])
     return pd.DataFrame(columns)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,40 +62,52 @@ class RemotePath:
         for name in self.filesystem.glob(f"{self.path.rstrip('/')}/{pattern}"):
             yield RemotePath(self.filesystem, name)
 
-    def open(self) -> Any:
+    def open(self, mode: str) -> Any:
         """A stream of its bytes."""
-        return self.filesystem.open(self.path, "rb")
+        return self.filesystem.open(self.path, mode)
 
-    def size(self) -> int:
-        """Bytes of the object."""
-        return int(self.filesystem.size(self.path))
+    def mkdir(self, **_: bool) -> None:
+        """Object storage has no folders."""
 
     def read_text(self) -> str:
         """The content of a text object."""
         return bytes(self.filesystem.cat_file(self.path)).decode()
 
-    def write_bytes(self, content: bytes) -> None:
-        """Put a small object.
+    def upload(self, local: Path) -> None:
+        """Put a local file; on object storage it appears whole or not at all.
 
         Raises:
             InputError: the file system is read only.
         """
         try:
-            self.filesystem.pipe_file(self.path, content)
+            self.filesystem.put_file(str(local), self.path)
         except NotImplementedError:
             raise InputError(f"{self} cannot be written: its file system is read only") from None
 
-    def upload(self, local: Path) -> None:
-        """Put a local file; on object storage it appears whole or not at all."""
-        self.filesystem.put_file(str(local), self.path)
-
-    def unlink(self) -> None:
-        """Remove the object, if it is there."""
-        if self.is_file():
+    def unlink(self, *, missing_ok: bool) -> None:
+        """Remove the object."""
+        if not missing_ok or self.is_file():
             self.filesystem.rm_file(self.path)
 
 
 Folder = Path | RemotePath
+
+
+@contextmanager
+def whole_file(target: Folder) -> Iterator[Path]:
+    """A local file to write, which appears as `target` when the block ends well, whole or not at all."""
+    if isinstance(target, RemotePath):
+        with tempfile.TemporaryDirectory() as folder:
+            local = Path(folder) / target.name
+            yield local
+            target.upload(local)
+        return
+    temporary = target.with_name(f".{target.name}.partial")
+    try:
+        yield temporary
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def folder_of(where: str | Path | RemotePath) -> Folder:

@@ -63,10 +63,3 @@ def _case_blocks(
         while len(held) >= batch_size:
             yield held[:batch_size]
             held = held[batch_size:]
-
-
-def to_torch_iterable(recipe: Recipe, seed: int, batch_size: int = 256, **options: Any) -> Any:
-    """`torch.utils.data.IterableDataset` of (X, class_index, severity) batches; workers of a loader share them."""
-    from motor_datasets.torch_batches import TorchBatches
-
-    return TorchBatches(recipe, seed, batch_size, options)

@@ -10,7 +10,7 @@ from motor_classifiers.cli.main import main
 from motor_classifiers.estimators.methods import make_method
 from motor_classifiers.model_files.persistence import load_model, save_model
 from motor_classifiers.scoring.judging import in_recipe_order
-from motor_datasets.generate import generate_dataset
+from motor_datasets import generate_dataset
 from motor_datasets.loaders import load
 from motor_env.simulation.recipes import named_recipe
 from motor_env.simulation.simulate import Timing

@@ -1,0 +1,142 @@
+"""The Parquet files of a data set: a channel is a column of fixed-size lists of float32, one row a case.
+
+Recipe and seed also stand in the metadata of each file.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from motor_datasets.arrays import COLUMN_OF_CHANNEL, Dataset, parameter_names
+from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Manifest
+from motor_datasets.remote import Folder
+from motor_datasets.splits import Split
+from motor_env.errors import InputError
+from motor_env.simulation.recipe_files import recipe_to_dict
+from motor_env.simulation.recipes import Recipe
+
+_ROW_GROUP_BYTES = 8 * 2**20
+
+
+def _schema(recipe: Recipe, seed: int) -> pa.Schema:
+    sample = pa.field("element", pa.float32(), nullable=False)
+    text = pa.dictionary(pa.int16(), pa.string())
+    columns = {
+        "case_id": pa.int64(),
+        "motor_id": pa.int64(),
+        "split": text,
+        "class_name": text,
+        "class_index": pa.int64(),
+        "kind": text,
+        "severity": pa.float64(),
+        **dict.fromkeys(parameter_names(recipe), pa.float64()),
+        **{
+            COLUMN_OF_CHANNEL[channel]: pa.list_(sample, recipe.timing.n_samples)
+            for channel in recipe.sensor.channels
+        },
+    }
+    metadata = {
+        FORMAT: json.dumps({"version": FORMAT_VERSION, "seed": seed, "recipe": recipe_to_dict(recipe)})
+    }
+    return pa.schema([pa.field(name, kind, nullable=False) for name, kind in columns.items()], metadata)
+
+
+def to_table(dataset: Dataset) -> pa.Table:
+    """The data set as an Arrow table, samples as fixed-size lists."""
+    schema = _schema(dataset.recipe, dataset.seed)
+    labels = {name: getattr(dataset, name) for name in ("case_id", "motor_id", "class_index", "severity")}
+    columns: dict[str, Any] = {**labels, **dataset.parameters}
+    arrays = []
+    samples = {COLUMN_OF_CHANNEL[channel]: n for n, channel in enumerate(dataset.recipe.sensor.channels)}
+    for field in schema:
+        if field.name in samples:
+            flat = pa.array(np.ascontiguousarray(dataset.X[:, samples[field.name]]).reshape(-1))
+            arrays.append(pa.FixedSizeListArray.from_arrays(flat, type=field.type))
+        elif pa.types.is_dictionary(field.type):
+            arrays.append(pa.array(getattr(dataset, field.name)).dictionary_encode().cast(field.type))
+        else:
+            arrays.append(pa.array(columns[field.name], field.type))
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write a table as the data sets' Parquet: zstd 1, samples split by byte, dictionaries for labels only."""
+    samples = [
+        f"{field.name}.list.element" for field in table.schema if pa.types.is_fixed_size_list(field.type)
+    ]
+    text = [field.name for field in table.schema if pa.types.is_dictionary(field.type)]
+    rows = max(1, _ROW_GROUP_BYTES * max(len(table), 1) // max(table.nbytes, 1))
+    pq.write_table(
+        table,
+        path,
+        row_group_size=rows,
+        compression="zstd",
+        compression_level=1,
+        use_dictionary=text,
+        use_byte_stream_split=samples,
+        write_statistics=False,
+    )
+
+
+def read_files(folder: Folder, manifest: Manifest, split: str | None = None) -> Dataset:
+    """Read the files of one split, or train, validation and test, ordered by case.
+
+    Raises:
+        InputError: a file is missing or cannot be read, or the split is unknown or empty.
+    """
+    if split is not None and split not in (*Split, *manifest.splits):
+        raise InputError(f"split must be one of {', '.join(manifest.splits)}, got {split!r}")
+    wanted = set(Split) if split is None else {split}
+    entries = [entry for entry in manifest.files if entry.split in wanted]
+    if not entries:
+        raise InputError(f"{folder} holds no case of split {split}")
+    tables = [_read_table(folder / entry.path) for entry in entries]
+    rows = sum(len(table) for table in tables)
+    recipe = manifest.recipe
+    if split is not None and split.startswith("shift_"):
+        recipe = recipe.shifted(split.removeprefix("shift_"))
+    X = np.empty((rows, len(recipe.sensor.channels), recipe.timing.n_samples), dtype=np.float32)
+    labels = pa.concat_tables(
+        table.drop_columns([COLUMN_OF_CHANNEL[c] for c in recipe.sensor.channels]) for table in tables
+    )
+    row = 0
+    for table in tables:
+        for n, channel in enumerate(recipe.sensor.channels):
+            column = table.column(COLUMN_OF_CHANNEL[channel]).combine_chunks()
+            X[row : row + len(table), n] = column.flatten().to_numpy().reshape(len(table), -1)
+        row += len(table)
+    values = {name: _column(labels, name) for name in labels.column_names}
+    dataset = Dataset(
+        X=X,
+        parameters={name: values.pop(name) for name in parameter_names(recipe)},
+        recipe=recipe,
+        seed=manifest.seed,
+        **values,
+    )
+    order = np.argsort(dataset.case_id, kind="stable")
+    return dataset if (np.diff(order) == 1).all() else dataset.select(order)
+
+
+def _column(table: pa.Table, name: str) -> NDArray[Any]:
+    column = table.column(name).combine_chunks()
+    if pa.types.is_dictionary(column.type):
+        return np.array(column.cast(pa.string()).to_pylist())
+    values: NDArray[Any] = column.to_numpy()
+    return values
+
+
+def _read_table(path: Folder) -> pa.Table:
+    if not path.is_file():
+        raise InputError(f"{path} is missing")
+    try:
+        with path.open("rb") as stream:
+            return pq.read_table(stream)
+    except pa.ArrowInvalid as error:
+        raise InputError(f"{path} cannot be read: {error}") from error
