@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from abc import abstractmethod
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,17 +14,18 @@ from motor_env.detection.rules.calibration import (
     run_lengths,
     simulated_threshold,
 )
+from motor_env.detection.rules.statistic import Statistic
 from motor_env.detection.rules.thresholds import Threshold, Wanted
+from motor_env.detection.run_length import RunLaw
 from motor_env.motor.parameters import FloatArray, require
 
 if TYPE_CHECKING:
     from motor_env.simulation.recipes import Recipe
 
-
 _RUNS = 2_000
 
 
-class Rule(ABC):
+class Rule(Statistic):
     """A decision rule on whitened innovations, which are white and standard normal while the belief holds.
 
     That they are: Kailath 1968; that faults show in them: Mehra & Peschon 1971.
@@ -33,28 +34,7 @@ class Rule(ABC):
     both call them, so they cannot disagree.
     """
 
-    @property
-    def n_channels(self) -> int | None:
-        """Channels that the rule needs, or None where it takes any number."""
-        return None
-
-    @abstractmethod
-    def start(self, n_streams: int, n_channels: int) -> FloatArray:
-        """State before the first sample, shape (n_streams, width)."""
-
-    @abstractmethod
-    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
-        """Statistic after each sample, shape (n_streams, n_samples); the state is carried on in place.
-
-        Args:
-            state: as `start` gives it.
-            whitened: shape (n_streams, n_samples, n_channels). A channel that is NaN was not measured: the rule takes
-                no notice of it.
-        """
-
-    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold | None:
-        """Threshold by theory, None where there is none and it has to be simulated."""
-        return None
+    __slots__ = ()
 
     def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
         """Average samples to the alarm, from the start, for samples of one channel and of mean `shift`.
@@ -105,23 +85,6 @@ class Rule(ABC):
         exact = self.exact_threshold(wanted, n_channels)
         return exact or simulated_threshold(self, wanted, runs=runs, n_channels=n_channels, seed=seed)
 
-    def statistic(self, whitened: ArrayLike) -> FloatArray:
-        """Statistic after each sample.
-
-        Args:
-            whitened: shape (..., n_samples, n_channels), as in `FilterResult.whitened`.
-
-        Returns:
-            Shape (..., n_samples).
-        """
-        values = np.asarray(whitened, dtype=np.float64)
-        require(
-            values.ndim >= 2 and self.n_channels in (None, values.shape[-1]),
-            f"whitened must have shape (..., n_samples, {self.n_channels or 'n_channels'}), got {values.shape}",
-        )
-        flat = np.ascontiguousarray(values.reshape(-1, *values.shape[-2:]))
-        return self.scan(self.start(len(flat), flat.shape[-1]), flat).reshape(values.shape[:-1])
-
     def alarm_index(self, whitened: ArrayLike, threshold: float | Threshold) -> NDArray[np.int64]:
         """First sample at which the statistic is above the threshold, -1 where there is none; shape (...)."""
         limit = threshold.value if isinstance(threshold, Threshold) else threshold
@@ -130,6 +93,39 @@ class Rule(ABC):
     def stream(self, n_streams: int = 1, n_channels: int = 1) -> RuleStream:
         """A running copy of the rule, fed one sample at a time."""
         return RuleStream(self, n_streams, n_channels)
+
+
+class ExactRule(Rule):
+    """A rule whose false alarms a Markov chain or an integral equation gives (Brook & Evans 1972)."""
+
+    __slots__ = ()
+
+    method: ClassVar[str] = "exact: integral equation"
+
+    @abstractmethod
+    def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
+        """Law of the samples to the alarm, from the start, for samples of mean `shift`; 0 while healthy."""
+
+    @property
+    def lowest(self) -> tuple[float, float]:
+        """A threshold that is surely too low, and the first step upwards from there."""
+        return 1e-3, 0.5
+
+    def average_run_length(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> float:
+        """Average samples to the alarm, from the start, for samples of mean `shift`: 0 gives ARL0."""
+        return self.run_law(threshold, shift, n_channels).average_run_length()
+
+    def alarm_probability(
+        self, threshold: float, n_samples: int, shift: float = 0.0, n_channels: int = 1
+    ) -> float:
+        """Probability of an alarm within n samples, for samples of mean `shift`."""
+        return self.run_law(threshold, shift, n_channels).alarm_probability(n_samples)
+
+    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
+        """Exact threshold."""
+        low, step = self.lowest
+        value = wanted.solve(lambda threshold: self.run_law(threshold, 0.0, n_channels), low=low, step=step)
+        return Threshold(value, 0.0, self.method)
 
 
 class RuleStream:

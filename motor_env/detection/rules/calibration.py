@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_env.detection.rules.kernels import first_passages
+from motor_env.detection.rules.statistic import Statistic
 from motor_env.detection.rules.thresholds import Threshold, Wanted
 from motor_env.detection.rules.tolerant import TolerantFilter
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.random_streams import Stream, normals
 from motor_env.simulation.recipes import FaultClass, Recipe, draw, measure_draw
-
-if TYPE_CHECKING:
-    from motor_env.detection.rules.base import Rule
 
 IntArray = NDArray[np.int64]
 Progress = Callable[[float], None]
@@ -26,6 +23,7 @@ CALIBRATION_SEED = 20_101
 
 _TRANSIENTS = 100_000
 _MOST_RUNS, _LEAST_RUNS, _SAMPLES = 10_000, 1_000, 3e8
+_MOST_SAMPLES = 1e10  # some twenty minutes of one core
 _PILOT = 400
 _LEVELS = 9
 _NARROW = 0.3  # how far from the wanted average run length the pilot's thresholds reach, as a logarithm
@@ -34,7 +32,7 @@ _AT_ONCE = 400_000  # values in one array: they stay in the cache
 
 
 def simulated_threshold(
-    rule: Rule, wanted: Wanted, *, runs: int | None, n_channels: int, seed: int
+    rule: Statistic, wanted: Wanted, *, runs: int | None, n_channels: int, seed: int
 ) -> Threshold:
     """Threshold from simulated healthy runs of white noise, with its standard error.
 
@@ -51,17 +49,27 @@ def simulated_threshold(
     """
     if wanted.probability is not None:
         count = runs or _TRANSIENTS
+        _check_effort(f"n_samples {wanted.n_samples}", wanted.n_samples, count)
         largest = largest_values(rule, wanted.n_samples, np.arange(count), n_channels, seed)
         method = f"simulated: {count} runs of {wanted.n_samples} samples"
         return _order_statistic(largest, wanted.probability, method)
     require(wanted.arl0 is not None, "a threshold needs arl0 or a false-alarm probability")
     arl0 = float(wanted.arl0 or 0.0)
     count = runs or int(np.clip(_SAMPLES / arl0, _LEAST_RUNS, _MOST_RUNS))
+    _check_effort(f"arl0 {arl0:g}", arl0, max(count, _PILOT))
     return _for_run_length(rule, arl0, count, n_channels, seed)
 
 
+def _check_effort(request: str, samples: float, runs: int) -> None:
+    require(
+        samples * runs <= _MOST_SAMPLES,
+        f"{request} needs {samples * runs:.0e} simulated samples for {runs} runs, more than {_MOST_SAMPLES:.0e}: "
+        f"with so many runs up to {_MOST_SAMPLES / runs:.0e} can be had, with fewer runs more",
+    )
+
+
 def recipe_thresholds(
-    rules: Sequence[Rule],
+    rules: Sequence[Statistic],
     recipe: Recipe,
     false_alarm_probability: float,
     *,
@@ -112,7 +120,9 @@ def healthy_measurements(recipe: Recipe, seed: int, cases: ArrayLike) -> NDArray
     return measure_draw(draw(healthy, seed, cases), healthy, seed)
 
 
-def largest_values(rule: Rule, n_samples: int, cases: IntArray, n_channels: int, seed: int) -> FloatArray:
+def largest_values(
+    rule: Statistic, n_samples: int, cases: IntArray, n_channels: int, seed: int
+) -> FloatArray:
     """Largest statistic of each of many healthy runs, shape (n_cases,)."""
     answer = np.empty(len(cases))
     batch = max(1, _AT_ONCE // (n_samples * n_channels))
@@ -129,7 +139,7 @@ def largest_values(rule: Rule, n_samples: int, cases: IntArray, n_channels: int,
 
 
 def run_lengths(
-    rule: Rule,
+    rule: Statistic,
     levels: ArrayLike,
     runs: int,
     *,
@@ -192,7 +202,7 @@ def _order_statistic(largest: FloatArray, probability: float, method: str) -> Th
     return Threshold(float(value), 0.5 * float(above - below), method)
 
 
-def _for_run_length(rule: Rule, arl0: float, runs: int, n_channels: int, seed: int) -> Threshold:
+def _for_run_length(rule: Statistic, arl0: float, runs: int, n_channels: int, seed: int) -> Threshold:
     # Run lengths are near exponential (Pollak & Tartakovsky 2009): a run of L = arl0 samples stays silent with
     # probability exp(-1), and exp(-exp(-+0.3)) at thresholds for exp(+-0.3) arl0.
     pilot = largest_values(rule, max(1, int(arl0)), runs + np.arange(_PILOT), n_channels, seed)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from motor_env.detection.rules import kernels
-from motor_env.detection.rules.base import Rule
+from motor_env.detection.rules.base import ExactRule, Rule
 from motor_env.detection.rules.thresholds import Threshold, Wanted
-from motor_env.detection.run_length import cusum_chain, shiryaev_roberts_chain, sprt_chain, two_sided
+from motor_env.detection.run_length import RunLaw, TwoSided, cusum_chain, shiryaev_roberts_chain, sprt_chain
 from motor_env.motor.parameters import FloatArray, require, require_positive
 
 
@@ -35,7 +35,7 @@ class DirectedRule(Rule):
 
 
 @dataclass(frozen=True, slots=True)
-class Cusum(DirectedRule):
+class Cusum(DirectedRule, ExactRule):
     """CUSUM: S = max(0, S + r - d/2), for a shift d of the mean that begins at an unknown time (Page 1954).
 
     With the true shift it has the least worst-case delay for its ARL0 (Moustakides 1986). The two-sided rule runs one
@@ -64,28 +64,12 @@ class Cusum(DirectedRule):
         kernels.cusum(self.series(whitened), 0.5 * self.shift, state, answer)
         return answer
 
-    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
-        """Average samples to the alarm from S = 0, for samples of mean `shift`: 0 gives ARL0, d the worst-case delay.
-
-        For the two-sided rule 1/ARL is the sum over the sides (van Dobben de Bruyn 1968).
-        """
-        one = cusum_chain(0.5 * self.shift, threshold, shift).average_run_length()
+    def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
+        """By integral equation from S = 0; a `shift` of d gives the worst-case delay."""
+        up = cusum_chain(0.5 * self.shift, threshold, shift)
         if not self.two_sided:
-            return one
-        other = cusum_chain(0.5 * self.shift, threshold, -shift).average_run_length() if shift else one
-        return 1.0 / (1.0 / one + 1.0 / other)
-
-    def alarm_probability(self, threshold: float, n_samples: int) -> float:
-        """Probability of a false alarm within n samples."""
-        chain = cusum_chain(0.5 * self.shift, threshold)
-        if not self.two_sided:
-            return chain.alarm_probability(n_samples)
-        return 1.0 - float(two_sided(chain.survival(n_samples))[-1])
-
-    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
-        """Exact threshold (integral equation); `n_channels` does not matter."""
-        value = wanted.solve(self.average_run_length, self.alarm_probability, low=1e-3, step=0.5)
-        return Threshold(value, 0.0, "exact: integral equation")
+            return up
+        return TwoSided(up, cusum_chain(0.5 * self.shift, threshold, -shift) if shift else up)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +105,7 @@ class SignatureCusum(DirectedRule):
 
 
 @dataclass(frozen=True, slots=True)
-class ShiryaevRoberts(DirectedRule):
+class ShiryaevRoberts(DirectedRule, ExactRule):
     """Shiryaev-Roberts: R = (1 + R) L, with L the likelihood ratio of a shift d; the statistic is log R.
 
     Optimal on average over onsets long after the start (Shiryaev 1963, Roberts 1966, Pollak & Tartakovsky 2009). That
@@ -146,23 +130,18 @@ class ShiryaevRoberts(DirectedRule):
         """Log R, a bank of one model."""
         return kernels.mixture(self.series(whitened), np.array([self.shift]), np.ones(1), state)
 
-    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
-        """Average samples to the alarm from R = 0, for samples of mean `shift`."""
-        return shiryaev_roberts_chain(self.shift, threshold, shift).average_run_length()
+    @property
+    def lowest(self) -> tuple[float, float]:
+        """A threshold on log R that is surely too low, and the first step upwards from there."""
+        return -self.shift * (0.5 * self.shift + 8.0), 1.0
 
-    def alarm_probability(self, threshold: float, n_samples: int) -> float:
-        """Probability of a false alarm within n samples."""
-        return shiryaev_roberts_chain(self.shift, threshold).alarm_probability(n_samples)
-
-    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
-        """Exact threshold on log R (integral equation); `n_channels` does not matter."""
-        low = -self.shift * (0.5 * self.shift + 8.0)
-        value = wanted.solve(self.average_run_length, self.alarm_probability, low=low, step=1.0)
-        return Threshold(value, 0.0, "exact: integral equation")
+    def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
+        """By integral equation from R = 0."""
+        return shiryaev_roberts_chain(self.shift, threshold, shift)
 
 
 @dataclass(frozen=True, slots=True)
-class Sprt(DirectedRule):
+class Sprt(DirectedRule, ExactRule):
     """Wald's sequential probability ratio test of a shift d, there from the start (Wald 1945).
 
     The statistic is the log-likelihood ratio; at `lower` the motor is accepted as healthy, and the test begins anew
@@ -196,21 +175,18 @@ class Sprt(DirectedRule):
         kernels.sprt(self.series(whitened), self.shift, self.lower, self.restart, state, answer)
         return answer
 
-    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
-        """Average samples to the alarm with restarts, for samples of mean `shift`; infinite without."""
-        if not self.restart:
-            return float("inf")
-        chain = sprt_chain(self.shift, self.lower, threshold, restart=True, shift=shift)
-        return chain.average_run_length()
+    def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
+        """By integral equation from ratio 1."""
+        return sprt_chain(self.shift, self.lower, threshold, restart=self.restart, shift=shift)
 
-    def alarm_probability(self, threshold: float, n_samples: int, shift: float = 0.0) -> float:
-        """Probability of an alarm within n samples, for samples of mean `shift`."""
-        chain = sprt_chain(self.shift, self.lower, threshold, restart=self.restart, shift=shift)
-        return chain.alarm_probability(n_samples)
+    def average_run_length(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> float:
+        """Average samples to the alarm with restarts, for samples of mean `shift`; infinite without."""
+        return ExactRule.average_run_length(self, threshold, shift, n_channels) if self.restart else np.inf
 
     def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
-        """Exact upper bound (integral equation); `n_channels` does not matter."""
-        if wanted.arl0 is not None and not self.restart:
-            raise ValueError("arl0 needs restart=True: a test that stays silent has no average run length")
-        value = wanted.solve(self.average_run_length, self.alarm_probability, low=1e-3, step=0.5)
-        return Threshold(value, 0.0, "exact: integral equation")
+        """Exact upper bound (integral equation)."""
+        require(
+            wanted.arl0 is None or self.restart,
+            "arl0 needs restart=True: a test that stays silent has no average run length",
+        )
+        return ExactRule.exact_threshold(self, wanted, n_channels)

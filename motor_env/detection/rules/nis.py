@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.stats import chi2, ncx2
 
 from motor_env.detection.rules import kernels
-from motor_env.detection.rules.base import Rule
-from motor_env.detection.rules.thresholds import Threshold, Wanted
-from motor_env.detection.run_length import LONGEST_WINDOW, Chain, m_of_n_chain
-from motor_env.motor.parameters import FloatArray, require
+from motor_env.detection.rules.base import ExactRule
+from motor_env.detection.run_length import HitChain, RunLaw
+from motor_env.motor.parameters import FloatArray
 
 
 def normalised_square(whitened: FloatArray) -> FloatArray:
@@ -22,7 +22,7 @@ def normalised_square(whitened: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class MOfN(Rule):
+class MOfN(ExactRule):
     """Alarm when at least M of the last N samples have a NIS above the threshold.
 
     The statistic is the M-th largest NIS of the last N, which is above the threshold exactly then. M = N = 1 is the
@@ -36,12 +36,10 @@ class MOfN(Rule):
 
     needed: int = 3
     among: int = 5
+    method: ClassVar[str] = "exact: chi-square and Markov chain of the last hits"
 
     def __post_init__(self) -> None:
-        require(
-            1 <= self.needed <= self.among <= LONGEST_WINDOW,
-            f"needed and among must satisfy 1 <= M <= N <= {LONGEST_WINDOW}, got {self.needed} and {self.among}",
-        )
+        HitChain(0.5, self.needed, self.among)  # checks them
 
     def start(self, n_streams: int, n_channels: int) -> FloatArray:
         """A ring of the last N squares, none so far, and the place of the oldest."""
@@ -56,27 +54,15 @@ class MOfN(Rule):
         kernels.m_of_n(squares, self.needed, state, answer)
         return answer
 
-    def average_run_length(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> float:
-        """Average samples to the alarm, for innovations whose mean has the length `shift`; 0 gives ARL0."""
-        return self._chain(threshold, n_channels, shift).average_run_length()
+    @property
+    def lowest(self) -> tuple[float, float]:
+        """No square is below 0."""
+        return 0.0, 1.0
 
-    def alarm_probability(self, threshold: float, n_samples: int, n_channels: int = 1) -> float:
-        """Probability of a false alarm within n samples."""
-        return self._chain(threshold, n_channels).alarm_probability(n_samples)
-
-    def _chain(self, threshold: float, n_channels: int, shift: float = 0.0) -> Chain:
-        law = ncx2(n_channels, shift**2) if shift else chi2(n_channels)
-        return m_of_n_chain(float(law.sf(threshold)), self.needed, self.among)
-
-    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
-        """Exact threshold on the NIS (chi-square and Markov chain)."""
-        value = wanted.solve(
-            lambda threshold: self.average_run_length(threshold, n_channels=n_channels),
-            lambda threshold, count: self.alarm_probability(threshold, count, n_channels),
-            low=0.0,
-            step=1.0,
-        )
-        return Threshold(value, 0.0, "exact: chi-square and Markov chain of the last hits")
+    def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
+        """By the chain of the last hits, for innovations whose mean has the length `shift`."""
+        squares = ncx2(n_channels, shift**2) if shift else chi2(n_channels)
+        return HitChain(float(squares.sf(threshold)), self.needed, self.among)
 
 
 def nis_rule() -> MOfN:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from motor_env.detection.run_length import LONGEST_RUN, RunLaw
 from motor_env.motor.parameters import require
 
 
@@ -56,32 +57,34 @@ class Wanted:
         )
         return cls(None, probability, int(n_samples or 0))
 
-    def solve(
-        self,
-        average_run_length: Callable[[float], float],
-        alarm_probability: Callable[[float, int], float],
-        low: float,
-        step: float,
-    ) -> float:
-        """Threshold that meets the request; both functions are monotonic in it.
+    def solve(self, law: Callable[[float], RunLaw], *, low: float, step: float) -> float:
+        """Threshold that meets the request.
 
         Args:
-            average_run_length: of a threshold.
-            alarm_probability: of a threshold and a number of samples.
+            law: of the samples to an alarm, for a threshold; a higher one never alarms earlier.
             low: threshold that is surely too low.
             step: first step upwards from there; the steps grow by a half each.
+
+        Raises:
+            ValueError: an average run length beyond what the rule's equation resolves.
         """
 
         def excess(threshold: float) -> float:
             if self.arl0 is not None:
-                return float(np.log(average_run_length(threshold)) - np.log(self.arl0))
-            assert self.probability is not None  # noqa: S101  # one of the two is given: see `checked`
-            return float(
-                np.log(self.probability) - np.log(max(alarm_probability(threshold, self.n_samples), 1e-300))
-            )
+                return float(np.log(law(threshold).average_run_length()) - np.log(self.arl0))
+            wanted = self.probability or 0.0
+            found = law(threshold).alarm_probability(self.n_samples)
+            return float(np.log(wanted) - np.log(max(found, 1e-300)))
 
         high = low + step
         while excess(high) < 0.0:
             low, high, step = high, high + 1.5 * step, 1.5 * step
-        root = brentq(excess, low, high, xtol=1e-10, rtol=1e-12) if excess(low) < 0.0 else low
-        return float(root)
+        if excess(low) >= 0.0:
+            return low
+        root = float(brentq(excess, low, high, xtol=1e-10, rtol=1e-12))
+        # Beyond what the equation resolves the run length jumps to infinity, and the jump is no root.
+        require(
+            abs(excess(root)) < 1e-3,
+            f"arl0 {self.arl0 or 0.0:g} is more than the equation of this rule resolves, some {LONGEST_RUN:g} samples",
+        )
+        return root

@@ -20,11 +20,10 @@ from motor_env.detection.rules import (
     run_lengths,
 )
 from motor_env.detection.run_length import (
+    HitChain,
+    TwoSided,
     cusum_chain,
-    m_of_n_chain,
     shiryaev_roberts_chain,
-    siegmund_average_run_length,
-    two_sided,
 )
 
 RULES: dict[str, Rule] = {
@@ -40,7 +39,7 @@ RULES: dict[str, Rule] = {
 
 
 def test_known_run_lengths() -> None:
-    assert m_of_n_chain(0.05, 3, 5).average_run_length() == pytest.approx(1608.44, abs=0.01)
+    assert HitChain(0.05, 3, 5).average_run_length() == pytest.approx(1608.44, abs=0.01)
     assert cusum_chain(0.5, 5.0).average_run_length() == pytest.approx(930.887, abs=1e-3)
     # Two-sided, k = 0.5, h = 4 and 5: tabled as 168 and 465 (Montgomery 2013, table 9.3).
     assert Cusum(1.0, two_sided=True).average_run_length(4.0) == pytest.approx(168.0, abs=0.5)
@@ -59,7 +58,7 @@ def test_the_matched_cusums_worst_case_delay_at_arl0_of_ten_thousand(shift: floa
 def test_k_in_a_row_has_fellers_run_length(p: float, k: int) -> None:
     expected = (1.0 - p**k) / (p**k * (1.0 - p))
     if expected < 1e9:
-        assert m_of_n_chain(p, k, k).average_run_length() == pytest.approx(expected, rel=1e-6)
+        assert HitChain(p, k, k).average_run_length() == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_chain_of_hits_counts_every_pattern() -> None:
@@ -69,20 +68,23 @@ def test_the_chain_of_hits_counts_every_pattern() -> None:
         hits = [(pattern >> k) & 1 for k in range(length)]
         if any(sum(hits[max(0, k - among + 1) : k + 1]) >= needed for k in range(length)):
             probability += p ** sum(hits) * (1 - p) ** (length - sum(hits))
-    assert m_of_n_chain(p, needed, among).alarm_probability(length) == pytest.approx(probability, abs=1e-12)
+    assert HitChain(p, needed, among).alarm_probability(length) == pytest.approx(probability, abs=1e-12)
 
 
-def test_survival_and_matrix_power_agree() -> None:
+def test_alarms_sample_by_sample_and_by_doubling_agree() -> None:
     chain = cusum_chain(0.25, 6.0)
-    assert 1.0 - chain.survival(777)[-1] == pytest.approx(chain.alarm_probability(777), abs=1e-12)
-    # The sum of survivals is the average run length.
-    assert chain.survival(60_000).sum() == pytest.approx(chain.average_run_length(), rel=1e-6)
+    pmf = chain.alarm_pmf(60_000)
+    assert pmf[:777].sum() == pytest.approx(chain.alarm_probability(777), abs=1e-12)
+    assert pmf @ np.arange(1, 60_001) == pytest.approx(chain.average_run_length(), rel=1e-6)
 
 
 def test_integral_equation_is_near_siegmunds_approximation() -> None:
     for reference, threshold in [(0.5, 4.0), (0.25, 8.0), (0.065, 30.0)]:
         exact = cusum_chain(reference, threshold).average_run_length()
-        assert siegmund_average_run_length(reference, threshold) == pytest.approx(exact, rel=0.03)
+        # Siegmund 1985, eq. 2.57
+        b, drift = threshold + 1.166, -reference
+        near = (np.exp(-2.0 * drift * b) + 2.0 * drift * b - 1.0) / (2.0 * drift * drift)
+        assert near == pytest.approx(exact, rel=0.03)
 
 
 def test_shiryaev_roberts_is_a_martingale_at_its_alarm() -> None:
@@ -98,9 +100,10 @@ def test_shiryaev_roberts_is_a_martingale_at_its_alarm() -> None:
     assert arl0 == pytest.approx((index + 1).mean(), abs=4.0 * index.std() / np.sqrt(len(index)))
 
 
-def test_two_sided_survival_matches_its_run_length() -> None:
-    survival = two_sided(cusum_chain(0.5, 3.0).survival(4000))
-    assert survival.sum() == pytest.approx(Cusum(1.0, two_sided=True).average_run_length(3.0), rel=1e-6)
+def test_two_sided_alarms_match_its_run_length() -> None:
+    chain = cusum_chain(0.5, 3.0)
+    mean = TwoSided(chain, chain).alarm_pmf(4000) @ np.arange(1, 4001)
+    assert mean == pytest.approx(Cusum(1.0, two_sided=True).average_run_length(3.0), rel=1e-6)
 
 
 @pytest.mark.parametrize("name", RULES)
@@ -274,3 +277,37 @@ def test_bank_posterior_is_bayes_rule_over_all_onsets() -> None:
     expected = [sum(w for (model, _), w in weights.items() if model == j) / total for j in (-1, 0, 1)]
     found = ModelBank(shifts).probabilities(values[:, None], hazard)[-1]
     np.testing.assert_allclose(found, expected, rtol=1e-10)
+
+
+def test_rare_alarms_are_exact() -> None:
+    # 1 - (1 - p)^n = 1e-14 for n = 1000: p = 1e-17
+    rare = nis_rule().threshold_for(false_alarm_probability=1e-14, n_samples=1000)
+    assert rare.value == pytest.approx(chi2.isf(1e-17, 1), rel=1e-9)
+    assert nis_rule().threshold_for(arl0=1e15).value == pytest.approx(chi2.isf(1e-15, 1), rel=1e-9)
+    rule = Cusum(1.0)
+    value = rule.threshold_for(false_alarm_probability=1e-13, n_samples=1000).value
+    # Far out an alarm's rate falls by exp(-d) for each unit of the threshold (Lorden 1971).
+    ratio = rule.alarm_probability(value, 1000) / rule.alarm_probability(value + 1.0, 1000)
+    assert ratio == pytest.approx(np.e, rel=0.01)
+
+
+def test_run_lengths_that_no_equation_resolves_are_refused() -> None:
+    two_sided = Cusum(1.0, two_sided=True)
+    assert two_sided.average_run_length(two_sided.threshold_for(arl0=1e9).value) == pytest.approx(
+        1e9, rel=1e-5
+    )
+    for rule in (Cusum(1.0), two_sided, ShiryaevRoberts(1.0), Sprt(1.0, restart=True)):
+        with pytest.raises(ValueError, match=r"arl0 1e\+13 is more than the equation of this rule resolves"):
+            rule.threshold_for(arl0=1e13)
+
+
+def test_simulations_without_end_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"arl0 1e\+09 needs 1e\+12 simulated samples for 1000 runs"):
+        Glr().threshold_for(arl0=1e9)
+    with pytest.raises(ValueError, match="n_samples 1000000 needs"):
+        Glr().threshold_for(false_alarm_probability=0.01, n_samples=1_000_000)
+
+
+def test_long_windows_are_quick() -> None:
+    rule = MOfN(7, 14)
+    assert rule.average_run_length(rule.threshold_for(arl0=1e4).value) == pytest.approx(1e4, rel=1e-6)

@@ -1,4 +1,4 @@
-"""Pictures of rules at work: residual and statistic with threshold and alarm, delay curves, posterior of a bank."""
+"""Pictures of rules: residual and statistic with threshold and alarm, and the posterior of a bank."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from motor_env.detection.rules.base import Rule, first_above
-from motor_env.detection.rules.cusum import Cusum
 from motor_env.detection.rules.thresholds import Threshold
 from motor_env.motor.parameters import FloatArray
 
@@ -48,43 +47,6 @@ def plot_rules(
         for axis in axes:
             axis.axvline(1e3 * onset_s, color="0.4", linestyle=":", linewidth=1.0)
     axes[-1].set_xlabel("time / ms")
-    return figure
-
-
-def plot_delay_curves(
-    shift: float,
-    rules: Mapping[str, Rule],
-    arl0: Sequence[float] = (1e2, 3e2, 1e3, 3e3, 1e4, 3e4),
-) -> Figure:
-    """Delay of rules against their ARL0, beside the exact one of the matched CUSUM and the asymptote.
-
-    The matched CUSUM has the least possible worst case (Moustakides 1986); ln(ARL0) / KL is drawn as the asymptote
-    that it is (Lorden 1971). Delays are from an onset at the start of the rule.
-
-    Args:
-        shift: of the mean, in standard deviations of the innovation.
-        rules: by name; exact where theory gives it, else simulated.
-        arl0: average samples between false alarms.
-    """
-    figure = Figure(figsize=(9.0, 4.5), layout="constrained")
-    axis = figure.subplots()
-    for name, rule in {"CUSUM, true shift (least worst case)": Cusum(shift), **rules}.items():
-        delays = [rule.average_run_length(rule.threshold_for(arl0=wanted).value, shift) for wanted in arl0]
-        axis.plot(
-            arl0, delays, marker="o", markersize=3.0, linewidth=1.5 if name in rules else 3.0, label=name
-        )
-    axis.plot(
-        arl0,
-        2.0 * np.log(arl0) / shift**2,
-        color="0.5",
-        linestyle=":",
-        label="asymptote ln(ARL0) / KL, no bound",
-    )
-    axis.set_xscale("log")
-    axis.set_yscale("log")
-    axis.set_xlabel("samples between false alarms, ARL0")
-    axis.set_ylabel(f"delay in samples, shift of {shift:g} sigma")
-    figure.legend(loc="outside right upper", frameon=False, fontsize="small")
     return figure
 
 
