@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, significance_limit, smallest_changes
+from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
+from motor_env.diagnosis.explanations import significance_limit, smallest_changes
 from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
 from motor_env.diagnosis.report import UNITS, extension_unit, ripple_json, ripple_lines
 from motor_env.errors import InputError
 from motor_env.identification.identify import EXTENSIONS, Identified, identify_best
 from motor_env.identification.residuals import AMBIGUOUS
-from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import MotorFile, StartReference
 from motor_env.motor.parameters import MotorParameters
 from motor_env.recordings.defects import UnusableError
@@ -36,7 +36,6 @@ class Commissioned:
     motor: MotorFile
     fits: tuple[Identified, ...]
     smallest: dict[str, float]
-    quantile: float
 
 
 def identify_file(
@@ -85,12 +84,10 @@ def commission(
     if len({fit.quantity_names for fit in fits}) > 1:
         raise InputError("the healthy starts hold different columns; give such that agree")
     reference = learn_reference(fits)
-    first = fits[0].start
-    exponents = quantities.matrix(has_voltage=first.voltage_known, has_speed=first.speed_rad_s is not None)
-    quantile = significance_limit(false_alarm_rate, exponents, reference.degrees_of_freedom)
+    limit = significance_limit(false_alarm_rate, fits[0].exponents, reference.degrees_of_freedom)
     motor = to_motor(fits, name, kind="commissioned", reference=reference)
-    smallest = smallest_changes(reference.log_covariance, exponents, quantile)
-    return Commissioned(motor, tuple(fits), smallest, quantile)
+    smallest = smallest_changes(reference.log_covariance, fits[0].exponents, limit)
+    return Commissioned(motor, tuple(fits), smallest)
 
 
 def to_motor(

@@ -7,14 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.decision import (
-    DEFAULT_FALSE_ALARM_RATE,
-    Diagnosis,
-    Verdict,
-    compare,
-    decide,
-    significance_limit,
-)
+from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, Diagnosis, Verdict, decide
+from motor_env.diagnosis.explanations import compare, significance_limit
 from motor_env.diagnosis.filter_check import filter_check
 from motor_env.diagnosis.healthy_motor import Reference, reference_from_motor, reference_from_starts
 from motor_env.identification.commutation import ripple_quantities
@@ -93,8 +87,7 @@ def _with_ripple(found: Diagnosis, fit: Identified, starts: StartReference, rate
     if abs(float(logs[0])) > _ANOTHER_ORDER:
         return found  # another of the ripple's orders is the strongest now: nothing to compare
     freedom = starts.degrees_of_freedom
-    which = {"has_voltage": fit.start.voltage_known, "has_speed": fit.start.speed_rad_s is not None}
-    limit = significance_limit(rate, quantities.matrix(**which), freedom)
+    limit = significance_limit(rate, fit.exponents, freedom)
     names = ("speed", "K" if fit.start.voltage_known else "K/V")
     changes = compare(names, logs, np.eye(2) * starts.ripple_log_sd**2, freedom, limit)
     moved = [c for c in changes if c.significant]

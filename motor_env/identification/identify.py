@@ -116,6 +116,12 @@ class Identified:
         return out
 
     @property
+    def exponents(self) -> FloatArray:
+        """Exponents of (R, L, K, J, B, V) in each quantity, shape (n, 6)."""
+        start = self.start
+        return quantities.matrix(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
+
+    @property
     def values(self) -> FloatArray:
         """The identifiable quantities, SI (over volt where the voltage is unknown)."""
         return np.exp(self.log_values)

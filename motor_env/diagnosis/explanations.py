@@ -1,0 +1,192 @@
+"""What explains a difference between two motors: each fault, none, or something else; with probabilities.
+
+The difference d of the logarithms of a start's quantities to those of a healthy one has a covariance C. Along a fault's
+direction g it is tested by z = g'C^-1 d / sqrt(g'C^-1 g), as a whole by d'C^-1 d; with few healthy starts the
+quantiles are Student's and Fisher's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from motor_env.diagnosis.healthy_motor import NORMAL_DOF
+from motor_env.motor import identifiable as quantities
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import FloatArray
+
+_SEVERITY_PRIOR = 0.30  # scale of the half-Cauchy prior: a large severity is no surprise
+_HEALTHY_PRIOR = 0.8
+_OTHER_PRIOR = 0.30  # standard deviation of each logarithm where something else is wrong
+_STEP_NODES = np.linspace(-10.0, 10.0, 401)  # standard deviations about the best step
+_POWER_QUANTILE = 1.645  # 95 of 100
+_LARGEST_LOG = 30.0
+_NOISE_AND_OMNIBUS = 2  # tests beside those of the faults
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """How far a start lies from a healthy one.
+
+    Attributes:
+        log_ratios: of the quantities, shape (n,).
+        covariance: of the logarithms, everything that is uncertain included, shape (n, n).
+        exponents: of (R, L, K, J, B, V) in each quantity, shape (n, 6).
+        degrees_of_freedom: of the covariance.
+    """
+
+    log_ratios: FloatArray
+    covariance: FloatArray
+    exponents: FloatArray
+    degrees_of_freedom: float
+
+    @property
+    def inverse(self) -> FloatArray:
+        """Inverse of the covariance."""
+        return np.asarray(np.linalg.inv(self.covariance), dtype=np.float64)
+
+    @property
+    def squared_distance(self) -> float:
+        """Squared Mahalanobis distance."""
+        return float(self.log_ratios @ self.inverse @ self.log_ratios)
+
+    def p_value(self, squared: float, dimensions: int) -> float:
+        """Probability of a squared distance at least as large (Hotelling); 1 for no dimension."""
+        if dimensions == 0:
+            return 1.0
+        return float(stats.f.sf(max(squared, 0.0) / dimensions, dimensions, self.degrees_of_freedom))
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """How far a quantity lies from the reference.
+
+    Attributes:
+        name: the quantity.
+        ratio: fitted over reference.
+        low, high: interval of the ratio, 95 %, the reference's uncertainty included.
+        significant: whether 1 lies outside the interval at the wanted rate of false alarms.
+    """
+
+    name: str
+    ratio: float
+    low: float
+    high: float
+    significant: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """A fault as an explanation of a difference.
+
+    Attributes:
+        kind: the fault.
+        z: how far it stands out, in standard deviations.
+        step: of the logarithms along the fault's direction.
+        step_sd: its standard deviation.
+        p_left_over: probability of a rest at least as large as the one that it leaves unexplained.
+    """
+
+    kind: FaultKind
+    z: float
+    step: float
+    step_sd: float
+    p_left_over: float
+
+    @property
+    def severity(self) -> float:
+        """Severity of the fault."""
+        return severity_of(self.kind, self.step)
+
+
+def alarm_share(rate: float, exponents: FloatArray) -> float:
+    """Rate of false alarms of one test: those of the faults, of the noise and of the whole share it (Bonferroni)."""
+    return rate / (len(quantities.nameable_kinds(exponents)) + _NOISE_AND_OMNIBUS)
+
+
+def significance_limit(rate: float, exponents: FloatArray, degrees_of_freedom: float) -> float:
+    """Standard deviations beyond which one of these tests alarms."""
+    return float(stats.t.isf(alarm_share(rate, exponents), degrees_of_freedom))
+
+
+def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) -> list[Explanation]:
+    """Each of some faults as an explanation; by default of those that the quantities can name."""
+    inverse, dimensions = difference.inverse, len(difference.log_ratios)
+    explanations = []
+    for kind in quantities.nameable_kinds(difference.exponents) if kinds is None else kinds:
+        direction = quantities.visible_direction(kind, difference.exponents)
+        information = float(direction @ inverse @ direction)
+        step = float(direction @ inverse @ difference.log_ratios) / information
+        z = step * math.sqrt(information)
+        rest = difference.p_value(difference.squared_distance - z * z, dimensions - 1)
+        explanations.append(Explanation(kind, z, step, 1.0 / math.sqrt(information), rest))
+    return explanations
+
+
+def smallest_changes(covariance: FloatArray, exponents: FloatArray, limit: float) -> dict[str, float]:
+    """Severity of each fault that is found in 95 of 100 cases, for a limit in standard deviations."""
+    none = Difference(np.zeros(len(covariance)), covariance, exponents, NORMAL_DOF)
+    return {
+        str(fault.kind): severity_of(fault.kind, (limit + _POWER_QUANTILE) * fault.step_sd)
+        for fault in explain(none)
+    }
+
+
+def severity_of(kind: FaultKind, step: float) -> float:
+    """Severity of a step of the logarithm along the fault's direction, cut beyond any motor."""
+    return float(kind.severity(min(max(step, -_LARGEST_LOG), _LARGEST_LOG)))
+
+
+def _factor(log: float) -> float:
+    """The factor of a logarithm; beyond any motor it is cut, so that what is not told at all stays a number."""
+    return math.exp(min(max(log, -_LARGEST_LOG), _LARGEST_LOG))
+
+
+def compare(
+    names: tuple[str, ...], difference: FloatArray, covariance: FloatArray, freedom: float, limit: float
+) -> tuple[Change, ...]:
+    """How far quantities lie from their reference.
+
+    Args:
+        names: the quantities.
+        difference: of their logarithms, shape (n,).
+        covariance: of the difference, shape (n, n).
+        freedom: degrees of freedom of the covariance.
+        limit: standard deviations beyond which a difference is significant.
+    """
+    half = float(stats.t.isf(0.025, freedom))
+    sigma = np.sqrt(np.diag(covariance))
+    return tuple(
+        Change(name, _factor(d), _factor(d - half * s), _factor(d + half * s), bool(abs(d) > limit * s))
+        for name, d, s in zip(names, difference, sigma, strict=True)
+    )
+
+
+def probabilities(difference: Difference, faults: list[Explanation]) -> dict[str, float]:
+    """Posterior probabilities of `healthy`, of each fault by its kind, and of `other`."""
+    log_ratios, covariance, n = difference.log_ratios, difference.covariance, len(difference.log_ratios)
+    # Degrees of freedom are rounded down: towards wider tails.
+    freedom = max(int(min(difference.degrees_of_freedom, NORMAL_DOF)), 1)
+    healthy = stats.multivariate_t(loc=np.zeros(n), shape=covariance, df=freedom)
+    logs: dict[str, float] = {"healthy": float(healthy.logpdf(log_ratios))}
+    for fault in faults:
+        direction = quantities.visible_direction(fault.kind, difference.exponents)
+        steps = max(fault.step, 0.0) + fault.step_sd * _STEP_NODES
+        steps = steps[steps >= 0.0]
+        prior = stats.halfcauchy.logpdf(steps, scale=_SEVERITY_PRIOR)
+        along = healthy.logpdf(log_ratios - steps[:, None] * direction)
+        width = math.log(fault.step_sd * (_STEP_NODES[1] - _STEP_NODES[0]))
+        logs[fault.kind] = width + float(np.logaddexp.reduce(along + prior))
+    anything = stats.multivariate_t(
+        loc=np.zeros(n), shape=covariance + _OTHER_PRIOR**2 * np.eye(n), df=freedom
+    )
+    logs["other"] = float(anything.logpdf(log_ratios))
+    faulty = math.log((1.0 - _HEALTHY_PRIOR) / (len(logs) - 1))
+    logs = {
+        name: log + (math.log(_HEALTHY_PRIOR) if name == "healthy" else faulty) for name, log in logs.items()
+    }
+    total = float(np.logaddexp.reduce(list(logs.values())))
+    return {name: math.exp(log - total) for name, log in logs.items()}
