@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from timing import best_rate
 
 from motor_classifiers.estimators.methods import make_method
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.scoring.judging import Cell
 from motor_classifiers.scoring.peers import export_cases
 from motor_datasets.arrays import Dataset

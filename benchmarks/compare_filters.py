@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from motor_env.detection.confirmation import class_filter
+from motor_classifiers.estimators.confirmation import class_filter
 from motor_env.detection.rules.cusum import Cusum
 from motor_env.filters.adaptive import MEMORY, adaptive_filter
 from motor_env.filters.batch import run_filter

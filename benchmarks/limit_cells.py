@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.motor_recipe import UNKNOWN_NOISE
 from motor_classifiers.scoring.limit_cells import LimitCell, limit_cell, six_cells
@@ -55,7 +55,9 @@ def trained(recipe: Recipe, steps: int, noise_range: tuple[float, float] | None)
             last = done * 10 // total
             print(f"  trained {10 * last} %", file=sys.stderr, flush=True)
 
-    model = PosteriorNetwork(recipe, steps=steps, noise_range=noise_range, random_state=0).fit_stream(tell)
+    model = PosteriorNetwork.from_recipe(
+        recipe, on_step=tell, steps=steps, noise_range=noise_range, random_state=0
+    )
     print(f"  {time.process_time() - begin:.0f} CPU seconds", file=sys.stderr, flush=True)
     return model
 

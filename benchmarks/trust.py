@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from motor_classifiers.estimators.methods import make_method
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork, severity_recipe
+from motor_classifiers.estimators.methods import METHODS, make_method
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.severity_density import severity_recipe
 from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.shifts import shift_scores, textbook_shifts
@@ -74,8 +75,7 @@ def network(recipe: Recipe) -> PosteriorNetwork:
 def trained(name: str, recipe: Recipe, count: int) -> BaseEstimator:
     """A method of the benchmark, trained on so many starts."""
     train = cases(recipe, TRAIN, count)
-    fitted: BaseEstimator = make_method(name, recipe, SEED).fit(train.X, train.class_name)
-    return fitted
+    return METHODS[name].train(make_method(name, recipe, SEED), train.X, train.class_name)
 
 
 def ordered(model: Any, X: Any, recipe: Recipe) -> FloatArray:

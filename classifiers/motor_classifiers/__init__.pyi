@@ -1,5 +1,5 @@
 from .estimators.confirmation import (
-    ConfirmationClassifier as ConfirmationClassifier,
+    ThresholdConfirmationClassifier as ThresholdConfirmationClassifier,
 )
 from .estimators.features import (
     PhysicalFeatures as PhysicalFeatures,
@@ -9,14 +9,14 @@ from .estimators.methods import (
     METHODS as METHODS,
     make_method as make_method,
 )
-from .estimators.perceptron import (
-    NetworkClassifier as NetworkClassifier,
+from .estimators.networks.perceptron import (
+    PerceptronClassifier as PerceptronClassifier,
 )
-from .estimators.posterior_network import (
+from .estimators.networks.posterior_network import (
     PosteriorNetwork as PosteriorNetwork,
 )
-from .estimators.residual_network import (
-    ResidualNetworkClassifier as ResidualNetworkClassifier,
+from .estimators.networks.resnet import (
+    ResNetClassifier as ResNetClassifier,
 )
 from .estimators.rule_statistics import (
     RuleStatistics as RuleStatistics,

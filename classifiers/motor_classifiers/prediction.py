@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.wrapper_file import Wrapper, wrapped_model
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.wrappers.conformal import ConformalClassifier

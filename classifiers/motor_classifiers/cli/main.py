@@ -198,7 +198,7 @@ def export(model: Path | None = None, /, *, out: Annotated[Path, Parameter(alias
         require_extra(module, "onnx")
     from rich.console import Console
 
-    from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+    from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
     from motor_classifiers.model_files.onnx_export import export_onnx
     from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 

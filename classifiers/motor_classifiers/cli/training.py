@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from motor_classifiers.cli.options import numbers
-from motor_classifiers.estimators.methods import make_method
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.methods import METHODS, make_method
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import save_model
 from motor_classifiers.motor_recipe import UNKNOWN_NOISE, changed_recipe, motor_recipe
 from motor_datasets.loaders import load
@@ -25,7 +25,7 @@ def train_on_dataset(dataset: str, method: str, seed: int, out: Path) -> dict[st
     cases = load(dataset, "train")
     model = make_method(method, cases.recipe, seed)
     with Console(stderr=True).status(f"training {method} on {len(cases)} starts"):
-        model.fit(cases.X, cases.class_name)
+        METHODS[method].train(model, cases.X, cases.class_name)
         save_model(model, cases.recipe, method, out)
     return {"method": method, "n_train": len(cases), "out": str(out)}
 
@@ -70,13 +70,17 @@ def train_on_stream(
     recipe: Recipe, noise_range: tuple[float, float] | None, steps: int | None, seed: int, out: Path
 ) -> dict[str, Any]:
     """Train a network on a recipe's stream with a progress bar, write it, and tell what was done."""
-    model = PosteriorNetwork(recipe, noise_range=noise_range, random_state=seed)
-    if steps is not None:
-        model.set_params(steps=steps)
+    parameters = {} if steps is None else {"steps": steps}
     columns = (TextColumn("{task.description}"), BarColumn(30), TimeElapsedColumn(), TimeRemainingColumn())
     errors = Console(stderr=True)
     with Progress(*columns, console=errors, disable=not errors.is_terminal) as bar:
         task = bar.add_task(f"training a network for {recipe.name}", total=None)
-        model.fit_stream(lambda done, total: bar.update(task, completed=done, total=total))
+        model = PosteriorNetwork.from_recipe(
+            recipe,
+            on_step=lambda done, total: bar.update(task, completed=done, total=total),
+            noise_range=noise_range,
+            random_state=seed,
+            **parameters,
+        )
     save_model(model, recipe, "posterior-network", out)
     return {"method": "posterior-network", "n_train": model.n_drawn_, "out": str(out)}

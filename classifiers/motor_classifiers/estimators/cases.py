@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.base import BaseEstimator
+from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import (
     assert_all_finite,
@@ -17,9 +17,20 @@ from sklearn.utils.validation import (
     validate_data,
 )
 
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe, named_recipe
 from motor_env.simulation.simulate import Timing
+
+
+class ProbabilityClassifier(ClassifierMixin, BaseEstimator):
+    """A classifier that decides on the most probable class."""
+
+    classes_: NDArray[Any]
+
+    def predict(self, X: Any) -> NDArray[Any]:
+        """Most probable class of each case, shape (n_cases,)."""
+        decided: NDArray[Any] = self.classes_[self.predict_proba(X).argmax(axis=1)]
+        return decided
 
 
 def flat_cases(estimator: BaseEstimator, X: Any, *, reset: bool, min_features: int = 1) -> FloatArray:
@@ -53,11 +64,11 @@ def fitting_recipe(recipe: Recipe | None, n_features: int) -> Recipe:
         bench = named_recipe("bench")
         rate = bench.timing.sampling_rate_hz
         return replace(bench, timing=Timing(rate, n_features / rate))
-    n_channels, n_samples = len(recipe.sensor.channels), recipe.timing.n_samples
-    if n_features != n_channels * n_samples:
-        raise ValueError(
-            f"X must have {n_channels} x {n_samples} values a case as recipe {recipe.name} says, got {n_features}"
-        )
+    require(
+        n_features == values_of_start(recipe),
+        f"X must have {len(recipe.sensor.channels)} x {recipe.timing.n_samples} values a case as recipe "
+        f"{recipe.name} says, got {n_features}",
+    )
     return recipe
 
 
@@ -66,17 +77,21 @@ def with_channels(flat: FloatArray, recipe: Recipe) -> FloatArray:
     return flat.reshape(len(flat), len(recipe.sensor.channels), -1)
 
 
-def severities_of(recipe: Recipe, names: NDArray[np.str_]) -> FloatArray:
-    """Severity of each class named, shape (n_names,).
+def values_of_start(recipe: Recipe) -> int:
+    """How many numbers one start of the recipe is: n_channels * n_samples."""
+    return len(recipe.sensor.channels) * recipe.timing.n_samples
+
+
+def check_classes(recipe: Recipe, names: NDArray[np.str_]) -> None:
+    """Check that each name is a class of the recipe.
 
     Raises:
-        ValueError: a name is no class of the recipe.
+        ValueError: one is not.
     """
-    by_name = {fault_class.name: fault_class.severity for fault_class in recipe.classes}
-    unknown = sorted(set(names.tolist()) - set(by_name))
-    if unknown:
-        raise ValueError(f"class must be one of {', '.join(by_name)}, got {unknown[0]!r}")
-    return np.array([by_name[name] for name in names.tolist()])
+    unknown = set(names.tolist()) - set(recipe.class_names)
+    require(
+        not unknown, f"class must be one of {', '.join(recipe.class_names)}, got {min(unknown, default='')!r}"
+    )
 
 
 def labelled_cases(estimator: BaseEstimator, X: Any, y: Any) -> tuple[FloatArray, NDArray[np.int64]]:

@@ -1,29 +1,41 @@
-"""The filter's confirmation by thresholds (paper, Figure 1) as an estimator."""
+"""Confirmation by thresholds (paper, Figure 1) as an estimator.
+
+The residual of the healthy motor's filter is compared with a threshold; then a bank of filters, one for each class of
+the recipe, names the fault.
+"""
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.utils.validation import check_is_fitted
 
 from motor_classifiers.estimators.cases import (
+    ProbabilityClassifier,
+    check_classes,
     fitting_recipe,
     flat_cases,
     labelled_cases,
-    severities_of,
+    values_of_start,
     with_channels,
 )
-from motor_env.detection.confirmation import ThresholdConfirmation
-from motor_env.motor.faults import HEALTHY
-from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.recipes import Recipe
+from motor_classifiers.estimators.state import State
+from motor_classifiers.estimators.threshold_rule import ConfirmationResult, ThresholdRule
+from motor_env.filters.batch import run_filter
+from motor_env.filters.kalman import KalmanFilter
+from motor_env.inference.posterior import variance_factor
+from motor_env.motor.faults import HEALTHY, apply_faults
+from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.recipes import FaultClass, Recipe
+
+_RULE_ARRAYS = ("healthy_scale", "own_scale", "prior")
 
 
-class ConfirmationClassifier(ClassifierMixin, BaseEstimator):
-    """`motor_env.detection.confirmation.ThresholdConfirmation` behind scikit-learn's interface.
+class ThresholdConfirmationClassifier(ProbabilityClassifier):
+    """The paper's confirmation by thresholds behind scikit-learn's interface.
 
     Args:
         recipe: whose filters compare. Without one, the mean training case of each class stands in for its filter's
@@ -33,7 +45,8 @@ class ConfirmationClassifier(ClassifierMixin, BaseEstimator):
 
     Attributes:
         classes_: labels.
-        rule_: the tuned rule.
+        rule_: the tuned `ThresholdRule`.
+        filters_: a filter for each class of the recipe, in its order; none without a recipe.
         templates_: mean training cases, shape (n_classes, n_features_in_); None with a recipe.
         n_features_in_: n_channels * n_timepoints.
     """
@@ -49,25 +62,36 @@ class ConfirmationClassifier(ClassifierMixin, BaseEstimator):
             ValueError: labels that the recipe does not know, no healthy case, or shapes that do not fit.
         """
         flat, labels = labelled_cases(self, X, y)
+        self.templates_: FloatArray | None = None
+        self.filters_: tuple[KalmanFilter, ...] = ()
+        with_spread = False
         if self.recipe is None:
             healthy = self.classes_.tolist().index(HEALTHY) if HEALTHY in self.classes_ else 0
-            self.templates_: FloatArray | None = np.stack(
-                [flat[labels == n].mean(axis=0) for n in range(len(self.classes_))]
+            self.templates_ = np.stack([flat[labels == n].mean(axis=0) for n in range(len(self.classes_))])
+        else:
+            recipe = fitting_recipe(self.recipe, flat.shape[1])
+            check_classes(recipe, self.classes_)
+            kinds = [c.kind for c in recipe.classes]
+            require(
+                kinds.count(None) == 1,
+                f"recipe {recipe.name} must have one healthy class, got {kinds.count(None)}",
             )
-            self.rule_ = ThresholdConfirmation.tune_on_residuals(
-                self._from_templates(flat), labels, healthy, false_alarm_rate=self.false_alarm_rate
-            )
-            return self
-        recipe = fitting_recipe(self.recipe, flat.shape[1])
-        severities_of(recipe, self.classes_)
-        self.templates_ = None
-        self.rule_ = ThresholdConfirmation.tune(
-            recipe,
-            with_channels(flat, recipe),
-            self._recipe_index()[labels],
+            healthy, labels = kinds.index(None), self._columns()[labels]
+            with_spread = any(kind.changes_noise for kind in recipe.kinds)
+            self.filters_ = tuple(class_filter(recipe, c) for c in recipe.classes)
+        self.rule_ = ThresholdRule.tune(
+            self._residuals(flat),
+            labels,
+            healthy,
+            with_spread=with_spread,
             false_alarm_rate=self.false_alarm_rate,
         )
         return self
+
+    def decide(self, X: Any) -> ConfirmationResult:
+        """The rule's own decisions: alarm, class, statistic. Classes are the recipe's, else `classes_`."""
+        check_is_fitted(self)
+        return self.rule_.decide(self._residuals(flat_cases(self, X, reset=False)))
 
     def predict_proba(self, X: Any) -> FloatArray:
         """Probability of each class, shape (n_cases, n_classes).
@@ -75,35 +99,97 @@ class ConfirmationClassifier(ClassifierMixin, BaseEstimator):
         Near its threshold the rule's decision and its graded probabilities can disagree: then the decision's class and
         the most probable one change places, so that `predict` is the rule and the largest probability alike.
         """
-        check_is_fitted(self)
-        flat = flat_cases(self, X, reset=False)
-        if self.recipe is None:
-            result = self.rule_.decide_on_residuals(self._from_templates(flat))
-            columns = np.arange(len(self.classes_))
-        else:
-            recipe = fitting_recipe(self.recipe, flat.shape[1])
-            result = self.rule_.decide(with_channels(flat, recipe), recipe.nominal_voltage_v)
-            columns = self._recipe_index()
+        result = self.decide(X)
         graded = result.probabilities.copy()
-        rows = np.arange(len(flat))
+        rows = np.arange(len(graded))
         largest = graded.argmax(axis=1)
         top = graded[rows, largest].copy()
         graded[rows, largest] = graded[rows, result.class_index]
         graded[rows, result.class_index] = top
-        chosen = graded[:, columns]
+        chosen = graded[:, self._columns()]
         probabilities: FloatArray = chosen / chosen.sum(axis=1, keepdims=True)
         return probabilities
 
-    def predict(self, X: Any) -> NDArray[Any]:
-        """The rule's decision, shape (n_cases,)."""
-        most = self.predict_proba(X).argmax(axis=1)
-        decided: NDArray[Any] = self.classes_[most]
-        return decided
+    def to_state(self) -> State:
+        """The tuned rule as arrays and values.
 
-    def _from_templates(self, flat: FloatArray) -> FloatArray:
-        residual: FloatArray = (flat - np.asarray(self.templates_)[:, None])[..., None]
-        return residual
+        Raises:
+            ValueError: tuned without a recipe.
+        """
+        require(self.recipe is not None, "a confirmation without a recipe cannot be saved")
+        rule = {field.name: getattr(self.rule_, field.name) for field in fields(self.rule_)}
+        arrays = {name: rule.pop(name) for name in _RULE_ARRAYS}
+        return State(arrays, {"rule": rule, "false_alarm_rate": self.false_alarm_rate})
 
-    def _recipe_index(self) -> NDArray[np.int64]:
-        names = list(self.recipe.class_names) if self.recipe is not None else []
-        return np.array([names.index(str(name)) for name in self.classes_])
+    @classmethod
+    def from_state(cls, state: State, recipe: Recipe) -> Self:
+        """The fitted estimator again.
+
+        Raises:
+            ValueError, KeyError, TypeError: values of another type or range than they must have.
+        """
+        values = state.values
+        rule = {**values["rule"], "edges": tuple(int(edge) for edge in values["rule"]["edges"])}
+        _check_rule(rule, recipe)
+        rate = values["false_alarm_rate"]
+        require(rate is None or isinstance(rate, float), f"false_alarm_rate must be a number, got {rate!r}")
+        model = cls(recipe, rate)
+        model.rule_ = ThresholdRule(**rule, **{name: state.arrays[name] for name in _RULE_ARRAYS})
+        model.filters_ = tuple(class_filter(recipe, c) for c in recipe.classes)
+        model.templates_ = None
+        model.classes_ = np.array(values["classes"])
+        model.n_features_in_ = values_of_start(recipe)
+        return model
+
+    def _residuals(self, flat: FloatArray) -> FloatArray:
+        """Residual of each case under each class, shape (n_classes, n_cases, n_samples, n_channels)."""
+        if self.recipe is None:
+            residual: FloatArray = (flat - np.asarray(self.templates_)[:, None])[..., None]
+            return residual
+        measured = with_channels(flat, fitting_recipe(self.recipe, flat.shape[1]))
+        voltage = self.recipe.nominal_voltage_v
+        return np.stack([run_filter(belief, measured, voltage).whitened for belief in self.filters_])
+
+    def _columns(self) -> NDArray[np.int64]:
+        """Position of each of `classes_` among the rule's classes."""
+        if self.recipe is None:
+            return np.arange(len(self.classes_))
+        return np.array([self.recipe.class_names.index(str(name)) for name in self.classes_])
+
+
+def _check_rule(rule: dict[str, Any], recipe: Recipe) -> None:
+    """Check what a file says of a rule.
+
+    Raises:
+        ValueError, KeyError, TypeError: values of another type or range than they must have.
+    """
+    edges, n_windows = np.array(rule["edges"]), len(rule["edges"]) - 1
+    require(
+        edges[0] == 0 and bool((np.diff(edges) > 0).all()) and edges[-1] == recipe.timing.n_samples,
+        "its windows do not fill its recipe's time axis",
+    )
+    counts = (rule["needed"], rule["among"], rule["healthy_index"])
+    require(all(type(count) is int for count in counts), f"M, N and class must be integers, got {counts!r}")
+    require(
+        1 <= counts[0] <= counts[1] <= n_windows, f"M of N must fit {n_windows} windows, got {counts[:2]}"
+    )
+    require(0 <= counts[2] < len(recipe.classes), f"healthy_index must be a class, got {counts[2]}")
+    spread = rule["with_spread"]
+    require(type(spread) is bool, f"with_spread must be true or false, got {spread!r}")
+    for name in ("threshold", "temperature", "slope", "intercept"):
+        require(isinstance(rule[name], float), f"{name} must be a number, got {rule[name]!r}")
+
+
+def class_filter(recipe: Recipe, fault_class: FaultClass) -> KalmanFilter:
+    """The filter that believes in one class of the recipe at its nominal parameters (Magill 1965)."""
+    sensor, variance = recipe.sensor, variance_factor(fault_class)
+    if variance != 1.0:
+        factor = float(np.sqrt(variance))
+        sensor = replace(
+            sensor,
+            current_noise_a=sensor.current_noise_a * factor,
+            speed_noise_rad_s=sensor.speed_noise_rad_s * factor,
+        )
+    return KalmanFilter.from_parameters(
+        apply_faults(recipe.motor, fault_class.faults), sensor, recipe.timing.dt_s
+    )

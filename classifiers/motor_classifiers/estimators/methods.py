@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from sklearn.base import BaseEstimator
 from sklearn.calibration import CalibratedClassifierCV
@@ -15,11 +16,11 @@ from sklearn.pipeline import FeatureUnion, Pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
-from motor_classifiers.estimators.confirmation import ConfirmationClassifier
+from motor_classifiers.estimators.confirmation import ThresholdConfirmationClassifier
 from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProjection
-from motor_classifiers.estimators.perceptron import NetworkClassifier
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork
-from motor_classifiers.estimators.residual_network import ResidualNetworkClassifier
+from motor_classifiers.estimators.networks.perceptron import PerceptronClassifier
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.resnet import ResNetClassifier
 from motor_classifiers.estimators.rule_statistics import RuleStatistics
 from motor_env.simulation.recipes import Recipe
 
@@ -36,7 +37,7 @@ class Method:
         title: what it is, for a person.
         make: estimator for a recipe and a random state.
         seconds: about what training and judging 2,000 starts each at 10 kHz takes on one core, for progress bars.
-        from_stream: whether it draws its own training starts from the recipe without end, whatever it is given.
+        from_stream: whether it draws its own training starts from the recipe without end.
     """
 
     name: str
@@ -45,6 +46,10 @@ class Method:
     make: Make
     seconds: float
     from_stream: bool = False
+
+    def train(self, model: BaseEstimator, X: Any, y: Any) -> BaseEstimator:
+        """Fit an estimator of this method: on the recipe's stream where it has one, else on the given cases."""
+        return model.fit_stream() if self.from_stream else model.fit(X, y)
 
 
 def _physical(recipe: Recipe) -> FeatureUnion:
@@ -73,7 +78,7 @@ METHODS = {
             "threshold",
             "threshold",
             "Confirmation by thresholds: Kalman residual, M of N, bank of fault filters",
-            lambda recipe, seed: ConfirmationClassifier(recipe),
+            lambda recipe, seed: ThresholdConfirmationClassifier(recipe),
             4.0,
         ),
         Method(
@@ -167,7 +172,7 @@ METHODS = {
             "network",
             "torch",
             "Kalman residual along the signal's directions, perceptron",
-            lambda recipe, seed: NetworkClassifier(recipe, random_state=seed),
+            lambda recipe, seed: PerceptronClassifier(recipe, random_state=seed),
             6.0,
         ),
         Method(
@@ -182,7 +187,7 @@ METHODS = {
             "residual-network",
             "torch",
             "Raw waveform, convolutional residual network that knows nothing of motors",
-            lambda recipe, seed: ResidualNetworkClassifier(recipe, random_state=seed),
+            lambda recipe, seed: ResNetClassifier(recipe, random_state=seed),
             30.0,
         ),
     )

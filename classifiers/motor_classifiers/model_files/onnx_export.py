@@ -15,10 +15,10 @@ from pathlib import Path
 import torch
 from torch import nn
 
-from motor_classifiers.estimators import severity_density
-from motor_classifiers.estimators.perceptron import one_thread
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork
-from motor_classifiers.estimators.stream_training import Posterior
+from motor_classifiers.estimators.networks import severity_density
+from motor_classifiers.estimators.networks.posterior import Posterior
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.training import one_thread
 from motor_env.files import replacing
 from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
@@ -32,7 +32,7 @@ _EXAMPLES = 2  # cases traced; the graph takes any number
 
 
 class Deployed(nn.Module):
-    """From transients (n_cases, n_channels, n_timepoints), float32, to what is told, float32."""
+    """From transients (n_cases, n_channels, n_timepoints), float32, to what `OUTPUTS` names, float32."""
 
     tops: torch.Tensor
 
@@ -47,7 +47,7 @@ class Deployed(nn.Module):
         self.register_buffer("tops", tops)
 
     def forward(self, transients: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """What `OUTPUTS` names; without a recipe the probabilities alone."""
+        """Probabilities and severities; without severities the probabilities alone."""
         flat = transients.flatten(1).double()
         logits = self.classes.network(self.classes.space(flat).float())
         probabilities = torch.softmax(logits, dim=1)
@@ -55,10 +55,7 @@ class Deployed(nn.Module):
             return (probabilities,)
         numbers = self.severity.network(self.severity.space(flat).float())
         densities = numbers.reshape(-1, len(self.tops), severity_density.PARAMETERS)
-        share = severity_density.weights(densities)
-        bounds = (severity_density.quantile(share, p) for p in (_TAIL, 1.0 - _TAIL))
-        told = (severity_density.mean(share), *bounds)
-        return (probabilities, *(self.tops * position for position in told))
+        return (probabilities, *(self.tops * severity_density.summary(densities, _TAIL)))
 
 
 def export_onnx(model: PosteriorNetwork, recipe: Recipe, path: Path) -> None:

@@ -138,11 +138,11 @@ def expected_severity(recipe: Recipe, probabilities: FloatArray) -> FloatArray:
 def judge(name: str, cell: Cell) -> Answer:
     """Train a method and let it judge, in this process."""
     train, test = cell.train(), cell.test()
-    unfitted = make_method(name, cell.recipe, cell.seed % 2**32)
-    if METHODS[name].from_stream:
+    method, unfitted = METHODS[name], make_method(name, cell.recipe, cell.seed % 2**32)
+    if method.from_stream:
         unfitted.set_params(with_severity=False)  # only probabilities are asked for
     with threadpool_limits(1):
-        model, training = watched(lambda: unfitted.fit(train.X, train.class_name))
+        model, training = watched(lambda: method.train(unfitted, train.X, train.class_name))
         raw, inference = watched(lambda: model.predict_proba(test.X))
         if inference.seconds < _LONG_ENOUGH_S:
             again = min(watched(lambda: model.predict_proba(test.X))[1].seconds for _ in range(_ROUNDS - 1))

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.scoring.calibration import CalibrationScores, calibration_scores
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_datasets.generate import generate_arrays

@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # comes with scikit-learn, without types
 
 from motor_classifiers.estimators.methods import ESTIMATE
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring.judging import Cell, judged_cases
 from motor_classifiers.scoring.limit_cells import severity_cell
@@ -91,7 +91,7 @@ def network_for(recipe: Recipe, random_state: int, **parameters: Any) -> Posteri
     shipped = shipped_network(recipe)
     if shipped is not None:
         return shipped
-    return PosteriorNetwork(recipe, random_state=random_state, **parameters).fit_stream()
+    return PosteriorNetwork.from_recipe(recipe, random_state=random_state, **parameters)
 
 
 def halves_coverage(

@@ -12,14 +12,15 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, ClassifierMixin, MetaEstimatorMixin, clone
+from sklearn.base import BaseEstimator
 from sklearn.frozen import FrozenEstimator
-from sklearn.linear_model import LogisticRegression
 from sklearn.utils import check_random_state
-from sklearn.utils.validation import check_is_fitted
 
-from motor_classifiers.estimators.cases import flat_cases, labelled_cases
+from motor_classifiers.estimators.cases import labelled_cases
+from motor_classifiers.estimators.state import State
+from motor_classifiers.wrappers.fitted import ClassifierWrapper, check_share, unfitted
 from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.recipes import Recipe
 
 BoolArray = NDArray[np.bool_]
 
@@ -74,9 +75,9 @@ class ConformalSets:
         strange = _strangeness(probabilities)
         shares = []
         for column in range(probabilities.shape[1]):
-            known = self.strangeness[column if len(self.strangeness) > 1 else 0]
-            below = np.searchsorted(known, strange[:, column], side="left")
-            shares.append((len(known) - below + 1.0) / (len(known) + 1.0))
+            calibrated = self.strangeness[column if len(self.strangeness) > 1 else 0]
+            below = np.searchsorted(calibrated, strange[:, column], side="left")
+            shares.append((len(calibrated) - below + 1.0) / (len(calibrated) + 1.0))
         return np.stack(shares, axis=1)
 
     def sets(self, probabilities: FloatArray, coverage: float = 0.90) -> BoolArray:
@@ -121,11 +122,11 @@ class Coverage(NamedTuple):
 def measured_coverage(sets: BoolArray, truth: ArrayLike) -> Coverage:
     """Coverage and sizes of sets, shape (n_cases, n_classes), for the true classes, shape (n_cases,)."""
     labels = np.asarray(truth)
-    held = sets[np.arange(len(labels)), labels]
+    covered = sets[np.arange(len(labels)), labels]
     size = sets.sum(axis=1)
-    by_class = [held[labels == n].mean() if (labels == n).any() else np.nan for n in range(sets.shape[1])]
+    by_class = [covered[labels == n].mean() if (labels == n).any() else np.nan for n in range(sets.shape[1])]
     return Coverage(
-        float(held.mean()), np.array(by_class), float(size.mean()), float((size == 0).mean()),
+        float(covered.mean()), np.array(by_class), float(size.mean()), float((size == 0).mean()),
         float((size == 1).mean()),
     )  # fmt: skip
 
@@ -200,7 +201,7 @@ def _group_names(groups: ArrayLike | None, n_cases: int) -> NDArray[np.str_]:
     return np.full(n_cases, "all") if groups is None else np.asarray(groups).astype(np.str_)
 
 
-class ConformalClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
+class ConformalClassifier(ClassifierWrapper):
     """Any classifier with probabilities, and sets of classes with a known coverage beside its decisions.
 
     Args:
@@ -218,12 +219,11 @@ class ConformalClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
         n_features_in_: n_channels * n_timepoints.
     """
 
-    classes_: NDArray[Any]
-
     def __init__(
         self,
         estimator: Any = None,
         coverage: float = 0.90,
+        *,
         label_conditional: bool = True,
         calibration_share: float = 0.3,
         random_state: int | np.random.RandomState | None = None,
@@ -249,8 +249,7 @@ class ConformalClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
             by_class = (np.flatnonzero(labels == n) for n in range(len(self.classes_)))
             held_out = np.concatenate([_share(rows, self.calibration_share, rng) for rows in by_class])
             training = np.setdiff1d(np.arange(len(flat)), held_out)
-            model = LogisticRegression(max_iter=1000) if self.estimator is None else clone(self.estimator)
-            self.estimator_ = model.fit(flat[training], names[training])
+            self.estimator_ = unfitted(self.estimator).fit(flat[training], names[training])
         self.classes_ = np.asarray(self.estimator_.classes_)
         unknown = sorted(set(names.tolist()) - set(self.classes_.tolist()))
         if unknown:
@@ -265,17 +264,36 @@ class ConformalClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
         sets: BoolArray = self.sets_.sets(self.predict_proba(X), self.coverage)
         return sets
 
-    def predict_proba(self, X: Any) -> FloatArray:
-        """Probability of each class, the classifier's own, shape (n_cases, n_classes)."""
-        check_is_fitted(self)
-        probabilities: FloatArray = self.estimator_.predict_proba(flat_cases(self, X, reset=False))
-        return probabilities
+    def to_state(self) -> State:
+        """What it adds to the model inside."""
+        strangeness = [scores.tolist() for scores in self.sets_.strangeness]
+        return State({}, {"coverage": float(self.coverage), "strangeness": strangeness})
 
-    def predict(self, X: Any) -> NDArray[Any]:
-        """Most probable class of each case, shape (n_cases,)."""
-        most = self.predict_proba(X).argmax(axis=1)
-        decided: NDArray[Any] = self.classes_[most]
-        return decided
+    @classmethod
+    def from_state(cls, state: State, inner: BaseEstimator, recipe: Recipe) -> Self:
+        """The fitted wrapper around a fitted model.
+
+        Raises:
+            ValueError, KeyError, TypeError: values of another type or range than they must have.
+        """
+        coverage, strangeness = state.values["coverage"], state.values["strangeness"]
+        check_share("coverage", coverage)
+        require(
+            isinstance(strangeness, list) and len(strangeness) in (1, len(inner.classes_)),
+            "strangeness must be one list, or one for each class",
+        )
+        scores = tuple(np.array(part, dtype=np.float64) for part in strangeness)
+        for part in scores:
+            require(
+                part.ndim == 1
+                and len(part) > 0
+                and bool(np.isfinite(part).all() and (np.diff(part) >= 0.0).all()),
+                "strangeness must be finite numbers that rise",
+            )
+        model = cls(FrozenEstimator(inner), coverage, label_conditional=len(scores) > 1)
+        model._take_over(model.estimator)
+        model.sets_ = ConformalSets(scores)
+        return model
 
 
 def _share(rows: NDArray[np.int64], share: float, rng: np.random.RandomState) -> NDArray[np.int64]:

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import beta
-from sklearn.base import BaseEstimator, ClassifierMixin, MetaEstimatorMixin, clone
-from sklearn.linear_model import LogisticRegression
+from sklearn.base import BaseEstimator, MetaEstimatorMixin, clone
 from sklearn.utils.validation import check_is_fitted
 
-from motor_classifiers.estimators.cases import flat_cases, labelled_cases
+from motor_classifiers.estimators.cases import ProbabilityClassifier, flat_cases, labelled_cases
+from motor_classifiers.wrappers.fitted import unfitted
 from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
@@ -120,7 +120,7 @@ def _first_samples(timing: Timing, n_samples: int) -> Timing:
     return replace(timing, duration_s=(n_samples - timing.n_quiet) * timing.dt_s)
 
 
-class EarlyClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
+class EarlyClassifier(MetaEstimatorMixin, ProbabilityClassifier):
     """Any classifier, once for each of some lengths of what was seen, and the rule that stops when one is sure.
 
     Args:
@@ -136,10 +136,8 @@ class EarlyClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
         n_features_in_: n_channels * n_timepoints.
     """
 
-    classes_: NDArray[Any]
-
     def __init__(
-        self, estimator: Any = None, samples: tuple[int, ...] | None = None, error: float = 0.05
+        self, estimator: Any = None, samples: tuple[int, ...] | None = None, *, error: float = 0.05
     ) -> None:
         self.estimator = estimator
         self.samples = samples
@@ -152,7 +150,7 @@ class EarlyClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
             ValueError: lengths that do not rise or are longer than the cases, or what the classifier refuses.
         """
         flat, labels = labelled_cases(self, X, y)
-        base = LogisticRegression(max_iter=1000) if self.estimator is None else self.estimator
+        base = unfitted(self.estimator)
         recipe = next((v for v in base.get_params().values() if isinstance(v, Recipe)), None)
         self.n_channels_ = 1 if recipe is None else len(recipe.sensor.channels)
         n_samples = flat.shape[1] // self.n_channels_
@@ -190,12 +188,6 @@ class EarlyClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
         moment = stop_when_sure(probabilities, self.error).moment
         then: FloatArray = probabilities[moment, np.arange(len(moment))]
         return then
-
-    def predict(self, X: Any) -> NDArray[Any]:
-        """Verdict of each case, shape (n_cases,)."""
-        most = self.predict_proba(X).argmax(axis=1)
-        decided: NDArray[Any] = self.classes_[most]
-        return decided
 
     def _first(self, flat: FloatArray, count: int) -> FloatArray:
         return flat.reshape(len(flat), self.n_channels_, -1)[..., :count].reshape(len(flat), -1)

@@ -17,17 +17,18 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
-from sklearn.base import BaseEstimator, ClassifierMixin, MetaEstimatorMixin, OutlierMixin, clone
-from sklearn.linear_model import LogisticRegression
+from sklearn.base import BaseEstimator, OutlierMixin
 from sklearn.utils.validation import check_is_fitted
 
 from motor_classifiers.estimators.cases import fitting_recipe, flat_cases, labelled_cases, with_channels
+from motor_classifiers.estimators.state import State
+from motor_classifiers.wrappers.fitted import ClassifierWrapper, check_share, unfitted
 from motor_env.inference.fit import Fit, Prior, fit
 from motor_env.inference.parametrisation import Coordinates
 from motor_env.inference.posterior import recipe_observed
 from motor_env.inference.sensitivities import Observed
 from motor_env.motor.faults import HEALTHY, FaultKind
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import FACTORS, Recipe
 
 BoolArray = NDArray[np.bool_]
@@ -215,11 +216,11 @@ class FaultFamilyDetector(OutlierMixin, BaseEstimator):
 
     def fit(self, X: Any, y: Any = None) -> Self:
         """Set the threshold on cases of the known classes; the labels are not looked at."""
-        if not 0.0 < self.false_alarm_rate < 1.0:
-            raise ValueError(f"false_alarm_rate must lie between 0 and 1, got {self.false_alarm_rate:g}")
+        rate = self.false_alarm_rate
+        require(0.0 < rate < 1.0, f"false_alarm_rate must lie between 0 and 1, got {rate:g}")
         flat = flat_cases(self, X, reset=True, min_features=2)
         distance = self._family(flat).distance
-        self.offset_ = float(np.quantile(-distance, self.false_alarm_rate))
+        self.offset_ = float(np.quantile(-distance, rate))
         return self
 
     def family(self, X: Any) -> FamilyFit:
@@ -260,7 +261,7 @@ class Verdicts(NamedTuple):
     severity: FloatArray
 
 
-class OpenSetClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
+class OpenSetClassifier(ClassifierWrapper):
     """Any classifier, and beside its decisions the verdicts `other` and out of range.
 
     Args:
@@ -275,10 +276,8 @@ class OpenSetClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
         n_features_in_: n_channels * n_timepoints.
     """
 
-    classes_: NDArray[Any]
-
     def __init__(
-        self, estimator: Any = None, recipe: Recipe | None = None, false_alarm_rate: float = 0.01
+        self, estimator: Any = None, recipe: Recipe | None = None, *, false_alarm_rate: float = 0.01
     ) -> None:
         self.estimator = estimator
         self.recipe = recipe
@@ -287,8 +286,7 @@ class OpenSetClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
     def fit(self, X: Any, y: Any) -> Self:
         """Train the classifier, and set the detector's threshold on the same cases."""
         flat, labels = labelled_cases(self, X, y)
-        model = LogisticRegression(max_iter=1000) if self.estimator is None else clone(self.estimator)
-        self.estimator_ = model.fit(flat, self.classes_[labels])
+        self.estimator_ = unfitted(self.estimator).fit(flat, self.classes_[labels])
         self.classes_ = np.asarray(self.estimator_.classes_)
         self.detector_ = FaultFamilyDetector(self.recipe, self.false_alarm_rate).fit(flat)
         return self
@@ -304,14 +302,29 @@ class OpenSetClassifier(ClassifierMixin, MetaEstimatorMixin, BaseEstimator):
         label[is_other] = OTHER
         return Verdicts(label, is_other, beyond, np.where(is_other, np.nan, family.severity))
 
-    def predict_proba(self, X: Any) -> FloatArray:
-        """Probability of each class, given that it is one of them, shape (n_cases, n_classes)."""
-        check_is_fitted(self)
-        probabilities: FloatArray = self.estimator_.predict_proba(flat_cases(self, X, reset=False))
-        return probabilities
-
     def predict(self, X: Any) -> NDArray[Any]:
         """The classifier's decision, shape (n_cases,)."""
         check_is_fitted(self)
         decided: NDArray[Any] = self.estimator_.predict(flat_cases(self, X, reset=False))
         return decided
+
+    def to_state(self) -> State:
+        """What it adds to the model inside."""
+        offset = self.detector_.offset_
+        return State({}, {"false_alarm_rate": float(self.false_alarm_rate), "offset": offset})
+
+    @classmethod
+    def from_state(cls, state: State, inner: BaseEstimator, recipe: Recipe) -> Self:
+        """The fitted wrapper around a fitted model.
+
+        Raises:
+            ValueError, KeyError, TypeError: values of another type or range than they must have.
+        """
+        rate, offset = state.values["false_alarm_rate"], state.values["offset"]
+        check_share("false_alarm_rate", rate)
+        require(isinstance(offset, float) and np.isfinite(offset), f"offset must be a number, got {offset!r}")
+        model = cls(inner, recipe, false_alarm_rate=rate)
+        model._take_over(inner)
+        model.detector_ = FaultFamilyDetector(recipe, rate)
+        model.detector_.offset_, model.detector_.n_features_in_ = offset, inner.n_features_in_
+        return model

@@ -11,25 +11,25 @@ import pytest
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from motor_classifiers.estimators.confirmation import ConfirmationClassifier
+from motor_classifiers.estimators.confirmation import ThresholdConfirmationClassifier
 from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProjection
-from motor_classifiers.estimators.perceptron import NetworkClassifier
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.perceptron import PerceptronClassifier
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.resnet import ResNetClassifier
 from motor_classifiers.estimators.reference_starts import RecentredStarts
-from motor_classifiers.estimators.residual_network import ResidualNetworkClassifier
 from motor_classifiers.estimators.rule_statistics import RuleStatistics
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.early import EarlyClassifier
 from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClassifier
 
 ESTIMATORS = [
-    ConfirmationClassifier(),
+    ThresholdConfirmationClassifier(),
     ConformalClassifier(),
     EarlyClassifier(),
     FaultFamilyDetector(),
     OpenSetClassifier(),
-    NetworkClassifier(epochs=15),
-    ResidualNetworkClassifier(epochs=15),
+    PerceptronClassifier(epochs=15),
+    ResNetClassifier(epochs=15),
     PosteriorNetwork(steps=40, batch_size=32, n_hidden=32),
     PhysicalFeatures(),
     ResidualProjection(),

@@ -10,11 +10,12 @@ import torch
 from scipy.stats import ks_2samp, kstest, truncnorm
 from sklearn.base import clone
 
-from motor_classifiers.estimators import severity_density
-from motor_classifiers.estimators.perceptron import one_thread
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork, severity_priors, severity_recipe
-from motor_classifiers.estimators.signal_space import SignalSpace
-from motor_classifiers.estimators.stream_training import louder
+from motor_classifiers.estimators.networks import severity_density
+from motor_classifiers.estimators.networks.case_stream import with_more_noise
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.severity_density import severity_priors, severity_recipe
+from motor_classifiers.estimators.networks.signal_space import SignalSpace
+from motor_classifiers.estimators.networks.training import one_thread
 from motor_classifiers.scoring.limit_cells import limit_cell
 from motor_datasets.generate import generate_arrays
 from motor_env.inference.severity import severity_posterior
@@ -30,7 +31,7 @@ QUICK: dict[str, Any] = {"steps": 400, "batch_size": 256, "n_hidden": 32}
 
 @pytest.fixture(scope="module")
 def trained() -> PosteriorNetwork:
-    return PosteriorNetwork(RECIPE, random_state=0, **QUICK).fit_stream()
+    return PosteriorNetwork.from_recipe(RECIPE, random_state=0, **QUICK)
 
 
 def test_it_is_near_the_limit_and_not_above(trained: PosteriorNetwork) -> None:
@@ -50,8 +51,8 @@ def test_it_is_near_the_limit_and_not_above(trained: PosteriorNetwork) -> None:
 
 
 def test_coefficients_of_noise_are_white_and_the_rest_is_chi_square() -> None:
-    """The oracle of `louder` and of the standardisation: what white noise becomes."""
-    space = SignalSpace.of_recipe(FULL, 8, sees_noise=True)
+    """The oracle of `with_more_noise` and of the standardisation: what white noise becomes."""
+    space = SignalSpace.from_recipe(FULL, 8, sees_noise=True)
     rng = np.random.default_rng(0)
     noise = space.noise.numpy() * rng.standard_normal((4000, len(space.noise)))
     coefficients, energy = space.coordinates(space.nominal + torch.from_numpy(noise))
@@ -62,14 +63,14 @@ def test_coefficients_of_noise_are_white_and_the_rest_is_chi_square() -> None:
 
 
 def test_added_noise_is_that_of_a_noisier_sensor() -> None:
-    space = SignalSpace.of_recipe(RECIPE, 8, sees_noise=True)
+    space = SignalSpace.from_recipe(RECIPE, 8, sees_noise=True)
     many = np.arange(4000)
     quiet = generate_arrays(RECIPE, 1, many).X.reshape(len(many), -1)
     sensor = replace(RECIPE.sensor, current_noise_a=3.0 * RECIPE.sensor.current_noise_a)
     loud = generate_arrays(replace(RECIPE, sensor=sensor), 2, many).X.reshape(len(many), -1)
     factor = np.full(len(many), 3.0)
     before = space.coordinates(torch.from_numpy(quiet).double())
-    made = louder(*before, space.freedom, factor, np.random.default_rng(3))
+    made = with_more_noise(*before, space.freedom, factor, np.random.default_rng(3))
     found = space.coordinates(torch.from_numpy(loud).double())
     for ours, theirs in zip((*made[0].T, made[1]), (*found[0].T, found[1]), strict=True):
         assert ks_2samp(ours, theirs).pvalue > 1e-3
@@ -93,11 +94,11 @@ def test_it_repeats_itself_to_the_bit_and_leaves_torch_alone() -> None:
     X = generate_arrays(RECIPE, 2, 50).X
     state, threads = torch.random.get_rng_state(), torch.get_num_threads()
     first, second = (
-        PosteriorNetwork(RECIPE, steps=20, batch_size=64, random_state=7).fit_stream() for _ in range(2)
+        PosteriorNetwork.from_recipe(RECIPE, steps=20, batch_size=64, random_state=7) for _ in range(2)
     )
     np.testing.assert_array_equal(first.predict_proba(X), second.predict_proba(X))
     np.testing.assert_array_equal(first.predict_severity(X).low, second.predict_severity(X).low)
-    other = PosteriorNetwork(RECIPE, steps=20, batch_size=64, random_state=8).fit_stream()
+    other = PosteriorNetwork.from_recipe(RECIPE, steps=20, batch_size=64, random_state=8)
     assert not np.array_equal(first.predict_proba(X), other.predict_proba(X))
     assert torch.equal(state, torch.random.get_rng_state())
     assert threads == torch.get_num_threads()
@@ -105,32 +106,44 @@ def test_it_repeats_itself_to_the_bit_and_leaves_torch_alone() -> None:
 
 def test_a_recipe_with_more_nuisances_is_seen_along_more_directions() -> None:
     seen = {
-        name: SignalSpace.of_recipe(named_recipe(name), None, sees_noise=False).n_coordinates
+        name: SignalSpace.from_recipe(named_recipe(name), None, sees_noise=False).n_coordinates
         for name in ("bench", "field")
     }
     assert seen == {"bench": 10, "field": 32}
-    assert SignalSpace.of_recipe(RECIPE, 3, sees_noise=False).n_coordinates == 3
+    assert SignalSpace.from_recipe(RECIPE, 3, sees_noise=False).n_coordinates == 3
 
 
 def test_commissioning_starts_are_not_learned_as_healthy_motors() -> None:
     X = generate_arrays(RECIPE, 2, 50).X
     several = replace(RECIPE, starts_per_motor=5, healthy_starts=3)
     first, second = (
-        PosteriorNetwork(recipe, steps=20, batch_size=64, random_state=7).fit_stream()
+        PosteriorNetwork.from_recipe(recipe, steps=20, batch_size=64, random_state=7)
         for recipe in (RECIPE, several)
     )
     np.testing.assert_array_equal(first.predict_proba(X), second.predict_proba(X))
 
 
-def test_fit_checks_the_cases_and_learns_from_the_stream() -> None:
-    data = generate_arrays(RECIPE, 3, 60)
-    model = PosteriorNetwork(RECIPE, steps=10, batch_size=32, random_state=0)
-    streamed = clone(model).fit_stream().predict_proba(data.X)
-    np.testing.assert_array_equal(clone(model).fit(data.X, data.class_name).predict_proba(data.X), streamed)
+def test_fit_learns_from_the_cases_it_is_given() -> None:
+    first, second = generate_arrays(RECIPE, 3, 400), generate_arrays(RECIPE, 4, 400)
+    model = PosteriorNetwork(RECIPE, steps=200, batch_size=64, random_state=0)
+    fitted = [clone(model).fit(data.X, data.class_name) for data in (first, second)]
+    assert not np.array_equal(*(one.predict_proba(first.X) for one in fitted))
+    assert fitted[1].score(first.X, first.class_name) > 0.65  # the limit at 1 kHz is 0.80
+    shuffled = clone(model).fit(first.X, np.random.default_rng(0).permutation(first.class_name))
+    assert shuffled.score(second.X, second.class_name) < 0.4
+    with pytest.raises(ValueError, match="this one has none"):
+        fitted[0].predict_severity(first.X)
     with pytest.raises(ValueError, match="class must be one of"):
-        model.fit(data.X, np.where(data.class_index > 0, "odd", "healthy"))
+        model.fit(first.X, np.where(first.class_index > 0, "odd", "healthy"))
     with pytest.raises(ValueError, match="1 x 100 values"):
-        model.fit(data.X[:, :, :50], data.class_name)
+        model.fit(first.X[:, :, :50], first.class_name)
+
+
+def test_fit_reads_the_noise_off_the_given_cases() -> None:
+    recipe = replace(FULL, classes=(FULL.classes[0], FULL.classes[-1]))
+    train, test = generate_arrays(recipe, 1, 800), generate_arrays(recipe, 2, 400)
+    model = PosteriorNetwork(recipe, steps=200, batch_size=64, random_state=0).fit(train.X, train.class_name)
+    assert model.score(test.X, test.class_name) > 0.95
 
 
 def test_severity_of_the_most_probable_kind(trained: PosteriorNetwork) -> None:
@@ -159,7 +172,7 @@ def test_without_a_recipe_it_learns_the_cases_and_tells_no_severity() -> None:
         train.X, train.class_name
     )
     assert model.score(test.X, test.class_name) > 0.7  # the limit at 1 kHz is 0.80
-    with pytest.raises(ValueError, match="trained with a recipe"):
+    with pytest.raises(ValueError, match="trained on a recipe's stream"):
         model.predict_severity(test.X)
     with pytest.raises(ValueError, match="needs a recipe"):
         PosteriorNetwork().fit_stream()
@@ -168,7 +181,7 @@ def test_without_a_recipe_it_learns_the_cases_and_tells_no_severity() -> None:
 def test_a_noise_fault_is_told_by_what_is_left_over() -> None:
     recipe = replace(FULL, classes=(FULL.classes[0], FULL.classes[-1]))
     data = generate_arrays(recipe, 2, 1000)
-    model = PosteriorNetwork(recipe, steps=200, batch_size=128, random_state=0).fit_stream()
+    model = PosteriorNetwork.from_recipe(recipe, steps=200, batch_size=128, random_state=0)
     assert model.score(data.X, data.class_name) > 0.97  # twice the variance over 100 samples
     loud = data.X[data.class_index == 1][:60]
     exact = severity_posterior(recipe, model.severity_priors_[-1], loud)
@@ -177,7 +190,7 @@ def test_a_noise_fault_is_told_by_what_is_left_over() -> None:
 
 
 def test_the_noise_may_be_unknown() -> None:
-    model = PosteriorNetwork(RECIPE, noise_range=(0.25, 5.0), random_state=0, **QUICK).fit_stream()
+    model = PosteriorNetwork.from_recipe(RECIPE, noise_range=(0.25, 5.0), random_state=0, **QUICK)
     for factor in (0.25, 5.0):
         sensor = replace(RECIPE.sensor, current_noise_a=factor * RECIPE.sensor.current_noise_a)
         cell = limit_cell(model, replace(RECIPE, sensor=sensor), 4, 2000)
@@ -186,9 +199,9 @@ def test_the_noise_may_be_unknown() -> None:
         assert cell.model.log_loss < 1.2 * cell.limit.log_loss
     for bad in ((0.0, 1.0), (2.0, 1.0)):
         with pytest.raises(ValueError, match="noise_range must be 0 < low < high"):
-            PosteriorNetwork(RECIPE, noise_range=bad).fit_stream()
+            PosteriorNetwork.from_recipe(RECIPE, noise_range=bad)
     with pytest.raises(ValueError, match="they look the same"):
-        PosteriorNetwork(FULL, noise_range=(0.5, 2.0)).fit_stream()
+        PosteriorNetwork.from_recipe(FULL, noise_range=(0.5, 2.0))
 
 
 def recipes() -> Iterator[Recipe]:
@@ -201,7 +214,7 @@ def recipes() -> Iterator[Recipe]:
 
 @pytest.mark.parametrize("recipe", list(recipes()), ids=["speed", "field", "few samples", "joint"])
 def test_any_recipe_trains(recipe: Recipe) -> None:
-    model = PosteriorNetwork(recipe, steps=10, batch_size=32, random_state=0).fit_stream()
+    model = PosteriorNetwork.from_recipe(recipe, steps=10, batch_size=32, random_state=0)
     data = generate_arrays(recipe, 2, 20)
     probabilities = model.predict_proba(data.X)
     np.testing.assert_allclose(probabilities.sum(axis=1), 1.0)

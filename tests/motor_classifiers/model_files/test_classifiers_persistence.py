@@ -13,7 +13,7 @@ from sklearn.pipeline import make_pipeline
 
 from motor_classifiers.estimators.features import ResidualProjection
 from motor_classifiers.estimators.methods import METHODS, make_method
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.reference_starts import RecentredStarts, referenced_starts
 from motor_classifiers.model_files.persistence import load_model, save_model
 from motor_datasets.generate import generate_arrays

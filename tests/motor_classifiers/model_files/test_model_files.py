@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from motor_classifiers.model_files.wrapper_file import wrapped_model
 from safetensors.numpy import load, save
 from sklearn.base import BaseEstimator
 from sklearn.frozen import FrozenEstimator
@@ -18,7 +19,6 @@ from sklearn.preprocessing import FunctionTransformer
 from motor_classifiers.cli.main import main
 from motor_classifiers.estimators.methods import make_method
 from motor_classifiers.model_files.persistence import FORMAT, load_model, save_model
-from motor_classifiers.model_files.wrapper_file import wrapped_model
 from motor_classifiers.prediction import opinions
 from motor_classifiers.scoring.unknown_faults import ForeignFault, foreign_starts
 from motor_classifiers.wrappers.conformal import ConformalClassifier

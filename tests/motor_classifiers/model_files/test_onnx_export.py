@@ -11,7 +11,7 @@ import torch
 
 from motor_classifiers.cli.main import main
 from motor_classifiers.estimators.methods import make_method
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.onnx_export import INPUT, OUTPUTS, Deployed
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model, save_model
 from motor_datasets.generate import generate_arrays

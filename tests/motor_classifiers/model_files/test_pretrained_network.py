@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from motor_classifiers.cli.main import main
-from motor_classifiers.estimators.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.motor_recipe import motor_recipe
 from motor_classifiers.scoring.limit_cells import limit_cell

@@ -13,7 +13,7 @@ from sklearn.metrics import (
     recall_score,
 )
 
-from motor_classifiers.estimators.perceptron import NetworkClassifier
+from motor_classifiers.estimators.networks.perceptron import PerceptronClassifier
 from motor_classifiers.scoring.metrics import (
     compare,
     level_distance,
@@ -71,7 +71,7 @@ def test_comparison_is_the_exact_sign_test() -> None:
 def test_the_network_repeats_itself_to_the_bit_and_learns() -> None:
     train, test = generate_arrays(RECIPE, 1, 400), generate_arrays(RECIPE, 2, 400)
     first, second = (
-        NetworkClassifier(RECIPE, random_state=3).fit(train.X, train.class_name) for _ in range(2)
+        PerceptronClassifier(RECIPE, random_state=3).fit(train.X, train.class_name) for _ in range(2)
     )
     np.testing.assert_array_equal(first.predict_proba(test.X), second.predict_proba(test.X))
     assert first.score(test.X, test.class_name) > 0.65  # the limit at 1 kHz is 0.80

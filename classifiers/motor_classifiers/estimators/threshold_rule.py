@@ -1,4 +1,4 @@
-"""Confirmation by thresholds: the paper's Figure 1 as it stands, tuned on training cases and on nothing else.
+"""The rule of confirmation by thresholds: the paper's Figure 1, tuned on training cases and on nothing else.
 
 A filter that believes in the healthy nominal motor gives a residual. Its means over windows are compared with a
 threshold; M of the last N windows beyond it confirm a fault. Then the residuals of a bank of filters, one for each
@@ -15,14 +15,9 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from motor_env.filters.batch import run_filter
-from motor_env.filters.kalman import KalmanFilter
-from motor_env.inference.posterior import variance_factor
-from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray, require
-from motor_env.simulation.recipes import FaultClass, Recipe
 
 IntArray = NDArray[np.int64]
 
@@ -54,11 +49,10 @@ class ConfirmationResult(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class ThresholdConfirmation:
-    """The tuned rule (paper, Figure 1). Make one with `ThresholdConfirmation.tune(recipe, measurements, class_index)`.
+class ThresholdRule:
+    """The tuned rule (paper, Figure 1). Make one with `ThresholdRule.tune(whitened, labels, healthy)`.
 
     Attributes:
-        filters: a filter for each class of the recipe, in the recipe's order.
         healthy_index: position of the healthy class.
         with_spread: whether the windows' variance is a feature beside their mean (a recipe with noise faults).
         edges: first sample of each window, and the end of the last one.
@@ -73,7 +67,6 @@ class ThresholdConfirmation:
         intercept: the log odds at the threshold.
     """
 
-    filters: tuple[KalmanFilter, ...]
     healthy_index: int
     with_spread: bool
     edges: tuple[int, ...]
@@ -90,70 +83,33 @@ class ThresholdConfirmation:
     @classmethod
     def tune(
         cls,
-        recipe: Recipe,
-        measurements: ArrayLike,
-        class_index: ArrayLike,
-        *,
-        voltage_v: ArrayLike | None = None,
-        false_alarm_rate: float | None = None,
-    ) -> Self:
-        """Choose window, M, N, threshold and weights on training cases.
-
-        Args:
-            recipe: nominal motor, supply, sensor and classes; its nuisances are not looked at.
-            measurements: training cases, shape (n_cases, n_channels, n_samples).
-            class_index: their labels, as indices into `recipe.classes`, shape (n_cases,).
-            voltage_v: nominal voltage, shape (n_samples,); by default the recipe's.
-            false_alarm_rate: share of healthy cases that may alarm. By default the threshold with most correct
-                decisions on the training cases is taken.
-
-        Raises:
-            ValueError: no healthy class or no healthy case, labels that do not fit, or too few healthy cases to tell
-                the wanted false-alarm rate.
-        """
-        measured, labels = _checked(recipe, measurements, class_index)
-        voltage = recipe.nominal_voltage_v if voltage_v is None else np.asarray(voltage_v, dtype=np.float64)
-        healthy = [c.kind for c in recipe.classes].index(None)
-        _check_rate(false_alarm_rate, int((labels == healthy).sum()))
-        filters = tuple(class_filter(recipe, c) for c in recipe.classes)
-        with_spread = any(kind.changes_noise for kind in recipe.kinds)
-        whitened = np.stack([run_filter(belief, measured, voltage).whitened for belief in filters])
-        return cls.tune_on_residuals(
-            whitened,
-            labels,
-            healthy,
-            filters=filters,
-            with_spread=with_spread,
-            false_alarm_rate=false_alarm_rate,
-        )
-
-    @classmethod
-    def tune_on_residuals(
-        cls,
         whitened: FloatArray,
         labels: IntArray,
         healthy: int,
         *,
-        filters: tuple[KalmanFilter, ...] = (),
         with_spread: bool = False,
         false_alarm_rate: float | None = None,
     ) -> Self:
-        """As `tune`, on residuals that are there already, whoever made them.
+        """Choose window, M, N, threshold and weights on the residuals of training cases.
 
         Args:
             whitened: residual of each case under each class, shape (n_classes, n_cases, n_samples, n_channels).
             labels: class of each case, shape (n_cases,).
             healthy: position of the healthy class.
-            filters: what made the residuals; without them only `decide_on_residuals` works.
             with_spread: whether the windows' variance is a feature beside their mean.
-            false_alarm_rate: as for `tune`.
+            false_alarm_rate: share of healthy cases that may alarm. By default the threshold with most correct
+                decisions on the training cases is taken.
+
+        Raises:
+            ValueError: no healthy case, or too few of them to tell the wanted false-alarm rate.
         """
+        _check_rate(false_alarm_rate, int((labels == healthy).sum()))
         prior = np.bincount(labels, minlength=len(whitened)) / len(labels)
         best, best_score = None, -np.inf
         for edges, pairs in _choices(whitened.shape[2], with_spread):
             features = np.stack([window_features(w, edges, with_spread) for w in whitened])
             base = cls(
-                filters, healthy, with_spread, edges, 1, 1, 1.0,
+                healthy, with_spread, edges, 1, 1, 1.0,
                 healthy_scale=_rms(features[healthy, labels == healthy]),
                 own_scale=_rms(features[labels, np.arange(len(labels))]),
                 prior=prior,
@@ -169,29 +125,9 @@ class ThresholdConfirmation:
             raise AssertionError
         return best.calibrated(whitened, labels)
 
-    def decide(self, measurements: ArrayLike, voltage_v: ArrayLike) -> ConfirmationResult:
-        """Decide on cases.
-
-        Args:
-            measurements: shape (n_cases, n_channels, n_samples), of the length and rate of the training cases.
-            voltage_v: nominal voltage, shape (n_samples,).
-
-        Raises:
-            ValueError: shapes do not fit.
-        """
-        measured = np.asarray(measurements, dtype=np.float64)
-        require(
-            measured.ndim == 3 and measured.shape[-1] == self.edges[-1],
-            f"measurements must have shape (n_cases, n_channels, {self.edges[-1]}), got {measured.shape}",
-        )
-        whitened = np.stack([run_filter(belief, measured, voltage_v).whitened for belief in self.filters])
-        return self.decide_on_residuals(whitened)
-
-    def decide_on_residuals(self, whitened: FloatArray) -> ConfirmationResult:
+    def decide(self, whitened: FloatArray) -> ConfirmationResult:
         """Decide on residuals under each class, shape (n_classes, n_cases, n_samples, n_channels)."""
-        return self._decided(np.stack([window_features(w, self.edges, self.with_spread) for w in whitened]))
-
-    def _decided(self, features: FloatArray) -> ConfirmationResult:
+        features = self._features(whitened)
         statistic = self.statistic(features[self.healthy_index])
         crossed = statistic > self.threshold
         alarm = crossed.any(axis=1)
@@ -205,6 +141,9 @@ class ThresholdConfirmation:
             probabilities=self._probabilities(features, largest),
             statistic=largest,
         )
+
+    def _features(self, whitened: FloatArray) -> FloatArray:
+        return np.stack([window_features(w, self.edges, self.with_spread) for w in whitened])
 
     def statistic(self, features: FloatArray) -> FloatArray:
         """M-th largest of the last N windows' standardised features, shape (n, n_windows - N + 1)."""
@@ -240,7 +179,7 @@ class ThresholdConfirmation:
 
     def calibrated(self, whitened: FloatArray, labels: IntArray) -> Self:
         """The rule with its probabilities fitted to training cases (Platt 1999; temperature: Guo et al. 2017)."""
-        features = np.stack([window_features(w, self.edges, self.with_spread) for w in whitened])
+        features = self._features(whitened)
         faulty = labels != self.healthy_index
         if not faulty.any():
             return self
@@ -254,21 +193,6 @@ class ThresholdConfirmation:
         return replace(
             self, intercept=intercept, slope=slope, temperature=float(candidates[int(np.argmin(loss))])
         )
-
-
-def class_filter(recipe: Recipe, fault_class: FaultClass) -> KalmanFilter:
-    """The filter that believes in one class of the recipe at its nominal parameters (Magill 1965)."""
-    sensor, variance = recipe.sensor, variance_factor(fault_class)
-    if variance != 1.0:
-        factor = float(np.sqrt(variance))
-        sensor = replace(
-            sensor,
-            current_noise_a=sensor.current_noise_a * factor,
-            speed_noise_rad_s=sensor.speed_noise_rad_s * factor,
-        )
-    return KalmanFilter.from_parameters(
-        apply_faults(recipe.motor, fault_class.faults), sensor, recipe.timing.dt_s
-    )
 
 
 def window_features(whitened: FloatArray, edges: tuple[int, ...], with_spread: bool) -> FloatArray:
@@ -292,29 +216,8 @@ def window_features(whitened: FloatArray, edges: tuple[int, ...], with_spread: b
     return np.concatenate([mean, spread], axis=-1)
 
 
-def _checked(recipe: Recipe, measurements: ArrayLike, class_index: ArrayLike) -> tuple[FloatArray, IntArray]:
-    measured = np.asarray(measurements, dtype=np.float64)
-    labels = np.asarray(class_index)
-    n_classes = len(recipe.classes)
-    require(measured.ndim == 3, f"measurements must have shape (n, channels, samples), got {measured.shape}")
-    require(
-        labels.shape == (len(measured),) and np.issubdtype(labels.dtype, np.integer),
-        f"class_index must be {len(measured)} integers, got {labels.dtype} of shape {labels.shape}",
-    )
-    require(
-        bool(((labels >= 0) & (labels < n_classes)).all()),
-        f"class_index must lie in 0 .. {n_classes - 1}, the classes of recipe {recipe.name}",
-    )
-    kinds = [c.kind for c in recipe.classes]
-    require(
-        kinds.count(None) == 1, f"recipe {recipe.name} must have one healthy class, got {kinds.count(None)}"
-    )
-    require(len(kinds) > 1, f"recipe {recipe.name} must have a fault class beside the healthy one")
-    require(bool((labels == kinds.index(None)).any()), "training cases must hold healthy ones, got none")
-    return measured, labels.astype(np.int64)
-
-
 def _check_rate(rate: float | None, n_healthy: int) -> None:
+    require(n_healthy > 0, "training cases must hold healthy ones, got none")
     if rate is None:
         return
     require(0.0 < rate < 1.0, f"false_alarm_rate must lie between 0 and 1, got {rate:g}")

@@ -69,7 +69,7 @@ class SignalSpace(nn.Module):
             self.register_buffer(name, torch.ones(shape, dtype=torch.float64))
 
     @classmethod
-    def of_recipe(
+    def from_recipe(
         cls, recipe: Recipe, n_components: int | None, *, sees_noise: bool, n_references: int = 0
     ) -> SignalSpace:
         """Directions, means and variances of noise-free starts of a recipe, each with so many reference starts."""
@@ -83,7 +83,7 @@ class SignalSpace(nn.Module):
         return cls._spanned(deviation, nominal, noise, n_components, sees_noise=sees_noise)
 
     @classmethod
-    def of_cases(cls, flat: FloatArray, n_components: int | None) -> SignalSpace:
+    def from_cases(cls, flat: FloatArray, n_components: int | None) -> SignalSpace:
         """Directions of given cases about their mean; the noise is what is left outside them."""
         n_components = _FEWEST if n_components is None else n_components
         nominal = flat.mean(axis=0)

@@ -1,4 +1,4 @@
-"""The density of a severity between two bounds: a normal one, cut at the bounds.
+"""What a network learns of severities: their ranges, and a density between two bounds, a normal one cut at the bounds.
 
 The logarithm of a transient's likelihood is nearly quadratic in the severity once the nuisances are integrated out, so
 two numbers, which a network gives, are enough (docs/classifiers.md). Everything is summed over one fine grid, in steps
@@ -8,14 +8,49 @@ that ONNX has too. Severities here run from 0 (the smallest of the range) to 1 (
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
+
+from motor_env.inference.severity import SeverityPrior
+from motor_env.motor.faults import FaultKind
+from motor_env.simulation.recipes import FaultClass, Recipe
 
 PARAMETERS = 2
 """Numbers of a density: where it lies, and the logarithm of how wide it is."""
 
 _GRID = 201
 _MIDDLE, _LOG_WIDTH = 0.5, -1.0  # of a network's zeros
+_ALWAYS = (FaultKind.BEARING, FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT)
+_LEAST_RANGE, _BEYOND, _LARGEST_LOSS = 0.30, 1.2, 0.95
+
+
+def severity_priors(recipe: Recipe) -> tuple[SeverityPrior, ...]:
+    """Ranges of the severities that are told: every kind of the motor, and noise where it is a class.
+
+    From 0 to 30 %, or to 1.2 times the largest severity among the recipe's classes.
+    """
+    largest: dict[FaultKind, float] = dict.fromkeys(_ALWAYS, _LEAST_RANGE)
+    for part in (part for c in recipe.classes for part in c.parts):
+        if part.kind is not None:
+            top = _BEYOND * part.largest_severity
+            largest[part.kind] = max(largest.get(part.kind, 0.0), top)
+    return tuple(
+        SeverityPrior(kind, 0.0, min(to, _LARGEST_LOSS) if kind.loses else to) for kind, to in largest.items()
+    )
+
+
+def severity_recipe(recipe: Recipe, *, with_healthy: bool = False) -> Recipe:
+    """The recipe with one class a kind, its severity uniform over the range of `severity_priors`.
+
+    Args:
+        recipe: the motor, its nuisances, faults and sensor.
+        with_healthy: whether a healthy class, which is never drawn, stands behind them: reference starts need one.
+    """
+    classes = [FaultClass(p.kind, 0.0, severity_to=p.largest) for p in severity_priors(recipe)]
+    if with_healthy:
+        classes.append(FaultClass(weight=0.0))
+    return replace(recipe, classes=tuple(classes), healthy_starts=0, shifts=())
 
 
 def grid_like(parameters: torch.Tensor) -> torch.Tensor:
@@ -63,3 +98,21 @@ def quantile(share: torch.Tensor, probability: float) -> torch.Tensor:
     low = torch.gather(cumulated, -1, above - 1)
     between = ((probability - low) / (high - low).clamp(min=1e-30)).clamp(0.0, 1.0)
     return ((above - 1 + between) / (_GRID - 1))[..., 0].to(share.dtype)
+
+
+def summary(parameters: torch.Tensor, tail: float) -> torch.Tensor:
+    """Mean, and the positions with the probability `tail` below and above them, shape (3, ...)."""
+    share = weights(parameters)
+    return torch.stack([mean(share), quantile(share, tail), quantile(share, 1.0 - tail)])
+
+
+def severity_loss(outputs: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+    """Mean negative log-likelihood of the severity of each case under the density of its own kind.
+
+    Args:
+        outputs: shape (n, n_kinds * 2).
+        targets: index of the kind and position in its range, shape (n, 2).
+    """
+    densities = outputs.reshape(len(outputs), -1, PARAMETERS)
+    own = densities[torch.arange(len(outputs)), targets[:, 0].long()]
+    return negative_log_likelihood(own, targets[:, 1]).mean()

@@ -7,13 +7,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from motor_env.detection.confirmation import ThresholdConfirmation, window_features
+from motor_classifiers.estimators.confirmation import ThresholdConfirmationClassifier
+from motor_classifiers.estimators.threshold_rule import window_features
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass, Recipe, draw, named_recipe
 from motor_env.simulation.simulate import Timing, simulate
 
-Tuned = tuple[Recipe, ThresholdConfirmation]
+Tuned = tuple[Recipe, ThresholdConfirmationClassifier]
 
 
 def cases(recipe: Recipe, seed: int, count: int) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -21,12 +22,16 @@ def cases(recipe: Recipe, seed: int, count: int) -> tuple[FloatArray, NDArray[np
     return simulate(drawn.scenario, seed, drawn.cases).measurements, drawn.class_index
 
 
+def names(recipe: Recipe, labels: NDArray[np.int64]) -> NDArray[np.str_]:
+    return np.array(recipe.class_names)[labels]
+
+
 @pytest.fixture(scope="module")
 def tuned() -> Tuned:
     recipe = named_recipe("bench", timing=Timing(sampling_rate_hz=10_000.0))
     measurements, labels = cases(recipe, 1, 1000)
-    rule = ThresholdConfirmation.tune(recipe, measurements, labels, false_alarm_rate=0.05)
-    return recipe, rule
+    rule = ThresholdConfirmationClassifier(recipe, false_alarm_rate=0.05)
+    return recipe, rule.fit(measurements, names(recipe, labels))
 
 
 def test_window_features_of_white_noise_are_standard_normal() -> None:
@@ -40,7 +45,7 @@ def test_window_features_of_white_noise_are_standard_normal() -> None:
 def test_healthy_cases_alarm_at_the_wanted_rate_in_spite_of_tolerances(tuned: Tuned) -> None:
     recipe, rule = tuned
     measurements, _ = cases(replace(recipe, classes=(FaultClass(),)), 2, 2000)
-    alarms = int((rule.decide(measurements, recipe.nominal_voltage_v).alarm_index >= 0).sum())
+    alarms = int((rule.decide(measurements).alarm_index >= 0).sum())
     # The threshold is an order statistic of about 200 healthy cases: the rate itself is spread by 0.016.
     assert binom.ppf(1e-3, 2000, 0.01) <= alarms <= binom.ppf(1 - 1e-3, 2000, 0.11)
 
@@ -48,7 +53,7 @@ def test_healthy_cases_alarm_at_the_wanted_rate_in_spite_of_tolerances(tuned: Tu
 def test_windings_are_told_and_alarms_carry_a_time(tuned: Tuned) -> None:
     recipe, rule = tuned
     measurements, labels = cases(recipe, 3, 600)
-    result = rule.decide(measurements, recipe.nominal_voltage_v)
+    result = rule.decide(measurements)
     windings = np.isin(labels, (3, 4))
     assert (result.class_index == labels)[windings].mean() > 0.97
     assert np.array_equal(result.alarm_index >= 0, result.statistic > 1.0)
@@ -60,8 +65,8 @@ def test_windings_are_told_and_alarms_carry_a_time(tuned: Tuned) -> None:
 def test_a_case_is_decided_alike_alone_and_in_company(tuned: Tuned) -> None:
     recipe, rule = tuned
     measurements, _ = cases(recipe, 4, 20)
-    together = rule.decide(measurements, recipe.nominal_voltage_v)
-    alone = rule.decide(measurements[7:8], recipe.nominal_voltage_v)
+    together = rule.decide(measurements)
+    alone = rule.decide(measurements[7:8])
     assert alone.class_index[0] == together.class_index[7]
     np.testing.assert_allclose(alone.probabilities[0], together.probabilities[7], rtol=1e-9)
 
@@ -69,21 +74,26 @@ def test_a_case_is_decided_alike_alone_and_in_company(tuned: Tuned) -> None:
 def test_a_rise_of_the_noise_is_told_from_a_bearing() -> None:
     classes = (FaultClass(), FaultClass(FaultKind.BEARING, 0.25), FaultClass(FaultKind.NOISE, 0.5))
     recipe = named_recipe("paper", classes=classes)
-    rule = ThresholdConfirmation.tune(recipe, *cases(recipe, 1, 300))
+    measurements, labels = cases(recipe, 1, 300)
+    rule = ThresholdConfirmationClassifier(recipe).fit(measurements, names(recipe, labels))
     measurements, labels = cases(recipe, 2, 300)
-    result = rule.decide(measurements, recipe.nominal_voltage_v)
+    result = rule.decide(measurements)
     assert (result.class_index == labels).mean() > 0.95
 
 
 def test_bad_training_cases_are_refused_in_one_sentence() -> None:
     recipe = named_recipe("bench")
     measurements, labels = cases(recipe, 1, 60)
+    classes = names(recipe, labels)
     with pytest.raises(ValueError, match=r"false_alarm_rate 0\.01 needs at least 99 healthy training cases"):
-        ThresholdConfirmation.tune(recipe, measurements, labels, false_alarm_rate=0.01)
-    with pytest.raises(ValueError, match=r"class_index must lie in 0 \.\. 4"):
-        ThresholdConfirmation.tune(recipe, measurements, labels + 1)
+        ThresholdConfirmationClassifier(recipe, false_alarm_rate=0.01).fit(measurements, classes)
+    with pytest.raises(ValueError, match="class must be one of healthy"):
+        ThresholdConfirmationClassifier(recipe).fit(measurements, np.where(labels > 0, "odd", "healthy"))
     with pytest.raises(ValueError, match="must hold healthy ones"):
-        ThresholdConfirmation.tune(recipe, measurements[labels > 0], labels[labels > 0])
-    rule = ThresholdConfirmation.tune(recipe, measurements, labels)
-    with pytest.raises(ValueError, match="measurements must have shape"):
-        rule.decide(measurements[..., :-1], recipe.nominal_voltage_v[:-1])
+        ThresholdConfirmationClassifier(recipe).fit(measurements[labels > 0], classes[labels > 0])
+    sound = replace(recipe, classes=recipe.classes[1:])
+    with pytest.raises(ValueError, match="must have one healthy class, got 0"):
+        ThresholdConfirmationClassifier(sound).fit(measurements[labels > 0], classes[labels > 0])
+    rule = ThresholdConfirmationClassifier(recipe).fit(measurements, classes)
+    with pytest.raises(ValueError, match="features"):
+        rule.decide(measurements[..., :-1])

@@ -1,0 +1,1 @@
+"""Torch networks behind scikit-learn's interface, trained by one loop."""

@@ -1,0 +1,411 @@
+"""An amortised posterior: a small network that has seen millions of fresh starts approximates the exact one.
+
+Trained by cross-entropy on an endless stream of the recipe's own cases, a network tends to the posterior
+probabilities (Bishop 2006, ch. 5.2; "neural posterior estimation": Papamakarios & Murray 2016); its inputs are the few
+coordinates that hold what a transient can tell. A second one gives the density of the severity for each fault kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, replace
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from sklearn.utils.validation import check_is_fitted
+from torch import nn
+
+from motor_classifiers.estimators.cases import check_classes, flat_cases, labelled_cases, values_of_start
+from motor_classifiers.estimators.networks import severity_density
+from motor_classifiers.estimators.networks.case_stream import fresh_cases
+from motor_classifiers.estimators.networks.epoch_classifier import LogitClassifier, logits_in_parts
+from motor_classifiers.estimators.networks.posterior import Posterior, total_cases
+from motor_classifiers.estimators.networks.severity_density import (
+    severity_loss,
+    severity_priors,
+    severity_recipe,
+)
+from motor_classifiers.estimators.networks.signal_space import SignalSpace
+from motor_classifiers.estimators.networks.training import Batch, Loss, OnStep, one_thread, seed_of
+from motor_classifiers.estimators.reference_starts import split_starts
+from motor_classifiers.estimators.state import Arrays, State, module_arrays, part_of, plain_parameters
+from motor_datasets.arrays import Dataset
+from motor_env.inference.severity import SeverityPrior
+from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.recipes import Recipe
+
+_OWN_SEEDS = 2**63  # the streams' seeds lie above: no data set is drawn with one of those by accident
+_SEEDS_OF_ONE = 4  # two networks, two sizes of batches
+_LEVEL_CASES = 4096
+_CASES_WEIGHT_DECAY = 0.1
+_CHUNK = 4096  # cases judged at once
+
+Progress = Callable[[int, int], object]
+"""Called with the steps done and all steps."""
+
+
+class SeverityEstimate(NamedTuple):
+    """How large the fault of each case is, given that it is of this kind.
+
+    Attributes:
+        kind: fault kind of each case, shape (n_cases,).
+        mean: posterior mean, shape (n_cases,): the estimate with the smallest mean squared error.
+        low: lower bound of the interval between equal tails, shape (n_cases,).
+        high: its upper bound.
+    """
+
+    kind: NDArray[np.str_]
+    mean: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
+class _Task(NamedTuple):
+    """What one of the two networks learns: `n_out` numbers by a loss, from cases of a recipe and their targets."""
+
+    recipe: Recipe
+    target: Callable[[Dataset], torch.Tensor]
+    loss: Loss
+    n_out: int
+
+
+class PosteriorNetwork(LogitClassifier):
+    """The amortised posterior of a recipe behind scikit-learn's interface.
+
+    `PosteriorNetwork.from_recipe(recipe)` learns from fresh cases that the recipe draws, classes and severities; `fit`
+    learns the classes alone, from the cases that it is given.
+
+    Args:
+        recipe: the motor, its nuisances, faults and sensor; without one, `fit` takes the directions from its cases.
+        n_components: directions of the signal that the network sees; None for all along which the starts of the recipe
+            differ by a quarter of the noise or more, at least 10 and at most 32.
+        n_hidden: width of a hidden layer.
+        n_layers: hidden layers.
+        steps: batches seen by each of the two networks.
+        batch_size: cases of a batch; the last ones are four times as large.
+        learning_rate: highest rate; it falls to 0 along a cosine.
+        noise_range: smallest and largest factor on the recipe's noise, when the noise's level is not known and the
+            network shall read it off the transient; None for the recipe's own.
+        with_severity: whether the second network, that of the severities, is trained too.
+        n_references: healthy starts of the same motor that come with each start (`reference_starts.referenced_starts`).
+        random_state: seed, generator or None, as in scikit-learn.
+
+    Attributes:
+        classes_: labels: all classes of the recipe, or those of the given cases.
+        posterior_: torch module, from flattened cases to the logits of `classes_`.
+        severity_: torch module, from flattened cases to the densities of the severities; None after `fit`, or where
+            none was asked for.
+        severity_priors_: kinds and ranges of the severities, in the order of the module; empty where there is none.
+        n_drawn_: starts drawn for the training; not after `fit`.
+        n_features_in_: n_channels * n_timepoints.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe | None = None,
+        n_components: int | None = None,
+        *,
+        n_hidden: int = 96,
+        n_layers: int = 2,
+        steps: int = 2500,
+        batch_size: int = 512,
+        learning_rate: float = 0.01,
+        noise_range: tuple[float, float] | None = None,
+        with_severity: bool = True,
+        n_references: int = 0,
+        random_state: int | np.random.RandomState | None = None,
+    ) -> None:
+        self.recipe = recipe
+        self.n_components = n_components
+        self.n_hidden = n_hidden
+        self.n_layers = n_layers
+        self.steps = steps
+        self.batch_size = batch_size
+        self.learning_rate = learning_rate
+        self.noise_range = noise_range
+        self.with_severity = with_severity
+        self.n_references = n_references
+        self.random_state = random_state
+
+    @classmethod
+    def from_recipe(
+        cls, recipe: Recipe, *, on_step: Progress = lambda done, total: None, **parameters: Any
+    ) -> Self:
+        """A network that has learned from the recipe's own stream of cases.
+
+        Args:
+            recipe: the motor, its nuisances, faults and sensor.
+            on_step: called with the steps done and all steps, after each.
+            parameters: of the constructor.
+
+        Raises:
+            ValueError: a recipe with fewer than two classes, or a noise range that does not fit.
+        """
+        return cls(recipe, **parameters).fit_stream(on_step)
+
+    def fit(self, X: Any, y: Any) -> Self:
+        """Train on the given cases, in random batches; no severity is learned.
+
+        Raises:
+            ValueError: fewer than two classes, labels that the recipe does not know, or shapes that do not fit.
+        """
+        flat, labels = labelled_cases(self, X, y)
+        if self.recipe is None:
+            space = SignalSpace.from_cases(flat, self.n_components)
+        else:
+            starts = split_starts(flat, self.recipe).shape[1]
+            wanted = 1 + self.n_references
+            require(starts == wanted, f"a case must be {wanted} starts, got {starts}")
+            check_classes(self.recipe, self.classes_)
+            space = self._space(self.recipe)
+        posterior = Posterior(space, self.n_hidden, self.n_layers, len(self.classes_))
+        generator = torch.Generator().manual_seed(seed_of(self.random_state))
+        targets = torch.from_numpy(labels)
+
+        def batches(part: int, batch_size: int) -> Iterator[Batch]:
+            while True:
+                chosen = torch.randint(len(targets), (batch_size,), generator=generator)
+                yield inputs[chosen], targets[chosen]
+
+        with one_thread():
+            cases = torch.from_numpy(np.array(flat))
+            space.observe_level(space(cases))
+            inputs = space(cases)
+            posterior.learn(
+                batches,
+                nn.functional.cross_entropy,
+                generator,
+                **self._training(),
+                weight_decay=_CASES_WEIGHT_DECAY,
+            )
+        self.posterior_: Posterior = posterior
+        self.severity_: Posterior | None = None
+        self.severity_priors_: tuple[SeverityPrior, ...] = ()
+        return self
+
+    def fit_stream(self, on_step: Progress = lambda done, total: None) -> Self:
+        """Train on fresh cases of the recipe; nothing else is needed.
+
+        Args:
+            on_step: called with the steps done and all steps, after each.
+
+        Raises:
+            ValueError: no recipe, a recipe with fewer than two classes, or a noise range that does not fit.
+        """
+        recipe = self._stream_recipe()
+        self.n_features_in_ = (1 + self.n_references) * values_of_start(recipe)
+        self.classes_ = np.array(sorted(recipe.class_names))
+        self.severity_priors_ = severity_priors(recipe) if self.with_severity else ()
+        ranks = torch.from_numpy(np.searchsorted(self.classes_, np.array(recipe.class_names)))
+        tops = torch.tensor([prior.largest for prior in self.severity_priors_])
+
+        def classes(batch: Dataset) -> torch.Tensor:
+            return ranks[torch.from_numpy(batch.class_index)]
+
+        def severities(batch: Dataset) -> torch.Tensor:
+            kinds = torch.from_numpy(batch.class_index)
+            return torch.stack([kinds.float(), torch.from_numpy(batch.severity).float() / tops[kinds]], dim=1)
+
+        tasks = [_Task(recipe, classes, nn.functional.cross_entropy, len(ranks))]
+        if self.with_severity:
+            with_ranges = severity_recipe(recipe, with_healthy=self.n_references > 0)
+            tasks.append(
+                _Task(with_ranges, severities, severity_loss, severity_density.PARAMETERS * len(tops))
+            )
+        self.n_drawn_ = len(tasks) * total_cases(self.batch_size, self.steps)
+        seed = _OWN_SEEDS + _SEEDS_OF_ONE * seed_of(self.random_state)
+        with one_thread():
+            learned = [
+                self._learn(
+                    task,
+                    seed + 2 * n,
+                    lambda done, n=n: on_step(n * self.steps + done, len(tasks) * self.steps),
+                )
+                for n, task in enumerate(tasks)
+            ]
+        self.posterior_, self.severity_ = learned[0], learned[1] if self.with_severity else None
+        return self
+
+    def _stream_recipe(self) -> Recipe:
+        """What is drawn from: each judged start of another motor, at the least noise."""
+        if self.recipe is None:
+            raise ValueError("fit_stream needs a recipe, got None")
+        # Commissioning starts are known to be healthy and never judged; a motor of its own for each start teaches more.
+        judged = replace(self.recipe, starts_per_motor=1, healthy_starts=0, shifts=())
+        recipe = _with_noise(judged, self._checked_noise()[0])
+        require(self.n_references >= 0, f"n_references must be >= 0, got {self.n_references}")
+        require(
+            self.n_references == 0 or not _tells_noise(recipe),
+            "n_references must be 0 for a recipe with a noise fault: one level is read off all starts",
+        )
+        require(len(recipe.classes) >= 2, f"recipe {recipe.name} must have two classes or more, got one")
+        return recipe
+
+    def _space(self, recipe: Recipe) -> SignalSpace:
+        """Coordinates of the recipe's cases, the level of the noise among them where it is not known."""
+        low, high = self._checked_noise()
+        sees_noise = high > low or _tells_noise(recipe)
+        return SignalSpace.from_recipe(
+            recipe, self.n_components, sees_noise=sees_noise, n_references=self.n_references
+        )
+
+    def _training(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("steps", "batch_size", "learning_rate")}
+
+    def _learn(self, task: _Task, seed: int, on_step: OnStep) -> Posterior:
+        """A network that has seen the task's stream, in double precision."""
+        low, high = self._checked_noise()
+        posterior = Posterior(self._space(task.recipe), self.n_hidden, self.n_layers, task.n_out).float()
+        space = posterior.space
+
+        def fresh(part: int, batch_size: int) -> Iterator[tuple[torch.Tensor, Dataset]]:
+            noise, references = high / low, self.n_references
+            return fresh_cases(
+                space, task.recipe, seed + part, batch_size, most_noise=noise, n_references=references
+            )
+
+        def batches(part: int, batch_size: int) -> Iterator[Batch]:
+            for inputs, batch in fresh(part, batch_size):
+                yield inputs, task.target(batch)
+
+        space.observe_level(next(fresh(0, _LEVEL_CASES))[0])
+        generator = torch.Generator().manual_seed(seed)
+        posterior.learn(batches, task.loss, generator, **self._training(), on_step=on_step)
+        return posterior.double()
+
+    def predict_severity(self, X: Any, kind: str | None = None, coverage: float = 0.90) -> SeverityEstimate:
+        """How large the fault is, with an interval.
+
+        Args:
+            X: shape (n_cases, n_channels, n_timepoints), or flattened.
+            kind: fault kind; without one, the most probable kind of each case, also where healthy is more probable.
+            coverage: of the interval.
+
+        Raises:
+            ValueError: not trained on a recipe's stream, a kind that the network does not know, or a coverage outside
+                (0, 1).
+        """
+        check_is_fitted(self)
+        require(0.0 < coverage < 1.0, f"coverage must be in (0, 1), got {coverage:g}")
+        flat = flat_cases(self, X, reset=False)
+        if self.severity_ is None:
+            raise ValueError(
+                "a severity needs a network trained on a recipe's stream and with_severity, this one has none"
+            )
+        names = [str(prior.kind) for prior in self.severity_priors_]
+        require(kind is None or kind in names, f"kind must be one of {', '.join(names)}, got {kind!r}")
+        column = self._probable_kind(flat, names) if kind is None else np.full(len(flat), names.index(kind))
+        densities = logits_in_parts(self.severity_, flat, _CHUNK).reshape(len(flat), len(names), -1)
+        own = torch.from_numpy(densities[np.arange(len(flat)), column])
+        tail = 0.5 * (1.0 - coverage)
+        with one_thread(), torch.inference_mode():
+            parts = [severity_density.summary(part, tail) for part in torch.split(own, _CHUNK)]
+        tops = np.array([prior.largest for prior in self.severity_priors_])[column]
+        mean, low, high = tops * torch.cat(parts, dim=1).numpy()
+        return SeverityEstimate(np.array(names)[column], mean, low, high)
+
+    def _probable_kind(self, flat: FloatArray, names: list[str]) -> NDArray[np.int64]:
+        """Column of the most probable fault kind of each case."""
+        probabilities = self.predict_proba(flat)
+        by_name = {c.name: c for c in self.recipe.classes}  # type: ignore[union-attr]  # there is one where severities are
+        share = np.zeros((len(flat), len(names)))
+        for label, probability in zip(self.classes_.tolist(), probabilities.T, strict=True):
+            for part in by_name[label].parts:
+                if part.kind is not None:
+                    share[:, names.index(str(part.kind))] += probability
+        column: NDArray[np.int64] = share.argmax(axis=1)
+        return column
+
+    def _logits(self, X: Any) -> FloatArray:
+        check_is_fitted(self)
+        return logits_in_parts(self.posterior_, flat_cases(self, X, reset=False), _CHUNK)
+
+    def _modules(self) -> dict[str, Posterior]:
+        """The networks by the names that they have in a file."""
+        modules = {"classes": self.posterior_, "severity": self.severity_}
+        return {part: module for part, module in modules.items() if module is not None}
+
+    def to_state(self) -> State:
+        """The fitted network as arrays and values; in single precision where that loses nothing."""
+        modules = self._modules()
+        values = {
+            "parameters": plain_parameters(self),
+            "severities": [asdict(prior) for prior in self.severity_priors_],
+            "sees_noise": {part: module.space.sees_noise for part, module in modules.items()},
+        }
+        arrays: Arrays = {}
+        for part, module in modules.items():
+            arrays |= {name: _compact(numbers) for name, numbers in module_arrays(module, part).items()}
+        return State(arrays, values)
+
+    @classmethod
+    def from_state(cls, state: State, recipe: Recipe) -> Self:
+        """The fitted network again.
+
+        Raises:
+            ValueError, KeyError, TypeError, RuntimeError: values or arrays of a wrong type or shape.
+        """
+        parameters = dict(state.values["parameters"])
+        if parameters.get("noise_range") is not None:
+            low, high = parameters["noise_range"]
+            require(
+                all(type(factor) in (int, float) for factor in (low, high)), "noise_range must be two numbers"
+            )
+            parameters["noise_range"] = (float(low), float(high))
+        references = parameters.get("n_references", 0)
+        require(type(references) is int and references >= 0, f"n_references must be >= 0, got {references!r}")
+        model = cls(recipe, **parameters)
+        model.classes_ = np.array(state.values["classes"])
+        model.n_features_in_ = (1 + references) * values_of_start(recipe)
+        model.severity_priors_ = tuple(SeverityPrior(**prior) for prior in state.values["severities"])
+        n_out = {"classes": len(model.classes_)}
+        if model.severity_priors_:
+            n_out["severity"] = severity_density.PARAMETERS * len(model.severity_priors_)
+        parts = {name.split(".")[0] for name in state.arrays}
+        require(parts <= set(n_out), "it holds arrays of no part")
+        modules = {
+            part: Posterior.from_arrays(
+                part_of(state.arrays, part),
+                sees_noise=state.values["sees_noise"][part],
+                n_features=model.n_features_in_,
+                sizes=(model.n_hidden, model.n_layers, size),
+            )
+            for part, size in n_out.items()
+        }
+        model.posterior_, model.severity_ = modules["classes"], modules.get("severity")
+        return model
+
+    def _checked_noise(self) -> tuple[float, float]:
+        """The noise range as factors on the recipe's noise.
+
+        Raises:
+            ValueError: out of order, or together with a class that is told by its noise.
+        """
+        if self.noise_range is None:
+            return 1.0, 1.0
+        low, high = self.noise_range
+        require(0.0 < low < high < np.inf, f"noise_range must be 0 < low < high, got {low:g} to {high:g}")
+        tells = self.recipe is not None and _tells_noise(self.recipe)
+        require(not tells, "noise_range must be None for a recipe with a noise fault: they look the same")
+        return low, high
+
+
+def _compact(values: NDArray[np.float64]) -> NDArray[Any]:
+    single = values.astype(np.float32)
+    return single if np.array_equal(single, values) else values
+
+
+def _tells_noise(recipe: Recipe) -> bool:
+    return any(kind.changes_noise for kind in recipe.kinds)
+
+
+def _with_noise(recipe: Recipe, factor: float) -> Recipe:
+    sensor = recipe.sensor
+    louder = replace(
+        sensor,
+        current_noise_a=factor * sensor.current_noise_a,
+        speed_noise_rad_s=factor * sensor.speed_noise_rad_s,
+    )
+    return replace(recipe, sensor=louder)
