@@ -28,9 +28,10 @@ from .model_files.persistence import (
     load_model as load_model,
     save_model as save_model,
 )
-from .prediction import (
+from .prediction.opinions import (
     Opinion as Opinion,
     opinions as opinions,
+    predict as predict,
     predict_recording as predict_recording,
 )
 from .scoring.evaluation import (

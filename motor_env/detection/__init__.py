@@ -1,1 +1,1 @@
-"""Detection: decision rules on residuals, the run lengths they have, and confirmation by thresholds."""
+"""Detection: decision rules on residuals, and the run lengths they have."""

@@ -14,7 +14,7 @@ from motor_env import __version__, console
 from motor_env.errors import InputError, require_extra
 
 if TYPE_CHECKING:
-    from motor_classifiers.prediction import Opinion
+    from motor_classifiers.prediction.opinions import Opinion
 
 app = App(
     name="motor-classifiers",
@@ -157,7 +157,7 @@ def predict(
     _require_extras()
     from motor_classifiers.cli.opinions import opinion_lines, opinions_of
     from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-    from motor_classifiers.prediction import overall_status
+    from motor_classifiers.prediction.opinions import overall_status
 
     fitted, recipe, _ = load_model(PRETRAINED if model is None else model)
     rows: list[dict[str, Any]] = []

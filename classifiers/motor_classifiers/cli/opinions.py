@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from motor_classifiers.prediction import Opinion, judge_recording, opinions, second_opinion
+from motor_classifiers.prediction.opinions import Opinion, opinions, predict_recording, second_opinion
 from motor_datasets.loaders import load
 from motor_env.console import ExitStatus
 from motor_env.errors import InputError
@@ -25,7 +25,7 @@ def opinions_of(
     """
     if not path.is_dir():
         recording = read_recording(path)
-        return [judge_recording(model, recipe, recording)], second_opinion(recording, recipe)
+        return [predict_recording(model, recipe, recording)], second_opinion(recording, recipe)
     cases = load(path, split)
     _check_same_axis(cases.recipe, recipe, path)
     return opinions(model, recipe, cases.X), None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any
 
@@ -22,14 +23,19 @@ from motor_env.simulation.recipes import Recipe, named_recipe
 from motor_env.simulation.simulate import Timing
 
 
-class ProbabilityClassifier(ClassifierMixin, BaseEstimator):
+class ProbabilityClassifier(ClassifierMixin, BaseEstimator, ABC):
     """A classifier that decides on the most probable class."""
 
     classes_: NDArray[Any]
 
+    @abstractmethod
+    def predict_proba(self, X: Any) -> FloatArray:
+        """Probability of each class, shape (n_cases, n_classes)."""
+
     def predict(self, X: Any) -> NDArray[Any]:
         """Most probable class of each case, shape (n_cases,)."""
-        decided: NDArray[Any] = self.classes_[self.predict_proba(X).argmax(axis=1)]
+        most = self.predict_proba(X).argmax(axis=1)
+        decided: NDArray[Any] = self.classes_[most]
         return decided
 
 

@@ -129,12 +129,16 @@ class ThresholdConfirmationClassifier(ProbabilityClassifier):
             ValueError, KeyError, TypeError: values of another type or range than they must have.
         """
         values = state.values
-        rule = {**values["rule"], "edges": tuple(int(edge) for edge in values["rule"]["edges"])}
+        rule: dict[str, Any] = {
+            **values["rule"],
+            "edges": tuple(int(edge) for edge in values["rule"]["edges"]),
+        }
         _check_rule(rule, recipe)
         rate = values["false_alarm_rate"]
         require(rate is None or isinstance(rate, float), f"false_alarm_rate must be a number, got {rate!r}")
         model = cls(recipe, rate)
-        model.rule_ = ThresholdRule(**rule, **{name: state.arrays[name] for name in _RULE_ARRAYS})
+        rule |= {name: state.arrays[name] for name in _RULE_ARRAYS}
+        model.rule_ = ThresholdRule(**rule)
         model.filters_ = tuple(class_filter(recipe, c) for c in recipe.classes)
         model.templates_ = None
         model.classes_ = np.array(values["classes"])

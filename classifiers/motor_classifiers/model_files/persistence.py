@@ -45,13 +45,13 @@ LARGEST_FILE_BYTES = 200_000_000
 MOST_FEATURES = 10_000_000
 """Values of a case: a recipe that asks for more comes from a damaged file, not from a motor."""
 
-_KINDS = {
+_KINDS: dict[str, Any] = {
     "confirmation": ThresholdConfirmationClassifier,
     "network": PerceptronClassifier,
     "posterior-network": PosteriorNetwork,
     "residual-network": ResNetClassifier,
 }
-_WRAPPERS = {"open-set": OpenSetClassifier, "conformal": ConformalClassifier}
+_WRAPPERS: dict[str, Any] = {"open-set": OpenSetClassifier, "conformal": ConformalClassifier}
 _NAMES: dict[type, str] = {made: kind for kind, made in {**_KINDS, **_WRAPPERS}.items()}
 _MEMBER = "motor.json"
 _WRAPPER, _INNER = "wrapper.json", "model"

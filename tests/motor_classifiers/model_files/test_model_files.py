@@ -9,17 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from motor_classifiers.model_files.wrapper_file import wrapped_model
 from safetensors.numpy import load, save
 from sklearn.base import BaseEstimator
 from sklearn.frozen import FrozenEstimator
-from sklearn.pipeline import Pipeline
-from sklearn.preprocessing import FunctionTransformer
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import FunctionTransformer, StandardScaler
+from sklearn.tree import DecisionTreeClassifier
 
 from motor_classifiers.cli.main import main
 from motor_classifiers.estimators.methods import make_method
+from motor_classifiers.estimators.reference_starts import RecentredStarts
 from motor_classifiers.model_files.persistence import FORMAT, load_model, save_model
-from motor_classifiers.prediction import opinions
+from motor_classifiers.prediction.opinions import opinions
 from motor_classifiers.scoring.unknown_faults import ForeignFault, foreign_starts
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.open_set import OpenSetClassifier
@@ -205,6 +206,58 @@ def test_a_function_in_a_pipeline_is_refused_by_name(contents: dict[str, bytes],
     assert "getcwd" in refusal(archive.getvalue(), tmp_path)
 
 
+def renamed(content: bytes, names: dict[str, str]) -> bytes:
+    """A pipeline's archive with text replaced in its schema."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(content)) as source, zipfile.ZipFile(buffer, "w") as target:
+        for member in source.namelist():
+            text = source.read(member)
+            if member == "schema.json":
+                for name, other in names.items():
+                    assert name.encode() in text
+                    text = text.replace(name.encode(), other.encode())
+            target.writestr(member, text)
+    return buffer.getvalue()
+
+
+def test_pipelines_with_the_old_names_of_their_classes_load(
+    contents: dict[str, bytes], fitted: dict[str, BaseEstimator], tmp_path: Path
+) -> None:
+    """Files from before the classes moved into packages."""
+    features = {"motor_classifiers.estimators.features": "motor_classifiers.features"}
+    starts = {"motor_classifiers.estimators.reference_starts": "motor_classifiers.reference"}
+    rules = {"motor_classifiers.estimators.rule_statistics": "motor_classifiers.rule_statistics"}
+    with_starts = make_pipeline(RecentredStarts(RECIPE), make_method("rules", RECIPE, 0))
+    save_model(with_starts.fit(TRAIN.X, TRAIN.class_name), RECIPE, "rules", tmp_path / "new")
+    for content, names, model in (
+        (contents["physical-forest"], features, fitted["physical-forest"]),
+        ((tmp_path / "new").read_bytes(), starts | rules, with_starts),
+    ):
+        old = tmp_path / "old.model"
+        old.write_bytes(renamed(content, names))
+        loaded = load_model(old)[0]
+        np.testing.assert_array_equal(loaded.predict_proba(TRAIN.X[:9]), model.predict_proba(TRAIN.X[:9]))
+    other = renamed(contents["residual-qda"], {"ResidualProjection": "whitened_residual"} | features)
+    assert "motor_classifiers.features.whitened_residual" in refusal(other, tmp_path)
+
+
+def test_a_step_of_another_type_is_neither_saved_nor_loaded(
+    contents: dict[str, bytes], tmp_path: Path
+) -> None:
+    """Skops trusts all of scikit-learn; a lone tree would be followed without a look at its children."""
+    import skops.io
+
+    model = make_pipeline(StandardScaler(), DecisionTreeClassifier()).fit(
+        TRAIN.X.reshape(len(TRAIN), -1), TRAIN.class_name
+    )
+    with pytest.raises(TypeError, match="a pipeline with a DecisionTreeClassifier cannot be saved"):
+        save_model(model, RECIPE, "tree", tmp_path / "model")
+    archive = io.BytesIO(skops.io.dumps(model))
+    with zipfile.ZipFile(io.BytesIO(contents["residual-qda"])) as good, zipfile.ZipFile(archive, "a") as bad:
+        bad.writestr("motor.json", good.read("motor.json"))
+    assert "it has a DecisionTreeClassifier" in refusal(archive.getvalue(), tmp_path)
+
+
 def test_a_tree_that_points_outside_is_refused(fitted: dict[str, BaseEstimator], tmp_path: Path) -> None:
     """Compiled code would read beside the arrays."""
     forged = tmp_path / "forged.model"
@@ -252,7 +305,9 @@ def wrapped(fitted: dict[str, BaseEstimator]) -> BaseEstimator:
     """Both wrappers around the discriminant analysis."""
     known = generate_arrays(RECIPE, 5, 300)
     sets = ConformalClassifier(FrozenEstimator(fitted["residual-qda"])).fit(known.X, known.class_name)
-    return OpenSetClassifier(FrozenEstimator(sets), RECIPE, 0.02).fit(known.X, known.class_name)
+    return OpenSetClassifier(FrozenEstimator(sets), RECIPE, false_alarm_rate=0.02).fit(
+        known.X, known.class_name
+    )
 
 
 def test_wrappers_come_back(wrapped: OpenSetClassifier, tmp_path: Path) -> None:
@@ -262,7 +317,7 @@ def test_wrappers_come_back(wrapped: OpenSetClassifier, tmp_path: Path) -> None:
     test = generate_arrays(RECIPE, 9, 50)
     for got, expected in zip(loaded.verdicts(test.X), wrapped.verdicts(test.X), strict=True):
         np.testing.assert_array_equal(got, expected)
-    sets, own = wrapped_model(loaded), wrapped_model(wrapped)
+    sets, own = loaded.wrapped_model, wrapped.wrapped_model
     np.testing.assert_array_equal(sets.predict_set(test.X), own.predict_set(test.X))
 
     heavier = ForeignFault("inertia +25 %", inertia=1.25)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any, Self
@@ -32,7 +32,7 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
 
 
-class LogitClassifier(ProbabilityClassifier, ABC):
+class LogitClassifier(ProbabilityClassifier):
     """What classifiers share whose `_logits` are logarithms of probabilities up to a constant of each case."""
 
     def decision_function(self, X: Any) -> FloatArray:

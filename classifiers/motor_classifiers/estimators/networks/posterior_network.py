@@ -216,14 +216,13 @@ class PosteriorNetwork(LogitClassifier):
             )
         self.n_drawn_ = len(tasks) * total_cases(self.batch_size, self.steps)
         seed = _OWN_SEEDS + _SEEDS_OF_ONE * seed_of(self.random_state)
+
+        def reporter(steps_before: int) -> OnStep:
+            return lambda done: on_step(steps_before + done, len(tasks) * self.steps)
+
         with one_thread():
             learned = [
-                self._learn(
-                    task,
-                    seed + 2 * n,
-                    lambda done, n=n: on_step(n * self.steps + done, len(tasks) * self.steps),
-                )
-                for n, task in enumerate(tasks)
+                self._learn(task, seed + 2 * n, reporter(n * self.steps)) for n, task in enumerate(tasks)
             ]
         self.posterior_, self.severity_ = learned[0], learned[1] if self.with_severity else None
         return self

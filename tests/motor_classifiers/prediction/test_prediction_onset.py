@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from motor_classifiers.estimators.methods import make_method
-from motor_classifiers.prediction import UNDECIDED, predict_recording
+from motor_classifiers.prediction.opinions import UNDECIDED, predict_recording
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.faults import apply_faults
 from motor_env.simulation.recipes import draw, named_recipe

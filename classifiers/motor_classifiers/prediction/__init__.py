@@ -1,0 +1,1 @@
+"""The learned opinion on recordings and on the cases of data sets."""

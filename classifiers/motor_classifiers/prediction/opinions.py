@@ -1,0 +1,215 @@
+"""What a model says of a start: its opinion, with a reason where it has none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.base import BaseEstimator
+
+from motor_classifiers.estimators.cases import values_of_start
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers.model_files.persistence import PRETRAINED, load_model
+from motor_classifiers.prediction.alignment import aligned_case
+from motor_classifiers.scoring.judging import in_recipe_order
+from motor_classifiers.wrappers.conformal import ConformalClassifier
+from motor_classifiers.wrappers.fitted import innermost
+from motor_classifiers.wrappers.open_set import OTHER, OpenSetClassifier
+from motor_env.console import ExitStatus
+from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.report import as_json
+from motor_env.motor.data_sheet import MotorFile, Tolerance
+from motor_env.motor.faults import HEALTHY, FaultKind
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import Recording, read_recording
+from motor_env.simulation.recipes import Recipe
+
+UNDECIDED = "unusable"
+"""Verdict where the model has no say: another motor, another supply, too short, too coarse."""
+
+LEAST_PROBABILITY = 0.5
+"""Of the decided verdict; below it the opinion is undecided."""
+
+
+class Opinion(NamedTuple):
+    """What a model says of a start.
+
+    Attributes:
+        verdict: healthy, bearing, winding, noise, other, or unusable.
+        class_name: most probable class; empty where unusable.
+        probability: of the verdict; of `other` and out of range, one minus the rate of false alarms.
+        severity: its mean, for the most probable kind of the verdict; 0 for healthy.
+        probabilities: of each class by name.
+        reason: why there is no opinion, else empty.
+        severity_interval: bounds that hold the severity in 90 of 100 cases, from a model that tells them.
+        candidates: classes in the conformal set, from a model that has one; the set may be empty.
+        out_of_range: whether the fault is larger than any that the model was trained on, from a model that tells it.
+    """
+
+    verdict: str
+    class_name: str = ""
+    probability: float = 0.0
+    severity: float = 0.0
+    probabilities: dict[str, float] = {}  # noqa: RUF012  # a tuple's default, never changed
+    reason: str = ""
+    severity_interval: tuple[float, float] | None = None
+    candidates: tuple[str, ...] | None = None
+    out_of_range: bool | None = None
+
+    @property
+    def status(self) -> ExitStatus:
+        """Exit status that this opinion alone gives."""
+        if self.verdict == UNDECIDED or self.probability < LEAST_PROBABILITY:
+            return ExitStatus.UNDECIDED
+        return ExitStatus.HEALTHY if self.verdict == HEALTHY else ExitStatus.FAULT
+
+    def as_json(self) -> dict[str, Any]:
+        """For --json."""
+        return {
+            "verdict": self.verdict,
+            "class": self.class_name or None,
+            "probability": self.probability,
+            "severity": self.severity,
+            "severity_interval": None if self.severity_interval is None else list(self.severity_interval),
+            "probabilities": self.probabilities,
+            "candidates": None if self.candidates is None else list(self.candidates),
+            "out_of_range": self.out_of_range,
+            "undecided": self.status is ExitStatus.UNDECIDED,
+            "reason": self.reason or None,
+        }
+
+
+def verdict_of(label_kind: str) -> str:
+    """Verdict for a label kind: both winding faults are winding; healthy and joint faults keep their label."""
+    return FaultKind(label_kind).verdict if label_kind in FaultKind else str(label_kind)
+
+
+def opinions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Opinion]:
+    """Opinion on each case, X of shape (n_cases, n_channels, n_timepoints)."""
+    if isinstance(model, ConformalClassifier | OpenSetClassifier):
+        return _around(model, opinions(model.wrapped_model, recipe, X), X)
+    probabilities = in_recipe_order(model, model.predict_proba(X), recipe)
+    verdicts = np.array([verdict_of(c.label_kind) for c in recipe.classes])
+    best = probabilities.argmax(axis=1)
+    mine = np.where(verdicts == verdicts[best][:, None], probabilities, 0.0)
+    share = mine.sum(axis=1)
+    if isinstance(model, PosteriorNetwork) and model.severity_ is not None:
+        severities = _network_severities(model, recipe, X, best)
+    else:
+        means = mine @ np.array([c.severity for c in recipe.classes]) / share
+        severities = [(mean, None) for mean in means]
+    return [
+        Opinion(
+            verdict=str(verdicts[n]),
+            class_name=recipe.class_names[n],
+            probability=float(of_verdict),
+            severity=float(severity),
+            probabilities=dict(zip(recipe.class_names, row.tolist(), strict=True)),
+            severity_interval=interval,
+        )
+        for n, of_verdict, row, (severity, interval) in zip(
+            best, share, probabilities, severities, strict=True
+        )
+    ]
+
+
+def _around(model: ConformalClassifier | OpenSetClassifier, inside: list[Opinion], X: Any) -> list[Opinion]:
+    """What a wrapper adds to the opinions of the model inside."""
+    if isinstance(model, ConformalClassifier):
+        sets = (tuple(model.classes_[chosen].tolist()) for chosen in model.predict_set(X))
+        return [opinion._replace(candidates=names) for opinion, names in zip(inside, sets, strict=True)]
+    verdicts = (part.tolist() for part in model.verdicts(X))
+    sure = 1.0 - model.false_alarm_rate
+    return [_open(sure, *row) for row in zip(inside, *verdicts, strict=True)]
+
+
+def _open(
+    sure: float, inside: Opinion, label: str, is_other: bool, out_of_range: bool, severity: float
+) -> Opinion:
+    """What the model inside says, unless the start is of no known motor, or of a fault larger than any it knows."""
+    if is_other:
+        return Opinion(OTHER, "", sure, probabilities=inside.probabilities, out_of_range=False)
+    if out_of_range:
+        kind = verdict_of(label)
+        return Opinion(kind, "", sure, severity, inside.probabilities, out_of_range=True)
+    return inside._replace(out_of_range=False)
+
+
+def _network_severities(
+    model: PosteriorNetwork, recipe: Recipe, X: Any, best: NDArray[np.int64]
+) -> list[tuple[float, tuple[float, float] | None]]:
+    """Mean and 90 % interval for the (first) fault kind of each most probable class."""
+    severities: list[tuple[float, tuple[float, float] | None]] = [(0.0, None)] * len(best)
+    kinds = np.array(["" if c.kind is None else str(c.kind) for c in recipe.classes])[best]
+    for kind in set(kinds.tolist()) - {""}:
+        mean, low, high = model.predict_severity(X, kind)[1:]
+        for row in np.flatnonzero(kinds == kind):
+            severities[row] = float(mean[row]), (float(low[row]), float(high[row]))
+    return severities
+
+
+def overall_status(given: list[Opinion]) -> ExitStatus:
+    """Fault before undecided before healthy."""
+    statuses = [opinion.status for opinion in given]
+    for status in (ExitStatus.FAULT, ExitStatus.UNDECIDED):
+        if status in statuses:
+            return status
+    return ExitStatus.HEALTHY
+
+
+def predict(recording: Recording | Path | str, model: Path | str | None = None) -> Opinion:
+    """Opinion on one recording.
+
+    Args:
+        recording: as read, or its file.
+        model: file of the model; by default the network for the paper's motor that comes with the package.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    fitted, recipe, _ = load_model(PRETRAINED if model is None else Path(model))
+    return predict_recording(fitted, recipe, recording)
+
+
+def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording | Path | str) -> Opinion:
+    """Opinion of a loaded model on one recording, as read, or its file.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    if not isinstance(recording, Recording):
+        recording = read_recording(Path(recording))
+    core = innermost(model)
+    references = model.n_features_in_ // values_of_start(recipe) - 1
+    if references:
+        return Opinion(
+            UNDECIDED, reason=f"the model wants {references} healthy starts of the same motor beside each"
+        )
+    try:
+        case = aligned_case(
+            recording, recipe, core.noise_range if isinstance(core, PosteriorNetwork) else None
+        )
+    except UnusableError as error:
+        return Opinion(UNDECIDED, reason=str(error))
+    return opinions(model, recipe, case)[0]
+
+
+def second_opinion(recording: Recording, recipe: Recipe) -> dict[str, Any]:
+    """What `motor-env diagnose` says of the recording, with the recipe's motor and tolerances for its data sheet."""
+    spread = recipe.spread
+    tolerance = Tolerance(
+        supply=spread.supply,
+        resistance=spread.resistance,
+        constants=spread.constants,
+        inertia=spread.inertia,
+        friction=spread.friction,
+        temperature_k=0.0,
+    )
+    motor = MotorFile(
+        recipe.name, "data_sheet", recipe.motor, float(np.asarray(recipe.supply.voltage_v)), tolerance
+    )
+    diagnosis = as_json(diagnose(recording, motor))
+    kept = ("verdict", "fault_kind", "severity", "severity_interval", "confidence", "reasons")
+    return {name: diagnosis[name] for name in kept}
