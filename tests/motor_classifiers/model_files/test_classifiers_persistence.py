@@ -35,7 +35,8 @@ QUICK = {
 
 @pytest.mark.parametrize("name", METHODS)
 def test_round_trip(name: str, tmp_path: Path) -> None:
-    model = make_method(name, RECIPE, 0).set_params(**QUICK.get(name, {})).fit(TRAIN.X, TRAIN.class_name)
+    unfitted = make_method(name, RECIPE, 0).set_params(**QUICK.get(name, {}))
+    model = METHODS[name].train(unfitted, TRAIN.X, TRAIN.class_name)
     save_model(model, RECIPE, name, tmp_path / "model")
     loaded, recipe, method = load_model(tmp_path / "model")
     assert (recipe, method) == (RECIPE, name)

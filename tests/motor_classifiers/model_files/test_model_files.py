@@ -17,7 +17,7 @@ from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn.tree import DecisionTreeClassifier
 
 from motor_classifiers.cli.main import main
-from motor_classifiers.estimators.methods import make_method
+from motor_classifiers.estimators.methods import METHODS, make_method
 from motor_classifiers.estimators.reference_starts import RecentredStarts
 from motor_classifiers.model_files.persistence import FORMAT, load_model, save_model
 from motor_classifiers.prediction.opinions import opinions
@@ -39,14 +39,16 @@ QUICK = {
     "physical-boosting": {"classify__estimator__max_iter": 5},
     "physical-forest": {"classify__n_estimators": 10},
 }
-METHODS = ("threshold", "network", "residual-qda", "physical-svm", *QUICK)
+NAMES = ("threshold", "network", "residual-qda", "physical-svm", *QUICK)
 
 
 @pytest.fixture(scope="module")
 def fitted() -> dict[str, BaseEstimator]:
     return {
-        name: make_method(name, RECIPE, 0).set_params(**QUICK.get(name, {})).fit(TRAIN.X, TRAIN.class_name)
-        for name in METHODS
+        name: METHODS[name].train(
+            make_method(name, RECIPE, 0).set_params(**QUICK.get(name, {})), TRAIN.X, TRAIN.class_name
+        )
+        for name in NAMES
     }
 
 
@@ -55,7 +57,7 @@ def contents(fitted: dict[str, BaseEstimator], tmp_path_factory: pytest.TempPath
     folder = tmp_path_factory.mktemp("models")
     for name, model in fitted.items():
         save_model(model, RECIPE, name, folder / name)
-    return {name: (folder / name).read_bytes() for name in METHODS}
+    return {name: (folder / name).read_bytes() for name in NAMES}
 
 
 def refusal(content: bytes, folder: Path) -> str:
