@@ -34,6 +34,7 @@ COLOUR = {
     "winding_short": "#8c2d5f",
     "winding": "#c8442b",
     "noise": "#6b4fa0",
+    "magnet": "#a3476f",
     "other": "#52606d",
     "measured": "#9fb3c8",
     "threshold": "#1f2933",

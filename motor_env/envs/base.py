@@ -187,7 +187,7 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
             state[kernel.ESTIMATED_SPEED] + rest[State.SPEED],
             state[kernel.VOLTAGE] + float(self.options.task.supply.voltage_v),
             state[kernel.WHITE_CURRENT] / self._samples**0.5,
-            *state[kernel.BANK + 2 :: kernel.BANK_LENGTH],
+            *state[kernel.BANK + 2 :: kernel.BANK_LENGTH][: len(scope.kinds)],
         )
         if self._onset < kernel.NEVER:
             scope.onset_step = int(self._onset) // self._samples

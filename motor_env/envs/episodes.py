@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from motor_env.envs import kernel
 from motor_env.envs.noise import case_of
 from motor_env.envs.options import MonitorOptions, Start
-from motor_env.envs.setup import VERDICT_OF, Setup, drift
+from motor_env.envs.setup import Setup, drift
 from motor_env.motor.faults import HEALTHY, Fault, FaultKind, NoiseSource, apply_faults, noise_variance_factor
 from motor_env.motor.model import Input, discretize, steady_state
 from motor_env.motor.parameters import FloatArray
@@ -100,10 +100,7 @@ def _heads(setup: Setup, drawn: Draw) -> FloatArray:
 def right_declarations(setup: Setup) -> NDArray[np.int64]:
     """Number of the kind that is right for every class, counted from 1; 0 for healthy."""
     return np.array(
-        [
-            0 if label == HEALTHY else 1 + setup.kinds.index(VERDICT_OF[FaultKind(label)])
-            for label in setup.labels
-        ]
+        [0 if label == HEALTHY else 1 + setup.kinds.index(FaultKind(label).verdict) for label in setup.labels]
     )
 
 

@@ -34,7 +34,7 @@ OLD_CURRENT, OLD_SPEED, MISMATCH_0, MISMATCH_1, NOISE_CURRENT, NOISE_SPEED, POWE
 CARRY = 41  # what rounding took from the error of the speed
 BANK = 42  # three fields for each filter of the bank: the errors of its current and speed, its evidence
 BANK_LENGTH = 3
-MAX_BANK = 3
+MAX_BANK = 5
 N_FIELDS = BANK + BANK_LENGTH * MAX_BANK
 
 # The belief, the statistics' memories and the rewards, common to all lanes.
@@ -71,7 +71,7 @@ FEATURES = (
     "evidence_winding_contact",
     "evidence_winding_short",
 )
-"""Everything that can be observed, in the kernel's order."""
+"""What can be observed, in the kernel's order; evidence of a recipe's further kinds follows (`Setup.features`)."""
 FIELD_OF_FEATURE = np.array(
     [
         MEASURED_CURRENT,
@@ -87,9 +87,7 @@ FIELD_OF_FEATURE = np.array(
         EXCESS,
         VOLTAGE,
         SAMPLE,
-        BANK + 2,
-        BANK + BANK_LENGTH + 2,
-        BANK + 2 * BANK_LENGTH + 2,
+        *range(BANK + 2, N_FIELDS, BANK_LENGTH),
     ]
 )
 FIELD, SCALE, BOUND, OFFSET = range(4)  # a row of the view: an observed feature

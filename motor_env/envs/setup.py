@@ -15,14 +15,8 @@ from motor_env.filters.kalman import KalmanFilter, gain_and_covariance
 from motor_env.motor.faults import Fault, FaultKind, apply_fault
 from motor_env.motor.model import DiscreteModel, Input, State, discretize, steady_state
 from motor_env.motor.parameters import Channel, FloatArray, require
+from motor_env.simulation.recipes import Recipe
 
-VERDICTS = ("bearing", "winding", "noise")
-VERDICT_OF = {
-    FaultKind.BEARING: "bearing",
-    FaultKind.WINDING_CONTACT: "winding",
-    FaultKind.WINDING_SHORT: "winding",
-    FaultKind.NOISE: "noise",
-}
 INNOVATION_BOUND = 10.0
 EVIDENCE_SCALE, EVIDENCE_BOUND = 0.1, 10.0  # up to a log-likelihood ratio of 100
 FAST_MEMORY_S = 1e-3
@@ -39,6 +33,7 @@ class Setup(NamedTuple):
         constants: see the kernel.
         bank: models of the other filters, see the kernel.
         rest: the point at which the belief would rest, from which the kernel counts: current and speed.
+        features: names of all features: the kernel's, then the evidence of further kinds of the recipe.
         view: scale, bound and offset of every feature, shape (3, n_features).
         chosen: the observed features.
         observed: field, scale, bound and offset of each of them, as the kernel takes them, shape (n_chosen, 4).
@@ -53,6 +48,7 @@ class Setup(NamedTuple):
     constants: FloatArray
     bank: FloatArray
     rest: FloatArray
+    features: tuple[str, ...]
     view: FloatArray
     chosen: NDArray[np.int64]
     observed: FloatArray
@@ -83,8 +79,8 @@ def make_setup(options: MonitorOptions) -> Setup:
         ValueError: the recipe has no fault, or a feature cannot be observed with its sensor.
     """
     recipe = options.task
-    verdicts = {VERDICT_OF[c.kind] for c in recipe.classes if c.kind is not None}
-    require(bool(verdicts), f"recipe {recipe.name} must have a class with a fault, got healthy only")
+    kinds = tuple(dict.fromkeys(kind.verdict for kind in recipe.kinds))
+    require(bool(kinds), f"recipe {recipe.name} must have a class with a fault, got healthy only")
     rest = steady_state(recipe.motor, float(recipe.supply.voltage_v), options.load_torque_n_m)
     belief = KalmanFilter.from_parameters(
         recipe.motor,
@@ -93,13 +89,13 @@ def make_setup(options: MonitorOptions) -> Setup:
         process_noise_std=options.belief_noise_std,
         initial_state=rest if options.start is Start.RUNNING else np.zeros(2),
     )
-    view, names = _view(options, rest)
+    features = (*kernel.FEATURES, *(f"evidence_{kind}" for kind in bank_kinds(recipe)[3:]))
+    view, names = _view(options, rest, features)
     for name in options.observe:
         require(name in names, f"observe must name features among {', '.join(names)}, got {name!r}")
     evidence = [f"evidence_{c.kind}" for c in recipe.classes] if options.shows_evidence else []
     usual = tuple(name for name in names if not name.startswith("evidence") or name in evidence)
-    chosen = [kernel.FEATURES.index(name) for name in options.observe or usual]
-    kinds = tuple(kind for kind in VERDICTS if kind in verdicts)
+    chosen = [features.index(name) for name in options.observe or usual]
     offsets: tuple[float, ...] = options.offsets_v
     bank = _bank(options, belief.model, chosen, rest)
     constants = _constants(options, belief, float(rest[0]))
@@ -111,9 +107,12 @@ def make_setup(options: MonitorOptions) -> Setup:
         constants=constants.astype(options.precision),
         bank=bank.astype(options.precision),
         rest=rest,
+        features=features,
         view=view,
         chosen=np.array(chosen, dtype=np.int64),
-        observed=np.vstack([kernel.FIELD_OF_FEATURE, view])[:, chosen].T.astype(options.precision),
+        observed=np.vstack([kernel.FIELD_OF_FEATURE[: len(features)], view])[:, chosen].T.astype(
+            options.precision
+        ),
         offsets_v=np.array([*offsets, *(0.0 for _ in kinds)]),
         declarations=np.array([0.0] * len(offsets) + [1.0 + m for m in range(len(kinds))]),
         labels=tuple(c.label_kind for c in recipe.classes),
@@ -170,7 +169,7 @@ def whole_bank(setup: Setup) -> FloatArray:
     """The bank with a filter for every kind of the recipe, observed or not: what the picture shows."""
     recipe = setup.options.task
     known = {f"evidence_{c.kind}" for c in recipe.classes}
-    chosen = [m for m, name in enumerate(kernel.FEATURES) if name in known]
+    chosen = [m for m, name in enumerate(setup.features) if name in known]
     return _bank(setup.options, setup.belief.model, chosen, setup.rest).astype(setup.options.precision)
 
 
@@ -196,9 +195,10 @@ def _bank(options: MonitorOptions, belief: DiscreteModel, chosen: list[int], res
     """
     recipe = options.task
     rows = np.zeros((kernel.MAX_BANK, kernel.MODEL_LENGTH))
-    for m, kind in enumerate((FaultKind.BEARING, FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT)):
+    first = kernel.FEATURES.index("evidence_bearing")
+    for m, kind in enumerate(bank_kinds(recipe)):
         name = f"evidence_{kind}"
-        if kernel.FEATURES.index(name) in chosen:
+        if first + m in chosen:
             severities = [c.severity for c in recipe.classes if c.kind is kind]
             require(bool(severities), f"observe: recipe {recipe.name} has no {kind}, so no {name}")
             faulty = apply_fault(recipe.motor, Fault(kind, min(severities)))
@@ -214,7 +214,16 @@ def _bank(options: MonitorOptions, belief: DiscreteModel, chosen: list[int], res
     return rows
 
 
-def _view(options: MonitorOptions, rest: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
+def bank_kinds(recipe: Recipe) -> tuple[FaultKind, ...]:
+    """Kinds with a filter of their own: three that every environment knows, then further ones of its recipe."""
+    known = (FaultKind.BEARING, FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT)
+    others = (kind for kind in recipe.kinds if kind.motor_powers and kind not in known)
+    return (*known, *others)[: kernel.MAX_BANK]
+
+
+def _view(
+    options: MonitorOptions, rest: FloatArray, features: tuple[str, ...]
+) -> tuple[FloatArray, tuple[str, ...]]:
     """Scale and bound of every feature, and the names of those that the sensor gives."""
     recipe = options.task
     voltage = float(recipe.supply.voltage_v)
@@ -226,17 +235,17 @@ def _view(options: MonitorOptions, rest: FloatArray) -> tuple[FloatArray, tuple[
         "voltage": (1.0 / abs(voltage), 3.0),
         "time": (1.0 / options.n_samples, 1.0),
         "excess": (1.0, INNOVATION_BOUND),
-        **{f"evidence_{kind}": (EVIDENCE_SCALE, EVIDENCE_BOUND) for kind in FaultKind},
+        **{f"evidence_{kind}": (EVIDENCE_SCALE, EVIDENCE_BOUND) for kind in bank_kinds(recipe)},
     }
     for channel, unit in (("current", current), ("speed", speed)):
         by_name[f"measured_{channel}"] = by_name[f"estimated_{channel}"] = (1.0 / unit, 3.0)
         by_name[f"innovation_{channel}"] = (white, INNOVATION_BOUND)
         by_name[f"fast_{channel}"] = by_name[f"slow_{channel}"] = (1.0, INNOVATION_BOUND)
     unmeasured = [f"{kind}_{c}" for c in Channel if c not in recipe.sensor.channels for kind in _MEASURED]
-    names = tuple(name for name in kernel.FEATURES if name not in unmeasured)
+    names = tuple(name for name in features if name not in unmeasured)
     offsets = {"current": float(rest[0]), "speed": float(rest[1]), "voltage": voltage}
-    offset = [offsets[name.split("_")[-1]] if name in _FROM_REST else 0.0 for name in kernel.FEATURES]
-    return np.vstack([np.array([by_name[name] for name in kernel.FEATURES]).T, offset]), names
+    offset = [offsets[name.split("_")[-1]] if name in _FROM_REST else 0.0 for name in features]
+    return np.vstack([np.array([by_name[name] for name in features]).T, offset]), names
 
 
 _FROM_REST = ("measured_current", "measured_speed", "estimated_current", "estimated_speed", "voltage")

@@ -23,7 +23,7 @@ from scipy.special import expit, softmax
 
 from motor_env.envs.baselines.hypotheses import N_HYPOTHESIS, known_faults, sample_model, step_of
 from motor_env.envs.options import MonitorOptions
-from motor_env.envs.setup import VERDICT_OF, Setup, make_setup
+from motor_env.envs.setup import Setup, make_setup
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.model import State
 from motor_env.motor.parameters import FloatArray, require
@@ -231,9 +231,7 @@ def upper_bound(options: MonitorOptions) -> float:
     chance = options.task.class_probabilities[faults]
     late, weights, remaining = _remaining(options)
     probes = len(options.offsets_v) > 1
-    hidden = np.array(
-        [probes and VERDICT_OF[FaultKind(setup.labels[which])] == "winding" for which in faults]
-    )
+    hidden = np.array([probes and FaultKind(setup.labels[which]).verdict == "winding" for which in faults])
     steps = np.ceil(remaining / (options.dt_s * options.samples_per_step)).astype(int)
     tables = [
         _probed_table(setup, which) if probes else _watched_table(setup, which, remaining) for which in faults

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from motor_env.envs.options import MonitorOptions, Start
-from motor_env.envs.setup import VERDICT_OF, Setup, converged_gain
+from motor_env.envs.setup import Setup, converged_gain
 from motor_env.motor.faults import FaultKind, apply_faults
 from motor_env.motor.model import Input, discretize
 from motor_env.motor.parameters import Channel, FloatArray, require
@@ -52,15 +52,15 @@ def known_faults(setup: Setup) -> list[int]:
 
 def kind_matrix(setup: Setup, classes: list[int]) -> FloatArray:
     """1 where a class has the verdict, shape (n_classes, n_kinds)."""
-    verdicts = [VERDICT_OF[FaultKind(setup.labels[m])] for m in classes]
+    verdicts = [FaultKind(setup.labels[m]).verdict for m in classes]
     return np.array([[v == kind for kind in setup.kinds] for v in verdicts], dtype=np.float64)
 
 
 def _require_known_motor(options: MonitorOptions) -> None:
     recipe = options.task
-    kinds: set[FaultKind | None] = {c.kind for c in recipe.classes}
     require(not recipe.spread.std.any(), f"recipe {recipe.name} must have no spread for the exact posterior")
-    require(FaultKind.NOISE not in kinds, "the exact posterior knows no noise faults")
+    noisy = any(kind.changes_noise for kind in recipe.kinds)
+    require(not noisy, "the exact posterior knows no noise faults")
     require(options.start is Start.RUNNING, "start must be running for the exact posterior")
     require(options.growth_s == 0.0, f"growth_s must be 0 for the exact posterior, got {options.growth_s:g}")
     require(recipe.sensor.channels == (Channel.CURRENT,), "the exact posterior reads the current alone")

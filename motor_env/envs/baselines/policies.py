@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from motor_env.detection.rules import Rule, RuleStream
 from motor_env.envs import kernel
-from motor_env.envs.setup import VERDICT_OF, Setup
+from motor_env.envs.setup import Setup, bank_kinds
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
@@ -27,13 +27,12 @@ Observations = NDArray[np.float32]
 
 def baseline_features(recipe: Recipe) -> tuple[str, ...]:
     """Features that the baselines read: measurement, innovation, evidence for each kind of the recipe, time."""
-    kinds = dict.fromkeys(c.kind for c in recipe.classes if c.kind not in (None, FaultKind.NOISE))
     return (
         "measured_current",
         "innovation_current",
         "voltage",
         "time",
-        *(f"evidence_{kind}" for kind in FaultKind if kind in kinds),
+        *(f"evidence_{kind}" for kind in bank_kinds(recipe) if kind in recipe.kinds),
     )
 
 
@@ -48,7 +47,7 @@ def column(setup: Setup, name: str) -> int:
     Raises:
         ValueError: the environment does not observe it.
     """
-    names = [kernel.FEATURES[m] for m in setup.chosen]
+    names = [setup.features[m] for m in setup.chosen]
     require(name in names, f"this policy needs the feature {name}; observed are {', '.join(names)}")
     return names.index(name)
 
@@ -120,10 +119,10 @@ class _Isolating(ThresholdPolicy):
     """Names the kind with the largest evidence."""
 
     def __init__(self, setup: Setup) -> None:
-        names = [kernel.FEATURES[m] for m in setup.chosen]
+        names = [setup.features[m] for m in setup.chosen]
         self._columns = [m for m, name in enumerate(names) if name.startswith("evidence_")]
         require(bool(self._columns), "this policy needs an environment that observes evidence")
-        verdicts = [VERDICT_OF[FaultKind(names[m].removeprefix("evidence_"))] for m in self._columns]
+        verdicts = [FaultKind(names[m].removeprefix("evidence_")).verdict for m in self._columns]
         self._action = declarations(setup)[[setup.kinds.index(v) for v in verdicts]]
 
     def _isolate(self, observations: Observations) -> Actions:
