@@ -99,6 +99,7 @@ class FaultClass:
                 self.severity_to is None and not self.also, "a healthy class cannot have a fault beside it"
             )
         else:
+            object.__setattr__(self, "kind", FaultKind(self.kind))
             is_range = self.severity_to is not None
             require_positive(f"severity of {self.kind}", self.severity, zero_allowed=is_range)
         if self.severity_to is not None:
