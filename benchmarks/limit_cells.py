@@ -10,9 +10,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.networks.posterior_network import UNKNOWN_NOISE, PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_classifiers.motor_recipe import UNKNOWN_NOISE
 from motor_classifiers.scoring.limit_cells import LimitCell, limit_cell, six_cells
 from motor_env.files import write_text
 from motor_env.motor.faults import FaultKind

@@ -78,6 +78,12 @@ def tolerance_covariance(tolerance: Tolerance) -> FloatArray:
     return out
 
 
+def tolerance_std(tolerance: Tolerance) -> dict[str, float]:
+    """Relative standard deviation of each quantity, of `QUANTITY_FIELDS` and supply, with temperature."""
+    std = np.sqrt(np.diag(tolerance_covariance(tolerance)))
+    return dict(zip(_QUANTITY_OF.values(), std.tolist(), strict=True))
+
+
 def fault_direction(kind: FaultKind) -> FloatArray:
     """How the logarithms (R, L, K, J, B, V) move with one unit of the fault's logarithm, shape (6,)."""
     return kind.direction(_QUANTITY_OF.values())

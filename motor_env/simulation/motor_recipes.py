@@ -1,135 +1,149 @@
-"""A motor file as a recipe: what a learned method must have seen before it judges the starts of that motor.
+"""A motor file as a recipe: the starts that a learned method must have seen before it judges those of that motor.
 
-A data sheet gives the tolerances of its series; a commissioned motor gives the spread of its own starts. The spread of
-a recipe is in factors on V, R, K, J and B, that of a commissioned motor in what its recordings can tell (see
-`motor_env.motor.identifiable`): what the current alone tells of K^2/J is put on K, because the inertia of one motor
-does not change from start to start, and what it tells of B/J on B.
+A data sheet gives the tolerances of its series, the temperature's share included; a commissioned motor gives the
+scatter of its own starts, in what its recordings can tell (`motor_env.motor.identifiable`), and a recipe wants it in
+factors on V, R, K, J and B. What the current alone tells of K^2/J becomes half as much of K: the inertia of one motor
+does not change from start to start, while magnets warm up, and a scatter of J would also scatter B/J beyond what was
+measured. A scatter of B/J becomes one of B. Ratios per volt hold the supply's scatter already. A spread that a recipe
+cannot draw is refused: a narrower one would teach a method to call healthy starts faulty.
 """
 
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 
+from motor_env.errors import InputError
 from motor_env.motor.data_sheet import MotorFile, StartReference
-from motor_env.motor.parameters import (
-    COPPER_PER_KELVIN,
-    MAGNET_PER_KELVIN,
-    Channel,
-    SensorParameters,
-    SupplyParameters,
-)
+from motor_env.motor.identifiable import tolerance_std
+from motor_env.motor.parameters import Channel, SensorParameters, SupplyParameters
 from motor_env.simulation.disturbances import NOTHING, Field, Range
-from motor_env.simulation.recipes import LARGEST_SPREAD, PAPER_CLASSES, FaultClass, Recipe, Spread
+from motor_env.simulation.recipes import FACTORS, LARGEST_SPREAD, PAPER_CLASSES, FaultClass, Recipe, Spread
 from motor_env.simulation.simulate import Timing
 
 _FACTOR_OF = {
     "R": ("resistance", 1.0),
-    "R/V": ("resistance", 1.0),
     "K": ("constants", 1.0),
-    "K/V": ("constants", 1.0),
     "K^2/J": ("constants", 0.5),
-    "K^2/(J V)": ("constants", 0.5),
     "J": ("inertia", 1.0),
-    "J/V": ("inertia", 1.0),
     "B": ("friction", 1.0),
-    "B/V": ("friction", 1.0),
     "B/J": ("friction", 1.0),
 }
 """The recipe's factor that a quantity's spread becomes, and with which share. L has no factor in a recipe."""
+_SETTLED = (
+    25.0  # mechanical time constants: the level that shows the friction then lasts for most of the time
+)
+_SAMPLES = 1000
+_NOISE_SHARE = 0.004  # of the stall current, where the sensor's noise is not known
 
 
-def recipe_of(
-    motor: MotorFile, *, timing: Timing | None = None, classes: tuple[FaultClass, ...] = PAPER_CLASSES
+def motor_recipe(
+    motor: MotorFile,
+    *,
+    voltage_v: float | None = None,
+    timing: Timing | None = None,
+    classes: tuple[FaultClass, ...] = PAPER_CLASSES,
 ) -> Recipe:
-    """The recipe of one motor: its parameters, its own nuisances, its noise, and the supply of its starts.
+    """Recipe of one motor: its parameters, its own nuisances, its noise, and the supply of its starts.
 
     Args:
         motor: data sheet, identified or commissioned motor.
-        timing: time axis; that of the starts it was commissioned on unless given, else the default one.
+        voltage_v: level of the supply; the file's nominal voltage by default.
+        timing: time axis; by default that of the starts it was commissioned on, else `settling_timing`.
         classes: what may be wrong with it.
 
+    Raises:
+        InputError: no voltage is known, or a tolerance is larger than a recipe can draw.
     """
     reference = motor.reference
-    if timing is None:
-        timing = _timing(reference)
-    noise = motor.current_noise_a or (math.exp(reference.log_noise) if reference is not None else None)
-    channels: tuple[Channel, ...] = (Channel.CURRENT,)
-    if motor.speed_noise_rad_s is not None:
-        channels = (Channel.CURRENT, Channel.SPEED)
-    default = SensorParameters()
+    voltage = motor.nominal_voltage_v if voltage_v is None else voltage_v
+    if voltage is None:
+        raise InputError(f"{motor.name}: gives no nominal_voltage_v; say --voltage")
+    noise = motor.current_noise_a
+    if noise is None and reference is not None:
+        noise = math.exp(reference.log_noise)
+    if noise is None:
+        noise = _two_digits(_NOISE_SHARE * voltage / float(np.mean(motor.parameters.resistance_ohm)))
+    speed_noise = motor.speed_noise_rad_s
+    channels = (Channel.CURRENT,) if speed_noise is None else (Channel.CURRENT, Channel.SPEED)
     return Recipe(
-        name=motor.name,
+        name=re.sub(r"\W+", "_", motor.name).strip("_") or "motor",
         motor=motor.parameters,
-        supply=SupplyParameters(motor.nominal_voltage_v or SupplyParameters().voltage_v),
-        spread=_sheet_spread(motor) if reference is None else _start_spread(reference),
+        supply=SupplyParameters(voltage),
+        spread=_spread(motor),
         classes=classes,
-        sensor=SensorParameters(
-            channels,
-            default.current_noise_a if noise is None else noise,
-            motor.speed_noise_rad_s or default.speed_noise_rad_s,
-        ),
-        timing=timing,
-        field=_field(motor),
+        sensor=SensorParameters(channels, noise, speed_noise or SensorParameters().speed_noise_rad_s),
+        timing=timing or _start_timing(reference) or settling_timing(motor),
+        field=_field(motor, voltage),
     )
 
 
-def _timing(reference: StartReference | None) -> Timing:
+def settling_timing(motor: MotorFile, duration_s: float | None = None) -> Timing:
+    """A thousand samples over 25 mechanical time constants (to two digits), or over a given duration."""
+    if duration_s is None:
+        duration_s = _two_digits(_SETTLED * float(np.mean(motor.parameters.mechanical_time_constant_s)))
+    return Timing(round(_SAMPLES / duration_s), duration_s)
+
+
+def _start_timing(reference: StartReference | None) -> Timing | None:
     if reference is None or reference.sampling_rate_hz is None or reference.duration_s is None:
-        return Timing()
+        return None
     return Timing(reference.sampling_rate_hz, reference.duration_s, reference.quiet_s or 0.0)
 
 
-def _sheet_spread(motor: MotorFile) -> Spread:
-    t = motor.tolerance
-    return _capped(
-        supply=t.supply,
-        resistance=math.hypot(t.resistance, COPPER_PER_KELVIN * t.temperature_k),
-        constants=math.hypot(t.constants, MAGNET_PER_KELVIN * t.temperature_k),
-        inertia=t.inertia,
-        friction=t.friction,
-    )
+def _two_digits(value: float) -> float:
+    return float(f"{value:.2g}")
 
 
-def _start_spread(reference: StartReference) -> Spread:
+def _spread(motor: MotorFile) -> Spread:
+    std = tolerance_std(motor.tolerance)
+    values = {name: std[name] for name in FACTORS}
+    if motor.reference is not None:
+        values = _start_spread(motor.reference, values["supply"])
+    for name, value in values.items():
+        if value > LARGEST_SPREAD:
+            raise InputError(
+                f"{motor.name}: a tolerance of {value:.3g} on {name}, temperature included, is more than "
+                f"{LARGEST_SPREAD}, the largest that can be drawn"
+            )
+    return Spread(**values)
+
+
+def _start_spread(reference: StartReference, supply: float) -> dict[str, float]:
+    """Standard deviations of the next start's factors."""
     # The standard deviation of a Student t exceeds its scale.
     freedom = max(reference.degrees_of_freedom, 3.0)
     std = np.sqrt(np.diag(reference.log_covariance) * freedom / (freedom - 2.0))
-    told = dict(zip(reference.quantities, std.tolist(), strict=True))
-    return _capped(
-        **{
-            _FACTOR_OF[name][0]: _FACTOR_OF[name][1] * spread
-            for name, spread in told.items()
-            if name in _FACTOR_OF
-        }
-    )
+    per_volt = any("V" in name for name in reference.quantities)
+    values = {"supply": 0.0 if per_volt else supply}
+    for name, value in zip(reference.quantities, std.tolist(), strict=True):
+        quantity = name.replace("(J V)", "J").removesuffix("/V")
+        if quantity in _FACTOR_OF:
+            factor, share = _FACTOR_OF[quantity]
+            values[factor] = share * value
+    return values
 
 
-def _capped(**spread: float) -> Spread:
-    """A recipe's factors must stay positive: a wider spread is cut."""
-    return Spread(**{name: min(value, LARGEST_SPREAD) for name, value in spread.items()})
-
-
-def _field(motor: MotorFile) -> Field | None:
+def _field(motor: MotorFile, voltage_v: float) -> Field | None:
     """Coulomb friction, brush drop, supply ramp and sensor lag of the motor's starts; None for none of them."""
     reference, p = motor.reference, motor.parameters
-    told: dict[str, Range] = {}
+    ranges: dict[str, Range] = {}
     if reference is not None and reference.model_low and reference.model_high:
         bounds = zip(reference.model_low, reference.model_high, strict=True)
-        told = dict(zip(reference.model, bounds, strict=True))
-    voltage = motor.nominal_voltage_v or SupplyParameters().voltage_v
+        ranges = dict(zip(reference.model, bounds, strict=True))
     no_load = float(
-        np.max(p.viscous_friction_n_m_s_per_rad) * voltage / np.max(p.back_emf_constant_v_s_per_rad)
+        np.max(p.viscous_friction_n_m_s_per_rad) * voltage_v / np.max(p.back_emf_constant_v_s_per_rad)
     )
     coulomb = motor.coulomb_friction_n_m / no_load if no_load > 0.0 else 0.0
-    if not told and coulomb == 0.0 and motor.brush_drop_v == 0.0:
+    if not ranges and coulomb == 0.0 and motor.brush_drop_v == 0.0:
         return None
-    low, high = told.get("sensor_lag", NOTHING)
+    low, high = ranges.get("sensor_lag", NOTHING)
     return Field(
         coulomb_ratio=(coulomb, coulomb),
         brush_drop_v=(motor.brush_drop_v, motor.brush_drop_v),
-        ramp_s=told.get("supply_ramp", NOTHING),
+        ramp_s=ranges.get("supply_ramp", NOTHING),
         trigger_jitter=(0.0, 0.99),
         sensor_lag_s=math.sqrt(low * high),
     )

@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 
 from motor_classifiers.cli.main import main
+from motor_classifiers.cli.training import network_recipe
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_classifiers.motor_recipe import motor_recipe
 from motor_classifiers.scoring.limit_cells import limit_cell
-from motor_env.errors import InputError
-from motor_env.motor.data_sheet import MotorFile, StartReference, Tolerance, load_motor
-from motor_env.motor.parameters import PAPER_MOTOR
+from motor_env.motor.data_sheet import load_motor
 from motor_env.simulation.recipes import named_recipe
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -95,7 +93,7 @@ def test_wrong_training_is_one_sentence(
 
 def test_recipe_of_a_data_sheet() -> None:
     motor = load_motor(SHEET)
-    recipe = motor_recipe(motor)
+    recipe = network_recipe(motor)
     # The temperature moves the copper by 3.9 % and the magnets by 1 %.
     assert recipe.spread.resistance == pytest.approx(np.hypot(0.02, 0.0393))
     assert recipe.spread.constants == pytest.approx(np.hypot(0.01, 0.01))
@@ -105,30 +103,3 @@ def test_recipe_of_a_data_sheet() -> None:
     assert recipe.timing.duration_s == pytest.approx(25.0 * 4.09e-3, rel=0.1)
     assert recipe.timing.n_samples == pytest.approx(1000, abs=2)
     assert recipe.class_names == ("healthy", "bearing", "winding_contact", "winding_short")
-
-
-def test_recipe_of_a_slow_motor_and_without_a_noise() -> None:
-    heavy = PAPER_MOTOR.scaled(inertia_kg_m2=100.0)
-    recipe = motor_recipe(MotorFile("big one!", "data_sheet", heavy, nominal_voltage_v=12.0))
-    assert recipe.name == "big_one"
-    assert recipe.timing.duration_s == pytest.approx(10.0, rel=0.1)
-    assert recipe.sensor.current_noise_a == pytest.approx(0.022)
-    wide = Tolerance(friction=0.2)
-    with pytest.raises(InputError, match=r"a tolerance of 0\.2 on friction"):
-        motor_recipe(MotorFile("loose", "data_sheet", PAPER_MOTOR, 12.0, wide))
-
-
-def test_a_commissioned_motor_brings_its_own_scatter() -> None:
-    def commissioned(quantities: tuple[str, ...], scatter: list[float]) -> MotorFile:
-        covariance = np.diag(np.square(scatter))
-        values = np.ones(len(quantities))
-        reference = StartReference(5, 8.0, quantities, values, covariance, np.log(0.004), 0.1)
-        return MotorFile("mine", "commissioned", PAPER_MOTOR, 12.0, reference=reference)
-
-    alone = motor_recipe(commissioned(("R", "L", "K^2/J", "B/J"), [0.003, 0.1, 0.004, 0.02])).spread
-    assert (alone.resistance, alone.inertia, alone.friction) == pytest.approx((0.003, 0.004, 0.02))
-    assert (alone.constants, alone.supply) == (0.0, 0.01)
-    speed = motor_recipe(
-        commissioned(("R/V", "L/V", "K/V", "J/V", "B/V"), [0.003, 0.1, 0.001, 0.004, 0.02])
-    ).spread
-    assert speed.std == pytest.approx([0.0, 0.003, 0.001, 0.004, 0.02])

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from motor_env import PAPER_MOTOR
-from motor_env.motor.data_sheet import MotorFile, StartReference, load_motor, save_motor
-from motor_env.simulation.motor_recipes import recipe_of
+from motor_env.errors import InputError
+from motor_env.motor.data_sheet import MotorFile, StartReference, Tolerance, load_motor, save_motor
+from motor_env.simulation.motor_recipes import motor_recipe
 from motor_env.simulation.recipes import draw, measure_draw
 
 SHEET = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml")
@@ -31,7 +32,7 @@ COMMISSIONED = MotorFile("m", "commissioned", PAPER_MOTOR, 12.0, reference=REFER
 
 
 def test_a_data_sheet_gives_its_tolerances() -> None:
-    recipe = recipe_of(SHEET)
+    recipe = motor_recipe(SHEET)
     assert recipe.motor == SHEET.parameters
     assert recipe.spread.resistance == pytest.approx(np.hypot(0.02, 0.0393))
     assert recipe.spread.friction == 0.03
@@ -41,12 +42,12 @@ def test_a_data_sheet_gives_its_tolerances() -> None:
 
 def test_a_commissioned_motor_gives_the_spread_of_its_starts(tmp_path: Path) -> None:
     save_motor(COMMISSIONED, tmp_path / "m.toml")
-    recipe = recipe_of(load_motor(tmp_path / "m.toml"))
+    recipe = motor_recipe(load_motor(tmp_path / "m.toml"))
     wider = np.sqrt(8.0 / 6.0)
     assert recipe.spread.resistance == pytest.approx(0.02 * wider)
     assert recipe.spread.constants == pytest.approx(0.02 * wider)
     assert recipe.spread.friction == pytest.approx(0.03 * wider)
-    assert recipe.spread.inertia == 0.0
+    assert (recipe.spread.inertia, recipe.spread.supply) == (0.0, 0.01)
     assert recipe.sensor.current_noise_a == pytest.approx(np.exp(-4.0))
     assert recipe.timing.sampling_rate_hz == 6_000.0
     assert recipe.timing.quiet_s == 0.02
@@ -56,7 +57,7 @@ def test_a_commissioned_motor_gives_the_spread_of_its_starts(tmp_path: Path) -> 
 
 
 def test_drawn_starts_scatter_as_the_commissioned_ones() -> None:
-    recipe = recipe_of(
+    recipe = motor_recipe(
         replace(COMMISSIONED, reference=replace(REFERENCE, model=(), model_low=(), model_high=()))
     )
     drawn = draw(recipe, 1, np.arange(4000))
@@ -68,6 +69,32 @@ def test_drawn_starts_scatter_as_the_commissioned_ones() -> None:
 
 
 def test_its_starts_can_be_measured() -> None:
-    readings = measure_draw(draw(recipe_of(COMMISSIONED), 1, [0, 1]), recipe_of(COMMISSIONED), 1)
+    readings = measure_draw(draw(motor_recipe(COMMISSIONED), 1, [0, 1]), motor_recipe(COMMISSIONED), 1)
     assert readings.shape == (2, 1, 600)
     assert np.isfinite(readings).all()
+
+
+def test_a_slow_motor_without_a_noise() -> None:
+    heavy = PAPER_MOTOR.scaled(inertia_kg_m2=100.0)
+    recipe = motor_recipe(MotorFile("big one!", "data_sheet", heavy, nominal_voltage_v=12.0))
+    assert recipe.name == "big_one"
+    assert recipe.timing.duration_s == pytest.approx(10.0, rel=0.1)
+    assert recipe.sensor.current_noise_a == pytest.approx(0.022)
+
+
+def test_what_cannot_be_drawn_is_refused() -> None:
+    loose = MotorFile("loose", "data_sheet", PAPER_MOTOR, 12.0, Tolerance(friction=0.2))
+    with pytest.raises(InputError, match=r"a tolerance of 0\.2 on friction"):
+        motor_recipe(loose)
+    with pytest.raises(InputError, match=r"gives no nominal_voltage_v; say --voltage"):
+        motor_recipe(replace(loose, nominal_voltage_v=None))
+
+
+def test_ratios_per_volt_hold_the_scatter_of_the_supply() -> None:
+    scatter = np.array([0.003, 0.1, 0.001, 0.004, 0.02])
+    names = ("R/V", "L/V", "K/V", "J/V", "B/V")
+    reference = replace(
+        REFERENCE, quantities=names, values=np.ones(5), log_covariance=np.diag(scatter**2), model=()
+    )
+    spread = motor_recipe(replace(COMMISSIONED, reference=reference)).spread
+    assert spread.std / np.sqrt(8.0 / 6.0) == pytest.approx([0.0, 0.003, 0.001, 0.004, 0.02])

@@ -42,6 +42,9 @@ _LEVEL_CASES = 4096
 _CASES_WEIGHT_DECAY = 0.1
 _CHUNK = 4096  # cases judged at once
 
+UNKNOWN_NOISE = (0.15, 5.0)
+"""Factors on the recipe's noise between which a network for a motor file reads the noise off the start."""
+
 Progress = Callable[[int, int], object]
 """Called with the steps done and all steps."""
 
