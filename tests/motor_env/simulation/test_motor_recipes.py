@@ -28,6 +28,7 @@ REFERENCE = StartReference(
     duration_s=0.08,
     quiet_s=0.02,
 )
+STARTS = replace(REFERENCE, model=(), model_low=(), model_high=())
 COMMISSIONED = MotorFile("m", "commissioned", PAPER_MOTOR, 12.0, reference=REFERENCE)
 
 
@@ -57,9 +58,7 @@ def test_a_commissioned_motor_gives_the_spread_of_its_starts(tmp_path: Path) -> 
 
 
 def test_drawn_starts_scatter_as_the_commissioned_ones() -> None:
-    recipe = motor_recipe(
-        replace(COMMISSIONED, reference=replace(REFERENCE, model=(), model_low=(), model_high=()))
-    )
+    recipe = motor_recipe(replace(COMMISSIONED, reference=STARTS))
     drawn = draw(recipe, 1, np.arange(4000))
     resistance = drawn.factors[:, 1]
     constants = np.log(drawn.factors[:, 2] ** 2 / drawn.factors[:, 3])
@@ -93,8 +92,6 @@ def test_what_cannot_be_drawn_is_refused() -> None:
 def test_ratios_per_volt_hold_the_scatter_of_the_supply() -> None:
     scatter = np.array([0.003, 0.1, 0.001, 0.004, 0.02])
     names = ("R/V", "L/V", "K/V", "J/V", "B/V")
-    reference = replace(
-        REFERENCE, quantities=names, values=np.ones(5), log_covariance=np.diag(scatter**2), model=()
-    )
+    reference = replace(STARTS, quantities=names, values=np.ones(5), log_covariance=np.diag(scatter**2))
     spread = motor_recipe(replace(COMMISSIONED, reference=reference)).spread
     assert spread.std / np.sqrt(8.0 / 6.0) == pytest.approx([0.0, 0.003, 0.001, 0.004, 0.02])
