@@ -88,12 +88,16 @@ def test_the_page_runs(tmp_path: Path) -> None:
     assert "matched_fouling_25" in printed
 
 
+def test_a_kind_in_a_worker_process(folder: Path) -> None:
+    (folder / "recipe.toml").write_text(RECIPE.format(kind="fouling"), encoding="utf-8")
+    (folder / "workers.py").write_text(WORKERS, encoding="utf-8")
+    run("workers.py", cwd=folder)
+
+
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("kind", ["magnet", "fouling"])
 def test_a_kind_in_every_command(kind: str, folder: Path) -> None:
     (folder / "recipe.toml").write_text(RECIPE.format(kind=kind), encoding="utf-8")
-    if kind == "fouling":
-        (folder / "workers.py").write_text(WORKERS, encoding="utf-8")
-        run("workers.py", cwd=folder)
     data, model = f"{kind}-data", f"{kind}.model"
     described = run("-m", "motor_datasets", "describe", "recipe.toml", cwd=folder)
     assert kind in described
@@ -112,13 +116,13 @@ def test_an_environment_lets_an_agent_declare_a_weak_magnet() -> None:
     env = gym.make("motor_env/Probe-v0", recipe=recipe)
     assert env.unwrapped.setup.kinds == ("magnet",)  # type: ignore[attr-defined]  # of our environments
     names = [env.unwrapped.setup.features[m] for m in env.unwrapped.setup.chosen]  # type: ignore[attr-defined]
-    for seed in range(20):
+    for seed in range(6):
         env.reset(seed=seed)
         over, evidence = False, 0.0
         while not over:
             observation, _, over, _, info = env.step(1)
             evidence = max(evidence, float(observation[names.index("evidence_magnet")]))
-        assert (evidence > 1.0) == (info["label"] == "magnet_20"), (seed, evidence, info)
+        assert (evidence > 1.0) == (info["label"] == "magnet"), (seed, evidence, info)
 
 
 def _start(folder: Path, kind: str, severity: float) -> Path:
