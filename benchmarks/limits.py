@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from accuracy_limits import class_limits, severity_limit
 
-from motor_env.inference.accuracy_limits import class_limits, severity_limit
 from motor_env.inference.identifiability import Experiment, cramer_rao_bound
 from motor_env.inference.severity import SeverityPrior
 from motor_env.inference.whitening import MatchedTest

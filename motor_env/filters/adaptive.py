@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.filters.kalman import KalmanFilter, measurement_update, score
+from motor_env.filters.kalman import KalmanFilter, checked_series, measurement_update, score
 from motor_env.motor.model import N_STATES, Input
 from motor_env.motor.parameters import FloatArray, require
 
@@ -56,8 +56,8 @@ def adapted_noise(
         explained: C P C' after the update, the shape of `noise`.
         memory: samples that the estimate rests on; a new one weighs 2 / (memory + 1).
     """
-    seen: FloatArray = residual[:, :, None] * residual[:, None, :] + explained
-    return noise + 2.0 / (memory + 1.0) * (seen - noise)
+    sample: FloatArray = residual[:, :, None] * residual[:, None, :] + explained
+    return noise + 2.0 / (memory + 1.0) * (sample - noise)
 
 
 def adaptive_filter(
@@ -78,14 +78,9 @@ def adaptive_filter(
     Raises:
         ValueError: shapes do not fit, a sample is not finite, or a memory below 1.
     """
-    measured, voltage = np.asarray(measurements, dtype=np.float64), np.asarray(voltage_v, dtype=np.float64)
     a, c = kalman.model.transition, kalman.observation
     require(a.ndim == 2, "adaptive_filter needs the belief of one motor, got a batch")
-    require(
-        measured.ndim == 3 and measured.shape[1] == len(c) and voltage.shape == measured.shape[2:],
-        f"measurements must have shape (n_cases, {len(c)}, n_samples) with a voltage for each sample, "
-        f"got {measured.shape} and {voltage.shape}",
-    )
+    measured, voltage = checked_series(measurements, voltage_v, len(c))
     require(bool(np.isfinite(measured).all()), "measurements must be finite, got a value that is not")
     require(memory >= 1.0, f"memory must be >= 1 sample, got {memory:g}")
     n_cases, n_channels, n_samples = measured.shape

@@ -77,8 +77,8 @@ class _Series(NamedTuple):
 def _series(
     kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike
 ) -> _Series:
-    given = np.asarray(measurements)
-    measured = given if given.dtype == np.float32 else given.astype(np.float64, copy=False)
+    samples = np.asarray(measurements)
+    measured = samples if samples.dtype == np.float32 else samples.astype(np.float64, copy=False)
     n_channels = len(kalman.observation)
     require(
         measured.ndim in (2, 3) and measured.shape[-2] == n_channels,
@@ -244,8 +244,8 @@ _Parts = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 def _with_common(kalman: KalmanFilter, series: _Series) -> _Parts:
     n_samples = series.measured.shape[-1]
     plan = schedule(kalman, n_samples)
-    found, _ = _common_gain(kalman, series, plan, np.float64)
-    innovation = found.astype(np.float64, copy=False)
+    residuals, _ = _common_gain(kalman, series, plan, np.float64)
+    innovation = residuals.astype(np.float64, copy=False)
     state = np.empty((len(innovation), n_samples, N_STATES))
     filter_states(kalman.model.transition, plan.gain, series.nominal, innovation, state)
     return innovation, plan.innovation_covariance, state, plan.covariance, plan.gain

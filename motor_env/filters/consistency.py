@@ -78,15 +78,15 @@ def check_consistency(whitened: ArrayLike, *, lags: int = 20, level: float = 0.0
         values.ndim >= 2 and values.shape[-2] > lags,
         f"whitened must have shape (..., n_samples > {lags}, n_channels), got {values.shape}",
     )
-    seen = ~np.isnan(values)
-    count = int(seen.sum())
+    measured = ~np.isnan(values)
+    count = int(measured.sum())
     require(count > 0, "whitened must hold a measured sample, got none")
-    known = np.where(seen, values, 0.0)
+    known = np.where(measured, values, 0.0)
     squares = float(np.square(known).sum())
     tail = float(chi2.cdf(squares, count))
     statistic = 0.0
     for lag in range(1, lags + 1):
-        pairs = float((seen[..., lag:, :] & seen[..., :-lag, :]).sum())
+        pairs = float((measured[..., lag:, :] & measured[..., :-lag, :]).sum())
         # With the variance 1 that the belief claims each lag's sum has variance `pairs`.
         if pairs:
             statistic += float((known[..., lag:, :] * known[..., :-lag, :]).sum()) ** 2 / pairs
@@ -96,6 +96,6 @@ def check_consistency(whitened: ArrayLike, *, lags: int = 20, level: float = 0.0
         nis_p=2.0 * min(tail, float(chi2.sf(squares, count))),
         whiteness_p=float(chi2.sf(statistic, lags)),
         mean_square=squares / count,
-        coverage=float((np.abs(values[seen]) < norm.ppf(0.975)).mean()),
+        coverage=float((np.abs(values[measured]) < norm.ppf(0.975)).mean()),
         level=level,
     )

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from motor_env.filters.adaptive import adapted_noise
-from motor_env.filters.kalman import measurement_update, score
+from motor_env.filters.kalman import checked_series, measurement_update, score
 from motor_env.motor.model import N_STATES, discretize
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters, SensorParameters, require
 
@@ -158,18 +158,13 @@ def joint_filter(
     Raises:
         ValueError: unknown names, shapes that do not fit, or a memory below 1.
     """
-    measured, voltage = np.asarray(measurements, dtype=np.float64), np.asarray(voltage_v, dtype=np.float64)
     unknown = [name for name in names if name not in FREE]
     require(
         len(names) > 0 and not unknown,
         f"names must be of {', '.join(FREE)}, got {', '.join(unknown) or 'none'}",
     )
     c = np.concatenate([sensor.observation, np.zeros((len(sensor.channels), len(names)))], axis=1)
-    require(
-        measured.ndim == 3 and measured.shape[1] == len(c) and voltage.shape == (measured.shape[2],),
-        f"measurements must have shape (n_cases, {len(c)}, n_samples) with a voltage for each sample, "
-        f"got {measured.shape} and {voltage.shape}",
-    )
+    measured, voltage = checked_series(measurements, voltage_v, len(c))
     n_cases, n_channels, n_samples = measured.shape
     size = N_STATES + len(names)
     # The unscented filter needs a covariance with a root: a start that is known to a microampere will do.

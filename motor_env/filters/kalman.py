@@ -132,9 +132,9 @@ def measurement_update(
         noise: R, shape (n_channels, n_channels) or (n, n_channels, n_channels).
     """
     missing = np.isnan(measurement)
-    seen = np.where(missing[:, :, None], 0.0, observation)
-    apart = np.where(missing[:, :, None] ^ missing[:, None, :], 0.0, noise)
-    gain, innovation_covariance, updated = gain_and_covariance(covariance, seen, apart)
+    rows = np.where(missing[:, :, None], 0.0, observation)
+    masked_noise = np.where(missing[:, :, None] ^ missing[:, None, :], 0.0, noise)
+    gain, innovation_covariance, updated = gain_and_covariance(covariance, rows, masked_noise)
     innovation = measurement - state @ observation.T
     correction = (gain @ np.where(missing, 0.0, innovation)[:, :, None])[:, :, 0]
     return Updated(state + correction, updated, innovation, innovation_covariance, correction)
@@ -196,6 +196,19 @@ def padded_sensor(kalman: KalmanFilter) -> tuple[FloatArray, FloatArray]:
     observation[:m] = kalman.observation
     noise[:m, :m] = kalman.measurement_covariance
     return observation, noise
+
+
+def checked_series(
+    measurements: ArrayLike, voltage_v: ArrayLike, n_channels: int
+) -> tuple[FloatArray, FloatArray]:
+    """Measurements (n_cases, n_channels, n_samples) and the voltage (n_samples,) that all of them share."""
+    measured, voltage = np.asarray(measurements, dtype=np.float64), np.asarray(voltage_v, dtype=np.float64)
+    require(
+        measured.ndim == 3 and measured.shape[1] == n_channels and voltage.shape == measured.shape[2:],
+        f"measurements must have shape (n_cases, {n_channels}, n_samples) with a voltage for each sample, "
+        f"got {measured.shape} and {voltage.shape}",
+    )
+    return measured, voltage
 
 
 class Scores(NamedTuple):

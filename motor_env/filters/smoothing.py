@@ -68,7 +68,7 @@ def _smoothed_covariance(
     q: FloatArray,
     c: FloatArray,
     r: FloatArray,
-    seen: NDArray[np.bool_],
+    measured: NDArray[np.bool_],
     covariance: FloatArray,
     smoothed: FloatArray,
 ) -> None:
@@ -78,13 +78,13 @@ def _smoothed_covariance(
     for k in range(len(covariance) - 1, -1, -1):
         _less(covariance[k], later, smoothed[k])
         # The sample adds C' R^-1 C, over the channels measured; `rows` is C', a missing channel a column of zeros.
-        off = r[0, 1] if seen[k].all() else 0.0
+        off = r[0, 1] if measured[k].all() else 0.0
         scale = 1.0 / (r[0, 0] * r[1, 1] - off * off)
         inverse[0, 0], inverse[1, 1] = r[1, 1] * scale, r[0, 0] * scale
         inverse[0, 1] = inverse[1, 0] = -off * scale
         rows[:] = 0.0
-        for m in range(seen.shape[1]):
-            if seen[k, m]:
+        for m in range(measured.shape[1]):
+            if measured[k, m]:
                 rows[:, m] = c[m]
         _congruence(rows, inverse, now)
         now += later
@@ -131,16 +131,16 @@ def smooth(kalman: KalmanFilter, result: FilterResult) -> Smoothed:
     weighted = np.linalg.solve(result.innovation_covariance, known[..., None])[..., 0]
     weighted = np.ascontiguousarray(weighted).reshape(-1, n_samples, n_channels)
     state = np.ascontiguousarray(result.state).reshape(-1, n_samples, N_STATES)
-    seen = ~np.isnan(result.innovation).reshape(weighted.shape)
+    measured = ~np.isnan(result.innovation).reshape(weighted.shape)
     covariance = np.ascontiguousarray(result.covariance).reshape(-1, n_samples, N_STATES, N_STATES)
     gain = np.ascontiguousarray(result.gain).reshape(-1, n_samples, N_STATES, n_channels)
     transition = np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES)
     q = kalman.process_covariance
     c, r = padded_sensor(kalman)
     spread, out = np.empty_like(covariance), np.empty_like(state)
-    for n, given in enumerate(covariance):
+    for n, filtered in enumerate(covariance):
         cases = slice(None) if len(covariance) == 1 else slice(n, n + 1)
         a = transition[min(n, len(transition) - 1)]
-        _smoothed_covariance(a, q, c, r, seen[n], given, spread[n])
-        _smoothed_states(a, c, weighted[cases], gain[n], given, state[cases], out[cases])
+        _smoothed_covariance(a, q, c, r, measured[n], filtered, spread[n])
+        _smoothed_states(a, c, weighted[cases], gain[n], filtered, state[cases], out[cases])
     return Smoothed(out.reshape(result.state.shape), spread.reshape(result.covariance.shape))

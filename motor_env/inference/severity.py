@@ -147,10 +147,10 @@ def _zoomed(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
     for _ in range(_ZOOMS):
         position = low + (high - low) * share
         log_density = np.polynomial.chebyshev.chebval(position, coefficients[..., None], tensor=False)
-        held = log_density > log_density.max(axis=1, keepdims=True) - _NEGLIGIBLE
+        has_mass = log_density > log_density.max(axis=1, keepdims=True) - _NEGLIGIBLE
         # A neighbour on either side, since the peak may lie between two points.
-        first = np.maximum(held.argmax(axis=1) - 1, 0)
-        last = np.minimum(_GRID - held[:, ::-1].argmax(axis=1), _GRID - 1)
+        first = np.maximum(has_mass.argmax(axis=1) - 1, 0)
+        last = np.minimum(_GRID - has_mass[:, ::-1].argmax(axis=1), _GRID - 1)
         low = np.take_along_axis(position, first[:, None], axis=1)
         high = np.take_along_axis(position, last[:, None], axis=1)
     return position, log_density

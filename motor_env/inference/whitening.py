@@ -78,8 +78,8 @@ class MarginalWhitener:
     @classmethod
     def from_slopes(cls, slopes: ArrayLike) -> Self:
         """From G, shape (n_samples, n_channels, n_nuisances) or (n_values, n_nuisances)."""
-        given = np.asarray(slopes, dtype=np.float64)
-        flat = np.ascontiguousarray(given.reshape(int(np.prod(given.shape[:-1])), given.shape[-1]))
+        values = np.asarray(slopes, dtype=np.float64)
+        flat = np.ascontiguousarray(values.reshape(int(np.prod(values.shape[:-1])), values.shape[-1]))
         gain, scale = np.empty_like(flat), np.empty(len(flat))
         _gains(flat, gain, scale)
         return cls(flat, gain, scale)
@@ -92,25 +92,26 @@ class MarginalWhitener:
         Raises:
             ValueError: the last two axes do not hold as many values as the slopes.
         """
-        given = np.asarray(residual, dtype=np.float64)
+        values = np.asarray(residual, dtype=np.float64)
         n_values = len(self.slopes)
-        held = int(np.prod(given.shape[-2:]))
+        n_held = int(np.prod(values.shape[-2:]))
         require(
-            given.ndim >= 2 and held == n_values, f"residual must hold {n_values} values a case, got {held}"
+            values.ndim >= 2 and n_held == n_values,
+            f"residual must hold {n_values} values a case, got {n_held}",
         )
-        flat = np.ascontiguousarray(given.reshape(-1, n_values))
+        flat = np.ascontiguousarray(values.reshape(-1, n_values))
         out = np.empty_like(flat)
         missing = np.isnan(flat)
         if not missing.any():
             _whiten(flat, self.slopes, self.gain, self.scale, out)
-            return out.reshape(given.shape)
+            return out.reshape(values.shape)
         gain, scale = np.empty_like(self.gain), np.empty_like(self.scale)
         for row, absent, white in zip(flat, missing, out, strict=True):
-            seen = np.where(absent[:, None], 0.0, self.slopes)  # what was not measured depends on nothing
-            _gains(seen, gain, scale)
-            _whiten(np.nan_to_num(row)[None], seen, gain, scale, white[None])
+            slopes = np.where(absent[:, None], 0.0, self.slopes)  # what was not measured depends on nothing
+            _gains(slopes, gain, scale)
+            _whiten(np.nan_to_num(row)[None], slopes, gain, scale, white[None])
             white[absent] = np.nan
-        return out.reshape(given.shape)
+        return out.reshape(values.shape)
 
 
 def innovation_slopes(recipe: Recipe, belief: KalmanFilter) -> FloatArray:

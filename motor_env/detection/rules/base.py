@@ -15,7 +15,7 @@ from motor_env.detection.rules.calibration import (
     simulated_threshold,
 )
 from motor_env.detection.rules.statistic import Statistic
-from motor_env.detection.rules.thresholds import Threshold, Wanted
+from motor_env.detection.rules.thresholds import Request, Threshold
 from motor_env.detection.run_length import RunLaw
 from motor_env.motor.parameters import FloatArray, require
 
@@ -78,12 +78,12 @@ class Rule(Statistic):
                 arl0 is None and n_samples is None and n_channels == 1,
                 "recipe goes with false_alarm_probability alone: a start has an end, a length and channels of its own",
             )
-            wanted = Wanted.checked(None, false_alarm_probability, recipe.timing.n_samples)
-            [threshold] = recipe_thresholds([self], recipe, wanted.probability or 0.0, runs=runs, seed=seed)
+            request = Request.checked(None, false_alarm_probability, recipe.timing.n_samples)
+            [threshold] = recipe_thresholds([self], recipe, request.probability or 0.0, runs=runs, seed=seed)
             return threshold
-        wanted = Wanted.checked(arl0, false_alarm_probability, n_samples)
-        exact = self.exact_threshold(wanted, n_channels)
-        return exact or simulated_threshold(self, wanted, runs=runs, n_channels=n_channels, seed=seed)
+        request = Request.checked(arl0, false_alarm_probability, n_samples)
+        exact = self.exact_threshold(request, n_channels)
+        return exact or simulated_threshold(self, request, runs=runs, n_channels=n_channels, seed=seed)
 
     def alarm_index(self, whitened: ArrayLike, threshold: float | Threshold) -> NDArray[np.int64]:
         """First sample at which the statistic is above the threshold, -1 where there is none; shape (...)."""
@@ -121,10 +121,10 @@ class ExactRule(Rule):
         """Probability of an alarm within n samples, for samples of mean `shift`."""
         return self.run_law(threshold, shift, n_channels).alarm_probability(n_samples)
 
-    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
+    def exact_threshold(self, request: Request, n_channels: int) -> Threshold:
         """Exact threshold."""
         low, step = self.lowest
-        value = wanted.solve(lambda threshold: self.run_law(threshold, 0.0, n_channels), low=low, step=step)
+        value = request.solve(lambda threshold: self.run_law(threshold, 0.0, n_channels), low=low, step=step)
         return Threshold(value, 0.0, self.method)
 
 

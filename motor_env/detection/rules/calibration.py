@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from motor_env.detection.rules.kernels import first_passages
 from motor_env.detection.rules.statistic import Statistic
-from motor_env.detection.rules.thresholds import Threshold, Wanted
+from motor_env.detection.rules.thresholds import Request, Threshold
 from motor_env.detection.rules.tolerant import TolerantFilter
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.random_streams import Stream, normals
@@ -32,7 +32,7 @@ _AT_ONCE = 400_000  # values in one array: they stay in the cache
 
 
 def simulated_threshold(
-    rule: Statistic, wanted: Wanted, *, runs: int | None, n_channels: int, seed: int
+    rule: Statistic, request: Request, *, runs: int | None, n_channels: int, seed: int
 ) -> Threshold:
     """Threshold from simulated healthy runs of white noise, with its standard error.
 
@@ -42,19 +42,19 @@ def simulated_threshold(
 
     Args:
         rule: the rule.
-        wanted: what the threshold is for.
+        request: what the threshold is for.
         runs: healthy runs to simulate; None for as many as `Rule.threshold_for` says.
         n_channels: measured channels.
         seed: seed of the noise.
     """
-    if wanted.probability is not None:
+    if request.probability is not None:
         count = runs or _TRANSIENTS
-        _check_effort(f"n_samples {wanted.n_samples}", wanted.n_samples, count)
-        largest = largest_values(rule, wanted.n_samples, np.arange(count), n_channels, seed)
-        method = f"simulated: {count} runs of {wanted.n_samples} samples"
-        return _order_statistic(largest, wanted.probability, method)
-    require(wanted.arl0 is not None, "a threshold needs arl0 or a false-alarm probability")
-    arl0 = float(wanted.arl0 or 0.0)
+        _check_effort(f"n_samples {request.n_samples}", request.n_samples, count)
+        largest = largest_values(rule, request.n_samples, np.arange(count), n_channels, seed)
+        method = f"simulated: {count} runs of {request.n_samples} samples"
+        return _order_statistic(largest, request.probability, method)
+    require(request.arl0 is not None, "a threshold needs arl0 or a false-alarm probability")
+    arl0 = float(request.arl0 or 0.0)
     count = runs or int(np.clip(_SAMPLES / arl0, _LEAST_RUNS, _MOST_RUNS))
     _check_effort(f"arl0 {arl0:g}", arl0, max(count, _PILOT))
     return _for_run_length(rule, arl0, count, n_channels, seed)
@@ -93,10 +93,10 @@ def recipe_thresholds(
     """
     if recipe.field is None and not recipe.spread.std.any():
         n_samples, n_channels = recipe.timing.n_samples, len(recipe.sensor.channels)
-        wanted = Wanted.checked(None, false_alarm_probability, n_samples)
+        request = Request.checked(None, false_alarm_probability, n_samples)
         return [
-            rule.exact_threshold(wanted, n_channels)
-            or simulated_threshold(rule, wanted, runs=runs, n_channels=n_channels, seed=seed)
+            rule.exact_threshold(request, n_channels)
+            or simulated_threshold(rule, request, runs=runs, n_channels=n_channels, seed=seed)
             for rule in rules
         ]
     count = runs or _TRANSIENTS
@@ -164,7 +164,7 @@ def run_lengths(
     batch = max(1, _AT_ONCE // (_BLOCK * n_channels))
     for first in range(0, runs, batch):
         cases = np.arange(first, min(first + batch, runs))
-        passed, found = (
+        passed, passages = (
             np.zeros(len(cases), dtype=np.int64),
             np.zeros((len(cases), len(thresholds)), np.int64),
         )
@@ -173,11 +173,11 @@ def run_lengths(
             values = _noise(seed, cases, block, _BLOCK, n_channels)
             begin = block * _BLOCK
             values += profile[np.minimum(np.arange(begin, begin + _BLOCK), len(profile) - 1)][:, None]
-            first_passages(rule.scan(state, values), begin, thresholds, passed, found)
+            first_passages(rule.scan(state, values), begin, thresholds, passed, passages)
             left = passed < len(thresholds)
             if not left.all():
-                lengths[cases[~left]] = found[~left]
-                cases, passed, found, state = cases[left], passed[left], found[left], state[left]
+                lengths[cases[~left]] = passages[~left]
+                cases, passed, passages, state = cases[left], passed[left], passages[left], state[left]
             block += 1
     return lengths
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from motor_env.detection.rules import kernels
 from motor_env.detection.rules.base import ExactRule, Rule
-from motor_env.detection.rules.thresholds import Threshold, Wanted
+from motor_env.detection.rules.thresholds import Request, Threshold
 from motor_env.detection.run_length import RunLaw, TwoSided, cusum_chain, shiryaev_roberts_chain, sprt_chain
 from motor_env.motor.parameters import FloatArray, require, require_positive
 
@@ -183,10 +183,10 @@ class Sprt(DirectedRule, ExactRule):
         """Average samples to the alarm with restarts, for samples of mean `shift`; infinite without."""
         return ExactRule.average_run_length(self, threshold, shift, n_channels) if self.restart else np.inf
 
-    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold:
+    def exact_threshold(self, request: Request, n_channels: int) -> Threshold:
         """Exact upper bound (integral equation)."""
         require(
-            wanted.arl0 is None or self.restart,
+            request.arl0 is None or self.restart,
             "arl0 needs restart=True: a test that stays silent has no average run length",
         )
-        return ExactRule.exact_threshold(self, wanted, n_channels)
+        return ExactRule.exact_threshold(self, request, n_channels)

@@ -20,13 +20,13 @@ def project(whitened: FloatArray, unit: FloatArray, out: FloatArray) -> None:
     """Along a direction of the channels; a missing one adds nothing, and all missing is a missing sample."""
     for n in range(whitened.shape[0]):
         for k in range(whitened.shape[1]):
-            total, seen = 0.0, False
+            total, measured = 0.0, False
             for c in range(whitened.shape[2]):
                 value = whitened[n, k, c]
                 if not np.isnan(value):
                     total += unit[c] * value
-                    seen = True
-            out[n, k] = total if seen else np.nan
+                    measured = True
+            out[n, k] = total if measured else np.nan
 
 
 @njit(cache=True)
@@ -140,11 +140,11 @@ def m_of_n(squares: FloatArray, needed: int, recent: FloatArray, out: FloatArray
             for j in range(among):
                 value = recent[n, j]
                 for i in range(needed):
-                    held = largest[i]
+                    before = largest[i]
                     largest[i] = (
-                        value if value > held else held
+                        value if value > before else before
                     )  # no branch: it would be guessed wrong half the time
-                    value = held if value > held else value
+                    value = before if value > before else value
             out[n, k] = largest[needed - 1]
         recent[n, among] = oldest
 
@@ -165,103 +165,6 @@ def windowed_sum(squares: FloatArray, recent: FloatArray, out: FloatArray) -> No
         recent[n, window], recent[n, window + 1] = oldest, total
 
 
-@njit(cache=True)
-def glr(
-    series: FloatArray,
-    ages: NDArray[np.int64],
-    shape: FloatArray,
-    bonus: FloatArray,
-    two_sided: bool,
-    state: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Largest x|x| + bonus over the ages, or x^2 + bonus; x = sum of shape * sample over the root of that of shape^2.
-
-    Willsky & Jones 1976; the grid of ages: Lai 1995.
-    The state holds the last samples (their running sums for a step: `shape` is empty), then how many it holds and how
-    many there have been. When it is full, all but the last that are needed are dropped.
-    """
-    longest, room = ages[-1], state.shape[1] - 2
-    of_steps = len(shape) == 0
-    energy = np.cumsum(shape * shape)
-    best, total = np.empty(room), np.empty(room)
-    for n in range(series.shape[0]):
-        recent = state[n]
-        held, seen = int(recent[room]), int(recent[room + 1])
-        begin = 0
-        while begin < series.shape[1]:
-            if held == room:
-                base = recent[room - longest - 1] if of_steps else 0.0
-                for i in range(longest + 1):
-                    recent[i] = recent[room - longest - 1 + i] - base
-                held = longest + 1
-            count = min(series.shape[1] - begin, room - held)
-            for i in range(count):
-                value = series[n, begin + i]
-                value = 0.0 if np.isnan(value) else value
-                recent[held + i] = recent[held + i - 1] + value if of_steps else value
-            best[:count] = -np.inf
-            if of_steps and count == 1:  # in service: the slices of a block would cost more than the sums
-                best[0] = glr_of_one(recent, held, seen, ages, bonus, two_sided)
-            else:
-                glr_of_block(recent, held, seen, count, ages, shape, energy, bonus, two_sided, total, best)
-            out[n, begin : begin + count] = best[:count]
-            held, seen, begin = held + count, seen + count, begin + count
-        recent[room], recent[room + 1] = held, seen
-
-
-@njit(cache=True)
-def glr_of_block(
-    recent: FloatArray,
-    held: int,
-    seen: int,
-    count: int,
-    ages: NDArray[np.int64],
-    shape: FloatArray,
-    energy: FloatArray,
-    bonus: FloatArray,
-    two_sided: bool,
-    total: FloatArray,
-    best: FloatArray,
-) -> None:
-    """The same for the `count` samples from place `held` on, age by age."""
-    last = held + count
-    for j in range(len(ages)):
-        age = ages[j]
-        first = max(0, age - seen - 1)
-        if first >= count:
-            break
-        if len(shape) == 0:
-            difference(recent[held + first : last], recent[held + first - age : last - age], total)
-            weight = 1.0 / age
-        elif energy[age - 1] > 0.0:
-            for i in range(first, count):
-                total[i - first] = np.dot(shape[:age], recent[held + i + 1 - age : held + i + 1])
-            weight = 1.0 / energy[age - 1]
-        else:
-            continue
-        if two_sided:
-            raise_square(total, weight, bonus[j], best[first:count])
-        else:
-            raise_signed_square(total, weight, bonus[j], best[first:count])
-
-
-@njit(cache=True)
-def glr_of_one(
-    sums: FloatArray, held: int, seen: int, ages: NDArray[np.int64], bonus: FloatArray, two_sided: bool
-) -> float:
-    """The same after one more sample, for a step."""
-    best = -np.inf
-    for j in range(len(ages)):
-        age = ages[j]
-        if age > seen + 1:
-            break
-        total = sums[held] - sums[held - age]
-        value = total * (total if two_sided else abs(total)) * (1.0 / age) + bonus[j]
-        best = value if value > best else best
-    return best
-
-
 # Each a plain loop over contiguous values, so that it vectorises.
 
 
@@ -279,35 +182,12 @@ def largest(values: FloatArray) -> float:
     whole = len(values) - len(values) % 8
     for i in range(0, whole, 8):
         for j in range(8):
-            value, held = values[i + j], lanes[j]
-            lanes[j] = value if value > held else held
+            value, before = values[i + j], lanes[j]
+            lanes[j] = value if value > before else before
     best = float(lanes.max())
     for i in range(whole, len(values)):
         best = max(best, values[i])
     return best
-
-
-@njit(cache=True)
-def difference(later: FloatArray, earlier: FloatArray, total: FloatArray) -> None:
-    """Differences of running sums."""
-    for i in range(len(later)):
-        total[i] = later[i] - earlier[i]
-
-
-@njit(cache=True)
-def raise_square(total: FloatArray, weight: float, bonus: float, best: FloatArray) -> None:
-    """Raise the best to weighted squares where they are larger."""
-    for i in range(len(best)):
-        value, held = total[i] * total[i] * weight + bonus, best[i]
-        best[i] = value if value > held else held
-
-
-@njit(cache=True)
-def raise_signed_square(total: FloatArray, weight: float, bonus: float, best: FloatArray) -> None:
-    """The same with the sign of what is squared."""
-    for i in range(len(best)):
-        value, held = total[i] * abs(total[i]) * weight + bonus, best[i]
-        best[i] = value if value > held else held
 
 
 @njit(cache=True)

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.detection.rules.thresholds import Threshold, Wanted
+from motor_env.detection.rules.thresholds import Request, Threshold
 from motor_env.motor.parameters import FloatArray, require
 
 
@@ -35,7 +35,7 @@ class Statistic(ABC):
                 no notice of it.
         """
 
-    def exact_threshold(self, wanted: Wanted, n_channels: int) -> Threshold | None:
+    def exact_threshold(self, request: Request, n_channels: int) -> Threshold | None:
         """Threshold by theory, None where there is none and it has to be simulated."""
         return None
 

@@ -28,7 +28,7 @@ class Threshold(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class Request:
     """What a threshold is asked for: an average run length, or a probability within some samples."""
 
     arl0: float | None
@@ -38,7 +38,7 @@ class Wanted:
     @classmethod
     def checked(
         cls, arl0: float | None, false_alarm_probability: float | None, n_samples: int | None
-    ) -> Wanted:
+    ) -> Request:
         """The request, refused in one sentence unless exactly one of the two is given and sensible."""
         require(
             (arl0 is None) != (false_alarm_probability is None),
@@ -72,9 +72,8 @@ class Wanted:
         def excess(threshold: float) -> float:
             if self.arl0 is not None:
                 return float(np.log(law(threshold).average_run_length()) - np.log(self.arl0))
-            wanted = self.probability or 0.0
-            found = law(threshold).alarm_probability(self.n_samples)
-            return float(np.log(wanted) - np.log(max(found, 1e-300)))
+            probability = law(threshold).alarm_probability(self.n_samples)
+            return float(np.log(self.probability or 0.0) - np.log(max(probability, 1e-300)))
 
         high = low + step
         while excess(high) < 0.0:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from motor_env.detection.rules import kernels
+from motor_env.detection.rules import glr_kernels, kernels
 from motor_env.detection.rules.base import Rule
 from motor_env.detection.rules.cusum import DirectedRule
 from motor_env.detection.rules.nis import normalised_square
@@ -114,7 +114,7 @@ class Glr(DirectedRule):
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Largest value over the ages that fit into the samples so far; minus infinity before there is one."""
         answer, ages = np.empty(whitened.shape[:2]), self.ages
-        kernels.glr(
+        glr_kernels.glr(
             self.series(whitened), ages, self._shape(), 2.0 * np.log(ages), self.two_sided, state, answer
         )
         return answer

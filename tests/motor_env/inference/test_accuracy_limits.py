@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from accuracy_limits import class_limits, severity_limit
 
-from motor_env.inference.accuracy_limits import class_limits, severity_limit
 from motor_env.inference.severity import SeverityPrior
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import SensorParameters
