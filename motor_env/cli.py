@@ -70,7 +70,7 @@ def diagnose(
     ripple_periods_per_turn: float | None = None,
     json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
 ) -> int:
-    """Verdict on recorded starts: healthy, bearing, winding, noise, other, no_reference or unusable.
+    """Verdict on recorded starts: healthy, bearing, winding, magnet, noise, other, no_reference or unusable.
 
     Example: motor-env diagnose examples/startup_capture.csv --motor examples/motor.toml
 

@@ -22,13 +22,13 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.dataclasses import dataclass as checked_dataclass
 
 from motor_env.errors import InputError
 from motor_env.files import write_text
@@ -89,7 +89,14 @@ class _MotorTable(_Table):
     brush_drop_v: NotNegative = 0.0
 
 
-class _ToleranceTable(_Table):
+@checked_dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class Tolerance:
+    """Relative standard deviations of a healthy motor about its data sheet, and of the temperature in kelvin.
+
+    The defaults are for a motor whose sheet was measured on its own series. A sheet that guarantees +-10 % wants
+    0.05 there. The temperature moves R by 0.393 % a kelvin (copper) and the constants by -0.1 % a kelvin (magnets).
+    """
+
     supply: NotNegative = 0.01
     resistance: NotNegative = 0.02
     inductance: NotNegative = 0.10
@@ -107,14 +114,14 @@ class _SensorTable(_Table):
 class _ReferenceTable(_Table):
     starts: Annotated[int, Field(ge=1)]
     degrees_of_freedom: Positive
-    quantities: list[str]
-    values: list[Positive]
-    log_covariance: list[list[Finite]]
+    quantities: tuple[str, ...]
+    values: tuple[Positive, ...]
+    log_covariance: tuple[tuple[Finite, ...], ...]
     log_noise: Finite
     log_noise_sd: Positive
-    model: list[str] = []
-    model_low: list[Positive] = []
-    model_high: list[Positive] = []
+    model: tuple[str, ...] = ()
+    model_low: tuple[Positive, ...] = ()
+    model_high: tuple[Positive, ...] = ()
     sampling_rate_hz: Positive | None = None
     duration_s: Positive | None = None
     quiet_s: NotNegative | None = None
@@ -127,27 +134,10 @@ class _File(_Table):
     name: str = "motor"
     kind: Kind = "data_sheet"
     motor: _MotorTable
-    tolerance: _ToleranceTable = _ToleranceTable()
+    tolerance: Tolerance = Tolerance()
     sensor: _SensorTable = _SensorTable()
     reference: _ReferenceTable | None = None
-    notes: list[str] = []
-
-
-@dataclass(frozen=True, slots=True)
-class Tolerance:
-    """Relative standard deviations of a healthy motor about its data sheet, and of the temperature in kelvin.
-
-    The defaults are for a motor whose sheet was measured on its own series. A sheet that guarantees +-10 % wants
-    0.05 there. The temperature moves R by 0.393 % a kelvin (copper) and the constants by -0.1 % a kelvin (magnets).
-    """
-
-    supply: float = 0.01
-    resistance: float = 0.02
-    inductance: float = 0.10
-    constants: float = 0.01
-    inertia: float = 0.02
-    friction: float = 0.03
-    temperature_k: float = 10.0
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,13 +267,13 @@ def _to_motor(table: _File, path: Path) -> MotorFile:
         kind=table.kind,
         parameters=MotorParameters(**values),
         nominal_voltage_v=table.motor.nominal_voltage_v,
-        tolerance=Tolerance(**table.tolerance.model_dump()),
+        tolerance=table.tolerance,
         current_noise_a=table.sensor.current_noise_a,
         speed_noise_rad_s=table.sensor.speed_noise_rad_s,
         coulomb_friction_n_m=table.motor.coulomb_friction_n_m,
         brush_drop_v=table.motor.brush_drop_v,
         reference=None if table.reference is None else _to_reference(table.reference, path),
-        notes=tuple(table.notes),
+        notes=table.notes,
     )
 
 
@@ -343,10 +333,7 @@ def _friction(
 
 def _to_reference(table: _ReferenceTable, path: Path) -> StartReference:
     n = len(table.quantities)
-    covariance = (
-        np.array(table.log_covariance, dtype=np.float64) if _square(table.log_covariance, n) else None
-    )
-    if covariance is None or len(table.values) != n:
+    if [len(row) for row in table.log_covariance] != [n] * n or len(table.values) != n:
         raise InputError(
             f"{path}: reference names {n} quantities; values and log_covariance must have that size"
         )
@@ -354,30 +341,11 @@ def _to_reference(table: _ReferenceTable, path: Path) -> StartReference:
         raise InputError(
             f"{path}: reference.model_low and model_high must have one value for each of reference.model"
         )
+    covariance = np.array(table.log_covariance, dtype=np.float64)
     if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
         raise InputError(f"{path}: reference.log_covariance must be symmetric and positive definite")
-    return StartReference(
-        starts=table.starts,
-        degrees_of_freedom=table.degrees_of_freedom,
-        quantities=tuple(table.quantities),
-        values=np.array(table.values, dtype=np.float64),
-        log_covariance=covariance,
-        log_noise=table.log_noise,
-        log_noise_sd=table.log_noise_sd,
-        model=tuple(table.model),
-        model_low=tuple(table.model_low),
-        model_high=tuple(table.model_high),
-        sampling_rate_hz=table.sampling_rate_hz,
-        duration_s=table.duration_s,
-        quiet_s=table.quiet_s,
-        ripple_hz=table.ripple_hz,
-        ripple_constant_v_s=table.ripple_constant_v_s,
-        ripple_log_sd=table.ripple_log_sd,
-    )
-
-
-def _square(rows: Sequence[Sequence[float]], n: int) -> bool:
-    return len(rows) == n and all(len(row) == n for row in rows)
+    values = np.array(table.values, dtype=np.float64)
+    return StartReference(**table.model_dump() | {"values": values, "log_covariance": covariance})
 
 
 def save_motor(motor: MotorFile, path: str | Path) -> None:

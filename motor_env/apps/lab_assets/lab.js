@@ -3,7 +3,7 @@ const $ = (id) => document.getElementById(id);
 const CHOICES = ["motor", "kind", "rule"];
 const SLIDERS = ["severity_percent", "noise_ma", "resistance_percent", "friction_percent"];
 const NAMES = { healthy: "healthy", bearing: "bearing: friction up", winding_contact: "winding: resistance up",
-  winding_short: "winding: shorted turns", noise: "sensor noise: variance up" };
+  winding_short: "winding: shorted turns", noise: "sensor noise: variance up", magnet: "magnet: less flux" };
 let seed = 1, round = 0, timer = 0, largest = 0;
 
 function node(tag, attributes, text) {
