@@ -16,21 +16,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from motor_env.detection.rules import (
-    Cusum,
-    Glr,
-    ModelBank,
-    MOfN,
-    Rule,
-    ShiryaevRoberts,
-    SignatureCusum,
-    Sprt,
-    Threshold,
-    WindowedNis,
-    in_a_row,
-    nis_rule,
-    run_lengths,
-)
+from motor_env import Cusum, Glr, ModelBank, MOfN, Rule, ShiryaevRoberts, SignatureCusum, Sprt
+from motor_env.detection.rules import Threshold, WindowedNis, in_a_row, nis_rule, run_lengths
 
 ARL0 = 1e4
 HEALTHY = 1_000

@@ -38,6 +38,7 @@ from .filters.adaptive import (
 )
 from .filters.batch import (
     FilterResult as FilterResult,
+    filter_residuals as filter_residuals,
     run_filter as run_filter,
 )
 from .filters.consistency import (
@@ -45,6 +46,7 @@ from .filters.consistency import (
 )
 from .filters.joint import (
     joint_filter as joint_filter,
+    parameter_test_threshold as parameter_test_threshold,
 )
 from .filters.kalman import (
     KalmanFilter as KalmanFilter,
@@ -65,10 +67,20 @@ from .identification.identify import (
 )
 from .inference.identifiability import (
     Experiment as Experiment,
+    cramer_rao_bound as cramer_rao_bound,
     identifiability as identifiability,
+    isolability as isolability,
 )
 from .inference.posterior import (
     class_probabilities as class_probabilities,
+    excess_over_limit as excess_over_limit,
+)
+from .inference.severity import (
+    SeverityPrior as SeverityPrior,
+    severity_posterior as severity_posterior,
+)
+from .inference.whitening import (
+    MatchedTest as MatchedTest,
 )
 from .motor.data_sheet import (
     MotorFile as MotorFile,
