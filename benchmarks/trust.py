@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from shifts import shift_scores, textbook_shifts
 from sklearn.base import BaseEstimator
 
 from motor_classifiers.estimators.methods import METHODS, make_method
@@ -20,14 +21,14 @@ from motor_classifiers.estimators.networks.posterior_network import PosteriorNet
 from motor_classifiers.estimators.networks.severity_density import severity_recipe
 from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability
 from motor_classifiers.scoring.judging import in_recipe_order
-from motor_classifiers.scoring.shifts import shift_scores, textbook_shifts
 from motor_classifiers.scoring.trust import network_for
 from motor_classifiers.scoring.unknown_faults import (
     DISTANCE,
+    FALSE_ALARM_RATES,
     UNKNOWN_FAULTS,
     ForeignFault,
+    ForeignScore,
     foreign_scores,
-    plot_roc,
 )
 from motor_classifiers.scoring.verdict_times import (
     FIXED_TIME,
@@ -46,6 +47,7 @@ from motor_datasets.generate import generate_arrays
 from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, SensorParameters
+from motor_env.plotting import INK, QUIET, drawing, save, subplots
 from motor_env.simulation.recipes import FaultClass, Recipe, named_recipe
 from motor_env.simulation.simulate import Timing
 
@@ -201,6 +203,33 @@ def other(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
             plot_roc(got.faults[: len(UNKNOWN_FAULTS)], "limit", IMAGES / "other-roc.svg")
 
 
+def plot_roc(faults: tuple[ForeignScore, ...], classifier: str, path: Path) -> None:
+    """Draw how well foreign faults are told from known ones, by distance and by a classifier's confidence.
+
+    Args:
+        faults: of `foreign_scores`.
+        classifier: name of the one whose confidence is drawn.
+        path: file to write, SVG or PNG by its ending.
+    """
+    colours = ("#0b6fa4", "#d98300", "#c8442b", "#12805c", "#6b4fa0")
+    with drawing():
+        figure, (axes,) = subplots(1, width_in=7.5, height_in=7.0)
+        axes.plot([0.0, 1.0], [0.0, 1.0], color=QUIET, linewidth=1.0)
+        for n, (colour, scored) in enumerate(zip(colours, faults, strict=False)):
+            for title, key, style in (("distance", DISTANCE, "-"), ("confidence", classifier, ":")):
+                # Curves that lie on each other stay visible: the first are drawn wider.
+                width = 2.0 + 2.0 * (len(faults) - 1 - n) * (style == "-")
+                label = f"{scored.fault}, {title}: {scored.auroc[key]:.3f}"
+                axes.plot(
+                    FALSE_ALARM_RATES, scored.roc[key], style, color=colour, linewidth=width, label=label
+                )
+        axes.set(xlabel="known motors called other", ylabel="foreign faults called other")
+        axes.set_title("Distance tells foreign faults, confidence does not")
+        axes.set_ylim(0.0, 1.01)
+        figure.legend(loc="outside lower center", ncols=2, fontsize=10, title="area under the curve")
+        save(figure, path)
+
+
 def out_of_range(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
     """Severities beyond the trained ones, through the wrapper around the discriminant analysis."""
     for rate_hz, noise_a in SETTINGS:
@@ -270,8 +299,6 @@ def early(n_cases: int = 3000) -> None:
 
 def plot_race(curves: Mapping[str, tuple[VerdictTime, ...]]) -> None:
     """Draw errors against the time of the verdict."""
-    from motor_env.plotting import INK, drawing, save, subplots
-
     styles = {
         STOPPING_RULE: (INK, "-", "o"),
         FIXED_TIME: ("#7b8794", "--", ""),

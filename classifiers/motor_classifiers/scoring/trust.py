@@ -22,8 +22,8 @@ from motor_classifiers.estimators.methods import ESTIMATE
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring.judging import Cell, judged_cases
-from motor_classifiers.scoring.limit_cells import severity_cell
 from motor_classifiers.scoring.metrics import IntArray
+from motor_classifiers.scoring.severities import severity_cell
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, Confidence, ForeignScore, foreign_scores
 from motor_classifiers.scoring.verdict_times import hits, moments, race, stopping_rows, told_by_then
 from motor_classifiers.wrappers.conformal import ConformalSets, Coverage, measured_coverage

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -163,32 +162,3 @@ def foreign_scores(
             curves[name] = np.interp(FALSE_ALARM_RATES, false, right)
         scored.append(ForeignScore(fault.name, areas, found, curves))
     return ForeignScores(float((of_known[DISTANCE] < detector.offset_).mean()), tuple(scored))
-
-
-def plot_roc(faults: tuple[ForeignScore, ...], classifier: str, path: Path) -> None:
-    """Draw how well foreign faults are told from known ones, by distance and by a classifier's confidence.
-
-    Args:
-        faults: of `foreign_scores`.
-        classifier: name of the one whose confidence is drawn.
-        path: file to write, SVG or PNG by its ending.
-    """
-    from motor_env.plotting import QUIET, drawing, save, subplots
-
-    colours = ("#0b6fa4", "#d98300", "#c8442b", "#12805c", "#6b4fa0")
-    with drawing():
-        figure, (axes,) = subplots(1, width_in=7.5, height_in=7.0)
-        axes.plot([0.0, 1.0], [0.0, 1.0], color=QUIET, linewidth=1.0)
-        for n, (colour, scored) in enumerate(zip(colours, faults, strict=False)):
-            for title, key, style in (("distance", DISTANCE, "-"), ("confidence", classifier, ":")):
-                # Curves that lie on each other stay visible: the first are drawn wider.
-                width = 2.0 + 2.0 * (len(faults) - 1 - n) * (style == "-")
-                label = f"{scored.fault}, {title}: {scored.auroc[key]:.3f}"
-                axes.plot(
-                    FALSE_ALARM_RATES, scored.roc[key], style, color=colour, linewidth=width, label=label
-                )
-        axes.set(xlabel="known motors called other", ylabel="foreign faults called other")
-        axes.set_title("Distance tells foreign faults, confidence does not")
-        axes.set_ylim(0.0, 1.01)
-        figure.legend(loc="outside lower center", ncols=2, fontsize=10, title="area under the curve")
-        save(figure, path)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from limit_cells import limit_cell
 from scipy.stats import ks_2samp, kstest, truncnorm
 from sklearn.base import clone
 
@@ -16,7 +17,6 @@ from motor_classifiers.estimators.networks.posterior_network import PosteriorNet
 from motor_classifiers.estimators.networks.severity_density import severity_priors, severity_recipe
 from motor_classifiers.estimators.networks.signal_space import SignalSpace
 from motor_classifiers.estimators.networks.training import one_thread
-from motor_classifiers.scoring.limit_cells import limit_cell
 from motor_datasets.generate import generate_arrays
 from motor_env.inference.severity import severity_posterior
 from motor_env.motor.faults import FaultKind

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from limit_cells import limit_cell
 
 from motor_classifiers.cli.main import main
 from motor_classifiers.cli.training import network_recipe
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_classifiers.scoring.limit_cells import limit_cell
 from motor_env.motor.data_sheet import load_motor
 from motor_env.simulation.recipes import named_recipe
 

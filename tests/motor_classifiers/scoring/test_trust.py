@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shifts import shift_scores, textbook_shifts
 from sklearn.metrics import roc_auc_score
+from trust import plot_roc
 
 from motor_classifiers.scoring import trust as trust_module
 from motor_classifiers.scoring.judging import Cell
-from motor_classifiers.scoring.shifts import shift_scores, textbook_shifts
 from motor_classifiers.scoring.trust import (
     SECTIONS,
     Counts,
@@ -29,7 +30,6 @@ from motor_classifiers.scoring.unknown_faults import (
     ForeignFault,
     foreign_scores,
     foreign_starts,
-    plot_roc,
 )
 from motor_classifiers.wrappers.conformal import ConformalSets
 from motor_classifiers.wrappers.open_set import FaultFamilyDetector
