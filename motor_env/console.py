@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from enum import IntEnum
+from functools import partial
+from typing import TYPE_CHECKING
 
 from cyclopts import App, CycloptsError
 
 from motor_env.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.progress import ProgressColumn
 
 
 class ExitStatus(IntEnum):
@@ -50,3 +56,24 @@ def _sentence(error: Exception) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {(error.strerror or str(error)).lower()}"
     return str(error)
+
+
+@contextmanager
+def progress_bar(total: float | None, text: str, *columns: ProgressColumn) -> Iterator[Callable[..., None]]:
+    """A bar with the time left, on standard error and only on a terminal.
+
+    Args:
+        total: amount of work; None while it is not known.
+        text: what is done.
+        *columns: what else to show.
+
+    Yields:
+        Function that takes `advance`, `completed`, `total` or `description`.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    errors = Console(stderr=True)
+    usual = (TextColumn("{task.description}"), BarColumn(30), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*usual, *columns, console=errors, disable=not errors.is_terminal) as bar:
+        yield partial(bar.update, bar.add_task(text, total=total))

@@ -5,19 +5,16 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from cyclopts import App, Parameter
 
 from motor_env import __version__, console
 from motor_env.errors import InputError, require_extra
-
-if TYPE_CHECKING:
-    from motor_env.motor.parameters import MotorParameters
-    from motor_env.simulation.recipes import Recipe
 
 Flag = Annotated[bool, Parameter(negative=())]
 
@@ -72,8 +69,20 @@ def generate(
     from motor_datasets.folder import generate_dataset, seconds_per_case
     from motor_datasets.layout import make_plan
     from motor_datasets.remote import folder_of
+    from motor_env.motor.data_sheet import load_motor
+    from motor_env.simulation.recipe_files import load_recipe
+    from motor_env.simulation.recipes import changed_recipe
 
-    chosen = _recipe(recipe, sampling_rate_hz, duration_s, quiet_s, current_noise_a, channels, motor)
+    chosen = changed_recipe(
+        load_recipe(recipe),
+        sampling_rate_hz=sampling_rate_hz,
+        duration_s=duration_s,
+        quiet_s=quiet_s,
+        current_noise_a=current_noise_a,
+        channels=tuple(channels.split(",")) if channels is not None else None,
+    )
+    if motor is not None:
+        chosen = replace(chosen, motor=load_motor(motor).parameters)
     plan = make_plan(chosen, cases, seed)
     folder = folder_of(out)
     summary: dict[str, object] = {
@@ -205,48 +214,10 @@ def _backend(name: str | None, scheduler: str | None) -> Iterator[None]:
         yield
 
 
-def _recipe(
-    name: str,
-    sampling_rate_hz: float | None,
-    duration_s: float | None,
-    quiet_s: float | None,
-    current_noise_a: float | None,
-    channels: str | None,
-    motor: str | None,
-) -> Recipe:
-    from dataclasses import replace
-
-    from motor_env.simulation.recipe_files import load_recipe
-
-    recipe = load_recipe(name)
-    times = {"sampling_rate_hz": sampling_rate_hz, "duration_s": duration_s, "quiet_s": quiet_s}
-    sensor = {
-        "current_noise_a": current_noise_a,
-        "channels": None if channels is None else tuple(channels.split(",")),
-    }
-    return replace(
-        recipe,
-        timing=replace(recipe.timing, **_given(times)),
-        sensor=replace(recipe.sensor, **_given(sensor)),
-        motor=recipe.motor if motor is None else _motor(motor),
-    )
-
-
-def _given(options: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in options.items() if value is not None}
-
-
-def _motor(name_or_path: str) -> MotorParameters:
-    from motor_env.motor.data_sheet import load_motor
-
-    return load_motor(name_or_path).parameters
-
-
 @contextmanager
-def _progress(cases: int) -> Iterator[Callable[[int], object]]:
-    """A progress bar with rate and time left, on standard error and only on a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+def _progress(cases: int) -> Iterator[Callable[[int], None]]:
+    """A progress bar that also shows cases a second."""
+    from rich.progress import ProgressColumn, Task
     from rich.text import Text
 
     class Rate(ProgressColumn):
@@ -254,18 +225,11 @@ def _progress(cases: int) -> Iterator[Callable[[int], object]]:
 
         def render(self, task: Task) -> Text:
             rate = task.finished_speed or task.speed
-            return Text("" if rate is None else f"{rate:.0f} a second")
+            count = f"{task.completed:.0f} / {task.total:.0f} cases"
+            return Text(count if rate is None else f"{count}, {rate:.0f} a second")
 
-    columns = (
-        BarColumn(),
-        TextColumn("{task.completed:.0f} / {task.total:.0f} cases"),
-        Rate(),
-        TimeRemainingColumn(),
-    )
-    console_of_errors = Console(stderr=True)
-    with Progress(*columns, console=console_of_errors, disable=not console_of_errors.is_terminal) as bar:
-        task = bar.add_task("", total=cases)
-        yield lambda count: bar.advance(task, count)
+    with console.progress_bar(cases, "", Rate()) as update:
+        yield lambda count: update(advance=count)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -90,10 +90,16 @@ def train(
     else:
         if method not in (None, "posterior-network"):
             raise InputError(f"--method {method} learns from a data set; give its folder")
-        source = training_recipe(motor, recipe, voltage, sampling_rate_hz, duration_s, current_noise_a)
-        summary = train_on_stream(
-            source, noise_factors(noise_range, for_motor=motor is not None), steps, seed, out
+        source = training_recipe(
+            motor,
+            recipe,
+            voltage_v=voltage,
+            sampling_rate_hz=sampling_rate_hz,
+            duration_s=duration_s,
+            current_noise_a=current_noise_a,
         )
+        noises = noise_factors(noise_range, for_motor=motor is not None)
+        summary = train_on_stream(source, noise_range=noises, steps=steps, seed=seed, out=out)
     print(
         json.dumps(summary) if json_ else f"trained {summary['method']} on {summary['n_train']} starts: {out}"
     )
@@ -263,7 +269,6 @@ def benchmark(
     from motor_classifiers.cli.options import numbers, require_writable
     from motor_classifiers.cli.sweep import (
         FULL_SWEEP,
-        chosen_recipe,
         plan_lines,
         run_with_progress,
         table_lines,
@@ -273,19 +278,18 @@ def benchmark(
     from motor_classifiers.scoring.peers import shipped_peers
     from motor_classifiers.scoring.plan import AnswerStore, Plan, make_cells
     from motor_classifiers.scoring.results import result_rows
+    from motor_env.simulation.recipes import changed_recipe, named_recipe
 
     usual = FULL_SWEEP if full else {}
-    recipes = tuple(
-        chosen_recipe(name, duration_s, channels)
-        for name in (recipe or usual.get("recipe", "bench")).split(",")
-    )
+    measured = tuple(channels.split(",")) if channels else None
+    names = (recipe or usual.get("recipe", "bench")).split(",")
     cells = make_cells(
-        recipes,
-        numbers("sampling-rate-hz", sampling_rate_hz or usual.get("sampling_rate_hz")),
-        numbers("current-noise-a", current_noise_a or usual.get("current_noise_a")),
-        tuple(int(n) for n in numbers("n-train", n_train or usual.get("n_train", "2000"))),
-        n_test,
-        seed,
+        [changed_recipe(named_recipe(name), duration_s=duration_s, channels=measured) for name in names],
+        rates_hz=numbers("sampling-rate-hz", sampling_rate_hz or usual.get("sampling_rate_hz")),
+        noises_a=numbers("current-noise-a", current_noise_a or usual.get("current_noise_a")),
+        train_sizes=[int(n) for n in numbers("n-train", n_train or usual.get("n_train", "2000"))],
+        n_test=n_test,
+        seed=seed,
     )
     plan = Plan(cells, tuple(methods.split(",")) if methods else tuple(METHODS), peers or shipped_peers())
     folder = out / "answers" if len(cells) > 1 else None

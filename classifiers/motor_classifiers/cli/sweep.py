@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
-from typing import Any
+from collections import Counter
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from motor_classifiers.scoring.benchmark import CellResult, run_plan
 from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, units
-from motor_env.motor.parameters import Channel
-from motor_env.simulation.recipes import Recipe, named_recipe
+from motor_env.console import progress_bar
 
 FULL_SWEEP = {
     "recipe": "bench,bench-full,paper,field",
@@ -23,69 +20,40 @@ FULL_SWEEP = {
 """Options of `benchmark --full`."""
 
 
-def chosen_recipe(name: str, duration_s: float | None, channels: str | None) -> Recipe:
-    """A named recipe with the options' changes."""
-    chosen = named_recipe(name)
-    if duration_s is not None:
-        chosen = replace(chosen, timing=replace(chosen.timing, duration_s=duration_s))
-    if channels is not None:
-        measured = tuple(Channel(part) for part in channels.split(","))
-        chosen = replace(chosen, sensor=replace(chosen.sensor, channels=measured))
-    return chosen
-
-
 def plan_lines(plan: Plan, store: AnswerStore, *, as_json: bool) -> list[str]:
     """What would be run, what is there already, and about how long the rest takes."""
-    rows = [
-        {
-            "setting": unit.cell.title,
-            "method": unit.name,
-            "done": store.find(unit) is not None,
-            "about_s": unit.seconds,
-        }
-        for unit in units(plan)
-    ]
-    open_s = sum(unit.seconds for unit, row in zip(units(plan), rows, strict=True) if not row["done"])
+    todo = [(unit, store.find(unit) is not None) for unit in units(plan)]
     if as_json:
+        rows = [
+            {"setting": unit.cell.title, "method": unit.name, "done": done, "about_s": unit.seconds}
+            for unit, done in todo
+        ]
         return [json.dumps(rows)]
+    total = Counter(unit.cell.title for unit, _ in todo)
+    done_of = Counter(unit.cell.title for unit, done in todo if done)
+    minutes = sum(unit.seconds for unit, done in todo if not done) / 60.0
     return [
-        *(
-            f"{name:58} {done:3} of {total:3} answers there"
-            for name, (done, total) in _by_setting(rows).items()
-        ),
-        f"{len(plan.cells)} settings, {len(rows)} answers, about {open_s / 60.0:.0f} minutes of one core to go",
+        *(f"{name:58} {done_of[name]:3} of {count:3} answers there" for name, count in total.items()),
+        f"{len(plan.cells)} settings, {len(todo)} answers, about {minutes:.0f} minutes of one core to go",
     ]
-
-
-def _by_setting(rows: list[dict[str, Any]]) -> dict[str, tuple[int, int]]:
-    counted: dict[str, tuple[int, int]] = {}
-    for row in rows:
-        done, total = counted.get(row["setting"], (0, 0))
-        counted[row["setting"]] = (done + row["done"], total + 1)
-    return counted
 
 
 def run_with_progress(plan: Plan, store: AnswerStore) -> tuple[CellResult, ...]:
     """Run a plan with a progress bar, or a line an answer where standard error is no terminal."""
-    todo = units(plan)
-    columns = (BarColumn(30), TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
-    errors = Console(stderr=True)
-    with Progress(*columns, console=errors, disable=not errors.is_terminal) as bar:
-        task = bar.add_task("starting", total=sum(unit.seconds for unit in todo))
-        begun, before = 0, 0.0
+    todo, errors = units(plan), Console(stderr=True)
+    begun, before = 0, 0.0
 
-        def step(unit: Unit, known: bool) -> None:
-            nonlocal begun, before
-            begun += 1
-            sentence = f"{begun} of {len(todo)}: {unit.name} on {unit.cell.title}"
-            bar.update(task, advance=before, description=sentence)
-            before = unit.seconds
-            if not errors.is_terminal:
-                errors.print(f"{sentence}{' (known)' if known else ''}", soft_wrap=True, highlight=False)
+    def step(unit: Unit, known: bool) -> None:
+        nonlocal begun, before
+        begun += 1
+        sentence = f"{begun} of {len(todo)}: {unit.name} on {unit.cell.title}"
+        update(advance=before, description=sentence)
+        before = unit.seconds
+        if not errors.is_terminal:
+            errors.print(f"{sentence}{' (known)' if known else ''}", soft_wrap=True, highlight=False)
 
-        results = run_plan(plan, store, step)
-        bar.update(task, advance=before, description="done")
-    return results
+    with progress_bar(sum(unit.seconds for unit in todo), "starting") as update:
+        return run_plan(plan, store, step)
 
 
 def table_lines(result: CellResult) -> list[str]:

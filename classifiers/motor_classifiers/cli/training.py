@@ -7,20 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from motor_classifiers.cli.options import numbers
 from motor_classifiers.estimators.methods import METHODS, make_method
 from motor_classifiers.estimators.networks.posterior_network import UNKNOWN_NOISE, PosteriorNetwork
 from motor_classifiers.model_files.persistence import save_model
 from motor_datasets.loaders import load
+from motor_env.console import progress_bar
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import MotorFile, load_motor
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import Channel
 from motor_env.simulation.motor_recipes import motor_recipe, settling_timing
 from motor_env.simulation.recipe_files import load_recipe
-from motor_env.simulation.recipes import FaultClass, Recipe
+from motor_env.simulation.recipes import FaultClass, Recipe, changed_recipe
 
 
 def train_on_dataset(dataset: str, method: str, seed: int, out: Path) -> dict[str, Any]:
@@ -33,29 +33,13 @@ def train_on_dataset(dataset: str, method: str, seed: int, out: Path) -> dict[st
     return {"method": method, "n_train": len(cases), "out": str(out)}
 
 
-def training_recipe(
-    motor: str | None,
-    recipe: str | None,
-    voltage: float | None,
-    sampling_rate_hz: float | None,
-    duration_s: float | None,
-    current_noise_a: float | None,
-) -> Recipe:
-    """Recipe of a motor file or of a recipe's name or file, with the options' changes; one of the two is given."""
-    is_motor = motor is not None
-    found = (
-        network_recipe(load_motor(str(motor)), voltage, duration_s) if is_motor else load_recipe(str(recipe))
-    )
-
-    def given(**values: float | None) -> dict[str, Any]:
-        return {name: value for name, value in values.items() if value is not None}
-
-    return replace(
-        found,
-        supply=replace(found.supply, **given(voltage_v=voltage)),
-        timing=replace(found.timing, **given(sampling_rate_hz=sampling_rate_hz, duration_s=duration_s)),
-        sensor=replace(found.sensor, **given(current_noise_a=current_noise_a)),
-    )
+def training_recipe(motor: str | None, recipe: str | None, **changes: float | None) -> Recipe:
+    """Recipe of a motor file or of a recipe's name or file, one of the two, with changes as of `changed_recipe`."""
+    if motor is None:
+        chosen = load_recipe(str(recipe))
+    else:
+        chosen = network_recipe(load_motor(motor), changes["voltage_v"], changes["duration_s"])
+    return changed_recipe(chosen, **changes)  # type: ignore[arg-type]  # a number for each of its names
 
 
 def network_recipe(
@@ -89,17 +73,14 @@ def noise_factors(text: str | None, *, for_motor: bool) -> tuple[float, float] |
 
 
 def train_on_stream(
-    recipe: Recipe, noise_range: tuple[float, float] | None, steps: int | None, seed: int, out: Path
+    recipe: Recipe, *, noise_range: tuple[float, float] | None, steps: int | None, seed: int, out: Path
 ) -> dict[str, Any]:
     """Train a network on a recipe's stream with a progress bar, write it, and tell what was done."""
     parameters = {} if steps is None else {"steps": steps}
-    columns = (TextColumn("{task.description}"), BarColumn(30), TimeElapsedColumn(), TimeRemainingColumn())
-    errors = Console(stderr=True)
-    with Progress(*columns, console=errors, disable=not errors.is_terminal) as bar:
-        task = bar.add_task(f"training a network for {recipe.name}", total=None)
+    with progress_bar(None, f"training a network for {recipe.name}") as update:
         model = PosteriorNetwork.from_recipe(
             recipe,
-            on_step=lambda done, total: bar.update(task, completed=done, total=total),
+            on_step=lambda done, total: update(completed=done, total=total),
             noise_range=noise_range,
             random_state=seed,
             **parameters,

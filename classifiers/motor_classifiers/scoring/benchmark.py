@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 from motor_classifiers.scoring.calibration import CalibrationScores, calibration_scores
 from motor_classifiers.scoring.judging import LIMIT, Answer, Cell, judge_apart, posterior
@@ -17,7 +17,7 @@ from motor_classifiers.scoring.metrics import (
     root_mean_square,
     scores,
 )
-from motor_classifiers.scoring.peers import Peers, read_peers
+from motor_classifiers.scoring.peers import read_peers
 from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, limit_of, trust_unit, unit_of, units
 from motor_classifiers.scoring.trust import TRUST, Figures, set_figures, trust_figures
 from motor_datasets.arrays import Dataset
@@ -123,19 +123,19 @@ def run_plan(
         on_unit(unit, known)
         if not known:
             try:
-                kept.put(unit, _had(plan, unit))
+                kept.put(unit, _answer(plan, unit))
             except InputError as error:
                 failures.append(str(error))
     if failures:
         raise InputError(f"{len(failures)} of {len(todo)} answers failed, the first: {failures[0]}")
     results = [_score_cell(plan, cell, kept) for cell in plan.cells]
     reference = results[plan.reference]
-    figures = {"sets": _sets(reference), **kept.figures(trust_unit(plan))}
+    figures = {"sets": _sets(reference), **kept.find(trust_unit(plan))}
     results[plan.reference] = reference._replace(trust=figures)
     return tuple(results)
 
 
-def _had(plan: Plan, unit: Unit) -> Answer | Figures:
+def _answer(plan: Plan, unit: Unit) -> Answer | Figures:
     if unit.name == TRUST:
         return trust_figures(unit.cell, with_network=plan.with_network)
     return posterior(unit.cell) if unit.name == LIMIT else judge_apart(unit.name, unit.cell)
@@ -151,30 +151,21 @@ def _sets(result: CellResult) -> Figures:
 def _score_cell(plan: Plan, cell: Cell, store: AnswerStore) -> CellResult:
     test = cell.test()
     weights = resampling_weights(cell.n_test, cell.seed, groups=test.motor_id)
-    best, *found = (store.answer(unit_of(cell, name)) for name in (limit_of(cell), *plan.methods))
-    answers = dict(zip(plan.methods, found, strict=True))
-    limit = _judged(cell.recipe, best, test, weights, graded=True)
-    right = best.decided == test.class_index
+    limit = _judged(cell.recipe, store.find(unit_of(cell, limit_of(cell))), test, weights, graded=True)
+    limit_right = limit.answer.decided == test.class_index
     is_estimate = cell.recipe.field is not None
-    results = []
-    for name in plan.methods:
-        comparison = compare(answers[name].decided == test.class_index, right, weights)
-        above = not is_estimate and comparison.p_above < SIGNIFICANCE / plan.n_comparisons
-        judged = _judged(cell.recipe, answers[name], test, weights, graded=True)
-        results.append(MethodResult(name, judged, comparison, above))
+    answers: dict[str, Answer] = {name: store.find(unit_of(cell, name)) for name in plan.methods}
     peers = None if plan.peers is None else read_peers(plan.peers, cell)
-    if peers is not None:
-        results += _peer_results(peers, cell.recipe, test, weights, right)
-    return CellResult(cell, test.class_index, test.severity, limit, is_estimate, tuple(results), weights)
-
-
-def _peer_results(
-    peers: Peers, recipe: Recipe, test: Dataset, weights: FloatArray, limit_right: Any
-) -> Iterator[MethodResult]:
-    for name, answer in peers.answers.items():
+    results = []
+    for name, answer in (answers | (peers.answers if peers else {})).items():
+        is_ours = peers is None or name not in peers.answers
         comparison = compare(answer.decided == test.class_index, limit_right, weights)
-        judged = _judged(recipe, answer, test, weights, graded=name in peers.graded)
-        yield MethodResult(name, judged, comparison, False, peers.origin)
+        above = is_ours and not is_estimate and comparison.p_above < SIGNIFICANCE / plan.n_comparisons
+        graded = peers is None or is_ours or name in peers.graded
+        judged = _judged(cell.recipe, answer, test, weights, graded=graded)
+        origin = "" if peers is None or is_ours else peers.origin
+        results.append(MethodResult(name, judged, comparison, above, origin))
+    return CellResult(cell, test.class_index, test.severity, limit, is_estimate, tuple(results), weights)
 
 
 def _judged(recipe: Recipe, answer: Answer, test: Dataset, weights: FloatArray, *, graded: bool) -> Judged:

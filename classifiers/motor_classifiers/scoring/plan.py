@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +21,7 @@ from motor_classifiers.scoring.trust import (
     trust_key,
 )
 from motor_env.motor.parameters import require
-from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.recipes import Recipe, changed_recipe
 
 REFERENCE = {"recipe": "bench", "sampling_rate_hz": 10_000.0, "current_noise_a": 0.02, "n_train": 2000}
 """The setting that is told in full where there are several."""
@@ -75,10 +76,11 @@ def _setting(cell: Cell) -> dict[str, Any]:
 
 
 def make_cells(
-    recipes: tuple[Recipe, ...],
-    rates_hz: tuple[float, ...],
-    noises_a: tuple[float, ...],
-    train_sizes: tuple[int, ...],
+    recipes: Sequence[Recipe],
+    *,
+    rates_hz: Sequence[float],
+    noises_a: Sequence[float],
+    train_sizes: Sequence[int],
     n_test: int,
     seed: int,
 ) -> tuple[Cell, ...]:
@@ -99,11 +101,7 @@ def make_cells(
         usual = REFERENCE["current_noise_a"] if REFERENCE["current_noise_a"] in noises else noises[0]
         for rate, noise, n_train in product(rates, noises, train_sizes):
             if n_train == train_sizes[0] or noise == usual:
-                own = replace(
-                    recipe,
-                    timing=replace(recipe.timing, sampling_rate_hz=rate),
-                    sensor=replace(recipe.sensor, current_noise_a=noise),
-                )
+                own = changed_recipe(recipe, sampling_rate_hz=rate, current_noise_a=noise)
                 cells[Cell(own, n_train, n_test, seed)] = None
     return tuple(cells)
 
@@ -173,57 +171,28 @@ class AnswerStore:
     def __init__(self, folder: Path | None = None, *, fresh: bool = False) -> None:
         self._folder = folder
         self._fresh = fresh
-        self._held: dict[str, Answer | Figures] = {}
+        self._answers: dict[str, Any] = {}
 
-    def find(self, unit: Unit) -> Answer | Figures | None:
-        """The answer, or None."""
-        if unit.key not in self._held and self._folder is not None and not self._fresh:
-            found = self._load(unit, self._folder)
-            if found is not None:
-                self._held[unit.key] = found
-        return self._held.get(unit.key)
-
-    def answer(self, unit: Unit) -> Answer:
-        """The answer of a method or of the limit.
-
-        Raises:
-            KeyError: there is none.
-        """
-        found = self.find(unit)
-        if not isinstance(found, Answer):
-            raise KeyError(f"the answer of {unit.name} is missing")
-        return found
-
-    def figures(self, unit: Unit) -> Figures:
-        """The figures on trust.
-
-        Raises:
-            KeyError: there are none.
-        """
-        found = self.find(unit)
-        if not isinstance(found, dict):
-            raise KeyError(f"the figures of {unit.name} are missing")
-        return found
+    def find(self, unit: Unit) -> Any:
+        """The `Answer`, or the figures on trust; None where there are none."""
+        path = self._path(unit)
+        if unit.key not in self._answers and path is not None and not self._fresh:
+            self._answers[unit.key] = (
+                load_figures(path) if unit.name == TRUST else load_answer(path, unit.cell)
+            )
+        return self._answers.get(unit.key)
 
     def put(self, unit: Unit, answer: Answer | Figures) -> None:
         """Keep an answer."""
-        self._held[unit.key] = answer
-        if self._folder is None:
+        self._answers[unit.key] = answer
+        path = self._path(unit)
+        if path is None:
             return
         if isinstance(answer, Answer):
-            save_answer(answer, _answer_file(self._folder, unit))
+            save_answer(answer, path)
         else:
-            save_figures(answer, _figures_file(self._folder, unit))
+            save_figures(answer, path)
 
-    def _load(self, unit: Unit, folder: Path) -> Answer | Figures | None:
-        if unit.name == TRUST:
-            return load_figures(_figures_file(folder, unit))
-        return load_answer(_answer_file(folder, unit), unit.cell)
-
-
-def _answer_file(folder: Path, unit: Unit) -> Path:
-    return folder / f"{unit.key}.npz"
-
-
-def _figures_file(folder: Path, unit: Unit) -> Path:
-    return folder / f"{unit.key}.json"
+    def _path(self, unit: Unit) -> Path | None:
+        suffix = "json" if unit.name == TRUST else "npz"
+        return None if self._folder is None else self._folder / f"{unit.key}.{suffix}"

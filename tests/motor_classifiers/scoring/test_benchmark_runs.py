@@ -143,7 +143,9 @@ def test_a_method_that_fails_is_named_and_costs_no_other_answer(
 
 
 def test_sweep_crosses_rates_and_noises_and_tries_sizes_at_the_usual_noise() -> None:
-    cells = make_cells((SLOW,), (1e3, 1e4), (0.02, 0.1), (300, 100), 200, 0)
+    cells = make_cells(
+        (SLOW,), rates_hz=(1e3, 1e4), noises_a=(0.02, 0.1), train_sizes=(300, 100), n_test=200, seed=0
+    )
     found = {(c.recipe.timing.sampling_rate_hz, c.recipe.sensor.current_noise_a, c.n_train) for c in cells}
     assert found == {
         (rate, noise, 300) for rate in (1e3, 1e4) for noise in (0.02, 0.1)
@@ -181,7 +183,10 @@ def test_the_key_holds_all_that_an_answer_depends_on() -> None:
 
 @pytest.mark.usefixtures("at_once")
 def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    plan = Plan(make_cells((SLOW,), (), (0.02, 0.1), (300,), 200, 0), ("residual-qda",))
+    plan = Plan(
+        make_cells((SLOW,), rates_hz=(), noises_a=(0.02, 0.1), train_sizes=(300,), n_test=200, seed=0),
+        ("residual-qda",),
+    )
     first = units(plan)[2]
     assert units(plan)[4].name == TRUST
 
@@ -236,7 +241,10 @@ def test_a_killed_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
     kept = {path.name: path.stat().st_mtime_ns for path in answers.glob("[!.]*.npz")}
     assert len(kept) >= 2
     asked: list[str] = []
-    plan = Plan(make_cells((SLOW,), (1e3,), (0.02, 0.1), (300,), 200, 0), ("residual-qda", "threshold"))
+    plan = Plan(
+        make_cells((SLOW,), rates_hz=(1e3,), noises_a=(0.02, 0.1), train_sizes=(300,), n_test=200, seed=0),
+        ("residual-qda", "threshold"),
+    )
     results = run_plan(plan, AnswerStore(answers), lambda unit, known: asked.append(f"{unit.name} {known}"))
     assert len(asked) == 7
     assert sum(line.endswith("True") for line in asked) == len(kept)
