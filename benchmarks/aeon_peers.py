@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 # Of the project only this module, which needs the standard library alone: the rest is not installed here.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "classifiers"))
-from motor_classifiers.scoring.progress import watched
+from motor_classifiers.scoring.progress import with_cost
 
 SEED = 0
 
@@ -44,8 +44,8 @@ def judge(name: str, cases: dict[str, npt.NDArray[Any]]) -> tuple[npt.NDArray[np
     train, labels, test = cases["train_X"], cases["train_class_index"], cases["test_X"]
     # One call beforehand: compiling is not training.
     make_peer(name).fit(train[:60], labels[:60]).predict_proba(test[:10])
-    model, training = watched(lambda: make_peer(name).fit(train, labels))
-    found, inference = watched(lambda: model.predict_proba(test))
+    model, training = with_cost(lambda: make_peer(name).fit(train, labels))
+    found, inference = with_cost(lambda: model.predict_proba(test))
     probabilities = np.zeros((len(test), int(cases["n_classes"])), dtype=np.float32)
     probabilities[:, model.classes_.astype(int)] = found
     return probabilities, {

@@ -34,11 +34,11 @@ from motor_classifiers.scoring.verdict_times import (
     FIXED_TIME,
     STOPPING_RULE,
     VerdictTime,
-    hits,
+    accuracy_by_moment,
     moments,
+    probabilities_by_moment,
     race,
     stopping_rows,
-    told_by_then,
 )
 from motor_classifiers.wrappers.conformal import ConformalIntervals, ConformalSets, measured_coverage
 from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClassifier, family_fit
@@ -196,7 +196,7 @@ def other(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
                 f"{fault.auroc[by]:.4f}" if by in fault.auroc else "" for by in (DISTANCE, "limit", "network")
             )
             yield (
-                name, f"{rate_hz / 1e3:g} kHz", fault.fault, *areas, percent(fault.found),
+                name, f"{rate_hz / 1e3:g} kHz", fault.fault, *areas, percent(fault.called_other),
                 percent(got.false_alarms, digits=2),
             )  # fmt: skip
         if (name, rate_hz) == ("bench", 1_000.0):
@@ -262,8 +262,8 @@ def early(n_cases: int = 3000) -> None:
     recipe = bench(10_000.0)
     seen = moments(recipe.timing)
     test, train = cases(recipe, TEST, n_cases), cases(recipe, TRAIN, 5_000)
-    probabilities = told_by_then(recipe, SEED, train, test)
-    accuracy = {name: hits(told, test.class_index) for name, told in probabilities.items()}
+    probabilities = probabilities_by_moment(recipe, SEED, train, test)
+    accuracy = {name: accuracy_by_moment(told, test.class_index) for name, told in probabilities.items()}
     table(
         "Accuracy by what was seen",
         ("seen", *accuracy),

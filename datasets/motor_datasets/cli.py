@@ -135,12 +135,12 @@ def verify(folder: str, /, *, json_: Annotated[bool, Parameter(name="--json", ne
     from motor_datasets.manifest import problems
     from motor_datasets.remote import folder_of
 
-    found = problems(folder_of(folder))
+    defects = problems(folder_of(folder))
     if json_:
-        print(json.dumps(found))
+        print(json.dumps(defects))
     else:
-        print("\n".join(found) if found else f"{folder}: every file is whole")
-    return 1 if found else 0
+        print("\n".join(defects) if defects else f"{folder}: every file is whole")
+    return 1 if defects else 0
 
 
 @app.command

@@ -99,13 +99,13 @@ def problems(folder: Folder) -> list[str]:
         InputError: no data set there.
     """
     manifest = read_manifest(folder)
-    found = []
+    defects = []
     for entry in manifest.files:
         path = folder / entry.path
         if not path.is_file():
-            found.append(f"{entry.path} is missing")
+            defects.append(f"{entry.path} is missing")
         elif size_and_digest(path) != (entry.bytes, entry.sha256):
-            found.append(f"{entry.path} is damaged: its digest is not that of the manifest")
+            defects.append(f"{entry.path} is damaged: its digest is not that of the manifest")
     known = {entry.path for entry in manifest.files}
     present = {f"data/{path.name}" for path in (folder / "data").glob("*")}
-    return found + [f"{name} is foreign: the manifest does not name it" for name in sorted(present - known)]
+    return defects + [f"{name} is foreign: the manifest does not name it" for name in sorted(present - known)]

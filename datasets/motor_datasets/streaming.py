@@ -55,11 +55,11 @@ def _case_blocks(
     if split is None:
         for number in count():
             yield np.arange(number * batch_size, (number + 1) * batch_size, dtype=np.int64)
-    held = np.empty(0, dtype=np.int64)
+    pending = np.empty(0, dtype=np.int64)
     width = BLOCK * recipe.starts_per_motor * max(1, batch_size // BLOCK)
     for number in count():
         cases = np.arange(number * width, (number + 1) * width, dtype=np.int64)
-        held = np.concatenate([held, cases[split_of(seed, recipe.motor_id(cases)) == split]])
-        while len(held) >= batch_size:
-            yield held[:batch_size]
-            held = held[batch_size:]
+        pending = np.concatenate([pending, cases[split_of(seed, recipe.motor_id(cases)) == split]])
+        while len(pending) >= batch_size:
+            yield pending[:batch_size]
+            pending = pending[batch_size:]

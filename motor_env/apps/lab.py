@@ -186,7 +186,7 @@ def verdict(settings: Settings) -> dict[str, Any]:
     start = start_of(settings)
     seen = Recording(Path("simulated"), start.time_s, start.measurements[0, 0], start.voltage_v[0])
     motor: MotorFile = replace(load_motor(settings.motor), current_noise_a=1e-3 * settings.noise_ma)
-    return _told(diagnose(seen, motor))
+    return _as_document(diagnose(seen, motor))
 
 
 def recording_verdict(
@@ -218,28 +218,28 @@ def recording_verdict(
         (outcome,) = diagnose_files([path], motor=motor or None, voltage_v=voltage_v, start=1)
         if outcome.diagnosis is None:
             raise InputError((outcome.error or "cannot be read").replace(str(path), shown))
-        told = _told(outcome.diagnosis)
-    told["file"] = shown
-    return told
+        document = _as_document(outcome.diagnosis)
+    document["file"] = shown
+    return document
 
 
-def _told(diagnosis: Diagnosis) -> dict[str, Any]:
+def _as_document(diagnosis: Diagnosis) -> dict[str, Any]:
     """The diagnosis as JSON, its headline, and the curves to draw."""
-    told = as_json(diagnosis)
-    told["headline"] = headline(diagnosis)
-    told["curves"] = None
+    document = as_json(diagnosis)
+    document["headline"] = headline(diagnosis)
+    document["curves"] = None
     fit = diagnosis.identified
     if fit is not None:
         begin = max(int(np.searchsorted(fit.start.time_s, fit.onset_s)) - 20, 0)
         step = max((len(fit.start.time_s) - begin) // MOST_POINTS, 1)
         some = slice(begin, None, step)
-        told["curves"] = {
+        document["curves"] = {
             "time_ms": _short(1e3 * (fit.start.time_s[some] - fit.onset_s)),
             "measured_a": _short(fit.start.current_a[some]),
             "fitted_a": _short(fit.expected[some, 0]),
             "residual_a": _short(fit.residual_a[some]),
         }
-    return told
+    return document
 
 
 def options() -> dict[str, Any]:

@@ -171,18 +171,18 @@ def predict(
     unreadable = False
     for path in files:
         try:
-            found, second = opinions_of(fitted, recipe, path, split)
+            opinions, second = opinions_of(fitted, recipe, path, split)
         except InputError as error:
             print(f"motor-classifiers: {error}", file=sys.stderr)
             rows.append({"file": str(path), "error": str(error)})
             unreadable = True
             continue
-        given += found
-        for n, opinion in enumerate(found):
+        given += opinions
+        for n, opinion in enumerate(opinions):
             beside = {"row": n} if path.is_dir() else {"model_based": second}
             rows.append({"file": str(path), **opinion.as_json(), **beside})
         if not json_:
-            print("\n".join(opinion_lines(path, found, second)))
+            print("\n".join(opinion_lines(path, opinions, second)))
     if json_:
         print(json.dumps(rows))
     return int(console.ExitStatus.BAD_INPUT if unreadable else overall_status(given))

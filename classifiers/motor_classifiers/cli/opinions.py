@@ -36,13 +36,13 @@ def _check_same_axis(cases: Recipe, trained: Recipe, path: Path) -> None:
         raise InputError(f"{path}: has another time axis or other channels than the model was trained on")
 
 
-def opinion_lines(path: Path, found: list[Opinion], second: dict[str, Any] | None) -> list[str]:
+def opinion_lines(path: Path, opinions_given: list[Opinion], second: dict[str, Any] | None) -> list[str]:
     """One line of the model, and below it one of the diagnosis; counts for a data set."""
     if second is None:
-        counts = Counter(opinion.verdict for opinion in found)
-        told = ", ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
-        return [f"{path}: {len(found)} cases: {told}"]
-    opinion = found[0]
+        counts = Counter(opinion.verdict for opinion in opinions_given)
+        summary = ", ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
+        return [f"{path}: {len(opinions_given)} cases: {summary}"]
+    opinion = opinions_given[0]
     if opinion.reason:
         first = f"{path}: no opinion: {opinion.reason}"
     else:

@@ -44,7 +44,7 @@ def examples(result: CellResult, best: MethodResult) -> list[dict[str, Any]]:
     chosen = [(n, int(members[0])) for n, members in enumerate(rows) if len(members)]
     numbers = judged_cases(recipe, TEST_FIRST_CASE, result.cell.n_test)[[case for _, case in chosen]]
     cases = generate_arrays(recipe, result.cell.seed, numbers).X.astype(np.float64)
-    decided, said = best.judged.answer.decided, best.judged.answer.probabilities
+    decided, probabilities = best.judged.answer.decided, best.judged.answer.probabilities
     smooth_over = min(SMOOTH, max(1, recipe.timing.n_samples // 20))
     n_channels = cases.shape[1]
     whitened = whitened_residual(recipe, cases).reshape(len(cases), -1, n_channels)[..., column]
@@ -54,17 +54,17 @@ def examples(result: CellResult, best: MethodResult) -> list[dict[str, Any]]:
     threshold = _threshold(recipe.timing.n_samples, smooth_over)
     reach = float(np.clip(1.1 * np.abs(smooth).max(), 2.0 * threshold, 16.0))
     top = 1.06 * float(max(nominal.max(), cases[:, column].max()))
-    told = []
+    drawn = []
     for row, (n, case) in enumerate(chosen):
         beyond = np.flatnonzero(np.abs(smooth[row]) > threshold)
         alarm_ms = float(time_ms[beyond[0]]) if len(beyond) else None
-        told.append(
+        drawn.append(
             {
                 "smooth_ms": 1e3 * smooth_over * recipe.timing.dt_s,
                 "truth": readable(recipe.class_names[n]),
                 "decided": readable(recipe.class_names[int(decided[case])]),
                 "right": int(decided[case]) == n,
-                "probability": float(said[case].max()),
+                "probability": float(probabilities[case].max()),
                 "limit_probability": float(result.limit.answer.probabilities[case, n]),
                 "alarm_ms": alarm_ms,
                 "current": trace_chart(
@@ -90,7 +90,7 @@ def examples(result: CellResult, best: MethodResult) -> list[dict[str, Any]]:
                 ),
             }
         )
-    return told
+    return drawn
 
 
 def _threshold(n_samples: int, smooth_over: int) -> float:

@@ -107,12 +107,12 @@ def _score_chart(
 ) -> str:
     limit: Score = getattr(result.limit.scores, name)
     bars = [Bar(m.name, family(m), *getattr(m.judged.scores, name)) for m in ranked]
-    told = label.replace("Bayes limit", "Estimated limit") if result.limit_is_estimate else label
-    return interval_chart(bars, limit.value, f"{told}: {100.0 * limit.value:.1f} %", **shape)
+    text = label.replace("Bayes limit", "Estimated limit") if result.limit_is_estimate else label
+    return interval_chart(bars, limit.value, f"{text}: {100.0 * limit.value:.1f} %", **shape)
 
 
 def _sub_charts(result: CellResult, ranked: Sequence[MethodResult]) -> list[dict[str, str]]:
-    told = {
+    parts = {
         "winding": ("Winding", "a winding fault or none"),
         "bearing": ("Bearing", "a bearing fault or none"),
         "level": ("Severity", "the level, where the kind is told"),
@@ -123,7 +123,7 @@ def _sub_charts(result: CellResult, ranked: Sequence[MethodResult]) -> list[dict
             "what": what,
             "chart": _score_chart(result, ranked, name, "limit", width=440, left=166, title=title),
         }
-        for name, (title, what) in told.items()
+        for name, (title, what) in parts.items()
         if not np.isnan(getattr(result.limit.scores, name).value)
     ]
 
@@ -137,11 +137,11 @@ def _confusion(name: str, judged: Judged) -> dict[str, Any]:
 def _reliability(result: CellResult, ranked: Sequence[MethodResult]) -> list[dict[str, Any]]:
     judged = [("limit", result.limit), *((method.name, method.judged) for method in ranked)]
     graded = [(name, one.calibration) for name, one in judged if one.calibration is not None]
-    lowest = min(float(np.nanmin(told.reliability.confidence)) for _, told in graded)
+    lowest = min(float(np.nanmin(scores.reliability.confidence)) for _, scores in graded)
     low = max(0.0, np.floor(10.0 * lowest) / 10.0)
     return [
-        {"name": name, "chart": reliability_chart(told.reliability, low), "told": told}
-        for name, told in graded
+        {"name": name, "chart": reliability_chart(scores.reliability, low), "scores": scores}
+        for name, scores in graded
     ]
 
 
@@ -157,7 +157,7 @@ def _severity_methods(ranked: Sequence[MethodResult]) -> list[MethodResult]:
 
 def _severity_chart(result: CellResult, chosen: Sequence[MethodResult]) -> str:
     recipe = result.cell.recipe
-    told = [
+    shown = [
         ("limit", "limit", result.limit),
         *((m.name, style, m.judged) for m, style in zip(chosen, ("s1", "s4"), strict=False)),
     ]
@@ -168,7 +168,7 @@ def _severity_chart(result: CellResult, chosen: Sequence[MethodResult]) -> str:
             style,
             [np.quantile(judged.answer.severity[result.truth == n], _QUANTILES).tolist() for n in present],
         )
-        for name, style, judged in told
+        for name, style, judged in shown
     ]
     truth = [float(result.severity[result.truth == n].mean()) for n in present]
     return severity_chart([readable(recipe.class_names[n]) for n in present], truth, boxes)

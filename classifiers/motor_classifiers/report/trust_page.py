@@ -22,16 +22,16 @@ def trust_section(result: CellResult) -> Figures | None:
     """Figures, charts and keys for the template; None where a setting has none."""
     if result.trust is None:
         return None
-    told = dict(result.trust)
+    figures = dict(result.trust)
     for name, adds in (("unknown", _unknown), ("severity", _severity), ("early", _early), ("race", _race)):
-        if "reason" not in told[name]:
-            told[name] = {**told[name], **adds(told[name], result)}
-    return told
+        if "reason" not in figures[name]:
+            figures[name] = {**figures[name], **adds(figures[name], result)}
+    return figures
 
 
-def _unknown(told: Figures, result: CellResult) -> dict[str, Any]:
+def _unknown(figures: Figures, result: CellResult) -> dict[str, Any]:
     """The curves of the last setting: at the lowest rate."""
-    setting = told["settings"][-1]
+    setting = figures["settings"][-1]
     rates = FALSE_ALARM_RATES.tolist()
     lines, keys = [], []
     for fault, style in zip(setting["faults"], _STYLES, strict=False):
@@ -49,21 +49,21 @@ def _unknown(told: Figures, result: CellResult) -> dict[str, Any]:
         "chart": line_chart(lines, *axes, named=False, marked=False),
         "legend": keys,
         "chart_rate_khz": setting["sampling_rate_hz"] / 1e3,
-        "has_network": any(ESTIMATE in fault["auroc"] for s in told["settings"] for fault in s["faults"]),
+        "has_network": any(ESTIMATE in fault["auroc"] for s in figures["settings"] for fault in s["faults"]),
         "network": ESTIMATE,
     }
 
 
-def _severity(told: Figures, result: CellResult) -> dict[str, Any]:
-    return {"titles": {row["kind"]: readable(row["kind"]) for row in told["kinds"]}}
+def _severity(figures: Figures, result: CellResult) -> dict[str, Any]:
+    return {"titles": {row["kind"]: readable(row["kind"]) for row in figures["kinds"]}}
 
 
-def _early(told: Figures, result: CellResult) -> dict[str, Any]:
-    time_ms = [1e3 * t for t in told["time_s"]]
+def _early(figures: Figures, result: CellResult) -> dict[str, Any]:
+    time_ms = [1e3 * t for t in figures["time_s"]]
     styles = ("limit", "s1")
     lines = [
         Line(name, style, time_ms, y)
-        for (name, y), style in zip(told["accuracy"].items(), styles, strict=True)
+        for (name, y), style in zip(figures["accuracy"].items(), styles, strict=True)
     ]
     end = time_ms[-1]
     x_axis = Axis("ms since the step", 0.0, end, [end * share for share in _TIME_TICKS])
@@ -75,9 +75,9 @@ def _early(told: Figures, result: CellResult) -> dict[str, Any]:
     }
 
 
-def _race(told: Figures, result: CellResult) -> dict[str, Any]:
+def _race(figures: Figures, result: CellResult) -> dict[str, Any]:
     lines = []
-    for (name, points), style in zip(told["curves"].items(), _RACE_STYLES, strict=True):
+    for (name, points), style in zip(figures["curves"].items(), _RACE_STYLES, strict=True):
         # A rule without an error on so many starts has no place on a logarithmic axis.
         seen = [point for point in points if point["wrong"] > 0.0]
         if seen:

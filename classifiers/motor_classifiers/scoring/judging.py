@@ -22,7 +22,7 @@ from sklearn.base import BaseEstimator
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # comes with scikit-learn, without types
 
 from motor_classifiers.estimators.methods import METHODS, make_method
-from motor_classifiers.scoring.progress import Cost, watched
+from motor_classifiers.scoring.progress import Cost, with_cost
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env import __version__
@@ -142,10 +142,10 @@ def judge(name: str, cell: Cell) -> Answer:
     if method.from_stream:
         unfitted.set_params(with_severity=False)  # only probabilities are asked for
     with threadpool_limits(1):
-        model, training = watched(lambda: method.train(unfitted, train.X, train.class_name))
-        raw, inference = watched(lambda: model.predict_proba(test.X))
+        model, training = with_cost(lambda: method.train(unfitted, train.X, train.class_name))
+        raw, inference = with_cost(lambda: model.predict_proba(test.X))
         if inference.seconds < _LONG_ENOUGH_S:
-            again = min(watched(lambda: model.predict_proba(test.X))[1].seconds for _ in range(_ROUNDS - 1))
+            again = min(with_cost(lambda: model.predict_proba(test.X))[1].seconds for _ in range(_ROUNDS - 1))
             inference = inference._replace(seconds=min(inference.seconds, again))
     probabilities = in_recipe_order(model, raw, cell.recipe)
     return Answer(probabilities, expected_severity(cell.recipe, probabilities), training, inference)
@@ -188,13 +188,13 @@ def posterior(cell: Cell) -> Answer:
     test = cell.test()
     with threadpool_limits(1):
         class_probabilities(cell.recipe, test.X[:8])  # compiles, or loads what was compiled
-        probabilities, inference = watched(lambda: class_probabilities(cell.recipe, test.X))
+        probabilities, inference = with_cost(lambda: class_probabilities(cell.recipe, test.X))
     return Answer(probabilities, expected_severity(cell.recipe, probabilities), Cost(0.0, 0.0), inference)
 
 
 def answer_key(name: str, cell: Cell) -> str:
     """Digest of all that an answer depends on: setting, method, version of the package."""
-    told: dict[str, Any] = {
+    contents: dict[str, Any] = {
         "method": name,
         "recipe": recipe_to_dict(cell.recipe),
         "n_test": cell.n_test,
@@ -202,8 +202,13 @@ def answer_key(name: str, cell: Cell) -> str:
         "version": __version__,
     }
     if name != LIMIT and not METHODS[name].from_stream:
-        told["n_train"] = cell.n_train
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:24]
+        contents["n_train"] = cell.n_train
+    return digest_of(contents)
+
+
+def digest_of(contents: dict[str, Any]) -> str:
+    """A short name for what JSON can hold; equal contents have equal names."""
+    return hashlib.sha256(json.dumps(contents, sort_keys=True).encode()).hexdigest()[:24]
 
 
 def save_answer(answer: Answer, path: Path) -> None:
@@ -221,8 +226,12 @@ def save_answer(answer: Answer, path: Path) -> None:
 def load_answer(path: Path, cell: Cell) -> Answer | None:
     """Read an answer; None where there is none, or only a damaged one."""
     try:
-        with np.load(io.BytesIO(path.read_bytes())) as held:
-            probabilities, severity, costs = held["probabilities"], held["severity"], held["costs"].tolist()
+        with np.load(io.BytesIO(path.read_bytes())) as arrays:
+            probabilities, severity, costs = (
+                arrays["probabilities"],
+                arrays["severity"],
+                arrays["costs"].tolist(),
+            )
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
     if probabilities.shape != (cell.n_test, len(cell.recipe.classes)) or severity.shape != (cell.n_test,):

@@ -42,9 +42,9 @@ class Scores(NamedTuple):
         missed_detection_rate: share of faulty motors that are called healthy.
         level_error: mean absolute error of the decided severity, 0.01 for a point; of a wrong kind both
             severities count, the missed and the invented one.
-        winding: sub-score: a winding fault or none, mean of the shares of both that are told (balanced accuracy).
+        winding: sub-score: a winding fault or none, mean of sensitivity and specificity (balanced accuracy).
         bearing: the same of bearing faults.
-        level: sub-score: of the faulty motors whose kind is told, the share whose level is told too.
+        level: sub-score: level accuracy, given the right kind of fault.
         confusion: cases by true (row) and decided (column) class.
     """
 
@@ -145,8 +145,8 @@ def scores(recipe: Recipe, truth: IntArray, decided: IntArray, weights: FloatArr
             _ratio(faulty[:, :, healthy].sum(axis=(1, 2)), faulty.sum(axis=(1, 2)))
         ),
         level_error=_interval((matrices * level_distance(recipe)).sum(axis=(1, 2)) / total),
-        winding=_interval(_told(matrices, _classes_with(recipe, WINDING))),
-        bearing=_interval(_told(matrices, _classes_with(recipe, BEARING))),
+        winding=_interval(_balanced_accuracy(matrices, _classes_with(recipe, WINDING))),
+        bearing=_interval(_balanced_accuracy(matrices, _classes_with(recipe, BEARING))),
         level=_interval(_ratio(hits[:, ~healthy].sum(axis=1), (matrices * same_kind).sum(axis=(1, 2)))),
         confusion=matrices[0].astype(np.int64),
     )
@@ -161,7 +161,7 @@ def _classes_with(recipe: Recipe, kinds: frozenset[FaultKind]) -> NDArray[np.boo
     return np.array([any(part.kind in kinds for part in c.parts) for c in recipe.classes])
 
 
-def _told(matrices: FloatArray, of_group: NDArray[np.bool_]) -> FloatArray:
+def _balanced_accuracy(matrices: FloatArray, of_group: NDArray[np.bool_]) -> FloatArray:
     """Balanced accuracy of "of this group or not", shape (n_resamples,); nan where a recipe has only one of both."""
     inside, outside = matrices[:, of_group], matrices[:, ~of_group]
     sensitivity = _ratio(inside[:, :, of_group].sum(axis=(1, 2)), inside.sum(axis=(1, 2)))

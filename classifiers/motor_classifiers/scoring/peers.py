@@ -78,8 +78,8 @@ def export_cases(cell: Cell, path: Path) -> None:
 def export_starts(train: Dataset, test: Dataset, path: Path) -> None:
     """Write starts to learn from and starts to be judged, as plain arrays."""
     with replacing(path) as temporary:
-        told = {"n_classes": len(test.class_names), "recipe": test.recipe.name, "seed": test.seed}
-        arrays = {name: np.array(value) for name, value in told.items()} | _identity(train, test)
+        facts = {"n_classes": len(test.class_names), "recipe": test.recipe.name, "seed": test.seed}
+        arrays = {name: np.array(value) for name, value in facts.items()} | _identity(train, test)
         np.savez(temporary, allow_pickle=False, train_X=train.X, test_X=test.X, **arrays)
 
 
@@ -90,17 +90,17 @@ def read_peers(path: Path, cell: Cell) -> Peers | None:
         InputError: no such file, or not one that benchmarks/aeon_peers.py wrote.
     """
     try:
-        with np.load(io.BytesIO(path.read_bytes())) as held:
-            arrays = {name: held[name] for name in held.files}
+        with np.load(io.BytesIO(path.read_bytes())) as file:
+            arrays = {name: file[name] for name in file.files}
         facts = json.loads(str(arrays["facts"]))
         if not _same_starts(arrays, cell):
             return None
         answers = {
-            name: _answer(arrays[name].astype(np.float64), told, cell)
-            for name, told in facts["methods"].items()
+            name: _answer(arrays[name].astype(np.float64), measured, cell)
+            for name, measured in facts["methods"].items()
             if len(arrays[name]) >= cell.n_test
         }
-        graded = frozenset(name for name, told in facts["methods"].items() if told["graded"])
+        graded = frozenset(name for name, measured in facts["methods"].items() if measured["graded"])
         origin = f"{facts['date']}, {facts['machine']}, aeon {facts['aeon']}, {facts['command']}"
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
@@ -122,15 +122,15 @@ def _same_starts(arrays: dict[str, NDArray[Any]], cell: Cell) -> bool:
     return True
 
 
-def _answer(probabilities: FloatArray, told: dict[str, Any], cell: Cell) -> Answer:
+def _answer(probabilities: FloatArray, measured: dict[str, Any], cell: Cell) -> Answer:
     if probabilities.ndim != 2 or probabilities.shape[1] != len(cell.recipe.classes):
         raise ValueError(f"probabilities of shape {probabilities.shape}")
     shown = probabilities[: cell.n_test]
     shown = shown / shown.sum(axis=1, keepdims=True)
-    seconds = 1e-6 * float(told["microseconds_per_transient"]) * len(shown)
+    seconds = 1e-6 * float(measured["microseconds_per_transient"]) * len(shown)
     return Answer(
         shown,
         expected_severity(cell.recipe, shown),
-        Cost(float(told["train_s"]), told["train_memory_mb"]),
-        Cost(seconds, told["inference_memory_mb"]),
+        Cost(float(measured["train_s"]), measured["train_memory_mb"]),
+        Cost(seconds, measured["inference_memory_mb"]),
     )

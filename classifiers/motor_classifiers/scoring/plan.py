@@ -24,7 +24,7 @@ from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Recipe, changed_recipe
 
 REFERENCE = {"recipe": "bench", "sampling_rate_hz": 10_000.0, "current_noise_a": 0.02, "n_train": 2000}
-"""The setting that is told in full where there are several."""
+"""The setting that the page shows in full where there are several."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class Plan:
 
     @property
     def reference(self) -> int:
-        """Index of the setting that is told in full: the one nearest to `REFERENCE`."""
+        """Index of the setting that the page shows in full: the one nearest to `REFERENCE`."""
         likeness = [
             sum(_setting(cell)[name] == value for name, value in REFERENCE.items()) for cell in self.cells
         ]
@@ -124,12 +124,12 @@ class Unit(NamedTuple):
 
 def units(plan: Plan) -> tuple[Unit, ...]:
     """All answers that a plan needs, each once: the limit does not depend on the training starts."""
-    found: dict[str, Unit] = {}
+    needed: dict[str, Unit] = {}
     for cell in plan.cells:
         for name in (limit_of(cell), *plan.methods):
             unit = unit_of(cell, name)
-            found.setdefault(unit.key, unit)
-    return (*found.values(), trust_unit(plan))
+            needed.setdefault(unit.key, unit)
+    return (*needed.values(), trust_unit(plan))
 
 
 def limit_of(cell: Cell) -> str:

@@ -27,7 +27,7 @@ class Cost(NamedTuple):
     memory_mb: float | None
 
 
-def watched(work: Callable[[], _Answer]) -> tuple[_Answer, Cost]:
+def with_cost(work: Callable[[], _Answer]) -> tuple[_Answer, Cost]:
     """Do the work; what it returns and what it took."""
     before = _fresh_peak_mb()
     begin = time.process_time()

@@ -66,13 +66,11 @@ def comparison_fields(against_limit: Comparison) -> dict[str, Any]:
 
 
 def _judged_fields(recipe: Recipe, judged: Judged) -> dict[str, Any]:
-    told, cost = judged.calibration, judged.answer
+    calibration, cost = judged.calibration, judged.answer
     return {
         **score_fields(recipe, judged.scores),
         **_interval_fields("severity_rmse", judged.severity_rmse),
-        "log_loss": None if told is None else told.log_loss,
-        "ece": None if told is None else told.ece,
-        "brier": None if told is None else told.brier,
+        **{name: getattr(calibration, name, None) for name in ("log_loss", "ece", "brier")},
         "microseconds_per_transient": cost.microseconds_per_transient,
         "inference_memory_mb": cost.inference.memory_mb,
         "train_s": cost.train.seconds,
@@ -100,12 +98,11 @@ def result_rows(results: Sequence[CellResult]) -> list[dict[str, Any]]:
     for result in results:
         setting, recipe = _setting_fields(result.cell), result.cell.recipe
         limit = result.limit
-        told = limit.calibration
         of_limit = {
             "bayes_accuracy": limit.scores.accuracy.value,
             "bayes_expected_accuracy": float(limit.answer.probabilities.max(axis=1).mean()),
-            "bayes_log_loss": None if told is None else told.log_loss,
-            "bayes_ece": None if told is None else told.ece,
+            "bayes_log_loss": getattr(limit.calibration, "log_loss", None),
+            "bayes_ece": getattr(limit.calibration, "ece", None),
             "bayes_severity_rmse": limit.severity_rmse.value,
             "bayes_is_estimate": result.limit_is_estimate,
         }
@@ -131,8 +128,8 @@ def result_rows(results: Sequence[CellResult]) -> list[dict[str, Any]]:
 
 def trust_document(results: Sequence[CellResult]) -> dict[str, Any]:
     """The figures on trust of the one setting that has them, and that setting."""
-    told = next(result for result in results if result.trust is not None)
-    return {**_setting_fields(told.cell), **(told.trust or {})}
+    reference = next(result for result in results if result.trust is not None)
+    return {**_setting_fields(reference.cell), **(reference.trust or {})}
 
 
 def family(method: MethodResult) -> str:

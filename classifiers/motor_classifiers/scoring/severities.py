@@ -45,16 +45,16 @@ def severity_cell(
     """Judge severities, drawn uniformly over the range, of motors that have this kind of fault."""
     own = replace(recipe, classes=(FaultClass(prior.kind, 0.0, severity_to=prior.largest),))
     test = generate_arrays(own, seed, np.arange(n_cases) + _FIRST_CASE)
-    told = model.predict_severity(test.X, str(prior.kind))
+    estimated = model.predict_severity(test.X, str(prior.kind))
     exact = severity_posterior(recipe, prior, test.X)
     return SeverityCell(
         prior,
         n_cases,
-        _severity_score(told.mean, np.column_stack([told.low, told.high]), test.severity),
+        _severity_score(estimated.mean, np.column_stack([estimated.low, estimated.high]), test.severity),
         _severity_score(exact.mean, exact.interval(0.90), test.severity),
     )
 
 
 def _severity_score(mean: FloatArray, interval: FloatArray, truth: FloatArray) -> SeverityScore:
-    held = (interval[:, 0] <= truth) & (truth <= interval[:, 1])
-    return SeverityScore(float(np.sqrt(np.square(mean - truth).mean())), float(held.mean()))
+    inside = (interval[:, 0] <= truth) & (truth <= interval[:, 1])
+    return SeverityScore(float(np.sqrt(np.square(mean - truth).mean())), float(inside.mean()))

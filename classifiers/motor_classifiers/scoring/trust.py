@@ -6,7 +6,6 @@ trained on, severities, early verdicts. Its figures are plain JSON, and kept bes
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Mapping
@@ -21,11 +20,17 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # c
 from motor_classifiers.estimators.methods import ESTIMATE
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_classifiers.scoring.judging import Cell, judged_cases
+from motor_classifiers.scoring.judging import Cell, digest_of, judged_cases
 from motor_classifiers.scoring.metrics import IntArray
 from motor_classifiers.scoring.severities import severity_cell
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, Confidence, ForeignScore, foreign_scores
-from motor_classifiers.scoring.verdict_times import hits, moments, race, stopping_rows, told_by_then
+from motor_classifiers.scoring.verdict_times import (
+    accuracy_by_moment,
+    moments,
+    probabilities_by_moment,
+    race,
+    stopping_rows,
+)
 from motor_classifiers.wrappers.conformal import ConformalSets, Coverage, measured_coverage
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
@@ -130,27 +135,26 @@ def set_figures(probabilities: Mapping[str, FloatArray], test: Dataset) -> Figur
     """
     try:
         measured = {
-            name: halves_coverage(told, test.class_index, test.motor_id)
-            for name, told in probabilities.items()
+            name: halves_coverage(own, test.class_index, test.motor_id) for name, own in probabilities.items()
         }
     except ValueError:
         return {"reason": f"{len(test)} test starts are too few: a class has none in one of their halves"}
     rows = [
         {
             "method": name,
-            "coverage": got.overall,
-            "by_class": got.by_class.tolist(),
-            "mean_size": got.mean_size,
-            "empty": got.empty,
+            "coverage": scores.overall,
+            "by_class": scores.by_class.tolist(),
+            "mean_size": scores.mean_size,
+            "empty": scores.empty,
         }
-        for name, got in measured.items()
+        for name, scores in measured.items()
     ]
     return {"n_test": len(test), "promised": _PROMISED, "methods": rows}
 
 
 def trust_key(cell: Cell, *, with_network: bool) -> str:
     """Digest of all that the figures depend on."""
-    told = {
+    contents = {
         "what": TRUST,
         "recipe": recipe_to_dict(cell.recipe),
         "n_train": cell.n_train,
@@ -159,7 +163,7 @@ def trust_key(cell: Cell, *, with_network: bool) -> str:
         "network": with_network,
         "version": __version__,
     }
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:24]
+    return digest_of(contents)
 
 
 def expected_seconds(cell: Cell, *, with_network: bool) -> float:
@@ -206,30 +210,30 @@ def _unknown(cell: Cell, network: PosteriorNetwork | None) -> Figures:
         if network is not None:
             trained = network_for(slow, cell.seed % 2**32, steps=COUNTS.steps, with_severity=False)
         settings.append((slow, trained))
-    told = []
+    rows = []
     for recipe, own in settings:
         confidences: dict[str, Confidence] = {"limit": partial(class_probabilities, recipe)}
         if own is not None:
             confidences[ESTIMATE] = own.predict_proba
-        got = foreign_scores(
+        scores = foreign_scores(
             recipe, confidences, UNKNOWN_FAULTS, seed=cell.seed, first_case=FIRST_CASE,
             n_threshold=COUNTS.threshold, n_known=COUNTS.known, n_foreign=COUNTS.foreign,
         )  # fmt: skip
-        told.append(
+        rows.append(
             {
                 "sampling_rate_hz": recipe.timing.sampling_rate_hz,
-                "false_alarms": got.false_alarms,
-                "faults": [_foreign_figures(fault) for fault in got.faults],
+                "false_alarms": scores.false_alarms,
+                "faults": [_foreign_figures(fault) for fault in scores.faults],
             }
         )
-    return {"settings": told}
+    return {"settings": rows}
 
 
 def _foreign_figures(scored: ForeignScore) -> Figures:
     return {
         "fault": scored.fault,
         "auroc": scored.auroc,
-        "called_other": scored.found,
+        "called_other": scored.called_other,
         "roc": {name: np.round(curve, 4).tolist() for name, curve in scored.roc.items()},
     }
 
@@ -260,10 +264,12 @@ def _early(cell: Cell) -> Figures:
     if len(seen.samples) < 2:
         return {"reason": f"a start of recipe {recipe.name} has too few samples to be cut short"}
     test = generate_arrays(recipe, cell.seed, judged_cases(recipe, FIRST_CASE, COUNTS.early))
-    probabilities = told_by_then(recipe, cell.seed % 2**32, cell.train(), test)
+    probabilities = probabilities_by_moment(recipe, cell.seed % 2**32, cell.train(), test)
     return {
         "time_s": seen.time_s.tolist(),
-        "accuracy": {name: hits(told, test.class_index).tolist() for name, told in probabilities.items()},
+        "accuracy": {
+            name: accuracy_by_moment(own, test.class_index).tolist() for name, own in probabilities.items()
+        },
         "stopping": [
             {"stated": row.stated, "probabilities_of": row.classifier}
             | {name: None if math.isnan(value) else value for name, value in row.score._asdict().items()}
@@ -297,7 +303,7 @@ def save_figures(figures: Figures, path: Path) -> None:
 def load_figures(path: Path) -> Figures | None:
     """Read figures; None where there are none, or only damaged ones."""
     try:
-        found = json.loads(path.read_bytes())
+        figures = json.loads(path.read_bytes())
     except (OSError, ValueError):
         return None
-    return found if isinstance(found, dict) and {"counts", *SECTIONS} <= set(found) else None
+    return figures if isinstance(figures, dict) and {"counts", *SECTIONS} <= set(figures) else None

@@ -93,13 +93,13 @@ class ForeignScore(NamedTuple):
     Attributes:
         fault: its name.
         auroc: area under the ROC curve, by `DISTANCE` and by each classifier's confidence.
-        found: share called `other` with the detector's threshold.
+        called_other: share called `other` with the detector's threshold.
         roc: share found at each of `FALSE_ALARM_RATES`, by the same names.
     """
 
     fault: str
     auroc: dict[str, float]
-    found: float
+    called_other: float
     roc: dict[str, FloatArray]
 
 
@@ -145,14 +145,14 @@ def foreign_scores(
     detector = FaultFamilyDetector(recipe).fit(generate_arrays(recipe, seed, known_cases[n_known:]).X)
 
     def scores_of(X: NDArray[np.float32]) -> dict[str, FloatArray]:
-        sure = {name: told(X).max(axis=1) for name, told in confidences.items()}
+        sure = {name: classify(X).max(axis=1) for name, classify in confidences.items()}
         return {DISTANCE: detector.score_samples(X), **sure}
 
     of_known = scores_of(known)
     scored = []
     for fault in faults:
         of_foreign = scores_of(foreign_starts(recipe, fault, seed, known_cases[:n_foreign]))
-        found = float((of_foreign[DISTANCE] < detector.offset_).mean())
+        called_other = float((of_foreign[DISTANCE] < detector.offset_).mean())
         areas, curves = {}, {}
         for name, low in of_foreign.items():
             truth = np.repeat([0, 1], [n_known, n_foreign])
@@ -160,5 +160,5 @@ def foreign_scores(
             areas[name] = float(roc_auc_score(truth, strange))
             false, right, _ = roc_curve(truth, strange)
             curves[name] = np.interp(FALSE_ALARM_RATES, false, right)
-        scored.append(ForeignScore(fault.name, areas, found, curves))
+        scored.append(ForeignScore(fault.name, areas, called_other, curves))
     return ForeignScores(float((of_known[DISTANCE] < detector.offset_).mean()), tuple(scored))

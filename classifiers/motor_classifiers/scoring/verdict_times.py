@@ -60,7 +60,9 @@ def moments(timing: Timing) -> Moments:
     return Moments(samples + timing.n_quiet, np.asarray(samples * timing.dt_s, dtype=np.float64))
 
 
-def told_by_then(recipe: Recipe, seed: int, train: Dataset, test: Dataset) -> dict[str, FloatArray]:
+def probabilities_by_moment(
+    recipe: Recipe, seed: int, train: Dataset, test: Dataset
+) -> dict[str, FloatArray]:
     """Probabilities at each of the moments, shape (n_moments, n_cases, n_classes): the limit's and `METHOD`'s.
 
     Args:
@@ -72,13 +74,14 @@ def told_by_then(recipe: Recipe, seed: int, train: Dataset, test: Dataset) -> di
     samples = moments(recipe.timing).samples
     method = make_method(METHOD, recipe, seed)
     model = EarlyClassifier(method, tuple(samples)).fit(train.X, train.class_name)
-    own = [in_recipe_order(model, told, recipe) for told in model.probabilities_by_samples(test.X)]
+    by_moment = model.probabilities_by_samples(test.X)
+    own = [in_recipe_order(model, probabilities, recipe) for probabilities in by_moment]
     return {"limit": limit_by_samples(recipe, test.X, samples), METHOD: np.stack(own)}
 
 
-def hits(told: FloatArray, truth: ArrayLike) -> FloatArray:
+def accuracy_by_moment(probabilities: FloatArray, truth: ArrayLike) -> FloatArray:
     """Accuracy at each moment from probabilities, shape (n_moments, n_cases, n_classes)."""
-    shares: FloatArray = (told.argmax(axis=2) == np.asarray(truth)).mean(axis=1)
+    shares: FloatArray = (probabilities.argmax(axis=2) == np.asarray(truth)).mean(axis=1)
     return shares
 
 
@@ -101,9 +104,9 @@ def stopping_rows(
         time_s: of the moments.
     """
     return tuple(
-        StoppingRow(error, name, stopping_score(stop_when_sure(told, error), truth, time_s))
+        StoppingRow(error, name, stopping_score(stop_when_sure(own, error), truth, time_s))
         for error in STATED_ERRORS
-        for name, told in probabilities.items()
+        for name, own in probabilities.items()
     )
 
 
@@ -168,8 +171,8 @@ def _limit_curves(
             for one in stopped
         ),
         FIXED_TIME: tuple(
-            VerdictTime(float(t), float((told.argmax(axis=1) != faulty).mean()))
-            for t, told in zip(seen.time_s, limit, strict=True)
+            VerdictTime(float(t), float((probabilities.argmax(axis=1) != faulty).mean()))
+            for t, probabilities in zip(seen.time_s, limit, strict=True)
         ),
     }
 

@@ -124,7 +124,7 @@ def test_distance_tells_foreign_faults_and_confidence_does_not(tmp_path: Path) -
     assert 0.0 <= got.false_alarms < 0.03
     heavy, _, weak = got.faults
     assert heavy.auroc[DISTANCE] > 0.99
-    assert heavy.found > 0.99
+    assert heavy.called_other > 0.99
     assert weak.auroc[DISTANCE] > 0.92
     assert weak.auroc["limit"] < 0.5
     # The area by scikit-learn on the same starts, and the drawn curve's own area.
