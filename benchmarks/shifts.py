@@ -50,7 +50,7 @@ class ShiftScore(NamedTuple):
 
     Attributes:
         name: of the conditions.
-        accuracy: share of cases whose kind is told rightly.
+        accuracy: share of cases with the right kind.
         ece: expected calibration error of the kinds' probabilities.
         coverage: share of the conformal sets that hold a class of the true kind.
         set_size: mean number of classes in a set.

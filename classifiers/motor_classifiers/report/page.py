@@ -115,7 +115,7 @@ def _sub_charts(result: CellResult, ranked: Sequence[MethodResult]) -> list[dict
     parts = {
         "winding": ("Winding", "a winding fault or none"),
         "bearing": ("Bearing", "a bearing fault or none"),
-        "level": ("Severity", "the level, where the kind is told"),
+        "level": ("Severity", "level accuracy, given the right kind"),
     }
     return [
         {

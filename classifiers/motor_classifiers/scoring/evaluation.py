@@ -61,9 +61,9 @@ def evaluation_lines(recipe: Recipe, scored: dict[str, Any]) -> list[str]:
     lines.append(f"  {kind + ' accuracy':22} {scored['bayes_accuracy']:7.4f}   on the same cases")
     below = [100.0 * scored[name] for name in ("below_bayes", "below_bayes_low", "below_bayes_high")]
     lines.append(
-        f"  below it by {below[0]:.2f} points ({below[1]:.2f} to {below[2]:.2f}, in pairs): right alone the model on "
-        f"{scored['only_method_right']} cases, the limit on {scored['only_bayes_right']}; "
-        f"p of so many by chance {scored['p_above_bayes']:.3f}"
+        f"  below it by {below[0]:.2f} percentage points ({below[1]:.2f} to {below[2]:.2f}, paired): only the model is "
+        f"right on {scored['only_method_right']} cases, only the limit on {scored['only_bayes_right']}; "
+        f"one-sided p {scored['p_above_bayes']:.3f}"
     )
     width = max(len(name) for name in recipe.class_names)
     lines += ["", f"  {'truth (row), decision (column)':{width}}"]

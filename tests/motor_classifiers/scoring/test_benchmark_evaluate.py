@@ -43,7 +43,7 @@ def test_text_tells_confusion_and_the_check(
     rows = [line.split() for line in told.splitlines()[-5:]]
     assert [row[1] for row in rows] == list(RECIPE.class_names)
     np.testing.assert_array_equal([[int(count) for count in row[2:]] for row in rows], counts)
-    assert "in pairs" in told
+    assert "paired" in told
     assert "Bayes limit accuracy" in told
 
 
