@@ -26,8 +26,9 @@ def describe(recipe: Recipe) -> str:
             if part.kind is not None
         ]
         lines.append(f"  {fault_class.name}: {100 * share:.3g} %" + "".join(f", {text}" for text in ranges))
-    known = f", the first {recipe.healthy_starts} known to be healthy" if recipe.healthy_starts else ""
-    lines.append(f"starts of each motor: {recipe.starts_per_motor}{known}")
+    lines.append(
+        f"starts of each motor: {recipe.starts_per_motor}, of which the first {recipe.healthy_starts} are healthy"
+    )
     lines.append(
         f"samples: {timing.n_samples} at {timing.sampling_rate_hz:g} Hz, {timing.quiet_s:g} s before the step"
         f" and {timing.duration_s:g} s after it"
