@@ -41,7 +41,8 @@ from motor_classifiers.scoring.verdict_times import (
     stopping_rows,
 )
 from motor_classifiers.wrappers.conformal import ConformalIntervals, ConformalSets, measured_coverage
-from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClassifier, family_fit
+from motor_classifiers.wrappers.fault_family import family_fit
+from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClassifier
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.inference.posterior import class_probabilities

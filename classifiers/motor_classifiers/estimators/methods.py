@@ -52,12 +52,19 @@ class Method:
         return model.fit_stream() if self.from_stream else model.fit(X, y)
 
 
-def _physical(recipe: Recipe) -> FeatureUnion:
+def _chain(
+    features: Callable[[Recipe], BaseEstimator], *steps: tuple[str, Callable[[int], BaseEstimator]]
+) -> Make:
+    """A pipeline of features for a recipe, and of steps for a random state."""
+
+    def make(recipe: Recipe, seed: int) -> BaseEstimator:
+        return Pipeline([("features", features(recipe)), *((name, step(seed)) for name, step in steps)])
+
+    return make
+
+
+def _physical_and_residual(recipe: Recipe) -> FeatureUnion:
     return FeatureUnion([("physical", PhysicalFeatures(recipe)), ("residual", ResidualProjection(recipe, 6))])
-
-
-def _pipeline(*steps: tuple[str, BaseEstimator]) -> Pipeline:
-    return Pipeline(list(steps))
 
 
 def _boosting(seed: int) -> BaseEstimator:
@@ -67,6 +74,13 @@ def _boosting(seed: int) -> BaseEstimator:
     )
     return CalibratedClassifierCV(trees, method="temperature", cv=3, ensemble=False)
 
+
+def _platt(seed: int) -> BaseEstimator:
+    return CalibratedClassifierCV(SVC(), method="sigmoid", cv=5, ensemble=False)
+
+
+_SCALE = ("scale", lambda seed: StandardScaler())
+_LOGISTIC = ("classify", lambda seed: LogisticRegression(max_iter=1000))
 
 ESTIMATE = "posterior-network"
 """The method that stands for the limit where the likelihood has no closed form."""
@@ -85,10 +99,8 @@ METHODS = {
             "rules",
             "threshold",
             "Statistics of the decision rules and matched tests, logistic regression for their thresholds",
-            lambda recipe, seed: _pipeline(
-                ("features", RuleStatistics(recipe)),
-                ("scale", StandardScaler()),
-                ("classify", LogisticRegression(C=100.0, max_iter=5000)),
+            _chain(
+                RuleStatistics, _SCALE, ("classify", lambda seed: LogisticRegression(C=100.0, max_iter=5000))
             ),
             3.0,
         ),
@@ -96,52 +108,37 @@ METHODS = {
             "physical-lda",
             "scikit-learn",
             "Fitted motor parameters, linear discriminant analysis",
-            lambda recipe, seed: _pipeline(
-                ("features", PhysicalFeatures(recipe)),
-                ("scale", StandardScaler()),
-                ("classify", LinearDiscriminantAnalysis()),
-            ),
+            _chain(PhysicalFeatures, _SCALE, ("classify", lambda seed: LinearDiscriminantAnalysis())),
             5.0,
         ),
         Method(
             "physical-logistic",
             "scikit-learn",
             "Fitted motor parameters and residual, logistic regression",
-            lambda recipe, seed: _pipeline(
-                ("features", _physical(recipe)),
-                ("scale", StandardScaler()),
-                ("classify", LogisticRegression(max_iter=1000)),
-            ),
+            _chain(_physical_and_residual, _SCALE, _LOGISTIC),
             5.0,
         ),
         Method(
             "physical-svm",
             "scikit-learn",
             "Fitted motor parameters and residual, support vector machine, probabilities by Platt's method",
-            lambda recipe, seed: _pipeline(
-                ("features", _physical(recipe)),
-                ("scale", StandardScaler()),
-                ("classify", CalibratedClassifierCV(SVC(), method="sigmoid", cv=5, ensemble=False)),
-            ),
+            _chain(_physical_and_residual, _SCALE, ("classify", _platt)),
             6.0,
         ),
         Method(
             "physical-boosting",
             "scikit-learn",
             "Fitted motor parameters and residual, gradient boosting with temperature",
-            lambda recipe, seed: _pipeline(
-                ("features", _physical(recipe)),
-                ("classify", _boosting(seed)),
-            ),
+            _chain(_physical_and_residual, ("classify", _boosting)),
             15.0,
         ),
         Method(
             "physical-forest",
             "scikit-learn",
             "Fitted motor parameters and residual, random forest",
-            lambda recipe, seed: _pipeline(
-                ("features", _physical(recipe)),
-                ("classify", RandomForestClassifier(200, min_samples_leaf=3, random_state=seed)),
+            _chain(
+                _physical_and_residual,
+                ("classify", lambda seed: RandomForestClassifier(200, min_samples_leaf=3, random_state=seed)),
             ),
             6.0,
         ),
@@ -149,11 +146,11 @@ METHODS = {
             "residual-qda",
             "scikit-learn",
             "Kalman residual along the signal's directions, quadratic discriminant analysis",
-            lambda recipe, seed: _pipeline(
-                ("features", ResidualProjection(recipe, 6)),
-                ("scale", PCA(whiten=True)),  # field effects move all directions together
+            _chain(
+                lambda recipe: ResidualProjection(recipe, 6),
+                ("scale", lambda seed: PCA(whiten=True)),  # field effects move all directions together
                 # Without tolerances a class has a millionth of the variance of all; that is no lack of rank.
-                ("classify", QuadraticDiscriminantAnalysis(tol=1e-12)),
+                ("classify", lambda seed: QuadraticDiscriminantAnalysis(tol=1e-12)),
             ),
             1.0,
         ),
@@ -161,11 +158,7 @@ METHODS = {
             "raw-logistic",
             "scikit-learn",
             "Raw waveform in 20 principal components, logistic regression",
-            lambda recipe, seed: _pipeline(
-                ("reduce", ResidualProjection(None, 20)),
-                ("scale", StandardScaler()),
-                ("classify", LogisticRegression(max_iter=1000)),
-            ),
+            _chain(lambda recipe: ResidualProjection(None, 20), _SCALE, _LOGISTIC),
             2.0,
         ),
         Method(

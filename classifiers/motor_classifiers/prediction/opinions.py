@@ -120,21 +120,18 @@ def _around(model: ConformalClassifier | OpenSetClassifier, inside: list[Opinion
     if isinstance(model, ConformalClassifier):
         sets = (tuple(model.classes_[chosen].tolist()) for chosen in model.predict_set(X))
         return [opinion._replace(candidates=names) for opinion, names in zip(inside, sets, strict=True)]
-    verdicts = (part.tolist() for part in model.verdicts(X))
-    sure = 1.0 - model.false_alarm_rate
-    return [_open(sure, *row) for row in zip(inside, *verdicts, strict=True)]
-
-
-def _open(
-    sure: float, inside: Opinion, label: str, is_other: bool, out_of_range: bool, severity: float
-) -> Opinion:
-    """What the model inside says, unless the start is of no known motor, or of a fault larger than any it knows."""
-    if is_other:
-        return Opinion(OTHER, "", sure, probabilities=inside.probabilities, out_of_range=False)
-    if out_of_range:
-        kind = verdict_of(label)
-        return Opinion(kind, "", sure, severity, inside.probabilities, out_of_range=True)
-    return inside._replace(out_of_range=False)
+    verdicts, sure = model.verdicts(X), 1.0 - model.false_alarm_rate
+    opened = []
+    for n, opinion in enumerate(inside):
+        if verdicts.is_other[n]:
+            foreign = Opinion(OTHER, "", sure, probabilities=opinion.probabilities, out_of_range=False)
+            opened.append(foreign)
+        elif verdicts.out_of_range[n]:
+            kind, severity = verdict_of(str(verdicts.label[n])), float(verdicts.severity[n])
+            opened.append(Opinion(kind, "", sure, severity, opinion.probabilities, out_of_range=True))
+        else:
+            opened.append(opinion._replace(out_of_range=False))
+    return opened
 
 
 def _network_severities(

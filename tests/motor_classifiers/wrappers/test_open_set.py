@@ -11,12 +11,8 @@ from sklearn.pipeline import make_pipeline
 
 from motor_classifiers.estimators.features import ResidualProjection
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, ForeignFault, foreign_starts
-from motor_classifiers.wrappers.open_set import (
-    QUANTITIES,
-    FaultFamilyDetector,
-    OpenSetClassifier,
-    family_fit,
-)
+from motor_classifiers.wrappers.fault_family import QUANTITIES, family_fit
+from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClassifier
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.faults import Fault, FaultKind, apply_fault, motor_kinds
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
