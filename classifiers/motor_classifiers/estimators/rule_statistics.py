@@ -17,10 +17,9 @@ from motor_env.inference.whitening import MatchedTest
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
 
-_SHIFT = (
-    0.2  # of the CUSUMs, in standard deviations of the noise: between a bearing of 10 % and of 25 % at 20 mA
-)
-_AT_ONCE = 512  # cases whose residuals are held at a time
+# Of the CUSUMs, in standard deviations of the noise: between a bearing of 10 % and of 25 % at 20 mA.
+_SHIFT = 0.2
+_AT_ONCE = 512  # cases filtered at a time
 _RULES: dict[str, Rule] = {"nis": nis_rule(), "cusum": Cusum(_SHIFT, two_sided=True)}
 
 

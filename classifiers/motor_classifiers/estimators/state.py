@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
@@ -74,13 +73,3 @@ def check_perceptron(arrays: Arrays, n_hidden: Any, n_layers: Any, n_out: int) -
         type(n_hidden) is int and first[0] == (n_hidden if n_layers else n_out),
         f"n_hidden is {n_hidden!r}, the first matrix has shape {first}",
     )
-
-
-def check_standardisation(center: NDArray[np.float64], scale: NDArray[np.float64], size: int) -> None:
-    """Check the mean and the standard deviation of a network's inputs.
-
-    Raises:
-        ValueError: they do not have one number for each input, or a scale is not positive.
-    """
-    require(center.shape == scale.shape == (size,), f"center and scale must have {size} numbers each")
-    require(bool((scale > 0.0).all()), "scale must be > 0")

@@ -22,13 +22,12 @@ from motor_classifiers.estimators.networks.training import Batch, initialise, on
 from motor_classifiers.estimators.state import (
     Arrays,
     State,
-    check_standardisation,
     load_module,
     module_arrays,
     part_of,
     plain_parameters,
 )
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
 
 
@@ -136,7 +135,9 @@ class EpochClassifier(LogitClassifier):
         model.n_features_in_ = values_of_start(recipe)
         model.center_, model.scale_ = state.arrays["center"], state.arrays["scale"]
         n_inputs = model._load_features(state.arrays)
-        check_standardisation(model.center_, model.scale_, n_inputs)
+        sizes = model.center_.shape, model.scale_.shape
+        require(sizes == ((n_inputs,), (n_inputs,)), f"center and scale must have {n_inputs} numbers each")
+        require(bool((model.scale_ > 0.0).all()), "scale must be > 0")
         model._check_sizes(state.arrays)
         model.network_ = model._network(n_inputs)
         load_module(model.network_, part_of(state.arrays, "network"))
@@ -160,21 +161,21 @@ class EpochClassifier(LogitClassifier):
         features = self._features(flat_cases(self, X, reset=False))
         return logits_in_parts(self.network_, self._inputs(features), self._at_once)
 
-    @abstractmethod
     def _fit_features(self, flat: FloatArray) -> FloatArray:
-        """Learn how cases become features, and features of the training cases."""
+        """Learn how cases become features, and return those of the training cases; the values themselves by default."""
+        return flat
 
-    @abstractmethod
     def _features(self, flat: FloatArray) -> FloatArray:
         """Features of cases."""
+        return flat
+
+    def _load_features(self, arrays: Arrays) -> int:
+        """Set what a file holds of the features, and return how many there are."""
+        return int(self.n_features_in_)
 
     @abstractmethod
     def _network(self, n_inputs: int) -> nn.Module:
         """The network, weights not yet set."""
-
-    @abstractmethod
-    def _load_features(self, arrays: Arrays) -> int:
-        """Set what a file holds of the features, and tell how many there are."""
 
     @abstractmethod
     def _check_sizes(self, arrays: Arrays) -> None:

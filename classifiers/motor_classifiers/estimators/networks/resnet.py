@@ -108,12 +108,6 @@ class ResNetClassifier(EpochClassifier):
     def _inputs(self, features: FloatArray) -> FloatArray:
         return super()._inputs(features).reshape(len(features), self._n_channels(), -1)
 
-    def _fit_features(self, flat: FloatArray) -> FloatArray:
-        return flat
-
-    def _features(self, flat: FloatArray) -> FloatArray:
-        return flat
-
     def _network(self, n_inputs: int) -> nn.Module:
         """A stem that thins the samples out, three residual blocks, the mean over time, logits."""
         width, kernel = self.width, self.kernel
@@ -127,9 +121,6 @@ class ResNetClassifier(EpochClassifier):
             nn.Flatten(),
             unset_layer(nn.Linear, 2 * width, len(self.classes_)),
         )
-
-    def _load_features(self, arrays: Arrays) -> int:
-        return int(self.n_features_in_)
 
     def _check_sizes(self, arrays: Arrays) -> None:
         sizes = (self.width, self.stem, self.kernel)

@@ -26,7 +26,7 @@ _LEAST_RANGE, _BEYOND, _LARGEST_LOSS = 0.30, 1.2, 0.95
 
 
 def severity_priors(recipe: Recipe) -> tuple[SeverityPrior, ...]:
-    """Ranges of the severities that are told: every kind of the motor, and noise where it is a class.
+    """Ranges of the severities that a network estimates: every kind of the motor, and noise where it is a class.
 
     From 0 to 30 %, or to 1.2 times the largest severity among the recipe's classes.
     """
