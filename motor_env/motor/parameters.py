@@ -153,6 +153,11 @@ class SensorParameters:
         by_channel = {Channel.CURRENT: self.current_noise_a, Channel.SPEED: self.speed_noise_rad_s}
         return np.array([by_channel[channel] for channel in self.channels])
 
+    def with_noise(self, factor: float) -> SensorParameters:
+        """The same sensor with so many times the noise."""
+        current, speed = factor * self.current_noise_a, factor * self.speed_noise_rad_s
+        return replace(self, current_noise_a=current, speed_noise_rad_s=speed)
+
     @property
     def observation(self) -> FloatArray:
         """Observation matrix C of z = C x + v, shape (n_channels, 2); the paper's [1 0] for current alone."""

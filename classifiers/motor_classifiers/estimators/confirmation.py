@@ -6,7 +6,7 @@ the recipe, names the fault.
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any, Self
 
 import numpy as np
@@ -186,14 +186,7 @@ def _check_rule(rule: dict[str, Any], recipe: Recipe) -> None:
 
 def class_filter(recipe: Recipe, fault_class: FaultClass) -> KalmanFilter:
     """The filter that believes in one class of the recipe at its nominal parameters (Magill 1965)."""
-    sensor, variance = recipe.sensor, variance_factor(fault_class)
-    if variance != 1.0:
-        factor = float(np.sqrt(variance))
-        sensor = replace(
-            sensor,
-            current_noise_a=sensor.current_noise_a * factor,
-            speed_noise_rad_s=sensor.speed_noise_rad_s * factor,
-        )
+    sensor = recipe.sensor.with_noise(float(np.sqrt(variance_factor(fault_class))))
     return KalmanFilter.from_parameters(
         apply_faults(recipe.motor, fault_class.faults), sensor, recipe.timing.dt_s
     )

@@ -43,8 +43,8 @@ def whitened_residual(recipe: Recipe, measurements: FloatArray) -> FloatArray:
 def signal_family(recipe: Recipe, n_draws: int) -> FloatArray:
     """Residuals of noise-free starts drawn from the recipe, shape (n_draws, n_samples * n_channels)."""
     drawn = draw(recipe, _FAMILY_SEED, np.arange(n_draws)).scenario
-    silent = replace(drawn.sensor, current_noise_a=0.0, speed_noise_rad_s=0.0)
-    clean = simulate(replace(drawn, sensor=silent), _FAMILY_SEED, np.arange(n_draws)).measurements
+    silent = replace(drawn, sensor=drawn.sensor.with_noise(0.0))
+    clean = simulate(silent, _FAMILY_SEED, np.arange(n_draws)).measurements
     return whitened_residual(recipe, clean)
 
 

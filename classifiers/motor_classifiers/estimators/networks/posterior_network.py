@@ -236,7 +236,7 @@ class PosteriorNetwork(LogitClassifier):
             raise ValueError("fit_stream needs a recipe, got None")
         # Commissioning starts are known to be healthy and never judged; a motor of its own for each start teaches more.
         judged = replace(self.recipe, starts_per_motor=1, healthy_starts=0, shifts=())
-        recipe = _with_noise(judged, self._checked_noise()[0])
+        recipe = replace(judged, sensor=judged.sensor.with_noise(self._checked_noise()[0]))
         require(self.n_references >= 0, f"n_references must be >= 0, got {self.n_references}")
         require(
             self.n_references == 0 or not _tells_noise(recipe),
@@ -401,13 +401,3 @@ def _compact(values: NDArray[np.float64]) -> NDArray[Any]:
 
 def _tells_noise(recipe: Recipe) -> bool:
     return any(kind.changes_noise for kind in recipe.kinds)
-
-
-def _with_noise(recipe: Recipe, factor: float) -> Recipe:
-    sensor = recipe.sensor
-    louder = replace(
-        sensor,
-        current_noise_a=factor * sensor.current_noise_a,
-        speed_noise_rad_s=factor * sensor.speed_noise_rad_s,
-    )
-    return replace(recipe, sensor=louder)

@@ -73,7 +73,7 @@ class SignalSpace(nn.Module):
         cls, recipe: Recipe, n_components: int | None, *, sees_noise: bool, n_references: int = 0
     ) -> SignalSpace:
         """Directions, means and variances of noise-free starts of a recipe, each with so many reference starts."""
-        silent = replace(recipe, sensor=replace(recipe.sensor, current_noise_a=0.0, speed_noise_rad_s=0.0))
+        silent = replace(recipe, sensor=recipe.sensor.with_noise(0.0))
         sound = replace(silent, spread=Spread(), classes=(FaultClass(),), healthy_starts=0, field=None)
         nominal = generate_arrays(sound, _FAMILY_SEED, 1).X.reshape(-1).astype(np.float64)
         family = drawn_starts(silent, _FAMILY_SEED, np.arange(_FAMILY_SIZE), n_references).X
