@@ -27,7 +27,8 @@ from motor_env.motor.parameters import (
     require,
     require_positive,
 )
-from motor_env.prognosis.wear import TREND_PROBABILITY, degradation
+from motor_env.prognosis.wear import TREND_PROBABILITY
+from motor_env.prognosis.wear_fit import degradation
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.simulate import Scenario, Timing, simulate
 

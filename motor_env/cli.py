@@ -219,24 +219,24 @@ def identify(
 
     choices, circuit = [ColumnChoice.parse(text) for text in column or ()], _circuit(shunt_ohm, sensor_lag)
     periods = ripple_periods_per_turn
-    found = [
+    fits = [
         pair
         for path in files
         for pair in steps.identify_file(path, choices, voltage_v=voltage, circuit=circuit, start=start)
     ]
     if output is not None:
-        save_motor(steps.to_motor([fit for _, fit in found], name), output)
+        save_motor(steps.to_motor([fit for _, fit in fits], name), output)
     if out is not None:
         from motor_env.diagnosis.pictures import plot_identified
 
-        for number, (recording, fit) in enumerate(found, 1):
+        for number, (recording, fit) in enumerate(fits, 1):
             file = recording.path.name
             plot_identified(fit, file, out / f"{number:03d}-{file.replace('.', '-')}.png")
     if json_:
-        objects = [steps.identified_json(*one, periods) for one in found]
+        objects = [steps.identified_json(*one, periods) for one in fits]
         print(json.dumps(objects, ensure_ascii=False, indent=1))
     else:
-        print("\n".join(steps.identified_text(*one, periods) for one in found))
+        print("\n".join(steps.identified_text(*one, periods) for one in fits))
     return 0
 
 
@@ -342,18 +342,17 @@ def coastdown(file: Path, *, json_: Annotated[bool, Parameter(name="--json", neg
 
     recording = read_recording(file)
     try:
-        found = fit_coastdown(recording)
+        friction = fit_coastdown(recording)
     except UnusableError as error:
         raise InputError(f"{file}: {error}") from None
     if json_:
-        print(json.dumps(asdict(found)))
+        print(json.dumps(asdict(friction)))
     else:
         print(
-            f"{file}: B/J {found.viscous_per_s:.4g} 1/s, Coulomb friction Tc/J {found.coulomb_rad_s2:.4g} rad/s2"
+            f"{file}: B/J {friction.viscous_per_s:.4g} 1/s, Coulomb friction Tc/J {friction.coulomb_rad_s2:.4g} rad/s2"
         )
-        print(
-            f"  R2 {found.r2:.4f}; with viscous friction alone {found.r2_viscous:.4f}; evidence {found.evidence:.0f}"
-        )
+        viscous = f"with viscous friction alone {friction.r2_viscous:.4f}"
+        print(f"  R2 {friction.r2:.4f}; {viscous}; evidence {friction.evidence:.0f}")
     return 0
 
 

@@ -13,10 +13,19 @@ from scipy import stats
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.explanations import significance_limit, smallest_changes
-from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
-from motor_env.diagnosis.report import UNITS, extension_unit, ripple_json, ripple_lines
+from motor_env.diagnosis.healthy_motor import fit_alike, learn_reference
+from motor_env.diagnosis.report import (
+    UNITS,
+    extension_lines,
+    extensions_json,
+    quality,
+    quantities_json,
+    ripple_json,
+    ripple_lines,
+)
 from motor_env.errors import InputError
-from motor_env.identification.identify import EXTENSIONS, Identified, identify_best
+from motor_env.identification.identify import Identified
+from motor_env.identification.model_choice import EXTENSIONS, identify_best
 from motor_env.identification.residuals import AMBIGUOUS
 from motor_env.motor.data_sheet import MotorFile, StartReference
 from motor_env.motor.parameters import MotorParameters
@@ -77,12 +86,7 @@ def commission(
     starts = [part for path in paths for part in split_starts(read_recording(path, columns))]
     if len(starts) < FEWEST_STARTS:
         raise InputError(f"commissioning needs at least {FEWEST_STARTS} healthy starts, got {len(starts)}")
-    try:
-        fits = fit_healthy(starts, voltage_v=voltage_v, circuit=circuit)
-    except UnusableError as error:
-        raise InputError(f"a healthy start cannot be used: {error}") from None
-    if len({fit.quantity_names for fit in fits}) > 1:
-        raise InputError("the healthy starts hold different columns; give such that agree")
+    fits = fit_alike(starts, "start", voltage_v=voltage_v, circuit=circuit)
     reference = learn_reference(fits)
     limit = significance_limit(false_alarm_rate, fits[0].exponents, reference.degrees_of_freedom)
     motor = to_motor(fits, name, kind="commissioned", reference=reference)
@@ -147,8 +151,7 @@ def identified_text(recording: Recording, fit: Identified, periods_per_turn: flo
     ]
     for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True):
         lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {UNITS[name]}")
-    for name, (value, error) in fit.fitted_extension.items():
-        lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {extension_unit(fit, name)}")
+    lines += extension_lines(fit)
     sigma = np.sqrt(np.diag(fit.log_covariance))
     correlation = fit.log_covariance / np.outer(sigma, sigma)
     pairs = [
@@ -157,10 +160,7 @@ def identified_text(recording: Recording, fit: Identified, periods_per_turn: flo
         for j in range(i)
     ]
     lines.append("  correlations: " + ", ".join(pairs))
-    speed = "" if fit.r2_speed is None else f", of the speed {fit.r2_speed:.4f}"
-    lines.append(
-        f"  R2 of the current {fit.r2_current:.4f}{speed}; residual's autocorrelation at one sample {fit.lag_one:.2f}"
-    )
+    lines.append(f"  {quality(fit)}; residual's autocorrelation at one sample {fit.lag_one:.2f}")
     lines += ripple_lines(fit, periods_per_turn)
     lines += [f"  noticed: {defect}" for defect in fit.defects]
     lines += [f"  note: {sentence}" for sentence in not_told(fit)]
@@ -175,14 +175,8 @@ def identified_json(
     return {
         "file": str(recording.path),
         "model": ["textbook", *fit.model],
-        "parameters": {
-            name: {"value": float(v), "standard_error": float(e), "unit": UNITS[name]}
-            for name, v, e in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True)
-        },
-        "extensions": {
-            name: {"value": value, "standard_error": error, "unit": extension_unit(fit, name)}
-            for name, (value, error) in fit.fitted_extension.items()
-        },
+        "parameters": quantities_json(fit),
+        "extensions": extensions_json(fit),
         "correlations": (fit.log_covariance / np.outer(sigma, sigma)).tolist(),
         "r2_current": fit.r2_current,
         "r2_speed": fit.r2_speed,
@@ -216,8 +210,8 @@ def commissioned_text(result: Commissioned, rate: float) -> str:
         f"  R2 of the current {min(fit.r2_current for fit in result.fits):.4f} to"
         f" {max(fit.r2_current for fit in result.fits):.4f}"
     )
-    told = ", ".join(f"{kind} {severity:.1%}" for kind, severity in result.smallest.items())
-    lines.append(f"  smallest change that is found in 95 of 100 cases: {told}")
+    smallest = ", ".join(f"{kind} {severity:.1%}" for kind, severity in result.smallest.items())
+    lines.append(f"  smallest change that is found in 95 of 100 cases: {smallest}")
     lines.append(
         "  the spread between starts is believed to be 2 % before any start is seen, worth 4 starts: few starts give"
         " wide intervals, more starts narrow them"

@@ -12,7 +12,8 @@ from motor_env.diagnosis.explanations import compare, significance_limit
 from motor_env.diagnosis.filter_check import filter_check
 from motor_env.diagnosis.healthy_motor import Reference, reference_from_motor, reference_from_starts
 from motor_env.identification.commutation import ripple_quantities
-from motor_env.identification.identify import EXTENSIONS, NUISANCES, Identified, identify, identify_best
+from motor_env.identification.identify import Identified, identify
+from motor_env.identification.model_choice import EXTENSIONS, NUISANCES, identify_best
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import MotorFile, StartReference
 from motor_env.recordings.defects import UnusableError
@@ -73,31 +74,31 @@ def diagnose(
             else "there is nothing to compare with: give a motor file or healthy recordings"
         )
         return Diagnosis(recording, Verdict.NO_REFERENCE, (reason,), identified=fit, filter_check=check)
-    found = decide(recording, fit, reference, check, false_alarm_rate)
+    diagnosis = decide(recording, fit, reference, check, false_alarm_rate)
     starts = learned or (None if motor is None else motor.reference)
-    return found if starts is None else _with_ripple(found, fit, starts, false_alarm_rate)
+    return diagnosis if starts is None else _with_ripple(diagnosis, fit, starts, false_alarm_rate)
 
 
-def _with_ripple(found: Diagnosis, fit: Identified, starts: StartReference, rate: float) -> Diagnosis:
+def _with_ripple(diagnosis: Diagnosis, fit: Identified, starts: StartReference, rate: float) -> Diagnosis:
     """What the commutation ripple says of speed and K, beside the verdict: it takes no part in it."""
     ripple = ripple_quantities(fit)
     if ripple is None or not (starts.ripple_hz and starts.ripple_constant_v_s and starts.ripple_log_sd):
-        return found
+        return diagnosis
     logs = np.log(ripple) - np.log([starts.ripple_hz, starts.ripple_constant_v_s])
     if abs(float(logs[0])) > _ANOTHER_ORDER:
-        return found  # another of the ripple's orders is the strongest now: nothing to compare
+        return diagnosis  # another of the ripple's orders is the strongest now: nothing to compare
     freedom = starts.degrees_of_freedom
     limit = significance_limit(rate, fit.exponents, freedom)
     names = ("speed", "K" if fit.start.voltage_known else "K/V")
     changes = compare(names, logs, np.eye(2) * starts.ripple_log_sd**2, freedom, limit)
     moved = [c for c in changes if c.significant]
-    reasons = found.reasons
-    if moved and found.verdict.is_fault:
+    reasons = diagnosis.reasons
+    if moved and diagnosis.verdict.is_fault:
         words = " and ".join(
             f"{c.name} {'up' if c.ratio > 1.0 else 'down'} by {abs(c.ratio - 1.0):.0%}" for c in moved
         )
         reasons = (*reasons, f"the commutation ripple of {ripple[0]:.4g} Hz shows {words}")
-    return replace(found, changes=(*found.changes, *changes), reasons=reasons)
+    return replace(diagnosis, changes=(*diagnosis.changes, *changes), reasons=reasons)
 
 
 def _reference(start: Start, motor: MotorFile | None, learned: StartReference | None) -> Reference | None:

@@ -12,11 +12,10 @@ import numpy as np
 from motor_env.diagnosis import report
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, Diagnosis
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
+from motor_env.diagnosis.healthy_motor import fit_alike, learn_reference
 from motor_env.diagnosis.pictures import plot_diagnosis
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import MotorFile, StartReference, load_motor
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.splitting import chosen_starts, split_starts
@@ -68,14 +67,10 @@ def learn(
     if voltage_v is None and motor is not None:
         voltage_v = motor.nominal_voltage_v
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
-    try:
-        starts = [part for path in healthy for part in split_starts(read_recording(path, columns))]
-        fits = fit_healthy(starts, voltage_v=voltage_v, constant=constant, circuit=circuit)
-    except UnusableError as error:
-        raise InputError(f"a healthy recording cannot be used: {error}") from None
-    if len({fit.quantity_names for fit in fits}) > 1:
-        raise InputError("the healthy recordings hold different columns; give such that agree")
-    return learn_reference(fits)
+    starts = [part for path in healthy for part in split_starts(read_recording(path, columns))]
+    return learn_reference(
+        fit_alike(starts, "recording", voltage_v=voltage_v, constant=constant, circuit=circuit)
+    )
 
 
 def diagnose_files(

@@ -12,7 +12,7 @@ from motor_env.filters.consistency import Consistency, check_consistency
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.identification.identify import Identified
 from motor_env.identification.start_model import between_samples, rise_of_supply
-from motor_env.motor.parameters import SensorParameters
+from motor_env.motor.parameters import FloatArray, SensorParameters
 
 _CONSISTENT_NIS = 1.2
 _FILTER_TUNING = 3
@@ -55,22 +55,10 @@ def filter_check(fit: Identified) -> FilterCheck:
     if fit.extension.dead_zone_a > 0.0:  # the filter begins where the sensor does, and skips what it hides
         visible = visible & (shown > 0.5 * fit.extension.dead_zone_a)
         begin += int(np.argmax(visible[begin:]))
-    left = fit.residual_a[begin + 1 :]
     noise = max(fit.noise_a, 1e-9 * float(np.ptp(start.current_a)))
-    slow = math.sqrt(max(float(np.var(left)) - noise**2, 0.0))
-    decay_s = max(float(np.mean(fit.parameters.mechanical_time_constant_s)), start.dt_s)
-    voltage = np.array([start.level_v]) if start.voltage_v is None else start.voltage_v[begin:]
-    if start.voltage_v is None:
-        voltage = voltage * rise_of_supply(fit.extension, start.time_s[begin:], fit.onset_s)
-    else:
-        voltage = between_samples(voltage, start.lateness(fit.onset_s))
-    # Brushes and dry friction act against the fitted motion: known inputs of the filter.
-    direction = np.sign(fit.expected[begin + 1 :, 1])
-    voltage = voltage - fit.extension.brush_drop_v * direction
-    load = fit.extension.coulomb_friction_n_m * direction
-    sensor = SensorParameters(current_noise_a=noise)
-    seen = np.where(visible, start.current_a - start.ripple_a - fit.offset_a, np.nan)
-    measured = seen[None, begin + 1 :]
+    slow = math.sqrt(max(float(np.var(fit.residual_a[begin + 1 :])) - noise**2, 0.0))
+    voltage, load = _inputs(fit, begin)
+    measured = np.where(visible, start.current_a - start.ripple_a - fit.offset_a, np.nan)[None, begin + 1 :]
     state = np.array([shown[begin], fit.expected[begin, 1]])
     motor = fit.parameters.scaled(
         resistance_ohm=1.0 + start.circuit.shunt_ohm / fit.parameters.resistance_ohm
@@ -79,7 +67,7 @@ def filter_check(fit: Identified) -> FilterCheck:
     def run(process: float) -> FilterResult:
         belief = KalmanFilter.from_parameters(
             motor,
-            sensor,
+            SensorParameters(current_noise_a=noise),
             start.dt_s,
             process_noise_std=(process, process * abs(state[1]) / max(abs(state[0]), 1e-9)),
             initial_state=state,
@@ -88,6 +76,7 @@ def filter_check(fit: Identified) -> FilterCheck:
         return run_filter(belief, measured, voltage, load)
 
     alone = run(0.0)
+    decay_s = max(float(np.mean(fit.parameters.mechanical_time_constant_s)), start.dt_s)
     process = slow * math.sqrt(2.0 * start.dt_s / decay_s)
     result = run(process)
     for _ in range(_FILTER_TUNING):
@@ -103,6 +92,20 @@ def filter_check(fit: Identified) -> FilterCheck:
         sensor_only_nis=_mean_nis(alone),
         consistency=check_consistency(alone.whitened) if measured.size > _FEWEST_FOR_WHITENESS else None,
     )
+
+
+def _inputs(fit: Identified, begin: int) -> tuple[FloatArray, FloatArray]:
+    """Voltage and load torque over the intervals from sample `begin` on.
+
+    Brushes and dry friction act against the fitted motion: known inputs of the filter.
+    """
+    start = fit.start
+    if start.voltage_v is None:
+        voltage = start.level_v * rise_of_supply(fit.extension, start.time_s[begin:], fit.onset_s)
+    else:
+        voltage = between_samples(start.voltage_v[begin:], start.lateness(fit.onset_s))
+    direction = np.sign(fit.expected[begin + 1 :, 1])
+    return voltage - fit.extension.brush_drop_v * direction, fit.extension.coulomb_friction_n_m * direction
 
 
 def _mean_nis(result: FilterResult) -> float:

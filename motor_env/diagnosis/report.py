@@ -74,44 +74,72 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
 
 def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, Any] | None:
     """What the commutation ripple tells; None without one."""
-    found = ripple_speed(fit, periods_per_turn)
-    if found is None:
+    from_ripple = ripple_speed(fit, periods_per_turn)
+    if from_ripple is None:
         return None
     return {
-        "ripple_hz": found.ripple.frequency_hz,
-        "standard_error_hz": found.ripple.standard_error_hz,
-        "amplitude_a": found.ripple.amplitude_a,
-        "speed_rad_s": found.speed_rad_s,
-        **{name: {"value": value, "unit": UNITS[name]} for name, value in found.constants.items()},
+        "ripple_hz": from_ripple.ripple.frequency_hz,
+        "standard_error_hz": from_ripple.ripple.standard_error_hz,
+        "amplitude_a": from_ripple.ripple.amplitude_a,
+        "speed_rad_s": from_ripple.speed_rad_s,
+        **{name: {"value": value, "unit": UNITS[name]} for name, value in from_ripple.constants.items()},
     }
 
 
 def ripple_lines(fit: Identified, periods_per_turn: float | None) -> list[str]:
     """The same in sentences, none without a ripple."""
-    found = ripple_speed(fit, periods_per_turn)
-    if found is None:
+    from_ripple = ripple_speed(fit, periods_per_turn)
+    if from_ripple is None:
         return []
-    line = f"commutation ripple of {found.ripple.frequency_hz:.5g} Hz at the end"
-    if found.speed_rad_s is None:
+    line = f"commutation ripple of {from_ripple.ripple.frequency_hz:.5g} Hz at the end"
+    if from_ripple.speed_rad_s is None:
         return [
             f"  {line}; with its periods a turn (--ripple-periods-per-turn) it tells the speed, K, J and B"
         ]
-    told = ", ".join(f"{name} {value:.4g} {UNITS[name]}" for name, value in found.constants.items())
+    constants = ", ".join(
+        f"{name} {value:.4g} {UNITS[name]}" for name, value in from_ripple.constants.items()
+    )
     return [
-        f"  {line}: {found.speed_rad_s:.5g} rad/s ({found.speed_rad_s / RAD_S_PER_RPM:.0f} rpm), so {told}"
+        f"  {line}: {from_ripple.speed_rad_s:.5g} rad/s ({from_ripple.speed_rad_s / RAD_S_PER_RPM:.0f} rpm), so {constants}"
     ]
 
 
 def _parameters(fit: Identified) -> dict[str, Any]:
-    out: dict[str, Any] = {
+    alignment = {
+        "onset_s": {"value": fit.onset_s, "unit": "s"},
+        "offset_a": {"value": fit.offset_a, "unit": "A"},
+    }
+    return quantities_json(fit) | extensions_json(fit) | alignment
+
+
+def quantities_json(fit: Identified) -> dict[str, Any]:
+    """The quantities with their standard errors."""
+    return {
         name: {"value": float(value), "standard_error": float(error), "unit": UNITS[name]}
         for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True)
     }
-    for name, (value, error) in fit.fitted_extension.items():
-        out[name] = {"value": value, "standard_error": error, "unit": extension_unit(fit, name)}
-    out["onset_s"] = {"value": fit.onset_s, "unit": "s"}
-    out["offset_a"] = {"value": fit.offset_a, "unit": "A"}
-    return out
+
+
+def extensions_json(fit: Identified) -> dict[str, Any]:
+    """The extensions with their standard errors."""
+    return {
+        name: {"value": value, "standard_error": error, "unit": _extension_unit(fit, name)}
+        for name, (value, error) in fit.fitted_extension.items()
+    }
+
+
+def extension_lines(fit: Identified) -> list[str]:
+    """The same in words, a line each."""
+    return [
+        f"  {name:<12} {value:11.4g} +- {error:.2g} {_extension_unit(fit, name)}"
+        for name, (value, error) in fit.fitted_extension.items()
+    ]
+
+
+def quality(fit: Identified) -> str:
+    """How much of what was recorded a fit explains."""
+    speed = "" if fit.r2_speed is None else f", of the speed {fit.r2_speed:.4f}"
+    return f"R2 of the current {fit.r2_current:.4f}{speed}"
 
 
 _EXTENSION_UNITS = {
@@ -126,7 +154,7 @@ _EXTENSION_UNITS = {
 _PER_VOLT = {"coulomb": "N m/V", "brush_drop": "of the supply"}
 
 
-def extension_unit(fit: Identified, name: str) -> str:
+def _extension_unit(fit: Identified, name: str) -> str:
     """Unit of an extension's value; where the voltage is not known it is told for a supply of 1 V."""
     per_volt = {} if fit.start.voltage_known else _PER_VOLT
     return per_volt.get(name, _EXTENSION_UNITS[name])
@@ -154,8 +182,7 @@ def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
                 c = changes[name]
                 line += f" {c.ratio - 1.0:+6.1%} from the reference (95 %: {c.low - 1.0:+.1%} to {c.high - 1.0:+.1%})"
             lines.append(line.rstrip())
-        for name, (value, error) in fit.fitted_extension.items():
-            lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {extension_unit(fit, name)}")
+        lines += extension_lines(fit)
         for name in [name for name in changes if name not in fit.quantity_names]:
             c = changes[name]
             span = f"(95 %: {c.low - 1.0:+.1%} to {c.high - 1.0:+.1%})"
@@ -163,10 +190,7 @@ def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
                 f"  {name:<12} {c.ratio - 1.0:+6.1%} from the reference {span}, by the commutation ripple"
             )
         lines += ripple_lines(fit, periods_per_turn)
-        speed = "" if fit.r2_speed is None else f", of the speed {fit.r2_speed:.4f}"
-        lines.append(
-            f"  fit: R2 of the current {fit.r2_current:.4f}{speed}; model {' + '.join(['textbook', *fit.model])}"
-        )
+        lines.append(f"  fit: {quality(fit)}; model {' + '.join(['textbook', *fit.model])}")
         lines += [f"  noticed: {defect}" for defect in fit.defects]
     if check is not None:
         lines.append(
@@ -178,8 +202,10 @@ def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
         allowed = "; the verdict above allows for it" if diagnosis.reference is not None else ""
         lines.append(f"  warning: {diagnosis.warning}{allowed}")
     if diagnosis.smallest_changes:
-        told = ", ".join(f"{kind} {severity:.0%}" for kind, severity in diagnosis.smallest_changes.items())
-        lines.append(f"  smallest change that this comparison finds in 95 of 100 cases: {told}")
+        smallest = ", ".join(
+            f"{kind} {severity:.0%}" for kind, severity in diagnosis.smallest_changes.items()
+        )
+        lines.append(f"  smallest change that this comparison finds in 95 of 100 cases: {smallest}")
     return "\n".join(lines)
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from motor_env.identification.identify import STRONG_EVIDENCE
+from motor_env.identification.model_choice import STRONG_EVIDENCE
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording

@@ -81,15 +81,15 @@ def find_ripple(fit: Identified) -> CommutationRipple | None:
         return None
     left, middle, right = np.log(power[peak - 1 : peak + 2])
     offset = 0.5 * (left - right) / (left - 2.0 * middle + right)
-    found = float(frequency[peak] + offset * (frequency[1] - frequency[0]))
+    frequency_hz = float(frequency[peak] + offset * (frequency[1] - frequency[0]))
     return CommutationRipple(
-        frequency_hz=found,
+        frequency_hz=frequency_hz,
         # Cramer-Rao for a windowed line: sqrt(6 / (4 pi^2 SNR)) / T, with the window's loss.
         standard_error_hz=math.sqrt(6.0 / strength[peak]) / (math.pi * float(even[-1])),
         amplitude_a=2.0 * math.sqrt(float(power[peak])) / float(window.sum()),
         strength=float(strength[peak]),
         time_s=time_s - fit.onset_s,
-        track_hz=found * np.maximum(speed / np.mean(speed[-max(n // 20, 1) :]), 0.0),
+        track_hz=frequency_hz * np.maximum(speed / np.mean(speed[-max(n // 20, 1) :]), 0.0),
     )
 
 

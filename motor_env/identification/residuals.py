@@ -47,6 +47,7 @@ class Problem:
         self,
         start: Start,
         model: tuple[str, ...],
+        *,
         constant: float | None = None,
         typical: Mapping[str, float] | None = None,
     ) -> None:

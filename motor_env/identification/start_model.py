@@ -157,7 +157,7 @@ def step_start(
     voltage = np.zeros(len(time_s))
     voltage[begin:] = voltage_v * _mean_rise(extension, starts, ends)
     first = discretize(parameters, float(ends[0]))
-    return _integrate(parameters, model, first, voltage, begin, (0.0, 0.0), extension)
+    return _integrate(parameters, extension, voltage, models=(first, model), begin=begin, state=(0.0, 0.0))
 
 
 def between_samples(voltage_v: FloatArray, late: float) -> FloatArray:
@@ -203,18 +203,20 @@ def driven(
         load = math.copysign(extension.coulomb_friction_n_m, float(voltage_v[0]))
         steady = steady_state(parameters, float(voltage_v[0]) - drop, load)
         state = (float(steady[0]), float(steady[1]))
-    return _integrate(parameters, model, model, voltage, 1, state, extension)
+    return _integrate(parameters, extension, voltage, models=(model, model), begin=1, state=state)
 
 
 def _integrate(
     parameters: MotorParameters,
-    model: DiscreteModel,
-    first: DiscreteModel,
+    extension: Extension,
     voltage: FloatArray,
+    *,
+    models: tuple[DiscreteModel, DiscreteModel],
     begin: int,
     state: tuple[float, float],
-    extension: Extension,
 ) -> FloatArray:
+    """Current and speed from sample `begin` on; `models` are those of its interval and of all later ones."""
+    first, model = models
     out = np.empty((len(voltage), 2))
     _run(
         model.transition,
@@ -230,7 +232,7 @@ def _integrate(
         out,
     )
     if extension.sensor_lag_s > 0.0:
-        out[:, 0] = _sensed(parameters, model, first, out, begin, extension.sensor_lag_s)
+        out[:, 0] = _sensed(parameters, extension.sensor_lag_s, out, models=models, begin=begin)
     if extension.dead_zone_a > 0.0:
         out[:, 0] = _without_the_small(out[:, 0], extension.dead_zone_a)
     if extension.speed_lag_s > 0.0:
@@ -266,13 +268,14 @@ def _lag_row(parameters: MotorParameters, model: DiscreteModel, lag_s: float) ->
 
 def _sensed(
     parameters: MotorParameters,
-    model: DiscreteModel,
-    first: DiscreteModel,
-    states: FloatArray,
-    begin: int,
     lag_s: float,
+    states: FloatArray,
+    *,
+    models: tuple[DiscreteModel, DiscreteModel],
+    begin: int,
 ) -> FloatArray:
     """The current as a sensor with a first-order lag shows it, shape (n_samples,); it begins in its steady state."""
+    first, model = models
     rows = np.concatenate([states[:-1], states[1:, :1]], axis=1)
     entering = np.zeros(len(states))
     entering[1:] = rows @ _lag_row(parameters, model, lag_s)

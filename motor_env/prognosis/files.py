@@ -85,11 +85,11 @@ def _from_recordings(
         raise InputError(
             f"no recording can be used; the first reason: {notes[0] if notes else 'there are none'}"
         )
-    found: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
+    estimates: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
     for day, fit in fits:
         for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True):
-            found[name].append((day, float(value), float(error)))
-    return build_series(found, "days", dated=True), notes
+            estimates[name].append((day, float(value), float(error)))
+    return build_series(estimates, "days", dated=True), notes
 
 
 def _fits(

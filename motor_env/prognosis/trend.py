@@ -13,13 +13,8 @@ import numpy as np
 
 from motor_env.errors import InputError
 from motor_env.prognosis.estimates import Series
-from motor_env.prognosis.wear import (
-    FEWEST_ESTIMATES,
-    TREND_PROBABILITY,
-    Degradation,
-    RemainingLife,
-    degradation,
-)
+from motor_env.prognosis.wear import TREND_PROBABILITY, Degradation, RemainingLife
+from motor_env.prognosis.wear_fit import FEWEST_ESTIMATES, degradation
 
 DEFAULT_LIMITS = (0.75, 1.25)
 """Limits of a quantity for which none is given, as factors on its reference: the paper's larger fault level."""

@@ -154,19 +154,19 @@ def _is_rectified(current: FloatArray, onset: int, quantum: float) -> bool:
 
 def _defects(current: FloatArray, quantum: float, *, rectified: bool) -> list[Defect]:
     """What the current alone shows of the sensor."""
-    found = []
+    defects = []
     span, top = float(np.ptp(current)), float(np.max(np.abs(current)))
     run = _clipped_run(current, quantum) if quantum < _COARSE_STEP * span else 0
     if run:
-        found.append(
+        defects.append(
             Defect(DefectKind.SATURATION, f"saturation: {run} samples in a row stand at {top:.4g} A")
         )
     if quantum > _QUANTISED_STEP * span:
         text = f"quantisation: the current moves in steps of {quantum:.3g} A"
-        found.append(Defect(DefectKind.QUANTISATION, text))
+        defects.append(Defect(DefectKind.QUANTISATION, text))
     if rectified:
-        found.append(Defect(DefectKind.RECTIFICATION, "rectification: no current lies below 0"))
-    return found
+        defects.append(Defect(DefectKind.RECTIFICATION, "rectification: no current lies below 0"))
+    return defects
 
 
 def _clipped_run(current: FloatArray, quantum: float) -> int:

@@ -41,14 +41,14 @@ def periodic_lines(residual: FloatArray, time_s: FloatArray) -> tuple[PeriodicLi
     the stronger lines leave. Aliased lines keep their power and lose their true frequency.
     """
     left = residual - residual.mean()
-    found: list[PeriodicLine] = []
-    while len(found) < _MOST_LINES:
+    lines: list[PeriodicLine] = []
+    while len(lines) < _MOST_LINES:
         line = _strongest_line(left, time_s)
         if line is None:
             break
-        found.append(line)
+        lines.append(line)
         left = left - line.current_a(time_s)
-    return tuple(found)
+    return tuple(lines)
 
 
 def over_angle(

@@ -57,46 +57,48 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
     """
     path = Path(path)
     table = read_table(path)
-    found = _recognise(path, table, choices)
-    columns = {quantity: factor * table.values[:, k] for quantity, (k, factor) in found.items()}
+    recognised = _recognise(path, table, choices)
+    columns = {quantity: factor * table.values[:, k] for quantity, (k, factor) in recognised.items()}
     notes = [
         f"{quantity} is column {k + 1}"
         + (f" ({table.names[k]})" if table.names[k] else "")
         + (f", times {factor:g}" if factor != 1.0 else "")
-        for quantity, (k, factor) in found.items()
+        for quantity, (k, factor) in recognised.items()
     ]
     return _recording(path, table, columns, (*notes, *table.remarks))
 
 
 def _recognise(path: Path, table: Table, choices: Sequence[ColumnChoice]) -> dict[str, tuple[int, float]]:
-    found = {choice.quantity: _chosen(path, table, choice) for choice in choices}
-    taken = {k for k, _ in found.values()}
+    recognised = {choice.quantity: _chosen(path, table, choice) for choice in choices}
+    taken = {k for k, _ in recognised.values()}
     for k, name in enumerate(table.names):
         quantity, factor = understand(name) if name and k not in taken else (None, 1.0)
-        if quantity is None or (quantity in found and quantity in {choice.quantity for choice in choices}):
+        if quantity is None or (
+            quantity in recognised and quantity in {choice.quantity for choice in choices}
+        ):
             continue
-        if quantity in found:
-            first = table.names[found[quantity][0]]
+        if quantity in recognised:
+            first = table.names[recognised[quantity][0]]
             raise InputError(
                 f"{path}: the columns {first} and {name} both look like the {quantity};"
                 f" say which: --column {quantity}={name}"
             )
-        found[quantity] = (k, factor)
+        recognised[quantity] = (k, factor)
     if not any(table.names) and not choices:
         if table.values.shape[1] != 2:
             raise InputError(
                 f"{path}: the {table.values.shape[1]} columns have no header; name them:"
                 " --column time=1 --column current=2"
             )
-        found = {"time": (0, 1.0), "current": (1, 1.0)}
+        recognised = {"time": (0, 1.0), "current": (1, 1.0)}
     for quantity, column in (("time", "time_s"), ("current", "current_a")):
-        if quantity not in found:
+        if quantity not in recognised:
             names = ", ".join(repr(name[:30]) for name in table.names[:8])
             raise InputError(
                 f"{path}, {table.where} {max(table.lines[0] - 1, 1)}: the column {column} is missing,"
                 f" found {names}; name it: --column {quantity}=..."
             )
-    return found
+    return recognised
 
 
 def _chosen(path: Path, table: Table, choice: ColumnChoice) -> tuple[int, float]:

@@ -16,7 +16,8 @@ from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
 from motor_env.errors import InputError
 from motor_env.identification.commutation import find_ripple, ripple_speed
-from motor_env.identification.identify import TEXTBOOK, identify, identify_best
+from motor_env.identification.identify import TEXTBOOK, identify
+from motor_env.identification.model_choice import identify_best
 from motor_env.identification.start_model import Extension, driven
 from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters

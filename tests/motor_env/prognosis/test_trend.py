@@ -15,7 +15,8 @@ from motor_env.errors import InputError
 from motor_env.prognosis.estimates import Series, build_series, date_of, read_estimates
 from motor_env.prognosis.page import page
 from motor_env.prognosis.trend import judge, parse_limits
-from motor_env.prognosis.wear import _filter_grid, degradation, first_passage_cdf
+from motor_env.prognosis.wear import first_passage_cdf
+from motor_env.prognosis.wear_fit import _filter_grid, degradation
 
 
 def array(*values: float) -> np.ndarray:
