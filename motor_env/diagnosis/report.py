@@ -74,33 +74,31 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
 
 def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, Any] | None:
     """What the commutation ripple tells; None without one."""
-    from_ripple = ripple_speed(fit, periods_per_turn)
-    if from_ripple is None:
+    speed = ripple_speed(fit, periods_per_turn)
+    if speed is None:
         return None
     return {
-        "ripple_hz": from_ripple.ripple.frequency_hz,
-        "standard_error_hz": from_ripple.ripple.standard_error_hz,
-        "amplitude_a": from_ripple.ripple.amplitude_a,
-        "speed_rad_s": from_ripple.speed_rad_s,
-        **{name: {"value": value, "unit": UNITS[name]} for name, value in from_ripple.constants.items()},
+        "ripple_hz": speed.ripple.frequency_hz,
+        "standard_error_hz": speed.ripple.standard_error_hz,
+        "amplitude_a": speed.ripple.amplitude_a,
+        "speed_rad_s": speed.speed_rad_s,
+        **{name: {"value": value, "unit": UNITS[name]} for name, value in speed.constants.items()},
     }
 
 
 def ripple_lines(fit: Identified, periods_per_turn: float | None) -> list[str]:
     """The same in sentences, none without a ripple."""
-    from_ripple = ripple_speed(fit, periods_per_turn)
-    if from_ripple is None:
+    speed = ripple_speed(fit, periods_per_turn)
+    if speed is None:
         return []
-    line = f"commutation ripple of {from_ripple.ripple.frequency_hz:.5g} Hz at the end"
-    if from_ripple.speed_rad_s is None:
+    line = f"commutation ripple of {speed.ripple.frequency_hz:.5g} Hz at the end"
+    if speed.speed_rad_s is None:
         return [
             f"  {line}; with its periods a turn (--ripple-periods-per-turn) it tells the speed, K, J and B"
         ]
-    constants = ", ".join(
-        f"{name} {value:.4g} {UNITS[name]}" for name, value in from_ripple.constants.items()
-    )
+    constants = ", ".join(f"{name} {value:.4g} {UNITS[name]}" for name, value in speed.constants.items())
     return [
-        f"  {line}: {from_ripple.speed_rad_s:.5g} rad/s ({from_ripple.speed_rad_s / RAD_S_PER_RPM:.0f} rpm), so {constants}"
+        f"  {line}: {speed.speed_rad_s:.5g} rad/s ({speed.speed_rad_s / RAD_S_PER_RPM:.0f} rpm), so {constants}"
     ]
 
 

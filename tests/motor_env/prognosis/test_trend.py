@@ -248,6 +248,17 @@ def test_long_tables_and_json_read_like_wide_ones(tmp_path: Path) -> None:
     assert read_estimates(wide)[0].unit == "hours"
 
 
+def test_tables_of_estimates_are_read_like_recordings(tmp_path: Path) -> None:
+    """Code pages, tabs, comments and blank lines; an error names the line of the file."""
+    path = tmp_path / "e.csv"
+    path.write_text("# of the bench\n\ntime_hours\tB\tB_se\n1\t2.5\t0.1\n2\t2.6\t0.1\n", encoding="utf-16")
+    (series,) = read_estimates(path)
+    np.testing.assert_allclose(series.estimate, [2.5, 2.6])
+    path.write_text("# of the bench\n\ntime,B\n1,2\n2,x\n")
+    with pytest.raises(InputError, match="line 5: B must be a finite number"):
+        read_estimates(path)
+
+
 def test_estimates_of_one_time_are_averaged() -> None:
     (series,) = build_series(
         {"B": [(1.0, 2.0, 0.1), (1.0, 4.0, 0.1), (2.0, 5.0, 0.2)]}, "starts", dated=False
