@@ -9,27 +9,38 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from motor_env.envs import kernel
-from motor_env.envs.episodes import Episodes, draw_episodes
-from motor_env.envs.noise import EPISODE, INDEX, LANES, SEED_HIGH, SEED_LOW
+from motor_env.envs import kernel, stepping
+from motor_env.envs.kernel import LANES, ROWS
+from motor_env.envs.lanes import (
+    BEFORE_FIRST,
+    CASE_HIGH,
+    CASE_LOW,
+    CLASS_INDEX,
+    ROW,
+    RUNNING_ONSET,
+    SEED_HIGH,
+    SEED_LOW,
+    SEVERITY,
+    empty_lanes,
+    pack_task,
+)
 from motor_env.envs.options import MonitorOptions, with_changes
 from motor_env.envs.rendering import Scope, Window
-from motor_env.envs.setup import Setup, make_setup, whole_bank
+from motor_env.envs.setup import Setup, make_bank, make_setup
 from motor_env.motor.model import State
 from motor_env.motor.parameters import require
-from motor_env.simulation.random_streams import NORMALS_AT_ONCE
 
 ActType = TypeVar("ActType")
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
-AHEAD = 16
+EVERYWHERE = np.ones(1, dtype=np.bool_)
 RENDER_MODES = ("rgb_array", "human")
 
 
 def observation_space(setup: Setup) -> spaces.Space[Observation]:
     """Box of the chosen features."""
     high = setup.view[1, setup.chosen].astype(np.float32)
-    low = np.where(setup.chosen == kernel.FEATURES.index("time"), 0.0, -high).astype(np.float32)
+    low = np.where(np.array(setup.observed) == "time", 0.0, -high).astype(np.float32)
     return cast("spaces.Space[Observation]", spaces.Box(low, high, dtype=np.float32))
 
 
@@ -62,23 +73,20 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         self.setup: Setup = make_setup(options)
         self.observation_space = observation_space(self.setup)
         self.action_space = self._actions()
-        self._state = np.zeros(kernel.N_FIELDS * LANES, dtype=options.precision)
-        self._names = np.zeros((4, 1), dtype=np.uint32)
-        self._noise = np.zeros(NORMALS_AT_ONCE, dtype=np.float32)
-        self._words = np.zeros((4, NORMALS_AT_ONCE // 4), dtype=np.uint32)
+        bank = self.setup.numbers.bank
+        if render_mode is not None:  # the picture shows the evidence of all kinds
+            bank = make_bank(options, self.setup.belief.model, self.setup.rest)
+        lanes = empty_lanes(1, 1, options.precision)
+        self._state, self._words, self._marks, _, self._drawn = lanes
+        self._arrays = (*pack_task(self.setup.numbers._replace(bank=bank)), *lanes)
         self._seed: int | None = None
-        self._index = 0
-        self._episode = 0
-        self._drawn: Episodes | None = None
         self._truth: Info = {}
-        self._onset = kernel.NEVER
         self._offsets_v: list[float] = self.setup.offsets_v.tolist()
         self._declarations: list[int] = self.setup.declarations.astype(int).tolist()
         self._scope = Scope(self.setup) if render_mode is not None else None
         self._window: Any = None
-        self._bank = self.setup.bank if render_mode is None else whole_bank(self.setup)
         self._over = True
-        self._samples = options.samples_per_step
+        self._samples, self._n_observed = options.samples_per_step, len(self.setup.chosen)
 
     def _actions(self) -> spaces.Space[Any]:
         return discrete_actions(self.setup)
@@ -102,76 +110,50 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         require(index is None or seed is not None, "the reset option index needs a seed")
         if seed is not None or self._seed is None:
             self._seed = seed if seed is not None else int(self.np_random.integers(2**63))
-            self._index, self._episode = int(index or 0), 0
-            self._names[SEED_LOW], self._names[SEED_HIGH] = self._seed & 0xFFFFFFFF, self._seed >> 32
-            self._drawn = None
-        else:
-            self._episode += 1
+            self._words[SEED_LOW], self._words[SEED_HIGH] = self._seed & 0xFFFFFFFF, self._seed >> 32
+            self._words[CASE_LOW], self._words[CASE_HIGH] = BEFORE_FIRST, int(index or 0)
         return self._begin()
 
     def _begin(self) -> tuple[Observation, Info]:
-        setup, place = self.setup, self._episode % AHEAD
-        if self._drawn is None or place == 0:
-            self._drawn = self._draw_ahead()
-        drawn = self._drawn
-        which, onset = int(drawn.class_index[place]), float(drawn.records[place, kernel.HEAD_ONSET])
-        self._onset = onset
+        self._marks[ROW] = ROWS
+        stepping.begin_lanes(EVERYWHERE, *self._arrays)
+        which, onset = self._marks.item(CLASS_INDEX), self._marks.item(RUNNING_ONSET)
         self._truth = {
-            "label": setup.labels[which],
-            "severity": float(drawn.severity[place]),
+            "label": self.setup.labels[which],
+            "severity": self._drawn.item(SEVERITY),
             "class_index": which,
-            "onset_sample": int(onset) if onset < kernel.NEVER else -1,
+            "onset_sample": onset,
         }
-        self._record = drawn.records[place]
-        self._names[EPISODE], self._names[INDEX] = self._episode, self._index
-        kernel.begin_episode(self._state, 0, self._record, self._names, setup.constants)
-        observation = np.empty(len(setup.chosen), dtype=np.float32)
-        kernel.observe_lane(self._state, 0, setup.observed, observation)
+        observation = np.empty(len(self.setup.chosen), dtype=np.float32)
+        stepping.observe(observation.reshape(-1, 1), *self._arrays)
         self._over = False
         if self._scope is not None:
             self._scope.clear()
             self._show()
-        return observation, self._info()
-
-    def _draw_ahead(self) -> Episodes:
-        """Draw some episodes of the stream at once: one costs as much as many."""
-        assert self._seed is not None  # noqa: S101  # set by reset
-        episodes = self._episode - self._episode % AHEAD + np.arange(AHEAD)
-        return draw_episodes(self.setup, self._seed, np.full(AHEAD, self._index), episodes)
+        return observation, {**self._truth, "fault_active": False}
 
     def _advance(self, offset_v: float, declared: int) -> tuple[Observation, float, bool, bool, Info]:
         if self._over:
             raise gym.error.ResetNeeded("call reset() before step(): the episode is over")
-        setup = self.setup
-        observation = np.empty(len(setup.chosen), dtype=np.float32)
-        reward, self._over = kernel.step_single(
-            self._state,
-            self._record,
-            self._names,
-            self._noise,
-            self._words,
-            setup.constants,
-            self._bank,
-            setup.observed,
-            observation,
-            offset_v,
-            declared,
-            self._samples,
+        observation = np.empty(self._n_observed, dtype=np.float32)
+        reward, self._over, fault_active = stepping.step_single(
+            offset_v, declared, self._samples, observation, *self._arrays
         )
         if self._scope is not None:
             if self._over:
                 self._scope.verdict, self._scope.good = self._verdict(declared)
             self._show()
-        return observation, reward, self._over, False, self._info()
+        return observation, reward, self._over, False, {**self._truth, "fault_active": fault_active}
 
     def _verdict(self, declared: int) -> tuple[str, bool]:
         """How the episode ended, in words, and whether well."""
         state = self._state[::LANES]
+        onset = state[kernel.ONSET]
         if declared == 0:
-            missed = self._onset < self.options.n_samples
+            missed = onset < self.options.n_samples
             return ("fault missed" if missed else "rightly silent"), not missed
         kind = self.setup.kinds[declared - 1]
-        if state[kernel.SAMPLE] - self._samples <= self._onset:
+        if state[kernel.SAMPLE] - self._samples <= onset:
             return f"{kind}: false alarm", False
         right = declared == int(state[kernel.KIND])
         return f"{kind}: {'right' if right else 'wrong kind'}", right
@@ -187,10 +169,10 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
             state[kernel.ESTIMATED_SPEED] + rest[State.SPEED],
             state[kernel.VOLTAGE] + float(self.options.task.supply.voltage_v),
             state[kernel.WHITE_CURRENT] / self._samples**0.5,
-            *state[kernel.BANK + 2 :: kernel.BANK_LENGTH][: len(scope.kinds)],
+            *state[kernel.BANK + 2 : kernel.N_FIELDS : kernel.BANK_LENGTH],
         )
-        if self._onset < kernel.NEVER:
-            scope.onset_step = int(self._onset) // self._samples
+        if self._truth["onset_sample"] >= 0:
+            scope.onset_step = self._truth["onset_sample"] // self._samples
         if self.render_mode == "human" and scope.step % scope.per_column == 0:
             self.render()
 
@@ -218,10 +200,6 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         if self._window is not None:
             self._window.close()
             self._window = None
-
-    def _info(self) -> Info:
-        sample = self._state.item(kernel.SAMPLE * LANES)
-        return {**self._truth, "fault_active": sample > self._onset}
 
 
 class DiscreteMotorEnv(MotorEnv[Any]):

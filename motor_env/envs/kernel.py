@@ -11,13 +11,13 @@ The same source serves float32 and float64: whichever the arrays are.
 
 from __future__ import annotations
 
-import numpy as np
 from numba import njit
-from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from motor_env.envs.noise import LANES, Float32Array, WordArray, four_normals
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.random_streams import NORMALS_AT_ONCE, Stream, fill_case
+
+LANES = 64
+ROWS = 4
+"""Normals of a lane that are made at a time: those that one counter gives."""
 
 # Fields of a lane. The first ROW_LENGTH are the motor as it is now, as its difference to the belief's.
 M00, M01, M10, M11, D0, D1, B0, B1, SIGMA_CURRENT, SIGMA_SPEED = range(10)
@@ -28,14 +28,16 @@ SAMPLE, NEXT_CHANGE, DELAY, COST = range(19, 23)  # the time, and what it costs
 MEASURED_CURRENT, MEASURED_SPEED, ESTIMATED_CURRENT, ESTIMATED_SPEED = range(23, 27)  # the last sample
 WHITE_CURRENT, WHITE_SPEED, VOLTAGE = range(27, 30)  # the last step
 ONSET, LEVEL, KIND, SUPPLY = range(30, 34)  # the episode
-OLD_CURRENT, OLD_SPEED, MISMATCH_0, MISMATCH_1, NOISE_CURRENT, NOISE_SPEED, POWER = range(
-    34, 41
-)  # for the bank
+OLD_CURRENT, OLD_SPEED, MISMATCH_0, MISMATCH_1 = range(34, 38)  # for the bank, as the next three
+NOISE_CURRENT, NOISE_SPEED, POWER = range(38, 41)
 CARRY = 41  # what rounding took from the error of the speed
 BANK = 42  # three fields for each filter of the bank: the errors of its current and speed, its evidence
 BANK_LENGTH = 3
 MAX_BANK = 5
 N_FIELDS = BANK + BANK_LENGTH * MAX_BANK
+NORMAL_CURRENT, NORMAL_SPEED = N_FIELDS, N_FIELDS + 1  # the normals of the sample
+NOISE, LATEST = N_FIELDS + 2, N_FIELDS + 2 + ROWS  # the normals made ahead, and those made last
+BLOCK = (LATEST + ROWS) * LANES
 
 # The belief, the statistics' memories and the rewards, common to all lanes.
 (F00, F01, F10, F11, G0, G1, K00, K01, K10, K11, W00, W10, W11, C0, C1) = range(15)
@@ -47,11 +49,10 @@ N_CONSTANTS = 38
 # A filter of the bank: its transition, and its difference to the belief in transition, voltage gain and drift.
 (T00, T01, T10, T11, T_M00, T_M01, T_M10, T_M11, T_B0, T_B1, T_D0, T_D1) = range(12)
 MODEL_LENGTH = 12
+FIELD, SCALE, BOUND, OFFSET = range(4)  # a row of the observed features
+FEATURE_LENGTH = 4
+NEVER = 2.0**50  # the same in both precisions
 Constants = tuple[float, ...]
-
-# What is drawn for an episode: its head, then the motor at each level of its fault, healthy first.
-HEAD_ONSET, HEAD_KIND, HEAD_SUPPLY, HEAD_CURRENT, HEAD_SPEED, HEAD_ERROR_CURRENT, HEAD_ERROR_SPEED = range(7)
-HEAD_LENGTH = 7
 
 FEATURES = (
     "measured_current",
@@ -67,38 +68,18 @@ FEATURES = (
     "excess",
     "voltage",
     "time",
-    "evidence_bearing",
-    "evidence_winding_contact",
-    "evidence_winding_short",
 )
-"""What can be observed, in the kernel's order; evidence of a recipe's further kinds follows (`Setup.features`)."""
-FIELD_OF_FEATURE = np.array(
-    [
-        MEASURED_CURRENT,
-        MEASURED_SPEED,
-        ESTIMATED_CURRENT,
-        ESTIMATED_SPEED,
-        WHITE_CURRENT,
-        WHITE_SPEED,
-        FAST_CURRENT,
-        SLOW_CURRENT,
-        FAST_SPEED,
-        SLOW_SPEED,
-        EXCESS,
-        VOLTAGE,
-        SAMPLE,
-        *range(BANK + 2, N_FIELDS, BANK_LENGTH),
-    ]
+"""What can be observed of every task; then comes the evidence of each filter of the bank."""
+FIELD_OF_FEATURE = (
+    *range(MEASURED_CURRENT, WHITE_SPEED + 1),
+    *range(FAST_CURRENT, EXCESS + 1),
+    *(VOLTAGE, SAMPLE),
+    *range(BANK + 2, N_FIELDS, BANK_LENGTH),
 )
-FIELD, SCALE, BOUND, OFFSET = range(4)  # a row of the view: an observed feature
-NEVER = 2.0**50  # the same in both precisions
-_STREAM = np.uint32(Stream.MEASUREMENT)
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
-def advance(
-    s: FloatArray, j: int, p: Constants, n0: float, n1: float, kept: float, with_speed: bool, full: bool
-) -> None:
+def advance(s: FloatArray, j: int, p: Constants, kept: float, with_speed: bool, full: bool) -> None:
     """One sample of lane j of the block s: plant, measurement, filter, statistics, cost of waiting.
 
     States, measurements and the voltage u stand as deviations from the point at which the belief would rest. What the
@@ -111,7 +92,7 @@ def advance(
     innovation is C (e + v), and e[k+1] = e - K (e + v) with the gain to which the filter converges. Exponentially
     weighted means of the whitened innovation are scaled to a standard deviation of 1.
 
-    n0 and n1 are the standard normals of the sample; `kept` is 0 on the first sample of a step, 1 after that.
+    `kept` is 0 on the first sample of a step, 1 after that.
     `with_speed` (a speed sensor is there) and `full` (the voltage may move, or a bank follows) are literals where this
     is called, so the compiler leaves out what is not needed.
     """
@@ -130,13 +111,13 @@ def advance(
     e0, e1 = s[j + ERROR_CURRENT * LANES], s[j + ERROR_SPEED * LANES]
     a0 = p[F00] * e0 + p[F01] * e1 + m0
     rise = p[F10] * e0 + p[F11] * e1 + m1
-    v0 = s[j + SIGMA_CURRENT * LANES] * n0
+    v0 = s[j + SIGMA_CURRENT * LANES] * s[j + NORMAL_CURRENT * LANES]
     d0 = p[C0] * (a0 + v0)
     r0 = p[W00] * d0
     e0, correction, power = a0 - p[K00] * d0, p[K10] * d0, r0 * r0
     fast, slow = p[MEMORY_FAST], p[MEMORY_SLOW]
     if with_speed:
-        v1 = s[j + SIGMA_SPEED * LANES] * n1
+        v1 = s[j + SIGMA_SPEED * LANES] * s[j + NORMAL_SPEED * LANES]
         d1 = e1 + rise + v1
         r1 = p[W10] * d0 + p[W11] * d1
         e0, correction, power = e0 - p[K01] * d1, correction + p[K11] * d1, power + r1 * r1
@@ -205,95 +186,3 @@ def settle(s: FloatArray, j: int, p: Constants, samples: int, declared: int) -> 
     if s[j + SAMPLE * LANES] - samples <= onset:
         return float(-p[FALSE_ALARM])
     return float(p[CORRECT] if declared == s[j + KIND * LANES] else -p[WRONG_KIND])
-
-
-@njit(cache=True, error_model="numpy")
-def change_level(s: FloatArray, j: int, episode: FloatArray, p: Constants) -> None:
-    """Let the fault of lane j reach the levels that are due."""
-    while s[j + NEXT_CHANGE * LANES] <= s[j + SAMPLE * LANES]:
-        level = int(s[j + LEVEL * LANES]) + 1
-        for f in range(ROW_LENGTH):
-            s[j + f * LANES] = episode[HEAD_LENGTH + level * ROW_LENGTH + f]
-        s[j + LEVEL * LANES], s[j + DELAY * LANES] = level, p[DELAY_COST]
-        due = s[j + ONSET * LANES] + np.floor(p[GROWTH] * level / p[N_LEVELS])
-        s[j + NEXT_CHANGE * LANES] = due if level < p[N_LEVELS] else NEVER
-
-
-@njit(cache=True, error_model="numpy")
-def begin_episode(
-    s: FloatArray, j: int, episode: FloatArray, names: WordArray, constants: FloatArray
-) -> None:
-    """Set lane j to the start of an episode, with the measurement of its initial state."""
-    for f in range(N_FIELDS):
-        s[j + f * LANES] = 0.0
-    for f in range(ROW_LENGTH):
-        s[j + f * LANES] = episode[HEAD_LENGTH + f]
-    current, speed = episode[HEAD_CURRENT], episode[HEAD_SPEED]
-    error_current, error_speed = episode[HEAD_ERROR_CURRENT], episode[HEAD_ERROR_SPEED]
-    s[j + CURRENT * LANES], s[j + SPEED * LANES] = current, speed
-    s[j + ERROR_CURRENT * LANES], s[j + ERROR_SPEED * LANES] = error_current, error_speed
-    s[j + ESTIMATED_CURRENT * LANES] = current - error_current
-    s[j + ESTIMATED_SPEED * LANES] = speed - error_speed
-    for m in range(BANK, N_FIELDS, BANK_LENGTH):
-        s[j + m * LANES], s[j + (m + 1) * LANES] = error_current, error_speed
-    s[j + ONSET * LANES], s[j + NEXT_CHANGE * LANES] = episode[HEAD_ONSET], episode[HEAD_ONSET]
-    s[j + KIND * LANES], s[j + SUPPLY * LANES] = episode[HEAD_KIND], episode[HEAD_SUPPLY]
-    four = four_normals(np.uint32(0), names, j)
-    s[j + MEASURED_CURRENT * LANES] = current + s[j + SIGMA_CURRENT * LANES] * four[0]
-    last = four[1] if constants[N_CHANNELS] > 1.0 else four[0]
-    s[j + MEASURED_SPEED * LANES] = speed + s[j + SIGMA_SPEED * LANES] * last
-
-
-@njit(cache=True, error_model="numpy")
-def observe_lane(s: FloatArray, j: int, view: FloatArray, out: Float32Array) -> None:
-    """Write the observed features of lane j, scaled and clipped."""
-    for m in range(view.shape[0]):
-        value = (s[j + int(view[m, FIELD]) * LANES] + view[m, OFFSET]) * view[m, SCALE]
-        bound = view[m, BOUND]
-        out[m] = min(max(value, -bound), bound)
-
-
-@njit(cache=True, error_model="numpy")
-def step_single(
-    s: FloatArray,
-    episode: FloatArray,
-    names: WordArray,
-    noise: Float32Array,
-    words: WordArray,
-    constants: FloatArray,
-    bank: FloatArray,
-    view: FloatArray,
-    out: Float32Array,
-    offset_v: float,
-    declared: int,
-    samples: int,
-) -> tuple[float, bool]:
-    """A step of a single environment, which is lane 0 of a block of its own: reward and end.
-
-    `noise` holds `NORMALS_AT_ONCE` normals of the episode, `words` is scratch for making them.
-    """
-    p = to_fixed_tuple(constants, N_CONSTANTS)
-    s[VOLTAGE * LANES] = offset_v
-    channels, kept = int(p[N_CHANNELS]), p[ZERO]
-    seed = np.uint64(names[0, 0]) | (np.uint64(names[1, 0]) << np.uint64(32))
-    case = np.uint64(names[2, 0]) | (np.uint64(names[3, 0]) << np.uint64(32))
-    for _ in range(samples):
-        if s[NEXT_CHANGE * LANES] <= s[SAMPLE * LANES]:
-            change_level(s, 0, episode, p)
-        q = (int(s[SAMPLE * LANES]) + 1) * channels
-        place = q % NORMALS_AT_ONCE
-        if place == 0 or s[SAMPLE * LANES] == p[ZERO]:
-            fill_case(seed, _STREAM, case, q - place, words, noise)
-        n0, n1 = noise[place], noise[place + channels - 1]
-        if p[C1] > 0.0:
-            advance(s, 0, p, n0, n1, kept, True, True)
-        else:
-            advance(s, 0, p, n0, n1, kept, False, True)
-        for m in range(bank.shape[0]):
-            if bank[m, T11] != 0.0:
-                weigh(s, 0, BANK + BANK_LENGTH * m, p, to_fixed_tuple(bank[m], MODEL_LENGTH))
-        kept = p[ONE]
-    over = declared > 0 or s[SAMPLE * LANES] >= p[HORIZON]
-    reward = settle(s, 0, p, samples, declared) if over else float(-s[COST * LANES])
-    observe_lane(s, 0, view, out)
-    return reward, over

@@ -1,11 +1,12 @@
-"""Standard normals for many lanes at once, made ahead in blocks laid out for the step.
+"""Standard normals for many lanes at once, four rows at a time.
 
 Normal number q of an episode is number q of `random_streams.normals(seed, Stream.MEASUREMENT, case)` with the case that
 `case_of` gives, so it depends on (seed, sub-environment, episode, q) alone. A sample takes one for each channel.
 
-A lane may stand anywhere in its episode while all lanes of a block are refilled at the same time. Four normals come
-from one counter, so the first that a lane needs may be in the middle of four: every lane makes one counter more, and
-shifts what it has made by 0 to 3 places, without a branch.
+A lane may stand anywhere in its episode while all lanes are refilled at the same time. Four normals come from one
+counter, so the next normal of a lane may be in the middle of four. Each lane therefore keeps the four that were made
+last, makes four more, and takes the four rows out of these eight, shifted by 0 to 3 places without a branch. A new
+episode costs one counter, or two: what it finds in the rows that are left.
 """
 
 from __future__ import annotations
@@ -14,18 +15,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from motor_env.envs.kernel import LANES, LATEST, NOISE, ROWS, SAMPLE
+from motor_env.envs.lanes import CASE_HIGH, CASE_LOW, SEED_HIGH, SEED_LOW, WordArray
+from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, box_muller, philox
 
-LANES = 64
-ROWS = 64
-"""Normals of a lane that are made ahead: a multiple of 4, and so large that the one counter more counts little."""
-
 _STREAM = np.uint32(Stream.MEASUREMENT)
-_ZERO, _ONE, _TWO = np.uint32(0), np.uint32(1), np.uint32(2)
-
-Float32Array = NDArray[np.float32]
-WordArray = NDArray[np.uint32]
-SEED_LOW, SEED_HIGH, EPISODE, INDEX = range(4)  # rows of the words that name a lane's episode
 
 
 def case_of(index: NDArray[np.int64], episode: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -34,11 +29,16 @@ def case_of(index: NDArray[np.int64], episode: NDArray[np.int64]) -> NDArray[np.
     return cases
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
-def four_normals(group: np.uint32, names: WordArray, j: int) -> tuple[np.float32, ...]:
-    """Normals 4 group .. 4 group + 3 of the episode that lane j runs."""
+@njit(cache=True, error_model="numpy")
+def four_normals(group: int, words: WordArray, n: int) -> tuple[np.float32, ...]:
+    """Normals 4 group .. 4 group + 3 of the episode that lane n of all runs."""
     a, b, c, d = philox(
-        group, _STREAM, names[EPISODE, j], names[INDEX, j], names[SEED_LOW, j], names[SEED_HIGH, j]
+        np.uint32(group),
+        _STREAM,
+        words[CASE_LOW, n],
+        words[CASE_HIGH, n],
+        words[SEED_LOW, n],
+        words[SEED_HIGH, n],
     )
     n0, n1 = box_muller(a, b)
     n2, n3 = box_muller(c, d)
@@ -46,61 +46,56 @@ def four_normals(group: np.uint32, names: WordArray, j: int) -> tuple[np.float32
 
 
 @njit(cache=True, error_model="numpy")
-def fill_lane(noise: Float32Array, j: int, names: WordArray, row: int, first: int) -> None:
-    """Normals from number `first` on into the rows from `row` on of lane j: what a new episode finds there."""
-    q = first
-    while row < noise.shape[0]:
-        four = four_normals(np.uint32(q >> 2), names, j)
-        for place in range(q & 3, 4):
-            if row < noise.shape[0]:
-                noise[row, j] = four[place]
-            row += 1
-            q += 1
+def begin_noise(s: FloatArray, words: WordArray, n: int, row: int, channels: int) -> tuple[np.float32, ...]:
+    """What a new episode of lane n of all finds in the rows from `row` on; the first four normals of the episode.
+
+    The first normals, one a channel, belong to the measurement of the initial state.
+    """
+    j = n % LANES
+    first: tuple[np.float32, ...] = four_normals(0, words, n)
+    beyond = channels + ROWS - row  # the first normal that the next refill gives
+    second = four_normals(1, words, n) if beyond >= ROWS else first
+    for place in range(row, ROWS):
+        q = channels + place - row
+        s[j + (NOISE + place) * LANES] = first[q] if q < ROWS else second[q - ROWS]
+    for m in range(ROWS):
+        s[j + (LATEST + m) * LANES] = second[m]
+    return first
 
 
 @njit(cache=True, error_model="numpy")
-def refill(noise: Float32Array, names: WordArray, first: WordArray) -> None:
-    """All rows of a block anew: lane j goes on with its normal number `first[j]`.
+def refill(s: FloatArray, words: WordArray, first: int, channels: int, width: int) -> None:
+    """All rows of a block anew, for its lanes up to `width`; `first` is the number of its first lane among all.
 
-    Args:
-        noise: shape (ROWS, LANES).
-        names: seed (low and high word), episode and index of every lane, shape (4, LANES).
-        first: shape (LANES,).
+    Arrays of its own, and rows of the words one by one: else the compiler does not see that they lie side by side.
     """
-    words = np.empty((4, LANES), dtype=np.uint32)
-    made = np.empty((2, 4, LANES), dtype=np.float32)  # the last four normals, and those before
-    group = np.empty(LANES, dtype=np.uint32)
-    for j in range(LANES):
-        group[j] = first[j] >> _TWO
-    for turn in range(noise.shape[0] // 4 + 1):
-        for j in range(LANES):
-            words[0, j], words[1, j], words[2, j], words[3, j] = philox(
-                np.uint32(group[j] + np.uint32(turn)),
-                _STREAM,
-                names[EPISODE, j],
-                names[INDEX, j],
-                names[SEED_LOW, j],
-                names[SEED_HIGH, j],
-            )
-        new, old = made[turn & 1], made[(turn + 1) & 1]
-        for j in range(LANES):
-            new[0, j], new[1, j] = box_muller(words[0, j], words[1, j])
-            new[2, j], new[3, j] = box_muller(words[2, j], words[3, j])
-        if turn > 0:
-            _shift(noise, 4 * (turn - 1), old, new, first)
-
-
-@njit(cache=True, forceinline=True, error_model="numpy")
-def _shift(noise: Float32Array, row: int, old: Float32Array, new: Float32Array, first: WordArray) -> None:
-    """Four rows of noise: of eight normals those from place `first` mod 4 on."""
-    for j in range(LANES):
-        by_two, by_one = (first[j] & _TWO) != _ZERO, (first[j] & _ONE) != _ZERO
-        n0 = old[2, j] if by_two else old[0, j]
-        n1 = old[3, j] if by_two else old[1, j]
-        n2 = new[0, j] if by_two else old[2, j]
-        n3 = new[1, j] if by_two else old[3, j]
+    low, high = words[CASE_LOW, first : first + width], words[CASE_HIGH, first : first + width]
+    k0, k1 = words[SEED_LOW, first : first + width], words[SEED_HIGH, first : first + width]
+    following = np.empty(LANES, dtype=np.uint32)  # the normal with which each lane goes on
+    made = np.empty((4, LANES), dtype=np.uint32)
+    new = np.empty((4, LANES), dtype=np.float32)
+    for j in range(width):
+        following[j] = np.uint32((np.int32(s[j + SAMPLE * LANES]) + 1) * channels)
+    for j in range(width):
+        counter = np.uint32((following[j] >> np.uint32(2)) + np.uint32(1))
+        made[0, j], made[1, j], made[2, j], made[3, j] = philox(
+            counter, _STREAM, low[j], high[j], k0[j], k1[j]
+        )
+    for j in range(width):
+        new[0, j], new[1, j] = box_muller(made[0, j], made[1, j])
+        new[2, j], new[3, j] = box_muller(made[2, j], made[3, j])
+    for j in range(width):
+        by_two = (following[j] & np.uint32(2)) != np.uint32(0)
+        by_one = (following[j] & np.uint32(1)) != np.uint32(0)
+        n0 = s[j + (LATEST + 2) * LANES] if by_two else s[j + LATEST * LANES]
+        n1 = s[j + (LATEST + 3) * LANES] if by_two else s[j + (LATEST + 1) * LANES]
+        n2 = new[0, j] if by_two else s[j + (LATEST + 2) * LANES]
+        n3 = new[1, j] if by_two else s[j + (LATEST + 3) * LANES]
         n4 = new[2, j] if by_two else new[0, j]
-        noise[row, j] = n1 if by_one else n0
-        noise[row + 1, j] = n2 if by_one else n1
-        noise[row + 2, j] = n3 if by_one else n2
-        noise[row + 3, j] = n4 if by_one else n3
+        s[j + NOISE * LANES] = n1 if by_one else n0
+        s[j + (NOISE + 1) * LANES] = n2 if by_one else n1
+        s[j + (NOISE + 2) * LANES] = n3 if by_one else n2
+        s[j + (NOISE + 3) * LANES] = n4 if by_one else n3
+    for m in range(ROWS):
+        for j in range(width):
+            s[j + (LATEST + m) * LANES] = new[m, j]

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from motor_env.envs import vector_kernel
+from motor_env.envs import stepping
 from motor_env.envs.base import DiscreteMotorEnv, Info, MotorEnv, Observation
 from motor_env.envs.options import MonitorOptions
 from motor_env.envs.setup import Setup
 from motor_env.envs.vector import DiscreteVectorEnv, MotorVectorEnv
-from motor_env.motor.parameters import require, require_positive
+from motor_env.motor.parameters import FloatArray, require, require_positive
 from motor_env.simulation.recipes import Recipe
 
 
@@ -153,7 +153,7 @@ class ProbeContinuousEnv(MotorEnv[Any]):
             ValueError: the action has another shape, or a value that is not finite.
         """
         given = _checked(action, self.action_space.shape)
-        offset_v, declared = vector_kernel.decode_continuous(given, self.options.max_offset_v)
+        offset_v, declared = stepping.decode_continuous(given, self.options.max_offset_v)
         return self._advance(offset_v, declared)
 
 
@@ -173,14 +173,12 @@ class ProbeContinuousVectorEnv(MotorVectorEnv):
     def _actions(self) -> spaces.Space[Any]:
         return _continuous_actions(self.setup)
 
-    def _step_lanes(
-        self, actions: Any, fixed: tuple[Any, ...], given: tuple[Any, ...]
-    ) -> tuple[int, int, int]:
+    def _step_lanes(self, actions: Any, observation: Observation, reward: FloatArray) -> int:
         array = _checked(actions, self.action_space.shape)
-        result: tuple[int, int, int] = vector_kernel.step_continuous(
-            array, self.options.max_offset_v, *fixed, *given
+        n_over: int = stepping.step_continuous(
+            array, self.options.max_offset_v, *self._timing, observation, reward, *self._arrays
         )
-        return result
+        return n_over
 
 
 def _checked(action: Any, shape: tuple[int, ...] | None) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -12,7 +12,8 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from motor_env.envs.setup import bank_kinds
+from motor_env.envs.kernel import MAX_BANK
+from motor_env.envs.setup import Setup, bank_kinds
 from motor_env.motor.parameters import FloatArray
 
 Frame = NDArray[np.uint8]
@@ -108,9 +109,9 @@ class Scope:
         setup: of the environment.
     """
 
-    def __init__(self, setup: Any) -> None:
+    def __init__(self, setup: Setup) -> None:
         self.setup = setup
-        self.kinds = bank_kinds(setup.options.task)
+        self._kinds = [kind.verdict for kind in bank_kinds(setup.options.task)]  # of the bank's filters
         self.width = WIDTH - LEFT - RIGHT
         self.n_steps = setup.options.n_steps
         self.per_column = max(1, self.n_steps // self.width)
@@ -130,7 +131,7 @@ class Scope:
         self.step += 1
 
     def _columns(self) -> FloatArray:
-        columns = np.full((5 + len(self.kinds), self.width), np.nan)
+        columns = np.full((5 + MAX_BANK, self.width), np.nan)
         if self.samples:
             shown = self._step_of_column < len(self.samples)
             columns[:, shown] = np.array(self.samples)[self._step_of_column[shown]].T
@@ -157,12 +158,12 @@ class Scope:
             self._trace(frame, 2, np.full(self.width, level), -6.0, 6.0, "threshold", every=9)
         self._trace(frame, 2, columns[4], -6.0, 6.0, "residual")
         self._panel(frame, 3, "belief", "nats", 0.0, 12.0)
-        for row, kind in zip(columns[5:], self.kinds, strict=True):
-            self._trace(frame, 3, row, 0.0, 12.0, _colour(kind.verdict), thick=2)
+        for row, kind in zip(columns[5:], self._kinds, strict=False):
+            self._trace(frame, 3, row, 0.0, 12.0, _colour(kind), thick=2)
         for place, (name, colour) in enumerate((("measured", "current"), ("filter", "estimate"))):
             write(frame, name, 6, self._box(0)[0] + 32 + 15 * place, TRACE[colour], 11)
-        for place, verdict in enumerate(dict.fromkeys(kind.verdict for kind in self.kinds)):
-            write(frame, verdict, 6, self._box(3)[0] + 32 + 15 * place, TRACE[_colour(verdict)], 11)
+        for place, kind in enumerate(dict.fromkeys(self._kinds)):
+            write(frame, kind, 6, self._box(3)[0] + 32 + 15 * place, TRACE[_colour(kind)], 11)
         if self.onset_step is not None and self.onset_step <= self.step:
             self._mark_onset(frame)
         shown = options.n_steps * options.samples_per_step * options.dt_s

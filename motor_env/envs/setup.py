@@ -1,4 +1,4 @@
-"""From options to the numbers that the compiled step needs, and the drawing of episodes."""
+"""From options to the numbers that the compiled step needs."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from motor_env.envs import kernel
+from motor_env.envs.drawing import make_prior, motor_table
+from motor_env.envs.lanes import TaskNumbers
 from motor_env.envs.options import MonitorOptions, Start
 from motor_env.filters.kalman import KalmanFilter, gain_and_covariance
-from motor_env.motor.faults import Fault, FaultKind, apply_fault
+from motor_env.motor.faults import HEALTHY, Fault, FaultKind, apply_fault
 from motor_env.motor.model import DiscreteModel, Input, State, discretize, steady_state
 from motor_env.motor.parameters import Channel, FloatArray, require
 from motor_env.simulation.recipes import Recipe
@@ -29,32 +31,32 @@ class Setup(NamedTuple):
     Attributes:
         options: what it was made from.
         kinds: verdicts that can be declared, in the order of the actions.
-        belief: the filter, with its gain in `constants`.
-        constants: see the kernel.
-        bank: models of the other filters, see the kernel.
+        belief: the filter, whose gain stands among the numbers.
+        numbers: what the compiled step is told of the task.
         rest: the point at which the belief would rest, from which the kernel counts: current and speed.
-        features: names of all features: the kernel's, then the evidence of further kinds of the recipe.
+        features: names of all that can be observed.
         view: scale, bound and offset of every feature, shape (3, n_features).
-        chosen: the observed features.
-        observed: field, scale, bound and offset of each of them, as the kernel takes them, shape (n_chosen, 4).
+        chosen: numbers of the observed features.
+        observed: their names.
         offsets_v: what each discrete action adds to the supply's voltage.
         declarations: number of the verdict that it declares, 0 for none.
         labels: label kind of every class of the recipe.
+        right_declarations: number of the kind that is right for every class, counted from 1; 0 for healthy.
     """
 
     options: MonitorOptions
     kinds: tuple[str, ...]
     belief: KalmanFilter
-    constants: FloatArray
-    bank: FloatArray
+    numbers: TaskNumbers
     rest: FloatArray
     features: tuple[str, ...]
     view: FloatArray
     chosen: NDArray[np.int64]
-    observed: FloatArray
+    observed: tuple[str, ...]
     offsets_v: FloatArray
     declarations: FloatArray
     labels: tuple[str, ...]
+    right_declarations: NDArray[np.int64]
 
 
 def converged_gain(belief: KalmanFilter) -> tuple[FloatArray, FloatArray]:
@@ -89,34 +91,57 @@ def make_setup(options: MonitorOptions) -> Setup:
         process_noise_std=options.belief_noise_std,
         initial_state=rest if options.start is Start.RUNNING else np.zeros(2),
     )
-    features = (*kernel.FEATURES, *(f"evidence_{kind}" for kind in bank_kinds(recipe)[3:]))
-    view, names = _view(options, rest, features)
+    features = (*kernel.FEATURES, *(f"evidence_{kind}" for kind in bank_kinds(recipe)))
+    unmeasured = [f"{kind}_{c}" for c in Channel if c not in recipe.sensor.channels for kind in _MEASURED]
+    names = [name for name in features if name not in unmeasured]
     for name in options.observe:
         require(name in names, f"observe must name features among {', '.join(names)}, got {name!r}")
-    evidence = [f"evidence_{c.kind}" for c in recipe.classes] if options.shows_evidence else []
-    usual = tuple(name for name in names if not name.startswith("evidence") or name in evidence)
-    chosen = [features.index(name) for name in options.observe or usual]
+    usual = [name for name in names if options.shows_evidence or not name.startswith("evidence")]
+    view, observed = _view(options, rest, features), options.observe or tuple(usual)
+    chosen = [features.index(name) for name in observed]
     offsets: tuple[float, ...] = options.offsets_v
-    bank = _bank(options, belief.model, chosen, rest)
-    constants = _constants(options, belief, float(rest[0]))
-    constants[kernel.FULL] = options.moves_voltage or bank.any()
+    labels = tuple(c.label_kind for c in recipe.classes)
+    right = [0 if label == HEALTHY else 1 + kinds.index(FaultKind(label).verdict) for label in labels]
     return Setup(
         options=options,
         kinds=kinds,
         belief=belief,
-        constants=constants.astype(options.precision),
-        bank=bank.astype(options.precision),
+        numbers=_numbers(
+            options,
+            belief,
+            rest,
+            np.vstack([kernel.FIELD_OF_FEATURE[: len(features)], view])[:, chosen].T,
+            right,
+        ),
         rest=rest,
-        features=features,
+        features=tuple(names),
         view=view,
         chosen=np.array(chosen, dtype=np.int64),
-        observed=np.vstack([kernel.FIELD_OF_FEATURE[: len(features)], view])[:, chosen].T.astype(
-            options.precision
-        ),
+        observed=observed,
         offsets_v=np.array([*offsets, *(0.0 for _ in kinds)]),
         declarations=np.array([0.0] * len(offsets) + [1.0 + m for m in range(len(kinds))]),
-        labels=tuple(c.label_kind for c in recipe.classes),
+        labels=labels,
+        right_declarations=np.array(right),
     )
+
+
+def _numbers(
+    options: MonitorOptions, belief: KalmanFilter, rest: FloatArray, view: FloatArray, right: list[int]
+) -> TaskNumbers:
+    bank, constants = make_bank(options, belief.model, rest), _constants(options, belief, float(rest[0]))
+    shown = [
+        field in view[:, kernel.FIELD]
+        for field in range(kernel.BANK + 2, kernel.N_FIELDS, kernel.BANK_LENGTH)
+    ]
+    bank[np.logical_not(shown)] = 0.0  # what nobody sees need not run
+    constants[kernel.FULL] = options.moves_voltage or bank.any()
+    prior, classes = make_prior(options, belief, rest, right, len(view))
+    motors = np.zeros((len(classes), options.n_levels + 1, kernel.ROW_LENGTH))
+    numbers = TaskNumbers(constants, bank, view, motors, prior, classes)
+    in_precision = [
+        array.astype(options.precision) for array in (constants, bank, view, motor_table(numbers))
+    ]
+    return TaskNumbers(in_precision[0], in_precision[1], in_precision[2], in_precision[3], prior, classes)
 
 
 def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: float) -> FloatArray:
@@ -165,66 +190,43 @@ def transition_row(model: DiscreteModel) -> FloatArray:
     return row
 
 
-def whole_bank(setup: Setup) -> FloatArray:
-    """The bank with a filter for every kind of the recipe, observed or not: what the picture shows."""
-    recipe = setup.options.task
-    known = {f"evidence_{c.kind}" for c in recipe.classes}
-    chosen = [m for m, name in enumerate(setup.features) if name in known]
-    return _bank(setup.options, setup.belief.model, chosen, setup.rest).astype(setup.options.precision)
-
-
-def drift(
-    options: MonitorOptions, model: DiscreteModel, rest: FloatArray, supply: float | FloatArray
-) -> FloatArray:
-    """Where a motor goes in one sample from the belief's point of rest: A rest + B (V, load) - rest, shape (..., 2)."""
-    voltage = float(options.task.supply.voltage_v) * np.asarray(supply, dtype=np.float64)
+def _drift(options: MonitorOptions, model: DiscreteModel, rest: FloatArray) -> FloatArray:
+    """Where a motor goes in one sample from the belief's point of rest: A rest + B (V, load) - rest, shape (2,)."""
+    voltage = float(options.task.supply.voltage_v)
     away: FloatArray = (
         model.transition @ rest
-        + model.gain[..., Input.VOLTAGE] * voltage[..., None]
-        + model.gain[..., Input.LOAD_TORQUE] * options.load_torque_n_m
+        + model.gain[:, Input.VOLTAGE] * voltage
+        + model.gain[:, Input.LOAD_TORQUE] * options.load_torque_n_m
         - rest
     )
     return away
 
 
-def _bank(options: MonitorOptions, belief: DiscreteModel, chosen: list[int], rest: FloatArray) -> FloatArray:
-    """Models of the filters whose evidence is observed, one for each kind: its smallest severity; zeros elsewhere.
+def bank_kinds(recipe: Recipe) -> tuple[FaultKind, ...]:
+    """Kinds of the recipe with a filter of their own: the first few of those that change the motor."""
+    return tuple(kind for kind in recipe.kinds if kind.motor_powers)[: kernel.MAX_BANK]
 
-    Raises:
-        ValueError: evidence for a kind that the recipe does not know.
-    """
+
+def make_bank(options: MonitorOptions, belief: DiscreteModel, rest: FloatArray) -> FloatArray:
+    """Models of the other filters, one for each kind that changes the motor: its smallest severity."""
     recipe = options.task
     rows = np.zeros((kernel.MAX_BANK, kernel.MODEL_LENGTH))
-    first = kernel.FEATURES.index("evidence_bearing")
-    for m, kind in enumerate(bank_kinds(recipe)):
-        name = f"evidence_{kind}"
-        if first + m in chosen:
-            severities = [c.severity for c in recipe.classes if c.kind is kind]
-            require(bool(severities), f"observe: recipe {recipe.name} has no {kind}, so no {name}")
-            faulty = apply_fault(recipe.motor, Fault(kind, min(severities)))
-            model = discretize(faulty, options.dt_s)
-            rows[m] = np.concatenate(
-                [
-                    transition_row(model),
-                    (model.transition - belief.transition).ravel(),
-                    (model.gain - belief.gain)[:, Input.VOLTAGE],
-                    drift(options, model, rest, 1.0),
-                ]
-            )
+    for row, kind in zip(rows, bank_kinds(recipe), strict=False):
+        smallest = min(c.severity or c.largest_severity for c in recipe.classes if c.kind == kind)
+        model = discretize(apply_fault(recipe.motor, Fault(kind, smallest)), options.dt_s)
+        row[:] = np.concatenate(
+            [
+                transition_row(model),
+                (model.transition - belief.transition).ravel(),
+                (model.gain - belief.gain)[:, Input.VOLTAGE],
+                _drift(options, model, rest),
+            ]
+        )
     return rows
 
 
-def bank_kinds(recipe: Recipe) -> tuple[FaultKind, ...]:
-    """Kinds with a filter of their own: three that every environment knows, then further ones of its recipe."""
-    known = (FaultKind.BEARING, FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT)
-    others = (kind for kind in recipe.kinds if kind.motor_powers and kind not in known)
-    return (*known, *others)[: kernel.MAX_BANK]
-
-
-def _view(
-    options: MonitorOptions, rest: FloatArray, features: tuple[str, ...]
-) -> tuple[FloatArray, tuple[str, ...]]:
-    """Scale and bound of every feature, and the names of those that the sensor gives."""
+def _view(options: MonitorOptions, rest: FloatArray, features: tuple[str, ...]) -> FloatArray:
+    """Scale, bound and offset of every feature."""
     recipe = options.task
     voltage = float(recipe.supply.voltage_v)
     require(voltage != 0.0, "voltage_v of the recipe's supply must not be 0")
@@ -235,17 +237,15 @@ def _view(
         "voltage": (1.0 / abs(voltage), 3.0),
         "time": (1.0 / options.n_samples, 1.0),
         "excess": (1.0, INNOVATION_BOUND),
-        **{f"evidence_{kind}": (EVIDENCE_SCALE, EVIDENCE_BOUND) for kind in bank_kinds(recipe)},
+        **{name: (EVIDENCE_SCALE, EVIDENCE_BOUND) for name in features if name.startswith("evidence")},
     }
     for channel, unit in (("current", current), ("speed", speed)):
         by_name[f"measured_{channel}"] = by_name[f"estimated_{channel}"] = (1.0 / unit, 3.0)
         by_name[f"innovation_{channel}"] = (white, INNOVATION_BOUND)
         by_name[f"fast_{channel}"] = by_name[f"slow_{channel}"] = (1.0, INNOVATION_BOUND)
-    unmeasured = [f"{kind}_{c}" for c in Channel if c not in recipe.sensor.channels for kind in _MEASURED]
-    names = tuple(name for name in features if name not in unmeasured)
     offsets = {"current": float(rest[0]), "speed": float(rest[1]), "voltage": voltage}
     offset = [offsets[name.split("_")[-1]] if name in _FROM_REST else 0.0 for name in features]
-    return np.vstack([np.array([by_name[name] for name in features]).T, offset]), names
+    return np.vstack([np.array([by_name[name] for name in features]).T, offset])
 
 
 _FROM_REST = ("measured_current", "measured_speed", "estimated_current", "estimated_speed", "voltage")

@@ -78,49 +78,54 @@ _SERIES_ORDER = 12  # 0.25^13 / 14! is below 1e-18: the series ends under the ro
 
 
 @njit(cache=True)
-def _exponential_and_phi(
-    transition: FloatArray, dt_s: float, exponential: FloatArray, phi: FloatArray
-) -> None:
-    """exp(A dt) and phi1(A dt) = (A dt)^-1 (exp(A dt) - 1) of each 2 x 2 matrix, by series and doubling.
+def exponential_and_phi(
+    a: float, b: float, c: float, d: float
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """exp(X) and phi1(X) = X^-1 (exp(X) - 1) of X = [[a, b], [c, d]], row by row, by series and doubling.
 
     phi1(X) = sum X^k / (k+1)!, exp(X) = 1 + X phi1(X), phi1(2X) = (exp(X) + 1) phi1(X) / 2 (Higham 2008, ch. 10.7).
-    No difference of nearly equal numbers, no division by a small eigenvalue: full accuracy for any dt and any damping.
+    No difference of nearly equal numbers, no division by a small eigenvalue: full accuracy for any step and damping.
     """
+    # The similarity diag(1, scale) evens out b and c, so that the norm is free of the units.
+    scale = np.sqrt(abs(b / c)) if b != 0.0 and c != 0.0 else 1.0
+    b, c = b / scale, c * scale
+    norm = max(abs(a) + abs(b), abs(c) + abs(d))
+    doublings, shrink = 0, 1.0
+    while norm > _SERIES_NORM:
+        norm, shrink = norm * 0.5, shrink * 0.5
+        doublings += 1
+    a, b, c, d = a * shrink, b * shrink, c * shrink, d * shrink
+    p, q, r, s = 1.0, 0.0, 0.0, 1.0
+    for k in range(_SERIES_ORDER, 0, -1):  # Horner: phi <- 1 + X phi / (k + 1)
+        f = 1.0 / (k + 1.0)
+        p, q, r, s = (
+            1.0 + f * (a * p + b * r),
+            f * (a * q + b * s),
+            f * (c * p + d * r),
+            1.0 + f * (c * q + d * s),
+        )
+    e, g, h, j = 1.0 + a * p + b * r, a * q + b * s, c * p + d * r, 1.0 + c * q + d * s
+    for _ in range(doublings):
+        p, q, r, s = (
+            0.5 * ((e + 1.0) * p + g * r),
+            0.5 * ((e + 1.0) * q + g * s),
+            0.5 * (h * p + (j + 1.0) * r),
+            0.5 * (h * q + (j + 1.0) * s),
+        )
+        e, g, h, j = e * e + g * h, g * (e + j), h * (e + j), j * j + g * h
+    return (e, g * scale, h / scale, j), (p, q * scale, r / scale, s)
+
+
+@njit(cache=True)
+def _all_exponentials(transition: FloatArray, dt_s: float, exponential: FloatArray, phi: FloatArray) -> None:
+    """exp(A dt) and phi1(A dt) of each 2 x 2 matrix."""
     for n in range(transition.shape[0]):
-        a, b = transition[n, 0, 0] * dt_s, transition[n, 0, 1] * dt_s
-        c, d = transition[n, 1, 0] * dt_s, transition[n, 1, 1] * dt_s
-        # The similarity diag(1, scale) evens out b and c, so that the norm is free of the units.
-        scale = np.sqrt(abs(b / c)) if b != 0.0 and c != 0.0 else 1.0
-        b, c = b / scale, c * scale
-        norm = max(abs(a) + abs(b), abs(c) + abs(d))
-        doublings = 0
-        while norm > _SERIES_NORM:
-            norm *= 0.5
-            doublings += 1
-        shrink = 0.5**doublings
-        a, b, c, d = a * shrink, b * shrink, c * shrink, d * shrink
-        p, q, r, s = 1.0, 0.0, 0.0, 1.0
-        for k in range(_SERIES_ORDER, 0, -1):  # Horner: phi <- 1 + X phi / (k + 1)
-            f = 1.0 / (k + 1.0)
-            p, q, r, s = (
-                1.0 + f * (a * p + b * r),
-                f * (a * q + b * s),
-                f * (c * p + d * r),
-                1.0 + f * (c * q + d * s),
-            )
-        e, g, h, j = 1.0 + a * p + b * r, a * q + b * s, c * p + d * r, 1.0 + c * q + d * s
-        for _ in range(doublings):
-            p, q, r, s = (
-                0.5 * ((e + 1.0) * p + g * r),
-                0.5 * ((e + 1.0) * q + g * s),
-                0.5 * (h * p + (j + 1.0) * r),
-                0.5 * (h * q + (j + 1.0) * s),
-            )
-            e, g, h, j = e * e + g * h, g * (e + j), h * (e + j), j * j + g * h
-        exponential[n, 0, 0], exponential[n, 0, 1] = e, g * scale
-        exponential[n, 1, 0], exponential[n, 1, 1] = h / scale, j
-        phi[n, 0, 0], phi[n, 0, 1] = p, q * scale
-        phi[n, 1, 0], phi[n, 1, 1] = r / scale, s
+        rows = transition[n]
+        whole, part = exponential_and_phi(
+            rows[0, 0] * dt_s, rows[0, 1] * dt_s, rows[1, 0] * dt_s, rows[1, 1] * dt_s
+        )
+        for m in range(4):
+            exponential[n, m // 2, m % 2], phi[n, m // 2, m % 2] = whole[m], part[m]
 
 
 def discretize(parameters: MotorParameters, dt_s: float) -> DiscreteModel:
@@ -137,7 +142,7 @@ def discretize(parameters: MotorParameters, dt_s: float) -> DiscreteModel:
     model = continuous_model(parameters)
     flat = np.ascontiguousarray(model.transition.reshape(-1, N_STATES, N_STATES))
     exponential, phi = np.empty_like(flat), np.empty_like(flat)
-    _exponential_and_phi(flat, float(dt_s), exponential, phi)
+    _all_exponentials(flat, float(dt_s), exponential, phi)
     shape = model.transition.shape
     gain = dt_s * (phi.reshape(shape) @ model.gain)
     return DiscreteModel(exponential.reshape(shape), gain, float(dt_s))

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.detection.rules import Rule, RuleStream
-from motor_env.envs import kernel
-from motor_env.envs.setup import Setup, bank_kinds
+from motor_env.envs.setup import EVIDENCE_SCALE, Setup, bank_kinds
+from motor_env.envs.tasks import task_recipe
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
@@ -25,14 +25,15 @@ Actions = NDArray[np.int64]
 Observations = NDArray[np.float32]
 
 
-def baseline_features(recipe: Recipe) -> tuple[str, ...]:
+def baseline_features(recipe: Recipe | str) -> tuple[str, ...]:
     """Features that the baselines read: measurement, innovation, evidence for each kind of the recipe, time."""
+    recipe = task_recipe(recipe) if isinstance(recipe, str) else recipe
     return (
         "measured_current",
         "innovation_current",
         "voltage",
         "time",
-        *(f"evidence_{kind}" for kind in bank_kinds(recipe) if kind in recipe.kinds),
+        *(f"evidence_{kind}" for kind in bank_kinds(recipe)),
     )
 
 
@@ -47,7 +48,7 @@ def column(setup: Setup, name: str) -> int:
     Raises:
         ValueError: the environment does not observe it.
     """
-    names = [setup.features[m] for m in setup.chosen]
+    names = list(setup.observed)
     require(name in names, f"this policy needs the feature {name}; observed are {', '.join(names)}")
     return names.index(name)
 
@@ -119,7 +120,7 @@ class _Isolating(ThresholdPolicy):
     """Names the kind with the largest evidence."""
 
     def __init__(self, setup: Setup) -> None:
-        names = [setup.features[m] for m in setup.chosen]
+        names = list(setup.observed)
         self._columns = [m for m, name in enumerate(names) if name.startswith("evidence_")]
         require(bool(self._columns), "this policy needs an environment that observes evidence")
         verdicts = [FaultKind(names[m].removeprefix("evidence_")).verdict for m in self._columns]
@@ -170,7 +171,7 @@ class BankPolicy(_Isolating):
     def __init__(self, setup: Setup, threshold: float) -> None:
         super().__init__(setup)
         self.threshold = threshold
-        self._scale = float(setup.view[0, kernel.FEATURES.index("evidence_bearing")])
+        self._scale = EVIDENCE_SCALE
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
         """The largest log-likelihood ratio."""

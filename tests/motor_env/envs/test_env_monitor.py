@@ -11,8 +11,9 @@ from gymnasium.utils.env_checker import check_env
 import motor_env  # noqa: F401  # registers the environments
 from motor_env.envs import kernel
 from motor_env.envs.base import Info
+from motor_env.envs.kernel import LANES
 from motor_env.envs.monitor import MonitorEnv
-from motor_env.envs.noise import LANES, case_of
+from motor_env.envs.noise import case_of
 from motor_env.envs.setup import converged_gain
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter, schedule

@@ -1,0 +1,50 @@
+# What a user imports from `motor_env.envs`: listed here and nowhere else; loaded when first used.
+from .adapters import (
+    StableBaselinesVecEnv as StableBaselinesVecEnv,
+)
+from .baselines.belief import (
+    ProbeBelief as ProbeBelief,
+)
+from .baselines.bounds import (
+    upper_bound as upper_bound,
+)
+from .baselines.evaluation import (
+    Runs as Runs,
+    Score as Score,
+    run_episodes as run_episodes,
+    score as score,
+    sweep as sweep,
+)
+from .baselines.policies import (
+    BankPolicy as BankPolicy,
+    Never as Never,
+    Policy as Policy,
+    Random as Random,
+    RulePolicy as RulePolicy,
+    ThresholdPolicy as ThresholdPolicy,
+    baseline_features as baseline_features,
+)
+from .baselines.posterior_policies import (
+    BayesPolicy as BayesPolicy,
+)
+from .baselines.probing import (
+    Bursts as Bursts,
+    OnDemand as OnDemand,
+    OpenLoop as OpenLoop,
+    RatioTest as RatioTest,
+    WorthTest as WorthTest,
+)
+from .monitor import (
+    MonitorEnv as MonitorEnv,
+    MonitorVectorEnv as MonitorVectorEnv,
+)
+from .options import (
+    MonitorOptions as MonitorOptions,
+)
+from .probe import (
+    ProbeContinuousEnv as ProbeContinuousEnv,
+    ProbeContinuousVectorEnv as ProbeContinuousVectorEnv,
+    ProbeEnv as ProbeEnv,
+    ProbeOptions as ProbeOptions,
+    ProbeVectorEnv as ProbeVectorEnv,
+)

@@ -1,0 +1,137 @@
+"""Lanes and tasks: the arrays that the compiled step reads and writes, beside the fields of the kernel.
+
+A call from Python to compiled code costs 0.1 us an array, and ten times that for a named tuple. So a step is called
+with few arrays, of which `unpack_task` and `unpack_lanes` make the tuples that the compiled functions pass around.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from motor_env.envs.kernel import (
+    BLOCK,
+    FEATURE_LENGTH,
+    LANES,
+    MAX_BANK,
+    MODEL_LENGTH,
+    N_CONSTANTS,
+    NEVER,
+    NEXT_CHANGE,
+    ONSET,
+    ROW_LENGTH,
+    ROWS,
+)
+from motor_env.motor.parameters import FloatArray
+
+N_CLASSES, N_OBSERVED, N_LEVELS = range(3)  # the prior begins with these sizes
+CLASS_LENGTH = 13
+N_PRIOR = 37
+
+# What an episode was drawn to be: severity and factors of the motor.
+SEVERITY, FACTORS = 0, 1
+DRAWN_LENGTH = 6
+
+# Rows of the words (of what the random numbers of an episode depend on), the marks, and the flags.
+CASE_LOW, CASE_HIGH, SEED_LOW, SEED_HIGH = range(4)
+BEFORE_FIRST = 0xFFFFFFFF  # number of the episode before the first: one more is 0
+CLASS_INDEX, RUNNING_ONSET, DECLARED, QUIET, ROW = range(5)
+"""Class and onset (-1: none) of the episode, number of the declared kind (0: none); in the first lane of a block, how
+many samples it has until a fault of its lanes changes or an episode ends; in the first lane of all, the noise's row."""
+TERMINATED, TRUNCATED, FAULT_ACTIVE, KNOWN = range(4)
+
+Float32Array = NDArray[np.float32]
+WordArray = NDArray[np.uint32]
+MarkArray = NDArray[np.int32]
+BoolArray = NDArray[np.bool_]
+
+
+class TaskNumbers(NamedTuple):
+    """What is common to all lanes.
+
+    Attributes:
+        constants: shape (N_CONSTANTS,).
+        bank: models of the other filters, zeros where there is none, shape (MAX_BANK, MODEL_LENGTH).
+        features: field, scale, bound and offset of each observed feature, shape (n_observed, FEATURE_LENGTH).
+        motors: where all motors of a class are alike, them at each level of their fault, shape (n_classes, levels + 1,
+            ROW_LENGTH).
+        prior: what is drawn from, see `drawing`, float64, shape (N_PRIOR,).
+        classes: the same, float64, shape (n_classes, CLASS_LENGTH).
+    """
+
+    constants: FloatArray
+    bank: FloatArray
+    features: FloatArray
+    motors: FloatArray
+    prior: FloatArray
+    classes: FloatArray
+
+
+class Lanes(NamedTuple):
+    """Everything that changes.
+
+    Attributes:
+        state: blocks of fields and noise, flat.
+        words: see the rows above, shape (4, n_lanes).
+        marks: shape (5, n_lanes).
+        flags: shape (4, n_lanes).
+        drawn: float64, shape (n_lanes, DRAWN_LENGTH).
+    """
+
+    state: FloatArray
+    words: WordArray
+    marks: MarkArray
+    flags: BoolArray
+    drawn: FloatArray
+
+
+TaskArrays = tuple[FloatArray, FloatArray]
+LaneArrays = tuple[FloatArray, WordArray, MarkArray, BoolArray, FloatArray]
+
+
+def pack_task(task: TaskNumbers) -> TaskArrays:
+    """The two arrays with which a compiled step is called."""
+    parts = [task.constants, task.bank.ravel(), task.features.ravel(), task.motors.ravel()]
+    precision = task.constants.dtype
+    return np.concatenate(parts).astype(precision), np.concatenate([task.prior, task.classes.ravel()])
+
+
+@njit(cache=True, error_model="numpy")
+def unpack_task(numbers: FloatArray, prior: FloatArray) -> TaskNumbers:
+    """The task of `pack_task`."""
+    n_classes, n_observed, n_motors = int(prior[N_CLASSES]), int(prior[N_OBSERVED]), int(prior[N_LEVELS]) + 1
+    bank = N_CONSTANTS + MAX_BANK * MODEL_LENGTH
+    view = bank + n_observed * FEATURE_LENGTH
+    return TaskNumbers(
+        numbers[:N_CONSTANTS],
+        numbers[N_CONSTANTS:bank].reshape((MAX_BANK, MODEL_LENGTH)),
+        numbers[bank:view].reshape((n_observed, FEATURE_LENGTH)),
+        numbers[view:].reshape((n_classes, n_motors, ROW_LENGTH)),
+        prior[:N_PRIOR],
+        prior[N_PRIOR:].reshape((n_classes, CLASS_LENGTH)),
+    )
+
+
+def empty_lanes(blocks: int, lanes: int, precision: str) -> LaneArrays:
+    """Lanes that run no episode yet."""
+    state = np.zeros(blocks * BLOCK, dtype=precision)
+    by_field = state.reshape(blocks, -1, LANES)
+    by_field[:, [ONSET, NEXT_CHANGE]] = NEVER  # lanes that fill the last block
+    marks = np.zeros((ROW + 1, lanes), dtype=np.int32)
+    marks[ROW] = ROWS
+    flags = np.zeros((KNOWN + 1, lanes), dtype=np.bool_)
+    flags[KNOWN] = True
+    words = np.zeros((4, lanes), dtype=np.uint32)
+    words[CASE_LOW] = BEFORE_FIRST
+    return state, words, marks, flags, np.zeros((lanes, DRAWN_LENGTH))
+
+
+@njit(cache=True, error_model="numpy")
+def unpack_lanes(
+    state: FloatArray, words: WordArray, marks: MarkArray, flags: BoolArray, drawn: FloatArray
+) -> Lanes:
+    """The lanes of `empty_lanes`."""
+    return Lanes(state, words, marks, flags, drawn)
