@@ -15,7 +15,7 @@ import grimp
 from motor_env.plotting import COLOUR, INK, QUIET, drawing, save, subplots
 
 DOCS = Path(__file__).parent
-PACKAGES = ("motor_env", "motor_datasets", "motor_classifiers")
+PACKAGES = ("motor_env", "motor_env.envs", "motor_datasets", "motor_classifiers")
 HEAD = """# Public names
 
 What a user imports. Everything is loaded when it is first used; what is not listed here is private and may change.

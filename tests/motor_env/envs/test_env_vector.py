@@ -1,6 +1,7 @@
 """The vector twins: each sub-environment is the single environment, whatever stands beside it."""
 
 import warnings
+from dataclasses import replace
 from importlib.util import find_spec
 from typing import Any, cast
 
@@ -13,7 +14,12 @@ from numpy.typing import NDArray
 
 from motor_env.envs import kernel
 from motor_env.envs.monitor import MonitorEnv, MonitorVectorEnv
+from motor_env.envs.noise import case_of
 from motor_env.envs.probe import ProbeContinuousEnv, ProbeContinuousVectorEnv, ProbeEnv, ProbeVectorEnv
+from motor_env.envs.tasks import TASKS
+from motor_env.motor.faults import Fault, FaultKind, apply_faults
+from motor_env.motor.model import discretize
+from motor_env.simulation.recipes import FaultClass, draw
 
 IDS = ("motor_env/Monitor-v0", "motor_env/Probe-v0", "motor_env/ProbeContinuous-v0")
 SHORT: dict[str, Any] = {"horizon_s": 0.02, "earliest_onset_s": 0.001, "mean_onset_s": 0.005}
@@ -124,7 +130,7 @@ def worst_difference(vector: Any, options: dict[str, Any], lanes: int, samples: 
     steps = samples // envs[0].options.samples_per_step
     setup = envs[0].setup
     scale, worst = setup.view[1, setup.chosen], 0.0
-    scale[["evidence" in kernel.FEATURES[m] for m in setup.chosen]] = np.inf
+    scale[["evidence" in name for name in setup.observed]] = np.inf
     for step in range(steps):
         action = random_actions(envs[0].single_action_space, 1, lanes, seed=step)[0]
         rare = np.random.default_rng(step).random(lanes) < 0.05
@@ -213,3 +219,39 @@ def test_actions_that_do_not_exist_are_refused(actions: NDArray[Any], sentence: 
     envs.reset(seed=0)
     with pytest.raises(ValueError, match=sentence):
         envs.step(actions)
+
+
+@pytest.mark.parametrize(
+    ("recipe", "growth_s"), [("small", 0.0), ("hard", 0.004), ("ranges", 0.004), ("starts", 0.0)]
+)
+def test_episodes_are_the_draws_of_the_simulation(recipe: str, growth_s: float) -> None:
+    """The compiled drawing, `draw` of the recipe and `discretize` give the same numbers, to the last bit."""
+    of_name = {
+        "ranges": replace(
+            TASKS["hard"],
+            classes=(FaultClass(), *(FaultClass(kind, 0.05, severity_to=0.3) for kind in FaultKind)),
+        ),
+        "starts": replace(TASKS["hard"], starts_per_motor=3, healthy_starts=1),
+    }
+    task = of_name.get(recipe, TASKS.get(recipe, TASKS["hard"]))
+    envs = MonitorVectorEnv(200, recipe=task, growth_s=growth_s, precision="float64", mean_onset_s=0.0)
+    _, info = envs.reset(seed=9)
+    drawn = draw(task, 9, case_of(np.arange(200), np.zeros(200, dtype=np.int64)))
+    np.testing.assert_array_equal(info["class_index"], drawn.class_index)
+    lanes = envs._arrays[-1][:200]
+    np.testing.assert_array_equal(lanes[:, 0], drawn.severity)
+    np.testing.assert_array_equal(lanes[:, 1:], drawn.factors)
+    envs.step(
+        np.zeros(200, dtype=np.int64)
+    )  # growth or not, the earliest onset is far: still the healthy motor
+    for share, steps in ((0.0, 0), (1.0, round((0.01 + growth_s) / 1e-4) + 1)):
+        for _ in range(steps):
+            envs.step(np.zeros(200, dtype=np.int64))
+        faults = tuple(Fault(f.kind, f.severity * share) for f in drawn.scenario.faults)
+        model = discretize(apply_faults(drawn.scenario.parameters, faults), envs.options.dt_s)
+        state = envs._arrays[2].reshape(-1, kernel.BLOCK // kernel.LANES, kernel.LANES)
+        rows = state[:, : kernel.ROW_LENGTH].swapaxes(1, 2).reshape(-1, kernel.ROW_LENGTH)[:200]
+        belief = envs.setup.belief.model
+        np.testing.assert_array_equal(rows[:, :4], (model.transition - belief.transition).reshape(-1, 4))
+        gain = model.gain[..., 0] * drawn.factors[:, :1] - belief.gain[:, 0]
+        np.testing.assert_array_equal(rows[:, kernel.B0 : kernel.B1 + 1], gain)
