@@ -33,7 +33,7 @@ class Row(NamedTuple):
 
     ours: str
     policy: str
-    count: int
+    number: int
     bar: float
     peer: str = CARTPOLE
     title: str = "Monitor-v0"
@@ -124,13 +124,13 @@ def measured_apart(name: str, policy: str, count: int) -> float:
 
 def compare(row: Row) -> Result:
     """Ours and the peer in turn, the medians."""
-    measured_apart(row.ours, row.policy, row.count)  # compiles what is not in numba's cache yet
+    measured_apart(row.ours, row.policy, row.number)  # compiles what is not in numba's cache yet
     pairs = [
-        (measured_apart(row.ours, row.policy, row.count), measured_apart(row.peer, row.policy, row.count))
+        (measured_apart(row.ours, row.policy, row.number), measured_apart(row.peer, row.policy, row.number))
         for _ in range(ROUNDS)
     ]
-    size = "single by make" if row.count == 1 else f"vector of {row.count}"
-    names = {CARTPOLE: "CartPole" if row.count == 1 else "CartPoleVectorEnv", "gem": "gym-electric-motor DC"}
+    size = "single by make" if row.number == 1 else f"vector of {row.number}"
+    names = {CARTPOLE: "CartPole" if row.number == 1 else "CartPoleVectorEnv", "gem": "gym-electric-motor DC"}
     return Result(
         f"{row.title}, {size}, {row.policy}",
         ours=median(mine for mine, _ in pairs),

@@ -29,11 +29,17 @@ TRACE = {
     "winding": (255, 95, 85),
     "healthy": (90, 190, 230),
     "noise": (175, 140, 255),
-    "magnet": (140, 230, 140),
+    "magnet": (235, 130, 210),
+    "other": (160, 175, 185),
     "onset": (255, 80, 120),
 }
 LEFT, RIGHT, TOP, GAP = 92, 20, 46, 16
 PANEL_HEIGHTS = (130, 76, 130, 96)
+
+
+def _colour(verdict: str) -> str:
+    """Name of a verdict's colour."""
+    return verdict if verdict in TRACE else "other"
 
 
 @cache
@@ -153,11 +159,11 @@ class Scope:
         self._trace(frame, 2, columns[4], -6.0, 6.0, "residual")
         self._panel(frame, 3, "belief", "nats", 0.0, 12.0)
         for row, kind in zip(columns[5:], self._kinds, strict=False):
-            self._trace(frame, 3, row, 0.0, 12.0, kind if kind in TRACE else "noise", thick=2)
+            self._trace(frame, 3, row, 0.0, 12.0, _colour(kind), thick=2)
         for place, (name, colour) in enumerate((("measured", "current"), ("filter", "estimate"))):
             write(frame, name, 6, self._box(0)[0] + 32 + 15 * place, TRACE[colour], 11)
         for place, kind in enumerate(dict.fromkeys(self._kinds)):
-            write(frame, kind, 6, self._box(3)[0] + 32 + 15 * place, TRACE.get(kind, TRACE["noise"]), 11)
+            write(frame, kind, 6, self._box(3)[0] + 32 + 15 * place, TRACE[_colour(kind)], 11)
         if self.onset_step is not None and self.onset_step <= self.step:
             self._mark_onset(frame)
         shown = options.n_steps * options.samples_per_step * options.dt_s

@@ -81,8 +81,8 @@ def make_setup(options: MonitorOptions) -> Setup:
         ValueError: the recipe has no fault, or a feature cannot be observed with its sensor.
     """
     recipe = options.task
-    verdicts = {c.kind.verdict for c in recipe.classes if c.kind is not None}
-    require(bool(verdicts), f"recipe {recipe.name} must have a class with a fault, got healthy only")
+    kinds = tuple(dict.fromkeys(kind.verdict for kind in recipe.kinds))
+    require(bool(kinds), f"recipe {recipe.name} must have a class with a fault, got healthy only")
     rest = steady_state(recipe.motor, float(recipe.supply.voltage_v), options.load_torque_n_m)
     belief = KalmanFilter.from_parameters(
         recipe.motor,
@@ -99,7 +99,6 @@ def make_setup(options: MonitorOptions) -> Setup:
     usual = [name for name in names if options.shows_evidence or not name.startswith("evidence")]
     view, observed = _view(options, rest, features), options.observe or tuple(usual)
     chosen = [features.index(name) for name in observed]
-    kinds = tuple(kind for kind in dict.fromkeys(kind.verdict for kind in FaultKind) if kind in verdicts)
     offsets: tuple[float, ...] = options.offsets_v
     labels = tuple(c.label_kind for c in recipe.classes)
     right = [0 if label == HEALTHY else 1 + kinds.index(FaultKind(label).verdict) for label in labels]
@@ -203,19 +202,9 @@ def _drift(options: MonitorOptions, model: DiscreteModel, rest: FloatArray) -> F
     return away
 
 
-def bank_kinds(recipe: Recipe) -> list[FaultKind]:
-    """Kinds of the recipe for which a filter can speak: those that change the motor.
-
-    Raises:
-        ValueError: they are more than the kernel has room for.
-    """
-    present = {c.kind for c in recipe.classes}
-    kinds = [kind for kind in FaultKind if kind in present and kind.motor_powers]
-    require(
-        len(kinds) <= kernel.MAX_BANK,
-        f"recipe {recipe.name} must have at most {kernel.MAX_BANK} kinds that change the motor, got {len(kinds)}",
-    )
-    return kinds
+def bank_kinds(recipe: Recipe) -> tuple[FaultKind, ...]:
+    """Kinds of the recipe with a filter of their own: the first few of those that change the motor."""
+    return tuple(kind for kind in recipe.kinds if kind.motor_powers)[: kernel.MAX_BANK]
 
 
 def make_bank(options: MonitorOptions, belief: DiscreteModel, rest: FloatArray) -> FloatArray:
