@@ -1,4 +1,4 @@
-"""Where a healthy motor lies: from its data sheet, or from healthy starts of it."""
+"""Distribution of a healthy motor's parameters: from its data sheet, or from healthy starts of it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NORMAL_DOF = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Where a healthy motor lies, for the quantities that one kind of recording can tell.
+    """Distribution of a healthy motor's quantities, as far as one kind of recording can tell them.
 
     Attributes:
         source: in words, for the user.

@@ -17,7 +17,6 @@ from motor_env.prognosis.estimates import SECONDS_PER_DAY, Series, build_series,
 from motor_env.prognosis.page import leading, status
 from motor_env.prognosis.trend import Trend, judge_all
 from motor_env.prognosis.wear import RemainingLife
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import read_recording
 from motor_env.recordings.start import prepare
 
@@ -114,7 +113,7 @@ def _fits(
                 first = [entry for _, entry in recordings[number : number + 3]]
                 model = fit_healthy(first, voltage_v=voltage_v)[0].model
             fits.append((when, identify(prepare(recording, voltage_v), model)))
-        except UnusableError as error:
+        except (ValueError, ArithmeticError, LookupError) as error:  # UnusableError, or numerics that give up
             notes.append(f"{recording.path.name}: {error}")
     return fits
 
