@@ -97,6 +97,7 @@ def draw_field(
     nominal: MotorParameters,
     voltage_v: Floats,
     dt_s: float,
+    *,
     bearing_severity: FloatArray,
     seed: int,
     motor_id: NDArray[np.int64],

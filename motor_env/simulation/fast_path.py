@@ -131,8 +131,16 @@ def _integrate_effects(
     timing = scenario.timing
     steps = substeps(nominal, timing.dt_s, float(np.max(effects.ripple_hz)))
     parameters = apply_faults(scenario.parameters, scenario.faults)
-    voltage = scenario.supply.voltage_v
-    integrate(parameters, effects, voltage, timing.dt_s, steps, timing.n_quiet, is_current, out)
+    integrate(
+        parameters,
+        effects,
+        scenario.supply.voltage_v,
+        dt_s=timing.dt_s,
+        steps=steps,
+        n_quiet=timing.n_quiet,
+        is_current=is_current,
+        out=out,
+    )
 
 
 def _propagate_onsets(

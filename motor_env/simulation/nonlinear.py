@@ -61,8 +61,7 @@ class Effects:
         commutation_per_turn: n, ripples a turn.
         bearing_ripple_n_m: Tr, torque ripple of a damaged bearing.
         bearing_per_turn: q, ball passes a turn (outer race: (balls / 2)(1 - d/D cos phi)).
-        delay_s: how long before the first sample after it the supply is switched on less one sample: the step comes
-            `delay_s` after the moment that the time axis calls 0. Within 0 .. one sampling interval.
+        delay_s: delay of the supply's step after time 0; from 0 to below one sampling interval.
         heat_capacity_j_per_k: C of the winding.
         thermal_resistance_k_per_w: Rth from the winding to the housing.
     """
@@ -266,6 +265,7 @@ def integrate(
     parameters: MotorParameters,
     effects: Effects,
     voltage_v: Floats,
+    *,
     dt_s: float,
     steps: int,
     n_quiet: int,

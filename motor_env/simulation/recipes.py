@@ -334,7 +334,14 @@ def draw(recipe: Recipe, seed: int, cases: ArrayLike) -> Draw:
         )
         voltage, dt_s = recipe.supply.voltage_v, recipe.timing.dt_s
         effects, chain = draw_field(
-            recipe.field, recipe.motor, voltage, dt_s, bearing, seed, motor_id, numbers
+            recipe.field,
+            recipe.motor,
+            voltage,
+            dt_s,
+            bearing_severity=bearing,
+            seed=seed,
+            motor_id=motor_id,
+            cases=numbers,
         )
     return Draw(numbers, class_index, factors, scenario, motor_id, first, effects, chain)
 

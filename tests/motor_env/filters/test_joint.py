@@ -54,7 +54,7 @@ def test_each_parameter_can_be_estimated_from_the_current(name: str, kind: Joint
     motor, effects = with_ten_percent_more(name)
     out = np.empty((40, 1, 600), dtype=np.float32)
     steps = 10 * substeps(PAPER_MOTOR, 1e-4)
-    integrate(motor, effects, 12.0, 1e-4, steps, 0, np.array([True]), out)
+    integrate(motor, effects, 12.0, dt_s=1e-4, steps=steps, n_quiet=0, is_current=np.array([True]), out=out)
     noise = 0.005
     measured = out + noise * np.random.default_rng(6).standard_normal(out.shape)
     sensor = SensorParameters(current_noise_a=noise)

@@ -127,10 +127,10 @@ def test_the_integration_converges_with_the_fourth_order() -> None:
     errors = []
     flag = np.array([True])
     fine = np.empty((1, 1, 50), dtype=np.float32)
-    integrate(PAPER_MOTOR, FIELD_LIKE, 12.0, 2e-4, 400, 0, flag, fine)
+    integrate(PAPER_MOTOR, FIELD_LIKE, 12.0, dt_s=2e-4, steps=400, n_quiet=0, is_current=flag, out=fine)
     for steps in (4, 8):
         out = np.empty_like(fine)
-        integrate(PAPER_MOTOR, FIELD_LIKE, 12.0, 2e-4, steps, 0, flag, out)
+        integrate(PAPER_MOTOR, FIELD_LIKE, 12.0, dt_s=2e-4, steps=steps, n_quiet=0, is_current=flag, out=out)
         errors.append(float(np.abs(out - fine).max()))
     assert errors[0] / errors[1] > 6.0
 
