@@ -94,6 +94,7 @@ def test_a_kind_in_a_worker_process(folder: Path) -> None:
     run("workers.py", cwd=folder)
 
 
+@pytest.mark.long
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("kind", ["magnet", "fouling"])
 def test_a_kind_in_every_command(kind: str, folder: Path) -> None:
