@@ -1,0 +1,191 @@
+"""Motors at work: errors against the Cramer-Rao bound and coverage of the intervals, beside least squares and an EKF.
+
+python benchmarks/operation.py --records 1000 --workers 2
+
+Every record has its own motor, profile and load, from the independent simulator in operation_simulator.py. A quantity
+counts where the bound says that the record tells it to better than a half of its value. The ratio is the median of
+|error| over that of a normal error with the bound's standard deviation.
+"""
+
+import argparse
+import math
+from collections import defaultdict
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from operation_simulator import LOADS, PROFILES, VOLTAGE_NOISE, Motor, draw_motor, simulate
+
+from motor_env.filters.joint import joint_filter
+from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, SensorParameters
+from motor_env.operation import kernel
+from motor_env.operation.beginnings import beginnings
+from motor_env.operation.identify import Operation, identify_operation
+from motor_env.operation.terms import NOISES, terms
+from motor_env.operation.uncertainty import information_covariance, motor_places
+from motor_env.recordings.alignment import UnusableError
+
+QUANTITIES = ("R", "L", "K", "J", "B", "coulomb", "brush_drop", "load_constant", "load_square")
+TOLD = 0.5
+NORMAL_MEDIAN = 0.6745
+
+
+def truth(motor: Motor, load: str, samples: int, dt_s: float, *, has_speed: bool) -> FloatArray:
+    """The simulated motor as the fit's vector of values."""
+    k = kernel
+    rated, values = 0.15 * motor.constant * motor.stall_a, np.zeros(k.N_VALUES)
+    values[[k.R, k.L, k.K, k.J]] = motor.ohm, motor.henry, motor.constant, motor.inertia
+    values[[k.B, k.COULOMB, k.DROP]] = motor.viscous, motor.coulomb, motor.drop
+    values[[k.HEATING, k.COOLING]] = motor.heat, motor.cool
+    values[k.LOAD] = rated if load == "constant" else 0.0
+    values[k.SQUARE] = rated / motor.speed**2 if load == "square" else 0.0
+    values[k.WALK] = rated / math.sqrt(samples * dt_s) if load == "walk" else 0.0
+    values[k.NOISE_I] = math.hypot(motor.noise_a, 2.0 * 2.1 * motor.stall_a / 4096 / math.sqrt(12.0))
+    values[k.NOISE_V] = math.hypot(VOLTAGE_NOISE, 2.0 * 1.2 / 4096 / math.sqrt(12.0)) * motor.volts
+    values[k.NOISE_W] = math.hypot(motor.noise_w, 2.0 * 1.2 * motor.speed / 4096 / math.sqrt(12.0))
+    if not has_speed:
+        c = motor.constant
+        values[[k.K, k.J, k.B, k.COULOMB, k.LOAD, k.SQUARE, k.WALK]] /= [c, c**2, c**2, c, c, c**3, c]
+    return values
+
+
+def bound(found: Operation, true: FloatArray) -> dict[str, tuple[float, float]]:
+    """True unknown and its Cramer-Rao standard deviation, in the fit's units, for the fit's unknowns."""
+    problem = found.solution.problem
+    free = [term for term in problem.free if term.name != "load_walk" or true[kernel.WALK] > 0.0]
+    if true[kernel.WALK] > 0.0 and "load_walk" not in problem.names:
+        free.append(terms(found.record, problem.known)["load_walk"])
+    same = replace(problem, free=tuple(free))
+    at = np.array(
+        [
+            math.log(max(true[t.place], 1e-9 * t.unit) / t.unit) if t.is_log else true[t.place] / t.unit
+            for t in free
+        ]
+    )
+    spread = np.sqrt(np.diag(information_covariance(same, at)))
+    return {free[n].name: (at[n], float(spread[row])) for row, n in enumerate(motor_places(same))}
+
+
+def one(job: tuple[int, int, bool]) -> dict[str, Any]:
+    """One record: errors over the bound, and whether the intervals hold the truth."""
+    seed, number, with_ekf = job
+    rng = np.random.default_rng([seed, number])
+    motor, profile = draw_motor(rng), PROFILES[number % len(PROFILES)]
+    load, has_speed = str(rng.choice(LOADS)), bool(rng.random() < 0.6)
+    recording = simulate(motor, profile, rng, load=load, samples=2000)
+    if not has_speed:
+        recording = replace(recording, speed_rad_s=None)
+    row: dict[str, Any] = {"number": number, "profile": profile, "load": load, "speed": has_speed}
+    try:
+        found = identify_operation([recording])
+    except UnusableError as error:
+        return row | {"error": str(error)}
+    true = truth(motor, load, 2000, recording.dt_s, has_speed=has_speed)
+    problem, theta = found.solution.problem, found.solution.theta
+    spread = np.sqrt(np.diag(found.covariance))
+    rows = {problem.names[n]: (theta[n], spread[r]) for r, n in enumerate(motor_places(problem))}
+    least = beginnings(found.record)[0]
+    ekf = extended(recording, motor, rng) if with_ekf and has_speed else None
+    for name, (at, sd) in bound(found, true).items():
+        if name not in QUANTITIES or name in NOISES:
+            continue
+        term = next(t for t in problem.free if t.name == name)
+        told = sd < TOLD if term.is_log else sd < TOLD * abs(at)
+        estimate, own = rows[name]
+        row[name] = {"told": told, "error": abs(estimate - at) / sd, "held": abs(estimate - at) <= 1.96 * own}
+        for method, values in (("ls", least), ("ekf", ekf)):
+            value = None if values is None else float(values[term.place])
+            if value and true[term.place] > 0.0:
+                unit = (
+                    math.log(value / true[term.place])
+                    if term.is_log
+                    else (value - true[term.place]) / term.unit
+                )
+                row[name][method] = abs(unit) / sd
+    return row
+
+
+def extended(recording: Any, motor: Motor, rng: np.random.Generator) -> FloatArray:
+    """An extended Kalman filter with the parameters in its state, begun from a motor that is 20 % off."""
+    off = np.exp(0.2 * rng.standard_normal(5))
+    believed = MotorParameters(
+        resistance_ohm=motor.ohm * off[0],
+        inductance_h=motor.henry * off[1],
+        back_emf_constant_v_s_per_rad=motor.constant * off[2],
+        torque_constant_n_m_per_a=motor.constant * off[2],
+        inertia_kg_m2=motor.inertia * off[3],
+        viscous_friction_n_m_s_per_rad=motor.viscous * off[4],
+    )
+    names = ("resistance", "inductance", "constants", "inertia", "friction")
+    sensor = SensorParameters(
+        (Channel.CURRENT, Channel.SPEED), current_noise_a=motor.noise_a, speed_noise_rad_s=motor.noise_w
+    )
+    measured = np.stack([recording.current_a, recording.speed_rad_s])[None]
+    result = joint_filter(
+        believed, sensor, recording.dt_s, measured, recording.voltage_v, names=names,
+        process_noise_std=(1e-3 * motor.stall_a, 1e-3 * motor.speed), prior_std=0.3,
+    )  # fmt: skip
+    factors = np.exp(result.theta[0, -1])
+    values = np.zeros(kernel.N_VALUES)
+    p = believed
+    values[[kernel.R, kernel.L, kernel.K, kernel.J, kernel.B]] = factors * [
+        p.resistance_ohm, p.inductance_h, p.back_emf_constant_v_s_per_rad, p.inertia_kg_m2,
+        p.viscous_friction_n_m_s_per_rad,
+    ]  # fmt: skip
+    return values
+
+
+def table(rows: list[dict[str, Any]], key: str) -> None:
+    """Print medians and coverage by a key."""
+    groups: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
+    for row in rows:
+        for name in QUANTITIES:
+            if name in row and row[name]["told"]:
+                groups[name if key == "quantity" else row[key]].append(row[name])
+                groups["all"].append(row[name])
+    print(
+        f"\n| {key} | told | ratio to the bound | intervals that hold | least squares | EKF |",
+        "|---|---|---|---|---|---|",
+        sep="\n",
+    )
+    for name, cells in groups.items():
+        ratio = np.median([cell["error"] for cell in cells]) / NORMAL_MEDIAN
+        held = np.mean([cell["held"] for cell in cells])
+        others = [
+            f"{np.median(values) / NORMAL_MEDIAN:.1f}" if values else "-"
+            for values in ([cell[m] for cell in cells if m in cell] for m in ("ls", "ekf"))
+        ]
+        print(f"| {name} | {len(cells)} | {ratio:.2f} | {held:.1%} | {' | '.join(others)} |")
+
+
+def main() -> None:
+    """Run the records and print the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--records", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--ekf", type=int, default=50, help="an EKF on the first so many records")
+    parser.add_argument("--verbose", action="store_true")
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    jobs = [(options.seed, number, number < options.ekf) for number in range(options.records)]
+    with ProcessPoolExecutor(options.workers) as pool:
+        rows = []
+        for row in pool.map(one, jobs, chunksize=2):
+            rows.append(row)
+            if options.verbose:
+                print(row, flush=True)
+    failed = [row for row in rows if "error" in row]
+    print(f"{len(rows)} records, {len(failed)} not fitted")
+    for row in failed:
+        print(f"  {row}")
+    for key in ("profile", "load", "quantity"):
+        table(rows, key)
+
+
+if __name__ == "__main__":
+    main()

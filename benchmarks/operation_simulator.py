@@ -1,0 +1,251 @@
+"""A second simulator of a motor at work, for benchmarks/operation.py: it shares no line with the package's own.
+
+Classical Runge-Kutta at 50 kHz or finer; smooth Stribeck friction, brush drop, torque ripple of the commutator, winding
+that warms, loads, speed and current loops, coasting with an open circuit, sensors of 12 bits with noise and offset.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from motor_env.recordings.recording import Recording
+
+Floats = NDArray[np.float64]
+PROFILES = (
+    "steps",
+    "reversals",
+    "staircase",
+    "prbs",
+    "sine",
+    "speed loop",
+    "current loop",
+    "averaged pwm",
+    "coasting",
+    "standstill",
+)
+LOADS = ("none", "constant", "square", "walk")
+FINEST_HZ = 50_000.0
+VOLTAGE_NOISE = 5e-4  # of the supply, as much as hides the steps of the converter
+
+
+@dataclass(frozen=True)
+class Motor:
+    """A motor in SI units; `heat` K/J and `cool` 1/s are the winding's."""
+
+    volts: float
+    ohm: float
+    henry: float
+    constant: float
+    inertia: float
+    viscous: float
+    coulomb: float
+    stribeck: float
+    drop: float
+    ripple: float
+    heat: float
+    cool: float
+    noise_a: float
+    noise_w: float
+
+    @property
+    def mechanical_s(self) -> float:
+        """Mechanical time constant."""
+        return self.inertia * self.ohm / self.constant**2
+
+    @property
+    def speed(self) -> float:
+        """Speed without load."""
+        return self.volts / self.constant
+
+    @property
+    def stall_a(self) -> float:
+        """Current at standstill."""
+        return self.volts / self.ohm
+
+
+def draw_motor(rng: np.random.Generator) -> Motor:
+    """A motor of 6 to 48 V."""
+    volts = float(rng.choice([6.0, 12.0, 24.0, 48.0]))
+    stall, speed = 10.0 ** rng.uniform(-0.2, 1.5), 10.0 ** rng.uniform(2.0, 2.8)
+    mechanical = 10.0 ** rng.uniform(-1.8, -0.6)
+    electrical = mechanical / 10.0 ** rng.uniform(1.0, 2.0)
+    ohm, constant = volts / stall, volts / speed
+    drag = constant * stall * rng.uniform(0.02, 0.06)
+    dry = rng.uniform(0.2, 0.8)
+    return Motor(
+        volts=volts,
+        ohm=ohm,
+        henry=electrical * ohm,
+        constant=constant,
+        inertia=mechanical * constant**2 / ohm,
+        viscous=(1.0 - dry) * drag / speed,
+        coulomb=dry * drag,
+        stribeck=rng.uniform(0.0, 0.1),
+        drop=float(rng.choice([0.0, rng.uniform(0.01, 0.05)])) * volts,
+        ripple=rng.uniform(0.0, 0.01),
+        heat=rng.uniform(0.2, 2.0) / (volts * stall * 0.05 * 60.0),
+        cool=1.0 / rng.uniform(30.0, 300.0),
+        noise_a=stall * 10.0 ** rng.uniform(-3.0, -2.3),
+        noise_w=speed * 10.0 ** rng.uniform(-3.3, -2.3),
+    )
+
+
+@njit(cache=True)
+def _slope(
+    x: Floats, volts: float, open_: bool, load: float, square: float, c: Floats
+) -> tuple[float, float, float, float]:
+    i, w, angle, warm = x[0], x[1], x[2], x[3]
+    ohm, constant = c[0] * (1.0 + 0.00393 * warm), c[2] * (1.0 - 0.001 * warm)
+    pace = c[12]
+    friction = (
+        c[5] * (1.0 + c[6] * math.exp(-((w / (5.0 * pace)) ** 2))) * math.tanh(w / pace) + c[4] * w
+    ) * (1.0 - 0.003 * warm)
+    torque = constant * i * (1.0 + c[8] * math.cos(12.0 * angle)) - friction - load - square * w * abs(w)
+    di = 0.0 if open_ else (volts - ohm * i - constant * w - c[7] * math.tanh(i / c[11])) / c[1]
+    return di, torque / c[3], w, c[9] * ohm * i * i - c[10] * warm
+
+
+@njit(cache=True)
+def _run(
+    wanted: Floats, mode: int, free: Floats, load: Floats, square: float, c: Floats, fine: int, h: float, limit: float,
+    gains: Floats, out: Floats,
+) -> None:  # fmt: skip
+    """Modes: 0 voltage, 1 speed loop, 2 current loop; the controller runs once a sample and holds its voltage."""
+    x, k1 = np.zeros(4), np.zeros(4)
+    integral = 0.0
+    for k in range(wanted.shape[0]):
+        volts = wanted[k]
+        if mode > 0:
+            error = wanted[k] - (x[1] if mode == 1 else x[0])
+            integral += gains[1] * error
+            integral = min(max(integral, -limit), limit)
+            volts = min(max(gains[0] * error + integral, -limit), limit)
+        open_ = free[k] > 0.0
+        if open_:
+            x[0] = 0.0
+            volts = c[2] * x[1]
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = volts, x[0], x[1], x[3]
+        for _ in range(fine):
+            total = np.zeros(4)
+            y = x.copy()
+            for stage in range(4):
+                k1[0], k1[1], k1[2], k1[3] = _slope(y, volts, open_, load[k], square, c)
+                weight = 1.0 if stage in (0, 3) else 2.0
+                for n in range(4):
+                    total[n] += weight * k1[n] / 6.0
+                    y[n] = x[n] + (h if stage == 2 else 0.5 * h) * k1[n]
+            for n in range(4):
+                x[n] += h * total[n]
+
+
+def wanted(
+    profile: str, motor: Motor, n: int, dt: float, rng: np.random.Generator
+) -> tuple[Floats, int, Floats]:
+    """What is commanded at each sample, the mode of the drive, and where the circuit is open."""
+    hold = max(int(motor.mechanical_s * rng.uniform(1.5, 4.0) / dt), 3)
+    short, blocks, time = max(hold // 3, 2), n // hold + 1, np.arange(n) * dt
+    mode = {"speed loop": 1, "current loop": 2}.get(profile, 0)
+    open_ = np.zeros(n)
+    command, unit, length = rng.uniform(0.4, 1.0, blocks), motor.volts, hold
+    match profile:
+        case "steps":
+            command = rng.uniform(0.2, 1.0, blocks) * (rng.random(blocks) < 0.7)
+        case "reversals":
+            command = command * np.resize([1.0, -1.0], blocks)
+        case "staircase":
+            stairs = np.concatenate([np.arange(1, 6), np.arange(5, -6, -1), np.arange(-5, 1)])
+            command = np.resize(stairs, blocks) / 5.0
+        case "prbs":
+            command, length = rng.choice([-0.7, 0.9], n // short + 1), short
+        case "sine":
+            turns = 0.5 / motor.mechanical_s * time
+            command, length = 0.5 * np.sin(turns) + 0.3 * np.sin(2.7 * turns), 1
+        case "speed loop":
+            command, unit = rng.uniform(-0.7, 0.7, blocks), motor.speed
+        case "current loop":
+            command = np.resize([0.25, -0.25], blocks) * rng.uniform(0.5, 1.0, blocks)
+            unit = motor.stall_a
+        case "averaged pwm":
+            command = np.round(255.0 * rng.uniform(-1.0, 1.0, blocks)) / 255.0
+        case "coasting":
+            open_ = np.repeat(np.resize([0.0, 0.0, 1.0], blocks), hold)[:n]
+        case "standstill":
+            command = np.where(rng.random(blocks) < 0.4, 0.015, rng.uniform(-1.0, 1.0, blocks))
+    return np.repeat(command, length)[:n] * unit, mode, open_
+
+
+def simulate(
+    motor: Motor,
+    profile: str,
+    rng: np.random.Generator,
+    *,
+    load: str = "none",
+    samples: int = 3000,
+    dt_s: float | None = None,
+    bits: int = 12,
+    warm_k: float = 0.0,
+) -> Recording:
+    """One recording of a motor at work; warm_k is how much warmer than usual the whole motor is."""
+    dt = dt_s or motor.mechanical_s / 10.0 ** rng.uniform(0.6, 1.6)
+    if warm_k:
+        motor = warmed(motor, warm_k)
+    fine = math.ceil(dt * max(FINEST_HZ, 4.0 * motor.ohm / motor.henry))
+    command, mode, open_ = wanted(profile, motor, samples, dt, rng)
+    rated = motor.constant * motor.stall_a * 0.15
+    torque = np.zeros(samples)
+    if load == "constant":
+        torque += rated
+    if load == "walk":
+        torque = rated * np.cumsum(rng.standard_normal(samples)) / math.sqrt(samples)
+    constants = np.array(
+        [motor.ohm, motor.henry, motor.constant, motor.inertia, motor.viscous, motor.coulomb, motor.stribeck,
+         motor.drop, motor.ripple, motor.heat, motor.cool, 0.004 * motor.stall_a, 0.002 * motor.speed]
+    )  # fmt: skip
+    gain = 0.5 * motor.volts / motor.speed * 6.0 if mode == 1 else 0.5 * motor.ohm
+    gains = np.array([gain, gain * min(dt / motor.mechanical_s, 0.3)])
+    out = np.empty((samples, 4))
+    _run(command, mode, open_, torque, rated / motor.speed**2 if load == "square" else 0.0, constants, fine,
+         dt / fine, motor.volts, gains, out)  # fmt: skip
+    return recorded(motor, profile, out, dt, rng, bits)
+
+
+def recorded(
+    motor: Motor, name: str, out: Floats, dt: float, rng: np.random.Generator, bits: int
+) -> Recording:
+    """What sensors with noise, offset and a converter show."""
+
+    def converted(values: Floats, full: float) -> Floats:
+        step = 2.0 * full / 2**bits
+        rounded: Floats = np.round(values / step) * step
+        return rounded
+
+    n = len(out)
+    current = (
+        out[:, 1] + motor.noise_a * rng.standard_normal(n) + 0.001 * motor.stall_a * rng.standard_normal()
+    )
+    speed = out[:, 2] + motor.noise_w * rng.standard_normal(n)
+    return Recording(
+        Path(name),
+        np.arange(n, dtype=np.float64) * dt,
+        converted(current, 2.1 * motor.stall_a),
+        converted(out[:, 0] + VOLTAGE_NOISE * motor.volts * rng.standard_normal(n), 1.2 * motor.volts),
+        converted(speed, 1.2 * motor.speed),
+    )
+
+
+def warmed(motor: Motor, kelvin: float) -> Motor:
+    """The same motor at another temperature."""
+    friction = 1.0 - 0.003 * kelvin
+    return replace(
+        motor,
+        ohm=motor.ohm * (1.0 + 0.00393 * kelvin),
+        constant=motor.constant * (1.0 - 0.001 * kelvin),
+        viscous=motor.viscous * friction,
+        coulomb=motor.coulomb * friction,
+    )

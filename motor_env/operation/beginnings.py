@@ -1,0 +1,143 @@
+"""First guesses of a motor at work: linear regressions in integrated signals, over windows of several lengths.
+
+Integrated over a window the equations need no derivative of a noisy signal. With the speed recorded they are linear in
+all unknowns; from the current alone they are so for each resistance, and several are tried; from the speed alone
+the motor is a gain, a time constant and a dead voltage.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation import kernel
+from motor_env.operation.kernel import N_VALUES
+from motor_env.operation.record import Record, noise_of
+
+_WINDOWS = (2, 5, 12, 30, 80, 200)
+_RESISTANCES = np.geomspace(0.04, 2.0, 9)
+_LEAST = 1e-9
+_LEAST_LAG = 0.3  # of R dt
+
+
+def beginnings(record: Record) -> list[FloatArray]:
+    """Values to begin a fit from, each of shape (N_VALUES,)."""
+    found = []
+    for window in _WINDOWS:
+        if len(record.voltage_v) < 12 * window:
+            break
+        if record.seen.all():
+            found.append(_both(record, window))
+        elif record.seen[0]:
+            found += [_current(record, window, share) for share in _RESISTANCES]
+        else:
+            found.append(_speed(record, window))
+    return [values for values in found if values is not None]
+
+
+def _windows(column: FloatArray, width: int, begins: FloatArray) -> FloatArray:
+    """Mean over each window (trapezoids), those across two recordings left out."""
+    sums = np.concatenate([[0.0], np.cumsum(0.5 * (column[1:] + column[:-1]))])
+    starts = np.arange(0, len(column) - width, max(width // 2, 1))
+    means = (sums[starts + width] - sums[starts]) / width
+    return np.asarray(means[_whole(starts, width, begins)], dtype=np.float64)
+
+
+def _rises(column: FloatArray, width: int, begins: FloatArray, dt_s: float) -> FloatArray:
+    """Slope from end to end of each window."""
+    starts = np.arange(0, len(column) - width, max(width // 2, 1))
+    slopes = (column[starts + width] - column[starts]) / (width * dt_s)
+    return np.asarray(slopes[_whole(starts, width, begins)], dtype=np.float64)
+
+
+def _whole(starts: NDArray[np.intp], width: int, begins: FloatArray) -> NDArray[np.bool_]:
+    counted = np.cumsum(begins)
+    kept: NDArray[np.bool_] = counted[starts + width] == counted[starts]
+    return kept
+
+
+def _solve(columns: list[FloatArray], target: FloatArray) -> FloatArray:
+    """Non-negative least squares on scaled columns."""
+    matrix = np.stack(columns, axis=1)
+    size = np.sqrt(np.mean(matrix**2, axis=0)) + 1e-300
+    solution: FloatArray = nnls(matrix / size, target)[0] / size
+    return solution
+
+
+def _values(record: Record, **given: float) -> FloatArray:
+    """Physical values with noises, from what a regression told."""
+    values = np.zeros(N_VALUES)
+    for name, value in given.items():
+        values[getattr(kernel, name)] = value
+    values[kernel.L] = max(values[kernel.L], _LEAST_LAG * values[kernel.R] * record.dt_s)
+    values[kernel.NOISE_I] = noise_of(record.readings[:, 0]) if record.seen[0] else 1.0
+    values[kernel.NOISE_W] = noise_of(record.readings[:, 1]) if record.seen[1] else 1.0
+    return values
+
+
+def _held(record: Record, column: FloatArray, window: int) -> FloatArray:
+    """Mean of the voltage, which may be held between the samples."""
+    if record.hold == "straight":
+        return _windows(column, window, record.begins)
+    pairs = record.between()[:, 0]
+    sums = np.concatenate([[0.0], np.cumsum(pairs[1:])])
+    starts = np.arange(0, len(column) - window, max(window // 2, 1))
+    means = (sums[starts + window] - sums[starts]) / window
+    return np.asarray(means[_whole(starts, window, record.begins)], dtype=np.float64)
+
+
+def _both(record: Record, window: int) -> FloatArray | None:
+    """Current and speed: V = R i + L di/dt + K w + drop, K i = J dw/dt + B w + Tc sign(w)."""
+    i, w = record.readings[:, 0], record.readings[:, 1]
+    means = {name: _windows(column, window, record.begins) for name, column in (("i", i), ("w", w))}
+    direction = _windows(_sign(w), window, record.begins)
+    volts = _held(record, record.voltage_v, window)
+    slope_i = _rises(i, window, record.begins, record.dt_s)
+    slope_w = _rises(w, window, record.begins, record.dt_s)
+    r, inductance, k = _solve([means["i"], slope_i, means["w"]], volts)
+    if k <= 0.0 or r <= 0.0:
+        return None
+    inertia, drag, dry = _solve([slope_w, means["w"], direction], k * means["i"])
+    if inertia <= 0.0:
+        return None
+    return _values(record, R=r, L=inductance, K=k, J=inertia, B=drag, COULOMB=dry)
+
+
+def _current(record: Record, window: int, share: float) -> FloatArray | None:
+    """Current alone, with K = 1: the speed is what is left of the voltage."""
+    i = record.readings[:, 0]
+    volts, amps, _ = record.peaks
+    r = share * volts / amps
+    v, mean_i = _held(record, record.voltage_v, window), _windows(i, window, record.begins)
+    w = v - r * mean_i
+    slope = (w[2:] - w[:-2]) / (2.0 * max(window // 2, 1) * record.dt_s)
+    inertia, drag, dry = _solve([slope, w[1:-1], _sign(w)[1:-1]], mean_i[1:-1])
+    if inertia <= 0.0:
+        return None
+    return _values(record, R=r, K=1.0, J=inertia, B=drag, COULOMB=dry)
+
+
+def _speed(record: Record, window: int) -> FloatArray | None:
+    """Speed alone, with R = 1 and B = 0: V = K w + J/K dw/dt + Tc/K sign(w)."""
+    w = record.readings[:, 1]
+    volts = _held(record, record.voltage_v, window)
+    k, lag, dead = _solve(
+        [
+            _windows(w, window, record.begins),
+            _rises(w, window, record.begins, record.dt_s),
+            _windows(_sign(w), window, record.begins),
+        ],
+        volts,
+    )
+    if k <= 0.0 or lag <= 0.0:
+        return None
+    return _values(record, R=1.0, K=k, J=lag * k, COULOMB=dead * k)
+
+
+def _sign(w: FloatArray) -> FloatArray:
+    """Direction, none at standstill."""
+    slow = 0.01 * float(np.quantile(np.abs(w), 0.99)) + _LEAST
+    direction: FloatArray = w / np.maximum(np.abs(w), slow)
+    return direction

@@ -1,0 +1,331 @@
+"""A motor at work, fitted: prediction errors of the Kalman filter, least squares, and the terms the evidence supports.
+
+The whitened innovations, times the geometric mean of their standard deviations, are the residuals: their sum of squares
+is the concentrated likelihood (Ljung 1999, ch. 7), so that one least-squares fit finds motor and noise together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation import kernel
+from motor_env.operation.beginnings import beginnings
+from motor_env.operation.record import HOLDS, Record
+from motor_env.operation.terms import Term, terms
+from motor_env.recordings.alignment import UnusableError
+
+STRONG_EVIDENCE = 6.0
+_LEAST_LAG = 0.01  # of R dt: an L so small that the current follows at once
+_FIRST_NOISE_V = 0.02
+_TRIED = 2
+_FEW = 6
+_CLEARLY = 0.1
+_STEP = 1e-4
+_CANDIDATES = ("load_constant", "load_square", "heating", "current_lag", "speed_lag", "delay")
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Residuals of one choice of terms.
+
+    Attributes:
+        record: what is fitted.
+        known: values of what is not fitted, shape (kernel.N_VALUES,).
+        free: the terms that are.
+    """
+
+    record: Record
+    known: FloatArray
+    free: tuple[Term, ...]
+
+    def values(self, theta: FloatArray) -> FloatArray:
+        """Physical values and noises."""
+        values = self.known.copy()
+        for term, one in zip(self.free, theta, strict=True):
+            values[term.place] = term.value(one)
+        values[kernel.L] = math.hypot(values[kernel.L], _LEAST_LAG * values[kernel.R] * self.record.dt_s)
+        return values
+
+    def residuals(self, theta: FloatArray) -> FloatArray:
+        """Scaled innovations of each sample and channel, and what is believed beforehand of the terms."""
+        out, logs = self.record.predict(self.values(theta))
+        white = np.where(np.isfinite(out[:, :2]), out[:, :2], 1e6)
+        scale = math.exp(min(0.5 * logs / self.count, 300.0))
+        prior = [one / term.prior_sd for term, one in zip(self.free, theta, strict=True)]
+        residuals: FloatArray = scale * np.concatenate([white[:, self.record.seen > 0.0].ravel(), prior])
+        return residuals
+
+    @property
+    def count(self) -> int:
+        """Number of readings."""
+        return int((np.sum(self.record.marks != kernel.BEGIN)) * self.record.seen.sum())
+
+    def jacobian(self, theta: FloatArray) -> FloatArray:
+        """Derivatives of the residuals, by differences."""
+        base = self.residuals(theta)
+        columns = [self.column(theta, n, base) for n in range(len(theta))]
+        return np.stack(columns, axis=1)
+
+    def column(self, theta: FloatArray, n: int, base: FloatArray) -> FloatArray:
+        """One column of it; the step goes away from the nearer bound."""
+        term = self.free[n]
+        step = _STEP * max(1.0, abs(theta[n]))
+        if theta[n] + step > term.high:
+            step = -step
+        moved = theta.copy()
+        moved[n] += step
+        slope: FloatArray = (self.residuals(moved) - base) / step
+        return slope
+
+    def solve(self, theta: FloatArray, most: int = 40) -> tuple[FloatArray, float]:
+        """The best unknowns and their misfit, from a beginning; never worse than that."""
+        low = np.array([term.low for term in self.free])
+        high = np.array([term.high for term in self.free])
+        begin = np.clip(theta, low + 1e-9, high - 1e-9)
+        found = least_squares(
+            self.residuals,
+            begin,
+            jac=self.jacobian,
+            bounds=(low, high),
+            x_scale="jac",
+            max_nfev=most,
+            ftol=1e-9,
+        )
+        return np.asarray(found.x, dtype=np.float64), self.misfit(2.0 * found.cost)
+
+    def misfit(self, squares: float) -> float:
+        """-2 log likelihood, noise level concentrated out."""
+        return self.count * math.log(max(squares, 1e-300) / self.count)
+
+    def with_terms(self, added: Sequence[Term]) -> Problem:
+        """The same with more terms."""
+        return replace(self, free=(*self.free, *added))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the terms."""
+        return tuple(term.name for term in self.free)
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """A problem with its best unknowns."""
+
+    problem: Problem
+    theta: FloatArray
+    misfit: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the terms."""
+        return self.problem.names
+
+    @property
+    def values(self) -> FloatArray:
+        """Physical values and noises, the noises scaled to what is left."""
+        values = self.problem.values(self.theta)
+        out, _ = self.problem.record.predict(values)
+        white = out[:, :2][:, self.problem.record.seen > 0.0]
+        values[[kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V, kernel.WALK]] *= math.sqrt(
+            float(np.mean(white**2))
+        )
+        return values
+
+    def free(self) -> tuple[FloatArray, FloatArray]:
+        """The filter's table, and that of the model that runs freely under the voltage and the filter's load."""
+        record, values = self.problem.record, self.values
+        filtered, _ = record.predict(values)
+        return filtered, record.predict(values, learn=False, load=filtered[:, 4])[0]
+
+    def explained(self) -> tuple[float | None, float | None]:
+        """Share of the variance of current and speed that the free model explains; None where not used."""
+        record, free = self.problem.record, self.free()[1]
+        r2 = [_r2(record.readings[:, n], free[:, 2 + n]) if record.seen[n] else None for n in range(2)]
+        return r2[0], r2[1]
+
+    def penalised(self) -> float:
+        """Bayesian information criterion (Schwarz 1978)."""
+        return self.misfit + len(self.theta) * math.log(self.problem.count)
+
+
+def _r2(measured: FloatArray, expected: FloatArray) -> float:
+    left = float(np.sum((measured - expected) ** 2))
+    return 1.0 - left / max(float(np.sum((measured - measured.mean()) ** 2)), 1e-300)
+
+
+def fit(record: Record) -> Solution:
+    """The smallest model of a record that the evidence supports, fitted.
+
+    Raises:
+        UnusableError: no regression finds a motor in the record.
+    """
+    first, every = _first(record)
+    best = first
+    for name in ("load_walk", "load_constant"):
+        best = _without(best, name)
+    best = _grown(best, every)
+    if "load_walk" not in best.names:
+        walking = _solved(best, [every["load_walk"]])
+        if walking.penalised() < best.penalised() - STRONG_EVIDENCE:
+            best = _grown(walking, every)
+    best = _without(best, "brush_drop")
+    return min([best, *_undisturbed([first, best])], key=_free_misfit)
+
+
+def _undisturbed(solutions: Sequence[Solution]) -> list[Solution]:
+    """The same terms without noise inside the motor: output-error fits, which real model errors may leave ahead."""
+    found = []
+    for one in solutions:
+        kept = [n for n, name in enumerate(one.names) if name not in ("noise_voltage", "load_walk")]
+        problem = replace(one.problem, free=tuple(one.problem.free[n] for n in kept))
+        theta, misfit = problem.solve(one.theta[kept], most=60)
+        found.append(Solution(problem, theta, misfit))
+    return found
+
+
+def _free_misfit(one: Solution) -> float:
+    """Logarithms of the shares of the variance that the free model leaves; an undisturbed one must be clearly ahead."""
+    left = np.log([max(1.0 - r2, 1e-12) for r2 in one.explained() if r2 is not None])
+    return float(left.sum()) + (0.0 if "noise_voltage" not in one.names else -_CLEARLY * len(left))
+
+
+def _grown(best: Solution, every: dict[str, Term]) -> Solution:
+    """The fit with all terms for which the evidence is strong."""
+    while (richer := _richer(best, every)) is not None:
+        best = richer
+    return best
+
+
+def _without(best: Solution, name: str) -> Solution:
+    """The fit without a term, where the evidence does not miss it."""
+    if name not in best.names:
+        return best
+    place = best.names.index(name)
+    smaller = replace(best.problem, free=tuple(term for term in best.problem.free if term.name != name))
+    theta, misfit = smaller.solve(np.delete(best.theta, place))
+    trial = Solution(smaller, theta, misfit)
+    return trial if trial.penalised() < best.penalised() else best
+
+
+def _base(record: Record) -> list[str]:
+    """Terms to begin with: what every motor has, as far as the channels can tell, and any load."""
+    names = ["J", "coulomb", "load_constant", "noise_voltage", "load_walk"]
+    if record.seen[0]:
+        names += ["R", "L", "B", "brush_drop", "offset_current", "noise_current"]
+    if record.seen[1]:
+        names += ["K", "offset_speed", "noise_speed"]
+    return names
+
+
+def _first(record: Record) -> tuple[Solution, dict[str, Term]]:
+    """Fit of the base model from the most promising beginnings, and all terms in its units."""
+    starts = []
+    for hold in HOLDS if record.averaged == 1 else (record.hold,):
+        held = replace(record, hold=hold)
+        for values in beginnings(held):
+            problem, theta = _begin(held, values)
+            starts.append((problem.misfit(float(np.sum(problem.residuals(theta) ** 2))), problem, theta))
+    if not starts:
+        raise UnusableError("no motor is found in the record: voltage, current and speed do not go together")
+    starts.sort(key=lambda one: one[0])
+    found = []
+    for hold in HOLDS:
+        for _, problem, theta in [one for one in starts if one[1].record.hold == hold][:_TRIED]:
+            solved, misfit = problem.solve(theta, most=_FEW)
+            found.append(Solution(problem, solved, misfit))
+    best = min(found, key=lambda one: one.penalised())
+    best = _solved(best, [])
+    every = terms(best.problem.record, best.problem.known)
+    return best, every
+
+
+def _begin(record: Record, values: FloatArray) -> tuple[Problem, FloatArray]:
+    every = terms(record, values)
+    problem = Problem(record, values, tuple(every[name] for name in _base(record)))
+    known = values.copy()
+    theta = np.zeros(len(problem.free))
+    for n, term in enumerate(problem.free):
+        if not term.is_log:
+            theta[n] = min(values[term.place] / term.unit, term.high)
+        if term.name == "noise_voltage":
+            theta[n] = math.log(_FIRST_NOISE_V * record.peaks[0] / term.unit)
+    known[kernel.L] = 0.0
+    return replace(problem, known=known), theta
+
+
+def _solved(before: Solution, added: list[Term]) -> Solution:
+    """The fit with more terms, from the one without them."""
+    problem = before.problem.with_terms(added)
+    begin = np.concatenate([before.theta, [0.0 if term.is_log else 1e-3 for term in added]])
+    theta, misfit = problem.solve(begin)
+    return Solution(problem, theta, misfit)
+
+
+def _richer(best: Solution, every: dict[str, Term]) -> Solution | None:
+    """The fit with the one more term that the evidence wants most, if it does strongly."""
+    tested = [(test.chi_square, name) for name, test in score_tests(best, every).items()]
+    for chi_square, name in sorted(tested, reverse=True):
+        if chi_square < math.log(best.problem.count) + STRONG_EVIDENCE:
+            return None
+        trial = _solved(best, [every[name]])
+        if trial.penalised() < best.penalised() - STRONG_EVIDENCE:
+            return trial
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreTest:
+    """What adding a term would do (Rao 1948).
+
+    Attributes:
+        chi_square: by how much -2 log likelihood would fall.
+        value, sd: of the unknown.
+        moves: of the other unknowns, for one unit of it.
+    """
+
+    chi_square: float
+    value: float
+    sd: float
+    moves: FloatArray
+
+
+def candidates(best: Solution) -> list[str]:
+    """Terms that a record may tell and the model lacks."""
+    seen, names = best.problem.record.seen, best.problem.names
+    left = [name for name in _CANDIDATES if name not in names]
+    if "heating" in names and "cooling" not in names:
+        left.append("cooling")
+    if not seen[0]:
+        left = [name for name in left if name not in {"current_lag", "heating", "cooling"}]
+    if not seen[1]:
+        left = [name for name in left if name != "speed_lag"]
+    return left
+
+
+def score_tests(best: Solution, every: dict[str, Term]) -> dict[str, ScoreTest]:
+    """A test of each candidate, without fitting it."""
+    base, jacobian = best.problem.residuals(best.theta), best.problem.jacobian(best.theta)
+    variance = float(base @ base) / best.problem.count
+    inverse = np.linalg.pinv(jacobian)
+    found = {}
+    for name in candidates(best):
+        problem = best.problem.with_terms([every[name]])
+        theta = np.append(best.theta, 0.0)
+        column = np.delete(problem.column(theta, len(best.theta), np.append(base, 0.0)), len(base))
+        moves = -inverse @ column
+        column = column + jacobian @ moves
+        information = float(column @ column)
+        if information <= 1e-12 * variance:
+            continue
+        value = -float(column @ base) / information
+        gain = value**2 * information / variance
+        if every[name].low >= 0.0 and value < 0.0:
+            gain = 0.0
+        found[name] = ScoreTest(gain, value, math.sqrt(variance / information), moves)
+    return found

@@ -1,0 +1,226 @@
+"""`identify_operation`: what any record of a motor at work tells of the motor, and what it does not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation import kernel
+from motor_env.operation.fit import Solution, fit
+from motor_env.operation.record import MOST, Record, from_recordings
+from motor_env.operation.terms import NOISES, terms
+from motor_env.operation.uncertainty import covariance, motor_places
+from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.recording import Recording
+
+_UNTOLD = 0.5
+_POOR = 0.5
+_CURRENT_TELLS = 0.3
+_TWO_SIDED = 1.96
+_UNITS_FULL = {
+    "R": "ohm", "L": "H", "K": "V s/rad", "J": "kg m2", "B": "N m s/rad", "coulomb": "N m", "brush_drop": "V",
+    "load_constant": "N m", "load_square": "N m s2/rad2", "offset_current": "A", "offset_speed": "rad/s",
+    "heating": "K/J", "cooling": "1/s", "current_lag": "s", "speed_lag": "s", "delay": "samples", "drag": "N m",
+}  # fmt: skip
+_UNITS_CURRENT = _UNITS_FULL | {
+    "J": "A s/V", "B": "A/V", "coulomb": "A", "load_constant": "A", "load_square": "A/V2", "drag": "A",
+}  # fmt: skip
+_UNITS_SPEED = _UNITS_FULL | {
+    "J": "A s2/rad ohm", "coulomb": "V2 s/rad", "load_constant": "V2 s/rad", "load_square": "V2 s3/rad3",
+}  # fmt: skip
+_NAMES_CURRENT = {"J": "J/K^2", "B": "B/K^2", "coulomb": "coulomb/K", "load_constant": "load_constant/K",
+                  "load_square": "load_square/K^3", "drag": "drag/K"}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One quantity of the motor.
+
+    Attributes:
+        name: as in the reports.
+        value: SI.
+        low, high: interval, 95 %.
+        unit: of these.
+        is_told: whether the record knows it to better than half of its value.
+        log_sd: standard deviation of its logarithm, or relative standard deviation.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    is_told: bool
+    log_sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """A motor at work, identified.
+
+    Attributes:
+        record: what was fitted.
+        solution: the fit.
+        quantities: of the motor, those that are not told among them.
+        covariance: of the unknowns that are no noises, shape (p, p), in their units.
+        expected: current and speed of the model that runs freely under the voltage, shape (n, 2).
+        load_n_m: load torque that varies slowly, shape (n,); zero where the model has none.
+        warmth_k: how much warmer the winding is than at the begin, shape (n,).
+        r2_current, r2_speed: share of the variance that the free model explains; None where not used.
+        notes: what the record cannot tell, in sentences.
+    """
+
+    record: Record
+    solution: Solution
+    quantities: tuple[Quantity, ...]
+    covariance: FloatArray
+    expected: FloatArray
+    load_n_m: FloatArray
+    warmth_k: FloatArray
+    r2_current: float | None
+    r2_speed: float | None
+    notes: tuple[str, ...]
+
+    @property
+    def model(self) -> tuple[str, ...]:
+        """Names of the terms that are no noises, a slowly varying load among them."""
+        walks = ["load_walk"] if "load_walk" in self.solution.names else []
+        return (*(name for name in self.solution.names if name not in NOISES), *walks)
+
+    def quantity(self, name: str) -> Quantity:
+        """One of them by its name."""
+        return next(one for one in self.quantities if one.name == name)
+
+
+def identify_operation(
+    recordings: Sequence[Recording], *, voltage_v: float | None = None, most: int = MOST
+) -> Operation:
+    """Fit one motor to recordings of it at work, jointly.
+
+    Args:
+        recordings: with voltage (or duty cycle), current and, where measured, speed.
+        voltage_v: supply, for a duty cycle.
+        most: number of samples beyond which neighbours are averaged.
+
+    Raises:
+        UnusableError: they cannot be used together, or no motor explains them.
+    """
+    return identify_record(from_recordings(recordings, voltage_v=voltage_v, most=most))
+
+
+def identify_record(record: Record) -> Operation:
+    """Fit one motor to a record.
+
+    Raises:
+        UnusableError: no motor explains it.
+    """
+    found = _described(fit(record))
+    if found.r2_current is not None and found.r2_current < _CURRENT_TELLS and record.seen[1]:
+        found = _described(fit(record.only(current=False, speed=True)))
+    _refuse_poor(found)
+    return found
+
+
+def _refuse_poor(found: Operation) -> None:
+    for name, r2 in (("current", found.r2_current), ("speed", found.r2_speed)):
+        if r2 is not None and not r2 >= _POOR:
+            raise UnusableError(
+                f"no motor model explains the {name} (R2 {r2:.2f}; at least {_POOR} is needed)"
+            )
+
+
+def _described(solution: Solution) -> Operation:
+    record = solution.problem.record
+    every = terms(record, solution.problem.known)
+    spread = covariance(solution, every)
+    filtered, free = solution.free()
+    r2 = solution.explained()
+    quantities = tuple(_quantities(solution, spread))
+    return Operation(
+        record=record,
+        solution=solution,
+        quantities=quantities,
+        covariance=spread,
+        expected=free[:, 2:4],
+        load_n_m=filtered[:, 4],
+        warmth_k=filtered[:, 5],
+        r2_current=r2[0],
+        r2_speed=r2[1],
+        notes=tuple(_notes(record, solution, quantities)),
+    )
+
+
+def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
+    """Each unknown with its interval, and the whole drag at the speed that the motor mostly runs at."""
+    problem, theta = solution.problem, solution.theta
+    places = motor_places(problem)
+    names, units = _naming(problem.record)
+    found = []
+    for row, n in enumerate(places):
+        term, sd = problem.free[n], math.sqrt(max(spread[row, row], 0.0))
+        value, half = term.value(theta[n]), _TWO_SIDED * sd
+        if term.is_log:
+            low, high = value * math.exp(-min(half, 300.0)), value * math.exp(min(half, 300.0))
+            relative = sd
+        else:
+            low, high = value - half * term.unit, value + half * term.unit
+            low = max(low, 0.0) if term.low >= 0.0 else low
+            relative = sd * term.unit / max(abs(value), 1e-300)
+        told = relative < _UNTOLD
+        name = term.name
+        found.append(Quantity(names.get(name, name), value, low, high, units[name], told, relative))
+    drag = _drag(solution, spread, names.get("drag", "drag"), units["drag"])
+    return [*found, drag] if drag else found
+
+
+def _drag(solution: Solution, spread: FloatArray, name: str, unit: str) -> Quantity | None:
+    """Friction torque at the effective speed, B w + Tc (+ c w^2): known better than its parts."""
+    problem, values = solution.problem, solution.values
+    if "B" not in problem.names:
+        return None
+    out, _ = problem.record.predict(values)
+    speed = out[:, 3]
+    w = float(np.sqrt(np.mean(speed**2)))
+    slopes = {"B": w, "coulomb": 1.0, "load_square": w * w}
+    terms_ = [problem.free[n] for n in motor_places(problem)]
+    gradient = np.array([slopes.get(term.name, 0.0) * term.unit for term in terms_])
+    value = values[kernel.B] * w + values[kernel.COULOMB] + values[kernel.SQUARE] * w * w
+    sd = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))
+    half = _TWO_SIDED * sd
+    relative = sd / max(value, 1e-300)
+    return Quantity(name, value, max(value - half, 0.0), value + half, unit, relative < _UNTOLD, relative)
+
+
+def _naming(record: Record) -> tuple[dict[str, str], dict[str, str]]:
+    if record.seen.all():
+        return {}, _UNITS_FULL
+    if record.seen[0]:
+        return _NAMES_CURRENT, _UNITS_CURRENT
+    return {"J": "R J", "coulomb": "R coulomb"}, _UNITS_SPEED
+
+
+def _notes(record: Record, solution: Solution, quantities: tuple[Quantity, ...]) -> list[str]:
+    values, sentences = solution.values, []
+    if record.seen[0] and not record.seen[1]:
+        sentences.append("the current alone tells J/K^2 and B/K^2, not K, J and B")
+    if not record.seen[0]:
+        gain, lag = 1.0 / values[kernel.K], values[kernel.J] / values[kernel.K] ** 2
+        dead = values[kernel.COULOMB] / values[kernel.K]
+        sentences.append(
+            f"the current tells nothing: R, L and the friction are not determined; the speed alone gives"
+            f" {gain:.4g} rad/s a volt, a dead voltage of {dead:.3g} V and a time constant of {lag:.3g} s"
+        )
+    untold = [
+        one.name
+        for one in quantities
+        if not one.is_told and one.name.split("/")[0] in ("R", "L", "K", "J", "B")
+    ]
+    if untold:
+        sentences.append(f"not determined by this record: {', '.join(untold)}")
+    if record.averaged > 1:
+        sentences.append(f"{record.averaged} neighbouring samples were averaged into one")
+    return sentences

@@ -1,0 +1,335 @@
+"""Kalman filter of a motor at work, compiled: exact steps of the linear part, dry friction and brush drop with events.
+
+State: [current, speed, load torque, shown current, shown speed]; the last ones only where a model has them. Between
+two samples the linear motor is solved exactly (matrix exponential, Van Loan 1978) for a voltage that is a straight
+line. Coulomb friction and the brush drop are constant inputs as long as motion and current keep their signs; an
+interval in which one of them changes is cut into parts in which both brake to zero and never beyond it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from motor_env.motor.identifiable import COPPER_PER_KELVIN, MAGNET_PER_KELVIN
+from motor_env.motor.parameters import FloatArray
+
+(R, L, K, J, B, COULOMB, DROP, LOAD, SQUARE, OFFSET_I, OFFSET_W, HEATING, COOLING, LAG_I, LAG_W, DELAY) = (
+    range(16)
+)
+"""Places in the vector of physical values, SI."""
+(NOISE_I, NOISE_W, NOISE_V, WALK) = range(16, 20)
+"""Places of the noise: standard deviations of a sample of current, speed and voltage; of the load in a second."""
+N_VALUES = 20
+FRICTION_PER_KELVIN = -0.003
+"""Friction falls as the lubricant warms; a round number for small motors, for a winding's kelvin."""
+BEGIN, OPEN = 1.0, 2.0
+"""Marks of a sample: the first of a recording; an open circuit."""
+_PARTS = 8
+_COLDEST_K, _GRID_K, _GRID = -20.0, 10.0, 22
+_WILD = 6.0
+_U0, _SLOPE, _TORQUE = 2, 3, 4
+
+
+@njit(cache=True)
+def _exponential(matrix: FloatArray) -> FloatArray:
+    """Matrix exponential by scaling, Taylor and squaring."""
+    norm = np.max(np.sum(np.abs(matrix), axis=1))
+    squarings = max(0, math.ceil(math.log2(norm + 1e-300)) + 1)
+    scaled = matrix / 2.0**squarings
+    total = np.eye(matrix.shape[0])
+    term = np.eye(matrix.shape[0])
+    for n in range(1, 13):
+        term = term @ scaled / n
+        total = total + term
+    for _ in range(squarings):
+        total = total @ total
+    return total
+
+
+@njit(cache=True)
+def _discretized(p: FloatArray, warm_k: float, dt_s: float) -> FloatArray:
+    """Rows current and speed; columns current, speed, voltage before, its rise over the interval, torque."""
+    resistance = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k)
+    constant = p[K] * (1.0 + MAGNET_PER_KELVIN * warm_k)
+    drag = p[B] * (1.0 + FRICTION_PER_KELVIN * warm_k)
+    m = np.zeros((5, 5))
+    m[0, 0], m[0, 1], m[0, 2] = -resistance / p[L], -constant / p[L], 1.0 / p[L]
+    m[1, 0], m[1, 1], m[1, 4] = constant / p[J], -drag / p[J], -1.0 / p[J]
+    m[2, 3] = 1.0 / dt_s
+    rows: FloatArray = _exponential(m * dt_s)[:2].copy()
+    return rows
+
+
+@njit(cache=True)
+def _table(p: FloatArray, dt_s: float) -> FloatArray:
+    """Discrete models over the winding's temperature; one alone where nothing warms."""
+    count = _GRID if p[HEATING] > 0.0 else 1
+    out = np.empty((count, 2, 5))
+    for g in range(count):
+        out[g] = _discretized(p, _COLDEST_K + g * _GRID_K if count > 1 else 0.0, dt_s)
+    return out
+
+
+@njit(cache=True)
+def _at(table: FloatArray, warm_k: float, out: FloatArray) -> None:
+    """The discrete model at one temperature, between two of the table."""
+    if table.shape[0] == 1:
+        out[:] = table[0]
+        return
+    place = min(max((warm_k - _COLDEST_K) / _GRID_K, 0.0), table.shape[0] - 1.001)
+    low = int(place)
+    share = place - low
+    for r in range(2):
+        for c in range(5):
+            out[r, c] = (1.0 - share) * table[low, r, c] + share * table[low + 1, r, c]
+
+
+@njit(cache=True)
+def _smooth_step(
+    m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray
+) -> bool:
+    """One interval in which nothing changes sign; False, with `x` as it was, where something does."""
+    i, w = x[0], x[1]
+    turning, carrying = math.copysign(1.0, w), math.copysign(1.0, i)
+    if w == 0.0 and dry > 0.0:
+        return False
+    before = u[0] - carrying * p[DROP]
+    torque = dry * turning + u[2] + p[SQUARE] * w * abs(w)
+    new_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * (u[1] - u[0])
+    new_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * (u[1] - u[0])
+    after = new_w + m[1, 4] * torque
+    torque += 0.5 * p[SQUARE] * (after * abs(after) - w * abs(w))
+    new_i += m[0, 4] * torque
+    new_w += m[1, 4] * torque
+    if (dry > 0.0 and new_w * turning <= 0.0) or (p[DROP] > 0.0 and new_i * carrying <= 0.0):
+        return False
+    for r in range(2):
+        f[r, 0], f[r, 1] = m[r, 0], m[r, 1] + m[r, 4] * 2.0 * p[SQUARE] * abs(w)
+        f[r, 2], f[r, 3] = m[r, 4], m[r, 2]
+    x[0], x[1] = new_i, new_w
+    return True
+
+
+@njit(cache=True)
+def _braked_step(
+    m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray
+) -> None:
+    """One interval in equal parts; friction and drop are implicit in each: they brake to zero, never beyond."""
+    f[:] = 0.0
+    f[0, 0] = f[1, 1] = 1.0
+    rise = (u[1] - u[0]) / _PARTS
+    for part in range(_PARTS):
+        i, w = x[0], x[1]
+        before, torque = u[0] + part * rise, u[2] + p[SQUARE] * w * abs(w)
+        free_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * rise + m[0, 4] * torque
+        free_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * rise + m[1, 4] * torque
+        new_i = free_i
+        if p[DROP] > 0.0:
+            new_i = math.copysign(max(abs(free_i) - m[0, 2] * p[DROP], 0.0), free_i)
+            free_w -= m[1, 2] * (free_i - new_i) / m[0, 2]
+        new_w = free_w
+        if dry > 0.0:
+            new_w = math.copysign(max(abs(free_w) + m[1, 4] * dry, 0.0), free_w)
+            new_i += m[0, 4] * (free_w - new_w) / -m[1, 4]
+        for c in range(4):
+            top, bottom = f[0, c], f[1, c]
+            extra_i = m[0, 4] if c == 2 else (m[0, 2] if c == 3 else 0.0)
+            extra_w = m[1, 4] if c == 2 else (m[1, 2] if c == 3 else 0.0)
+            f[0, c] = 0.0 if new_i == 0.0 else m[0, 0] * top + m[0, 1] * bottom + extra_i
+            f[1, c] = 0.0 if new_w == 0.0 else m[1, 0] * top + m[1, 1] * bottom + extra_w
+        x[0], x[1] = new_i, new_w
+
+
+@njit(cache=True)
+def _coasting_step(x: FloatArray, p: FloatArray, dry: float, load: float, dt_s: float, f: FloatArray) -> None:
+    """One interval with an open circuit: no current, the speed falls by friction and load."""
+    f[:] = 0.0
+    decay = math.exp(-p[B] * dt_s / p[J])
+    reach = (1.0 - decay) / p[B] if p[B] * dt_s > 1e-9 * p[J] else dt_s / p[J]
+    free = decay * x[1] - reach * (load + p[SQUARE] * x[1] * abs(x[1]))
+    x[0], x[1] = 0.0, math.copysign(max(abs(free) - reach * dry, 0.0), free)
+    if x[1] != 0.0:
+        f[1, 1], f[1, 2] = decay, -reach
+
+
+@njit(cache=True)
+def _lag(lag_s: float, dt_s: float) -> FloatArray:
+    """Weights of the shown value before, the true one before and the true one now; exact for a straight line."""
+    if lag_s <= 0.0:
+        return np.array([0.0, 0.0, 1.0])
+    decay = math.exp(-dt_s / lag_s)
+    mean = (1.0 - decay) * lag_s / dt_s
+    return np.array([decay, mean - decay, 1.0 - mean])
+
+
+@njit(cache=True)
+def _spread(
+    cov: FloatArray,
+    f: FloatArray,
+    p: FloatArray,
+    dt_s: float,
+    lags: FloatArray,
+    full: FloatArray,
+    half_way: FloatArray,
+) -> None:
+    """Covariance after an interval, in place: P = F P F' + Q; the last two are room to work in."""
+    n = cov.shape[0]
+    noise_i, noise_w = p[NOISE_V] * f[0, 3], p[NOISE_V] * f[1, 3]
+    if n == 2:
+        a, b, c, d = f[0, 0], f[0, 1], f[1, 0], f[1, 1]
+        ii, iw, ww = cov[0, 0], cov[0, 1], cov[1, 1]
+        cov[0, 0] = a * a * ii + 2.0 * a * b * iw + b * b * ww + noise_i * noise_i
+        cov[0, 1] = a * c * ii + (a * d + b * c) * iw + b * d * ww + noise_i * noise_w
+        cov[1, 1] = c * c * ii + 2.0 * c * d * iw + d * d * ww + noise_w * noise_w
+        cov[1, 0] = cov[0, 1]
+        return
+    full[:] = 0.0
+    for r in range(2):
+        full[r, 0], full[r, 1], full[r, 2] = f[r, 0], f[r, 1], f[r, 2]
+    full[2, 2] = 1.0
+    noise = (noise_i, noise_w, 0.0)
+    for r in range(3, n):
+        for c in range(3):
+            full[r, c] = lags[r - 3, 2] * full[r - 3, c]
+        full[r, r - 3] += lags[r - 3, 1]
+        full[r, r] += lags[r - 3, 0]
+    for r in range(n):
+        for c in range(n):
+            total = 0.0
+            for s in range(n):
+                total += full[r, s] * cov[s, c]
+            half_way[r, c] = total
+    for r in range(n):
+        size = noise[r] if r < 3 else lags[r - 3, 2] * noise[r - 3]
+        for c in range(n):
+            other = noise[c] if c < 3 else lags[c - 3, 2] * noise[c - 3]
+            total = size * other
+            for s in range(n):
+                total += half_way[r, s] * full[c, s]
+            cov[r, c] = total
+    cov[2, 2] += p[WALK] ** 2 * dt_s
+
+
+@njit(cache=True)
+def _update(
+    x: FloatArray, cov: FloatArray, place: int, shown: float, noise: float, learn: bool, row: FloatArray
+) -> tuple[float, float]:
+    """Weigh in one reading; whitened innovation and the logarithm of its variance."""
+    n = cov.shape[0]
+    error, variance = shown - x[place], cov[place, place] + noise * noise
+    white = error / math.sqrt(variance)
+    if learn:
+        weight = min(1.0, _WILD / max(abs(white), 1e-12)) * error / variance
+        for r in range(n):
+            row[r] = cov[place, r]
+        for r in range(n):
+            x[r] += weight * row[r]
+            for c in range(n):
+                cov[r, c] -= row[r] * row[c] / variance
+    return white, math.log(variance)
+
+
+@njit(cache=True)
+def _begin(
+    p: FloatArray,
+    x: FloatArray,
+    cov: FloatArray,
+    shown_i: float,
+    shown_w: float,
+    volts: float,
+    reach: float,
+    seen: FloatArray,
+) -> None:
+    """State at the first sample of a recording: as shown; what is not seen from the balance of the voltages."""
+    n = cov.shape[0]
+    x[:] = 0.0
+    x[1] = shown_w if seen[1] > 0.0 else (volts - p[R] * shown_i) / p[K]
+    x[0] = shown_i if seen[0] > 0.0 else (volts - p[K] * x[1]) / p[R]
+    x[3], x[4] = x[0], x[1]
+    sd_w = p[NOISE_W] if seen[1] > 0.0 else 0.3 * reach / p[K]
+    sd_i = p[NOISE_I] if seen[0] > 0.0 else 0.3 * reach / p[R]
+    cov[:] = 0.0
+    cov[0, 0], cov[1, 1] = sd_i**2, sd_w**2
+    if n == 5:
+        cov[3, 3] = cov[0, 3] = cov[3, 0] = sd_i**2
+        cov[4, 4] = cov[1, 4] = cov[4, 1] = sd_w**2
+    if n > 2 and p[WALK] > 0.0:
+        cov[2, 2] = (p[K] * 0.1 * reach / p[R]) ** 2
+
+
+@njit(cache=True)
+def predict(
+    p: FloatArray,
+    dt_s: float,
+    voltage: FloatArray,
+    readings: FloatArray,
+    seen: FloatArray,
+    marks: FloatArray,
+    learn: bool,
+    out: FloatArray,
+) -> float:
+    """Run the filter over a record.
+
+    Args:
+        p: physical values and noise, shape (N_VALUES,).
+        dt_s: sampling interval.
+        voltage: before and after the interval that ends at each sample, shape (n, 2).
+        readings: current and speed, shape (n, 2).
+        seen: 1 where a channel was recorded, shape (2,).
+        marks: BEGIN at the first sample of a recording, OPEN where the circuit is open, else 0; shape (n,).
+        learn: weigh readings in; without it the model runs freely, with the given load alone.
+        out: whitened innovations, predicted readings, load, temperature, shape (n, 6).
+
+    Returns:
+        Sum of the logarithms of the innovations' variances.
+    """
+    n = 5 if p[LAG_I] > 0.0 or p[LAG_W] > 0.0 else (3 if p[WALK] > 0.0 else 2)
+    lags = np.stack((_lag(p[LAG_I], dt_s), _lag(p[LAG_W], dt_s)))
+    whole, parts = _table(p, dt_s), _table(p, dt_s / _PARTS)
+    m, x, cov, f, u = np.empty((2, 5)), np.zeros(5), np.zeros((n, n)), np.zeros((2, 4)), np.zeros(3)
+    full, half_way, row = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    logs, warm_k = 0.0, 0.0
+    place_i, place_w = (3, 4) if n == 5 else (0, 1)
+    reach = np.max(np.abs(voltage)) + 1e-9
+    for k in range(voltage.shape[0]):
+        shown_i, shown_w = readings[k, 0] - p[OFFSET_I], readings[k, 1] - p[OFFSET_W]
+        if marks[k] == BEGIN:
+            warm_k = 0.0
+            _begin(p, x, cov, shown_i, shown_w, voltage[k, 0], reach, seen)
+            out[k] = 0.0
+            out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
+            continue
+        u[0], u[1], u[2] = voltage[k, 0], voltage[k, 1], p[LOAD] + (x[2] if learn else out[k, 4])
+        if p[HEATING] > 0.0:
+            power = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k) * x[0] ** 2
+            warm_k += dt_s * (p[HEATING] * power - p[COOLING] * warm_k)
+        dry = p[COULOMB] * (1.0 + FRICTION_PER_KELVIN * warm_k)
+        i, w = x[0], x[1]
+        _at(whole, warm_k, m)
+        if marks[k] == OPEN and marks[k - 1] == OPEN:
+            _coasting_step(x, p, dry, u[2], dt_s, f)
+        elif not _smooth_step(m, x, u, p, dry, f):
+            _at(parts, warm_k, m)
+            _braked_step(m, x, u, p, dry, f)
+        if marks[k] == OPEN:
+            x[0] = 0.0
+            f[0] = 0.0
+        x[3] = lags[0, 0] * x[3] + lags[0, 1] * i + lags[0, 2] * x[0]
+        x[4] = lags[1, 0] * x[4] + lags[1, 1] * w + lags[1, 2] * x[1]
+        if learn:
+            _spread(cov, f, p, dt_s, lags, full, half_way)
+        out[k, 0] = out[k, 1] = 0.0
+        out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
+        if seen[0] > 0.0:
+            out[k, 0], log = _update(x, cov, place_i, shown_i, p[NOISE_I], learn, row)
+            logs += log
+        if seen[1] > 0.0:
+            out[k, 1], log = _update(x, cov, place_w, shown_w, p[NOISE_W], learn, row)
+            logs += log
+        if learn:
+            out[k, 4] = x[2]
+        out[k, 5] = warm_k
+    return logs

@@ -1,0 +1,79 @@
+"""The unknowns of a motor at work: where each stands, its unit of size, its bounds, what is believed beforehand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation import kernel
+from motor_env.operation.record import Record
+
+LONGEST_CURRENT_LAG_S = 0.01
+LONGEST_SPEED_LAG_S = 0.1
+_OFFSET_PRIOR = 0.003
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One unknown.
+
+    Attributes:
+        name: as the reports say it.
+        place: in the vector of values.
+        unit: what 1 stands for, SI; of a logarithm the value at 0.
+        low, high: bounds in that unit.
+        is_log: whether the unknown is the logarithm of the value over its unit.
+        prior_sd: standard deviation about 0 that is believed beforehand, in the unit; infinite for none.
+    """
+
+    name: str
+    place: int
+    unit: float
+    low: float
+    high: float
+    is_log: bool = False
+    prior_sd: float = math.inf
+
+    def value(self, theta: float) -> float:
+        """SI value of the unknown."""
+        return self.unit * math.exp(theta) if self.is_log else self.unit * theta
+
+
+def terms(record: Record, start: FloatArray) -> dict[str, Term]:
+    """All unknowns of a record, in units of a first guess of the values, shape (kernel.N_VALUES,)."""
+    volts, amps, speed = record.peaks
+    ohm, constant, dt = start[kernel.R], start[kernel.K], record.dt_s
+    amps = max(amps, 1e-3 * volts / ohm) if record.seen[0] else volts / ohm
+    speed = max(speed, 1e-3 * volts / constant) if record.seen[1] else volts / constant
+    torque, power = constant * amps, ohm * float(np.mean(record.readings[:, 0] ** 2)) + 1e-300
+    reach = 0.5 * record.duration_s / dt
+    every = [
+        Term("R", kernel.R, ohm, -5.0, 5.0, is_log=True),
+        Term("L", kernel.L, ohm * dt, 0.0, reach),
+        Term("K", kernel.K, constant, -5.0, 5.0, is_log=True),
+        Term("J", kernel.J, start[kernel.J], -7.0, 7.0, is_log=True),
+        Term("B", kernel.B, torque / speed, 0.0, 20.0),
+        Term("coulomb", kernel.COULOMB, torque, 0.0, 0.9),
+        Term("brush_drop", kernel.DROP, volts, 0.0, 0.4, prior_sd=0.1),
+        Term("load_constant", kernel.LOAD, torque, -2.0, 2.0, prior_sd=0.3),
+        Term("load_square", kernel.SQUARE, torque / speed**2, 0.0, 20.0),
+        Term("offset_current", kernel.OFFSET_I, amps, -0.2, 0.2, prior_sd=_OFFSET_PRIOR),
+        Term("offset_speed", kernel.OFFSET_W, speed, -0.1, 0.1, prior_sd=_OFFSET_PRIOR),
+        Term("heating", kernel.HEATING, 10.0 / (power * record.duration_s), 0.0, 20.0),
+        Term("cooling", kernel.COOLING, 1.0 / record.duration_s, 0.0, 300.0),
+        Term("current_lag", kernel.LAG_I, dt, 0.0, min(LONGEST_CURRENT_LAG_S / dt, reach)),
+        Term("speed_lag", kernel.LAG_W, dt, 0.0, min(LONGEST_SPEED_LAG_S / dt, reach)),
+        Term("delay", kernel.DELAY, 1.0, -1.0, 1.0),
+        Term("noise_current", kernel.NOISE_I, start[kernel.NOISE_I], -5.0, 5.0, is_log=True),
+        Term("noise_speed", kernel.NOISE_W, start[kernel.NOISE_W], -5.0, 5.0, is_log=True),
+        Term("noise_voltage", kernel.NOISE_V, 0.003 * volts, -6.0, 4.0, is_log=True),
+        Term("load_walk", kernel.WALK, 0.05 * torque / math.sqrt(record.duration_s), -6.0, 6.0, is_log=True),
+    ]
+    return {term.name: term for term in every}
+
+
+NOISES = ("noise_current", "noise_speed", "noise_voltage", "load_walk")
+"""They set the weights, and are no quantities of the motor."""

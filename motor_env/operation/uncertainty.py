@@ -1,0 +1,71 @@
+"""How well the unknowns are known: Fisher information, residuals that are not white, and terms that were left out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation.fit import Problem, Solution, score_tests
+from motor_env.operation.terms import NOISES, Term
+
+_WIDEST = 1e3
+
+
+def information_covariance(problem: Problem, theta: FloatArray) -> FloatArray:
+    """Covariance of the unknowns that are no noises (Cramer-Rao), shape (p, p), in the order of `motor_terms`."""
+    jacobian = problem.jacobian(theta)[:, motor_places(problem)]
+    base = problem.residuals(theta)
+    return _inverse(jacobian.T @ jacobian) * float(base @ base) / problem.count
+
+
+def motor_places(problem: Problem) -> list[int]:
+    """Places of the unknowns that are no noises."""
+    return [n for n, name in enumerate(problem.names) if name not in NOISES]
+
+
+def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
+    """Covariance of the unknowns that are no noises, with what correlated residuals and the choice of terms add.
+
+    The scores' autocovariance (Bartlett window; Newey & West 1987) widens, and never narrows, what white residuals
+    tell. A term that was left out counts with its posterior probability (Hoeting et al. 1999): it would have moved the
+    others by so much, and would have left them so much less certain.
+    """
+    problem, places = best.problem, motor_places(best.problem)
+    base, full = problem.residuals(best.theta), problem.jacobian(best.theta)
+    jacobian = full[:, places]
+    variance = float(base @ base) / problem.count
+    bread = _inverse(jacobian.T @ jacobian)
+    ratio = _widening(problem, jacobian, base, bread) / math.sqrt(variance)
+    total = bread * variance * np.outer(ratio, ratio)
+    for test in score_tests(best, every).values():
+        odds = math.exp(min(0.5 * (test.chi_square - math.log(problem.count)), 50.0))
+        weight, moves = odds / (1.0 + odds), test.moves[places]
+        total += weight * (test.value**2 + test.sd**2) * np.outer(moves, moves)
+    return total
+
+
+def _widening(problem: Problem, jacobian: FloatArray, base: FloatArray, bread: FloatArray) -> FloatArray:
+    """Sandwich standard errors over those of unit white noise, no less than what the noise gives."""
+    channels = int(problem.record.seen.sum())
+    n = len(problem.record.voltage_v)
+    scores = (jacobian[: n * channels] * base[: n * channels, None]).reshape(n, channels, -1).sum(axis=1)
+    lags = int(1.5 * n ** (1.0 / 3.0))
+    middle = scores.T @ scores
+    for lag in range(1, lags + 1):
+        crossed = scores[lag:].T @ scores[:-lag]
+        middle += (1.0 - lag / (lags + 1)) * (crossed + crossed.T)
+    sandwich = np.maximum(np.diag(bread @ middle @ bread), 0.0)
+    white = float(base @ base) / problem.count * np.diag(bread)
+    ratio: FloatArray = np.sqrt(np.maximum(sandwich, white) / np.maximum(np.diag(bread), 1e-300))
+    return ratio
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Inverse of an information matrix; a direction of which nothing is known gets a finite, hopeless variance."""
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, axes = np.linalg.eigh(information / np.outer(size, size))
+    inverse = (axes / np.maximum(values, 1e-10)) @ axes.T
+    out: FloatArray = inverse / np.outer(size, size)
+    return np.clip(out, -(_WIDEST**2), _WIDEST**2)

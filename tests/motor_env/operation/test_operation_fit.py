@@ -1,0 +1,90 @@
+"""A motor at work, identified: simulated by the benchmarks' own simulator, and recorded by others."""
+
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_env.operation.identify import Operation, identify_operation
+from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.recording import Recording, read_recording
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+from operation_simulator import Motor, draw_motor, simulate
+
+recordings_path = os.environ.get("MOTOR_ENV_RECORDINGS")
+real = pytest.mark.skipif(
+    recordings_path is None, reason="MOTOR_ENV_RECORDINGS does not point to the recordings"
+)
+
+
+def work(seed: int, profile: str, load: str = "none", samples: int = 1500) -> tuple[Motor, Recording]:
+    """A motor and a recording of it."""
+    rng = np.random.default_rng(seed)
+    motor = replace(draw_motor(rng), ripple=0.0, stribeck=0.0)
+    return motor, simulate(motor, profile, rng, load=load, samples=samples)
+
+
+@pytest.mark.parametrize(
+    ("profile", "load"), [("reversals", "none"), ("prbs", "constant"), ("speed loop", "walk")]
+)
+def test_motor_is_found_in_any_regime(profile: str, load: str) -> None:
+    motor, recording = work(3, profile, load)
+    found = identify_operation([recording])
+    true = {"R": motor.ohm, "K": motor.constant, "J": motor.inertia}
+    for name, value in true.items():
+        quantity = found.quantity(name)
+        assert quantity.is_told
+        assert quantity.value == pytest.approx(value, rel=0.03)
+        assert abs(np.log(quantity.value / value)) < 3.5 * quantity.log_sd
+
+
+def test_current_alone_tells_ratios() -> None:
+    motor, recording = work(4, "reversals")
+    found = identify_operation([replace(recording, speed_rad_s=None)])
+    assert found.quantity("R").value == pytest.approx(motor.ohm, rel=0.03)
+    assert found.quantity("J/K^2").value == pytest.approx(motor.inertia / motor.constant**2, rel=0.03)
+    assert any("K, J and B" in note for note in found.notes)
+
+
+def test_two_recordings_tell_more_than_one() -> None:
+    rng = np.random.default_rng(5)
+    motor = draw_motor(rng)
+    first = simulate(motor, "reversals", rng, samples=800, dt_s=motor.mechanical_s / 10.0)
+    second = simulate(motor, "prbs", rng, samples=800, dt_s=motor.mechanical_s / 10.0)
+    one, both = identify_operation([first]), identify_operation([first, second])
+    assert both.quantity("R").log_sd < one.quantity("R").log_sd
+    assert both.quantity("R").value == pytest.approx(motor.ohm, rel=0.03)
+
+
+def test_noise_is_no_motor() -> None:
+    rng = np.random.default_rng(6)
+    n = 800
+    noise = Recording(Path("x"), 1e-3 * np.arange(n, dtype=np.float64), rng.standard_normal(n), rng.standard_normal(n))
+    with pytest.raises(UnusableError, match="motor"):
+        identify_operation([noise])
+
+
+def recorded(file: str) -> Operation:
+    return identify_operation([read_recording(Path(recordings_path or "") / file)])
+
+
+@real
+def test_a_current_that_is_all_noise_is_said_to_tell_nothing() -> None:
+    found = recorded("operating/shield_aprbs.csv")
+    assert found.r2_current is None
+    assert found.r2_speed is not None
+    assert found.r2_speed >= 0.96
+    assert any("not determined" in note for note in found.notes)
+
+
+@real
+def test_a_growing_square_wave() -> None:
+    found = recorded("aalborg/square_growing.csv")
+    assert found.r2_current is not None
+    assert found.r2_current >= 0.975
+    assert found.quantity("brush_drop").value == pytest.approx(1.6, abs=0.6)
+    assert not found.quantity("L").is_told

@@ -1,0 +1,98 @@
+"""The compiled filter of a motor at work against a stiff solver, and at standstill."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation import kernel
+from motor_env.operation.record import Record, open_circuit
+
+DT_S = 2e-3
+
+
+def values(**given: float) -> FloatArray:
+    """A small motor, with what is given."""
+    base = {"R": 2.0, "L": 1e-3, "K": 0.03, "J": 4e-6, "B": 2e-6, "NOISE_I": 1e-3, "NOISE_W": 0.1}
+    out = np.zeros(kernel.N_VALUES)
+    for name, value in (base | given).items():
+        out[getattr(kernel, name)] = value
+    return out
+
+
+def free_run(p: FloatArray, voltage: FloatArray) -> FloatArray:
+    """Current and speed of the model without readings."""
+    n = len(voltage)
+    marks = np.eye(1, n)[0]
+    record = Record(DT_S, voltage, np.zeros((n, 2)), np.ones(2), marks)
+    return record.predict(p, learn=False)[0][:, 2:4]
+
+
+def solved(p: FloatArray, voltage: FloatArray) -> FloatArray:
+    """The same by an implicit solver, friction and drop smooth and steep."""
+    k = kernel
+
+    def slope(_: float, x: FloatArray, volts: float) -> list[float]:
+        friction = (
+            p[k.COULOMB] * np.tanh(x[1] / 0.02) + p[k.B] * x[1] + p[k.SQUARE] * x[1] * abs(x[1]) + p[k.LOAD]
+        )
+        drop = p[k.DROP] * np.tanh(x[0] / 1e-4)
+        return [(volts - p[k.R] * x[0] - p[k.K] * x[1] - drop) / p[k.L], (p[k.K] * x[0] - friction) / p[k.J]]
+
+    states = [np.zeros(2)]
+    for volts in voltage[:-1]:
+        run = solve_ivp(slope, (0.0, DT_S), states[-1], "LSODA", args=(volts,), rtol=1e-7, atol=1e-9)
+        states.append(run.y[:, -1])
+    return np.array(states)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"COULOMB": 0.004},
+        {"COULOMB": 0.004, "DROP": 0.4},
+        {"LOAD": 0.01, "COULOMB": 0.002},
+        {"SQUARE": 2e-7},
+    ],
+)
+def test_free_model_follows_a_stiff_solver(given: dict[str, float]) -> None:
+    p = values(**given)
+    voltage = np.repeat([0.0, 6.0, -4.0, 0.5, 8.0, 0.0], 40)
+    expected, got = solved(p, voltage), free_run(p, voltage)
+    assert np.all(np.abs(got - expected).max(axis=0) < 0.02 * np.abs(expected).max(axis=0))
+
+
+def test_a_motor_below_its_breakaway_torque_stands() -> None:
+    out = free_run(values(COULOMB=0.004), np.full(200, 0.2))
+    assert np.all(out[:, 1] == 0.0)
+    assert out[-1, 0] == pytest.approx(0.1, rel=1e-6)
+
+
+def test_innovations_of_the_right_model_are_white_and_of_unit_size() -> None:
+    rng = np.random.default_rng(1)
+    p = values(COULOMB=0.004, DROP=0.2)
+    voltage = np.repeat(rng.uniform(-8.0, 8.0, 100), 30)
+    true = free_run(p, voltage)
+    readings = true + rng.standard_normal(true.shape) * [p[kernel.NOISE_I], p[kernel.NOISE_W]]
+    record = Record(DT_S, voltage, readings, np.ones(2), np.eye(1, len(voltage))[0])
+    white = record.predict(p)[0][1:, :2]
+    assert np.std(white, axis=0) == pytest.approx([1.0, 1.0], abs=0.05)
+    assert abs(np.corrcoef(white[1:, 0], white[:-1, 0])[0, 1]) < 0.06
+
+
+def test_warmth_follows_the_heat_of_the_winding() -> None:
+    p = values(COULOMB=0.004, HEATING=5.0, COOLING=0.5)
+    n = 4000
+    record = Record(DT_S, np.full(n, 0.2), np.zeros((n, 2)), np.ones(2), np.eye(1, n)[0])
+    warm = record.predict(p, learn=False)[0][-1, 5]
+    assert warm == pytest.approx(5.0 * 2.0 * 0.01 / 0.5 * (1.0 - np.exp(-0.5 * n * DT_S)), rel=0.01)
+
+
+def test_a_speed_that_falls_without_current_is_an_open_circuit() -> None:
+    rng = np.random.default_rng(2)
+    speed = np.concatenate([np.full(100, 200.0), 200.0 * np.exp(-np.arange(100) / 60.0)])
+    current = np.concatenate([np.full(100, 0.5), np.zeros(100)]) + 1e-3 * rng.standard_normal(200)
+    found = open_circuit(0.03 * speed, np.stack([current, speed], axis=1))
+    assert not found[:100].any()
+    assert found[105:195].all()
