@@ -25,7 +25,7 @@ from motor_env.operation.beginnings import beginnings
 from motor_env.operation.identify import Operation, identify_operation
 from motor_env.operation.terms import NOISES, terms
 from motor_env.operation.uncertainty import information_covariance, motor_places
-from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.defects import UnusableError
 
 QUANTITIES = ("R", "L", "K", "J", "B", "coulomb", "brush_drop", "load_constant", "load_square")
 TOLD = 0.5

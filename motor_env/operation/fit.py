@@ -18,7 +18,7 @@ from motor_env.operation import kernel
 from motor_env.operation.beginnings import beginnings
 from motor_env.operation.record import HOLDS, Record
 from motor_env.operation.terms import Term, terms
-from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.defects import UnusableError
 
 STRONG_EVIDENCE = 6.0
 _LEAST_LAG = 0.01  # of R dt: an L so small that the current follows at once

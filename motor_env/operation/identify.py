@@ -14,7 +14,7 @@ from motor_env.operation.fit import Solution, fit
 from motor_env.operation.record import MOST, Record, from_recordings
 from motor_env.operation.terms import NOISES, terms
 from motor_env.operation.uncertainty import covariance, motor_places
-from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 
 _UNTOLD = 0.5

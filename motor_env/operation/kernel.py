@@ -13,8 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from motor_env.motor.identifiable import COPPER_PER_KELVIN, MAGNET_PER_KELVIN
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import COPPER_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
 
 (R, L, K, J, B, COULOMB, DROP, LOAD, SQUARE, OFFSET_I, OFFSET_W, HEATING, COOLING, LAG_I, LAG_W, DELAY) = (
     range(16)

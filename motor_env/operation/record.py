@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation.kernel import BEGIN, DELAY, OPEN, predict
-from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 
 Hold = Literal["held", "straight", "late"]

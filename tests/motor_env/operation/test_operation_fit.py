@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from motor_env.operation.identify import Operation, identify_operation
-from motor_env.recordings.alignment import UnusableError
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, read_recording
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
@@ -63,7 +63,9 @@ def test_two_recordings_tell_more_than_one() -> None:
 def test_noise_is_no_motor() -> None:
     rng = np.random.default_rng(6)
     n = 800
-    noise = Recording(Path("x"), 1e-3 * np.arange(n, dtype=np.float64), rng.standard_normal(n), rng.standard_normal(n))
+    noise = Recording(
+        Path("x"), 1e-3 * np.arange(n, dtype=np.float64), rng.standard_normal(n), rng.standard_normal(n)
+    )
     with pytest.raises(UnusableError, match="motor"):
         identify_operation([noise])
 
