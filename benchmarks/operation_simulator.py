@@ -91,8 +91,8 @@ def draw_motor(rng: np.random.Generator) -> Motor:
         ripple=rng.uniform(0.0, 0.01),
         heat=rng.uniform(0.2, 2.0) / (volts * stall * 0.05 * 60.0),
         cool=1.0 / rng.uniform(30.0, 300.0),
-        noise_a=stall * 10.0 ** rng.uniform(-3.0, -2.3),
-        noise_w=speed * 10.0 ** rng.uniform(-3.3, -2.3),
+        noise_a=stall * 10.0 ** rng.uniform(-2.7, -2.0),
+        noise_w=speed * 10.0 ** rng.uniform(-3.0, -2.0),
     )
 
 
@@ -195,7 +195,7 @@ def simulate(
     dt = dt_s or motor.mechanical_s / 10.0 ** rng.uniform(0.6, 1.6)
     if warm_k:
         motor = warmed(motor, warm_k)
-    fine = math.ceil(dt * max(FINEST_HZ, 4.0 * motor.ohm / motor.henry))
+    fine = math.ceil(dt * max(FINEST_HZ, 30.0 * motor.ohm / motor.henry))
     command, mode, open_ = wanted(profile, motor, samples, dt, rng)
     rated = motor.constant * motor.stall_a * 0.15
     torque = np.zeros(samples)

@@ -25,7 +25,7 @@ _LEAST_LAG = 0.01  # of R dt: an L so small that the current follows at once
 _FIRST_NOISE_V = 0.02
 _TRIED = 2
 _FEW = 6
-_CLEARLY = 0.1
+_CLEARLY = math.log(2.0)
 _STEP = 1e-4
 _CANDIDATES = ("load_constant", "load_square", "heating", "current_lag", "speed_lag", "delay")
 

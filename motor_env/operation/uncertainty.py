@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from motor_env.motor.parameters import FloatArray
+from motor_env.operation import kernel
 from motor_env.operation.fit import Problem, Solution, score_tests
 from motor_env.operation.terms import NOISES, Term
 
@@ -37,7 +38,7 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
     jacobian = full[:, places]
     variance = float(base @ base) / problem.count
     bread = _inverse(jacobian.T @ jacobian)
-    ratio = _widening(problem, jacobian, base, bread) / math.sqrt(variance)
+    ratio = _widening(problem, best.theta, jacobian, bread) / math.sqrt(variance)
     total = bread * variance * np.outer(ratio, ratio)
     for test in score_tests(best, every).values():
         odds = math.exp(min(0.5 * (test.chi_square - math.log(problem.count)), 50.0))
@@ -46,12 +47,15 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
     return total
 
 
-def _widening(problem: Problem, jacobian: FloatArray, base: FloatArray, bread: FloatArray) -> FloatArray:
+def _widening(problem: Problem, theta: FloatArray, jacobian: FloatArray, bread: FloatArray) -> FloatArray:
     """Sandwich standard errors over those of unit white noise, no less than what the noise gives."""
+    base = problem.residuals(theta)
     channels = int(problem.record.seen.sum())
     n = len(problem.record.voltage_v)
     scores = (jacobian[: n * channels] * base[: n * channels, None]).reshape(n, channels, -1).sum(axis=1)
-    lags = int(1.5 * n ** (1.0 / 3.0))
+    values = problem.values(theta)
+    memory_s = values[kernel.J] * values[kernel.R] / values[kernel.K] ** 2
+    lags = int(min(max(1.5 * n ** (1.0 / 3.0), 3.0 * memory_s / problem.record.dt_s), n / 20))
     middle = scores.T @ scores
     for lag in range(1, lags + 1):
         crossed = scores[lag:].T @ scores[:-lag]
