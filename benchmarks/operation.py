@@ -57,7 +57,7 @@ def bound(found: Operation, true: FloatArray) -> dict[str, tuple[float, float]]:
     free = [term for term in problem.free if term.name != "load_walk" or true[kernel.WALK] > 0.0]
     if true[kernel.WALK] > 0.0 and "load_walk" not in problem.names:
         free.append(terms(found.record, problem.known)["load_walk"])
-    same = replace(problem, free=tuple(free))
+    same = replace(problem, record=replace(problem.record, hold="held"), free=tuple(free))
     at = np.array(
         [
             math.log(max(true[t.place], 1e-9 * t.unit) / t.unit) if t.is_log else true[t.place] / t.unit

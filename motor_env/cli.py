@@ -194,11 +194,15 @@ def identify(
     sensor_lag: float = 0.0,
     ripple_periods_per_turn: float | None = None,
     name: str = "identified motor",
+    regime: str = "auto",
     json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
 ) -> int:
-    """Parameters of a motor from recorded starts, with standard errors, and the model that the evidence prefers.
+    """Parameters of a motor from recorded starts or from logs of it at work, and the model that the evidence prefers.
 
     Example: motor-env identify examples/startup_capture.csv -o out/motor.toml
+
+    Logs of a motor at work (reversals, several levels, fast switching) are identified jointly. Exit status 3: no
+    motor explains them.
 
     Args:
         files: Recordings of one motor.
@@ -211,20 +215,29 @@ def identify(
         sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
         ripple_periods_per_turn: Periods of the current's commutation ripple in a turn, for the true speed, K, J and B.
         name: Name of the motor in that file.
-        json_: Print one array with one object a start.
+        regime: start, operation, or auto: decided by what the voltage does.
+        json_: Print one array with one object a start, and one for all logs of a motor at work.
     """
     from motor_env.diagnosis import commission as steps
     from motor_env.motor.data_sheet import save_motor
+    from motor_env.operation import logs
     from motor_env.recordings.headers import ColumnChoice
 
     choices, circuit = [ColumnChoice.parse(text) for text in column or ()], _circuit(shunt_ohm, sensor_lag)
     periods = ripple_periods_per_turn
+    works, starts = logs.sorted_files(files, choices, regime=regime, start=start)
+    if works:
+        work = logs.identify_logs(works, voltage_v=voltage, circuit=circuit)
+        if output is not None:
+            save_motor(work.motor(name), output)
+        if out is not None:
+            work.plot(out)
     fits = [
         pair
-        for path in files
+        for path in starts
         for pair in steps.identify_file(path, choices, voltage_v=voltage, circuit=circuit, start=start)
     ]
-    if output is not None:
+    if output is not None and fits:
         save_motor(steps.to_motor([fit for _, fit in fits], name), output)
     if out is not None:
         from motor_env.diagnosis.pictures import plot_identified
@@ -234,10 +247,12 @@ def identify(
             plot_identified(fit, file, out / f"{number:03d}-{file.replace('.', '-')}.png")
     if json_:
         objects = [steps.identified_json(*one, periods) for one in fits]
+        objects += work.as_json() if works else []
         print(json.dumps(objects, ensure_ascii=False, indent=1))
     else:
-        print("\n".join(steps.identified_text(*one, periods) for one in fits))
-    return 0
+        texts = [steps.identified_text(*one, periods) for one in fits]
+        print("\n".join([*texts, *(work.as_text() if works else [])]))
+    return work.exit_status() if works else 0
 
 
 @app.command

@@ -25,6 +25,7 @@ _LEAST_LAG = 0.01  # of R dt: an L so small that the current follows at once
 _FIRST_NOISE_V = 0.02
 _TRIED = 2
 _FEW = 6
+_RIVAL = 0.1  # of the number of readings
 _CLEARLY = math.log(2.0)
 _STEP = 1e-4
 _CANDIDATES = ("load_constant", "load_square", "heating", "current_lag", "speed_lag", "delay")
@@ -67,20 +68,31 @@ class Problem:
         return int((np.sum(self.record.marks != kernel.BEGIN)) * self.record.seen.sum())
 
     def jacobian(self, theta: FloatArray) -> FloatArray:
-        """Derivatives of the residuals, by differences."""
+        """Derivatives of the residuals, by differences in one direction."""
         base = self.residuals(theta)
         columns = [self.column(theta, n, base) for n in range(len(theta))]
         return np.stack(columns, axis=1)
 
     def column(self, theta: FloatArray, n: int, base: FloatArray) -> FloatArray:
         """One column of it; the step goes away from the nearer bound."""
-        term = self.free[n]
         step = _STEP * max(1.0, abs(theta[n]))
-        if theta[n] + step > term.high:
+        if theta[n] + step > self.free[n].high:
             step = -step
-        moved = theta.copy()
-        moved[n] += step
-        slope: FloatArray = (self.residuals(moved) - base) / step
+        slope: FloatArray = (self.residuals(_moved(theta, n, step)) - base) / step
+        return slope
+
+    def secant(self, theta: FloatArray, n: int, step: float) -> FloatArray:
+        """One column of it over a wide step in both directions, as far as the bounds allow.
+
+        Where the motor starts and stops the residuals have kinks: what counts for an interval is their slope over
+        its width.
+        """
+        low = max(theta[n] - step, self.free[n].low)
+        high = min(theta[n] + step, self.free[n].high)
+        rise = self.residuals(_moved(theta, n, high - theta[n])) - self.residuals(
+            _moved(theta, n, low - theta[n])
+        )
+        slope: FloatArray = rise / max(high - low, 1e-12)
         return slope
 
     def solve(self, theta: FloatArray, most: int = 40) -> tuple[FloatArray, float]:
@@ -111,6 +123,12 @@ class Problem:
     def names(self) -> tuple[str, ...]:
         """Names of the terms."""
         return tuple(term.name for term in self.free)
+
+
+def _moved(theta: FloatArray, n: int, step: float) -> FloatArray:
+    moved = theta.copy()
+    moved[n] += step
+    return moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +183,12 @@ def fit(record: Record) -> Solution:
     Raises:
         UnusableError: no regression finds a motor in the record.
     """
-    first, every = _first(record)
+    rivals = [_chosen(first, every) for first, every in _first(record)]
+    return min(rivals, key=lambda one: one.penalised())
+
+
+def _chosen(first: Solution, every: dict[str, Term]) -> Solution:
+    """The terms that the evidence supports, from a fit of those that every motor has."""
     best = first
     for name in ("load_walk", "load_constant"):
         best = _without(best, name)
@@ -174,7 +197,6 @@ def fit(record: Record) -> Solution:
         walking = _solved(best, [every["load_walk"]])
         if walking.penalised() < best.penalised() - STRONG_EVIDENCE:
             best = _grown(walking, every)
-    best = _without(best, "brush_drop")
     return min([best, *_undisturbed([first, best])], key=_free_misfit)
 
 
@@ -223,8 +245,8 @@ def _base(record: Record) -> list[str]:
     return names
 
 
-def _first(record: Record) -> tuple[Solution, dict[str, Term]]:
-    """Fit of the base model from the most promising beginnings, and all terms in its units."""
+def _first(record: Record) -> list[tuple[Solution, dict[str, Term]]]:
+    """Fits of the first terms, one for each behaviour of the voltage that may be true, with all terms."""
     starts = []
     for hold in HOLDS if record.averaged == 1 else (record.hold,):
         held = replace(record, hold=hold)
@@ -234,15 +256,17 @@ def _first(record: Record) -> tuple[Solution, dict[str, Term]]:
     if not starts:
         raise UnusableError("no motor is found in the record: voltage, current and speed do not go together")
     starts.sort(key=lambda one: one[0])
-    found = []
+    fits = []
     for hold in HOLDS:
-        for _, problem, theta in [one for one in starts if one[1].record.hold == hold][:_TRIED]:
-            solved, misfit = problem.solve(theta, most=_FEW)
-            found.append(Solution(problem, solved, misfit))
-    best = min(found, key=lambda one: one.penalised())
-    best = _solved(best, [])
-    every = terms(best.problem.record, best.problem.known)
-    return best, every
+        tried = [
+            Solution(problem, *problem.solve(theta, most=_FEW))
+            for _, problem, theta in [one for one in starts if one[1].record.hold == hold][:_TRIED]
+        ]
+        if tried:
+            fits.append(_solved(min(tried, key=lambda one: one.misfit), []))
+    best = min(one.misfit for one in fits)
+    rivals = [one for one in fits if one.misfit - best < _RIVAL * one.problem.count]
+    return [(one, terms(one.problem.record, one.problem.known)) for one in rivals]
 
 
 def _begin(record: Record, values: FloatArray) -> tuple[Problem, FloatArray]:

@@ -170,7 +170,7 @@ def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
             low, high = value - half * term.unit, value + half * term.unit
             low = max(low, 0.0) if term.low >= 0.0 else low
             relative = sd * term.unit / max(abs(value), 1e-300)
-        told = relative < _UNTOLD
+        told = bool(relative < _UNTOLD)
         name = term.name
         found.append(Quantity(names.get(name, name), value, low, high, units[name], told, relative))
     drag = _drag(solution, spread, names.get("drag", "drag"), units["drag"])
@@ -192,7 +192,9 @@ def _drag(solution: Solution, spread: FloatArray, name: str, unit: str) -> Quant
     sd = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))
     half = _TWO_SIDED * sd
     relative = sd / max(value, 1e-300)
-    return Quantity(name, value, max(value - half, 0.0), value + half, unit, relative < _UNTOLD, relative)
+    return Quantity(
+        name, value, max(value - half, 0.0), value + half, unit, bool(relative < _UNTOLD), relative
+    )
 
 
 def _naming(record: Record) -> tuple[dict[str, str], dict[str, str]]:

@@ -26,7 +26,7 @@ FRICTION_PER_KELVIN = -0.003
 """Friction falls as the lubricant warms; a round number for small motors, for a winding's kelvin."""
 BEGIN, OPEN = 1.0, 2.0
 """Marks of a sample: the first of a recording; an open circuit."""
-_PARTS = 8
+_PARTS = 16
 _COLDEST_K, _GRID_K, _GRID = -20.0, 10.0, 22
 _WILD = 6.0
 _U0, _SLOPE, _TORQUE = 2, 3, 4
@@ -113,10 +113,24 @@ def _smooth_step(
 
 
 @njit(cache=True)
+def _opposed(before: float, free: float, reach: float) -> float:
+    """Value after an interval, given that without the opposing input, which changes it by `reach` and turns at zero."""
+    sign = math.copysign(1.0, before if before != 0.0 else free)
+    kept = free - sign * reach
+    if kept * sign >= 0.0:
+        return kept
+    if before == 0.0:
+        return 0.0
+    left = abs(kept) / (abs(kept) + abs(before))
+    turned = kept + 2.0 * sign * reach * left
+    return 0.0 if turned * sign > 0.0 else turned
+
+
+@njit(cache=True)
 def _braked_step(
     m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray
 ) -> None:
-    """One interval in equal parts; friction and drop are implicit in each: they brake to zero, never beyond."""
+    """One interval in equal parts; friction and drop turn where speed and current cross zero, or hold them there."""
     f[:] = 0.0
     f[0, 0] = f[1, 1] = 1.0
     rise = (u[1] - u[0]) / _PARTS
@@ -127,11 +141,11 @@ def _braked_step(
         free_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * rise + m[1, 4] * torque
         new_i = free_i
         if p[DROP] > 0.0:
-            new_i = math.copysign(max(abs(free_i) - m[0, 2] * p[DROP], 0.0), free_i)
+            new_i = _opposed(i, free_i, m[0, 2] * p[DROP])
             free_w -= m[1, 2] * (free_i - new_i) / m[0, 2]
         new_w = free_w
         if dry > 0.0:
-            new_w = math.copysign(max(abs(free_w) + m[1, 4] * dry, 0.0), free_w)
+            new_w = _opposed(w, free_w, -m[1, 4] * dry)
             new_i += m[0, 4] * (free_w - new_w) / -m[1, 4]
         for c in range(4):
             top, bottom = f[0, c], f[1, c]

@@ -12,13 +12,28 @@ from motor_env.operation.fit import Problem, Solution, score_tests
 from motor_env.operation.terms import NOISES, Term
 
 _WIDEST = 1e3
+_STEPS = (1e-3, 0.1)
 
 
 def information_covariance(problem: Problem, theta: FloatArray) -> FloatArray:
-    """Covariance of the unknowns that are no noises (Cramer-Rao), shape (p, p), in the order of `motor_terms`."""
-    jacobian = problem.jacobian(theta)[:, motor_places(problem)]
+    """Covariance of the unknowns that are no noises (Cramer-Rao), shape (p, p), in the order of `motor_places`."""
+    jacobian = secants(problem, theta)
     base = problem.residuals(theta)
     return _inverse(jacobian.T @ jacobian) * float(base @ base) / problem.count
+
+
+def secants(problem: Problem, theta: FloatArray) -> FloatArray:
+    """Derivatives of the residuals over steps as wide as the unknowns are uncertain, without the noises' columns."""
+    places = motor_places(problem)
+    base = problem.residuals(theta)
+    jacobian = np.stack([problem.column(theta, n, base) for n in places], axis=1)
+    for _ in range(2):
+        sd = np.sqrt(np.diag(_inverse(jacobian.T @ jacobian)) * float(base @ base) / problem.count)
+        steps = np.clip(sd, *_STEPS)
+        jacobian = np.stack(
+            [problem.secant(theta, n, step) for n, step in zip(places, steps, strict=True)], axis=1
+        )
+    return jacobian
 
 
 def motor_places(problem: Problem) -> list[int]:
@@ -34,8 +49,7 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
     others by so much, and would have left them so much less certain.
     """
     problem, places = best.problem, motor_places(best.problem)
-    base, full = problem.residuals(best.theta), problem.jacobian(best.theta)
-    jacobian = full[:, places]
+    base, jacobian = problem.residuals(best.theta), secants(problem, best.theta)
     variance = float(base @ base) / problem.count
     bread = _inverse(jacobian.T @ jacobian)
     ratio = _widening(problem, best.theta, jacobian, bread) / math.sqrt(variance)

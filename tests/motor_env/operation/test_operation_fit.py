@@ -50,6 +50,7 @@ def test_current_alone_tells_ratios() -> None:
     assert any("K, J and B" in note for note in found.notes)
 
 
+@pytest.mark.long
 def test_two_recordings_tell_more_than_one() -> None:
     rng = np.random.default_rng(5)
     motor = draw_motor(rng)
@@ -75,6 +76,7 @@ def recorded(file: str) -> Operation:
 
 
 @real
+@pytest.mark.long
 def test_a_current_that_is_all_noise_is_said_to_tell_nothing() -> None:
     found = recorded("operating/shield_aprbs.csv")
     assert found.r2_current is None
@@ -84,6 +86,7 @@ def test_a_current_that_is_all_noise_is_said_to_tell_nothing() -> None:
 
 
 @real
+@pytest.mark.long
 def test_a_growing_square_wave() -> None:
     found = recorded("aalborg/square_growing.csv")
     assert found.r2_current is not None

@@ -1,0 +1,84 @@
+"""Which recordings are logs of a motor at work, and `motor-env identify` on them."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_env.cli import main
+from motor_env.motor.data_sheet import load_motor
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation.regime import work_seen
+from motor_env.recordings.recording import Recording
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+from operation_simulator import draw_motor, simulate
+
+DT_S = 1e-3
+
+
+def record(voltage: FloatArray) -> Recording:
+    time = DT_S * np.arange(len(voltage), dtype=np.float64)
+    return Recording(Path("x"), time, 0.1 * voltage, voltage)
+
+
+def off_on(*lengths: int) -> FloatArray:
+    return np.concatenate([np.full(n, 12.0 * (k % 2)) for k, n in enumerate(lengths)])
+
+
+@pytest.mark.parametrize(
+    "voltage",
+    [off_on(100, 900), off_on(100, 5, 4, 900), off_on(100, 900, 900, 900, 900, 900), np.full(500, 12.0)],
+    ids=["start", "bouncing switch", "three starts", "always on"],
+)
+def test_starts_stay_starts(voltage: FloatArray) -> None:
+    assert work_seen(record(voltage)) is None
+
+
+def test_work_is_recognised() -> None:
+    square = np.tile(off_on(100, 100), 10)
+    assert "reverses" in str(work_seen(record(square - 6.0)))
+    assert "levels" in str(work_seen(record(np.repeat([0.0, 12.0, 5.0, 8.0, 3.0, 12.0], 200))))
+    assert "faster" in str(work_seen(record(np.tile(off_on(20, 30), 40))))
+
+
+def write(path: Path, recording: Recording) -> Path:
+    assert recording.voltage_v is not None
+    assert recording.speed_rad_s is not None
+    columns = [recording.time_s, recording.voltage_v, recording.current_a, recording.speed_rad_s]
+    np.savetxt(
+        path,
+        np.stack(columns, axis=1),
+        delimiter=",",
+        header="time_s,voltage_v,current_a,speed_rad_s",
+        comments="",
+    )
+    return path
+
+
+def test_logs_are_identified_jointly(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(8)
+    motor = draw_motor(rng)
+    dt_s = round(motor.mechanical_s / 8.0, 5)
+    logs = [
+        write(tmp_path / f"{kind}.csv", simulate(motor, kind, rng, samples=600, dt_s=dt_s))
+        for kind in ("reversals", "prbs")
+    ]
+    toml = tmp_path / "motor.toml"
+    assert main(["identify", *map(str, logs), "--json", "-o", str(toml), "--out", str(tmp_path)]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert found["regime"] == "operation"
+    assert found["parameters"]["K"]["value"] == pytest.approx(motor.constant, rel=0.05)
+    assert load_motor(toml).parameters.resistance_ohm == pytest.approx(motor.ohm, rel=0.05)
+    assert (tmp_path / "operation-reversals-csv.png").exists()
+
+
+def test_noise_is_unusable_with_a_status(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(9)
+    n = 400
+    time, values = DT_S * np.arange(n, dtype=np.float64), rng.standard_normal((3, n))
+    log = write(tmp_path / "noise.csv", Recording(Path("x"), time, values[0], values[1], values[2]))
+    assert main(["identify", str(log)]) == 3
+    assert "unusable" in capsys.readouterr().out
