@@ -10,15 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.filters.kalman import KalmanFilter, Schedule, padded_sensor, schedule, score
-from motor_env.filters.kernels import (
-    AnyFloat,
-    filter_case_by_case,
-    filter_one_channel,
-    filter_states,
-    filter_two_channels,
-    propagate_nominal,
-)
+from motor_env.filters.kalman import KalmanFilter, schedule, schedules, score
+from motor_env.filters.kernels import AnyFloat, filter_one_channel, filter_states, propagate_nominal
 from motor_env.motor.model import N_STATES, Input
 from motor_env.motor.parameters import FloatArray, require
 
@@ -123,48 +116,6 @@ def output_coordinates(
     return np.array([moved[0, 0], couple * moved[1, 0], moved[1, 1]]), gain * np.array([1.0, couple])
 
 
-def _common_gain(
-    kalman: KalmanFilter, series: _Series, plan: Schedule, dtype: type[np.floating]
-) -> tuple[AnyFloat, AnyFloat]:
-    """Innovations (n_cases, n_samples, n_channels) and NIS where all cases share the gain.
-
-    The deviation from the nominal trajectory is filtered, so that in single precision nothing large is subtracted.
-    """
-    n_cases, n_channels, n_samples = series.measured.shape
-    transition = kalman.model.transition
-    # One block for both: two arrays of some megabytes would go back to the system after each call, and their pages
-    # be zeroed anew in the next one, which took longer than to filter.
-    size = n_cases * n_samples
-    block = np.empty(size * (n_channels + 1), dtype=dtype)
-    innovation = block[: size * n_channels].reshape(n_cases, n_samples, n_channels)
-    nis = block[size * n_channels :].reshape(n_cases, n_samples)
-    expected = series.nominal @ kalman.observation.T
-    forward = transition @ plan.gain
-    if n_channels == 1:
-        a, gain = output_coordinates(transition, kalman.observation[0], forward[:, :, 0])
-        filter_one_channel(
-            a.astype(dtype),
-            gain.astype(dtype),
-            (1.0 / plan.innovation_covariance[:, 0, 0]).astype(dtype),
-            np.ascontiguousarray(expected[:, :, 0]),
-            series.measured[:, 0],
-            innovation[:, :, 0],
-            nis,
-        )
-    else:
-        filter_two_channels(
-            transition.astype(dtype),
-            kalman.observation.astype(dtype),
-            np.ascontiguousarray(forward, dtype=dtype),
-            np.linalg.inv(plan.innovation_covariance).astype(dtype),
-            expected,
-            series.measured,
-            innovation,
-            nis,
-        )
-    return innovation, nis
-
-
 def filter_residuals(
     kalman: KalmanFilter,
     measurements: ArrayLike,
@@ -189,17 +140,48 @@ def filter_residuals(
     require(dtype in {np.float32, np.float64}, f"dtype must be float32 or float64, got {np.dtype(dtype)}")
     plan = schedule(kalman, np.shape(measurements)[-1])
     series = _series(kalman, measurements, voltage_v, load_torque_n_m)
-    innovation, nis = _common_gain(kalman, series, plan, dtype)
-    # A sample that is not finite makes all later innovations of its case not finite.
-    require(
-        bool(np.isfinite(innovation[:, -1]).all()), "measurements must be finite, got a value that is not"
-    )
-    n_samples = innovation.shape[1]
+    n_cases, n_channels, n_samples = series.measured.shape
+    if n_channels == 1:
+        # One block for both: two arrays of some megabytes would go back to the system after each call, and their pages
+        # be zeroed anew in the next one, which took longer than to filter.
+        innovation, nis = np.empty((2, n_cases, n_samples), dtype=dtype)
+        row, transition = kalman.observation[0], kalman.model.transition
+        a, gain = output_coordinates(transition, row, (transition @ plan.gain)[:, :, 0])
+        filter_one_channel(
+            a.astype(dtype),
+            gain.astype(dtype),
+            (1.0 / plan.innovation_covariance[:, 0, 0]).astype(dtype),
+            series.nominal @ row,
+            series.measured[:, 0],
+            innovation,
+            nis,
+        )
+    else:
+        double, _ = _innovations_and_states(kalman, series, plan.gain[None])
+        weight, first, second = np.linalg.inv(plan.innovation_covariance), double[..., 0], double[..., 1]
+        squares = first * (weight[:, 0, 0] * first + 2.0 * weight[:, 0, 1] * second)
+        nis = (squares + weight[:, 1, 1] * second * second).astype(dtype, copy=False)
+        innovation = double.astype(dtype, copy=False)
+    # One channel: a sample that is not finite makes all later innovations of its case not finite.
+    last = innovation[:, -1] if n_channels == 1 else innovation
+    require(bool(np.isfinite(last).all()), "measurements must be finite, got a value that is not")
     return Residuals(
-        innovation.reshape(*series.batch, n_samples, -1),
+        innovation.reshape(*series.batch, n_samples, n_channels),
         plan.innovation_covariance,
         nis.reshape(*series.batch, n_samples),
     )
+
+
+def _innovations_and_states(
+    kalman: KalmanFilter, series: _Series, gain: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Innovations (n_cases, n_samples, n_channels) and states (n_cases, n_samples, 2); one gain serves all, or each."""
+    n_cases, n_channels, n_samples = series.measured.shape
+    innovation = np.empty((n_cases, n_samples, n_channels))
+    state = np.empty((n_cases, n_samples, N_STATES))
+    transition = np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES)
+    filter_states(transition, kalman.observation, gain, series.nominal, series.measured, innovation, state)
+    return innovation, state
 
 
 def run_filter(
@@ -219,58 +201,21 @@ def run_filter(
     """
     series = _series(kalman, measurements, voltage_v, load_torque_n_m)
     require(not bool(np.isinf(series.measured).any()), "measurements must be finite, got an infinite value")
-    own_covariance = kalman.model.transition.ndim > 2 or bool(np.isnan(series.measured).any())
-    parts = _with_own_covariance(kalman, series) if own_covariance else _with_common(kalman, series)
-    innovation, innovation_covariance, state, covariance, gain = parts
-    n_samples, n_channels = innovation.shape[1:]
-    whitened, nis, log_likelihood = score(innovation, innovation_covariance)
+    missing = np.isnan(series.measured).swapaxes(1, 2)
+    own_covariance = kalman.model.transition.ndim > 2 or bool(missing.any())
+    rows = schedules(kalman, missing if own_covariance else np.zeros((1, *missing.shape[1:]), np.bool_))
+    innovation, state = _innovations_and_states(kalman, series, rows.gain)
+    whitened, nis, log_likelihood = score(innovation, rows.innovation_covariance)
     batch = series.batch
     lead = batch if own_covariance else ()
+    _, n_samples, n_channels = innovation.shape
     return FilterResult(
         innovation=innovation.reshape(*batch, n_samples, n_channels),
-        innovation_covariance=innovation_covariance.reshape(*lead, n_samples, n_channels, n_channels),
+        innovation_covariance=rows.innovation_covariance.reshape(*lead, n_samples, n_channels, n_channels),
         whitened=whitened.reshape(*batch, n_samples, n_channels),
         nis=nis.reshape(*batch, n_samples),
         log_likelihood=log_likelihood.reshape(batch),
         state=state.reshape(*batch, n_samples, N_STATES),
-        covariance=covariance.reshape(*lead, n_samples, N_STATES, N_STATES),
-        gain=gain.reshape(*lead, n_samples, N_STATES, n_channels),
+        covariance=rows.covariance.reshape(*lead, n_samples, N_STATES, N_STATES),
+        gain=rows.gain.reshape(*lead, n_samples, N_STATES, n_channels),
     )
-
-
-_Parts = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-
-
-def _with_common(kalman: KalmanFilter, series: _Series) -> _Parts:
-    n_samples = series.measured.shape[-1]
-    plan = schedule(kalman, n_samples)
-    residuals, _ = _common_gain(kalman, series, plan, np.float64)
-    innovation = residuals.astype(np.float64, copy=False)
-    state = np.empty((len(innovation), n_samples, N_STATES))
-    filter_states(kalman.model.transition, plan.gain, series.nominal, innovation, state)
-    return innovation, plan.innovation_covariance, state, plan.covariance, plan.gain
-
-
-def _with_own_covariance(kalman: KalmanFilter, series: _Series) -> _Parts:
-    n_cases, m, n_samples = series.measured.shape
-    observation, noise = padded_sensor(kalman)
-    measured = np.full((n_cases, 2, n_samples), np.nan)
-    measured[:, :m] = series.measured
-    innovation, state = np.empty((n_cases, n_samples, 2)), np.empty((n_cases, n_samples, N_STATES))
-    innovation_covariance, covariance, gain = (np.empty((n_cases, n_samples, 2, 2)) for _ in range(3))
-    filter_case_by_case(
-        np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES),
-        kalman.process_covariance,
-        observation,
-        noise,
-        kalman.initial_covariance,
-        series.nominal,
-        measured,
-        innovation,
-        innovation_covariance,
-        state,
-        covariance,
-        gain,
-    )
-    cut = innovation_covariance[..., :m, :m]
-    return innovation[..., :m], np.ascontiguousarray(cut), state, covariance, gain[..., :m]

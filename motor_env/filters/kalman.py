@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from motor_env.filters.kernels import fill_schedule
+from motor_env.filters.kernels import fill_schedules
 from motor_env.motor.model import N_STATES, DiscreteModel, discretize
 from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, require
 
@@ -132,12 +132,23 @@ def measurement_update(
         noise: R, shape (n_channels, n_channels) or (n, n_channels, n_channels).
     """
     missing = np.isnan(measurement)
-    rows = np.where(missing[:, :, None], 0.0, observation)
-    masked_noise = np.where(missing[:, :, None] ^ missing[:, None, :], 0.0, noise)
-    gain, innovation_covariance, updated = gain_and_covariance(covariance, rows, masked_noise)
+    gain, innovation_covariance, updated = gain_and_covariance(
+        covariance, *masked_sensor(observation, noise, missing)
+    )
     innovation = measurement - state @ observation.T
     correction = (gain @ np.where(missing, 0.0, innovation)[:, :, None])[:, :, 0]
     return Updated(state + correction, updated, innovation, innovation_covariance, correction)
+
+
+def masked_sensor(
+    observation: FloatArray, noise: FloatArray, missing: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray]:
+    """C and R of each sample: a missing channel has a zero row, and noise of its own (Kalman 1960).
+
+    `missing` is (..., n_channels).
+    """
+    rows = np.where(missing[..., None], 0.0, observation)
+    return rows, np.where(missing[..., :, None] ^ missing[..., None, :], 0.0, noise)
 
 
 class Schedule(NamedTuple):
@@ -163,39 +174,36 @@ def schedule(kalman: KalmanFilter, n_samples: int) -> Schedule:
         ValueError: the belief is of a batch of motors.
     """
     require(kalman.model.transition.ndim == 2, "schedule needs the belief of one motor, got a batch")
-    observation, noise = padded_sensor(kalman)
-    gain = np.empty((n_samples, N_STATES, 2))
-    innovation_covariance = np.empty((n_samples, 2, 2))
-    covariance = np.empty((n_samples, N_STATES, N_STATES))
-    held_from = fill_schedule(
-        kalman.model.transition,
+    rows = schedules(kalman, np.zeros((1, n_samples, len(kalman.observation)), dtype=np.bool_))
+    return Schedule(rows.gain[0], rows.innovation_covariance[0], rows.covariance[0], rows.held_from)
+
+
+def schedules(kalman: KalmanFilter, missing: NDArray[np.bool_]) -> Schedule:
+    """Schedules of rows of samples, shapes (n_rows, ...); `missing` is (n_rows, n_samples, n_channels) (Kalman 1960).
+
+    Each row has its own motor where the belief has as many.
+    """
+    # A channel that is not there has a zero row and unit noise, so that it has no gain and changes nothing.
+    m, observation, noise = missing.shape[2], np.zeros((2, N_STATES)), np.eye(2)
+    observation[:m], noise[:m, :m] = kalman.observation, kalman.measurement_covariance
+    gain, innovation_covariance, covariance = (np.empty((*missing.shape[:2], 2, 2)) for _ in range(3))
+    held_from = fill_schedules(
+        np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES),
         kalman.process_covariance,
         observation,
         noise,
         kalman.initial_covariance,
+        np.ascontiguousarray(missing),
         gain,
         innovation_covariance,
         covariance,
     )
-    m = len(kalman.observation)
     return Schedule(
-        np.ascontiguousarray(gain[:, :, :m]),
-        np.ascontiguousarray(innovation_covariance[:, :m, :m]),
+        np.ascontiguousarray(gain[..., :m]),
+        np.ascontiguousarray(innovation_covariance[..., :m, :m]),
         covariance,
         held_from,
     )
-
-
-def padded_sensor(kalman: KalmanFilter) -> tuple[FloatArray, FloatArray]:
-    """C and the noise covariance of two channels; one that is not there has a zero row and unit noise.
-
-    Such a channel has no gain and changes nothing (Kalman 1960).
-    """
-    observation, noise = np.zeros((2, N_STATES)), np.eye(2)
-    m = len(kalman.observation)
-    observation[:m] = kalman.observation
-    noise[:m, :m] = kalman.measurement_covariance
-    return observation, noise
 
 
 def checked_series(

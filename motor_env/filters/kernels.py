@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from motor_env.motor.parameters import FloatArray
 
-AnyFloat = NDArray[np.float64] | NDArray[np.float32]
+AnyFloat = NDArray[np.float32 | np.float64]
 
 CONVERGED = 1e-13
 """Relative change of the covariance from sample to sample below which the gain is held."""
@@ -54,42 +54,52 @@ def covariance_step(
 
 
 @njit(cache=True)
-def fill_schedule(
+def fill_schedules(
     a: FloatArray,
     q: FloatArray,
     c: FloatArray,
     r: FloatArray,
     initial: FloatArray,
+    missing: NDArray[np.bool_],
     gain: FloatArray,
     innovation_covariance: FloatArray,
     covariance: FloatArray,
 ) -> int:
-    """Gains and covariances of every sample (paper, Table 1; Joseph form: Bucy & Joseph 1968).
+    """Gains and covariances of every sample of each row (paper, Table 1; Joseph form: Bucy & Joseph 1968).
 
-    Returns the sample from which on they are held, or their number.
+    `missing` is (n_rows, n_samples, n_channels), the results (n_rows, n_samples, 2, 2). Where nothing is missing the
+    gain is held as soon as it has converged: the answer is the sample from which on the last row's is, or their number.
     """
-    p00, p01, p11 = initial[0, 0], initial[0, 1], initial[1, 1]
-    count = gain.shape[0]
-    for k in range(count):
-        k00, k01, k10, k11, s00, s01, s11, u00, u01, u11 = covariance_step(a, q, c, r, p00, p01, p11)
-        gain[k, 0, 0], gain[k, 0, 1], gain[k, 1, 0], gain[k, 1, 1] = k00, k01, k10, k11
-        innovation_covariance[k, 0, 0], innovation_covariance[k, 1, 1] = s00, s11
-        innovation_covariance[k, 0, 1] = innovation_covariance[k, 1, 0] = s01
-        covariance[k, 0, 0], covariance[k, 1, 1] = u00, u11
-        covariance[k, 0, 1] = covariance[k, 1, 0] = u01
-        still = (
-            abs(u00 - p00) <= CONVERGED * u00
-            and abs(u11 - p11) <= CONVERGED * u11
-            and abs(u01 - p01) <= CONVERGED * np.sqrt(u00 * u11)
-        )
-        p00, p01, p11 = u00, u01, u11
-        if still:
-            for j in range(k + 1, count):
-                gain[j] = gain[k]
-                innovation_covariance[j] = innovation_covariance[k]
-                covariance[j] = covariance[k]
-            return int(k + 1)
-    return int(count)
+    cc, rr = np.empty((2, 2)), np.empty((2, 2))
+    held_from = count = gain.shape[1]
+    for n in range(gain.shape[0]):
+        t, whole = a[min(n, a.shape[0] - 1)], not missing[n].any()
+        p00, p01, p11 = initial[0, 0], initial[0, 1], initial[1, 1]
+        held_from = count
+        for k in range(count):
+            cc[:], rr[:] = c, r
+            for m in range(missing.shape[2]):
+                if missing[n, k, m]:
+                    cc[m] = 0.0
+                    rr[0, 1] = rr[1, 0] = 0.0
+            k00, k01, k10, k11, s00, s01, s11, u00, u01, u11 = covariance_step(t, q, cc, rr, p00, p01, p11)
+            g, s, u = gain[n, k], innovation_covariance[n, k], covariance[n, k]
+            g[0, 0], g[0, 1], g[1, 0], g[1, 1] = k00, k01, k10, k11
+            s[0, 0], s[0, 1], s[1, 0], s[1, 1] = s00, s01, s01, s11
+            u[0, 0], u[0, 1], u[1, 0], u[1, 1] = u00, u01, u01, u11
+            still = (
+                abs(u00 - p00) <= CONVERGED * u00
+                and abs(u11 - p11) <= CONVERGED * u11
+                and abs(u01 - p01) <= CONVERGED * np.sqrt(u00 * u11)
+            )
+            p00, p01, p11 = u00, u01, u11
+            if still and whole:
+                gain[n, k + 1 :] = g
+                innovation_covariance[n, k + 1 :] = s
+                covariance[n, k + 1 :] = u
+                held_from = k + 1
+                break
+    return int(held_from)
 
 
 @njit(cache=True)
@@ -121,7 +131,7 @@ def filter_one_channel(
 ) -> None:
     """Innovations and NIS of one channel, of the deviation from the expected output; four cases at a time.
 
-    In the coordinates of `kalman.output_coordinates` (Luenberger 1967) the state is (p, q), p being the deviation
+    In the coordinates of `batch.output_coordinates` (Luenberger 1967) the state is (p, q), p being the deviation
     predicted of the output: e = z - expected - p, p <- a[0] p + q + g e, q <- a[1] p + a[2] q + h e. `gain` holds
     (g, h) of each sample and `weight` is 1 / S. Four chains side by side hide the latency of one; where fewer cases are
     left the last one is computed again, so that the arithmetic of a case is the same in any company. The difference
@@ -152,104 +162,31 @@ def filter_one_channel(
 
 
 @njit(cache=True)
-def filter_two_channels(
-    a: AnyFloat,
-    c: AnyFloat,
-    gain: AnyFloat,
-    weight: AnyFloat,
-    expected: FloatArray,
-    measured: AnyFloat,
-    innovation: AnyFloat,
-    nis: AnyFloat,
-) -> None:
-    """The same (paper, Table 1) for two channels, in the states themselves.
-
-    `gain` is A K, shape (n_samples, 2, 2), `weight` S^-1, `expected` (rows, n_samples, 2).
-    """
-    count, length = measured.shape[0], measured.shape[2]
-    zero = innovation.dtype.type(0.0)
-    for n in range(count):
-        x = expected[min(n, expected.shape[0] - 1)]
-        d0 = d1 = zero
-        for k in range(length):
-            f0 = innovation.dtype.type(measured[n, 0, k] - x[k, 0]) - (c[0, 0] * d0 + c[0, 1] * d1)
-            f1 = innovation.dtype.type(measured[n, 1, k] - x[k, 1]) - (c[1, 0] * d0 + c[1, 1] * d1)
-            innovation[n, k, 0], innovation[n, k, 1] = f0, f1
-            w = weight[k]
-            nis[n, k] = f0 * f0 * w[0, 0] + (f0 * w[0, 1] + f0 * w[1, 0]) * f1 + f1 * f1 * w[1, 1]
-            g = gain[k]
-            d0, d1 = (
-                a[0, 0] * d0 + a[0, 1] * d1 + g[0, 0] * f0 + g[0, 1] * f1,
-                a[1, 0] * d0 + a[1, 1] * d1 + g[1, 0] * f0 + g[1, 1] * f1,
-            )
-
-
-@njit(cache=True)
 def filter_states(
     a: FloatArray,
-    gain: FloatArray,
-    nominal: FloatArray,
-    innovation: FloatArray,
-    state: FloatArray,
-) -> None:
-    """Updated states from innovations (paper, Table 1): d+ = d + K e, x = nominal + d+; `gain` is K of each sample."""
-    for n in range(innovation.shape[0]):
-        x = nominal[min(n, nominal.shape[0] - 1)]
-        d0 = d1 = 0.0
-        for k in range(innovation.shape[1]):
-            for m in range(innovation.shape[2]):
-                d0 += gain[k, 0, m] * innovation[n, k, m]
-                d1 += gain[k, 1, m] * innovation[n, k, m]
-            state[n, k, 0], state[n, k, 1] = x[k, 0] + d0, x[k, 1] + d1
-            d0, d1 = a[0, 0] * d0 + a[0, 1] * d1, a[1, 0] * d0 + a[1, 1] * d1
-
-
-@njit(cache=True)
-def filter_case_by_case(
-    a: FloatArray,
-    q: FloatArray,
     c: FloatArray,
-    r: FloatArray,
-    initial: FloatArray,
-    nominal: FloatArray,
-    measured: FloatArray,
-    innovation: FloatArray,
-    innovation_covariance: FloatArray,
-    state: FloatArray,
-    covariance: FloatArray,
     gain: FloatArray,
+    nominal: FloatArray,
+    measured: AnyFloat,
+    innovation: FloatArray,
+    state: FloatArray,
 ) -> None:
-    """Filter with a covariance for each case (paper, Table 1): missing samples (NaN), or a motor for each case.
+    """Innovations and updated states (paper, Table 1), as deviations from the nominal states: d+ = d + K e.
 
-    `measured` is (n, 2, n_samples), `innovation` (n, n_samples, 2); a missing innovation stays NaN.
+    `gain` is K, shape (rows, n_samples, 2, n_channels), `measured` (n, n_channels, n_samples); a motor, a gain or a
+    nominal state of one row serves all. A missing innovation stays NaN.
     """
-    cc, rr = np.empty((2, 2)), np.empty((2, 2))
-    for n in range(measured.shape[0]):
-        t = a[min(n, a.shape[0] - 1)]
+    for n in range(state.shape[0]):
+        t, g = a[min(n, a.shape[0] - 1)], gain[min(n, gain.shape[0] - 1)]
         x = nominal[min(n, nominal.shape[0] - 1)]
-        p00, p01, p11 = initial[0, 0], initial[0, 1], initial[1, 1]
-        d0 = d1 = 0.0
-        for k in range(measured.shape[2]):
-            cc[:], rr[:] = c, r
-            for m in range(2):
-                if np.isnan(measured[n, m, k]):
-                    cc[m] = 0.0
-                    rr[0, 1] = rr[1, 0] = 0.0
-            k00, k01, k10, k11, s00, s01, s11, p00, p01, p11 = covariance_step(t, q, cc, rr, p00, p01, p11)
-            d0, d1 = t[0, 0] * d0 + t[0, 1] * d1, t[1, 0] * d0 + t[1, 1] * d1
-            f0 = measured[n, 0, k] - c[0, 0] * (x[k, 0] + d0) - c[0, 1] * (x[k, 1] + d1)
-            f1 = measured[n, 1, k] - c[1, 0] * (x[k, 0] + d0) - c[1, 1] * (x[k, 1] + d1)
-            innovation[n, k, 0], innovation[n, k, 1] = f0, f1
-            if np.isnan(f0):
-                f0 = 0.0
-            if np.isnan(f1):
-                f1 = 0.0
-            d0 += k00 * f0 + k01 * f1
-            d1 += k10 * f0 + k11 * f1
-            state[n, k, 0], state[n, k, 1] = x[k, 0] + d0, x[k, 1] + d1
-            s = innovation_covariance[n, k]
-            s[0, 0], s[0, 1], s[1, 0], s[1, 1] = s00, s01, s01, s11
-            g = gain[n, k]
-            g[0, 0], g[0, 1], g[1, 0], g[1, 1] = k00, k01, k10, k11
-            p = covariance[n, k]
-            p[0, 0], p[0, 1], p[1, 0], p[1, 1] = p00, p01, p01, p11
+        u0 = u1 = 0.0
+        for k in range(state.shape[1]):
+            d0, d1 = t[0, 0] * u0 + t[0, 1] * u1, t[1, 0] * u0 + t[1, 1] * u1
+            u0, u1 = d0, d1
+            for m in range(c.shape[0]):
+                e = measured[n, m, k] - c[m, 0] * (x[k, 0] + d0) - c[m, 1] * (x[k, 1] + d1)
+                innovation[n, k, m] = e
+                if not np.isnan(e):
+                    u0 += g[k, 0, m] * e
+                    u1 += g[k, 1, m] * e
+            state[n, k, 0], state[n, k, 1] = x[k, 0] + u0, x[k, 1] + u1

@@ -16,10 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from motor_env.filters.batch import FilterResult
-from motor_env.filters.kalman import KalmanFilter, padded_sensor
+from motor_env.filters.kalman import KalmanFilter, masked_sensor
 from motor_env.motor.model import N_STATES
 from motor_env.motor.parameters import FloatArray
 
@@ -37,59 +36,39 @@ class Smoothed(NamedTuple):
 
 
 @njit(cache=True)
-def _congruence(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
-    """Put x y x' of 2 x 2 matrices, y symmetric, into `out`: symmetric to the last digit."""
-    t00, t01 = x[0, 0] * y[0, 0] + x[0, 1] * y[0, 1], x[0, 0] * y[0, 1] + x[0, 1] * y[1, 1]
-    t10, t11 = x[1, 0] * y[0, 0] + x[1, 1] * y[0, 1], x[1, 0] * y[0, 1] + x[1, 1] * y[1, 1]
-    u01 = t00 * x[1, 0] + t01 * x[1, 1]
-    out[0, 0], out[1, 1] = t00 * x[0, 0] + t01 * x[0, 1], t10 * x[1, 0] + t11 * x[1, 1]
-    out[0, 1] = out[1, 0] = u01
+def _congruence(x: FloatArray, y: FloatArray) -> FloatArray:
+    """X y x' of a symmetric y: symmetric to the last digit."""
+    product: FloatArray = x @ y @ x.T
+    product[1, 0] = product[0, 1]
+    return product
 
 
 @njit(cache=True)
-def _less(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
+def _less(x: FloatArray, y: FloatArray) -> FloatArray:
     """(I + x y)^-1 x: what an information y leaves of a covariance x, or a covariance y of an information x.
 
     Computed as W (x + x y x) W' with W = (I + x y)^-1: a sum of positive terms, as Joseph's form is for the filter.
     """
-    w = np.empty((2, 2))
-    p00, p01 = 1.0 + x[0, 0] * y[0, 0] + x[0, 1] * y[1, 0], x[0, 0] * y[0, 1] + x[0, 1] * y[1, 1]
-    p10, p11 = x[1, 0] * y[0, 0] + x[1, 1] * y[1, 0], 1.0 + x[1, 0] * y[0, 1] + x[1, 1] * y[1, 1]
-    scale = 1.0 / (p00 * p11 - p01 * p10)
-    w[0, 0], w[0, 1], w[1, 0], w[1, 1] = p11 * scale, -p01 * scale, -p10 * scale, p00 * scale
-    _congruence(x, y, out)
-    out += x
-    _congruence(w, out, out)
+    less: FloatArray = _congruence(np.linalg.inv(np.eye(2) + x @ y), x + _congruence(x, y))
+    return less
 
 
 @njit(cache=True)
 def _smoothed_covariance(
     a: FloatArray,
     q: FloatArray,
-    c: FloatArray,
-    r: FloatArray,
-    measured: NDArray[np.bool_],
+    information: FloatArray,
     covariance: FloatArray,
     smoothed: FloatArray,
 ) -> None:
-    """Covariance of each sample given the later ones too, whose information goes from the last to the first."""
-    later, now, inverse, forward = np.zeros((2, 2)), np.empty((2, 2)), np.empty((2, 2)), a.T.copy()
-    rows = np.empty((2, 2))
+    """Covariance of each sample given the later ones too, whose information goes from the last to the first.
+
+    `information` is C' R^-1 C of each sample, over the channels measured.
+    """
+    later, forward = np.zeros((2, 2)), a.T.copy()
     for k in range(len(covariance) - 1, -1, -1):
-        _less(covariance[k], later, smoothed[k])
-        # The sample adds C' R^-1 C, over the channels measured; `rows` is C', a missing channel a column of zeros.
-        off = r[0, 1] if measured[k].all() else 0.0
-        scale = 1.0 / (r[0, 0] * r[1, 1] - off * off)
-        inverse[0, 0], inverse[1, 1] = r[1, 1] * scale, r[0, 0] * scale
-        inverse[0, 1] = inverse[1, 0] = -off * scale
-        rows[:] = 0.0
-        for m in range(measured.shape[1]):
-            if measured[k, m]:
-                rows[:, m] = c[m]
-        _congruence(rows, inverse, now)
-        now += later
-        _less(now, q, later)
-        _congruence(forward, later, later)
+        smoothed[k] = _less(covariance[k], later)
+        later = _congruence(forward, _less(information[k] + later, q))
 
 
 @njit(cache=True)
@@ -131,16 +110,17 @@ def smooth(kalman: KalmanFilter, result: FilterResult) -> Smoothed:
     weighted = np.linalg.solve(result.innovation_covariance, known[..., None])[..., 0]
     weighted = np.ascontiguousarray(weighted).reshape(-1, n_samples, n_channels)
     state = np.ascontiguousarray(result.state).reshape(-1, n_samples, N_STATES)
-    measured = ~np.isnan(result.innovation).reshape(weighted.shape)
     covariance = np.ascontiguousarray(result.covariance).reshape(-1, n_samples, N_STATES, N_STATES)
     gain = np.ascontiguousarray(result.gain).reshape(-1, n_samples, N_STATES, n_channels)
     transition = np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES)
-    q = kalman.process_covariance
-    c, r = padded_sensor(kalman)
+    q, c = kalman.process_covariance, kalman.observation
+    missing = np.isnan(result.innovation).reshape(weighted.shape)[: len(covariance)]
+    rows, noise = masked_sensor(c, kalman.measurement_covariance, missing)
+    information = rows.swapaxes(-1, -2) @ np.linalg.solve(noise, rows)
     spread, out = np.empty_like(covariance), np.empty_like(state)
     for n, filtered in enumerate(covariance):
         cases = slice(None) if len(covariance) == 1 else slice(n, n + 1)
         a = transition[min(n, len(transition) - 1)]
-        _smoothed_covariance(a, q, c, r, measured[n], filtered, spread[n])
+        _smoothed_covariance(a, q, information[n], filtered, spread[n])
         _smoothed_states(a, c, weighted[cases], gain[n], filtered, state[cases], out[cases])
     return Smoothed(out.reshape(result.state.shape), spread.reshape(result.covariance.shape))
