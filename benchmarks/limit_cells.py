@@ -7,7 +7,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +15,23 @@ import numpy as np
 
 from motor_classifiers.estimators.networks.posterior_network import UNKNOWN_NOISE, PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_classifiers.scoring.calibration import CalibrationScores, calibration_scores
+from motor_classifiers.scoring.calibration import calibration_scores
 from motor_classifiers.scoring.judging import in_recipe_order
-from motor_classifiers.scoring.severities import SeverityCell, severity_cell
+from motor_classifiers.scoring.metrics import IntArray
+from motor_classifiers.scoring.severities import severity_figures
 from motor_datasets.generate import generate_arrays
 from motor_env.files import write_text
-from motor_env.inference.posterior import Excess, class_probabilities, excess_over_limit
+from motor_env.inference.posterior import class_probabilities, excess_over_limit
 from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe, named_recipe
 
 SEED = 77
 RATES_HZ = (10_000.0, 1_000.0)
 NOISES_A = (0.005, 0.02, 0.1)
 FIRST_CASE = 1_000_000_000
+
+Row = dict[str, Any]
 
 
 def six_cells(recipe: Recipe) -> Iterator[Recipe]:
@@ -38,56 +42,15 @@ def six_cells(recipe: Recipe) -> Iterator[Recipe]:
             yield replace(recipe, timing=timing, sensor=replace(recipe.sensor, current_noise_a=noise_a))
 
 
-@dataclass(frozen=True, slots=True)
-class LimitCell:
-    """One setting.
-
-    Attributes:
-        recipe: with its rate and noise.
-        n_cases: test cases.
-        model: of the classifier's probabilities.
-        limit: of the exact posterior's on the same cases.
-        excess: accuracy above the limit, compared in pairs.
-        severities: by kind.
-    """
-
-    recipe: Recipe
-    n_cases: int
-    model: CalibrationScores
-    limit: CalibrationScores
-    excess: Excess
-    severities: tuple[SeverityCell, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """One row, for a table or a file."""
-        return {
-            "recipe": self.recipe.name,
-            "sampling_rate_hz": self.recipe.timing.sampling_rate_hz,
-            "noise_a": self.recipe.sensor.current_noise_a,
-            "n_cases": self.n_cases,
-            **_scores("", self.model),
-            **_scores("limit_", self.limit),
-            "excess": self.excess.excess,
-            "excess_standard_error": self.excess.standard_error,
-            "severities": {
-                str(cell.prior.kind): {
-                    "n_cases": cell.n_cases,
-                    **cell.model._asdict(),
-                    **{f"limit_{name}": value for name, value in cell.limit._asdict().items()},
-                }
-                for cell in self.severities
-            },
-        }
-
-
-def _scores(prefix: str, scored: CalibrationScores) -> dict[str, float]:
+def _scores(prefix: str, probabilities: FloatArray, truth: IntArray) -> Row:
+    scored = calibration_scores(probabilities, truth)
     return {f"{prefix}{name}": getattr(scored, name) for name in ("accuracy", "log_loss", "ece", "brier")}
 
 
 def limit_cell(
     model: PosteriorNetwork, recipe: Recipe, seed: int, n_cases: int, n_severities: int = 0
-) -> LimitCell:
-    """Judge a model on fresh cases of a recipe.
+) -> Row:
+    """Judge a model on fresh cases of a recipe, beside the exact posterior on the same cases.
 
     Args:
         model: fitted; it may have been trained for another noise than the recipe's.
@@ -99,18 +62,23 @@ def limit_cell(
     test = generate_arrays(recipe, seed, np.arange(n_cases) + FIRST_CASE)
     limit = class_probabilities(recipe, test.X)
     own = in_recipe_order(model, model.predict_proba(test.X), recipe)
-    return LimitCell(
-        recipe,
-        n_cases,
-        calibration_scores(own, test.class_index),
-        calibration_scores(limit, test.class_index),
-        excess_over_limit(limit, test.class_index, own.argmax(axis=1)),
-        tuple(
-            severity_cell(model, recipe, prior, seed, n_severities)
-            for prior in model.severity_priors_
-            if n_severities > 0
-        ),
-    )
+    above = excess_over_limit(limit, test.class_index, own.argmax(axis=1))
+    severities: Row = {}
+    for prior in model.severity_priors_ if n_severities > 0 else ():
+        judged = severity_figures(model, recipe, prior, seed, n_severities)
+        beside = {f"limit_{name}": value for name, value in judged["limit"].items()}
+        severities[str(prior.kind)] = {"n_cases": n_severities, **judged["network"], **beside}
+    return {
+        "recipe": recipe.name,
+        "sampling_rate_hz": recipe.timing.sampling_rate_hz,
+        "noise_a": recipe.sensor.current_noise_a,
+        "n_cases": n_cases,
+        **_scores("", own, test.class_index),
+        **_scores("limit_", limit, test.class_index),
+        "excess": above.excess,
+        "excess_standard_error": above.standard_error,
+        "severities": severities,
+    }
 
 
 def networks(
@@ -154,25 +122,27 @@ def trained(recipe: Recipe, steps: int, noise_range: tuple[float, float] | None)
     return model
 
 
-def row(cell: LimitCell) -> str:
+def setting(cell: Row) -> str:
+    """Columns of rate and noise."""
+    return f"{cell['sampling_rate_hz'] / 1e3:g} kHz | {1e3 * cell['noise_a']:g} mA"
+
+
+def row(cell: Row) -> str:
     """A row of the table of classes."""
-    rate, noise = cell.recipe.timing.sampling_rate_hz, cell.recipe.sensor.current_noise_a
-    excess, error = 100.0 * cell.excess.excess, 196.0 * cell.excess.standard_error
-    model, limit = cell.model, cell.limit
+    excess, error = 100.0 * cell["excess"], 196.0 * cell["excess_standard_error"]
     return (
-        f"| {rate / 1e3:g} kHz | {1e3 * noise:g} mA | {limit.accuracy:.4f} | {model.accuracy:.4f} "
-        f"| {excess:+.2f} ({excess - error:+.2f} to {excess + error:+.2f}) | {limit.log_loss:.4f} "
-        f"| {model.log_loss:.4f} | {limit.ece:.4f} | {model.ece:.4f} |"
+        f"| {setting(cell)} | {cell['limit_accuracy']:.4f} | {cell['accuracy']:.4f} "
+        f"| {excess:+.2f} ({excess - error:+.2f} to {excess + error:+.2f}) | {cell['limit_log_loss']:.4f} "
+        f"| {cell['log_loss']:.4f} | {cell['limit_ece']:.4f} | {cell['ece']:.4f} |"
     )
 
 
-def severity_rows(cell: LimitCell) -> list[str]:
+def severity_rows(cell: Row) -> list[str]:
     """Rows of the table of severities."""
-    rate, noise = cell.recipe.timing.sampling_rate_hz, cell.recipe.sensor.current_noise_a
     return [
-        f"| {s.prior.kind} | {rate / 1e3:g} kHz | {1e3 * noise:g} mA | {100 * s.limit.rmse:.2f} "
-        f"| {100 * s.model.rmse:.2f} | {s.limit.coverage:.3f} | {s.model.coverage:.3f} |"
-        for s in cell.severities
+        f"| {kind} | {setting(cell)} | {100 * s['limit_rmse']:.2f} "
+        f"| {100 * s['rmse']:.2f} | {s['limit_coverage']:.3f} | {s['coverage']:.3f} |"
+        for kind, s in cell["severities"].items()
     ]
 
 
@@ -190,7 +160,7 @@ def main() -> None:
     for recipe, model in networks(named_recipe(options.recipe), options.steps, options.rate):
         cells.append(limit_cell(model, recipe, SEED, options.cases, options.severities))
         print(row(cells[-1]), *severity_rows(cells[-1]), sep="\n", flush=True)
-        write_text(options.out, json.dumps([cell.as_json() for cell in cells], indent=1) + "\n")
+        write_text(options.out, json.dumps(cells, indent=1) + "\n")
     print("\n| rate | noise | limit | network | difference, points | log-loss | network | ECE | network |")
     print("|---|---|---|---|---|---|---|---|---|", *map(row, cells), sep="\n")
     print("\n| kind | rate | noise | RMSE, points | network | coverage | network |")

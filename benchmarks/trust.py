@@ -27,7 +27,6 @@ from motor_classifiers.scoring.unknown_faults import (
     FALSE_ALARM_RATES,
     UNKNOWN_FAULTS,
     ForeignFault,
-    ForeignScore,
     foreign_scores,
 )
 from motor_classifiers.scoring.verdict_times import (
@@ -192,19 +191,18 @@ def other(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
             recipe, confidences, FOREIGN, seed=SEED, first_case=TEST,
             n_threshold=count // 2, n_known=count, n_foreign=count // 4,
         )  # fmt: skip
-        for fault in got.faults:
-            areas = (
-                f"{fault.auroc[by]:.4f}" if by in fault.auroc else "" for by in (DISTANCE, "limit", "network")
-            )
+        for fault in got["faults"]:
+            areas = [fault["auroc"].get(by) for by in (DISTANCE, "limit", "network")]
             yield (
-                name, f"{rate_hz / 1e3:g} kHz", fault.fault, *areas, percent(fault.called_other),
-                percent(got.false_alarms, digits=2),
+                name, f"{rate_hz / 1e3:g} kHz", fault["fault"],
+                *("" if area is None else f"{area:.4f}" for area in areas),
+                percent(fault["called_other"]), percent(got["false_alarms"], digits=2),
             )  # fmt: skip
         if (name, rate_hz) == ("bench", 1_000.0):
-            plot_roc(got.faults[: len(UNKNOWN_FAULTS)], "limit", IMAGES / "other-roc.svg")
+            plot_roc(got["faults"][: len(UNKNOWN_FAULTS)], "limit", IMAGES / "other-roc.svg")
 
 
-def plot_roc(faults: tuple[ForeignScore, ...], classifier: str, path: Path) -> None:
+def plot_roc(faults: list[dict[str, Any]], classifier: str, path: Path) -> None:
     """Draw how well foreign faults are told from known ones, by distance and by a classifier's confidence.
 
     Args:
@@ -220,10 +218,9 @@ def plot_roc(faults: tuple[ForeignScore, ...], classifier: str, path: Path) -> N
             for title, key, style in (("distance", DISTANCE, "-"), ("confidence", classifier, ":")):
                 # Curves that lie on each other stay visible: the first are drawn wider.
                 width = 2.0 + 2.0 * (len(faults) - 1 - n) * (style == "-")
-                label = f"{scored.fault}, {title}: {scored.auroc[key]:.3f}"
-                axes.plot(
-                    FALSE_ALARM_RATES, scored.roc[key], style, color=colour, linewidth=width, label=label
-                )
+                label = f"{scored['fault']}, {title}: {scored['auroc'][key]:.3f}"
+                curve = scored["roc"][key]
+                axes.plot(FALSE_ALARM_RATES, curve, style, color=colour, linewidth=width, label=label)
         axes.set(xlabel="known motors called other", ylabel="foreign faults called other")
         axes.set_title("Distance tells foreign faults, confidence does not")
         axes.set_ylim(0.0, 1.01)
@@ -278,9 +275,9 @@ def early(n_cases: int = 3000) -> None:
         ("stated error", "probabilities of", "error of those that stopped", "stopped", "mean time", "accuracy of all"),
         (
             (
-                percent(row.stated, digits=0), row.classifier,
-                interval(row.score.error, row.score.error_low, row.score.error_high),
-                percent(row.score.stopped), f"{1e3 * row.score.mean_time_s:.1f} ms", f"{row.score.accuracy:.4f}",
+                percent(row["stated"], digits=0), row["probabilities_of"],
+                interval(row["error"], row["error_low"], row["error_high"]),
+                percent(row["stopped"]), f"{1e3 * row['mean_time_s']:.1f} ms", f"{row['accuracy']:.4f}",
             )
             for row in stopping_rows(probabilities, test.class_index, seen.time_s)
         ),

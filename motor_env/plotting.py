@@ -111,25 +111,23 @@ def subplots(
     return figure, cast("list[Axes]", np.ravel(grid).tolist())
 
 
+def note(
+    axes: Axes, point: tuple[float, float], text: str, offset_pt: tuple[float, float], **style: Any
+) -> None:
+    """Write a text so many points away from a point of the data."""
+    axes.annotate(text, point, xytext=offset_pt, textcoords="offset points", **({"fontsize": 11} | style))
+
+
 def end_label(axes: Axes, x: float, y: float, text: str, color: str, *, offset_pt: float = 0.0) -> None:
     """Name a curve at its right end, in its own colour, instead of in a legend."""
-    axes.annotate(
-        text,
-        (x, y),
-        xytext=(6.0, offset_pt),
-        textcoords="offset points",
-        color=color,
-        va="center",
-        fontsize=11,
-        fontweight="bold",
-        annotation_clip=False,
-    )
+    beside = (6.0, offset_pt)
+    note(axes, (x, y), text, beside, color=color, va="center", fontweight="bold", annotation_clip=False)
 
 
 def mark_point(axes: Axes, x: float, y: float, text: str, color: str, offset_pt: tuple[float, float]) -> None:
     """Mark a point of a curve and name it."""
     axes.plot([x], [y], "o", color=color, markersize=6, markeredgecolor="white", zorder=5)
-    axes.annotate(text, (x, y), xytext=offset_pt, textcoords="offset points", color=color, fontsize=11)
+    note(axes, (x, y), text, offset_pt, color=color)
 
 
 def save(figure: Figure, path: Path) -> None:

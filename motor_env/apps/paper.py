@@ -151,16 +151,14 @@ def start_up(parameters: MotorParameters) -> StartUp:
 
 def comparisons() -> list[Comparison]:
     """Every number that the paper prints or whose curve it shows, beside ours."""
-    return [*_final_values(), *_matrices(), *_faulty_parameters(), *_start_ups()]
-
-
-def _final_values() -> list[Comparison]:
-    healthy = start_up(PAPER_MOTOR)
-    table = "table, 12 V"
+    healthy, table = start_up(PAPER_MOTOR), "table, 12 V"
     # The paper gives no final value of its simulation; 4850 rpm is how it names the motor.
     return [
         Comparison("final speed", "rpm", PRINTED_SPEED_RPM, healthy.final_speed_rpm, 1, table),
         Comparison("final current", "mA", None, 1e3 * healthy.final_current_a, 2, table),
+        *_matrices(),
+        *_faulty_parameters(),
+        *_start_ups(),
     ]
 
 
@@ -172,21 +170,11 @@ def _matrices() -> list[Comparison]:
     )
     for text, motor, dt_s, decimals in cases:
         model = discretize(motor, dt_s)
-        for row in range(2):
-            rows += [
-                Comparison(
-                    f"A{row + 1}{column + 1}",
-                    "",
-                    PRINTED_A[row][column],
-                    float(model.transition[row, column]),
-                    decimals,
-                    text,
-                )
-                for column in range(2)
-            ]
+        names, printed = ("A11", "A12", "A21", "A22", "B1", "B2"), (*PRINTED_A[0], *PRINTED_A[1], *PRINTED_B)
+        ours = [*model.transition.ravel().tolist(), *model.gain[:, 0].tolist()]
         rows += [
-            Comparison(f"B{row + 1}", "", PRINTED_B[row], float(model.gain[row, 0]), decimals, text)
-            for row in range(2)
+            Comparison(name, "", digits, value, decimals, text)
+            for name, digits, value in zip(names, printed, ours, strict=True)
         ]
     return rows
 
@@ -238,7 +226,8 @@ def _slips_of_the_model() -> list[Slip]:
     )
     swapped_a21 = discretize(swapped, PAPER_MATRICES_DT_S).transition[1, 0]
     other = discretize(OTHER_MATRICES_MOTOR, OTHER_MATRICES_DT_S).transition[1, 0]
-    a, b = discretize(healthy, STATED_DT_S).transition, discretize(healthy, STATED_DT_S).gain[:, 0]
+    stated = discretize(healthy, STATED_DT_S)
+    a, b = stated.transition, stated.gain[:, 0]
     source_l_mh, l_mh = 1e3 * float(source.inductance_h), 1e3 * float(healthy.inductance_h)
     return [
         Slip(

@@ -6,19 +6,20 @@ The paper prints neither Q nor R nor the variance of its noise fault; what is ta
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from motor_env.apps.paper import VOLTAGE_V, faulty, level_name, start_up
-from motor_env.filters.batch import FilterResult, run_filter
+from motor_env.apps.paper import FAULT_LEVELS, VOLTAGE_V, faulty, level_name, start_up
+from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, KalmanFilter
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.model import State
 from motor_env.motor.parameters import PAPER_MOTOR, RAD_S_PER_RPM, FloatArray, SensorParameters
-from motor_env.plotting import COLOUR, INK, QUIET, end_label, mark_point, subplots
+from motor_env.plotting import COLOUR, INK, QUIET, end_label, mark_point, note, subplots
 from motor_env.simulation.simulate import Scenario, Timing, Transients, simulate, simulate_states
 
 SEED = 1
@@ -37,6 +38,7 @@ UNKNOWN_START_STD = (0.5, 50.0)
 """What the filter of the error covariance knows at first: the current to 0.5 A, the speed to 50 rad/s."""
 
 N_RUNS = 400
+TIME_AXIS: dict[str, Any] = {"xlabel": "time after the step (ms)", "xlim": (0.0, 100.0)}
 _MA = 1e3
 _MS = 1e3
 
@@ -49,23 +51,22 @@ class PaperFigure(NamedTuple):
     draw: Callable[[], Figure]
 
 
+def _start(case: int, *faults: Fault, **options: Any) -> Transients:
+    """A start-up of the motor with these faults, seen by the sensor."""
+    return simulate(
+        Scenario(PAPER_MOTOR, faults=faults, sensor=SENSOR, timing=TIMING, **options), SEED, cases=[case]
+    )
+
+
 def _noisy_start() -> Transients:
-    """The start-up of the motor with the incipient noise fault, seen by the sensor."""
-    scenario = Scenario(
-        PAPER_MOTOR,
-        faults=(NOISE_FAULT,),
-        sensor=SENSOR,
-        timing=TIMING,
-        process_noise_std=PROCESS_NOISE_STD,
-    )
-    return simulate(scenario, SEED, cases=[0])
+    """The start-up of the motor with the incipient noise fault."""
+    return _start(0, NOISE_FAULT, process_noise_std=PROCESS_NOISE_STD)
 
 
-def _filtered(transients: Transients) -> FilterResult:
-    belief = KalmanFilter.from_parameters(
-        PAPER_MOTOR, SENSOR, TIMING.dt_s, process_noise_std=PROCESS_NOISE_STD
+def _belief(**options: Any) -> KalmanFilter:
+    return KalmanFilter.from_parameters(
+        PAPER_MOTOR, SENSOR, TIMING.dt_s, process_noise_std=PROCESS_NOISE_STD, **options
     )
-    return run_filter(belief, transients.measurements, transients.voltage_v)
 
 
 def _fine_start(fault: Fault | None, duration_s: float, dt_s: float) -> tuple[FloatArray, FloatArray]:
@@ -91,32 +92,16 @@ def healthy_start() -> Figure:
     top.plot(time_ms, current, color=COLOUR["healthy"])
     peak_ms = _MS * figures.peak_time_s
     mark_point(top, peak_ms, figures.peak_a, f"{figures.peak_a:.3f} A at {peak_ms:.2f} ms", INK, (10.0, -3.0))
-    top.annotate(
-        f"final {_MA * figures.final_current_a:.2f} mA",
-        (38.0, figures.final_current_a),
-        xytext=(0, 9),
-        textcoords="offset points",
-        ha="right",
-        fontsize=11,
-    )
+    final = (38.0, figures.final_current_a)
+    note(top, final, f"final {_MA * figures.final_current_a:.2f} mA", (0, 9), ha="right")
     top.set(title="Current", ylabel="current (A)", ylim=(0.0, 5.6))
     middle.plot(time_ms, speed, color=COLOUR["healthy"])
     middle.set(title="Angular velocity", ylabel="velocity (rad/s)", ylim=(0.0, 560.0))
     bottom.plot(time_ms, speed / RAD_S_PER_RPM, color=COLOUR["healthy"])
     bottom.set(title="Speed", ylabel="speed (rpm)", xlabel="time after the step (ms)", ylim=(0.0, 5400.0))
-    final = (
-        (middle, figures.final_speed_rpm * RAD_S_PER_RPM, "rad/s"),
-        (bottom, figures.final_speed_rpm, "rpm"),
-    )
-    for axes, value, unit in final:
-        axes.annotate(
-            f"{value:.1f} {unit}",
-            (38.0, value),
-            xytext=(0, -16),
-            textcoords="offset points",
-            ha="right",
-            fontsize=11,
-        )
+    for axes, scale, unit in ((middle, RAD_S_PER_RPM, "rad/s"), (bottom, 1.0, "rpm")):
+        value = figures.final_speed_rpm * scale
+        note(axes, (38.0, value), f"{value:.1f} {unit}", (0, -16), ha="right")
     return figure
 
 
@@ -126,33 +111,25 @@ def true_states() -> Figure:
     time_ms = _MS * transients.time_s
     figure, (top, bottom) = subplots(2, height_in=7.0, height_ratios=(3, 2))
     _shade_noise_fault(top)
-    top.plot(
-        time_ms, transients.measurements[0, 0], color=COLOUR["measured"], linewidth=1.0, label="measured"
-    )
-    top.plot(time_ms, transients.states[0, :, State.CURRENT], color=COLOUR["healthy"], label="true")
+    measured, true = transients.measurements[0, 0], transients.states[0, :, State.CURRENT]
+    top.plot(time_ms, measured, color=COLOUR["measured"], linewidth=1.0, label="measured")
+    top.plot(time_ms, true, color=COLOUR["healthy"], label="true")
     top.set(title="Current, with Gaussian noise in its output", ylabel="current (A)", ylim=(-0.3, 5.5))
     top.legend(loc="center right")
     inset = top.inset_axes((0.27, 0.26, 0.49, 0.58))
     _shade_noise_fault(inset)
-    inset.plot(time_ms, _MA * transients.measurements[0, 0], color=COLOUR["measured"], linewidth=0.9)
-    inset.plot(time_ms, _MA * transients.states[0, :, State.CURRENT], color=COLOUR["healthy"], linewidth=1.6)
+    inset.plot(time_ms, _MA * measured, color=COLOUR["measured"], linewidth=0.9)
+    inset.plot(time_ms, _MA * true, color=COLOUR["healthy"], linewidth=1.6)
     inset.set(xlim=(20.0, 100.0), ylim=(-230.0, 290.0), ylabel="mA")
     inset.set_title("incipient noise from 40 ms on, enlarged", fontsize=11, fontweight="normal")
     inset.tick_params(labelsize=9)
     bottom.plot(time_ms, transients.states[0, :, State.SPEED], color=COLOUR["healthy"])
-    bottom.set(
-        title="Speed",
-        ylabel="speed (rad/s)",
-        xlabel="time after the step (ms)",
-        ylim=(0.0, 560.0),
-        xlim=(0.0, 100.0),
-    )
+    bottom.set(title="Speed", ylabel="speed (rad/s)", ylim=(0.0, 560.0), **TIME_AXIS)
     return figure
 
 
 def healthy_minus_faulty() -> Figure:
     """Figure 8, the second: the difference between the healthy and the faulty output."""
-    healthy = Scenario(PAPER_MOTOR, sensor=SENSOR, timing=TIMING)
     faults = (NOISE_FAULT, Fault(FaultKind.WINDING_CONTACT, 0.25), Fault(FaultKind.BEARING, 0.25))
     names = (
         "Incipient noise, growing from 40 ms to 16 times the variance at 80 ms",
@@ -160,45 +137,34 @@ def healthy_minus_faulty() -> Figure:
         "Bearing 25 %: a level of 6.4 mA under 20 mA of noise",
     )
     figure, rows = subplots(3, height_in=8.0)
-    reference = simulate(healthy, SEED, cases=[0])
+    reference = _start(0)
     time_ms = _MS * reference.time_s
     for case, (axes, fault, name) in enumerate(zip(rows, faults, names, strict=True), start=1):
-        scenario = Scenario(PAPER_MOTOR, faults=(fault,), sensor=SENSOR, timing=TIMING)
-        other = simulate(scenario, SEED, cases=[case])
-        colour = COLOUR[str(fault.kind)]
-        measured = reference.measurements - other.measurements
-        true = reference.states - other.states
-        axes.plot(
-            time_ms, _MA * measured[0, 0], color=colour, linewidth=0.9, alpha=0.55, label="of the outputs"
-        )
-        axes.plot(
-            time_ms, _MA * true[0, :, State.CURRENT], color=INK, linewidth=1.8, label="without the noise"
-        )
+        other = _start(case, fault)
+        measured = _MA * (reference.measurements - other.measurements)[0, 0]
+        true = _MA * (reference.states - other.states)[0, :, State.CURRENT]
+        faint: dict[str, Any] = {"color": COLOUR[str(fault.kind)], "linewidth": 0.9, "alpha": 0.55}
+        axes.plot(time_ms, measured, **faint, label="of the outputs")
+        axes.plot(time_ms, true, color=INK, linewidth=1.8, label="without the noise")
         axes.set(title=name, ylabel="healthy - faulty (mA)")
     _shade_noise_fault(rows[0])
     rows[0].legend(loc="upper left", ncols=2)
     rows[0].set_ylim(-300.0, 400.0)
-    rows[2].set_ylim(-120.0, 120.0)
-    rows[2].set(xlabel="time after the step (ms)", xlim=(0.0, 100.0))
+    rows[2].set(ylim=(-120.0, 120.0), **TIME_AXIS)
     return figure
 
 
 def estimated_states() -> Figure:
     """Figure 9: the estimated current, speed and velocity, from the noisy current of figure 8."""
     transients = _noisy_start()
-    result = _filtered(transients)
+    result = run_filter(_belief(), transients.measurements, transients.voltage_v)
     time_ms = _MS * transients.time_s
+    measured, current = _MA * transients.measurements[0, 0], _MA * transients.states[0, :, State.CURRENT]
     figure, (top, middle, bottom) = subplots(3, height_in=8.4)
     _shade_noise_fault(top)
-    top.plot(
-        time_ms,
-        _MA * transients.measurements[0, 0],
-        color=COLOUR["measured"],
-        linewidth=0.9,
-        label="measured",
-    )
+    top.plot(time_ms, measured, color=COLOUR["measured"], linewidth=0.9, label="measured")
     top.plot(time_ms, _MA * result.state[0, :, State.CURRENT], color=COLOUR["estimate"], label="estimated")
-    top.plot(time_ms, _MA * transients.states[0, :, State.CURRENT], color=INK, linestyle=":", label="true")
+    top.plot(time_ms, current, color=INK, linestyle=":", label="true")
     top.set(title="Current (start cut off at 400 mA)", ylabel="current (mA)", ylim=(-230.0, 400.0))
     top.legend(loc="upper right", ncols=3)
     estimate, true = result.state[0, :, State.SPEED], transients.states[0, :, State.SPEED]
@@ -211,24 +177,16 @@ def estimated_states() -> Figure:
         time_ms, -band, band, color=COLOUR["estimate"], alpha=0.15, linewidth=0, label="±2 sd of P"
     )
     bottom.plot(time_ms, (estimate - true) / RAD_S_PER_RPM, color=COLOUR["estimate"], linewidth=1.4)
-    bottom.set(title="Speed: error of the estimate", ylabel="error (rpm)", xlabel="time after the step (ms)")
-    bottom.set_ylim(-2.0 * band.max(), 2.0 * band.max())
+    limits = -2.0 * band.max(), 2.0 * band.max()
+    bottom.set(title="Speed: error of the estimate", ylabel="error (rpm)", ylim=limits, **TIME_AXIS)
     bottom.legend(loc="lower right")
-    bottom.set_xlim(0.0, 100.0)
     return figure
 
 
 def error_covariance() -> Figure:
     """The error covariance of the filter, and the error that it makes in fact."""
-    rng_std = np.asarray(UNKNOWN_START_STD)
-    belief = KalmanFilter.from_parameters(
-        PAPER_MOTOR,
-        SENSOR,
-        TIMING.dt_s,
-        process_noise_std=PROCESS_NOISE_STD,
-        initial_std=UNKNOWN_START_STD,
-    )
-    errors, covariance = _errors_of_many_runs(belief, rng_std)
+    start_std = np.asarray(UNKNOWN_START_STD)
+    errors, covariance = _errors_of_many_runs(_belief(initial_std=UNKNOWN_START_STD), start_std)
     time_ms = _MS * TIMING.time_s
     figure, (top, bottom) = subplots(2, height_in=6.4)
     rows = (
@@ -236,28 +194,16 @@ def error_covariance() -> Figure:
         (bottom, State.SPEED, 1.0, "Speed", "sd (rad/s)"),
     )
     for axes, state, scale, title, label in rows:
-        axes.plot(
-            time_ms,
-            scale * np.sqrt(covariance[:, state, state]),
-            color=COLOUR["estimate"],
-            label="square root of P",
-        )
+        std = scale * np.sqrt(covariance[:, state, state])
+        axes.plot(time_ms, std, color=COLOUR["estimate"], label="square root of P")
         rms = scale * np.sqrt(np.mean(np.square(errors[:, :, state]), axis=0))
-        axes.plot(
-            time_ms[::25],
-            rms[::25],
-            "o",
-            color=INK,
-            markersize=4.5,
-            label=f"measured error, rms of {N_RUNS} runs",
-        )
+        dots: dict[str, Any] = {"color": INK, "markersize": 4.5, "label": f"measured error, rms of {N_RUNS} runs"}
+        axes.plot(time_ms[::25], rms[::25], "o", **dots)
         axes.set(title=title, ylabel=label, yscale="log")
     top.axhline(_MA * SENSOR.current_noise_a, color=QUIET, linestyle="--", linewidth=1.2)
-    top.annotate(
-        "noise of one sample, 20 mA", (98.0, 20.0), xytext=(0, 6), textcoords="offset points", ha="right"
-    )
+    note(top, (98.0, 20.0), "noise of one sample, 20 mA", (0, 6), ha="right", fontsize=None)
     top.legend(loc="center right")
-    bottom.set(xlabel="time after the step (ms)", xlim=(0.0, 100.0))
+    bottom.set(**TIME_AXIS)
     return figure
 
 
@@ -279,17 +225,13 @@ def _errors_of_many_runs(belief: KalmanFilter, start_std: FloatArray) -> tuple[F
 
 def faulty_start(fault: Fault) -> Figure:
     """Figures 10 to 13: the current of a faulty motor beside the healthy one, its start and its end."""
-    colour, name = COLOUR[str(fault.kind)], level_name(fault)
     figure, (top, bottom) = subplots(2, height_in=7.0, height_ratios=(3, 2), sharex=False)
-    time_ms, healthy = _fine_start(None, 0.06, 2e-5)
-    _, other = _fine_start(fault, 0.06, 2e-5)
-    pairs = ((healthy, COLOUR["healthy"], "healthy", "-"), (other, colour, name, "--"))
-    for states, curve_colour, label, dashes in pairs:
-        current = states[:, State.CURRENT]
-        top.plot(time_ms, current, dashes, color=curve_colour, label=label)
+    pairs = ((None, COLOUR["healthy"], "-"), (fault, COLOUR[str(fault.kind)], "--"))
+    for index, (motor, curve_colour, dashes) in enumerate(pairs):
+        time_ms, states = _fine_start(motor, 0.06, 2e-5)
+        current, figures = states[:, State.CURRENT], start_up(faulty(motor))
+        top.plot(time_ms, current, dashes, color=curve_colour, label=level_name(motor))
         bottom.plot(time_ms, _MA * current, dashes, color=curve_colour)
-    for index, (motor, curve_colour) in enumerate(((None, COLOUR["healthy"]), (fault, colour))):
-        figures = start_up(faulty(motor))
         top.annotate(
             f"{level_name(motor)}: peak {figures.peak_a:.3f} A at {_MS * figures.peak_time_s:.2f} ms, "
             f"settled at {_MS * figures.settling_time_s:.2f} ms",
@@ -300,32 +242,21 @@ def faulty_start(fault: Fault) -> Figure:
             fontweight="bold",
         )
         # The two final levels differ by 3 mA or 0.01 mA: their names stand above and below the curves.
-        end_label(
-            bottom,
-            60.0,
-            _MA * figures.final_current_a,
-            f"{_MA * figures.final_current_a:.2f} mA",
-            curve_colour,
-            offset_pt=(-8.0 if index == 0 else 8.0),
-        )
-    top.set(title=f"Start-up current, {name}", ylabel="current (A)", xlim=(0.0, 20.0), ylim=(0.0, 5.6))
-    bottom.set(
-        title="The same, its end enlarged",
-        ylabel="current (mA)",
-        xlabel="time after the step (ms)",
-        xlim=(16.0, 60.0),
-        ylim=(20.0, 60.0),
+        final_ma = _MA * figures.final_current_a
+        offset_pt = -8.0 if index == 0 else 8.0
+        end_label(bottom, 60.0, final_ma, f"{final_ma:.2f} mA", curve_colour, offset_pt=offset_pt)
+    top.set(
+        title=f"Start-up current, {level_name(fault)}",
+        ylabel="current (A)",
+        xlim=(0.0, 20.0),
+        ylim=(0.0, 5.6),
     )
+    bottom.set(title="The same, its end enlarged", ylabel="current (mA)", ylim=(20.0, 60.0))
+    bottom.set(**{**TIME_AXIS, "xlim": (16.0, 60.0)})
     return figure
 
 
 def _level_figures() -> list[PaperFigure]:
-    levels = (
-        (10, Fault(FaultKind.WINDING_CONTACT, 0.10)),
-        (11, Fault(FaultKind.WINDING_CONTACT, 0.25)),
-        (12, Fault(FaultKind.BEARING, 0.10)),
-        (13, Fault(FaultKind.BEARING, 0.25)),
-    )
     what = {
         FaultKind.WINDING_CONTACT: "armature winding fault. The resistance of the table raised: "
         "the peak falls and the start lasts longer; "
@@ -336,9 +267,9 @@ def _level_figures() -> list[PaperFigure]:
         PaperFigure(
             f"figure_{number}",
             f"Figure {number}: current output for {100 * float(fault.severity):g} % of {what[fault.kind]}.",
-            lambda fault=fault: faulty_start(fault),  # type: ignore[misc]  # a default argument binds the fault now
+            partial(faulty_start, fault),
         )
-        for number, fault in levels
+        for number, fault in enumerate(filter(None, FAULT_LEVELS), start=10)
     ]
 
 

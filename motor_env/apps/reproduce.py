@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from motor_env.apps.paper import SETTLING_BAND, Comparison, comparisons, slips
+from motor_env.apps.paper import SETTLING_BAND, comparisons, slips
 from motor_env.apps.paper_figures import (
     N_RUNS,
     NOISE_FAULT,
@@ -75,7 +75,7 @@ def page(image_format: str) -> list[Block]:
             f"Settling time: the last moment at which the current is more than {100 * SETTLING_BAND:g} % of its peak "
             "away from its final value. A paper's number agrees when ours rounds to every digit printed.",
         ),
-        Block("table", rows=_number_rows(comparisons())),
+        Block("table", rows=_number_rows()),
         Block("heading 2", "Figures"),
         *(
             Block("image", figure.caption, image=f"images/{figure.name}.{image_format}")
@@ -84,16 +84,13 @@ def page(image_format: str) -> list[Block]:
     ]
 
 
-def _number_rows(numbers: Sequence[Comparison]) -> tuple[tuple[str, ...], ...]:
-    header = ("quantity", "unit", "paper", "ours", "agrees", "computed from")
+def _number_rows() -> tuple[tuple[str, ...], ...]:
     verdict = {None: "", True: "yes", False: "no"}
-    return (
-        header,
-        *(
-            (n.quantity, n.unit, n.paper or NOT_PRINTED, n.ours_text, verdict[n.agrees], n.parameters)
-            for n in numbers
-        ),
+    rows = (
+        (n.quantity, n.unit, n.paper or NOT_PRINTED, n.ours_text, verdict[n.agrees], n.parameters)
+        for n in comparisons()
     )
+    return (("quantity", "unit", "paper", "ours", "agrees", "computed from"), *rows)
 
 
 def markdown(blocks: Sequence[Block]) -> str:
@@ -171,17 +168,15 @@ def reproduce(
             save(figure.draw(), out / "images" / f"{figure.name}.{image_format}")
     blocks = page(image_format)
     write_text(out / "paper.md", markdown(blocks))
-    title = blocks[0].text
-    write_text(out / "index.html", render("motor_env.apps", "paper.html.j2", title=title, blocks=blocks))
+    html = render("motor_env.apps", "paper.html.j2", title=blocks[0].text, blocks=blocks)
+    write_text(out / "index.html", html)
     return result
 
 
 def _require_ours(out: Path) -> None:
-    if not out.exists():
-        return
-    if not out.is_dir():
+    if out.exists() and not out.is_dir():
         raise InputError(f"{out}: not a folder; give a new or empty one")
-    if not any(out.iterdir()):
+    if not out.exists() or not any(out.iterdir()):
         return
     try:
         written = json.loads((out / _RECORD).read_text(encoding="utf-8"))

@@ -2,59 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from motor_classifiers.scoring.calibration import Reliability
+from motor_classifiers.scoring.metrics import Score
 from motor_env.motor.parameters import FloatArray
 from motor_env.pages.svg import Axis, Chart, percent, round_ticks
 
 _POINTS = 700  # of a drawn curve
 
 
-class Bar(NamedTuple):
-    """A row of the accuracy chart: name, value and interval, as shares."""
-
-    label: str
-    family: str
-    value: float
-    low: float
-    high: float
-
-
 def interval_chart(
-    bars: Sequence[Bar], limit: float, limit_label: str, *, width: int = 760, left: int = 170, title: str = ""
-) -> str:
-    """A score of each method with its interval, and the limit as a line."""
-    low = min([*(bar.low for bar in bars), limit]) - 0.01
-    high = min(1.0, max([*(bar.high for bar in bars), limit]) + 0.01)
+    bars: Sequence[tuple[str, str, Score]], limit: float, limit_label: str, *,
+    width: int = 760, left: int = 170, title: str = "",
+) -> str:  # fmt: skip
+    """A score of each method (name, family, score) with its interval, and the limit as a line."""
+    low = min([*(score.low for _, _, score in bars), limit]) - 0.01
+    high = min(1.0, max([*(score.high for _, _, score in bars), limit]) + 0.01)
     shares = Axis("", low, high, round_ticks(low, high, 6 if width > 500 else 3), percent)
     chart = _rows(shares, len(bars), 28, size=(width, 64), margins=(left, 54, 34), label=title or limit_label)
     x = chart.x(limit)
     chart.line("limit", (x, chart.top - 6), (x, chart.bottom))
     chart.text((x + 4, chart.top - 13), limit_label, "limit-label", "end" if x > 0.6 * width else "middle")
-    for row, bar in enumerate(bars):
+    for row, (name, family, score) in enumerate(bars):
         y = chart.y(row + 0.5)
-        chart.text((left - 12, y + 4), bar.label, "name", "end")
-        chart.line("range", (chart.x(bar.low), y), (chart.x(bar.high), y))
-        chart.dot(f"dot {bar.family}", (chart.x(bar.value), y), 5.5)
-        chart.text((chart.x(bar.high) + 8, y + 4), f"{100 * bar.value:.1f}", "value")
+        chart.text((left - 12, y + 4), name, "name", "end")
+        chart.line("range", (chart.x(score.low), y), (chart.x(score.high), y))
+        chart.dot(f"dot {family}", (chart.x(score.value), y), 5.5)
+        chart.text((chart.x(score.high) + 8, y + 4), f"{100 * score.value:.1f}", "value")
     return chart.svg()
 
 
-class Boxes(NamedTuple):
-    """Estimates of one method: label, style class, and of each class the quantiles 5, 25, 50, 75, 95 %."""
-
-    label: str
-    style: str
-    quantiles: Sequence[Sequence[float]]
+Boxes = tuple[str, str, list[list[float]]]
+"""Estimates of one method: label, style class, and of each class the quantiles 5, 25, 50, 75, 95 %."""
 
 
 def severity_chart(names: Sequence[str], truth: Sequence[float], methods: Sequence[Boxes]) -> str:
     """Estimated severities of each true class, a bar a method; the true severity as a mark."""
-    every = [quantile for method in methods for row in method.quantiles for quantile in row]
+    every = [quantile for _, _, rows in methods for row in rows for quantile in row]
     low, high = min(0.0, *every), max(*truth, *every) * 1.03
     points = Axis("points", low, high, round_ticks(low, high, 8), lambda value: f"{100 * value:g}")
     thick, label = 13, "Estimated severity of each class"
@@ -65,12 +53,9 @@ def severity_chart(names: Sequence[str], truth: Sequence[float], methods: Sequen
     for row, (name, true) in enumerate(zip(names, truth, strict=True)):
         begin, end = chart.y(row) + 6, chart.y(row + 1.0) - 6
         chart.text((chart.left - 12, (begin + end) / 2 + 4), name, "name", "end")
-        for number, method in enumerate(methods):
-            y, quantiles = begin + thick * (number + 0.5), method.quantiles[row]
-            ends = [chart.x(value) for value in quantiles]
-            with chart.group(
-                f"boxes {method.style}", f"{method.label}: median {100 * quantiles[2]:.1f} points"
-            ):
+        for number, (method, style, quantiles) in enumerate(methods):
+            y, ends = begin + thick * (number + 0.5), [chart.x(value) for value in quantiles[row]]
+            with chart.group(f"boxes {style}", f"{method}: median {100 * quantiles[row][2]:.1f} points"):
                 chart.line("", (ends[0], y), (ends[4], y))
                 chart.shape("rect", x=ends[1], y=y - 4, width=max(ends[3] - ends[1], 1.5), height=8, rx=2)
         chart.line("truth", (chart.x(true), begin - 2), (chart.x(true), end + 2))
@@ -99,16 +84,9 @@ def _rows(
     return chart
 
 
-class Trace(NamedTuple):
-    """A curve: style class, time in ms and values."""
-
-    style: str
-    time_ms: FloatArray
-    values: FloatArray
-
-
 def trace_chart(
-    traces: Sequence[Trace],
+    time_ms: FloatArray,
+    curves: Mapping[str, FloatArray],
     unit: str,
     *,
     span: tuple[float, float],
@@ -116,9 +94,8 @@ def trace_chart(
     mark_ms: float | None = None,
     with_time: bool = False,
 ) -> str:
-    """Curves over time, horizontal thresholds as dashed lines, and a moment as a vertical mark."""
-    begin = min(float(trace.time_ms[0]) for trace in traces)
-    end = max(float(trace.time_ms[-1]) for trace in traces)
+    """Curves by style class over time, horizontal thresholds as dashed lines, and a moment as a vertical mark."""
+    begin, end = float(time_ms[0]), float(time_ms[-1])
     chart = Chart(
         Axis("ms", begin, end, round_ticks(begin, end, 6)),
         Axis(unit, *span, round_ticks(*span, 4)),
@@ -131,9 +108,9 @@ def trace_chart(
         chart.x_numbers()
         chart.text((chart.right, 148), "ms", anchor="end")
     chart.text((2, 12), unit)
-    for trace in traces:
-        step = max(1, len(trace.time_ms) // _POINTS)
-        chart.curve(trace.style, trace.time_ms[::step], trace.values[::step])
+    step = max(1, len(time_ms) // _POINTS)
+    for style, values in curves.items():
+        chart.curve(style, time_ms[::step], values[::step])
     for level in levels:
         chart.across("threshold", level)
     if mark_ms is not None:

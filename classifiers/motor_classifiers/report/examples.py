@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import norm
 
 from motor_classifiers.estimators.features import whitened_residual
-from motor_classifiers.report.charts import Trace, trace_chart
+from motor_classifiers.report.charts import trace_chart
 from motor_classifiers.report.names import readable
 from motor_classifiers.scoring.benchmark import CellResult, MethodResult
 from motor_classifiers.scoring.judging import TEST_FIRST_CASE, judged_cases
@@ -27,8 +27,7 @@ def running_mean(values: FloatArray, count: int) -> FloatArray:
     """Mean of the last `count` samples (of fewer at the begin), over the last axis."""
     total = np.cumsum(values, axis=-1)
     total[..., count:] = total[..., count:] - total[..., :-count].copy()
-    lengths = np.minimum(np.arange(1, values.shape[-1] + 1), count)
-    mean: FloatArray = total / lengths
+    mean: FloatArray = total / np.minimum(np.arange(1, values.shape[-1] + 1), count)
     return mean
 
 
@@ -44,44 +43,40 @@ def examples(result: CellResult, best: MethodResult) -> list[dict[str, Any]]:
     chosen = [(n, int(members[0])) for n, members in enumerate(rows) if len(members)]
     numbers = judged_cases(recipe, TEST_FIRST_CASE, result.cell.n_test)[[case for _, case in chosen]]
     cases = generate_arrays(recipe, result.cell.seed, numbers).X.astype(np.float64)
-    decided, probabilities = best.judged.answer.decided, best.judged.answer.probabilities
+    answer = best.judged.answer
     smooth_over = min(SMOOTH, max(1, recipe.timing.n_samples // 20))
     n_channels = cases.shape[1]
     whitened = whitened_residual(recipe, cases).reshape(len(cases), -1, n_channels)[..., column]
     smooth = running_mean(whitened, smooth_over) * np.sqrt(
         np.minimum(np.arange(1, whitened.shape[1] + 1), smooth_over)
     )
-    threshold = _threshold(recipe.timing.n_samples, smooth_over)
+    # Two-sided, and shared among the windows that do not overlap.
+    windows = max(1, recipe.timing.n_samples // smooth_over)
+    threshold = float(norm.isf(0.5 * ALARM_RATE / windows))
     reach = float(np.clip(1.1 * np.abs(smooth).max(), 2.0 * threshold, 16.0))
     top = 1.06 * float(max(nominal.max(), cases[:, column].max()))
     drawn = []
     for row, (n, case) in enumerate(chosen):
         beyond = np.flatnonzero(np.abs(smooth[row]) > threshold)
         alarm_ms = float(time_ms[beyond[0]]) if len(beyond) else None
+        curves = {"measured": cases[row, column], "nominal": nominal}
+        level = {style: 1e3 * running_mean(curve, smooth_over) for style, curve in curves.items()}
         drawn.append(
             {
                 "smooth_ms": 1e3 * smooth_over * recipe.timing.dt_s,
                 "truth": readable(recipe.class_names[n]),
-                "decided": readable(recipe.class_names[int(decided[case])]),
-                "right": int(decided[case]) == n,
-                "probability": float(probabilities[case].max()),
-                "limit_probability": float(result.limit.answer.probabilities[case, n]),
+                "decided": readable(recipe.class_names[answer.decided[case]]),
+                "right": answer.decided[case] == n,
+                "probability": answer.probabilities[case].max(),
+                "limit_probability": result.limit.answer.probabilities[case, n],
                 "alarm_ms": alarm_ms,
                 "current": trace_chart(
-                    [Trace("measured", time_ms, cases[row, column]), Trace("nominal", time_ms, nominal)],
-                    "A",
-                    span=(min(-0.1, float(cases[:, column].min())), top),
+                    time_ms, curves, "A", span=(min(-0.1, float(cases[:, column].min())), top)
                 ),
-                "level": trace_chart(
-                    [
-                        Trace("measured", time_ms, 1e3 * running_mean(cases[row, column], smooth_over)),
-                        Trace("nominal", time_ms, 1e3 * running_mean(nominal, smooth_over)),
-                    ],
-                    "mA",
-                    span=(0.0, 80.0),
-                ),
+                "level": trace_chart(time_ms, level, "mA", span=(0.0, 80.0)),
                 "residual": trace_chart(
-                    [Trace("residual", time_ms, smooth[row])],
+                    time_ms,
+                    {"residual": smooth[row]},
                     "σ",
                     span=(-reach, reach),
                     levels=(-threshold, threshold),
@@ -91,9 +86,3 @@ def examples(result: CellResult, best: MethodResult) -> list[dict[str, Any]]:
             }
         )
     return drawn
-
-
-def _threshold(n_samples: int, smooth_over: int) -> float:
-    """Two-sided normal quantile for the wanted rate, shared among the windows that do not overlap."""
-    windows = max(1, n_samples // smooth_over)
-    return float(norm.isf(0.5 * ALARM_RATE / windows))

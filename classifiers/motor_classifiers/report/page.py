@@ -11,13 +11,7 @@ from typing import Any
 import numpy as np
 
 from motor_classifiers.estimators.methods import METHODS
-from motor_classifiers.report.charts import (
-    Bar,
-    Boxes,
-    interval_chart,
-    reliability_chart,
-    severity_chart,
-)
+from motor_classifiers.report.charts import interval_chart, reliability_chart, severity_chart
 from motor_classifiers.report.examples import ALARM_RATE, examples
 from motor_classifiers.report.names import readable, short
 from motor_classifiers.report.sweep_page import sweep_section
@@ -49,7 +43,7 @@ def render_report(plan: Plan, results: Sequence[CellResult], machine: str) -> st
         "motor_classifiers.report",
         "report.html.j2",
         title=f"Motor fault classifiers on {recipe.name}",
-        filters={"share": _share, "points": _points, "quantity": _quantity},
+        filters={"share": _share, "points": _points, "quantity": _quantity, "readable": readable},
         cell=result.cell,
         recipe=recipe,
         machine=machine,
@@ -57,7 +51,6 @@ def render_report(plan: Plan, results: Sequence[CellResult], machine: str) -> st
         best_peer=next((method for method in ranked if method.origin), None),
         origins=sorted({method.origin for method in ranked if method.origin}),
         titles={name: method.title for name, method in METHODS.items()} | PEERS,
-        families={method.name: family(method) for method in ranked},
         methods=ranked,
         limit=result.limit,
         estimated=result.limit_is_estimate,
@@ -106,7 +99,7 @@ def _score_chart(
     result: CellResult, ranked: Sequence[MethodResult], name: str, label: str, **shape: Any
 ) -> str:
     limit: Score = getattr(result.limit.scores, name)
-    bars = [Bar(m.name, family(m), *getattr(m.judged.scores, name)) for m in ranked]
+    bars = [(m.name, family(m), getattr(m.judged.scores, name)) for m in ranked]
     text = label.replace("Bayes limit", "Estimated limit") if result.limit_is_estimate else label
     return interval_chart(bars, limit.value, f"{text}: {100.0 * limit.value:.1f} %", **shape)
 
@@ -163,12 +156,12 @@ def _severity_chart(result: CellResult, chosen: Sequence[MethodResult]) -> str:
     ]
     present = [n for n in range(len(recipe.classes)) if (result.truth == n).any()]
     boxes = [
-        Boxes(
+        (
             name,
             style,
-            [np.quantile(judged.answer.severity[result.truth == n], _QUANTILES).tolist() for n in present],
+            [np.quantile(one.answer.severity[result.truth == n], _QUANTILES).tolist() for n in present],
         )
-        for name, style, judged in shown
+        for name, style, one in shown
     ]
     truth = [float(result.severity[result.truth == n].mean()) for n in present]
     return severity_chart([readable(recipe.class_names[n]) for n in present], truth, boxes)

@@ -6,14 +6,13 @@ from typing import Any
 
 from motor_classifiers.estimators.methods import ESTIMATE
 from motor_classifiers.report.charts import Line, line_chart, share_axis
-from motor_classifiers.report.names import readable
 from motor_classifiers.scoring.benchmark import CellResult
 from motor_classifiers.scoring.trust import Figures
 from motor_classifiers.scoring.unknown_faults import DISTANCE, FALSE_ALARM_RATES
 from motor_env.pages.svg import Axis, percent
 
 _STYLES = ("s1", "s8", "s2", "s4")
-_TIME_TICKS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+_TICKS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 _RACE_STYLES = ("limit", "limit dashed", "s1", "s8", "s2")
 _RACE_TICKS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 
@@ -23,7 +22,7 @@ def trust_section(result: CellResult) -> Figures | None:
     if result.trust is None:
         return None
     figures = dict(result.trust)
-    for name, adds in (("unknown", _unknown), ("severity", _severity), ("early", _early), ("race", _race)):
+    for name, adds in (("unknown", _unknown), ("early", _early), ("race", _race)):
         if "reason" not in figures[name]:
             figures[name] = {**figures[name], **adds(figures[name], result)}
     return figures
@@ -40,11 +39,9 @@ def _unknown(figures: Figures, result: CellResult) -> dict[str, Any]:
             Line(f"{fault['fault']}, confidence", f"{style} dashed", rates, fault["roc"]["limit"]),
         ]
         keys.append((style, fault["fault"]))
-    ticks = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]
-    axes = (
-        Axis("known motors called other", 0.0, 1.0, ticks, percent),
-        Axis("foreign faults called other", 0.0, 1.0, ticks, percent),
-    )
+    axes = [
+        Axis(f"{what} called other", 0.0, 1.0, _TICKS, percent) for what in ("known motors", "foreign faults")
+    ]
     return {
         "chart": line_chart(lines, *axes, named=False, marked=False),
         "legend": keys,
@@ -52,10 +49,6 @@ def _unknown(figures: Figures, result: CellResult) -> dict[str, Any]:
         "has_network": any(ESTIMATE in fault["auroc"] for s in figures["settings"] for fault in s["faults"]),
         "network": ESTIMATE,
     }
-
-
-def _severity(figures: Figures, result: CellResult) -> dict[str, Any]:
-    return {"titles": {row["kind"]: readable(row["kind"]) for row in figures["kinds"]}}
 
 
 def _early(figures: Figures, result: CellResult) -> dict[str, Any]:
@@ -66,7 +59,7 @@ def _early(figures: Figures, result: CellResult) -> dict[str, Any]:
         for (name, y), style in zip(figures["accuracy"].items(), styles, strict=True)
     ]
     end = time_ms[-1]
-    x_axis = Axis("ms since the step", 0.0, end, [end * share for share in _TIME_TICKS])
+    x_axis = Axis("ms since the step", 0.0, end, [end * share for share in _TICKS])
     y_axis = share_axis([value for line in lines for value in line.y])._replace(title="accuracy")
     return {
         "chart": line_chart(lines, x_axis, y_axis, named=False),
@@ -84,7 +77,7 @@ def _race(figures: Figures, result: CellResult) -> dict[str, Any]:
             xs, ys = [1e3 * point["time_s"] for point in seen], [point["wrong"] for point in seen]
             lines.append(Line(name, style, xs, ys))
     end = 1e3 * result.cell.recipe.timing.duration_s
-    x_axis = Axis("mean ms to the verdict on faulty motors", 0.0, end, [end * share for share in _TIME_TICKS])
+    x_axis = Axis("mean ms to the verdict on faulty motors", 0.0, end, [end * share for share in _TICKS])
     y_axis = Axis("wrong verdicts", 0.0005, 0.6, _RACE_TICKS, percent, is_log=True)
     return {
         "chart": line_chart(lines, x_axis, y_axis, named=False),

@@ -70,17 +70,27 @@ class Cell:
         rate, noise = self.recipe.timing.sampling_rate_hz, self.recipe.sensor.current_noise_a
         return f"{self.recipe.name}, {rate / 1e3:g} kHz, {1e3 * noise:g} mA, {self.n_train} training starts"
 
+    def as_json(self) -> dict[str, Any]:
+        """The setting as fields of a row."""
+        timing, sensor = self.recipe.timing, self.recipe.sensor
+        return {
+            "recipe": self.recipe.name,
+            "sampling_rate_hz": timing.sampling_rate_hz,
+            "duration_s": timing.duration_s,
+            "noise_a": sensor.current_noise_a,
+            "channels": [str(channel) for channel in sensor.channels],
+            "n_train": self.n_train,
+            "n_test": self.n_test,
+            "seed": self.seed,
+        }
+
     def train(self) -> Dataset:
         """Starts to learn from."""
-        return generate_arrays(
-            self.recipe, self.seed, judged_cases(self.recipe, TRAIN_FIRST_CASE, self.n_train)
-        )
+        return judged_starts(self.recipe, self.seed, TRAIN_FIRST_CASE, self.n_train)
 
     def test(self) -> Dataset:
         """Starts to be judged on, the same for every method."""
-        return generate_arrays(
-            self.recipe, self.seed, judged_cases(self.recipe, TEST_FIRST_CASE, self.n_test)
-        )
+        return judged_starts(self.recipe, self.seed, TEST_FIRST_CASE, self.n_test)
 
 
 def judged_cases(recipe: Recipe, first: int, count: int) -> NDArray[np.int64]:
@@ -91,6 +101,11 @@ def judged_cases(recipe: Recipe, first: int, count: int) -> NDArray[np.int64]:
     per_motor = starts - healthy
     motors = np.arange(-(-count // per_motor))[:, None] + -(-first // starts)
     return (motors * starts + np.arange(healthy, starts)).ravel()[:count]
+
+
+def judged_starts(recipe: Recipe, seed: int, first: int, count: int) -> Dataset:
+    """The starts of these numbers (`judged_cases`)."""
+    return generate_arrays(recipe, seed, judged_cases(recipe, first, count))
 
 
 class Answer(NamedTuple):
@@ -199,7 +214,6 @@ def answer_key(name: str, cell: Cell) -> str:
         "recipe": recipe_to_dict(cell.recipe),
         "n_test": cell.n_test,
         "seed": cell.seed,
-        "version": __version__,
     }
     if name != LIMIT and not METHODS[name].from_stream:
         contents["n_train"] = cell.n_train
@@ -207,7 +221,8 @@ def answer_key(name: str, cell: Cell) -> str:
 
 
 def digest_of(contents: dict[str, Any]) -> str:
-    """A short name for what JSON can hold; equal contents have equal names."""
+    """A short name for what JSON can hold and the version of the package; equal contents have equal names."""
+    contents = {**contents, "version": __version__}
     return hashlib.sha256(json.dumps(contents, sort_keys=True).encode()).hexdigest()[:24]
 
 
@@ -227,11 +242,8 @@ def load_answer(path: Path, cell: Cell) -> Answer | None:
     """Read an answer; None where there is none, or only a damaged one."""
     try:
         with np.load(io.BytesIO(path.read_bytes())) as arrays:
-            probabilities, severity, costs = (
-                arrays["probabilities"],
-                arrays["severity"],
-                arrays["costs"].tolist(),
-            )
+            probabilities, severity = arrays["probabilities"], arrays["severity"]
+            costs = arrays["costs"].tolist()
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
     if probabilities.shape != (cell.n_test, len(cell.recipe.classes)) or severity.shape != (cell.n_test,):

@@ -129,21 +129,14 @@ def scores(recipe: Recipe, truth: IntArray, decided: IntArray, weights: FloatArr
     recall = _ratio(hits, actual)
     f1 = np.nan_to_num(_ratio(2.0 * hits, actual + called))
     healthy = np.array([c.kind is None for c in recipe.classes])
-    faulty = matrices[:, ~healthy]
     kinds = np.array([c.label_kind for c in recipe.classes])
     same_kind = (kinds[:, None] == kinds) & ~healthy
     return Scores(
         accuracy=_interval(hits.sum(axis=1) / total),
         macro_f1=_interval(f1.mean(axis=1)),
         recall=tuple(_interval(recall[:, n]) for n in range(n_classes)),
-        false_alarm_rate=_interval(
-            _ratio(
-                matrices[:, healthy][:, :, ~healthy].sum(axis=(1, 2)), matrices[:, healthy].sum(axis=(1, 2))
-            )
-        ),
-        missed_detection_rate=_interval(
-            _ratio(faulty[:, :, healthy].sum(axis=(1, 2)), faulty.sum(axis=(1, 2)))
-        ),
+        false_alarm_rate=_interval(_share_called(matrices, healthy, ~healthy)),
+        missed_detection_rate=_interval(_share_called(matrices, ~healthy, healthy)),
         level_error=_interval((matrices * level_distance(recipe)).sum(axis=(1, 2)) / total),
         winding=_interval(_balanced_accuracy(matrices, _classes_with(recipe, WINDING))),
         bearing=_interval(_balanced_accuracy(matrices, _classes_with(recipe, BEARING))),
@@ -157,17 +150,20 @@ def root_mean_square(errors: FloatArray, weights: FloatArray) -> Score:
     return _interval(np.sqrt(weights @ np.square(errors) / weights.sum(axis=1)))
 
 
+def _share_called(matrices: FloatArray, true: NDArray[np.bool_], called: NDArray[np.bool_]) -> FloatArray:
+    """Share of the cases of some classes that are called one of others, shape (n_resamples,)."""
+    cases = matrices[:, true]
+    return _ratio(cases[:, :, called].sum(axis=(1, 2)), cases.sum(axis=(1, 2)))
+
+
 def _classes_with(recipe: Recipe, kinds: frozenset[FaultKind]) -> NDArray[np.bool_]:
     return np.array([any(part.kind in kinds for part in c.parts) for c in recipe.classes])
 
 
 def _balanced_accuracy(matrices: FloatArray, of_group: NDArray[np.bool_]) -> FloatArray:
     """Balanced accuracy of "of this group or not", shape (n_resamples,); nan where a recipe has only one of both."""
-    inside, outside = matrices[:, of_group], matrices[:, ~of_group]
-    sensitivity = _ratio(inside[:, :, of_group].sum(axis=(1, 2)), inside.sum(axis=(1, 2)))
-    specificity = _ratio(outside[:, :, ~of_group].sum(axis=(1, 2)), outside.sum(axis=(1, 2)))
-    balanced: FloatArray = 0.5 * (sensitivity + specificity)
-    return balanced
+    sensitivity = _share_called(matrices, of_group, of_group)
+    return 0.5 * (sensitivity + _share_called(matrices, ~of_group, ~of_group))
 
 
 class Comparison(NamedTuple):

@@ -23,7 +23,12 @@ from motor_classifiers.scoring.trust import (
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Recipe, changed_recipe
 
-REFERENCE = {"recipe": "bench", "sampling_rate_hz": 10_000.0, "current_noise_a": 0.02, "n_train": 2000}
+REFERENCE: dict[str, Any] = {
+    "recipe": "bench",
+    "sampling_rate_hz": 10_000.0,
+    "noise_a": 0.02,
+    "n_train": 2000,
+}
 """The setting that the page shows in full where there are several."""
 
 
@@ -59,20 +64,8 @@ class Plan:
     @property
     def reference(self) -> int:
         """Index of the setting that the page shows in full: the one nearest to `REFERENCE`."""
-        likeness = [
-            sum(_setting(cell)[name] == value for name, value in REFERENCE.items()) for cell in self.cells
-        ]
-        return int(np.argmax(likeness))
-
-
-def _setting(cell: Cell) -> dict[str, Any]:
-    recipe = cell.recipe
-    return {
-        "recipe": recipe.name,
-        "sampling_rate_hz": recipe.timing.sampling_rate_hz,
-        "current_noise_a": recipe.sensor.current_noise_a,
-        "n_train": cell.n_train,
-    }
+        settings = [cell.as_json() for cell in self.cells]
+        return int(np.argmax([sum(one[name] == REFERENCE[name] for name in REFERENCE) for one in settings]))
 
 
 def make_cells(
@@ -98,7 +91,7 @@ def make_cells(
     for recipe in recipes:
         rates = rates_hz or (recipe.timing.sampling_rate_hz,)
         noises = noises_a or (recipe.sensor.current_noise_a,)
-        usual = REFERENCE["current_noise_a"] if REFERENCE["current_noise_a"] in noises else noises[0]
+        usual = REFERENCE["noise_a"] if REFERENCE["noise_a"] in noises else noises[0]
         for rate, noise, n_train in product(rates, noises, train_sizes):
             if n_train == train_sizes[0] or noise == usual:
                 own = changed_recipe(recipe, sampling_rate_hz=rate, current_noise_a=noise)
@@ -175,24 +168,21 @@ class AnswerStore:
 
     def find(self, unit: Unit) -> Any:
         """The `Answer`, or the figures on trust; None where there are none."""
-        path = self._path(unit)
-        if unit.key not in self._answers and path is not None and not self._fresh:
+        if unit.key not in self._answers and self._folder is not None and not self._fresh:
+            path = self._folder / unit.key
             self._answers[unit.key] = (
-                load_figures(path) if unit.name == TRUST else load_answer(path, unit.cell)
+                load_figures(path.with_suffix(".json"))
+                if unit.name == TRUST
+                else load_answer(path.with_suffix(".npz"), unit.cell)
             )
         return self._answers.get(unit.key)
 
     def put(self, unit: Unit, answer: Answer | Figures) -> None:
         """Keep an answer."""
         self._answers[unit.key] = answer
-        path = self._path(unit)
-        if path is None:
+        if self._folder is None:
             return
         if isinstance(answer, Answer):
-            save_answer(answer, path)
+            save_answer(answer, self._folder / f"{unit.key}.npz")
         else:
-            save_figures(answer, path)
-
-    def _path(self, unit: Unit) -> Path | None:
-        suffix = "json" if unit.name == TRUST else "npz"
-        return None if self._folder is None else self._folder / f"{unit.key}.{suffix}"
+            save_figures(answer, self._folder / f"{unit.key}.json")

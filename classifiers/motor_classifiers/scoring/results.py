@@ -10,20 +10,10 @@ from typing import Any
 
 from motor_classifiers.estimators.methods import METHODS
 from motor_classifiers.scoring.benchmark import CellResult, Judged, MethodResult
-from motor_classifiers.scoring.judging import Cell
 from motor_classifiers.scoring.metrics import Comparison, Score, Scores
 from motor_env.simulation.recipes import Recipe
 
-SCORES = (
-    "accuracy",
-    "macro_f1",
-    "false_alarm_rate",
-    "missed_detection_rate",
-    "level_error",
-    "winding",
-    "bearing",
-    "level",
-)
+SCORES = tuple(name for name in Scores._fields if name not in ("recall", "confusion"))
 """Scores with an interval, as they stand in the rows."""
 
 
@@ -33,11 +23,8 @@ def _number(value: float | None) -> float | None:
 
 
 def _interval_fields(name: str, score: Score) -> dict[str, float | None]:
-    return {
-        name: _number(score.value),
-        f"{name}_low": _number(score.low),
-        f"{name}_high": _number(score.high),
-    }
+    names = (name, f"{name}_low", f"{name}_high")
+    return dict(zip(names, map(_number, score), strict=True))
 
 
 def score_fields(recipe: Recipe, scored: Scores) -> dict[str, Any]:
@@ -46,7 +33,7 @@ def score_fields(recipe: Recipe, scored: Scores) -> dict[str, Any]:
     for name in SCORES:
         row |= _interval_fields(name, getattr(scored, name))
     row["recall"] = {
-        label: {"value": _number(recall.value), "low": _number(recall.low), "high": _number(recall.high)}
+        label: {name: _number(value) for name, value in recall._asdict().items()}
         for label, recall in zip(recipe.class_names, scored.recall, strict=True)
     }
     row["confusion"] = scored.confusion.tolist()
@@ -78,26 +65,11 @@ def _judged_fields(recipe: Recipe, judged: Judged) -> dict[str, Any]:
     }
 
 
-def _setting_fields(cell: Cell) -> dict[str, Any]:
-    recipe = cell.recipe
-    return {
-        "recipe": recipe.name,
-        "sampling_rate_hz": recipe.timing.sampling_rate_hz,
-        "duration_s": recipe.timing.duration_s,
-        "noise_a": recipe.sensor.current_noise_a,
-        "channels": [str(channel) for channel in recipe.sensor.channels],
-        "n_train": cell.n_train,
-        "n_test": cell.n_test,
-        "seed": cell.seed,
-    }
-
-
 def result_rows(results: Sequence[CellResult]) -> list[dict[str, Any]]:
     """One row a method and setting; the limit is a method of its own name."""
     rows = []
     for result in results:
-        setting, recipe = _setting_fields(result.cell), result.cell.recipe
-        limit = result.limit
+        setting, recipe, limit = result.cell.as_json(), result.cell.recipe, result.limit
         of_limit = {
             "bayes_accuracy": limit.scores.accuracy.value,
             "bayes_expected_accuracy": float(limit.answer.probabilities.max(axis=1).mean()),
@@ -129,7 +101,7 @@ def result_rows(results: Sequence[CellResult]) -> list[dict[str, Any]]:
 def trust_document(results: Sequence[CellResult]) -> dict[str, Any]:
     """The figures on trust of the one setting that has them, and that setting."""
     reference = next(result for result in results if result.trust is not None)
-    return {**_setting_fields(reference.cell), **(reference.trust or {})}
+    return {**reference.cell.as_json(), **(reference.trust or {})}
 
 
 def family(method: MethodResult) -> str:

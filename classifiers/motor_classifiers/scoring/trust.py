@@ -7,7 +7,6 @@ trained on, severities, early verdicts. Its figures are plain JSON, and kept bes
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -20,10 +19,10 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # c
 from motor_classifiers.estimators.methods import ESTIMATE
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_classifiers.scoring.judging import Cell, digest_of, judged_cases
+from motor_classifiers.scoring.judging import Cell, digest_of, judged_starts
 from motor_classifiers.scoring.metrics import IntArray
-from motor_classifiers.scoring.severities import severity_cell
-from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, Confidence, ForeignScore, foreign_scores
+from motor_classifiers.scoring.severities import severity_figures
+from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, Confidence, foreign_scores
 from motor_classifiers.scoring.verdict_times import (
     accuracy_by_moment,
     moments,
@@ -33,8 +32,6 @@ from motor_classifiers.scoring.verdict_times import (
 )
 from motor_classifiers.wrappers.conformal import ConformalSets, Coverage, measured_coverage
 from motor_datasets.arrays import Dataset
-from motor_datasets.generate import generate_arrays
-from motor_env import __version__
 from motor_env.files import write_text
 from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.faults import FaultKind
@@ -93,10 +90,9 @@ def shipped_network(recipe: Recipe) -> PosteriorNetwork | None:
 
 def network_for(recipe: Recipe, random_state: int, **parameters: Any) -> PosteriorNetwork:
     """The shipped network where the recipe is its own; else one trained for it."""
-    shipped = shipped_network(recipe)
-    if shipped is not None:
-        return shipped
-    return PosteriorNetwork.from_recipe(recipe, random_state=random_state, **parameters)
+    return shipped_network(recipe) or PosteriorNetwork.from_recipe(
+        recipe, random_state=random_state, **parameters
+    )
 
 
 def halves_coverage(
@@ -161,7 +157,6 @@ def trust_key(cell: Cell, *, with_network: bool) -> str:
         "seed": cell.seed,
         "counts": asdict(COUNTS),
         "network": with_network,
-        "version": __version__,
     }
     return digest_of(contents)
 
@@ -219,41 +214,18 @@ def _unknown(cell: Cell, network: PosteriorNetwork | None) -> Figures:
             recipe, confidences, UNKNOWN_FAULTS, seed=cell.seed, first_case=FIRST_CASE,
             n_threshold=COUNTS.threshold, n_known=COUNTS.known, n_foreign=COUNTS.foreign,
         )  # fmt: skip
-        rows.append(
-            {
-                "sampling_rate_hz": recipe.timing.sampling_rate_hz,
-                "false_alarms": scores.false_alarms,
-                "faults": [_foreign_figures(fault) for fault in scores.faults],
-            }
-        )
+        rows.append({"sampling_rate_hz": recipe.timing.sampling_rate_hz, **scores})
     return {"settings": rows}
-
-
-def _foreign_figures(scored: ForeignScore) -> Figures:
-    return {
-        "fault": scored.fault,
-        "auroc": scored.auroc,
-        "called_other": scored.called_other,
-        "roc": {name: np.round(curve, 4).tolist() for name, curve in scored.roc.items()},
-    }
 
 
 def _severity(cell: Cell, network: PosteriorNetwork | None) -> Figures:
     """Severities, uniform over the range, beside the exact posterior's."""
     if network is None:
         return {"reason": f"{ESTIMATE}, which tells severities, is not among the methods"}
-    cells = [
-        severity_cell(network, cell.recipe, prior, cell.seed, COUNTS.severity)
-        for prior in network.severity_priors_
-    ]
     kinds = [
-        {
-            "kind": str(one.prior.kind),
-            "largest": one.prior.largest,
-            "network": one.model._asdict(),
-            "limit": one.limit._asdict(),
-        }
-        for one in cells
+        {"kind": str(prior.kind), "largest": prior.largest}
+        | severity_figures(network, cell.recipe, prior, cell.seed, COUNTS.severity)
+        for prior in network.severity_priors_
     ]
     return {"network_is_shipped": shipped_network(cell.recipe) is not None, "kinds": kinds}
 
@@ -263,18 +235,14 @@ def _early(cell: Cell) -> Figures:
     recipe, seen = cell.recipe, moments(cell.recipe.timing)
     if len(seen.samples) < 2:
         return {"reason": f"a start of recipe {recipe.name} has too few samples to be cut short"}
-    test = generate_arrays(recipe, cell.seed, judged_cases(recipe, FIRST_CASE, COUNTS.early))
+    test = judged_starts(recipe, cell.seed, FIRST_CASE, COUNTS.early)
     probabilities = probabilities_by_moment(recipe, cell.seed % 2**32, cell.train(), test)
     return {
         "time_s": seen.time_s.tolist(),
         "accuracy": {
             name: accuracy_by_moment(own, test.class_index).tolist() for name, own in probabilities.items()
         },
-        "stopping": [
-            {"stated": row.stated, "probabilities_of": row.classifier}
-            | {name: None if math.isnan(value) else value for name, value in row.score._asdict().items()}
-            for row in stopping_rows(probabilities, test.class_index, seen.time_s)
-        ],
+        "stopping": stopping_rows(probabilities, test.class_index, seen.time_s),
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from motor_classifiers.scoring.judging import judged_cases
 from motor_classifiers.wrappers.open_set import FaultFamilyDetector
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.parameters import FloatArray, SupplyParameters
-from motor_env.simulation.recipes import FaultClass, Recipe, draw
+from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe, apply_factors, draw
 from motor_env.simulation.simulate import simulate
 
 Confidence = Callable[[NDArray[np.float32]], FloatArray]
@@ -75,44 +75,10 @@ def foreign_starts(
     scenario = draw(replace(recipe, classes=(FaultClass(),), healthy_starts=0), seed, cases).scenario
     changed = replace(
         scenario,
-        parameters=scenario.parameters.scaled(
-            resistance_ohm=fault.resistance,
-            back_emf_constant_v_s_per_rad=fault.constants,
-            torque_constant_n_m_per_a=fault.constants,
-            inertia_kg_m2=fault.inertia,
-            viscous_friction_n_m_s_per_rad=fault.friction,
-        ),
+        parameters=apply_factors(scenario.parameters, np.array([getattr(fault, name) for name in FACTORS])),
         supply=SupplyParameters(scenario.supply.voltage_v * fault.supply),
     )
     return simulate(changed, seed, cases).measurements.astype(np.float32)
-
-
-class ForeignScore(NamedTuple):
-    """One foreign fault against the known classes.
-
-    Attributes:
-        fault: its name.
-        auroc: area under the ROC curve, by `DISTANCE` and by each classifier's confidence.
-        called_other: share called `other` with the detector's threshold.
-        roc: share found at each of `FALSE_ALARM_RATES`, by the same names.
-    """
-
-    fault: str
-    auroc: dict[str, float]
-    called_other: float
-    roc: dict[str, FloatArray]
-
-
-class ForeignScores(NamedTuple):
-    """Foreign faults in one setting.
-
-    Attributes:
-        false_alarms: share of motors of the known classes that are called `other`.
-        faults: one score a fault.
-    """
-
-    false_alarms: float
-    faults: tuple[ForeignScore, ...]
 
 
 def foreign_scores(
@@ -125,7 +91,7 @@ def foreign_scores(
     n_threshold: int,
     n_known: int,
     n_foreign: int,
-) -> ForeignScores:
+) -> dict[str, Any]:
     """Measure how well the detector's distance, and the confidence of classifiers, tell foreign faults.
 
     The detector's threshold, for 1 % of false alarms, is set on other motors than it is tried on.
@@ -139,6 +105,11 @@ def foreign_scores(
         n_threshold: starts of known classes that set the threshold.
         n_known: starts of known classes that are judged.
         n_foreign: starts of each foreign fault.
+
+    Returns:
+        For JSON: `false_alarms`, the share of motors of the known classes that are called `other`, and `faults`: of
+        each its name `fault`, the area under the ROC curve `auroc` and the share found at each of `FALSE_ALARM_RATES`
+        `roc`, both by `DISTANCE` and by each classifier's confidence, and the share `called_other`.
     """
     known_cases = judged_cases(recipe, first_case, n_known + n_threshold)
     known = generate_arrays(recipe, seed, known_cases[:n_known]).X
@@ -152,13 +123,13 @@ def foreign_scores(
     scored = []
     for fault in faults:
         of_foreign = scores_of(foreign_starts(recipe, fault, seed, known_cases[:n_foreign]))
-        called_other = float((of_foreign[DISTANCE] < detector.offset_).mean())
         areas, curves = {}, {}
         for name, low in of_foreign.items():
             truth = np.repeat([0, 1], [n_known, n_foreign])
             strange = -np.concatenate([of_known[name], low])
             areas[name] = float(roc_auc_score(truth, strange))
             false, right, _ = roc_curve(truth, strange)
-            curves[name] = np.interp(FALSE_ALARM_RATES, false, right)
-        scored.append(ForeignScore(fault.name, areas, called_other, curves))
-    return ForeignScores(float((of_known[DISTANCE] < detector.offset_).mean()), tuple(scored))
+            curves[name] = np.round(np.interp(FALSE_ALARM_RATES, false, right), 4).tolist()
+        called_other = float((of_foreign[DISTANCE] < detector.offset_).mean())
+        scored.append({"fault": fault.name, "auroc": areas, "called_other": called_other, "roc": curves})
+    return {"false_alarms": float((of_known[DISTANCE] < detector.offset_).mean()), "faults": scored}

@@ -4,22 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_classifiers.estimators.methods import make_method
-from motor_classifiers.scoring.judging import in_recipe_order, judged_cases
-from motor_classifiers.wrappers.early import (
-    EarlyClassifier,
-    StoppingScore,
-    limit_by_samples,
-    stop_when_sure,
-    stopping_score,
-)
+from motor_classifiers.scoring.judging import in_recipe_order, judged_starts
+from motor_classifiers.wrappers.early import EarlyClassifier, limit_by_samples, stop_when_sure, stopping_score
 from motor_datasets.arrays import Dataset
-from motor_datasets.generate import generate_arrays
 from motor_env.detection.rules import Cusum, Glr, Rule, Sprt
 from motor_env.detection.rules.tolerant import TolerantFilter
 from motor_env.motor.parameters import FloatArray
@@ -85,29 +79,22 @@ def accuracy_by_moment(probabilities: FloatArray, truth: ArrayLike) -> FloatArra
     return shares
 
 
-class StoppingRow(NamedTuple):
-    """A stopping rule with the probabilities of one classifier."""
-
-    stated: float
-    classifier: str
-    score: StoppingScore
-
-
 def stopping_rows(
     probabilities: Mapping[str, FloatArray], truth: ArrayLike, time_s: FloatArray
-) -> tuple[StoppingRow, ...]:
-    """Score the stopping rule at each of `STATED_ERRORS` for each classifier.
+) -> list[dict[str, Any]]:
+    """Score the stopping rule at each of `STATED_ERRORS` for each classifier: the fields of its `StoppingScore`.
 
     Args:
         probabilities: by classifier, shape (n_moments, n_cases, n_classes).
         truth: true class of each case.
         time_s: of the moments.
     """
-    return tuple(
-        StoppingRow(error, name, stopping_score(stop_when_sure(own, error), truth, time_s))
-        for error in STATED_ERRORS
-        for name, own in probabilities.items()
-    )
+    rows = []
+    for error, (name, own) in product(STATED_ERRORS, probabilities.items()):
+        score = stopping_score(stop_when_sure(own, error), truth, time_s)._asdict()
+        known = {field: None if np.isnan(value) else value for field, value in score.items()}
+        rows.append({"stated": error, "probabilities_of": name, **known})
+    return rows
 
 
 class VerdictTime(NamedTuple):
@@ -139,12 +126,11 @@ def race(
     """
     two = replace(recipe, classes=(FaultClass(), fault), shifts=())
     healthy = replace(two, classes=(FaultClass(),), healthy_starts=0)
-    test = generate_arrays(two, seed, judged_cases(two, first_case, n_cases))
+    test = judged_starts(two, seed, first_case, n_cases)
     faulty = test.class_index == 1
     curves = _limit_curves(two, test.X, faulty)
     tolerant = TolerantFilter.from_recipe(two)
-    others = judged_cases(healthy, int(test.case_id.max()) + 1, n_healthy)
-    quiet = tolerant.white(generate_arrays(healthy, seed, others).X)
+    quiet = tolerant.white(judged_starts(healthy, seed, int(test.case_id.max()) + 1, n_healthy).X)
     white = tolerant.white(test.X)
     rules: dict[str, Rule] = {
         "SPRT": Sprt(_SHIFT),
@@ -165,15 +151,11 @@ def _limit_curves(
     seen = moments(two.timing)
     limit = limit_by_samples(two, X, seen.samples)
     stopped = [stop_when_sure(limit, error) for error in _RACE_ERRORS]
+    sure = [(seen.time_s[one.moment][faulty].mean(), one.decided) for one in stopped]
+    fixed = zip(seen.time_s, limit.argmax(axis=2), strict=True)
     return {
-        STOPPING_RULE: tuple(
-            VerdictTime(float(seen.time_s[one.moment][faulty].mean()), float((one.decided != faulty).mean()))
-            for one in stopped
-        ),
-        FIXED_TIME: tuple(
-            VerdictTime(float(t), float((probabilities.argmax(axis=1) != faulty).mean()))
-            for t, probabilities in zip(seen.time_s, limit, strict=True)
-        ),
+        name: tuple(VerdictTime(float(t), float((decided != faulty).mean())) for t, decided in points)
+        for name, points in ((STOPPING_RULE, sure), (FIXED_TIME, fixed))
     }
 
 

@@ -25,10 +25,10 @@ def test_the_shipped_network_is_small_and_near_the_limit() -> None:
     assert isinstance(model, PosteriorNetwork)
     assert (recipe, method) == (named_recipe("bench"), "posterior-network")
     cell = limit_cell(model, recipe, 4, 1000, 100)
-    assert abs(cell.excess.excess) < 0.003 + 2.0 * cell.excess.standard_error
-    assert cell.model.log_loss < 1.02 * cell.limit.log_loss
-    for severity in cell.severities:
-        assert severity.model.rmse < 1.05 * severity.limit.rmse
+    assert abs(cell["excess"]) < 0.003 + 2.0 * cell["excess_standard_error"]
+    assert cell["log_loss"] < 1.02 * cell["limit_log_loss"]
+    for severity in cell["severities"].values():
+        assert severity["rmse"] < 1.05 * severity["limit_rmse"]
 
 
 def test_predict_needs_no_model_and_tells_both_verdicts(capsys: pytest.CaptureFixture[str]) -> None:

@@ -121,23 +121,23 @@ def foreign() -> Any:
 
 def test_distance_tells_foreign_faults_and_confidence_does_not(tmp_path: Path) -> None:
     got = foreign()
-    assert 0.0 <= got.false_alarms < 0.03
-    heavy, _, weak = got.faults
-    assert heavy.auroc[DISTANCE] > 0.99
-    assert heavy.called_other > 0.99
-    assert weak.auroc[DISTANCE] > 0.92
-    assert weak.auroc["limit"] < 0.5
+    assert 0.0 <= got["false_alarms"] < 0.03
+    heavy, _, weak = got["faults"]
+    assert heavy["auroc"][DISTANCE] > 0.99
+    assert heavy["called_other"] > 0.99
+    assert weak["auroc"][DISTANCE] > 0.92
+    assert weak["auroc"]["limit"] < 0.5
     # The area by scikit-learn on the same starts, and the drawn curve's own area.
     known = class_probabilities(BENCH, generate_arrays(BENCH, 5, 600).X).max(axis=1)
     trust = class_probabilities(BENCH, foreign_starts(BENCH, UNKNOWN_FAULTS[2], 5, np.arange(100))).max(
         axis=1
     )
     area = roc_auc_score(np.repeat([0, 1], [600, 100]), -np.concatenate([known, trust]))
-    assert weak.auroc["limit"] == pytest.approx(area)
-    assert np.trapezoid(weak.roc["limit"], FALSE_ALARM_RATES) == pytest.approx(area, abs=0.01)
+    assert weak["auroc"]["limit"] == pytest.approx(area)
+    assert np.trapezoid(weak["roc"]["limit"], FALSE_ALARM_RATES) == pytest.approx(area, abs=0.01)
     first, second = tmp_path / "one.svg", tmp_path / "two.svg"
-    plot_roc(got.faults, "limit", first)
-    plot_roc(got.faults[:1], "limit", second)
+    plot_roc(got["faults"], "limit", first)
+    plot_roc(got["faults"][:1], "limit", second)
     assert first.read_bytes() != second.read_bytes()
 
 

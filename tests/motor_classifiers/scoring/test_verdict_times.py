@@ -45,9 +45,10 @@ def test_rows_are_the_scores_of_the_stopping_rule() -> None:
     told = rng.dirichlet(np.ones(3), size=(4, 50))
     time_s = np.array([0.001, 0.002, 0.003, 0.004])
     rows = stopping_rows({"one": told, "two": told[:, ::-1]}, truth, time_s)
-    assert [(row.stated, row.classifier) for row in rows[:2]] == [(0.1, "one"), (0.1, "two")]
+    assert [(row["stated"], row["probabilities_of"]) for row in rows[:2]] == [(0.1, "one"), (0.1, "two")]
     assert len(rows) == 2 * len(STATED_ERRORS)
-    assert rows[2].score == stopping_score(stop_when_sure(told, 0.05), truth, time_s)
+    score = stopping_score(stop_when_sure(told, 0.05), truth, time_s)._asdict()
+    assert {name: rows[2][name] for name in score} == score
 
 
 def test_stopping_when_sure_is_sooner_than_a_fixed_time_and_than_the_rules() -> None:
