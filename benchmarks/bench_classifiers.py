@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from aeon_environment import command, environment
+from peers import command, environment
 from result import Result
 from scipy.optimize import least_squares
 from timing import best_rate
@@ -21,7 +21,7 @@ from timing import best_rate
 from motor_classifiers.estimators.methods import make_method
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.scoring.judging import Cell
-from motor_classifiers.scoring.peers import export_cases
+from motor_classifiers.scoring.peers import export_starts
 from motor_datasets.arrays import Dataset
 from motor_env.inference.fit import Prior, fit
 from motor_env.inference.posterior import class_coordinates, recipe_observed
@@ -90,9 +90,9 @@ def run() -> list[Result]:
     rates = dict.fromkeys([*judges, "quant", "fit"], 0.0)
     with tempfile.TemporaryDirectory() as folder:
         cases = Path(folder) / "cases.npz"
-        export_cases(CELL, cases)
+        export_starts(train, test, cases)
         with subprocess.Popen(
-            command("aeon_rate.py", cases, "quant"),
+            command(cases, "--rate", "quant"),
             env=environment(),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

@@ -7,15 +7,34 @@
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import tempfile
 from pathlib import Path
 
-from aeon_environment import command, environment
+from run import FOLDER, ONE_THREAD
 
 from motor_classifiers.scoring.judging import Cell
-from motor_classifiers.scoring.peers import PEERS, export_cases, shipped_peers
+from motor_classifiers.scoring.peers import PEERS, export_starts, shipped_peers
 from motor_env.simulation.recipes import named_recipe
+
+PYTHON = FOLDER.parent / ".venv-aeon" / "bin" / "python"
+
+
+def command(*arguments: object) -> list[str]:
+    """Command line of aeon_peers.py, in the environment where aeon lives.
+
+    Raises:
+        FileNotFoundError: the environment is not there.
+    """
+    if not PYTHON.exists():
+        raise FileNotFoundError(f"{PYTHON} is missing: `make peers` sets it up")
+    return [str(PYTHON), str(FOLDER / "aeon_peers.py"), *map(str, arguments)]
+
+
+def environment() -> dict[str, str]:
+    """Environment variables: one thread for everything."""
+    return {**os.environ, **ONE_THREAD}
 
 
 def main() -> int:
@@ -31,12 +50,10 @@ def main() -> int:
     cell = Cell(named_recipe(options.recipe), options.n_train, options.n_test, options.seed)
     with tempfile.TemporaryDirectory() as folder:
         cases = Path(folder) / "cases.npz"
-        export_cases(cell, cases)
+        export_starts(cell.train(), cell.test(), cases)
         names = options.only or list(PEERS)
         options.out.parent.mkdir(parents=True, exist_ok=True)
-        done = subprocess.run(
-            command("aeon_peers.py", cases, options.out.resolve(), *names), env=environment(), check=False
-        )
+        done = subprocess.run(command(cases, options.out.resolve(), *names), env=environment(), check=False)
     return done.returncode
 
 

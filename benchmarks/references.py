@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from aeon_environment import PYTHON, command, environment
+from peers import PYTHON, command, environment
 
 from motor_classifiers.estimators.cases import with_channels
 from motor_classifiers.estimators.methods import ESTIMATE, METHODS, make_method
@@ -55,7 +55,7 @@ def peers_decide(train: Dataset, test: Dataset) -> Iterator[Told]:
     with tempfile.TemporaryDirectory() as folder:
         cases, answers = Path(folder) / "cases.npz", Path(folder) / "answers.npz"
         export_starts(train, test, cases)
-        subprocess.run(command("aeon_peers.py", cases, answers, *PEERS), env=environment(), check=True)
+        subprocess.run(command(cases, answers, *PEERS), env=environment(), check=True)
         with np.load(answers) as held:
             yield from ((name, held[name].argmax(axis=1)) for name in PEERS)
 

@@ -6,9 +6,10 @@ Sections: calibration, conformal, other, early, shifts; all by default, some twe
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache, partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -54,12 +55,14 @@ from motor_env.simulation.simulate import Timing
 SEED = 0
 TRAIN, CALIBRATE, TEST = 0, 500_000, 1_000_000  # first cases
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
-SETTINGS = ((10_000.0, 0.02), (1_000.0, 0.02))
 
 
-def bench(rate_hz: float, noise_a: float = 0.02, name: str = "bench") -> Recipe:
-    """A recipe at a rate and a noise."""
-    return named_recipe(name, sensor=SensorParameters(current_noise_a=noise_a), timing=Timing(rate_hz, 0.1))
+def bench(rate_hz: float, name: str = "bench") -> Recipe:
+    """A recipe at a rate."""
+    return named_recipe(name, sensor=SensorParameters(current_noise_a=0.02), timing=Timing(rate_hz, 0.1))
+
+
+SETTINGS = {f"{khz} kHz, 20 mA": bench(1e3 * khz) for khz in (10, 1)}
 
 
 def cases(recipe: Recipe, first: int, count: int) -> Dataset:
@@ -96,23 +99,13 @@ def interval(value: float, low: float, high: float) -> str:
     return f"{100.0 * value:.2f} % ({100.0 * low:.2f} to {100.0 * high:.2f})"
 
 
-def table(title: str, header: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
-    """Print one table, row by row as it comes."""
-    names = list(header)
-    print(f"\n## {title}\n\n| {' | '.join(names)} |\n|{'---|' * len(names)}", flush=True)
-    for row in rows:
-        print(f"| {' | '.join(row)} |", flush=True)
-
-
-def setting(rate_hz: float, noise_a: float) -> str:
-    """In words."""
-    return f"{rate_hz / 1e3:g} kHz, {1e3 * noise_a:g} mA"
+Table = tuple[str, tuple[str, ...], Iterable[Iterable[str]]]
+"""Title, names of the columns, rows."""
 
 
 def calibration(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
     """Calibration beside the limit's, and a reliability diagram of each setting."""
-    for rate_hz, noise_a in SETTINGS:
-        recipe = bench(rate_hz, noise_a)
+    for setting, recipe in SETTINGS.items():
         test = cases(recipe, TEST, n_cases)
         probabilities = {
             "limit": class_probabilities(recipe, test.X),
@@ -120,11 +113,12 @@ def calibration(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
             "residual-qda, 2,000 starts": ordered(trained("residual-qda", recipe, 2000), test.X, recipe),
         }
         scores = {name: calibration_scores(p, test.class_index) for name, p in probabilities.items()}
-        plot_reliability(scores, IMAGES / f"reliability-{rate_hz / 1e3:g}khz.svg")
+        rate_khz = recipe.timing.sampling_rate_hz / 1e3
+        plot_reliability(scores, IMAGES / f"reliability-{rate_khz:g}khz.svg")
         best = scores["limit"]
         for name, got in scores.items():
             yield (
-                setting(rate_hz, noise_a), name, f"{got.accuracy:.4f}", f"{got.ece:.4f}",
+                setting, name, f"{got.accuracy:.4f}", f"{got.ece:.4f}",
                 f"{got.ece - best.ece:+.4f}", f"{got.brier:.4f}", f"{got.log_loss:.4f}",
                 f"{100.0 * (got.log_loss / best.log_loss - 1.0):+.2f} %",
             )  # fmt: skip
@@ -132,8 +126,7 @@ def calibration(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
 
 def conformal_sets(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
     """Coverage of sets, marginal and label-conditional."""
-    for rate_hz, noise_a in SETTINGS:
-        recipe = bench(rate_hz, noise_a)
+    for setting, recipe in SETTINGS.items():
         known, test = cases(recipe, CALIBRATE, n_cases), cases(recipe, TEST, n_cases)
         models = {"posterior network": network(recipe), "residual-qda": trained("residual-qda", recipe, 2000)}
         for name, model in models.items():
@@ -142,15 +135,14 @@ def conformal_sets(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
                 sets = ConformalSets.calibrate(held_out, known.class_index, label_conditional=each).sets(new)
                 got = measured_coverage(sets, test.class_index)
                 yield (
-                    setting(rate_hz, noise_a), name, "in each class" if each else "overall",
+                    setting, name, "in each class" if each else "overall",
                     percent(got.overall), percent(*got.by_class), f"{got.mean_size:.2f}", percent(got.empty),
                 )  # fmt: skip
 
 
 def conformal_intervals(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
     """Coverage of 90 % intervals of severity, the network's own and conformal ones."""
-    for rate_hz, noise_a in SETTINGS:
-        recipe = bench(rate_hz, noise_a)
+    for setting, recipe in SETTINGS.items():
         drawn = severity_recipe(recipe)
         for fault_class in drawn.classes:
             kind = str(fault_class.kind)
@@ -165,7 +157,7 @@ def conformal_intervals(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
             )
             widths = (np.diff(intervals).mean() for intervals in (own, widened))
             yield (
-                setting(rate_hz, noise_a), kind,
+                setting, kind,
                 *(percent(share) for share in shares), *(f"{100.0 * width:.2f}" for width in widths),
             )  # fmt: skip
 
@@ -230,8 +222,7 @@ def plot_roc(faults: list[dict[str, Any]], classifier: str, path: Path) -> None:
 
 def out_of_range(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
     """Severities beyond the trained ones, through the wrapper around the discriminant analysis."""
-    for rate_hz, noise_a in SETTINGS:
-        recipe = bench(rate_hz, noise_a)
+    for setting, recipe in SETTINGS.items():
         count = n_cases // 8
         train = cases(recipe, TRAIN, count)
         method = make_method("residual-qda", recipe, SEED)
@@ -249,20 +240,20 @@ def out_of_range(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
             is_kind = np.char.startswith(said.label.astype(str), str(kind))
             nearest = family_fit(recipe, X).severity
             yield (
-                setting(rate_hz, noise_a), f"{kind} +{100.0 * severity:g} %",
+                setting, f"{kind} +{100.0 * severity:g} %",
                 *(percent(told.mean()) for told in (is_kind, said.out_of_range, said.is_other)),
                 f"{100.0 * nearest.mean():.1f} ± {100.0 * nearest.std():.1f}",
             )  # fmt: skip
 
 
-def early(n_cases: int = 3000) -> None:
+def early(n_cases: int = 3000) -> Iterator[Table]:
     """Accuracy by what was seen, the stopping rule, and the sequential rules on the same axis."""
     recipe = bench(10_000.0)
     seen = moments(recipe.timing)
     test, train = cases(recipe, TEST, n_cases), cases(recipe, TRAIN, 5_000)
     probabilities = probabilities_by_moment(recipe, SEED, train, test)
     accuracy = {name: accuracy_by_moment(told, test.class_index) for name, told in probabilities.items()}
-    table(
+    yield (
         "Accuracy by what was seen",
         ("seen", *accuracy),
         (
@@ -270,7 +261,7 @@ def early(n_cases: int = 3000) -> None:
             for n, t in enumerate(seen.time_s)
         ),
     )
-    table(
+    yield (
         "Stopping rule",
         ("stated error", "probabilities of", "error of those that stopped", "stopped", "mean time", "accuracy of all"),
         (
@@ -284,7 +275,7 @@ def early(n_cases: int = 3000) -> None:
     )  # fmt: skip
     bearing = FaultClass(FaultKind.BEARING, 0.25)
     curves = race(recipe, bearing, seed=SEED, first_case=TEST, n_cases=n_cases, n_healthy=10_000)
-    table(
+    yield (
         "Bearing +25 % or none: mean time on faulty motors and share of wrong verdicts",
         ("method", "time: errors"),
         (
@@ -361,43 +352,37 @@ def shifts(n_cases: int = 2000) -> Iterable[Iterable[str]]:
                 )  # fmt: skip
 
 
-def print_tables(*tables: tuple[str, tuple[str, ...], Callable[[], Iterable[Iterable[str]]]]) -> None:
-    """Print tables: title, names of the columns, rows."""
-    for title, header, rows in tables:
-        table(title, header, rows())
-
-
-SECTIONS: dict[str, Callable[[], None]] = {
-    "calibration": partial(print_tables, (
+SECTIONS: dict[str, Callable[[], Iterator[Table]]] = {
+    "calibration": lambda: iter([(
         "Calibration",
         ("setting", "method", "accuracy", "ECE", "over limit's", "Brier", "log-loss", "over limit's"),
-        calibration,
-    )),
-    "conformal": partial(print_tables, (
+        calibration(),
+    )]),
+    "conformal": lambda: iter([(
         "Conformal sets, 90 %",
         ("setting", "method", "promised", "coverage", "by class", "mean size", "empty"),
-        conformal_sets,
+        conformal_sets(),
     ), (
         "Intervals of severity, 90 %, width in points",
         ("setting", "kind", "network's coverage", "conformal", "network's width", "conformal"),
-        conformal_intervals,
-    )),
-    "other": partial(print_tables, (
+        conformal_intervals(),
+    )]),
+    "other": lambda: iter([(
         "Foreign faults",
         ("recipe", "rate", "fault", "AUROC of distance", "of the limit's confidence", "of the network's",
          "called other", "false alarms"),
-        other,
+        other(),
     ), (
         "Out of range",
         ("setting", "fault", "kind right", "out of range", "other", "severity"),
-        out_of_range,
-    )),
+        out_of_range(),
+    )]),
     "early": early,
-    "shifts": partial(print_tables, (
+    "shifts": lambda: iter([(
         "Shifts",
         ("recipe", "method", "conditions", "accuracy", "limit", "ECE", "coverage", "set size", "other"),
-        shifts,
-    )),
+        shifts(),
+    )]),
 }  # fmt: skip
 
 
@@ -407,8 +392,10 @@ def main() -> None:
     unknown = [name for name in asked if name not in SECTIONS]
     if unknown:
         sys.exit(f"section must be one of {', '.join(SECTIONS)}, got {unknown[0]!r}")
-    for name in asked:
-        SECTIONS[name]()
+    for title, names, rows in chain.from_iterable(SECTIONS[name]() for name in asked):
+        print(f"\n## {title}\n\n| {' | '.join(names)} |\n|{'---|' * len(names)}", flush=True)
+        for row in rows:  # as they come
+            print(f"| {' | '.join(row)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -374,7 +374,3 @@ def coastdown(file: Path, *, json_: Annotated[bool, Parameter(name="--json", neg
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `motor-env` and return its exit status."""
     return console.run(app, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

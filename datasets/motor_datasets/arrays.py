@@ -33,6 +33,7 @@ EFFECTS = (
     "bearing_ripple_n_m",
     "delay_s",
 )
+LABELS = ("case_id", "motor_id", "split", "class_name", "class_index", "kind", "severity")
 SENSOR_ERRORS = ("gain", "offset_a")
 COLUMN_OF_CHANNEL = {Channel.CURRENT: "current_a", Channel.SPEED: "speed_rad_s"}
 
@@ -88,10 +89,10 @@ class Dataset:
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Dataset:
         """Only these rows, by mask or by index."""
-        arrays = ("X", "class_name", "class_index", "kind", "severity", "case_id", "motor_id", "split")
         return replace(
             self,
-            **{name: getattr(self, name)[rows] for name in arrays},
+            X=self.X[rows],
+            **{name: getattr(self, name)[rows] for name in LABELS},
             parameters={name: values[rows] for name, values in self.parameters.items()},
         )
 

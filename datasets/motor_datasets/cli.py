@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -235,7 +234,3 @@ def _progress(cases: int) -> Iterator[Callable[[int], None]]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `motor-datasets` and return its exit status."""
     return console.run(app, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

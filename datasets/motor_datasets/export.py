@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from motor_datasets.arrays import Dataset
+from motor_datasets.arrays import LABELS, Dataset
 from motor_env.errors import InputError
 from motor_env.files import replacing
 
@@ -24,10 +23,8 @@ def export(dataset: Dataset, path: Path) -> None:
         raise InputError(f"{path} must end in {' or '.join(SUFFIXES)}")
     if path.exists():
         raise InputError(f"{path} exists already and is not overwritten")
-    labels = ("class_name", "class_index", "kind", "severity", "case_id", "motor_id", "split")
-    arrays: dict[str, Any] = {"X": dataset.X, "time_s": dataset.time_s}
-    arrays.update({name: getattr(dataset, name) for name in labels})
-    arrays.update(dataset.parameters)
+    labels = {name: getattr(dataset, name) for name in LABELS}
+    arrays = {"X": dataset.X, "time_s": dataset.time_s, **labels, **dataset.parameters}
     with replacing(path) as temporary:
         if path.suffix == ".npz":
             np.savez(temporary, **arrays)
@@ -35,5 +32,4 @@ def export(dataset: Dataset, path: Path) -> None:
             from scipy.io import savemat
 
             arrays.update({name: v.astype(object) for name, v in arrays.items() if v.dtype.kind == "U"})
-
             savemat(temporary, arrays, oned_as="column", long_field_names=True)

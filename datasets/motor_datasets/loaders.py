@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from motor_datasets.arrays import COLUMN_OF_CHANNEL, Dataset
+from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset
 from motor_datasets.manifest import read_manifest
 from motor_datasets.remote import RemotePath, folder_of
 from motor_env.simulation.recipes import Recipe
@@ -48,9 +48,7 @@ def to_pandas(dataset: Dataset) -> pd.DataFrame:
     """Labels and parameters, one row a case; samples as arrays in the columns `current_a`, `speed_rad_s`."""
     import pandas as pd
 
-    labels = ("case_id", "motor_id", "split", "class_name", "class_index", "kind", "severity")
-    columns: dict[str, Any] = {name: getattr(dataset, name) for name in labels}
-    columns.update(dataset.parameters)
+    columns: dict[str, Any] = {name: getattr(dataset, name) for name in LABELS} | dict(dataset.parameters)
     for n, channel in enumerate(dataset.recipe.sensor.channels):
         columns[COLUMN_OF_CHANNEL[channel]] = list(dataset.X[:, n])
     return pd.DataFrame(columns)

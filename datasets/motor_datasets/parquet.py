@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from motor_datasets.arrays import COLUMN_OF_CHANNEL, Dataset, parameter_names
+from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset, parameter_names
 from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Manifest
 from motor_datasets.remote import Folder
 from motor_datasets.splits import Split
@@ -51,8 +51,7 @@ def _schema(recipe: Recipe, seed: int) -> pa.Schema:
 def to_table(dataset: Dataset) -> pa.Table:
     """The data set as an Arrow table, samples as fixed-size lists."""
     schema = _schema(dataset.recipe, dataset.seed)
-    labels = {name: getattr(dataset, name) for name in ("case_id", "motor_id", "class_index", "severity")}
-    columns: dict[str, Any] = {**labels, **dataset.parameters}
+    columns: dict[str, Any] = {name: getattr(dataset, name) for name in LABELS} | dict(dataset.parameters)
     arrays = []
     samples = {COLUMN_OF_CHANNEL[channel]: n for n, channel in enumerate(dataset.recipe.sensor.channels)}
     for field in schema:
@@ -60,7 +59,7 @@ def to_table(dataset: Dataset) -> pa.Table:
             flat = pa.array(np.ascontiguousarray(dataset.X[:, samples[field.name]]).reshape(-1))
             arrays.append(pa.FixedSizeListArray.from_arrays(flat, type=field.type))
         elif pa.types.is_dictionary(field.type):
-            arrays.append(pa.array(getattr(dataset, field.name)).dictionary_encode().cast(field.type))
+            arrays.append(pa.array(columns[field.name]).dictionary_encode().cast(field.type))
         else:
             arrays.append(pa.array(columns[field.name], field.type))
     return pa.Table.from_arrays(arrays, schema=schema)

@@ -10,7 +10,7 @@ import numpy as np
 
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
-from motor_datasets.splits import BLOCK, split_of
+from motor_datasets.splits import BLOCK, Split, split_of
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Recipe
 
@@ -38,10 +38,7 @@ def stream(
         ValueError: fewer than one case a batch, or an unknown split.
     """
     require(batch_size >= 1, f"batch_size must be >= 1, got {batch_size}")
-    require(
-        split in (None, "train", "validation", "test"),
-        f"split must be one of train, validation, test, got {split!r}",
-    )
+    require(split in (None, *Split), f"split must be one of {', '.join(Split)}, got {split!r}")
     numbers = count() if batches is None else range(batches)
     offsets = _case_blocks(recipe, seed, batch_size, split)
     for number, cases in zip(numbers, offsets, strict=False):
@@ -52,14 +49,12 @@ def stream(
 def _case_blocks(
     recipe: Recipe, seed: int, batch_size: int, split: str | None
 ) -> Iterator[np.ndarray[Any, np.dtype[np.int64]]]:
-    if split is None:
-        for number in count():
-            yield np.arange(number * batch_size, (number + 1) * batch_size, dtype=np.int64)
     pending = np.empty(0, dtype=np.int64)
     width = BLOCK * recipe.starts_per_motor * max(1, batch_size // BLOCK)
     for number in count():
         cases = np.arange(number * width, (number + 1) * width, dtype=np.int64)
-        pending = np.concatenate([pending, cases[split_of(seed, recipe.motor_id(cases)) == split]])
+        mine = cases if split is None else cases[split_of(seed, recipe.motor_id(cases)) == split]
+        pending = np.concatenate([pending, mine])
         while len(pending) >= batch_size:
             yield pending[:batch_size]
             pending = pending[batch_size:]

@@ -197,7 +197,11 @@ def error_covariance() -> Figure:
         std = scale * np.sqrt(covariance[:, state, state])
         axes.plot(time_ms, std, color=COLOUR["estimate"], label="square root of P")
         rms = scale * np.sqrt(np.mean(np.square(errors[:, :, state]), axis=0))
-        dots: dict[str, Any] = {"color": INK, "markersize": 4.5, "label": f"measured error, rms of {N_RUNS} runs"}
+        dots: dict[str, Any] = {
+            "color": INK,
+            "markersize": 4.5,
+            "label": f"measured error, rms of {N_RUNS} runs",
+        }
         axes.plot(time_ms[::25], rms[::25], "o", **dots)
         axes.set(title=title, ylabel=label, yscale="log")
     top.axhline(_MA * SENSOR.current_noise_a, color=QUIET, linestyle="--", linewidth=1.2)

@@ -267,12 +267,7 @@ def benchmark(
     """
     _require_extras()
     from motor_classifiers.cli.options import numbers, require_writable
-    from motor_classifiers.cli.sweep import (
-        FULL_SWEEP,
-        plan_lines,
-        run_with_progress,
-        table_lines,
-    )
+    from motor_classifiers.cli.sweep import FULL_SWEEP, plan_lines, run_with_progress, table_lines
     from motor_classifiers.estimators.methods import METHODS
     from motor_classifiers.report.page import write_results
     from motor_classifiers.scoring.peers import shipped_peers
@@ -318,7 +313,3 @@ def benchmark(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `motor-classifiers` and return its exit status."""
     return console.run(app, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,7 @@
 """Generic classifiers of other packages in the benchmark's table: their answers come from an environment of their own.
 
-`export_cases` writes the benchmark's starts as plain arrays, benchmarks/aeon_peers.py judges them where aeon lives, and
-`read_peers` brings the answers back. Answers for the shipped setting are part of the package.
+`export_starts` writes the benchmark's starts as plain arrays, benchmarks/aeon_peers.py judges them where aeon lives,
+and `read_peers` brings the answers back. Answers for the shipped setting are part of the package.
 """
 
 from __future__ import annotations
@@ -70,11 +70,6 @@ def _identity(train: Dataset, test: Dataset) -> dict[str, NDArray[Any]]:
     }
 
 
-def export_cases(cell: Cell, path: Path) -> None:
-    """Write the starts of a setting for other programs, as plain arrays."""
-    export_starts(cell.train(), cell.test(), path)
-
-
 def export_starts(train: Dataset, test: Dataset, path: Path) -> None:
     """Write starts to learn from and starts to be judged, as plain arrays."""
     with replacing(path) as temporary:
@@ -91,7 +86,7 @@ def read_peers(path: Path, cell: Cell) -> Peers | None:
     """
     try:
         with np.load(io.BytesIO(path.read_bytes())) as file:
-            arrays = {name: file[name] for name in file.files}
+            arrays = dict(file)
         facts = json.loads(str(arrays["facts"]))
         if not _same_starts(arrays, cell):
             return None
@@ -116,10 +111,10 @@ def _same_starts(arrays: dict[str, NDArray[Any]], cell: Cell) -> bool:
     if len(arrays["test_mean"]) < cell.n_test or len(arrays["train_mean"]) != cell.n_train:
         return False
     ours = _identity(cell.train(), cell.test())
-    for name, values in ours.items():
-        if not np.allclose(arrays[name][: len(values)], values, rtol=0.0, atol=_SAME_MEAN_A):
-            return False
-    return True
+    return all(
+        np.allclose(arrays[name][: len(values)], values, rtol=0.0, atol=_SAME_MEAN_A)
+        for name, values in ours.items()
+    )
 
 
 def _answer(probabilities: FloatArray, measured: dict[str, Any], cell: Cell) -> Answer:

@@ -10,7 +10,7 @@ import pytest
 from motor_classifiers.scoring import trust as trust_module
 from motor_classifiers.scoring.benchmark import run_plan
 from motor_classifiers.scoring.judging import Cell
-from motor_classifiers.scoring.peers import PEERS, export_cases, read_peers, shipped_peers
+from motor_classifiers.scoring.peers import PEERS, export_starts, read_peers, shipped_peers
 from motor_classifiers.scoring.plan import Plan
 from motor_classifiers.scoring.results import result_rows
 from motor_classifiers.scoring.trust import Counts
@@ -51,13 +51,13 @@ def _answers(cases: Path, target: Path, **changes: Any) -> None:
 @pytest.fixture
 def peers(tmp_path: Path) -> Path:
     """A file of answers to the starts of `CELL`."""
-    export_cases(CELL, tmp_path / "cases.npz")
+    export_starts(CELL.train(), CELL.test(), tmp_path / "cases.npz")
     _answers(tmp_path / "cases.npz", tmp_path / "peers.npz")
     return tmp_path / "peers.npz"
 
 
 def test_exported_starts_are_those_of_the_benchmark(tmp_path: Path) -> None:
-    export_cases(CELL, tmp_path / "cases.npz")
+    export_starts(CELL.train(), CELL.test(), tmp_path / "cases.npz")
     with np.load(tmp_path / "cases.npz") as held:
         np.testing.assert_array_equal(held["train_X"], CELL.train().X)
         np.testing.assert_array_equal(held["test_class_index"], CELL.test().class_index)
@@ -93,7 +93,7 @@ def test_answers_to_other_starts_are_left_out(peers: Path) -> None:
 
 
 def test_a_shifted_level_is_another_start(tmp_path: Path) -> None:
-    export_cases(CELL, tmp_path / "cases.npz")
+    export_starts(CELL.train(), CELL.test(), tmp_path / "cases.npz")
     moved = CELL.test().X.mean(axis=(1, 2)) + np.float32(1e-4)
     _answers(tmp_path / "cases.npz", tmp_path / "peers.npz", test_mean=moved)
     assert read_peers(tmp_path / "peers.npz", CELL) is None
