@@ -82,6 +82,13 @@ class FaultKind(str, metaclass=_Registry):
     def __deepcopy__(self, memo: object) -> Self:
         return self
 
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        """In a file it is one of the names."""
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_after_validator_function(cls, core_schema.str_schema())
+
     @property
     def is_built_in(self) -> bool:
         """Whether the package itself has it."""

@@ -12,13 +12,23 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
-from typing import Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
-Floats = float | FloatArray
+
+
+class _OneNumber:
+    """In a file, where pydantic checks the type, a number for one motor and never an array."""
+
+    @staticmethod
+    def __get_pydantic_core_schema__(_: Any, handler: Any) -> Any:
+        return handler.generate_schema(float)
+
+
+Floats = Annotated[float | FloatArray, _OneNumber]
 
 RAD_S_PER_RPM = 2.0 * math.pi / 60.0
 COPPER_PER_KELVIN = 0.00393

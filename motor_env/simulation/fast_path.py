@@ -11,12 +11,12 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_factor
-from motor_env.motor.model import discretize, steady_state
+from motor_env.motor.model import State, discretize, steady_state
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, require
 from motor_env.simulation.nonlinear import Effects, integrate, substeps
 from motor_env.simulation.random_streams import Stream, uniforms
 from motor_env.simulation.sensor import SensorChain, read_sensors
-from motor_env.simulation.simulate import Scenario, process_noise, simulate_states
+from motor_env.simulation.simulate import Scenario, scenario_states
 
 _NO_CHAIN = np.empty((0, 5))
 
@@ -88,20 +88,26 @@ def measure(
     Raises:
         ValueError: the batch is not n_cases long, or effects are asked together with an onset or process noise.
     """
-    numbers = np.atleast_1d(np.asarray(cases)).astype(np.uint64)
-    timing, sensor, n_cases = scenario.timing, scenario.sensor, numbers.size
-    require(
-        scenario.batch_shape in ((), (n_cases,)),
-        f"cases must number as many as the scenario's motors {scenario.batch_shape}, got {n_cases}",
-    )
+    numbers, timing, sensor = scenario.checked_cases(cases), scenario.timing, scenario.sensor
     require(0 <= seed < 2**64, f"seed must be in 0 .. 2^64 - 1, got {seed}")
+    n_cases = numbers.size
     if out is None:
         out = np.empty((n_cases, len(sensor.channels), timing.n_samples), dtype=np.float32)
     is_current = np.array([channel is Channel.CURRENT for channel in sensor.channels])
     constant = all(fault.is_constant for fault in scenario.faults) and not any(scenario.process_noise_std)
     if effects is not None:
         require(constant, "effects need faults without an onset, and no process noise")
-        _integrate_effects(scenario, effects, nominal, is_current, out)
+        motor = scenario.parameters if nominal is None else nominal
+        integrate(
+            apply_faults(scenario.parameters, scenario.faults),
+            effects,
+            scenario.supply.voltage_v,
+            dt_s=timing.dt_s,
+            steps=substeps(motor, timing.dt_s, float(np.max(effects.ripple_hz))),
+            n_quiet=timing.n_quiet,
+            is_current=is_current,
+            out=out,
+        )
     elif constant:
         parameters = apply_faults(scenario.parameters, scenario.faults)
         transition = discretize(parameters, timing.dt_s).transition.reshape(-1, 2, 2)
@@ -109,61 +115,14 @@ def measure(
         rest = np.ascontiguousarray(np.broadcast_to(rest, (n_cases, 2)))
         _step_response(transition, rest, timing.n_quiet, is_current, out)
     else:
-        _propagate_onsets(scenario, seed, numbers, is_current, out)
+        states = scenario_states(scenario, seed, numbers)
+        out[:] = np.moveaxis(states, -1, -2)[:, np.where(is_current, State.CURRENT, State.SPEED)]
     rows = _NO_CHAIN if chain is None else chain.rows(n_cases, timing.dt_s)
-    read_sensors(out, is_current, rows, _noise_std(scenario), np.uint64(seed), numbers)
+    read_sensors(out, is_current, rows, _noise_std(scenario), np.uint64(seed), numbers.astype(np.uint64))
     if chain is not None and chain.missing_fraction > 0.0:
         lost = uniforms(seed, Stream.MISSING, numbers, timing.n_samples) < chain.missing_fraction
         out[np.broadcast_to(lost[:, None], out.shape)] = np.nan
     return out
-
-
-def _integrate_effects(
-    scenario: Scenario,
-    effects: Effects,
-    nominal: MotorParameters | None,
-    is_current: NDArray[np.bool_],
-    out: NDArray[np.float32],
-) -> None:
-    if nominal is None:
-        require(scenario.parameters.batch_shape == (), "nominal must be given for a batch of motors")
-        nominal = scenario.parameters
-    timing = scenario.timing
-    steps = substeps(nominal, timing.dt_s, float(np.max(effects.ripple_hz)))
-    parameters = apply_faults(scenario.parameters, scenario.faults)
-    integrate(
-        parameters,
-        effects,
-        scenario.supply.voltage_v,
-        dt_s=timing.dt_s,
-        steps=steps,
-        n_quiet=timing.n_quiet,
-        is_current=is_current,
-        out=out,
-    )
-
-
-def _propagate_onsets(
-    scenario: Scenario,
-    seed: int,
-    cases: NDArray[np.uint64],
-    is_current: NDArray[np.bool_],
-    out: NDArray[np.float32],
-) -> None:
-    timing = scenario.timing
-    driven = np.arange(timing.n_samples) >= timing.n_quiet
-    voltage = np.broadcast_to(np.asarray(scenario.supply.voltage_v, dtype=np.float64), (len(cases),))
-    states = simulate_states(
-        scenario.parameters,
-        voltage[:, None] * driven,
-        timing.dt_s,
-        faults=scenario.faults,
-        load_torque_n_m=scenario.load_torque_n_m * driven,
-        process_noise=process_noise(scenario, seed, cases),
-        start_s=float(timing.interval_start_s[0]),
-    )
-    for channel, current in enumerate(is_current):
-        out[:, channel] = states[..., 0 if current else 1]
 
 
 def _noise_std(scenario: Scenario) -> NDArray[np.float32]:

@@ -118,6 +118,7 @@ _STICTION_SPEED_RAD_S = 1.0  # width of the smooth sign of the friction
 
 def substeps(nominal: MotorParameters, dt_s: float, ripple_hz: float = 0.0) -> int:
     """Runge-Kutta steps in one sample: 4.3 an electrical time constant, twelve a ripple's period."""
+    require(nominal.batch_shape == (), "nominal must be given for a batch of motors")
     largest_s = float(nominal.electrical_time_constant_s) / _STEPS_PER_TIME_CONSTANT
     if ripple_hz > 0.0:
         largest_s = min(largest_s, 1.0 / (_STEPS_PER_PERIOD * ripple_hz))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -129,6 +130,12 @@ def box_muller(first: np.uint32, second: np.uint32) -> tuple[np.float32, np.floa
 
 
 @njit(cache=True)
+def whole_blocks(count: int) -> int:
+    """So many numbers, rounded up to whole blocks of four."""
+    return 4 * ((count + 3) // 4)
+
+
+@njit(cache=True)
 def fill_case(
     seed: np.uint64,
     stream: np.uint32,
@@ -137,29 +144,20 @@ def fill_case(
     words: NDArray[np.uint32],
     out: NDArray[np.float32],
 ) -> None:
-    """Standard normals `begin` .. `begin` + len(out) - 1 of a case; `begin` is a multiple of 4.
+    """Standard normals `begin` .. `begin` + len(out) - 1 of a case; `begin` and len(out) are multiples of 4.
 
     `words` is scratch of shape (4, NORMALS_AT_ONCE / 4); `out` holds at most NORMALS_AT_ONCE.
     """
     k0, k1 = np.uint32(seed & _LOW), np.uint32(seed >> _HALF_WORD)
     case_low, case_high = np.uint32(case & _LOW), np.uint32(case >> _HALF_WORD)
-    first, count = np.uint32(begin // 4), len(out)
-    blocks = (count + 3) // 4
+    first, blocks = np.uint32(begin // 4), len(out) // 4
     for b in range(blocks):
         words[0, b], words[1, b], words[2, b], words[3, b] = philox(
             np.uint32(first + np.uint32(b)), stream, case_low, case_high, k0, k1
         )
-    for b in range(count // 4):
+    for b in range(blocks):
         out[4 * b], out[4 * b + 1] = box_muller(words[0, b], words[1, b])
         out[4 * b + 2], out[4 * b + 3] = box_muller(words[2, b], words[3, b])
-    rest, b = count % 4, count // 4
-    if rest > 0:
-        one, two = box_muller(words[0, b], words[1, b])
-        out[4 * b] = one
-        if rest > 1:
-            out[4 * b + 1] = two
-        if rest > 2:
-            out[4 * b + 2] = box_muller(words[2, b], words[3, b])[0]
 
 
 @njit(cache=True)
@@ -169,19 +167,18 @@ def _fill_normals(seed: np.uint64, stream: np.uint32, cases: NDArray[np.uint64],
     scratch = np.empty(NORMALS_AT_ONCE, dtype=np.float32)
     for n in range(out.shape[0]):
         for begin in range(0, count, NORMALS_AT_ONCE):
-            part = scratch[: min(NORMALS_AT_ONCE, count - begin)]
-            fill_case(seed, stream, cases[n], begin, words, part)
-            out[n, begin : begin + len(part)] = part
+            n_new = min(NORMALS_AT_ONCE, count - begin)
+            fill_case(seed, stream, cases[n], begin, words, scratch[: whole_blocks(n_new)])
+            out[n, begin : begin + n_new] = scratch[:n_new]
 
 
-def _checked(seed: int, cases: ArrayLike) -> tuple[np.uint64, NDArray[np.uint64]]:
+def _filled(fill: Any, seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatArray:
     require(0 <= seed < 2**64, f"seed must be in 0 .. 2^64 - 1, got {seed}")
     array = np.asarray(cases)
-    require(
-        array.size == 0 or int(array.min()) >= 0,
-        f"cases must be >= 0, got {array.min() if array.size else 0}",
-    )
-    return np.uint64(seed), np.ascontiguousarray(array, dtype=np.uint64)
+    require(bool(np.all(array >= 0)), f"cases must be >= 0, got {np.min(array, initial=0)}")
+    out = np.empty((array.size, count))
+    fill(np.uint64(seed), np.uint32(stream), np.ascontiguousarray(array, dtype=np.uint64), out)
+    return out
 
 
 def uniforms(seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatArray:
@@ -190,10 +187,7 @@ def uniforms(seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatAr
     Raises:
         ValueError: the seed does not fit 64 bits, or a case is negative.
     """
-    checked_seed, checked_cases = _checked(seed, cases)
-    out = np.empty((checked_cases.size, count))
-    _fill_uniforms(checked_seed, np.uint32(stream), checked_cases, out)
-    return out
+    return _filled(_fill_uniforms, seed, stream, cases, count)
 
 
 def normals(seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatArray:
@@ -204,7 +198,4 @@ def normals(seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatArr
     Raises:
         ValueError: the seed does not fit 64 bits, or a case is negative.
     """
-    checked_seed, checked_cases = _checked(seed, cases)
-    out = np.empty((checked_cases.size, count))
-    _fill_normals(checked_seed, np.uint32(stream), checked_cases, out)
-    return out
+    return _filled(_fill_normals, seed, stream, cases, count)

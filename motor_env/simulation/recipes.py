@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field as dataclass_field, fields, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -208,6 +208,8 @@ class Recipe:
     starts_per_motor: int = 1
     healthy_starts: int = 0
     shifts: tuple[Shift, ...] = ()
+
+    __pydantic_config__: ClassVar = {"extra": "forbid"}  # in files; for the dataclasses in its fields too
 
     def __post_init__(self) -> None:
         require(len(self.classes) > 0, f"classes of recipe {self.name} must not be empty")

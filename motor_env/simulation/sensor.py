@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from motor_env.motor.parameters import FloatArray, Floats, require, require_finite, require_positive
-from motor_env.simulation.random_streams import NORMALS_AT_ONCE, Stream, fill_case
+from motor_env.simulation.random_streams import NORMALS_AT_ONCE, Stream, fill_case, whole_blocks
 
 MAXIMUM_BITS = 24
 
@@ -89,25 +89,6 @@ def _convert(row: NDArray[np.float32], limit: float, step: float) -> None:
         row[k] = np.float32(min(max(value, -limit), limit_high))
 
 
-@njit(cache=True)
-def add_noise(
-    row: NDArray[np.float32],
-    std: np.float32,
-    seed: np.uint64,
-    case: np.uint64,
-    begin: int,
-    words: NDArray[np.uint32],
-    scratch: NDArray[np.float32],
-) -> None:
-    """Add std z to a row; z are the normals `begin` .. of the case's measurement stream. `begin` is a multiple of 4."""
-    for k in range(0, len(row), NORMALS_AT_ONCE):
-        part = row[k : k + NORMALS_AT_ONCE]
-        z = scratch[: len(part)]
-        fill_case(seed, np.uint32(_MEASUREMENT), case, begin + k, words, z)
-        for j in range(len(part)):
-            part[j] += std * z[j]
-
-
 _MEASUREMENT = int(Stream.MEASUREMENT)
 
 
@@ -133,7 +114,7 @@ def read_sensors(
     n_cases, n_channels, n_samples = out.shape
     words = np.empty((4, NORMALS_AT_ONCE // 4), dtype=np.uint32)
     scratch = np.empty(NORMALS_AT_ONCE, dtype=np.float32)
-    stride = 4 * ((n_samples + 3) // 4)
+    stride = whole_blocks(n_samples)
     for n in range(n_cases):
         stds = noise_std[n if noise_std.shape[0] > 1 else 0]
         for c in range(n_channels):
@@ -141,15 +122,13 @@ def read_sensors(
             distorted = is_current[c] and chain.shape[0] > 0
             if distorted:
                 _distort(row, chain[n])
-            if stds.shape[1] == 1:
-                if stds[c, 0] > 0.0:
-                    add_noise(row, stds[c, 0], seed, cases[n], c * stride, words, scratch)
-            else:
-                for k in range(0, n_samples, NORMALS_AT_ONCE):
-                    part = row[k : k + NORMALS_AT_ONCE]
-                    z = scratch[: len(part)]
-                    fill_case(seed, np.uint32(_MEASUREMENT), cases[n], c * stride + k, words, z)
-                    for j in range(len(part)):
-                        part[j] += stds[c, k + j] * z[j]
+            std = stds[c]
+            is_constant = len(std) == 1
+            for k in range(0, 0 if is_constant and std[0] == 0.0 else n_samples, NORMALS_AT_ONCE):
+                part = row[k : k + NORMALS_AT_ONCE]
+                z = scratch[: whole_blocks(len(part))]
+                fill_case(seed, np.uint32(_MEASUREMENT), cases[n], c * stride + k, words, z)
+                for j in range(len(part)):
+                    part[j] += std[0 if is_constant else k + j] * z[j]
             if distorted and chain[n, 3] > 0.0:
                 _convert(row, chain[n, 3], chain[n, 4])

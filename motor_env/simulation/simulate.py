@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from motor_env.motor.faults import Fault, NoiseSource, apply_faults, noise_variance_factor
 from motor_env.motor.model import N_STATES, Input, discretize
@@ -20,7 +20,7 @@ from motor_env.motor.parameters import (
     require,
     require_positive,
 )
-from motor_env.simulation.random_streams import Stream, normals
+from motor_env.simulation.random_streams import Stream, normals, whole_blocks
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +108,15 @@ class Scenario:
         """`()` for one motor, `(n_motors,)` for a batch."""
         severities = (np.shape(fault.severity) for fault in self.faults)
         return np.broadcast_shapes(self.parameters.batch_shape, np.shape(self.supply.voltage_v), *severities)
+
+    def checked_cases(self, cases: ArrayLike) -> NDArray[np.int64]:
+        """Case numbers as an array; `ValueError` unless they number as many as the motors."""
+        numbers = np.atleast_1d(np.asarray(cases, dtype=np.int64))
+        require(
+            self.batch_shape in ((), numbers.shape),
+            f"cases must number as many as the scenario's motors {self.batch_shape}, got {numbers.size}",
+        )
+        return numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,35 +265,38 @@ def simulate(scenario: Scenario, seed: int, cases: ArrayLike) -> Transients:
     Raises:
         ValueError: the batch of the scenario is not n_cases long.
     """
-    case_numbers = np.atleast_1d(np.asarray(cases))
-    n_cases, timing, sensor = case_numbers.size, scenario.timing, scenario.sensor
-    require(
-        scenario.batch_shape in ((), (n_cases,)),
-        f"cases must number as many as the scenario's motors {scenario.batch_shape}, got {n_cases}",
+    numbers, timing, sensor = scenario.checked_cases(cases), scenario.timing, scenario.sensor
+    states = scenario_states(scenario, seed, numbers)
+    level = np.broadcast_to(np.asarray(scenario.supply.voltage_v, dtype=np.float64), numbers.shape)
+    n_channels = len(sensor.channels)
+    stride = whole_blocks(timing.n_samples)  # a channel begins with a block of its own
+    noise = normals(seed, Stream.MEASUREMENT, numbers, n_channels * stride)
+    noise = noise.reshape(-1, n_channels, stride)[..., : timing.n_samples] * sensor.noise_std[:, None]
+    factor = noise_variance_factor(scenario.faults, NoiseSource.MEASUREMENT, timing.interval_start_s)
+    noise *= np.sqrt(factor)[:, None, :]
+    columns = sensor.observation @ np.moveaxis(states, -1, -2)
+    return Transients(
+        timing.time_s, level[:, None] * timing.step(1.0), columns + noise, sensor.channels, states
     )
-    begins = timing.interval_start_s
-    driven = np.arange(timing.n_samples) >= timing.n_quiet
-    level = np.broadcast_to(np.asarray(scenario.supply.voltage_v, dtype=np.float64), (n_cases,))
-    voltage = level[:, None] * driven
-    states = simulate_states(
+
+
+def scenario_states(scenario: Scenario, seed: int, cases: NDArray[np.int64]) -> FloatArray:
+    """True current and speed of each case, shape (n_cases, n_samples, 2)."""
+    timing = scenario.timing
+    step = timing.step(1.0)
+    level = np.broadcast_to(np.asarray(scenario.supply.voltage_v, dtype=np.float64), cases.shape)
+    return simulate_states(
         scenario.parameters,
-        voltage,
+        level[:, None] * step,
         timing.dt_s,
         faults=scenario.faults,
-        load_torque_n_m=scenario.load_torque_n_m * driven,
-        process_noise=process_noise(scenario, seed, case_numbers),
-        start_s=float(begins[0]),
+        load_torque_n_m=scenario.load_torque_n_m * step,
+        process_noise=_process_noise(scenario, seed, cases),
+        start_s=float(timing.interval_start_s[0]),
     )
-    n_channels = len(sensor.channels)
-    stride = 4 * ((timing.n_samples + 3) // 4)  # a channel begins with a block of its own
-    noise = normals(seed, Stream.MEASUREMENT, case_numbers, n_channels * stride)
-    noise = noise.reshape(n_cases, n_channels, stride)[..., : timing.n_samples] * sensor.noise_std[:, None]
-    noise *= np.sqrt(noise_variance_factor(scenario.faults, NoiseSource.MEASUREMENT, begins))[:, None, :]
-    columns = sensor.observation @ np.moveaxis(states, -1, -2)
-    return Transients(timing.time_s, voltage, columns + noise, sensor.channels, states)
 
 
-def process_noise(scenario: Scenario, seed: int, cases: ArrayLike) -> FloatArray | None:
+def _process_noise(scenario: Scenario, seed: int, cases: NDArray[np.int64]) -> FloatArray | None:
     """Noise of the state of each case, shape (n_cases, n_samples, 2); None where there is none."""
     if not any(scenario.process_noise_std):
         return None

@@ -54,7 +54,11 @@ def test_one_constant_stands_for_the_other(tmp_path: Path) -> None:
         ("resistance_ohm = 2.18", "resistance_ohm = -2.18", "motor.resistance_ohm"),
         ("resistance_ohm = 2.18", "resistance_ohm = nan", "motor.resistance_ohm"),
         ("resistance_ohm = 2.18", "", "motor.resistance_ohm is missing"),
-        ("resistance_ohm = 2.18", "resistence_ohm = 2.18", "resistence_ohm is not a key"),
+        (
+            "resistance_ohm = 2.18",
+            "resistence_ohm = 2.18",
+            "unknown key 'resistence_ohm' in motor; known are",
+        ),
         ("resistance_ohm = 2.18", "resistance_ohm = 2.18\nresistance_mohm = 2180.0", "give one of them"),
         ("no_load_current_ma = 26.3", "", "no_load_current_ma"),
         ("inductance_mh = 0.238", 'inductance_mh = "x"', "motor.inductance_mh"),

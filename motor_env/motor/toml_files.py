@@ -1,0 +1,137 @@
+"""TOML files of strangers, checked against dataclasses: one sentence for whatever is wrong with them."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
+
+import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError
+from pydantic_core import core_schema
+
+from motor_env.errors import InputError
+from motor_env.motor.parameters import FloatArray, require
+
+T = TypeVar("T")
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+@dataclass(frozen=True)
+class ArrayOf:
+    """How an array stands in a file: as lists of lists of such entries."""
+
+    entries: Any
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        return core_schema.no_info_after_validator_function(_array, handler.generate_schema(self.entries))
+
+
+def _array(entries: Any) -> FloatArray:
+    lengths = {np.shape(entry) for entry in entries}
+    require(len(lengths) <= 1, "rows must be of one length")
+    return np.array(entries, dtype=np.float64)
+
+
+@cache
+def _adapter(cls: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(cls)
+
+
+def read_toml(path: Path, missing: str) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Args:
+        path: the file.
+        missing: what to say where there is none.
+
+    Raises:
+        InputError: no such file, or not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: {missing}") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not text (byte {error.start} is not UTF-8)") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: is not TOML: {error}") from None
+
+
+def from_dict(cls: type[T], content: Mapping[str, Any], whole: str) -> T:
+    """The dataclass that a dictionary of strings, numbers, lists and dictionaries describes.
+
+    Types are strict: `true` is no number. What is left out has its default.
+
+    Args:
+        cls: the dataclass; those in its fields are checked with it.
+        content: what a TOML or JSON file holds.
+        whole: what to call the file where the fault is in no part of it.
+
+    Raises:
+        ValueError: an unknown key, a value of another type or out of its range.
+    """
+    try:
+        text = json.dumps(content, default=str)
+        checked: T = _adapter(cls).validate_json(text, strict=True)  # type: ignore[arg-type]  # a class is hashable
+    except ValidationError as error:
+        raise ValueError(_sentence(cls, error, whole)) from None
+    return checked
+
+
+def _sentence(cls: type[Any], error: ValidationError, whole: str) -> str:
+    """What is wrong first: where, what it must be, and what stands there."""
+    first = error.errors()[0]
+    *outer, last = first["loc"] or ("",)
+    if first["type"] == "unexpected_keyword_argument":
+        known = ", ".join(_keys(cls, outer))
+        return f"unknown key {last!r} in {_place(outer) or whole}; known are {known}"
+    place = _place(first["loc"]) or whole
+    if first["type"] == "missing":
+        return f"{place} is missing"
+    told = first["msg"].removeprefix("Value error, ")
+    if told.startswith("Input should "):
+        return f"{place} must {told.removeprefix('Input should ')}, got {first['input']!r}"
+    return f"{place}: {told}"
+
+
+def _place(parts: Any) -> str:
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts).lstrip(".")
+
+
+def _keys(cls: Any, parts: list[int | str]) -> list[str]:
+    """Keys of the table at a place."""
+    for part in parts:
+        if isinstance(part, str):
+            cls = next(_dataclasses(get_type_hints(cls)[part]))
+    return [f.name for f in fields(cls)]
+
+
+def _dataclasses(hint: Any) -> Any:
+    """The dataclasses in a type such as `tuple[FaultClass, ...] | None`."""
+    if is_dataclass(hint):
+        yield hint
+    for argument in get_args(hint):
+        yield from _dataclasses(argument)
+
+
+def toml_text(top: Mapping[str, Any], tables: Mapping[str, Mapping[str, Any]]) -> str:
+    """The text of a TOML file: what stands in no table, then the tables; what is None is left out."""
+    return "\n".join([_lines(top), *(f"[{name}]\n{_lines(table)}" for name, table in tables.items())])
+
+
+def _lines(table: Mapping[str, Any]) -> str:
+    """A TOML table; strings, numbers and lists stand there as in JSON."""
+    return "".join(
+        f"{key} = {json.dumps(value, ensure_ascii=False, default=np.ndarray.tolist)}\n"
+        for key, value in table.items()
+        if value is not None
+    )
