@@ -89,7 +89,8 @@ def from_dict(cls: type[T], content: Mapping[str, Any], whole: str) -> T:
 
 def _sentence(cls: type[Any], error: ValidationError, whole: str) -> str:
     """What is wrong first: where, what it must be, and what stands there."""
-    first = error.errors()[0]
+    # A misspelt key first: it explains why another one is missing.
+    first = min(error.errors(), key=lambda entry: entry["type"] != "unexpected_keyword_argument")
     *outer, last = first["loc"] or ("",)
     if first["type"] == "unexpected_keyword_argument":
         known = ", ".join(_keys(cls, outer))
