@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from motor_env.files import write_text
 from motor_env.inference.posterior import class_probabilities, excess_over_limit
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.recipes import Recipe, named_recipe
+from motor_env.simulation.recipes import Recipe, changed_recipe, named_recipe
 
 SEED = 77
 RATES_HZ = (10_000.0, 1_000.0)
@@ -36,10 +37,8 @@ Row = dict[str, Any]
 
 def six_cells(recipe: Recipe) -> Iterator[Recipe]:
     """The recipe at each rate and noise."""
-    for rate_hz in RATES_HZ:
-        for noise_a in NOISES_A:
-            timing = replace(recipe.timing, sampling_rate_hz=rate_hz)
-            yield replace(recipe, timing=timing, sensor=replace(recipe.sensor, current_noise_a=noise_a))
+    for rate_hz, noise_a in product(RATES_HZ, NOISES_A):
+        yield changed_recipe(recipe, sampling_rate_hz=rate_hz, current_noise_a=noise_a)
 
 
 def _scores(prefix: str, probabilities: FloatArray, truth: IntArray) -> Row:

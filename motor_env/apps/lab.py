@@ -25,9 +25,9 @@ from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.data_sheet import MotorFile, load_motor
 from motor_env.motor.faults import HEALTHY, Fault, FaultKind
-from motor_env.motor.parameters import CATALOGUE, FloatArray, SensorParameters, SupplyParameters
+from motor_env.motor.parameters import CATALOGUE, FloatArray, SensorParameters
 from motor_env.recordings.recording import Recording
-from motor_env.simulation.simulate import Scenario, Timing, Transients, simulate
+from motor_env.simulation.simulate import Scenario, Timing, Transients, simulate, simulate_states
 
 LARGEST_UPLOAD_BYTES = 20_000_000
 FALSE_ALARM_RATE = 0.01
@@ -66,6 +66,11 @@ class Settings:
     rule: str = "cusum"
     seed: int = 1
 
+    @property
+    def sensor(self) -> SensorParameters:
+        """The sensor, as it is and as the filter believes it to be."""
+        return SensorParameters(current_noise_a=1e-3 * self.noise_ma)
+
     def __post_init__(self) -> None:
         choices = {"motor": tuple(CATALOGUE), "kind": (HEALTHY, *map(str, FaultKind)), "rule": tuple(RULES)}
         for name, allowed in choices.items():
@@ -100,11 +105,8 @@ def settings_of(document: object) -> Settings:
     for key, value in document.items():
         if key not in known:
             raise InputError(f"settings has an unknown key {str(key)[:40]!r}")
-        if known[key] == "str":
-            good = isinstance(value, str)
-        else:
-            good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-        if not good:
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        if not (isinstance(value, str) if known[key] == "str" else is_number):
             raise InputError(f"{key} must be a {'text' if known[key] == 'str' else 'finite number'}")
         values[key] = int(value) if known[key] == "int" else value
     return Settings(**values)
@@ -112,30 +114,14 @@ def settings_of(document: object) -> Settings:
 
 def start_of(settings: Settings) -> Transients:
     """The simulated start: the truth, and what the sensor saw of it."""
-    fault = (
-        ()
-        if settings.kind == HEALTHY
-        else (Fault(FaultKind(settings.kind), 0.01 * settings.severity_percent),)
+    motor = CATALOGUE[settings.motor].scaled(
+        resistance_ohm=1.0 + 0.01 * settings.resistance_percent,
+        viscous_friction_n_m_s_per_rad=1.0 + 0.01 * settings.friction_percent,
     )
-    nominal = CATALOGUE[settings.motor]
-    return simulate(
-        Scenario(
-            parameters=nominal.scaled(
-                resistance_ohm=1.0 + 0.01 * settings.resistance_percent,
-                viscous_friction_n_m_s_per_rad=1.0 + 0.01 * settings.friction_percent,
-            ),
-            faults=fault,
-            supply=SupplyParameters(),
-            sensor=_sensor(settings),
-            timing=TIMING,
-        ),
-        settings.seed,
-        [0],
-    )
-
-
-def _sensor(settings: Settings) -> SensorParameters:
-    return SensorParameters(current_noise_a=1e-3 * settings.noise_ma)
+    kinds = () if settings.kind == HEALTHY else (FaultKind(settings.kind),)
+    faults = tuple(Fault(kind, 0.01 * settings.severity_percent) for kind in kinds)
+    scenario = Scenario(motor, faults=faults, sensor=settings.sensor, timing=TIMING)
+    return simulate(scenario, settings.seed, [0])
 
 
 def simulated(settings: Settings) -> dict[str, Any]:
@@ -143,12 +129,10 @@ def simulated(settings: Settings) -> dict[str, Any]:
     start = start_of(settings)
     nominal = CATALOGUE[settings.motor]
     belief = KalmanFilter.from_parameters(
-        nominal, _sensor(settings), TIMING.dt_s, process_noise_std=(1e-9, 1e-9)
+        nominal, settings.sensor, TIMING.dt_s, process_noise_std=(1e-9, 1e-9)
     )
     filtered = run_filter(belief, start.measurements[0], start.voltage_v[0])
-    expected = simulate(
-        Scenario(nominal, sensor=_sensor(settings), timing=TIMING), settings.seed, [0]
-    ).states[0, :, 0]
+    expected = simulate_states(nominal, start.voltage_v[0], TIMING.dt_s)[:, 0]
     name, rule = RULES[settings.rule]
     threshold = _threshold(settings.rule)
     statistic = rule.statistic(filtered.whitened)

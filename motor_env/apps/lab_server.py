@@ -44,11 +44,9 @@ def make_server(port: int = 0) -> ThreadingHTTPServer:
     if not 0 <= port <= 65_535:
         raise InputError(f"port must lie in 0 .. 65535, got {port}")
     try:
-        server = ThreadingHTTPServer((HOST, port), _Handler)
+        return ThreadingHTTPServer((HOST, port), _Handler)
     except OSError as error:
         raise InputError(f"port {port} cannot be opened ({(error.strerror or str(error)).lower()})") from None
-    server.daemon_threads = True
-    return server
 
 
 def address(server: ThreadingHTTPServer) -> str:

@@ -6,7 +6,7 @@ All are measured on the same cases and in the same bins for a method and for the
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -111,32 +111,20 @@ def plot_reliability(curves: dict[str, CalibrationScores], path: Path) -> None:
     colours = ("#0b6fa4", "#d98300", "#c8442b", "#12805c", "#6b4fa0", "#8c2d5f")
     with drawing():
         figure, (top, bottom) = subplots(2, width_in=6.5, height_in=7.5, height_ratios=(3.0, 1.0))
+        lowest = 1.0
         top.plot([0.0, 1.0], [0.0, 1.0], color=QUIET, linewidth=1.0, linestyle="--")
         for n, (name, scores) in enumerate(curves.items()):
-            colour = INK if name == "limit" else colours[n % len(colours)]
-            binned = scores.reliability
-            seen = binned.n_cases >= _FEW
+            counts = scores.reliability.n_cases
+            seen = counts >= _FEW
+            confidence, accuracy = scores.reliability.confidence[seen], scores.reliability.accuracy[seen]
+            lowest = min(lowest, confidence.min(initial=1.0))
             # One standard error says whether a bin's distance from the diagonal is chance.
-            error = np.sqrt(binned.accuracy * (1.0 - binned.accuracy) / np.maximum(binned.n_cases, 1.0))
+            error = np.sqrt(accuracy * (1.0 - accuracy) / counts[seen])
             label = f"{name}: ECE {scores.ece:.4f}, log-loss {scores.log_loss:.4f}"
-            top.errorbar(
-                binned.confidence[seen],
-                binned.accuracy[seen],
-                yerr=error[seen],
-                color=colour,
-                marker="o",
-                markersize=4,
-                linewidth=1.6,
-                label=label,
-            )
-            bottom.step(
-                BIN_EDGES, np.append(binned.n_cases, binned.n_cases[-1]) / binned.n_cases.sum(), where="post",
-                color=colour, linewidth=1.6,
-            )  # fmt: skip
-        filled = [
-            scores.reliability.confidence[scores.reliability.n_cases >= _FEW] for scores in curves.values()
-        ]
-        lowest = float(min((part.min() for part in filled if part.size), default=0.5))
+            style: dict[str, Any] = {"linewidth": 1.6}
+            style["color"] = INK if name == "limit" else colours[n % len(colours)]
+            top.errorbar(confidence, accuracy, error, marker="o", markersize=4, label=label, **style)
+            bottom.stairs(counts / counts.sum(), BIN_EDGES, baseline=None, **style)
         top.set(ylabel="share of right decisions", title="Do the probabilities mean what they say?")
         top.set_xlim(max(0.0, lowest - 0.05), 1.0)
         top.set_ylim(max(0.0, lowest - 0.15), 1.02)
