@@ -11,13 +11,20 @@ __version__ = "0.1.0"
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-for _name, _module, _class in (
-    ("Monitor-v0", "monitor", "Monitor"),
-    ("Probe-v0", "probe", "Probe"),
-    ("ProbeContinuous-v0", "probe", "ProbeContinuous"),
+# Id, module and class, recipe (None: the class's own), return of the best policy known (docs/environments.md).
+for _id, _class, _recipe, _best in (
+    ("Monitor", "monitor:Monitor", None, 0.889),
+    ("MonitorEasy", "monitor:Monitor", "easy", 0.989),
+    ("MonitorHard", "monitor:Monitor", "hard", 0.526),
+    ("MonitorSmall", "monitor:Monitor", "small", 0.497),
+    ("Probe", "probe:Probe", None, 0.867),
+    ("ProbeMedium", "probe:Probe", "medium", 0.928),
+    ("ProbeContinuous", "probe:ProbeContinuous", None, 0.867),
 ):
     register(
-        id=f"motor_env/{_name}",
-        entry_point=f"motor_env.envs.{_module}:{_class}Env",
-        vector_entry_point=f"motor_env.envs.{_module}:{_class}VectorEnv",
+        id=f"motor_env/{_id}-v0",
+        entry_point=f"motor_env.envs.{_class}Env",
+        vector_entry_point=f"motor_env.envs.{_class}VectorEnv",
+        reward_threshold=_best,
+        kwargs={} if _recipe is None else {"recipe": _recipe},
     )

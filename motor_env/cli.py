@@ -316,6 +316,18 @@ def _circuit(shunt_ohm: float, sensor_lag_s: float) -> Circuit:
 
 
 @app.command
+def warm_up() -> int:
+    """Compile the environments for this machine, so that no program has to wait for it later.
+
+    Example: motor-env warm-up
+    """
+    from motor_env.envs.compiling import warm_up as compile_steps
+
+    print(f"the environments are compiled ({compile_steps():.1f} s)")
+    return 0
+
+
+@app.command
 def lab(*, port: int = 0, browser: bool = True) -> int:
     """A page in the browser: faults, noise and motor by sliders, residual, rule and verdict; drop a recording on it.
 

@@ -49,6 +49,12 @@ def discrete_actions(setup: Setup) -> spaces.Discrete:
     return spaces.Discrete(len(setup.offsets_v))
 
 
+def reward_parts(options: MonitorOptions) -> tuple[str, ...]:
+    """Names under which the info has what a reward is made of: their sum is the reward."""
+    parts = ("reward_verdict", "reward_delay", "reward_probe", "reward_energy")
+    return parts if options.moves_voltage else parts[:2]
+
+
 class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
     """A motor under the filter; the subclasses say what can be done with it.
 
@@ -86,6 +92,7 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         self._scope = Scope(self.setup) if render_mode is not None else None
         self._window: Any = None
         self._over = True
+        self._part_names = reward_parts(options)
         self._samples, self._n_observed = options.samples_per_step, len(self.setup.chosen)
 
     def _actions(self) -> spaces.Space[Any]:
@@ -136,14 +143,16 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         if self._over:
             raise gym.error.ResetNeeded("call reset() before step(): the episode is over")
         observation = np.empty(self._n_observed, dtype=np.float32)
-        reward, self._over, fault_active = stepping.step_single(
+        reward, self._over, fault_active, parts = stepping.step_single(
             offset_v, declared, self._samples, observation, *self._arrays
         )
         if self._scope is not None:
             if self._over:
                 self._scope.verdict, self._scope.good = self._verdict(declared)
             self._show()
-        return observation, reward, self._over, False, {**self._truth, "fault_active": fault_active}
+        info = {**self._truth, "fault_active": fault_active}
+        info.update(zip(self._part_names, parts, strict=False))
+        return observation, reward, self._over, False, info
 
     def _verdict(self, declared: int) -> tuple[str, bool]:
         """How the episode ended, in words, and whether well."""

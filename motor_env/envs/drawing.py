@@ -94,7 +94,7 @@ def make_prior(
         [
             *(len(recipe.classes), n_observed, options.n_levels),
             *(float(np.asarray(getattr(motor, name))) for name in MotorParameters.__slots__),
-            *(float(recipe.supply.voltage_v), options.load_torque_n_m, options.dt_s),
+            *(float(recipe.supply.voltage_v), options.load_n_m, options.dt_s),
             *(options.start is Start.RUNNING, known, ranged),
             *rest,
             *belief.initial_state,

@@ -175,14 +175,14 @@ def weigh(s: FloatArray, j: int, m: int, p: Constants, t: Constants) -> None:
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def settle(s: FloatArray, j: int, p: Constants, samples: int, declared: int) -> float:
-    """Reward of the last step of lane j's episode, which took so many samples.
+    """Verdict on the last step of lane j's episode, which took so many samples; at the horizon the cost comes on top.
 
     A declaration ends the episode and is judged by what had been observed before it: a fault that had acted on no
     observed sample cannot be declared rightly. The horizon ends it with a miss, or with the reward of silence.
     """
     onset = s[j + ONSET * LANES]
     if declared == 0:
-        return float((-p[MISS] if onset < p[HORIZON] else p[SILENT]) - s[j + COST * LANES])
+        return -p[MISS] if onset < p[HORIZON] else p[SILENT]
     if s[j + SAMPLE * LANES] - samples <= onset:
-        return float(-p[FALSE_ALARM])
-    return float(p[CORRECT] if declared == s[j + KIND * LANES] else -p[WRONG_KIND])
+        return -p[FALSE_ALARM]
+    return p[CORRECT] if declared == s[j + KIND * LANES] else -p[WRONG_KIND]

@@ -8,12 +8,22 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from motor_env.envs.tasks import require_environment, task_recipe, with_motor
 from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD
-from motor_env.motor.parameters import MotorParameters, require, require_positive
+from motor_env.motor.parameters import (
+    PAPER_MOTOR,
+    FloatArray,
+    MotorParameters,
+    SupplyParameters,
+    require,
+    require_positive,
+)
 from motor_env.simulation.recipes import Recipe
 
 MAX_SAMPLES = 10_000_000
+DEFAULT_LOAD_N_M = 0.0147
 
 
 class Precision(StrEnum):
@@ -37,13 +47,15 @@ class MonitorOptions:
     Attributes:
         recipe: what is drawn: nominal motor, tolerances, faults and their weights, sensor, sampling rate. The name of
             a recipe (easy, medium, hard, small, or any of `simulation.recipes`), a recipe's TOML file, or a `Recipe`.
-        motor: in place of the recipe's nominal motor: a motor's TOML file, a name of the catalogue, or
-            `MotorParameters`; None: the recipe's.
+        motor: in place of the recipe's nominal motor: a motor's TOML file, which also gives supply, noise and
+            tolerances; a name of the catalogue or `MotorParameters`, for which these stay the recipe's; None: the
+            recipe's motor.
         horizon_s: length of an episode.
         samples_per_step: sensor samples between two decisions.
         start: `running` at the operating point, or from `standstill`.
         load_torque_n_m: load on the shaft, known to the filter. Without load a winding fault of a running motor is all
-            but invisible; the default is half the rated torque of the default motor.
+            but invisible. None: half the rated torque of the default motor, for others the same share of what they
+            hold at standstill (11 %).
         earliest_onset_s: before this time there is no fault.
         mean_onset_s: mean of the (geometric) waiting time from `earliest_onset_s` to the onset; 0: always at once.
         growth_s: time over which the fault grows to its severity; 0: abrupt.
@@ -69,7 +81,7 @@ class MonitorOptions:
     horizon_s: float = 0.2
     samples_per_step: int = 1
     start: Start = Start.RUNNING
-    load_torque_n_m: float = 0.0147
+    load_torque_n_m: float | None = None
     earliest_onset_s: float = 0.01
     mean_onset_s: float = 0.05
     growth_s: float = 0.0
@@ -141,7 +153,7 @@ class MonitorOptions:
         for field in fields(self):
             if field.name.endswith(("_reward", "_cost", "_cost_per_s", "load_torque_n_m")):
                 value = getattr(self, field.name)
-                require(math.isfinite(value), f"{field.name} must be finite, got {value}")
+                require(value is None or math.isfinite(value), f"{field.name} must be finite, got {value}")
         noise = self.belief_noise_std
         require(len(noise) == 2, f"belief_noise_std must be two numbers, got {noise!r}")
         for value in noise:
@@ -164,6 +176,16 @@ class MonitorOptions:
         return self.recipe
 
     @property
+    def load_n_m(self) -> float:
+        """Load on the shaft: the chosen one, or as large a share of the stall torque as the default motor's."""
+        if self.load_torque_n_m is not None:
+            return self.load_torque_n_m
+        return DEFAULT_LOAD_N_M * (
+            _stall_torque(self.task.motor, float(self.task.supply.voltage_v))
+            / _stall_torque(PAPER_MOTOR, SupplyParameters().voltage_v)
+        )
+
+    @property
     def dt_s(self) -> float:
         """Sampling interval."""
         return self.task.timing.dt_s
@@ -182,6 +204,11 @@ class MonitorOptions:
     def n_steps(self) -> int:
         """Steps of an episode that reaches its horizon."""
         return self.n_samples // self.samples_per_step
+
+
+def _stall_torque(motor: MotorParameters, voltage_v: float | FloatArray) -> float:
+    """What the motor holds at standstill."""
+    return float(np.mean(motor.torque_constant_n_m_per_a * voltage_v / motor.resistance_ohm))
 
 
 Options = TypeVar("Options", bound=MonitorOptions)

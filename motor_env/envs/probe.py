@@ -14,7 +14,7 @@ from motor_env.envs.base import DiscreteMotorEnv, Info, MotorEnv, Observation
 from motor_env.envs.options import MonitorOptions
 from motor_env.envs.setup import Setup
 from motor_env.envs.vector import DiscreteVectorEnv, MotorVectorEnv
-from motor_env.motor.parameters import FloatArray, require, require_positive
+from motor_env.motor.parameters import require, require_positive
 from motor_env.simulation.recipes import Recipe
 
 
@@ -41,7 +41,7 @@ class ProbeOptions(MonitorOptions):
     recipe: Recipe | str | Path = "small"
     horizon_s: float = 0.4
     samples_per_step: int = 20
-    load_torque_n_m: float = 0.0
+    load_torque_n_m: float | None = 0.0
     earliest_onset_s: float = 0.02
     mean_onset_s: float = 0.1
     delay_cost_per_s: float = 2.0
@@ -173,10 +173,10 @@ class ProbeContinuousVectorEnv(MotorVectorEnv):
     def _actions(self) -> spaces.Space[Any]:
         return _continuous_actions(self.setup)
 
-    def _step_lanes(self, actions: Any, observation: Observation, reward: FloatArray) -> int:
+    def _step_lanes(self, actions: Any, *outputs: np.ndarray[Any, Any]) -> int:
         array = _checked(actions, self.action_space.shape)
         n_over: int = stepping.step_continuous(
-            array, self.options.max_offset_v, *self._timing, observation, reward, *self._arrays
+            array, self.options.max_offset_v, *self._timing, *outputs, *self._arrays
         )
         return n_over
 

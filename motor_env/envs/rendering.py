@@ -89,9 +89,16 @@ def _rows(values: FloatArray, low: float, high: float, height: int) -> NDArray[n
 
 
 def draw_trace(
-    panel: Frame, values: FloatArray, low: float, high: float, colour: tuple[int, int, int], thick: int = 1
+    panel: Frame,
+    values: FloatArray,
+    limits: tuple[float, float],
+    colour: tuple[int, int, int],
+    *,
+    thick: int = 1,
+    skip: int = 0,
 ) -> None:
-    """Draw values, one to a column of the panel (a NaN is left out), as a line."""
+    """Draw values, one to a column of the panel (a NaN is left out), as a line; the first `skip` only join it."""
+    low, high = limits
     good = np.isfinite(values)
     rows = _rows(np.where(good, values, low), low, high, panel.shape[0])
     before = np.concatenate([rows[:1], rows[:-1]])
@@ -99,11 +106,13 @@ def draw_trace(
     first, last = np.minimum(rows, before), np.maximum(rows, before)
     grid = np.arange(panel.shape[0])[:, None]
     inside = (grid >= first - (thick - 1)) & (grid <= last + (thick - 1)) & good
-    panel[:, : len(values)][inside] = colour
+    panel[:, skip : len(values)][inside[:, skip:]] = colour
 
 
 class Scope:
     """Remembers an episode and draws it; the screen is as wide as the whole of it.
+
+    What has been drawn stays, and only new columns are added, until a value leaves its panel and the scale changes.
 
     Args:
         setup: of the environment.
@@ -115,60 +124,80 @@ class Scope:
         self.width = WIDTH - LEFT - RIGHT
         self.n_steps = setup.options.n_steps
         self.per_column = max(1, self.n_steps // self.width)
-        self._step_of_column = np.arange(self.width) * self.n_steps // self.width
+        self._step_of_column = (np.arange(self.width) * self.n_steps // self.width).tolist()
+        rest_current, rest_speed = (float(value) for value in setup.rest)
+        noise = setup.options.task.sensor.current_noise_a
+        self._rest = (rest_current, rest_speed)
+        self._least = (max(8.0 * noise, 0.3 * abs(rest_current)), 0.05 * abs(rest_speed))
         self.clear()
 
     def clear(self) -> None:
         """A new episode begins."""
-        self.samples: list[tuple[float, ...]] = []
         self.onset_step: int | None = None
-        self.step = 0
+        self.step, self._filled, self._drawn = 0, 0, 0
+        self._columns = np.full((5 + MAX_BANK, self.width), np.nan)
+        self._reach = self._least  # how far current and speed go from where they rest
+        self._frame: Frame | None = None
+        self._voltage: float | None = None
         self.verdict, self.good = "", False
 
     def add(self, *values: float) -> None:
         """One more step: measured and estimated current, estimated speed, voltage, residual, evidence of each kind."""
-        self.samples.append(values)
+        while self._filled < self.width and self._step_of_column[self._filled] <= self.step:
+            self._columns[:, self._filled] = values
+            self._filled += 1
+            reach = tuple(
+                max(old, 1.1 * abs(value - rest))
+                for old, value, rest in zip(self._reach, (values[0], values[2]), self._rest, strict=True)
+            )
+            if reach != self._reach:
+                self._reach, self._frame = (reach[0], reach[1]), None
+        self._voltage = values[3]
         self.step += 1
-
-    def _columns(self) -> FloatArray:
-        columns = np.full((5 + MAX_BANK, self.width), np.nan)
-        if self.samples:
-            shown = self._step_of_column < len(self.samples)
-            columns[:, shown] = np.array(self.samples)[self._step_of_column[shown]].T
-        return columns
 
     def draw(self) -> Frame:
         """The screen, shape (HEIGHT, WIDTH, 3)."""
+        if self._frame is None:
+            self._frame, self._drawn = self._empty_screen(), 0
+        frame, first = self._frame, self._drawn
+        self._traces(frame, first)
+        self._drawn = self._filled
+        frame[: TOP - 6] = BACKGROUND
+        self._head(frame)
+        if self.onset_step is not None and self.onset_step <= self.step:
+            self._mark_onset(frame)
+        return frame.copy()
+
+    def _empty_screen(self) -> Frame:
         frame = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
         frame[:] = BACKGROUND
-        columns = self._columns()
-        options, recipe = self.setup.options, self.setup.options.task
-        self._head(frame)
-        rest_current, rest_speed = (float(value) for value in self.setup.rest)
-        noise = recipe.sensor.current_noise_a
-        reach = max(8.0 * noise, 0.3 * abs(rest_current), _reach(columns[0], rest_current))
+        (rest_current, rest_speed), (reach, swing) = self._rest, self._reach
         self._panel(frame, 0, "current", "A", rest_current - reach, rest_current + reach)
-        self._trace(frame, 0, columns[1], rest_current - reach, rest_current + reach, "estimate")
-        self._trace(frame, 0, columns[0], rest_current - reach, rest_current + reach, "current")
-        swing = max(0.05 * abs(rest_speed), _reach(columns[2], rest_speed))
         self._panel(frame, 1, "speed (filter)", "rad/s", rest_speed - swing, rest_speed + swing)
-        self._trace(frame, 1, columns[2], rest_speed - swing, rest_speed + swing, "speed")
         self._panel(frame, 2, "residual", "sd", -6.0, 6.0)
-        for level in (-3.0, 3.0):
-            self._trace(frame, 2, np.full(self.width, level), -6.0, 6.0, "threshold", every=9)
-        self._trace(frame, 2, columns[4], -6.0, 6.0, "residual")
+        dashes = np.where(np.arange(self.width) % 9 < 4, 3.0, np.nan)
+        for level in (-dashes, dashes):
+            self._trace(frame, 2, level, (-6.0, 6.0), "threshold")
         self._panel(frame, 3, "belief", "nats", 0.0, 12.0)
-        for row, kind in zip(columns[5:], self._kinds, strict=False):
-            self._trace(frame, 3, row, 0.0, 12.0, _colour(kind), thick=2)
         for place, (name, colour) in enumerate((("measured", "current"), ("filter", "estimate"))):
             write(frame, name, 6, self._box(0)[0] + 32 + 15 * place, TRACE[colour], 11)
         for place, kind in enumerate(dict.fromkeys(self._kinds)):
             write(frame, kind, 6, self._box(3)[0] + 32 + 15 * place, TRACE[_colour(kind)], 11)
-        if self.onset_step is not None and self.onset_step <= self.step:
-            self._mark_onset(frame)
-        shown = options.n_steps * options.samples_per_step * options.dt_s
+        shown = self.n_steps * self.setup.options.samples_per_step * self.setup.options.dt_s
         write(frame, f"0 to {1e3 * shown:g} ms", WIDTH - RIGHT - 90, HEIGHT - 24, DIM, 12)
         return frame
+
+    def _traces(self, frame: Frame, first: int) -> None:
+        """The columns that are new, joined to the one before."""
+        columns = self._columns[:, : self._filled]
+        (rest_current, rest_speed), (reach, swing) = self._rest, self._reach
+        current = (rest_current - reach, rest_current + reach)
+        self._trace(frame, 0, columns[1], current, "estimate", first=first)
+        self._trace(frame, 0, columns[0], current, "current", first=first)
+        self._trace(frame, 1, columns[2], (rest_speed - swing, rest_speed + swing), "speed", first=first)
+        self._trace(frame, 2, columns[4], (-6.0, 6.0), "residual", first=first)
+        for row, kind in zip(columns[5:], self._kinds, strict=False):
+            self._trace(frame, 3, row, (0.0, 12.0), _colour(kind), thick=2, first=first)
 
     def _box(self, which: int) -> tuple[int, int]:
         top = TOP + sum(PANEL_HEIGHTS[:which]) + GAP * which
@@ -189,17 +218,17 @@ class Scope:
         frame: Frame,
         which: int,
         values: FloatArray,
-        low: float,
-        high: float,
+        limits: tuple[float, float],
         colour: str,
         *,
         thick: int = 1,
-        every: int = 1,
+        first: int = 0,
     ) -> None:
         top, bottom = self._box(which)
-        if every > 1:
-            values = np.where(np.arange(len(values)) % every < every // 2, values, np.nan)
-        draw_trace(frame[top:bottom, LEFT : WIDTH - RIGHT], values, low, high, TRACE[colour], thick)
+        joined = max(0, first - 1)
+        panel = frame[top:bottom, LEFT + joined : WIDTH - RIGHT]
+        if joined < len(values):
+            draw_trace(panel, values[joined:], limits, TRACE[colour], thick=thick, skip=first - joined)
 
     def _mark_onset(self, frame: Frame) -> None:
         assert self.onset_step is not None  # noqa: S101  # the caller looked
@@ -212,16 +241,10 @@ class Scope:
         time_ms = 1e3 * self.step * options.samples_per_step * options.dt_s
         write(frame, "motor under watch", 6, 8, INK, 16)
         write_figures(frame, f"{time_ms:7.1f} ms", 190, 8, INK, 16)
-        if self.samples:
-            write_figures(frame, f"{self.samples[-1][3]:+7.2f} V", 330, 8, TRACE["speed"], 16)
+        if self._voltage is not None:
+            write_figures(frame, f"{self._voltage:+7.2f} V", 330, 8, TRACE["speed"], 16)
         if self.verdict:
             write(frame, self.verdict, 470, 8, TRACE["current" if self.good else "threshold"], 16)
-
-
-def _reach(values: FloatArray, middle: float) -> float:
-    """Largest distance from the middle, so that nothing leaves the screen."""
-    good = values[np.isfinite(values)]
-    return 1.1 * float(np.abs(good - middle).max()) if len(good) else 0.0
 
 
 class Window:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from motor_env.envs import kernel
+from motor_env.envs.compiling import announce
 from motor_env.envs.drawing import make_prior, motor_table
 from motor_env.envs.lanes import TaskNumbers
 from motor_env.envs.options import MonitorOptions, Start
@@ -80,10 +81,16 @@ def make_setup(options: MonitorOptions) -> Setup:
     Raises:
         ValueError: the recipe has no fault, or a feature cannot be observed with its sensor.
     """
+    announce()
     recipe = options.task
     kinds = tuple(dict.fromkeys(kind.verdict for kind in recipe.kinds))
     require(bool(kinds), f"recipe {recipe.name} must have a class with a fault, got healthy only")
-    rest = steady_state(recipe.motor, float(recipe.supply.voltage_v), options.load_torque_n_m)
+    rest = steady_state(recipe.motor, float(recipe.supply.voltage_v), options.load_n_m)
+    require(
+        rest[State.SPEED] * float(recipe.supply.voltage_v) > 0.0,
+        f"motor of recipe {recipe.name} must turn with its supply of {recipe.supply.voltage_v:g} V, but a load of "
+        f"{options.load_n_m:.3g} N m would drive it backwards",
+    )
     belief = KalmanFilter.from_parameters(
         recipe.motor,
         recipe.sensor,
@@ -196,7 +203,7 @@ def _drift(options: MonitorOptions, model: DiscreteModel, rest: FloatArray) -> F
     away: FloatArray = (
         model.transition @ rest
         + model.gain[:, Input.VOLTAGE] * voltage
-        + model.gain[:, Input.LOAD_TORQUE] * options.load_torque_n_m
+        + model.gain[:, Input.LOAD_TORQUE] * options.load_n_m
         - rest
     )
     return away

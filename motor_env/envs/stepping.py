@@ -13,51 +13,14 @@ from numba import njit
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
+from motor_env.envs import kernel
 from motor_env.envs.drawing import begin_state, draw_episode, set_motor
 from motor_env.envs.kernel import (
-    BANK,
-    BANK_LENGTH,
     BLOCK,
-    BOUND,
-    C1,
-    COST,
-    CURRENT,
-    DELAY,
-    DELAY_COST,
-    ERROR_CURRENT,
-    ERROR_SPEED,
-    ESTIMATED_CURRENT,
-    ESTIMATED_SPEED,
-    FIELD,
-    FULL,
-    GROWTH,
-    HORIZON,
     LANES,
-    LEVEL,
-    MEASURED_CURRENT,
-    MEASURED_SPEED,
     MODEL_LENGTH,
-    N_CHANNELS,
     N_CONSTANTS,
-    N_FIELDS,
-    N_LEVELS,
-    NEVER,
-    NEXT_CHANGE,
-    NOISE,
-    NORMAL_CURRENT,
-    NORMAL_SPEED,
-    OFFSET,
-    ONE,
-    ONSET,
     ROWS,
-    SAMPLE,
-    SCALE,
-    SIGMA_CURRENT,
-    SIGMA_SPEED,
-    SPEED,
-    T11,
-    VOLTAGE,
-    ZERO,
     Constants,
     advance,
     settle,
@@ -88,17 +51,20 @@ def _change_levels(
     s: FloatArray, p: Constants, task: TaskNumbers, lanes: Lanes, first: int, width: int
 ) -> None:
     """Let the faults of a block reach the levels that are due, and see when the next one is."""
-    quiet = p[HORIZON]
+    quiet = p[kernel.HORIZON]
     for j in range(width):
-        while s[j + NEXT_CHANGE * LANES] <= s[j + SAMPLE * LANES]:
-            level = int(s[j + LEVEL * LANES]) + 1
+        while s[j + kernel.NEXT_CHANGE * LANES] <= s[j + kernel.SAMPLE * LANES]:
+            level = int(s[j + kernel.LEVEL * LANES]) + 1
             set_motor(s, j, task, lanes, first + j, level)
-            s[j + LEVEL * LANES], s[j + DELAY * LANES] = level, p[DELAY_COST]
-            due = s[j + ONSET * LANES] + np.floor(p[GROWTH] * level / p[N_LEVELS])
-            s[j + NEXT_CHANGE * LANES] = due if level < p[N_LEVELS] else NEVER
+            s[j + kernel.LEVEL * LANES], s[j + kernel.DELAY * LANES] = level, p[kernel.DELAY_COST]
+            due = s[j + kernel.ONSET * LANES] + np.floor(p[kernel.GROWTH] * level / p[kernel.N_LEVELS])
+            s[j + kernel.NEXT_CHANGE * LANES] = due if level < p[kernel.N_LEVELS] else kernel.NEVER
             lanes.flags[FAULT_ACTIVE, first + j] = True
-        if s[j + SAMPLE * LANES] < p[HORIZON]:
-            quiet = min(quiet, min(s[j + NEXT_CHANGE * LANES], p[HORIZON]) - s[j + SAMPLE * LANES])
+        if s[j + kernel.SAMPLE * LANES] < p[kernel.HORIZON]:
+            quiet = min(
+                quiet,
+                min(s[j + kernel.NEXT_CHANGE * LANES], p[kernel.HORIZON]) - s[j + kernel.SAMPLE * LANES],
+            )
     lanes.marks[QUIET, first] = int(quiet)
 
 
@@ -108,20 +74,20 @@ def _advance_all(s: FloatArray, p: Constants, row: int, kept: float, width: int)
 
     The normals are copied to a place that the compiler knows: else it cannot tell them from what is written.
     """
-    n0, n1 = (NOISE + row) * LANES, (NOISE + row + int(p[N_CHANNELS]) - 1) * LANES
+    n0, n1 = (kernel.NOISE + row) * LANES, (kernel.NOISE + row + int(p[kernel.N_CHANNELS]) - 1) * LANES
     for j in range(width):
-        s[j + NORMAL_CURRENT * LANES] = s[n0 + j]
-    if p[C1] > 0.0:
+        s[j + kernel.NORMAL_CURRENT * LANES] = s[n0 + j]
+    if p[kernel.C1] > 0.0:
         for j in range(width):
-            s[j + NORMAL_SPEED * LANES] = s[n1 + j]
-    if p[FULL] > 0.0:
-        if p[C1] > 0.0:
+            s[j + kernel.NORMAL_SPEED * LANES] = s[n1 + j]
+    if p[kernel.FULL] > 0.0:
+        if p[kernel.C1] > 0.0:
             for j in range(width):
                 advance(s, j, p, kept, True, True)
         else:
             for j in range(width):
                 advance(s, j, p, kept, False, True)
-    elif p[C1] > 0.0:
+    elif p[kernel.C1] > 0.0:
         for j in range(width):
             advance(s, j, p, kept, True, False)
     else:
@@ -141,7 +107,7 @@ def _step_block(
     width: int,
 ) -> int:
     """The samples of a step for the lanes of one block up to `width`; the next row of noise."""
-    channels, kept = int(p[N_CHANNELS]), p[ZERO]
+    channels, kept = int(p[kernel.N_CHANNELS]), p[kernel.ZERO]
     for _ in range(samples):
         if lanes.marks[QUIET, first] <= 0:
             _change_levels(s, p, task, lanes, first, width)
@@ -151,11 +117,11 @@ def _step_block(
             row = 0
         _advance_all(s, p, row, kept, width)
         for m in range(task.bank.shape[0]):
-            if task.bank[m, T11] != 0.0:
+            if task.bank[m, kernel.T11] != 0.0:
                 t = to_fixed_tuple(task.bank[m], MODEL_LENGTH)
                 for j in range(width):
-                    weigh(s, j, BANK + BANK_LENGTH * m, p, t)
-        kept = p[ONE]
+                    weigh(s, j, kernel.BANK + kernel.BANK_LENGTH * m, p, t)
+        kept = p[kernel.ONE]
         row += channels
     return row
 
@@ -164,25 +130,25 @@ def _step_block(
 def _begin_lane(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: int) -> None:
     """Let lane j of a block, lane n of all, begin its next episode; its noise goes on at that row."""
     lanes.words[CASE_LOW, n] += np.uint32(1)
-    for f in range(N_FIELDS):
+    for f in range(kernel.N_FIELDS):
         s[j + f * LANES] = 0.0
     onset = draw_episode(task, lanes, n)
-    s[j + ONSET * LANES] = s[j + NEXT_CHANGE * LANES] = onset
+    s[j + kernel.ONSET * LANES] = s[j + kernel.NEXT_CHANGE * LANES] = onset
     set_motor(s, j, task, lanes, n, 0)
     begin_state(s, j, task, lanes, n)
-    current, speed = s[j + CURRENT * LANES], s[j + SPEED * LANES]
-    error_current, error_speed = s[j + ERROR_CURRENT * LANES], s[j + ERROR_SPEED * LANES]
-    s[j + ESTIMATED_CURRENT * LANES] = current - error_current
-    s[j + ESTIMATED_SPEED * LANES] = speed - error_speed
-    for m in range(BANK, N_FIELDS, BANK_LENGTH):
+    current, speed = s[j + kernel.CURRENT * LANES], s[j + kernel.SPEED * LANES]
+    error_current, error_speed = s[j + kernel.ERROR_CURRENT * LANES], s[j + kernel.ERROR_SPEED * LANES]
+    s[j + kernel.ESTIMATED_CURRENT * LANES] = current - error_current
+    s[j + kernel.ESTIMATED_SPEED * LANES] = speed - error_speed
+    for m in range(kernel.BANK, kernel.N_FIELDS, kernel.BANK_LENGTH):
         s[j + m * LANES], s[j + (m + 1) * LANES] = error_current, error_speed
-    channels = int(task.constants[N_CHANNELS])
+    channels = int(task.constants[kernel.N_CHANNELS])
     four = begin_noise(s, lanes.words, n, row, channels)
-    s[j + MEASURED_CURRENT * LANES] = current + s[j + SIGMA_CURRENT * LANES] * four[0]
-    s[j + MEASURED_SPEED * LANES] = speed + s[j + SIGMA_SPEED * LANES] * four[channels - 1]
+    s[j + kernel.MEASURED_CURRENT * LANES] = current + s[j + kernel.SIGMA_CURRENT * LANES] * four[0]
+    s[j + kernel.MEASURED_SPEED * LANES] = speed + s[j + kernel.SIGMA_SPEED * LANES] * four[channels - 1]
     lanes.flags[TERMINATED, n], lanes.flags[FAULT_ACTIVE, n] = False, False
     first = n - j
-    soon = int(min(s[j + NEXT_CHANGE * LANES], task.constants[HORIZON]))
+    soon = int(min(s[j + kernel.NEXT_CHANGE * LANES], task.constants[kernel.HORIZON]))
     lanes.marks[QUIET, first] = min(lanes.marks[QUIET, first], soon)
 
 
@@ -204,8 +170,8 @@ def _observe_block(
 ) -> None:
     """Write the observed features of a block, scaled and clipped, one row a feature."""
     for m in range(view.shape[0]):
-        scale, bound, offset = view[m, SCALE], view[m, BOUND], view[m, OFFSET]
-        at = int(view[m, FIELD]) * LANES
+        scale, bound, offset = view[m, kernel.SCALE], view[m, kernel.BOUND], view[m, kernel.OFFSET]
+        at = int(view[m, kernel.FIELD]) * LANES
         values, row = s[at : at + LANES], observation[m, first : first + LANES]
         for j in range(width):
             value = (values[j] + offset) * scale
@@ -222,6 +188,40 @@ def observe(observation: Float32Array, numbers: FloatArray, prior: FloatArray, *
         _observe_block(s, task.features, observation, first, min(LANES, observation.shape[1] - first))
 
 
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _split_cost(s: FloatArray, p: Constants, samples: int, parts: FloatArray, first: int, width: int) -> None:
+    """What the reward of a step in the middle of an episode is made of: verdict (none), delay, probe, energy.
+
+    A task that cannot move the voltage has the first two parts alone.
+    """
+    verdict, delay = parts[0, first : first + width], parts[1, first : first + width]
+    for j in range(width):
+        verdict[j] = 0.0
+        delay[j] = -s[j + kernel.COST * LANES]
+    if parts.shape[0] > 2:
+        probe, energy = parts[2, first : first + width], parts[3, first : first + width]
+        for j in range(width):
+            u = s[j + kernel.VOLTAGE * LANES]
+            acting = s[j + kernel.SAMPLE * LANES] - s[j + kernel.ONSET * LANES]
+            cost = delay[j]
+            delay[j] = -p[kernel.DELAY_COST] * min(max(acting, p[kernel.ZERO]), samples)
+            probe[j] = -p[kernel.PROBE_COST] * u * u * samples
+            rest = min(cost - delay[j] - probe[j], 0.0)
+            energy[j] = rest if p[kernel.ENERGY_COST] > 0.0 else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _settle(
+    s: FloatArray, j: int, p: Constants, samples: int, declared: int, parts: FloatArray, n: int
+) -> float:
+    """The last reward of lane j of a block, lane n of all; of its parts the verdict, and no others if it declares."""
+    verdict = settle(s, j, p, samples, declared)
+    if declared > 0:
+        parts[:, n] = 0.0
+    parts[0, n] = verdict
+    return verdict if declared > 0 else float(verdict - s[j + kernel.COST * LANES])
+
+
 @njit(cache=True, error_model="numpy")
 def _finish_block(
     s: FloatArray,
@@ -234,6 +234,7 @@ def _finish_block(
     samples: int,
     next_step: bool,
     reward: FloatArray,
+    parts: FloatArray,
 ) -> int:
     """Rewards, ends and begins of the lanes of a block; how many end."""
     n_over = 0
@@ -242,8 +243,9 @@ def _finish_block(
         if next_step and lanes.flags[TERMINATED, n]:
             _begin_lane(s, j, task, lanes, n, row)
             reward[n] = 0.0
-        elif lanes.marks[DECLARED, n] > 0 or s[j + SAMPLE * LANES] >= p[HORIZON]:
-            reward[n] = settle(s, j, p, samples, lanes.marks[DECLARED, n])
+            parts[:, n] = 0.0
+        elif lanes.marks[DECLARED, n] > 0 or s[j + kernel.SAMPLE * LANES] >= p[kernel.HORIZON]:
+            reward[n] = _settle(s, j, p, samples, lanes.marks[DECLARED, n], parts, n)
             lanes.flags[TERMINATED, n] = True
             n_over += 1
     return n_over
@@ -264,7 +266,7 @@ def lay_discrete(lanes: Lanes, actions: NDArray[np.int64], offsets_v: FloatArray
         return False
     if n_offsets > 1 or offsets_v[0] != 0.0:
         for n in range(actions.shape[0]):
-            lanes.state[(n // LANES) * BLOCK + VOLTAGE * LANES + n % LANES] = offsets_v[actions[n]]
+            lanes.state[(n // LANES) * BLOCK + kernel.VOLTAGE * LANES + n % LANES] = offsets_v[actions[n]]
     return True
 
 
@@ -287,6 +289,7 @@ def _step_lanes(
     next_step: bool,
     observation: Float32Array,
     reward: FloatArray,
+    parts: FloatArray,
     n_envs: int,
 ) -> int:
     """A step of all lanes, whose actions lie in them: writes observations and rewards; how many are over now."""
@@ -302,12 +305,15 @@ def _step_lanes(
             lanes.marks[DECLARED, first : first + LANES],
         )
         for j in range(LANES):
-            rewards[j] = -s[j + COST * LANES]
+            rewards[j] = -s[j + kernel.COST * LANES]
+        _split_cost(s, p, samples, parts, first, LANES)
         for j in range(LANES):
             something |= declared[j] | np.int32(over[j])
         if something != 0 or lanes.marks[QUIET, first] <= 0:
             width = min(LANES, n_envs - first)
-            n_over += _finish_block(s, p, task, lanes, first, width, next_row, samples, next_step, reward)
+            n_over += _finish_block(
+                s, p, task, lanes, first, width, next_row, samples, next_step, reward, parts
+            )
         _observe_block(s, task.features, observation, first, LANES)
     lanes.marks[ROW, 0] = next_row
     return n_over
@@ -322,6 +328,7 @@ def step_discrete(
     next_step: bool,
     observation: Float32Array,
     reward: FloatArray,
+    parts: FloatArray,
     numbers: FloatArray,
     prior: FloatArray,
     *arrays: Any,
@@ -330,7 +337,7 @@ def step_discrete(
     task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
     if not lay_discrete(lanes, actions, offsets_v, n_offsets):
         return -1
-    return int(_step_lanes(task, lanes, samples, next_step, observation, reward, len(actions)))
+    return int(_step_lanes(task, lanes, samples, next_step, observation, reward, parts, len(actions)))
 
 
 @njit(cache=True, error_model="numpy")
@@ -341,6 +348,7 @@ def step_continuous(
     next_step: bool,
     observation: Float32Array,
     reward: FloatArray,
+    parts: FloatArray,
     numbers: FloatArray,
     prior: FloatArray,
     *arrays: Any,
@@ -349,9 +357,9 @@ def step_continuous(
     task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
     for n in range(actions.shape[0]):
         offset_v, declared = decode_continuous(actions[n], reach_v)
-        lanes.state[(n // LANES) * BLOCK + VOLTAGE * LANES + n % LANES] = offset_v
+        lanes.state[(n // LANES) * BLOCK + kernel.VOLTAGE * LANES + n % LANES] = offset_v
         lanes.marks[DECLARED, n] = declared
-    return int(_step_lanes(task, lanes, samples, next_step, observation, reward, len(actions)))
+    return int(_step_lanes(task, lanes, samples, next_step, observation, reward, parts, len(actions)))
 
 
 @njit(cache=True, error_model="numpy")
@@ -363,13 +371,18 @@ def step_single(
     numbers: FloatArray,
     prior: FloatArray,
     *arrays: Any,
-) -> tuple[float, bool, bool]:
-    """A step of a single environment, which is lane 0 of a block of its own: reward, end, and whether a fault acts."""
+) -> tuple[float, bool, bool, tuple[float, ...]]:
+    """A step of a single environment, which is lane 0 of a block of its own.
+
+    Returns:
+        Reward, end, whether a fault acts, and the four parts of the reward.
+    """
     task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
-    p, s = to_fixed_tuple(task.constants, N_CONSTANTS), lanes.state
-    s[VOLTAGE * LANES] = offset_v
+    p, s, parts = to_fixed_tuple(task.constants, N_CONSTANTS), lanes.state, np.empty((4, 1))
+    s[kernel.VOLTAGE * LANES] = offset_v
     lanes.marks[ROW, 0] = _step_block(s, p, task, lanes, 0, lanes.marks[ROW, 0], samples, 1)
-    over = declared > 0 or s[SAMPLE * LANES] >= p[HORIZON]
-    reward = settle(s, 0, p, samples, declared) if over else float(-s[COST * LANES])
+    _split_cost(s, p, samples, parts, 0, 1)
+    over = declared > 0 or s[kernel.SAMPLE * LANES] >= p[kernel.HORIZON]
+    reward = _settle(s, 0, p, samples, declared, parts, 0) if over else float(-s[kernel.COST * LANES])
     _observe_block(s, task.features, observation.reshape((-1, 1)), 0, 1)
-    return reward, over, lanes.flags[FAULT_ACTIVE, 0]
+    return reward, over, lanes.flags[FAULT_ACTIVE, 0], (parts[0, 0], parts[1, 0], parts[2, 0], parts[3, 0])

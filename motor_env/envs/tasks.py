@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from motor_env.motor.faults import FaultKind
-from motor_env.motor.parameters import MotorParameters, SensorParameters, require
+from motor_env.motor.parameters import CATALOGUE, MotorParameters, SensorParameters, require
 from motor_env.simulation.recipes import RECIPES, FaultClass, Recipe, Spread
 
 _HEALTHY = FaultClass(weight=2.0)
@@ -89,24 +90,32 @@ def task_recipe(name_or_path: str | Path) -> Recipe:
 
 
 def with_motor(recipe: Recipe, motor: MotorParameters | str | Path) -> Recipe:
-    """The recipe with another nominal motor.
+    """The recipe with another nominal motor; a motor's file brings its own supply, noise and tolerances along.
 
     Raises:
-        ValueError: no such motor, its file is not one, or it has more than the linear motor of an environment.
+        ValueError: no such motor, its file is not one or gives no voltage, or it has more than the linear motor of an
+            environment.
     """
-    if not isinstance(motor, MotorParameters):
-        require(
-            isinstance(motor, str | Path), f"motor must be a name, a TOML file or parameters, got {motor!r}"
-        )
-        from motor_env.motor.data_sheet import load_motor
+    if isinstance(motor, MotorParameters):
+        return replace(recipe, motor=motor)
+    require(isinstance(motor, str | Path), f"motor must be a name, a TOML file or parameters, got {motor!r}")
+    from motor_env.motor.data_sheet import load_motor
 
-        read = load_motor(motor)
+    read = load_motor(motor)
+    for name in ("coulomb_friction_n_m", "brush_drop_v"):
         require(
-            read.coulomb_friction_n_m == 0.0 and read.brush_drop_v == 0.0,
-            f"{motor}: an environment's motor is linear, so coulomb_friction_n_m and brush_drop_v must be 0",
+            getattr(read, name) == 0.0,
+            f"{motor}: an environment's motor is linear, so {name} must be 0, got {getattr(read, name):g}",
         )
-        motor = read.parameters
-    return replace(recipe, motor=motor)
+    if str(motor) in CATALOGUE:
+        return replace(recipe, motor=read.parameters)
+    from motor_env.simulation.motor_recipes import motor_recipe
+
+    require(read.nominal_voltage_v is not None, f"{motor}: motor.nominal_voltage_v is missing")
+    for note in read.notes:  # what an identification had to assume
+        warnings.warn(f"{motor}: {note}", stacklevel=2)
+    own = motor_recipe(read, timing=recipe.timing, classes=recipe.classes)
+    return replace(recipe, motor=own.motor, supply=own.supply, sensor=own.sensor, spread=own.spread)
 
 
 def require_environment(recipe: Recipe) -> None:

@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from motor_env.envs import stepping
-from motor_env.envs.base import Info, Observation, discrete_actions, observation_space
+from motor_env.envs.base import Info, Observation, discrete_actions, observation_space, reward_parts
 from motor_env.envs.kernel import LANES, ROWS
 from motor_env.envs.lanes import (
     BEFORE_FIRST,
@@ -100,6 +100,7 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         _, self._words, self._marks, self._flags, _ = lanes
         self._arrays = (*pack_task(self.setup.numbers), *lanes)
         self._seeded = False
+        self._part_names = reward_parts(self.options)
         self._n_offsets = len(self.setup.offsets_v) - len(self.setup.kinds)
         self._timing = (self.options.samples_per_step, self.autoreset_mode is AutoresetMode.NEXT_STEP)
 
@@ -185,7 +186,7 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         words[SEED_LOW, given], words[SEED_HIGH, given] = seeds[given] & 0xFFFFFFFF, seeds[given] >> 32
         words[CASE_LOW, given], words[CASE_HIGH, given] = BEFORE_FIRST, index[given]
 
-    def _step_lanes(self, actions: Any, observation: Observation, reward: FloatArray) -> int:
+    def _step_lanes(self, actions: Any, *outputs: NDArray[Any]) -> int:
         raise NotImplementedError
 
     def step(self, actions: Any) -> Step:
@@ -201,9 +202,12 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         if mode is AutoresetMode.DISABLED and self._flags[TERMINATED].any():
             raise gym.error.ResetNeeded("autoreset is disabled: reset the sub-environments that are over")
         lanes, reward = self._empty()
-        n_over = self._step_lanes(actions, lanes, reward)
+        parts = np.empty((len(self._part_names), len(reward)))
+        n_over = self._step_lanes(actions, lanes, reward, parts)
         flags = self._flags[:, : self.num_envs].copy()
         observation, info, terminated = lanes.T[: self.num_envs], self._info(flags), flags[TERMINATED]
+        for name, part in zip(self._part_names, parts, strict=True):
+            info[name], info[f"_{name}"] = part[: self.num_envs], flags[KNOWN]
         if n_over > 0 and mode is AutoresetMode.SAME_STEP:
             observation, info = self._reset_same_step(observation, info, terminated)
         return observation, reward[: self.num_envs], terminated, flags[TRUNCATED], info
@@ -219,6 +223,7 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             final[n] = row
         masks = {name: over.copy() for name in last_info if name.startswith("_")}
         observation, info = self._observed()
+        info.update({name: value for name, value in last_info.items() if "reward" in name})
         info.update(final_obs=final, _final_obs=over.copy(), final_info={**last_info, **masks})
         info["_final_info"] = over.copy()
         return observation, info
@@ -227,7 +232,7 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
 class DiscreteVectorEnv(MotorVectorEnv):
     """Sub-environments with a list of actions."""
 
-    def _step_lanes(self, actions: Any, observation: Observation, reward: FloatArray) -> int:
+    def _step_lanes(self, actions: Any, *outputs: NDArray[Any]) -> int:
         array = np.asarray(actions)
         if array.shape != (self.num_envs,) or array.dtype.kind not in "iu":
             raise ValueError(
@@ -235,7 +240,7 @@ class DiscreteVectorEnv(MotorVectorEnv):
             )
         array = np.ascontiguousarray(array, dtype=np.int64)
         n_over: int = stepping.step_discrete(
-            array, self.setup.offsets_v, self._n_offsets, *self._timing, observation, reward, *self._arrays
+            array, self.setup.offsets_v, self._n_offsets, *self._timing, *outputs, *self._arrays
         )
         if n_over < 0:
             highest = len(self.setup.offsets_v) - 1

@@ -74,7 +74,7 @@ def sample_model(setup: Setup, fault_class: int | None) -> FloatArray:
     faults = () if fault_class is None else recipe.classes[fault_class].faults
     plant = discretize(apply_faults(recipe.motor, faults), options.dt_s)
     belief = setup.belief.model
-    voltage, load = float(recipe.supply.voltage_v), options.load_torque_n_m
+    voltage, load = float(recipe.supply.voltage_v), options.load_n_m
     drift = (
         (plant.transition - np.eye(2)) @ setup.rest
         + plant.gain[:, Input.VOLTAGE] * voltage

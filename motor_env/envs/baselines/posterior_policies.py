@@ -35,7 +35,7 @@ def signatures(setup: Setup, n_samples: int) -> FloatArray:
             apply_faults(recipe.motor, fault_class.faults),
             np.full(n_samples, float(recipe.supply.voltage_v)),
             options.dt_s,
-            load_torque_n_m=options.load_torque_n_m,
+            load_torque_n_m=options.load_n_m,
             initial_state=setup.rest,
         )
         row[:] = (states[:, State.CURRENT] - setup.rest[State.CURRENT]) / recipe.sensor.current_noise_a

@@ -63,7 +63,7 @@ def test_true_states_are_those_of_the_simulation(kind: FaultKind) -> None:
     env = MonitorEnv(precision="float64")
     seed = faulty_episode(env, kind)
     _, infos, states = rollout(env, seed)
-    dt_s, load = env.options.dt_s, env.options.load_torque_n_m
+    dt_s, load = env.options.dt_s, env.options.load_n_m
     fault = Fault(kind, infos[0]["severity"], onset_s=infos[0]["onset_sample"] * dt_s)
     expected = simulate_states(
         PAPER_MOTOR,

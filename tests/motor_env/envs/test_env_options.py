@@ -148,6 +148,62 @@ def test_any_file_runs_or_refuses(kind: str, tmp_path: Path) -> None:
         MonitorEnv(**{kind: "absent.toml"})  # type: ignore[arg-type]  # the name is one of two options
 
 
+OWN = """name = "own"
+[motor]
+resistance_ohm = {ohm}
+inductance_mh = 0.2
+torque_constant_mnm_per_a = {constant}
+rotor_inertia_g_cm2 = 10.0
+viscous_friction_n_m_s_per_rad = 1e-6
+{voltage}
+[tolerance]
+resistance = 0.01
+temperature_k = 0.0
+[sensor]
+current_noise_a = 0.003
+"""
+
+
+def own_motor(
+    tmp_path: Path, voltage: str = "nominal_voltage_v = 48.0", before: str = "", **values: float
+) -> str:
+    """Path of a motor's file."""
+    path = tmp_path / "own.toml"
+    path.write_text(before + OWN.format(voltage=voltage, **{"ohm": 3.0, "constant": 60.0, **values}))
+    return str(path)
+
+
+def test_a_motor_brings_its_supply_noise_tolerances_and_load_along(tmp_path: Path) -> None:
+    env = MonitorEnv(motor=own_motor(tmp_path))
+    task = env.options.task
+    assert (task.supply.voltage_v, task.sensor.current_noise_a) == (48.0, 0.003)
+    assert task.spread.resistance == pytest.approx(0.01)
+    stall = 0.06 * 48.0 / 3.0
+    assert env.options.load_n_m == pytest.approx(0.0147 * stall / (0.0235 * 12.0 / 2.18), rel=0.01)
+    observation, _ = env.reset(seed=0)
+    assert observation[env.setup.observed.index("voltage")] == 1.0
+    assert 0.5 < observation[env.setup.observed.index("estimated_speed")] < 1.0
+    assert MonitorEnv().options.load_n_m == 0.0147
+    assert MonitorEnv(motor=own_motor(tmp_path), load_torque_n_m=0.001).options.load_n_m == 0.001
+
+
+def test_a_motor_that_does_not_turn_or_says_too_little_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="would drive it backwards"):
+        MonitorEnv(load_torque_n_m=1.0)
+    with pytest.raises(ValueError, match="nominal_voltage_v is missing"):
+        MonitorEnv(motor=own_motor(tmp_path, voltage=""))
+    with pytest.warns(UserWarning, match="K is a guess"):
+        MonitorEnv(motor=own_motor(tmp_path, before='notes = ["K is a guess"]\n'))
+
+
+def test_the_registered_variants_know_the_best_score() -> None:
+    for name, recipe in (("MonitorHard", "hard"), ("MonitorSmall", "small"), ("ProbeMedium", "medium")):
+        env = gym.make(f"motor_env/{name}-v0")
+        assert env.unwrapped.options.task.name == recipe  # type: ignore[attr-defined]
+        assert env.spec is not None
+        assert 0.4 < (env.spec.reward_threshold or 0.0) < 1.0
+
+
 def test_an_unknown_option_is_named_and_the_known_ones_listed() -> None:
     with pytest.raises(ValueError, match="no option 'horizn_s'; there are recipe, motor, horizon_s"):
         MonitorEnv(horizn_s=1.0)
@@ -181,6 +237,19 @@ def test_wrappers_and_frames() -> None:
     assert frame.shape == (560, 800, 3)
     assert frame.dtype == np.uint8
     assert len(np.unique(frame.reshape(-1, 3), axis=0)) > 20  # traces, text, grid: not one colour
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_a_hundred_million_steps_of_uniform_random_actions() -> None:
+    envs = MonitorVectorEnv(8192, recipe="hard")
+    envs.reset(seed=0)
+    actions = np.random.default_rng(0).integers(0, 4, (500, 8192))
+    lows, highs = envs.single_observation_space.low, envs.single_observation_space.high  # type: ignore[attr-defined]
+    for step in range(10**8 // 8192 + 1):
+        observations, rewards, _, _, _ = envs.step(actions[step % 500])
+        assert (observations >= lows).all() and (observations <= highs).all()  # noqa: PT018  # also without NaN
+        assert np.isfinite(rewards).all()
 
 
 @pytest.mark.long

@@ -15,6 +15,7 @@ from motor_env.envs.monitor import MonitorVectorEnv
 from motor_env.envs.probe import ProbeEnv, ProbeVectorEnv
 
 IDS = ("motor_env/Monitor-v0", "motor_env/Probe-v0", "motor_env/ProbeContinuous-v0")
+ALL_IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
 SHORT: dict[str, Any] = {"horizon_s": 0.02, "earliest_onset_s": 0.001, "mean_onset_s": 0.005}
 
 
@@ -87,7 +88,7 @@ def test_a_window_shows_the_screen_and_closes(monkeypatch: pytest.MonkeyPatch) -
     env.close()
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", ALL_IDS)
 def test_stable_baselines_checker_is_content(name: str) -> None:
     checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="extra rl")
     with warnings.catch_warnings():
@@ -111,7 +112,7 @@ def test_ppo_learns_through_the_adapter() -> None:
     assert len(model.ep_info_buffer) > 8
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", ALL_IDS)
 def test_torchrl_accepts_single_and_vector(name: str) -> None:
     envs = pytest.importorskip("torchrl.envs", reason="TorchRL is not installed")
     utils = pytest.importorskip("torchrl.envs.utils", reason="TorchRL is not installed")

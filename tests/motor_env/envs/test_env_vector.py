@@ -21,15 +21,20 @@ from motor_env.motor.faults import Fault, FaultKind, apply_faults
 from motor_env.motor.model import discretize
 from motor_env.simulation.recipes import FaultClass, draw
 
-IDS = ("motor_env/Monitor-v0", "motor_env/Probe-v0", "motor_env/ProbeContinuous-v0")
+IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
 SHORT: dict[str, Any] = {"horizon_s": 0.02, "earliest_onset_s": 0.001, "mean_onset_s": 0.005}
 PAIRS: list[tuple[Any, Any, dict[str, Any]]] = [
     (MonitorEnv, MonitorVectorEnv, SHORT),
     (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard", "growth_s": 0.004, "start": "standstill"}),
     (MonitorEnv, MonitorVectorEnv, {**SHORT, "samples_per_step": 4, "precision": "float64"}),
     (ProbeEnv, ProbeVectorEnv, {**SHORT, "samples_per_step": 5}),
-    (ProbeContinuousEnv, ProbeContinuousVectorEnv, {**SHORT, "samples_per_step": 5}),
+    (
+        ProbeContinuousEnv,
+        ProbeContinuousVectorEnv,
+        {**SHORT, "samples_per_step": 5, "energy_cost_per_j": 0.5},
+    ),
 ]
+PARTS = ("reward_verdict", "reward_delay", "reward_probe", "reward_energy")
 
 
 def random_actions(space: gym.Space[Any], steps: int, count: int, seed: int) -> NDArray[Any]:
@@ -139,6 +144,50 @@ def worst_difference(vector: Any, options: dict[str, Any], lanes: int, samples: 
         (a, _, over_a, _, _), (b, _, over_b, _, _) = (env.step(action) for env in envs)
         np.testing.assert_array_equal(over_a, over_b)
     return worst
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize(("single", "vector", "options"), PAIRS)
+def test_the_parts_of_a_reward_are_the_reward(
+    single: Any, vector: Any, options: dict[str, Any], mode: str
+) -> None:
+    envs, env = vector(40, autoreset_mode=mode, **options), single(**options)
+    envs.reset(seed=7)
+    env.reset(seed=7, options={"index": 3})
+    seen, over = set(), False
+    for action in random_actions(envs.single_action_space, 300, 40, seed=1):
+        _, rewards, _, _, info = envs.step(action)
+        parts = {name: info[name] for name in PARTS if name in info}
+        assert len(parts) == (2 if isinstance(env, MonitorEnv) else 4)
+        np.testing.assert_allclose(sum(parts.values()), rewards, atol=1e-6)
+        assert (np.array([value for name, value in parts.items() if name != "reward_verdict"]) <= 0.0).all()
+        seen |= {name for name, value in parts.items() if value.any()}
+        if over and mode == "NextStep":
+            env.reset()
+            over = False
+            assert not any(value[3] for value in parts.values())
+            continue
+        _, reward, over, _, alone = env.step(action[3])
+        assert sum(alone[name] for name in parts) == pytest.approx(reward, abs=1e-6)
+        assert {name: alone[name] for name in parts} == {name: value[3] for name, value in parts.items()}
+        if over and mode == "SameStep":
+            assert info["final_info"]["reward_verdict"][3] == alone["reward_verdict"] != 0.0
+            env.reset()
+    wanted = (
+        set(parts) if options.get("energy_cost_per_j") else set(parts) - {"reward_energy", "reward_probe"}
+    )
+    assert wanted <= seen
+
+
+def test_a_uniform_random_policy_keeps_lanes_apart_from_each_other() -> None:
+    """Two of three steps end an episode: what a begin writes must not reach its neighbours."""
+    envs, env = MonitorVectorEnv(130, recipe="hard"), MonitorEnv(recipe="hard")
+    actions = np.random.default_rng(0).integers(0, 4, (200, 130))
+    seen = [envs.reset(seed=4)[0], *(envs.step(action)[0] for action in actions)]
+    for index in (0, 63, 64, 129):
+        expected = follow(env, actions[:, index], 4, index, AutoresetMode.NEXT_STEP)
+        for mine, theirs in zip(seen, expected, strict=True):
+            np.testing.assert_array_equal(mine[index], theirs[0])
 
 
 def test_final_observation_is_kept_when_the_next_episode_begins_at_once() -> None:

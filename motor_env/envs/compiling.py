@@ -1,0 +1,56 @@
+"""The step is compiled when it is first used, which takes half a minute: that is said, and can be done beforehand."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+import numpy as np
+from numba.core import event
+
+_LOG = logging.getLogger("motor_env")
+
+
+class _Notice(event.Listener):
+    """Says once a process that the environments are being compiled. What numba finds in its cache is not."""
+
+    said = False
+
+    def on_start(self, event: event.Event) -> None:
+        """Something begins to be compiled."""
+        module = event.data["dispatcher"].py_func.__module__
+        if not self.said and module.startswith("motor_env.envs."):
+            self.said = True
+            _LOG.warning(
+                "motor_env compiles its environments for this machine: about half a minute, once "
+                "(`motor-env warm-up` does it beforehand)"
+            )
+
+    def on_end(self, event: event.Event) -> None:
+        """Something has been compiled."""
+
+
+def announce() -> None:
+    """From now on say when something is compiled."""
+    if not _registered:
+        event.register("numba:compile", _NOTICE)
+        _registered.append(True)
+
+
+_NOTICE = _Notice()
+_registered: list[bool] = []
+
+
+def warm_up() -> float:
+    """Compile the steps of all environments in their default precision into numba's cache; how many seconds it took."""
+    from motor_env.envs.monitor import MonitorEnv, MonitorVectorEnv
+    from motor_env.envs.probe import ProbeContinuousEnv, ProbeContinuousVectorEnv
+
+    start = time.perf_counter()
+    for single in (MonitorEnv(), ProbeContinuousEnv()):
+        single.reset(seed=0)
+        single.step(np.zeros(single.action_space.shape or (), dtype=np.float32))
+    for vector in (MonitorVectorEnv(2), ProbeContinuousVectorEnv(2)):
+        vector.reset(seed=0)
+        vector.step(np.zeros(vector.action_space.shape or (2,), dtype=vector.action_space.dtype))
+    return time.perf_counter() - start
