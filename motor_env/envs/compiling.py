@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 
+import gymnasium as gym
 import numpy as np
 from numba.core import event
 
@@ -43,14 +44,14 @@ _registered: list[bool] = []
 
 def warm_up() -> float:
     """Compile the steps of all environments in their default precision into numba's cache; how many seconds it took."""
-    from motor_env.envs.monitor import MonitorEnv, MonitorVectorEnv
-    from motor_env.envs.probe import ProbeContinuousEnv, ProbeContinuousVectorEnv
-
     start = time.perf_counter()
-    for single in (MonitorEnv(), ProbeContinuousEnv()):
-        single.reset(seed=0)
-        single.step(np.zeros(single.action_space.shape or (), dtype=np.float32))
-    for vector in (MonitorVectorEnv(2), ProbeContinuousVectorEnv(2)):
-        vector.reset(seed=0)
-        vector.step(np.zeros(vector.action_space.shape or (2,), dtype=vector.action_space.dtype))
+    for name in (
+        "motor_env/Probe-v0",
+        "motor_env/ProbeContinuous-v0",
+    ):  # Monitor-v0 runs the code of Probe-v0
+        for env in (gym.make(name), gym.make_vec(name, num_envs=2)):
+            env.reset(seed=0)
+            space = env.action_space
+            env.step(np.zeros(space.shape or (), dtype=space.dtype))
+            env.close()
     return time.perf_counter() - start
