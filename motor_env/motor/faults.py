@@ -90,11 +90,6 @@ class FaultKind(str, metaclass=_Registry):
         return core_schema.no_info_after_validator_function(cls, core_schema.str_schema())
 
     @property
-    def is_built_in(self) -> bool:
-        """Whether the package itself has it."""
-        return self in BUILT_IN_KINDS
-
-    @property
     def motor_powers(self) -> dict[str, float]:
         """Its powers on the motor's quantities: none where only the noise changes."""
         return {quantity: power for quantity, power in self.powers.items() if quantity != _NOISE}

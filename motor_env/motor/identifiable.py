@@ -29,34 +29,28 @@ _QUANTITY_OF = {
 PARAMETERS = tuple(_QUANTITY_OF)
 """Order of the logarithms; K is the geometric mean of Kt and Kb."""
 
-_CURRENT_ALONE = {"R": "R", "L": "L", "K^2/J": "KK/J", "B/J": "B/J"}
-_WITH_SPEED = {"R": "R", "L": "L", "K": "K", "J": "J", "B": "B"}
-_CURRENT_PER_VOLT = {"R/V": "R/V", "L/V": "L/V", "K^2/(J V)": "KK/JV", "B/J": "B/J"}
-_SPEED_PER_VOLT = {"R/V": "R/V", "L/V": "L/V", "K/V": "K/V", "J/V": "J/V", "B/V": "B/V"}
-
-
-def _rows(*, has_voltage: bool, has_speed: bool) -> dict[str, str]:
-    if has_voltage:
-        return _WITH_SPEED if has_speed else _CURRENT_ALONE
-    return _SPEED_PER_VOLT if has_speed else _CURRENT_PER_VOLT
+_NAMES = {
+    (True, False): ("R", "L", "K^2/J", "B/J"),
+    (True, True): ("R", "L", "K", "J", "B"),
+    (False, False): ("R/V", "L/V", "K^2/(J V)", "B/J"),
+    (False, True): ("R/V", "L/V", "K/V", "J/V", "B/V"),
+}
 
 
 def names(*, has_voltage: bool, has_speed: bool) -> tuple[str, ...]:
-    """Names of the identifiable quantities."""
-    return tuple(_rows(has_voltage=has_voltage, has_speed=has_speed))
+    """Names of the identifiable quantities: each a product of parameters over another."""
+    return _NAMES[has_voltage, has_speed]
 
 
 def matrix(*, has_voltage: bool, has_speed: bool) -> FloatArray:
     """Exponents of (R, L, K, J, B, V) in each quantity, shape (n_quantities, 6)."""
-    rows = _rows(has_voltage=has_voltage, has_speed=has_speed).values()
-    out = np.zeros((len(rows), len(PARAMETERS)))
-    for n, formula in enumerate(rows):
-        above, _, below = formula.partition("/")
-        for letter in above:
-            out[n, PARAMETERS.index(letter)] += 1.0
-        for letter in below:
-            out[n, PARAMETERS.index(letter)] -= 1.0
-    return out
+    sides = [
+        name.replace("K^2", "KK").partition("/")
+        for name in names(has_voltage=has_voltage, has_speed=has_speed)
+    ]
+    return np.array(
+        [[float(above.count(p) - below.count(p)) for p in PARAMETERS] for above, _, below in sides]
+    )
 
 
 def logarithms(parameters: MotorParameters, voltage_v: float) -> FloatArray:

@@ -77,11 +77,12 @@ class Field:
             self.trigger_jitter[1] < 1.0, f"field.trigger_jitter must be < 1, got {self.trigger_jitter[1]:g}"
         )
         require(self.sensor_gain[0] > 0.0, f"field.sensor_gain must be > 0, got {self.sensor_gain[0]:g}")
-        SensorChain(
-            range_a=self.sensor_range_a,
-            adc_bits=self.adc_bits,
-            lag_s=self.sensor_lag_s,
-            missing_fraction=self.missing_fraction,
+        self.sensor_chain(*self.sensor_gain)
+
+    def sensor_chain(self, gain: Floats, offset_a: Floats) -> SensorChain:
+        """The current sensor with a drawn gain and offset."""
+        return SensorChain(
+            gain, offset_a, self.sensor_lag_s, self.sensor_range_a, self.adc_bits, self.missing_fraction
         )
 
 
@@ -90,6 +91,8 @@ PRIORS = tuple(f.name for f in fields(Field) if "Range" in str(f.type))
 
 PER_MOTOR = PRIORS[:6]
 """Those drawn once a motor; the others are drawn once a start."""
+
+_DRAWN_EFFECTS = tuple(f.name for f in fields(Effects) if f.name in PRIORS)
 
 
 def draw_field(
@@ -126,23 +129,10 @@ def draw_field(
     effects = Effects(
         coulomb_friction_n_m=v["coulomb_ratio"] * torque * (1.0 + bearing_severity),
         stribeck_friction_n_m=v["stribeck_ratio"] * torque,
-        brush_drop_v=v["brush_drop_v"],
-        temperature_rise_k=v["temperature_rise_k"],
-        supply_resistance_ohm=v["supply_resistance_ohm"],
-        ramp_s=v["ramp_s"],
-        ripple_v=v["ripple_v"],
-        ripple_hz=field.ripple_hz,
         load_torque_n_m=v["load_ratio"] * torque,
-        commutation_ripple=v["commutation_ripple"],
         bearing_ripple_n_m=v["bearing_ripple_ratio"] * torque * bearing_severity,
+        ripple_hz=field.ripple_hz,
         delay_s=v["trigger_jitter"] * dt_s,
+        **{name: v[name] for name in _DRAWN_EFFECTS},
     )
-    chain = SensorChain(
-        gain=v["sensor_gain"],
-        offset_a=v["sensor_offset_a"],
-        lag_s=field.sensor_lag_s,
-        range_a=field.sensor_range_a,
-        adc_bits=field.adc_bits,
-        missing_fraction=field.missing_fraction,
-    )
-    return effects, chain
+    return effects, field.sensor_chain(v["sensor_gain"], v["sensor_offset_a"])

@@ -93,11 +93,6 @@ class Effects:
             else:
                 require_positive(f.name, getattr(self, f.name), zero_allowed=f.name not in positive)
 
-    @property
-    def batch_shape(self) -> tuple[int, ...]:
-        """`()` for one motor, `(n_cases,)` for a batch."""
-        return np.broadcast_shapes(*(np.shape(getattr(self, f.name)) for f in fields(self)))
-
 
 (
     _R, _INVERSE_L, _KB, _KT, _INVERSE_J, _B, _DRY, _STRIBECK, _INVERSE_WS, _BRUSH, _SOURCE_R, _RAMP_RATE, _RIPPLE,

@@ -365,7 +365,7 @@ def _draw_severities(
     """Severity of each fault kind that the recipe has, shape (n_cases,); one draw a motor where it is continuous."""
     severities: dict[FaultKind, FloatArray] = {}
     u = None
-    others = [kind for kind in recipe.kinds if not kind.is_built_in]
+    others = [kind for kind in recipe.kinds if kind not in BUILT_IN_KINDS]
     columns = [*BUILT_IN_KINDS, *others]  # a case depends on its recipe, not on what else is registered
     for kind in recipe.kinds:
         low, high = np.array(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -51,11 +51,6 @@ class SensorChain:
             0.0 <= self.missing_fraction < 1.0,
             f"missing_fraction must be in [0, 1), got {self.missing_fraction:g}",
         )
-
-    @property
-    def batch_shape(self) -> tuple[int, ...]:
-        """`()` for one sensor, `(n_cases,)` for one a case."""
-        return np.broadcast_shapes(*(np.shape(getattr(self, f.name)) for f in fields(self)))
 
     def rows(self, n_cases: int, dt_s: float) -> FloatArray:
         """Columns gain, offset, share of the lag kept over one sample, range, step of the converter; (n_cases, 5)."""
