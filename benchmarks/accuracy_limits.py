@@ -16,8 +16,9 @@ from motor_env.inference.posterior import Limit, bayes_limit, class_probabilitie
 from motor_env.inference.severity import SeverityPrior, severity_posterior
 from motor_env.motor.faults import Fault
 from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.drawing import draw
 from motor_env.simulation.random_streams import Stream, uniforms
-from motor_env.simulation.recipes import FaultClass, Recipe, draw
+from motor_env.simulation.recipes import FaultClass, Recipe
 from motor_env.simulation.simulate import simulate
 
 _CHUNK = 2000

@@ -29,7 +29,9 @@ from motor_env.filters.kalman import KalmanFilter, schedule
 from motor_env.filters.process_noise import signature_energy
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.recipes import Recipe, draw, named_recipe
+from motor_env.simulation.drawing import draw
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.simulate import simulate
 
 IntArray = NDArray[np.int64]

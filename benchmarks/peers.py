@@ -16,7 +16,7 @@ from run import FOLDER, ONE_THREAD
 
 from motor_classifiers.scoring.judging import Cell
 from motor_classifiers.scoring.peers import PEERS, export_starts, shipped_peers
-from motor_env.simulation.recipes import named_recipe
+from motor_env.simulation.named_recipes import named_recipe
 
 PYTHON = FOLDER.parent / ".venv-aeon" / "bin" / "python"
 

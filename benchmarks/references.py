@@ -28,7 +28,8 @@ from motor_classifiers.scoring.metrics import IntArray
 from motor_classifiers.scoring.peers import export_starts
 from motor_datasets.arrays import Dataset
 from motor_env.motor.parameters import FloatArray, SensorParameters
-from motor_env.simulation.recipes import Recipe, named_recipe
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.simulate import Timing
 
 SEED = 0

@@ -49,7 +49,8 @@ from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, SensorParameters
 from motor_env.plotting import INK, QUIET, drawing, save, subplots
-from motor_env.simulation.recipes import FaultClass, Recipe, named_recipe
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FaultClass, Recipe
 from motor_env.simulation.simulate import Timing
 
 SEED = 0

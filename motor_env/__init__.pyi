@@ -116,14 +116,18 @@ from .recordings.recording import (
     Recording as Recording,
     read_recording as read_recording,
 )
+from .simulation.drawing import (
+    draw as draw,
+)
+from .simulation.named_recipes import (
+    RECIPES as RECIPES,
+    named_recipe as named_recipe,
+)
 from .simulation.recipe_files import (
     load_recipe as load_recipe,
 )
 from .simulation.recipes import (
-    RECIPES as RECIPES,
     Recipe as Recipe,
-    draw as draw,
-    named_recipe as named_recipe,
 )
 from .simulation.simulate import (
     Scenario as Scenario,

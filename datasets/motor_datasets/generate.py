@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from motor_datasets.arrays import EFFECTS, SENSOR_ERRORS, Dataset
 from motor_datasets.splits import split_of
 from motor_env.motor.parameters import require
-from motor_env.simulation.recipes import Draw, Recipe, draw, measure_draw
+from motor_env.simulation.drawing import Draw, draw, measure_draw
+from motor_env.simulation.recipes import Recipe
 
 _CASES_AT_ONCE = 4096  # bounds the memory of what only some recipes need; more gains nothing
 

@@ -46,7 +46,7 @@ class MonitorOptions:
 
     Attributes:
         recipe: what is drawn: nominal motor, tolerances, faults and their weights, sensor, sampling rate. The name of
-            a recipe (easy, medium, hard, small, or any of `simulation.recipes`), a recipe's TOML file, or a `Recipe`.
+            a recipe (easy, medium, hard, small, or of `simulation.named_recipes`), a recipe's TOML file, or a `Recipe`.
         motor: in place of the recipe's nominal motor: a motor's TOML file, which also gives supply, noise and
             tolerances; a name of the catalogue or `MotorParameters`, for which these stay the recipe's; None: the
             recipe's motor.

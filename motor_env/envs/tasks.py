@@ -10,7 +10,8 @@ import numpy as np
 
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import CATALOGUE, MotorParameters, SensorParameters, require
-from motor_env.simulation.recipes import RECIPES, FaultClass, Recipe, Spread
+from motor_env.simulation.named_recipes import RECIPES
+from motor_env.simulation.recipes import FaultClass, Recipe, Spread
 
 _HEALTHY = FaultClass(weight=2.0)
 

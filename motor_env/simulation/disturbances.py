@@ -77,7 +77,7 @@ class Field:
             self.trigger_jitter[1] < 1.0, f"field.trigger_jitter must be < 1, got {self.trigger_jitter[1]:g}"
         )
         require(self.sensor_gain[0] > 0.0, f"field.sensor_gain must be > 0, got {self.sensor_gain[0]:g}")
-        self.sensor_chain(*self.sensor_gain)
+        self.sensor_chain(gain=1.0, offset_a=0.0)
 
     def sensor_chain(self, gain: Floats, offset_a: Floats) -> SensorChain:
         """The current sensor with a drawn gain and offset."""

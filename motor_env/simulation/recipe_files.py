@@ -11,7 +11,8 @@ from typing import Any
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.toml_files import from_dict, read_toml
-from motor_env.simulation.recipes import RECIPES, Recipe, named_recipe
+from motor_env.simulation.named_recipes import RECIPES, named_recipe
+from motor_env.simulation.recipes import Recipe
 
 
 def recipe_to_dict(recipe: Recipe) -> dict[str, Any]:

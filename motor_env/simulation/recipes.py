@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field as dataclass_field, fields, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from motor_env.motor.faults import BUILT_IN_KINDS, HEALTHY, Fault, FaultKind
 from motor_env.motor.parameters import (
     PAPER_MOTOR,
-    QUANTITY_FIELDS,
     FloatArray,
     MotorParameters,
     SensorParameters,
@@ -19,12 +18,8 @@ from motor_env.motor.parameters import (
     require,
     require_positive,
 )
-from motor_env.simulation.disturbances import Field, draw_field
-from motor_env.simulation.fast_path import measure
-from motor_env.simulation.nonlinear import Effects
-from motor_env.simulation.random_streams import Stream, normals, uniforms
-from motor_env.simulation.sensor import SensorChain
-from motor_env.simulation.simulate import Scenario, Timing
+from motor_env.simulation.disturbances import Field
+from motor_env.simulation.simulate import Timing
 
 LARGEST_SPREAD = (
     0.14  # a normal number of the streams stays below 6.77, so a factor 1 + 0.14 z stays positive
@@ -61,14 +56,6 @@ class Spread:
 
 FACTORS = tuple(f.name for f in fields(Spread))
 """Order of the nuisance factors in every array."""
-
-
-def apply_factors(parameters: MotorParameters, factors: FloatArray) -> MotorParameters:
-    """Parameters times the motor's factors; `factors` has shape (n, 5), of which the supply's column is not used."""
-    by_name = dict(zip(FACTORS, np.moveaxis(factors, -1, 0), strict=True))
-    return parameters.scaled(
-        **{field: factor for name, factor in by_name.items() for field in QUANTITY_FIELDS.get(name, ())}
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,16 +140,6 @@ PAPER_CLASSES = (
     FaultClass(FaultKind.WINDING_CONTACT, 0.25),
 )
 """The paper's fault levels (part 4): healthy, and 10 and 25 % of friction or resistance."""
-
-
-BENCH_FULL_CLASSES = (
-    *PAPER_CLASSES,
-    FaultClass(FaultKind.WINDING_SHORT, 0.10),
-    FaultClass(FaultKind.WINDING_SHORT, 0.25),
-    FaultClass(FaultKind.NOISE, 0.50),
-    FaultClass(FaultKind.NOISE, 1.00),
-)
-"""The paper's levels, and the other two fault kinds: shorted turns, and a rise of the noise's variance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,196 +253,6 @@ class Recipe:
     def motor_id(self, cases: NDArray[np.int64]) -> NDArray[np.int64]:
         """Motor of each case: consecutive cases are the starts of one motor."""
         return cases // self.starts_per_motor
-
-
-class Draw(NamedTuple):
-    """Cases drawn from a recipe: the truth.
-
-    Attributes:
-        cases: case numbers, shape (n_cases,).
-        class_index: index into `recipe.classes`, shape (n_cases,).
-        factors: nuisance factors in the order of `FACTORS`, shape (n_cases, 5).
-        scenario: what to simulate.
-        motor_id: motor of each case, shape (n_cases,).
-        severity: sum over the faults of the case, 0 for healthy, shape (n_cases,).
-        effects: departures from the textbook motor; None for none.
-        chain: errors of the current sensor; None for none.
-    """
-
-    cases: NDArray[np.int64]
-    class_index: NDArray[np.int64]
-    factors: FloatArray
-    scenario: Scenario
-    motor_id: NDArray[np.int64]
-    severity: FloatArray
-    effects: Effects | None = None
-    chain: SensorChain | None = None
-
-
-def draw(recipe: Recipe, seed: int, cases: ArrayLike) -> Draw:
-    """Draw the given cases. Case n depends on (recipe, seed, n) alone.
-
-    Args:
-        recipe: what to draw from.
-        seed: the random seed.
-        cases: case numbers, shape (n_cases,).
-    """
-    numbers = np.atleast_1d(np.asarray(cases, dtype=np.int64))
-    motor_id = recipe.motor_id(numbers)
-    class_index = _draw_classes(recipe, seed, numbers, motor_id)
-    z = normals(seed, Stream.MOTOR, motor_id, len(FACTORS))
-    supply = FACTORS.index("supply")
-    z[:, supply] = normals(seed, Stream.SUPPLY, numbers, 1)[:, 0]
-    factors = 1.0 + recipe.spread.std * z
-    severities = _draw_severities(recipe, seed, class_index, motor_id)
-    scenario = Scenario(
-        parameters=apply_factors(recipe.motor, factors),
-        faults=tuple(Fault(kind, severity) for kind, severity in severities.items()),
-        supply=SupplyParameters(recipe.supply.voltage_v * factors[:, supply]),
-        sensor=recipe.sensor,
-        timing=recipe.timing,
-    )
-    first = np.zeros(len(numbers))
-    for kind, severity in severities.items():
-        first += severity * np.array([c.kind == kind for c in recipe.classes])[class_index]
-    effects, chain = None, None
-    if recipe.field is not None:
-        bearing = sum(
-            (s for kind, s in severities.items() if kind.verdict == FaultKind.BEARING.verdict),
-            np.zeros(len(numbers)),
-        )
-        voltage, dt_s = recipe.supply.voltage_v, recipe.timing.dt_s
-        effects, chain = draw_field(
-            recipe.field,
-            recipe.motor,
-            voltage,
-            dt_s,
-            bearing_severity=bearing,
-            seed=seed,
-            motor_id=motor_id,
-            cases=numbers,
-        )
-    return Draw(numbers, class_index, factors, scenario, motor_id, first, effects, chain)
-
-
-def _draw_classes(
-    recipe: Recipe, seed: int, cases: NDArray[np.int64], motor_id: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    cumulated = np.cumsum(recipe.class_probabilities)
-    index = np.searchsorted(cumulated[:-1], uniforms(seed, Stream.CLASS, motor_id, 1)[:, 0], side="right")
-    if recipe.healthy_starts:
-        commissioning = cases % recipe.starts_per_motor < recipe.healthy_starts
-        index = np.where(commissioning, recipe.class_names.index(HEALTHY), index)
-    return index.astype(np.int64)
-
-
-def _draw_severities(
-    recipe: Recipe, seed: int, class_index: NDArray[np.int64], motor_id: NDArray[np.int64]
-) -> dict[FaultKind, FloatArray]:
-    """Severity of each fault kind that the recipe has, shape (n_cases,); one draw a motor where it is continuous."""
-    severities: dict[FaultKind, FloatArray] = {}
-    u = None
-    others = [kind for kind in recipe.kinds if kind not in BUILT_IN_KINDS]
-    columns = [*BUILT_IN_KINDS, *others]  # a case depends on its recipe, not on what else is registered
-    for kind in recipe.kinds:
-        low, high = np.array(
-            [
-                next(((p.severity, p.largest_severity) for p in c.parts if p.kind == kind), (0.0, 0.0))
-                for c in recipe.classes
-            ]
-        )[class_index].T
-        if (low != high).any():
-            u = uniforms(seed, Stream.SEVERITY, motor_id, len(columns)) if u is None else u
-            low = low + (high - low) * u[:, columns.index(kind)]
-        severities[kind] = np.ascontiguousarray(low)
-    return severities
-
-
-def measure_draw(
-    drawn: Draw, recipe: Recipe, seed: int, out: NDArray[np.float32] | None = None
-) -> NDArray[np.float32]:
-    """Readings of drawn cases, float32, shape (n_cases, n_channels, n_samples)."""
-    return measure(
-        drawn.scenario,
-        seed,
-        drawn.cases,
-        effects=drawn.effects,
-        chain=drawn.chain,
-        nominal=recipe.motor,
-        out=out,
-    )
-
-
-BENCH_SPREAD = Spread(supply=0.01, resistance=0.01, constants=0.01, inertia=0.02, friction=0.02)
-
-FIELD = Field(
-    coulomb_ratio=(0.3, 0.4),
-    stribeck_ratio=(0.0, 0.1),
-    brush_drop_v=(0.0, 0.1),
-    supply_resistance_ohm=(0.02, 0.06),
-    commutation_ripple=(0.0, 0.02),
-    sensor_gain=(0.995, 1.005),
-    sensor_offset_a=(-0.0025, 0.0025),
-    temperature_rise_k=(-5.0, 15.0),
-    load_ratio=(0.0, 0.05),
-    ramp_s=(0.0, 0.0005),
-    ripple_v=(0.0, 0.05),
-    trigger_jitter=(0.0, 0.99),
-    bearing_ripple_ratio=(0.0, 0.5),
-    sensor_lag_s=2e-5,
-    sensor_range_a=8.2,
-    adc_bits=12,
-)
-"""A small motor on a bench supply, its current read by a shunt and a 12-bit converter (docs/datasets.md)."""
-
-_FIELD_SHIFTS = (
-    Shift("hotter", field=replace(FIELD, temperature_rise_k=(25.0, 45.0))),
-    Shift("loaded", field=replace(FIELD, load_ratio=(0.5, 1.0))),
-    Shift("other_sensor", field=replace(FIELD, sensor_gain=(0.98, 1.02), sensor_offset_a=(-0.02, 0.02))),
-    Shift(
-        "unseen_severity",
-        classes=(
-            FaultClass(),
-            FaultClass(FaultKind.BEARING, 0.17),
-            FaultClass(FaultKind.WINDING_CONTACT, 0.17),
-        ),
-    ),
-    Shift(
-        "unseen_kind",
-        classes=(FaultClass(), FaultClass(FaultKind.WINDING_SHORT, 0.10), FaultClass(FaultKind.NOISE, 1.0)),
-    ),
-)
-
-RECIPES: dict[str, Recipe] = {
-    "paper": Recipe(name="paper"),
-    "bench": Recipe(name="bench", spread=BENCH_SPREAD),
-    "bench-full": Recipe(name="bench-full", spread=BENCH_SPREAD, classes=BENCH_FULL_CLASSES),
-    "field": Recipe(
-        name="field",
-        # The table's friction holds all no-load torque; here a good third of it is Coulomb friction.
-        motor=PAPER_MOTOR.scaled(viscous_friction_n_m_s_per_rad=0.65),
-        spread=Spread(supply=0.01, resistance=0.03, constants=0.02, inertia=0.02, friction=0.05),
-        timing=Timing(quiet_s=0.02),
-        sensor=SensorParameters(current_noise_a=0.004),
-        field=FIELD,
-        starts_per_motor=5,
-        healthy_starts=3,
-        shifts=_FIELD_SHIFTS,
-    ),
-}
-"""Named recipes. `paper`: noise only. `bench`: every motor and every start differs by its tolerances. `bench-full`: the
-same with all fault kinds. `field`: temperature, supply, load, sensor errors, dry friction, brushes, trigger jitter."""
-
-
-def named_recipe(name: str, **changes: object) -> Recipe:
-    """Recipe of that name, with fields replaced.
-
-    Raises:
-        ValueError: no such recipe; the sentence lists those that exist.
-    """
-    if name not in RECIPES:
-        raise ValueError(f"recipe must be one of {', '.join(sorted(RECIPES))}, got {name!r}")
-    return replace(RECIPES[name], **changes)  # type: ignore[arg-type]  # replace checks the names
 
 
 def changed_recipe(

@@ -10,7 +10,7 @@ import joblib
 import pytest
 
 from motor_datasets import generate_dataset, layout
-from motor_env.simulation.recipes import RECIPES
+from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.simulate import Timing
 
 

@@ -19,7 +19,8 @@ from sklearn.utils.validation import (
 )
 
 from motor_env.motor.parameters import FloatArray, require
-from motor_env.simulation.recipes import Recipe, named_recipe
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.simulate import Timing
 
 

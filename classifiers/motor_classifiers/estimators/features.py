@@ -18,7 +18,8 @@ from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.inference.features import FEATURE_NAMES, physical_features
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.recipes import Recipe, draw
+from motor_env.simulation.drawing import draw
+from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.simulate import simulate
 
 _FAMILY_SEED = 0xFA317  # of the noise-free signal family; no data set is drawn with it

@@ -14,7 +14,8 @@ from motor_classifiers.scoring.judging import judged_cases
 from motor_classifiers.wrappers.open_set import FaultFamilyDetector
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.parameters import FloatArray, SupplyParameters
-from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe, apply_factors, draw
+from motor_env.simulation.drawing import apply_factors, draw
+from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 from motor_env.simulation.simulate import simulate
 
 Confidence = Callable[[NDArray[np.float32]], FloatArray]

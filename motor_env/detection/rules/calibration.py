@@ -13,8 +13,9 @@ from motor_env.detection.rules.statistic import Statistic
 from motor_env.detection.rules.thresholds import Request, Threshold
 from motor_env.detection.rules.tolerant import TolerantFilter
 from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.random_streams import Stream, normals
-from motor_env.simulation.recipes import FaultClass, Recipe, draw, measure_draw
+from motor_env.simulation.recipes import FaultClass, Recipe
 
 IntArray = NDArray[np.int64]
 Progress = Callable[[float], None]

@@ -11,7 +11,9 @@ from motor_classifiers.estimators.confirmation import ThresholdConfirmationClass
 from motor_classifiers.estimators.threshold_rule import window_features
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.recipes import FaultClass, Recipe, draw, named_recipe
+from motor_env.simulation.drawing import draw
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FaultClass, Recipe
 from motor_env.simulation.simulate import Timing, simulate
 
 Tuned = tuple[Recipe, ThresholdConfirmationClassifier]

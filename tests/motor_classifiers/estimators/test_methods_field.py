@@ -12,7 +12,7 @@ from motor_classifiers.estimators.methods import METHODS, make_method
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.resnet import ResNetClassifier
 from motor_datasets.generate import generate_arrays
-from motor_env.simulation.recipes import named_recipe
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.simulate import Timing
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))

@@ -21,7 +21,8 @@ from motor_datasets.generate import generate_arrays
 from motor_env.inference.severity import severity_posterior
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import Channel, SensorParameters
-from motor_env.simulation.recipes import FaultClass, Recipe, named_recipe
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FaultClass, Recipe
 from motor_env.simulation.simulate import Timing
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))

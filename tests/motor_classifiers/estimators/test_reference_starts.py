@@ -21,7 +21,9 @@ from motor_datasets.generate import generate_arrays
 from motor_env.inference.posterior import class_probabilities, prior_from_starts
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray, MotorParameters
-from motor_env.simulation.recipes import FaultClass, Recipe, Spread, apply_factors, named_recipe
+from motor_env.simulation.drawing import apply_factors
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FaultClass, Recipe, Spread
 from motor_env.simulation.simulate import Timing, simulate_states
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))

@@ -13,7 +13,7 @@ from motor_env.detection.rules.tolerant import TolerantFilter
 from motor_env.inference.posterior import class_probabilities
 from motor_env.inference.whitening import MatchedTest
 from motor_env.motor.faults import Fault, FaultKind
-from motor_env.simulation.recipes import named_recipe
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.simulate import Timing
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))

@@ -18,7 +18,7 @@ from motor_classifiers.estimators.reference_starts import RecentredStarts, refer
 from motor_classifiers.model_files.persistence import load_model, save_model
 from motor_datasets.generate import generate_arrays
 from motor_env.errors import InputError
-from motor_env.simulation.recipes import named_recipe
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.simulate import Timing
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))

@@ -28,7 +28,8 @@ from motor_datasets import generate_arrays, generate_dataset
 from motor_env.console import ExitStatus
 from motor_env.errors import InputError
 from motor_env.motor.faults import FaultKind
-from motor_env.simulation.recipes import FaultClass, named_recipe
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FaultClass
 from motor_env.simulation.simulate import Timing
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))

@@ -15,7 +15,7 @@ from motor_classifiers.estimators.networks.posterior_network import PosteriorNet
 from motor_classifiers.model_files.onnx_export import INPUT, OUTPUTS, Deployed
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model, save_model
 from motor_datasets.generate import generate_arrays
-from motor_env.simulation.recipes import named_recipe
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.simulate import Timing
 
 SHORT = named_recipe("bench-full", timing=Timing(1_000.0, 0.02))

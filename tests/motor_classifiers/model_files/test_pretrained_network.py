@@ -12,7 +12,7 @@ from motor_classifiers.cli.training import network_recipe
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_env.motor.data_sheet import load_motor
-from motor_env.simulation.recipes import named_recipe
+from motor_env.simulation.named_recipes import named_recipe
 
 ROOT = Path(__file__).resolve().parents[3]
 CAPTURE = str(ROOT / "examples" / "startup_capture.csv")

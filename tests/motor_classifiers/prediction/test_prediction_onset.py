@@ -9,7 +9,8 @@ from motor_classifiers.estimators.methods import make_method
 from motor_classifiers.prediction.opinions import UNDECIDED, predict_recording
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.faults import apply_faults
-from motor_env.simulation.recipes import draw, named_recipe
+from motor_env.simulation.drawing import draw
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.simulate import simulate_states
 
 RECIPE = named_recipe("bench")

@@ -12,7 +12,7 @@ from motor_classifiers.model_files.persistence import load_model, save_model
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_datasets import generate_dataset
 from motor_datasets.loaders import load
-from motor_env.simulation.recipes import named_recipe
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.simulate import Timing
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))

@@ -34,7 +34,8 @@ from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, make_cells, 
 from motor_classifiers.scoring.results import result_rows
 from motor_classifiers.scoring.trust import TRUST, Counts
 from motor_env.errors import InputError
-from motor_env.simulation.recipes import Recipe, named_recipe
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.simulate import Timing
 
 SLOW = named_recipe("bench", timing=Timing(1_000.0, 0.1))

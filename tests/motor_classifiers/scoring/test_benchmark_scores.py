@@ -22,7 +22,7 @@ from motor_classifiers.scoring.metrics import (
     scores,
 )
 from motor_datasets.generate import generate_arrays
-from motor_env.simulation.recipes import named_recipe
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.simulate import Timing
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))

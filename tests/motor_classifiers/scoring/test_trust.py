@@ -35,7 +35,8 @@ from motor_classifiers.wrappers.conformal import ConformalSets
 from motor_classifiers.wrappers.open_set import FaultFamilyDetector
 from motor_datasets.generate import generate_arrays
 from motor_env.inference.posterior import class_probabilities
-from motor_env.simulation.recipes import FaultClass, Recipe, Spread, named_recipe
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FaultClass, Recipe, Spread
 from motor_env.simulation.simulate import Timing
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))

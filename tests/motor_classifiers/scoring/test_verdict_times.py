@@ -15,7 +15,8 @@ from motor_classifiers.scoring.verdict_times import (
 )
 from motor_classifiers.wrappers.early import stop_when_sure, stopping_score
 from motor_env.motor.faults import FaultKind
-from motor_env.simulation.recipes import FaultClass, named_recipe
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FaultClass
 from motor_env.simulation.simulate import Timing
 
 

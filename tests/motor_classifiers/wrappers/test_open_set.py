@@ -16,7 +16,8 @@ from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClas
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.faults import Fault, FaultKind, apply_fault, motor_kinds
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
-from motor_env.simulation.recipes import FaultClass, Recipe, named_recipe
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FaultClass, Recipe
 from motor_env.simulation.simulate import Timing, simulate_states
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))

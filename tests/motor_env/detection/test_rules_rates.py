@@ -21,7 +21,7 @@ from motor_env.detection.rules import (
 )
 from motor_env.detection.rules.calibration import healthy_measurements
 from motor_env.motor.parameters import Channel, SensorParameters
-from motor_env.simulation.recipes import named_recipe
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.simulate import Timing
 
 WANTED = 0.01

@@ -21,8 +21,9 @@ from motor_env.motor.data_sheet import load_motor
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.start import prepare
+from motor_env.simulation.drawing import apply_factors
+from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.random_streams import Stream, normals
-from motor_env.simulation.recipes import RECIPES, apply_factors
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 MOTOR = load_motor(EXAMPLES / "motor.toml")

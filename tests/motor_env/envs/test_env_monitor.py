@@ -20,8 +20,8 @@ from motor_env.filters.kalman import KalmanFilter, schedule
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
+from motor_env.simulation.drawing import draw
 from motor_env.simulation.random_streams import Stream, normals
-from motor_env.simulation.recipes import draw
 from motor_env.simulation.simulate import simulate_states
 
 WAIT = 0

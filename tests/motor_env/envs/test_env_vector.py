@@ -19,7 +19,8 @@ from motor_env.envs.probe import ProbeContinuousEnv, ProbeContinuousVectorEnv, P
 from motor_env.envs.tasks import TASKS
 from motor_env.motor.faults import Fault, FaultKind, apply_faults
 from motor_env.motor.model import discretize
-from motor_env.simulation.recipes import FaultClass, draw
+from motor_env.simulation.drawing import draw
+from motor_env.simulation.recipes import FaultClass
 
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
 SHORT: dict[str, Any] = {"horizon_s": 0.02, "earliest_onset_s": 0.001, "mean_onset_s": 0.005}

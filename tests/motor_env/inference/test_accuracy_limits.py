@@ -9,7 +9,7 @@ from accuracy_limits import class_limits, severity_limit
 from motor_env.inference.severity import SeverityPrior
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import SensorParameters
-from motor_env.simulation.recipes import named_recipe
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.simulate import Timing
 
 BENCH = named_recipe("bench")

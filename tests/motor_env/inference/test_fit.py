@@ -19,7 +19,8 @@ from motor_env.motor.parameters import (
     SensorParameters,
     SupplyParameters,
 )
-from motor_env.simulation.recipes import draw, named_recipe
+from motor_env.simulation.drawing import draw
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.simulate import Scenario, Timing, simulate, simulate_states
 
 TIMING = Timing(10_000.0, 0.1)

@@ -10,7 +10,8 @@ from motor_env.inference.parametrisation import QUANTITIES, Coordinates
 from motor_env.inference.whitening import MatchedTest
 from motor_env.motor.faults import Fault, FaultKind, apply_fault, motor_kinds
 from motor_env.motor.parameters import PAPER_MOTOR, Channel, SensorParameters
-from motor_env.simulation.recipes import Spread, named_recipe
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import Spread
 from motor_env.simulation.simulate import Timing, simulate_states
 
 TIMING = Timing(10_000.0, 0.1)

@@ -20,7 +20,9 @@ from motor_env.inference.posterior import (
 from motor_env.inference.sensitivities import fitted_residuals
 from motor_env.motor.faults import FaultKind, apply_faults
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters
-from motor_env.simulation.recipes import Draw, FaultClass, Recipe, draw, named_recipe
+from motor_env.simulation.drawing import Draw, draw
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FaultClass, Recipe
 from motor_env.simulation.simulate import Timing, simulate, simulate_states
 
 BENCH_1KHZ = named_recipe("bench", timing=Timing(1_000.0, 0.1))

@@ -11,7 +11,9 @@ from motor_env.inference.posterior import class_log_evidence
 from motor_env.inference.severity import SeverityPrior, severity_posterior
 from motor_env.motor.faults import Fault, FaultKind, apply_fault
 from motor_env.motor.parameters import FloatArray, SensorParameters
-from motor_env.simulation.recipes import FaultClass, Recipe, draw, named_recipe
+from motor_env.simulation.drawing import draw
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FaultClass, Recipe
 from motor_env.simulation.simulate import Timing, simulate, simulate_states
 
 BENCH = named_recipe("bench", classes=(FaultClass(),))

@@ -11,7 +11,9 @@ from motor_env.filters.kalman import KalmanFilter
 from motor_env.inference.whitening import MarginalWhitener, MatchedTest, innovation_slopes
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters
-from motor_env.simulation.recipes import FaultClass, Recipe, draw, named_recipe
+from motor_env.simulation.drawing import draw
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FaultClass, Recipe
 from motor_env.simulation.simulate import Timing, simulate
 
 BENCH = named_recipe("bench")

@@ -10,9 +10,10 @@ from scipy.signal import lsim
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.model import continuous_model, steady_state
 from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, SensorParameters
+from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.fast_path import measure
+from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.nonlinear import Effects, integrate
-from motor_env.simulation.recipes import RECIPES, draw, measure_draw
 from motor_env.simulation.sensor import SensorChain
 from motor_env.simulation.simulate import Scenario, Timing, simulate, simulate_states
 

@@ -9,8 +9,8 @@ import pytest
 from motor_env import PAPER_MOTOR
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import MotorFile, StartReference, Tolerance, load_motor, save_motor
+from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.motor_recipes import motor_recipe
-from motor_env.simulation.recipes import draw, measure_draw
 
 SHEET = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml")
 REFERENCE = StartReference(

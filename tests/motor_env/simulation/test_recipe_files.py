@@ -7,8 +7,8 @@ import pytest
 from motor_env.errors import InputError
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import Channel
+from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.recipe_files import load_recipe, recipe_from_dict, recipe_to_dict
-from motor_env.simulation.recipes import RECIPES
 
 EXAMPLE = """
 base = "bench"

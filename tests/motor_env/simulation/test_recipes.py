@@ -6,16 +6,9 @@ import pytest
 from motor_env.motor.faults import FaultKind, apply_faults
 from motor_env.motor.parameters import PAPER_MOTOR
 from motor_env.simulation import recipes
-from motor_env.simulation.recipes import (
-    FACTORS,
-    RECIPES,
-    FaultClass,
-    Recipe,
-    Spread,
-    apply_factors,
-    draw,
-    named_recipe,
-)
+from motor_env.simulation.drawing import apply_factors, draw
+from motor_env.simulation.named_recipes import RECIPES, named_recipe
+from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe, Spread
 
 N = 20_000
 

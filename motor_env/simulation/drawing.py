@@ -1,0 +1,149 @@
+"""Cases drawn from a recipe, and their readings: case n depends on (recipe, seed, n) alone."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from motor_env.motor.faults import BUILT_IN_KINDS, HEALTHY, Fault, FaultKind
+from motor_env.motor.parameters import (
+    QUANTITY_FIELDS,
+    FloatArray,
+    MotorParameters,
+    SupplyParameters,
+)
+from motor_env.simulation.disturbances import draw_field
+from motor_env.simulation.fast_path import measure
+from motor_env.simulation.nonlinear import Effects
+from motor_env.simulation.random_streams import Stream, normals, uniforms
+from motor_env.simulation.recipes import FACTORS, Recipe
+from motor_env.simulation.sensor import SensorChain
+from motor_env.simulation.simulate import Scenario
+
+
+class Draw(NamedTuple):
+    """Cases drawn from a recipe: the truth.
+
+    Attributes:
+        cases: case numbers, shape (n_cases,).
+        class_index: index into `recipe.classes`, shape (n_cases,).
+        factors: nuisance factors in the order of `FACTORS`, shape (n_cases, 5).
+        scenario: what to simulate.
+        motor_id: motor of each case, shape (n_cases,).
+        severity: sum over the faults of the case, 0 for healthy, shape (n_cases,).
+        effects: departures from the textbook motor; None for none.
+        chain: errors of the current sensor; None for none.
+    """
+
+    cases: NDArray[np.int64]
+    class_index: NDArray[np.int64]
+    factors: FloatArray
+    scenario: Scenario
+    motor_id: NDArray[np.int64]
+    severity: FloatArray
+    effects: Effects | None = None
+    chain: SensorChain | None = None
+
+
+def draw(recipe: Recipe, seed: int, cases: ArrayLike) -> Draw:
+    """Draw the given cases. Case n depends on (recipe, seed, n) alone.
+
+    Args:
+        recipe: what to draw from.
+        seed: the random seed.
+        cases: case numbers, shape (n_cases,).
+    """
+    numbers = np.atleast_1d(np.asarray(cases, dtype=np.int64))
+    motor_id = recipe.motor_id(numbers)
+    class_index = _draw_classes(recipe, seed, numbers, motor_id)
+    z = normals(seed, Stream.MOTOR, motor_id, len(FACTORS))
+    supply = FACTORS.index("supply")
+    z[:, supply] = normals(seed, Stream.SUPPLY, numbers, 1)[:, 0]
+    factors = 1.0 + recipe.spread.std * z
+    severities = _draw_severities(recipe, seed, class_index, motor_id)
+    scenario = Scenario(
+        parameters=apply_factors(recipe.motor, factors),
+        faults=tuple(Fault(kind, severity) for kind, severity in severities.items()),
+        supply=SupplyParameters(recipe.supply.voltage_v * factors[:, supply]),
+        sensor=recipe.sensor,
+        timing=recipe.timing,
+    )
+    first = np.zeros(len(numbers))
+    for kind, severity in severities.items():
+        first += severity * np.array([c.kind == kind for c in recipe.classes])[class_index]
+    effects, chain = None, None
+    if recipe.field is not None:
+        bearing = sum(
+            (s for kind, s in severities.items() if kind.verdict == FaultKind.BEARING.verdict),
+            np.zeros(len(numbers)),
+        )
+        voltage, dt_s = recipe.supply.voltage_v, recipe.timing.dt_s
+        effects, chain = draw_field(
+            recipe.field,
+            recipe.motor,
+            voltage,
+            dt_s,
+            bearing_severity=bearing,
+            seed=seed,
+            motor_id=motor_id,
+            cases=numbers,
+        )
+    return Draw(numbers, class_index, factors, scenario, motor_id, first, effects, chain)
+
+
+def _draw_classes(
+    recipe: Recipe, seed: int, cases: NDArray[np.int64], motor_id: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    cumulated = np.cumsum(recipe.class_probabilities)
+    index = np.searchsorted(cumulated[:-1], uniforms(seed, Stream.CLASS, motor_id, 1)[:, 0], side="right")
+    if recipe.healthy_starts:
+        commissioning = cases % recipe.starts_per_motor < recipe.healthy_starts
+        index = np.where(commissioning, recipe.class_names.index(HEALTHY), index)
+    return index.astype(np.int64)
+
+
+def _draw_severities(
+    recipe: Recipe, seed: int, class_index: NDArray[np.int64], motor_id: NDArray[np.int64]
+) -> dict[FaultKind, FloatArray]:
+    """Severity of each fault kind that the recipe has, shape (n_cases,); one draw a motor where it is continuous."""
+    severities: dict[FaultKind, FloatArray] = {}
+    u = None
+    others = [kind for kind in recipe.kinds if kind not in BUILT_IN_KINDS]
+    columns = [*BUILT_IN_KINDS, *others]  # a case depends on its recipe, not on what else is registered
+    for kind in recipe.kinds:
+        low, high = np.array(
+            [
+                next(((p.severity, p.largest_severity) for p in c.parts if p.kind == kind), (0.0, 0.0))
+                for c in recipe.classes
+            ]
+        )[class_index].T
+        if (low != high).any():
+            u = uniforms(seed, Stream.SEVERITY, motor_id, len(columns)) if u is None else u
+            low = low + (high - low) * u[:, columns.index(kind)]
+        severities[kind] = np.ascontiguousarray(low)
+    return severities
+
+
+def measure_draw(
+    drawn: Draw, recipe: Recipe, seed: int, out: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
+    """Readings of drawn cases, float32, shape (n_cases, n_channels, n_samples)."""
+    return measure(
+        drawn.scenario,
+        seed,
+        drawn.cases,
+        effects=drawn.effects,
+        chain=drawn.chain,
+        nominal=recipe.motor,
+        out=out,
+    )
+
+
+def apply_factors(parameters: MotorParameters, factors: FloatArray) -> MotorParameters:
+    """Parameters times the motor's factors; `factors` has shape (n, 5), of which the supply's column is not used."""
+    by_name = dict(zip(FACTORS, np.moveaxis(factors, -1, 0), strict=True))
+    return parameters.scaled(
+        **{field: factor for name, factor in by_name.items() for field in QUANTITY_FIELDS.get(name, ())}
+    )
