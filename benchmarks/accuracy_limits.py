@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.inference.posterior import Limit, bayes_limit, class_probabilities
+from motor_env.inference.posterior import class_probabilities
 from motor_env.inference.severity import SeverityPrior, severity_posterior
 from motor_env.motor.faults import Fault
 from motor_env.motor.parameters import FloatArray, require
@@ -24,16 +24,28 @@ from motor_env.simulation.simulate import simulate
 _CHUNK = 2000
 
 
-class ClassLimit(NamedTuple):
-    """The best accuracy on drawn cases.
+class Limit(NamedTuple):
+    """The Bayes-optimal accuracy on given cases.
 
     Attributes:
-        limit: expected accuracy and its standard error.
-        hits: share of the cases that the most probable class names rightly.
+        expected_accuracy: mean of the largest probabilities.
+        standard_error: its standard error.
     """
 
-    limit: Limit
-    hits: float
+    expected_accuracy: float
+    standard_error: float
+
+
+def bayes_limit(probabilities: FloatArray) -> Limit:
+    """Best accuracy that any rule can have (Chow 1957), from posterior probabilities of drawn cases.
+
+    The mean of the largest probability has half the standard error of counting hits, and needs no labels.
+
+    Args:
+        probabilities: shape (n_cases, n_classes), at least two cases.
+    """
+    largest = probabilities.max(axis=1)
+    return Limit(float(largest.mean()), float(largest.std(ddof=1) / np.sqrt(len(largest))))
 
 
 class SeverityLimit(NamedTuple):
@@ -60,8 +72,8 @@ def _chunks(n_cases: int) -> Iterator[np.ndarray[tuple[int], np.dtype[np.int64]]
 
 def class_limits(
     recipe: Recipe, seed: int, n_cases: int, samples_seen: Sequence[int] | None = None
-) -> tuple[ClassLimit, ...]:
-    """Bayes-optimal accuracy from the first samples of each transient.
+) -> list[tuple[Limit, float]]:
+    """Bayes-optimal accuracy from the first samples, and the share that the most probable class names rightly.
 
     Args:
         recipe: what the cases are drawn from.
@@ -83,11 +95,8 @@ def class_limits(
         for column, count in zip(probabilities, seen, strict=True):
             column.append(class_probabilities(recipe, measured[..., :count]))
     truth = np.concatenate(labels)
-    limits = []
-    for column in probabilities:
-        posterior = np.concatenate(column)
-        limits.append(ClassLimit(bayes_limit(posterior), float((posterior.argmax(axis=1) == truth).mean())))
-    return tuple(limits)
+    posteriors = [np.concatenate(column) for column in probabilities]
+    return [(bayes_limit(each), float((each.argmax(axis=1) == truth).mean())) for each in posteriors]
 
 
 def severity_limit(recipe: Recipe, prior: SeverityPrior, seed: int, n_cases: int) -> SeverityLimit:

@@ -13,16 +13,16 @@ import argparse
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
+from tables import print_table
 
 from motor_classifiers.estimators.confirmation import class_filter
 from motor_env.detection.rules.cusum import Cusum
-from motor_env.filters.adaptive import MEMORY, adaptive_filter
-from motor_env.filters.batch import run_filter
+from motor_env.filters.adaptive import MEMORY, AdaptiveResult, adaptive_filter
+from motor_env.filters.batch import FilterResult, run_filter
 from motor_env.filters.consistency import check_consistency
 from motor_env.filters.joint import JointKind, JointResult, joint_filter
 from motor_env.filters.kalman import KalmanFilter, schedule
@@ -44,43 +44,31 @@ WATCH = Cusum(shift=0.13, two_sided=True)
 """The shift of a bearing fault of 10 % at 20 mA, to either side."""
 
 
-class Found(NamedTuple):
-    """What a variant says of transients: their class, and (R, B) where it estimates them."""
-
-    classes: IntArray
-    estimate: FloatArray | None
+Filter = Callable[[KalmanFilter, FloatArray, FloatArray], FilterResult | AdaptiveResult]
+Decided = tuple[IntArray, FloatArray | None]
+"""What a variant says of transients: their class, and (R, B) where it estimates them."""
 
 
-def held(belief: KalmanFilter) -> KalmanFilter:
+def converged(belief: KalmanFilter, measured: FloatArray, voltage: FloatArray) -> FilterResult:
     """The filter with its converged gain from the first sample on."""
-    converged = schedule(belief, 200_000).covariance[-1]
-    return replace(belief, initial_covariance=converged)
+    covariance = schedule(belief, 200_000).covariance[-1]
+    return run_filter(replace(belief, initial_covariance=covariance), measured, voltage)
 
 
-def noisy(belief: KalmanFilter, std: tuple[float, float] = LARGE_Q) -> KalmanFilter:
+def noisy(
+    belief: KalmanFilter, measured: FloatArray, voltage: FloatArray, std: tuple[float, float] = LARGE_Q
+) -> FilterResult:
     """The filter with other process noise."""
-    return replace(belief, process_covariance=np.diag(np.square(std)))
+    return run_filter(replace(belief, process_covariance=np.diag(np.square(std))), measured, voltage)
 
 
-def bank(change: Callable[[KalmanFilter], KalmanFilter], measured: FloatArray, voltage: FloatArray) -> Found:
-    """Class of the most likely filter (Magill 1965)."""
-    beliefs = [change(class_filter(RECIPE, c)) for c in RECIPE.classes]
-    scores = [run_filter(belief, measured, voltage).log_likelihood for belief in beliefs]
-    return Found(np.argmax(scores, axis=0), None)
-
-
-def variance_bank(measured: FloatArray, voltage: FloatArray) -> Found:
-    """The same, each filter with the noise's variance that its own innovations have (Mehra 1970)."""
-    beliefs = [class_filter(RECIPE, c) for c in RECIPE.classes]
-    scores = [-np.log(run_filter(belief, measured, voltage).nis.mean(axis=1)) for belief in beliefs]
-    return Found(np.argmax(scores, axis=0), None)
-
-
-def adaptive_bank(measured: FloatArray, voltage: FloatArray) -> Found:
-    """The same with noise that is estimated on the way (Sage & Husa 1969)."""
-    beliefs = [class_filter(RECIPE, c) for c in RECIPE.classes]
-    scores = [adaptive_filter(belief, measured, voltage).log_likelihood for belief in beliefs]
-    return Found(np.argmax(scores, axis=0), None)
+def bank(
+    variant: Filter, measured: FloatArray, voltage: FloatArray, *, own_variance: bool = False
+) -> Decided:
+    """Class of the most likely filter (Magill 1965); with the noise's variance of its own innovations (Mehra 1970)."""
+    results = [variant(class_filter(RECIPE, c), measured, voltage) for c in RECIPE.classes]
+    scores = [-np.log(each.nis.mean(axis=1)) if own_variance else each.log_likelihood for each in results]
+    return np.argmax(scores, axis=0), None
 
 
 def joint(kind: JointKind, memory: float | None, measured: FloatArray, voltage: FloatArray) -> JointResult:
@@ -96,27 +84,18 @@ def wanted_factors(recipe: Recipe) -> FloatArray:
     return factors
 
 
-def nearest(kind: JointKind, memory: float | None, measured: FloatArray, voltage: FloatArray) -> Found:
+def nearest(kind: JointKind, memory: float | None, measured: FloatArray, voltage: FloatArray) -> Decided:
     """Class nearest to the estimate in its covariance."""
     result = joint(kind, memory, measured, voltage)
     off = result.theta[:, -1, None] - np.log(wanted_factors(RECIPE))
     weighted = np.einsum("nci,nij,ncj->nc", off, np.linalg.inv(result.covariance[:, -1]), off)
-    return Found(np.argmin(weighted, axis=1), np.exp(result.theta[:, -1]))
+    return np.argmin(weighted, axis=1), np.exp(result.theta[:, -1])
 
 
-def watch(
-    change: Callable[[KalmanFilter], KalmanFilter], measured: FloatArray, voltage: FloatArray
-) -> FloatArray:
+def watch(variant: Filter, measured: FloatArray, voltage: FloatArray) -> FloatArray:
     """Largest CUSUM of each transient on the whitened innovations of a healthy belief."""
-    belief = change(class_filter(RECIPE, RECIPE.classes[0]))
-    statistic: FloatArray = WATCH.statistic(run_filter(belief, measured, voltage).whitened).max(axis=1)
-    return statistic
-
-
-def adaptive_watch(measured: FloatArray, voltage: FloatArray) -> FloatArray:
-    """The same with noise that is estimated on the way."""
-    belief = class_filter(RECIPE, RECIPE.classes[0])
-    statistic: FloatArray = WATCH.statistic(adaptive_filter(belief, measured, voltage).whitened).max(axis=1)
+    result = variant(class_filter(RECIPE, RECIPE.classes[0]), measured, voltage)
+    statistic: FloatArray = WATCH.statistic(result.whitened).max(axis=1)
     return statistic
 
 
@@ -131,43 +110,34 @@ def share(hits: NDArray[np.bool_]) -> str:
     return f"{100 * hits.mean():.1f} ({100 * interval.low:.1f} to {100 * interval.high:.1f})"
 
 
-def class_row(name: str, found: Found, labels: IntArray) -> str:
+def class_row(name: str, decided: Decided, labels: IntArray) -> list[str]:
     """One line of the first table."""
-    index, faulty = found.classes, labels > 0
+    (index, estimate), faulty = decided, labels > 0
     kinds = KINDS[index[faulty & (index > 0)]] == KINDS[labels[faulty & (index > 0)]]
-    cells = [
-        name,
-        share(index[~faulty] != 0),
-        share(index[faulty] != 0),
-        share(kinds),
-        share(index == labels),
-    ]
-    if found.estimate is None:
-        return "| " + " | ".join([*cells, ""]) + " |"
+    hits = (index[~faulty] != 0, index[faulty] != 0, kinds, index == labels)
+    cells = [name, *(share(each) for each in hits)]
+    if estimate is None:
+        return [*cells, ""]
     # Per class and then averaged, so that differences between the classes are no error.
     truth = wanted_factors(RECIPE)
-    errors = [found.estimate[labels == c] / truth[c] - 1.0 for c in range(len(truth))]
+    errors = [estimate[labels == c] / truth[c] - 1.0 for c in range(len(truth))]
     bias = 100 * np.mean([e.mean(axis=0) for e in errors], axis=0)
     spread = 100 * np.sqrt(np.mean([e.var(axis=0) for e in errors], axis=0))
-    cells.append(f"{bias[0]:+.2f} ± {spread[0]:.2f}, {bias[1]:+.1f} ± {spread[1]:.1f}")
-    return "| " + " | ".join(cells) + " |"
+    return [*cells, f"{bias[0]:+.2f} ± {spread[0]:.2f}, {bias[1]:+.1f} ± {spread[1]:.1f}"]
 
 
-def noise_row(std: tuple[float, float], healthy: FloatArray, faulty: FloatArray, voltage: FloatArray) -> str:
+def noise_row(
+    std: tuple[float, float], healthy: FloatArray, faulty: FloatArray, voltage: FloatArray
+) -> list[str]:
     """One line of the third table."""
     motor = apply_faults(RECIPE.motor, RECIPE.classes[1].faults)
-    belief = noisy(class_filter(RECIPE, RECIPE.classes[0]), std)
-    separation = signature_energy(belief, motor, voltage, RECIPE.timing.dt_s)
-    squares = check_consistency(run_filter(belief, healthy, voltage).whitened).mean_square
-    change = partial(noisy, std=std)
-    alarms = watch(change, faulty, voltage) > np.quantile(watch(change, healthy, voltage), 0.99)
-    cells = [
-        f"{std[0]:g} A, {std[1]:g} rad/s",
-        f"{squares:.2f}",
-        f"{separation:.2f}",
-        share(alarms),
-    ]
-    return "| " + " | ".join(cells) + " |"
+    variant = partial(noisy, std=std)
+    belief = class_filter(RECIPE, RECIPE.classes[0])
+    other = replace(belief, process_covariance=np.diag(np.square(std)))
+    separation = signature_energy(other, motor, voltage, RECIPE.timing.dt_s)
+    squares = check_consistency(variant(belief, healthy, voltage).whitened).mean_square
+    alarms = watch(variant, faulty, voltage) > np.quantile(watch(variant, healthy, voltage), 0.99)
+    return [f"{std[0]:g} A, {std[1]:g} rad/s", f"{squares:.2f}", f"{separation:.2f}", share(alarms)]
 
 
 def main() -> None:
@@ -190,39 +160,41 @@ def main() -> None:
         "joint, unscented": (JointKind.UNSCENTED, None),
         "joint, extended, noise adapted": (JointKind.EXTENDED, MEMORY),
     }
-    changes: dict[str, Callable[[KalmanFilter], KalmanFilter]] = {
-        "linear": lambda belief: belief,
-        "linear, converged gain": held,
+    variants: dict[str, Filter] = {
+        "linear": run_filter,
+        "linear, converged gain": converged,
         "linear, Q = diag(1e-4, 0.1)": noisy,
+        "linear, noise adapted": adaptive_filter,
     }
-    banks: dict[str, Callable[[FloatArray, FloatArray], Found]] = {
-        **{name: partial(bank, change) for name, change in changes.items()},
-        "linear, one variance a transient": variance_bank,
-        "linear, noise adapted": adaptive_bank,
+    banks: dict[str, Callable[[FloatArray, FloatArray], Decided]] = {
+        **{name: partial(bank, variant) for name, variant in variants.items()},
+        "linear, one variance a transient": partial(bank, run_filter, own_variance=True),
         **{name: partial(nearest, *which) for name, which in joints.items()},
     }
-    print("| filter | healthy called faulty | faults found | right kind | right class | R, B: error ± sd |")
-    print("|---|---|---|---|---|---|")
-    for name, decide in banks.items():
-        print(class_row(name, decide(measured, voltage), labels), flush=True)
-
-    watches: dict[str, Callable[[FloatArray, FloatArray], FloatArray]] = {
-        **{name: partial(watch, change) for name, change in changes.items()},
-        "linear, noise adapted": adaptive_watch,
+    print_table(
+        "Classes",
+        ("filter", "healthy called faulty", "faults found", "right kind", "right class", "R, B: error ± sd"),
+        (class_row(name, decide(measured, voltage), labels) for name, decide in banks.items()),
+    )
+    scores: dict[str, Callable[[FloatArray, FloatArray], FloatArray]] = {
+        **{name: partial(watch, variant) for name, variant in variants.items()},
         **{name: partial(distance, *which) for name, which in joints.items()},
     }
-    print(f"\nthresholds from {len(healthy)} healthy transients")
-    print("| filter | false alarms | B +10 % | B +25 % | R +10 % | R +25 % |")
-    print("|---|---|---|---|---|---|")
-    for name, score in watches.items():
-        threshold = np.quantile(score(healthy, voltage), 0.99)
-        alarms = score(measured, voltage) > threshold
-        print("| " + " | ".join([name, *(share(alarms[labels == c]) for c in range(5))]) + " |", flush=True)
-
-    print("\n| process noise | mean NIS, healthy | d' of B +10 % | CUSUM finds |")
-    print("|---|---|---|---|")
-    for std in ((0.0, 0.0), (1e-5, 1e-3), (1e-3, 3e-2), (3e-3, 1e-1), LARGE_Q):
-        print(noise_row(std, healthy, measured[labels == 1], voltage), flush=True)
+    watched = (
+        (name, score(measured, voltage) > np.quantile(score(healthy, voltage), 0.99))
+        for name, score in scores.items()
+    )
+    print_table(
+        f"Alarms; thresholds from {len(healthy)} healthy transients",
+        ("filter", "false alarms", "B +10 %", "B +25 %", "R +10 %", "R +25 %"),
+        ([name, *(share(alarms[labels == c]) for c in range(5))] for name, alarms in watched),
+    )
+    stds = ((0.0, 0.0), (1e-5, 1e-3), (1e-3, 3e-2), (3e-3, 1e-1), LARGE_Q)
+    print_table(
+        "Process noise",
+        ("process noise", "mean NIS, healthy", "d' of B +10 %", "CUSUM finds"),
+        (noise_row(std, healthy, measured[labels == 1], voltage) for std in stds),
+    )
 
 
 if __name__ == "__main__":

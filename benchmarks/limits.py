@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from accuracy_limits import class_limits, severity_limit
+from tables import print_table
 
 from motor_env.inference.identifiability import Experiment, cramer_rao_bound
 from motor_env.inference.severity import SeverityPrior
@@ -30,14 +31,6 @@ def bench(rate_hz: float, noise_a: float) -> Recipe:
     """The recipe `bench` at another rate and noise."""
     sensor = SensorParameters(current_noise_a=noise_a)
     return named_recipe("bench", sensor=sensor, timing=Timing(rate_hz, 0.1))
-
-
-def table(title: str, header: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
-    """Print one table, row by row as it comes."""
-    names = list(header)
-    print(f"\n## {title}\n\n| {' | '.join(names)} |\n|{'---|' * len(names)}")
-    for row in rows:
-        print(f"| {' | '.join(row)} |", flush=True)
 
 
 def accuracy(n_cases: int) -> Iterable[Iterable[str]]:
@@ -130,16 +123,16 @@ def bounds() -> Iterable[Iterable[str]]:
 def main() -> None:
     """Print all tables."""
     n_cases = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
-    table("Bounds", ("noise", "R", "B"), bounds())
-    table("Accuracy", ("rate", "noise", "limit", "hits"), accuracy(n_cases))
-    table("Variants", ("setting", "limit"), variants(n_cases))
-    table("Early verdicts", ("seen", "limit"), early(n_cases))
-    table(
+    print_table("Bounds", ("noise", "R", "B"), bounds())
+    print_table("Accuracy", ("rate", "noise", "limit", "hits"), accuracy(n_cases))
+    print_table("Variants", ("setting", "limit"), variants(n_cases))
+    print_table("Early verdicts", ("seen", "limit"), early(n_cases))
+    print_table(
         "Severity",
         ("kind", "rate", "noise", "expected", "measured", "coverage"),
         severity(max(n_cases // 10, 100)),
     )
-    table("Matched tests", ("recipe", "fault", "sides", "false alarms", "power"), power(n_cases))
+    print_table("Matched tests", ("recipe", "fault", "sides", "false alarms", "power"), power(n_cases))
 
 
 if __name__ == "__main__":

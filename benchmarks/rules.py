@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
+from tables import print_table
 
 from motor_env import Cusum, Glr, ModelBank, MOfN, Rule, ShiryaevRoberts, SignatureCusum, Sprt
 from motor_env.detection.rules import Threshold, WindowedNis, in_a_row, nis_rule, run_lengths
@@ -102,14 +103,6 @@ def growth(runs: int, calibration: int) -> Iterable[Iterable[str]]:
             mean, error = simulated(rule, threshold.value, runs, signature)
             least = least or mean
             yield f"{length}", name, f"{mean:.0f} ± {error:.0f}", f"{mean / least:.2f}"
-
-
-def print_table(title: str, header: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
-    """Print one table, row by row as it comes."""
-    names = list(header)
-    print(f"\n## {title}\n\n| {' | '.join(names)} |\n|{'---|' * len(names)}")
-    for row in rows:
-        print(f"| {' | '.join(row)} |", flush=True)
 
 
 def draw() -> None:

@@ -9,11 +9,12 @@ n samples is kernel^n 1 (Brook & Evans 1972). For a continuous state the kernel 
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from motor_env.motor.parameters import FloatArray, require
@@ -25,6 +26,7 @@ LONGEST_RUN = 1e12
 """Longest average run length that the equations resolve."""
 
 _SETTLED = 1e-14  # relative change from sample to sample of what no longer changes
+_NEGLIGIBLE = 1e-300  # probability below which nothing is left to alarm
 _NODES_PER_STD = 4.0
 _LEAST_NODES = 40
 _MOST_NODES = 3000
@@ -126,8 +128,8 @@ class TwoSided:
 class HitChain:
     """Exact chain of "at least M hits among the last N samples", hits being independent (Brook & Evans 1972).
 
-    The state is the last N - 1 hits as bits; with M = N the number of hits in a row, whose average run length is
-    (1 - p^k) / (p^k (1 - p)) (Feller 1968, ch. XIII.7). 3 of 5 at p = 0.05 has 1608. Its memory is short, so its
+    The state is the last N - 1 hits as bits. With M = N the average run length is (1 - p^k) / (p^k (1 - p)) (Feller
+    1968, ch. XIII.7); 3 of 5 at p = 0.05 has 1608. Its memory is short, so its
     probabilities settle within some N samples: they are iterated, and no matrix of 2^N columns is solved.
 
     Attributes:
@@ -150,62 +152,49 @@ class HitChain:
         )
         require(0.0 <= self.probability <= 1.0, f"probability must lie in 0 .. 1, got {self.probability:g}")
 
-    def _hits(self) -> NDArray[np.int64]:
-        """Hits that each state holds."""
-        if self.needed == self.among:
-            return np.arange(self.needed)
-        hits = np.zeros(1, dtype=np.int64)
+    def _hazards(self, n_samples: float) -> Iterator[tuple[float, float]]:
+        """Probability of no alarm so far and that of an alarm at the next sample, up to `n_samples`.
+
+        The last pair's hazard has settled where there are fewer.
+        """
+        p, hits = self.probability, np.zeros(1, dtype=np.int64)  # hits that each state holds
         for _ in range(self.among - 1):
             hits = np.concatenate([hits, hits + 1])
-        return hits
-
-    def _advance(self, weights: FloatArray, hits: NDArray[np.int64]) -> tuple[float, FloatArray]:
-        """Weight of the alarm at the next sample, and the weights of the states where there is none."""
-        p, last = self.probability, hits + 1 >= self.needed
-        alarm = p * float(weights[last].sum())
-        going = p * np.where(last, 0.0, weights)
-        if self.needed == self.among:
-            return alarm, np.concatenate([[(1.0 - p) * weights.sum()], going[:-1]])
-        after, half = np.empty_like(weights), len(weights) // 2  # the oldest hit, the highest bit, drops out
-        after[0::2] = (1.0 - p) * (weights[:half] + weights[half:])
-        after[1::2] = going[:half] + going[half:]
-        return alarm, after
+        last, half = hits + 1 >= self.needed, len(hits) // 2
+        weights, silent, before, settled = np.eye(1, len(hits))[0], 1.0, 0.0, 0
+        for k in itertools.count(1):
+            alarm = p * float(weights[last].sum())
+            yield silent, alarm
+            going = p * np.where(last, 0.0, weights)
+            if half:  # the oldest hit, the highest bit, drops out
+                after = np.empty_like(weights)
+                after[0::2] = (1.0 - p) * (weights[:half] + weights[half:])
+                after[1::2] = going[:half] + going[half:]
+            else:
+                after = (1.0 - p) * weights
+            # Before the first alarm is possible its rate is 0, and not settled.
+            is_settled = alarm > 0.0 and abs(alarm - before) <= _SETTLED * alarm
+            settled = settled + 1 if is_settled else 0
+            # Divided by their own sum and not by 1 - alarm, with which the sum's rounding would grow for ever.
+            silent, before = silent * float(after.sum()), alarm
+            if k >= n_samples or silent <= _NEGLIGIBLE or settled >= self.among:
+                return
+            weights = after / after.sum()
 
     def average_run_length(self) -> float:
-        """Expected samples to the alarm: 1 over the alarms a sample of a rule that begins anew after each one."""
+        """Expected samples to the alarm: the probabilities of no alarm so far, summed up."""
         if self.probability == 0.0:
             return np.inf
-        # With nearly sure hits the states would go round in a circle; a share that stays damps it.
-        kept = 0.5 if self.probability > 0.5 else 0.0
-        hits = self._hits()
-        weights, rate, settled = np.eye(1, len(hits))[0], 0.0, 0
-        while settled < self.among:
-            alarm, after = self._advance(weights, hits)
-            after[0] += alarm
-            settled = settled + 1 if _is_settled(rate, alarm) else 0
-            weights, rate = kept * weights + (1.0 - kept) * after, alarm
-        return 1.0 / rate
+        silent, alarm = np.array(list(self._hazards(np.inf))).T
+        return float(silent[:-1].sum() + silent[-1] / alarm[-1])
 
     def alarm_probability(self, n_samples: int) -> float:
         """Probability of an alarm within `n_samples`: the alarm's hazard, which settles, summed up."""
-        hits = self._hits()
-        weights, log_silent, hazard, settled = np.eye(1, len(hits))[0], 0.0, 0.0, 0
-        for k in range(n_samples):
-            alarm, after = self._advance(weights, hits)
-            if alarm >= 1.0:
-                return 1.0
-            if settled >= self.among:
-                log_silent += (n_samples - k) * np.log1p(-alarm)
-                break
-            log_silent += np.log1p(-alarm)
-            settled = settled + 1 if _is_settled(hazard, alarm) else 0
-            weights, hazard = after / (1.0 - alarm), alarm
-        return float(-np.expm1(log_silent))
-
-
-def _is_settled(before: float, now: float) -> bool:
-    """Whether a rate of alarms no longer changes; before the first alarm is possible it is 0, and not settled."""
-    return now > 0.0 and abs(now - before) <= _SETTLED * now
+        _, alarm = np.array(list(self._hazards(n_samples))).T
+        if alarm.max() >= 1.0:
+            return 1.0
+        silent = np.log1p(-alarm)
+        return float(-np.expm1(silent.sum() + (n_samples - len(silent)) * silent[-1]))
 
 
 def cusum_chain(reference: float, threshold: float, shift: float = 0.0) -> Chain:
@@ -219,13 +208,7 @@ def cusum_chain(reference: float, threshold: float, shift: float = 0.0) -> Chain
         threshold: h.
         shift: mean of the whitened innovation; 0 while healthy.
     """
-    nodes, weights = _nodes(0.0, threshold, threshold)
-    start = np.concatenate([[0.0], nodes])
-    mean = start + shift - reference
-    kernel = np.empty((len(start), len(start)))
-    kernel[:, 0] = ndtr(-mean)
-    kernel[:, 1:] = _density(nodes[None, :] - mean[:, None]) * weights
-    return Chain(kernel, ndtr(mean - threshold))
+    return _normal_chain(lambda state: state + shift - reference, 0.0, threshold)
 
 
 def shiryaev_roberts_chain(looked_for: float, log_threshold: float, shift: float = 0.0) -> Chain:
@@ -243,12 +226,11 @@ def shiryaev_roberts_chain(looked_for: float, log_threshold: float, shift: float
     lowest = drift - 9.0 * looked_for
     if log_threshold <= lowest:
         return Chain(np.zeros((1, 1)), np.ones(1))
-    nodes, weights = _nodes(lowest, log_threshold, (log_threshold - lowest) / looked_for)
-    mean = drift + np.concatenate([[0.0], np.logaddexp(0.0, nodes)])
-    kernel = np.zeros((len(mean), len(mean)))
-    z = (nodes[None, :] - mean[:, None]) / looked_for
-    kernel[:, 1:] = _density(z) * weights / looked_for
-    return Chain(kernel, ndtr((mean - log_threshold) / looked_for))
+
+    def mean(log_r: FloatArray) -> FloatArray:
+        return np.asarray(drift + np.logaddexp(0.0, log_r))
+
+    return _normal_chain(mean, lowest, log_threshold, start=-np.inf, std=looked_for, returns=False)
 
 
 def sprt_chain(looked_for: float, lower: float, upper: float, *, restart: bool, shift: float = 0.0) -> Chain:
@@ -262,29 +244,35 @@ def sprt_chain(looked_for: float, lower: float, upper: float, *, restart: bool, 
         shift: mean of the whitened innovation; 0 while healthy.
     """
     require(lower < 0.0 < upper, f"bounds must satisfy lower < 0 < upper, got {lower:g} and {upper:g}")
-    nodes, weights = _nodes(lower, upper, (upper - lower) / looked_for)
-    mean = np.concatenate([[0.0], nodes]) + looked_for * (shift - 0.5 * looked_for)
-    # State 0 is the start (where a restart leads); the last one has accepted and stays.
-    size = len(mean) + 1
-    kernel = np.zeros((size, size))
-    z = (nodes[None, :] - mean[:, None]) / looked_for
-    kernel[:-1, 1:-1] = _density(z) * weights / looked_for
-    kernel[:-1, 0 if restart else -1] = ndtr((lower - mean) / looked_for)
-    kernel[-1, 0 if restart else -1] = 1.0
-    return Chain(kernel, np.append(ndtr((mean - upper) / looked_for), 0.0))
+    drift = looked_for * (shift - 0.5 * looked_for)
+    return _normal_chain(lambda ratio: ratio + drift, lower, upper, std=looked_for, returns=restart)
 
 
-def _nodes(low: float, high: float, stds: float) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Legendre nodes and weights for a range that is `stds` standard deviations of the kernel long."""
+def _normal_chain(
+    mean: Callable[[FloatArray], FloatArray],
+    low: float,
+    high: float,
+    *,
+    start: float = 0.0,
+    std: float = 1.0,
+    returns: bool = True,
+) -> Chain:
+    """Chain of a statistic, normal after each sample with a mean that its state gives; alarm above `high`.
+
+    The integral is taken at Gauss-Legendre nodes between `low` and `high`. State 0 is the start; what falls below `low`
+    returns there, or leaves the chain without an alarm.
+    """
+    stds = (high - low) / std
     count = int(_LEAST_NODES + _NODES_PER_STD * stds)
     require(
         count <= _MOST_NODES, f"threshold is {stds:.0f} standard deviations high: too high for the equation"
     )
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    half = 0.5 * (high - low)
-    return low + half * (nodes + 1.0), half * weights
-
-
-def _density(z: FloatArray) -> FloatArray:
-    density: FloatArray = np.exp(-0.5 * np.square(z)) / np.sqrt(2.0 * np.pi)
-    return density
+    unit, weights = np.polynomial.legendre.leggauss(count)
+    nodes = low + 0.5 * (high - low) * (unit + 1.0)
+    ahead = mean(np.concatenate([[start], nodes]))
+    kernel = np.zeros((count + 1, count + 1))
+    density = np.exp(-0.5 * np.square((nodes - ahead[:, None]) / std)) / (np.sqrt(2.0 * np.pi) * std)
+    kernel[:, 1:] = density * 0.5 * (high - low) * weights
+    if returns:
+        kernel[:, 0] = ndtr((low - ahead) / std)
+    return Chain(kernel, ndtr((ahead - high) / std))

@@ -83,13 +83,11 @@ def adaptive_filter(
     measured, voltage = checked_series(measurements, voltage_v, len(c))
     require(bool(np.isfinite(measured).all()), "measurements must be finite, got a value that is not")
     require(memory >= 1.0, f"memory must be >= 1 sample, got {memory:g}")
-    n_cases, n_channels, n_samples = measured.shape
+    n_cases, _, n_samples = measured.shape
     state, covariance = np.tile(kalman.initial_state, (n_cases, 1)), kalman.initial_covariance
     noise = np.tile(kalman.measurement_covariance, (n_cases, 1, 1))
     process = np.tile(np.diag(kalman.process_covariance), (n_cases, 1))
-    innovations = np.empty((n_cases, n_samples, n_channels))
-    spreads, noises = (np.empty((n_cases, n_samples, n_channels, n_channels)) for _ in range(2))
-    states, processes = (np.empty((n_cases, n_samples, N_STATES)) for _ in range(2))
+    samples = []
     for k in range(n_samples):
         carried = a @ covariance @ a.T
         step = measurement_update(
@@ -103,6 +101,6 @@ def adaptive_filter(
         noise = adapted_noise(noise, measured[:, :, k] - state @ c.T, c @ covariance @ c.T, memory)
         moved = np.square(step.correction) + np.diagonal(covariance - carried, axis1=1, axis2=2)
         process = np.maximum(process + 2.0 / (memory + 1.0) * (moved - process), 0.0)
-        innovations[:, k], spreads[:, k], states[:, k] = step.innovation, step.innovation_covariance, state
-        noises[:, k], processes[:, k] = noise, process
-    return AdaptiveResult(innovations, *score(innovations, spreads), states, noises, processes)
+        samples.append((step.innovation, step.innovation_covariance, state, noise, process))
+    innovation, spread, *rest = (np.stack(each, axis=1) for each in zip(*samples, strict=True))
+    return AdaptiveResult(innovation, *score(innovation, spread), *rest)

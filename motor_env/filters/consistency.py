@@ -48,13 +48,12 @@ class Consistency:
         """One sentence that says what is not consistent; empty where all is."""
         if self.holds:
             return ""
-        defects = []
-        if self.mean_p < self.level / 3.0:
-            defects.append("their mean is not 0")
-        if self.nis_p < self.level / 3.0:
-            defects.append(f"their mean square is {self.mean_square:.3g} instead of 1")
-        if self.whiteness_p < self.level / 3.0:
-            defects.append("they are correlated in time")
+        tests = (
+            (self.mean_p, "their mean is not 0"),
+            (self.nis_p, f"their mean square is {self.mean_square:.3g} instead of 1"),
+            (self.whiteness_p, "they are correlated in time"),
+        )
+        defects = [defect for p_value, defect in tests if p_value < self.level / 3.0]
         return (
             f"the recording is not consistent with the model: of {self.n_values} whitened innovations "
             + ", ".join(defects)

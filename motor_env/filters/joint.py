@@ -165,7 +165,7 @@ def joint_filter(
     )
     c = np.concatenate([sensor.observation, np.zeros((len(sensor.channels), len(names)))], axis=1)
     measured, voltage = checked_series(measurements, voltage_v, len(c))
-    n_cases, n_channels, n_samples = measured.shape
+    n_cases, _, n_samples = measured.shape
     size = N_STATES + len(names)
     # The unscented filter needs a covariance with a root: a start that is known to a microampere will do.
     start = np.square(np.array([1e-6, 1e-4, *[prior_std] * len(names)]))
@@ -175,18 +175,18 @@ def joint_filter(
     noise: FloatArray = np.tile(np.diag(np.square(sensor.noise_std)), (n_cases, 1, 1))
     motion = _Motion(motor, names, dt_s, coulomb_unit_n_m(motor, voltage))
     ahead = _extended if kind is JointKind.EXTENDED else _unscented
-    thetas = np.empty((n_cases, n_samples, size - N_STATES))
-    covariances = np.empty((*thetas.shape, size - N_STATES))
-    innovations = np.empty((n_cases, n_samples, n_channels))
-    spreads = np.empty((*innovations.shape, n_channels))
+    samples = []
     for k in range(n_samples):
         mean, covariance = ahead(motion, mean, covariance, float(voltage[k]))
         step = measurement_update(mean, covariance + process, measured[:, :, k], observation=c, noise=noise)
         mean, covariance = step.state, step.covariance
         if memory is not None:
             noise = adapted_noise(noise, measured[:, :, k] - mean @ c.T, c @ covariance @ c.T, memory)
-        thetas[:, k], covariances[:, k] = mean[:, N_STATES:], covariance[:, N_STATES:, N_STATES:]
-        innovations[:, k], spreads[:, k] = step.innovation, step.innovation_covariance
+        theta = mean[:, N_STATES:], covariance[:, N_STATES:, N_STATES:]
+        samples.append((*theta, step.innovation, step.innovation_covariance))
+    thetas, covariances, innovations, spreads = (
+        np.stack(each, axis=1) for each in zip(*samples, strict=True)
+    )
     return JointResult(names, thetas, covariances, innovations, score(innovations, spreads).nis)
 
 

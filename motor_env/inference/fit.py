@@ -26,6 +26,7 @@ _TOLERANCE = 1e-7  # of the objective: a step that promises less changes no post
 _RIDGE = 1e-12  # lets a direction that stays open reach the sentence that says so
 _FIRST_DAMPING = 1e-3
 _LARGEST_DAMPING = 1e9
+_CHUNK = 512  # cases fitted at once: bounds the memory, and keeps them in the cache
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,7 @@ class Prior:
             np.broadcast_to(np.asarray(mean, float), deviations.shape), np.diag(1.0 / np.square(deviations))
         )
 
-    def rows(self, chosen: NDArray[np.int64]) -> Prior:
+    def rows(self, chosen: NDArray[np.int64] | slice) -> Prior:
         """The prior of some of the cases."""
         return Prior(
             self.mean[chosen] if self.mean.ndim > 1 else self.mean,
@@ -65,9 +66,7 @@ class Prior:
 
     def pull(self, values: FloatArray) -> FloatArray:
         """Precision times the distance from the mean, shape (n, size): half the gradient of the prior's squares."""
-        off = values - self.mean
-        common = self.precision.ndim == 2
-        pulled: FloatArray = off @ self.precision if common else np.einsum("nij,nj->ni", self.precision, off)
+        pulled: FloatArray = (self.precision @ (values - self.mean)[..., None])[..., 0]
         return pulled
 
 
@@ -147,10 +146,25 @@ def fit(
     Raises:
         ValueError: the samples and the prior together leave a direction open.
     """
-    n, size = observed.n_cases, coordinates.size
+    size = coordinates.size
     belief = Prior.flat(size) if prior is None else prior
     begin = np.asarray(belief.mean if start is None else start, dtype=np.float64)
-    values = np.broadcast_to(begin, (n, size)).copy()
+    parts = []
+    for first in range(0, max(observed.n_cases, 1), _CHUNK):
+        chosen = slice(first, first + _CHUNK)
+        own_begin = begin[chosen] if begin.ndim > 1 else begin
+        part = _fit_together(
+            observed.rows(chosen), coordinates, belief.rows(chosen), own_begin, max_iterations=max_iterations
+        )
+        parts.append(part)
+    return Fit(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _fit_together(
+    observed: Observed, coordinates: Coordinates, belief: Prior, begin: FloatArray, *, max_iterations: int
+) -> Fit:
+    n = observed.n_cases
+    values = np.broadcast_to(begin, (n, coordinates.size)).copy()
     equations = (common_equations if begin.ndim == 1 else normal_equations)(observed, coordinates, begin)
     best = _with_prior(equations, values, belief)
     damping = np.zeros(n)

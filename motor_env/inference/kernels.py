@@ -14,28 +14,6 @@ from motor_env.motor.parameters import FloatArray
 
 
 @njit(cache=True)
-def fill_states(
-    transition: FloatArray,
-    gain: FloatArray,
-    voltage: FloatArray,
-    load: FloatArray,
-    initial_state: FloatArray,
-    states: FloatArray,
-) -> None:
-    """One motor's states, (2, n_samples), by the exact recursion x[k+1] = A x[k] + B u[k]."""
-    a00, a01, a10, a11 = transition[0, 0], transition[0, 1], transition[1, 0], transition[1, 1]
-    b00, b01, b10, b11 = gain[0, 0], gain[0, 1], gain[1, 0], gain[1, 1]
-    x0, x1 = initial_state[0], initial_state[1]
-    for k in range(states.shape[1]):
-        v, t = voltage[k], load[k]
-        x0, x1 = (
-            a00 * x0 + a01 * x1 + b00 * v + b01 * t,
-            a10 * x0 + a11 * x1 + b10 * v + b11 * t,
-        )
-        states[0, k], states[1, k] = x0, x1
-
-
-@njit(cache=True)
 def fill_sensitivities(
     transition: FloatArray,
     gain: FloatArray,
@@ -51,8 +29,16 @@ def fill_sensitivities(
 
     s[k+1] = A s[k] + A' x[k] + B' u[k]; the initial state does not depend on the parameters.
     """
-    fill_states(transition, gain, voltage, load, initial_state, states)
     a00, a01, a10, a11 = transition[0, 0], transition[0, 1], transition[1, 0], transition[1, 1]
+    b00, b01, b10, b11 = gain[0, 0], gain[0, 1], gain[1, 0], gain[1, 1]
+    x0, x1 = initial_state[0], initial_state[1]
+    for k in range(states.shape[1]):
+        v, t = voltage[k], load[k]
+        x0, x1 = (
+            a00 * x0 + a01 * x1 + b00 * v + b01 * t,
+            a10 * x0 + a11 * x1 + b10 * v + b11 * t,
+        )
+        states[0, k], states[1, k] = x0, x1
     for j in range(slopes.shape[0]):
         d00, d01 = transition_slope[j, 0, 0], transition_slope[j, 0, 1]
         d10, d11 = transition_slope[j, 1, 0], transition_slope[j, 1, 1]
@@ -117,26 +103,3 @@ def fill_normal_equations(
             chi2[n] += np.dot(residual, residual)
             gradient[n] += np.dot(jacobian, residual)
             information[n] += np.dot(jacobian, jacobian.T)
-
-
-@njit(cache=True)
-def fill_residuals(
-    transition: FloatArray,
-    gain: FloatArray,
-    voltage: FloatArray,
-    load: FloatArray,
-    measurements: FloatArray,
-    observation: FloatArray,
-    initial_state: FloatArray,
-    residual: FloatArray,
-) -> None:
-    """Measured less expected of each case, of the shape of `measurements`; no state outlives its case."""
-    states = np.empty((N_STATES, measurements.shape[2]))
-    for n in range(measurements.shape[0]):
-        own_voltage = voltage[n if voltage.shape[0] > 1 else 0]
-        own_load = load[n if load.shape[0] > 1 else 0]
-        fill_states(transition[n], gain[n], own_voltage, own_load, initial_state, states)
-        for m in range(measurements.shape[1]):
-            c0, c1 = observation[m, 0], observation[m, 1]
-            for k in range(measurements.shape[2]):
-                residual[n, m, k] = measurements[n, m, k] - c0 * states[0, k] - c1 * states[1, k]

@@ -7,7 +7,6 @@ only their slopes are taken here.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -79,38 +78,21 @@ class Coordinates:
         return self.nominal.scaled(**by_field), supply
 
 
-class Model(NamedTuple):
-    """x[k+1] = `transition` x[k] + `gain` [v[k], load[k]], v nominal: the supply's factor is in the gain.
-
-    Attributes:
-        transition: shape (n, 2, 2).
-        gain: shape (n, 2, 2); the columns belong to voltage and load.
-    """
-
-    transition: FloatArray
-    gain: FloatArray
-
-
-def discrete_models(coordinates: Coordinates, values: FloatArray, dt_s: float) -> Model:
-    """Exact discrete models at the coordinates, shape (..., size)."""
-    motors, supply = coordinates.motors(values)
-    model = discretize(motors, dt_s)
-    shape = values.shape[:-1]
-    transition = np.broadcast_to(model.transition, (*shape, N_STATES, N_STATES))
-    gain = np.broadcast_to(model.gain, (*shape, N_STATES, N_INPUTS)).copy()
-    gain[..., Input.VOLTAGE] *= supply[..., None]
-    return Model(transition, gain)
+Model = tuple[FloatArray, FloatArray]
+"""A and B of x[k+1] = A x[k] + B [v[k], load[k]], v nominal: the supply's factor is in B; shapes (n, 2, 2)."""
 
 
 def model_slopes(coordinates: Coordinates, values: FloatArray, dt_s: float) -> tuple[Model, Model]:
-    """Models at the coordinates (n, size), and their derivatives, each (n, size, 2, 2)."""
+    """Exact discrete models at the coordinates (n, size), and their derivatives, each (n, size, 2, 2)."""
     steps = _DIFFERENCE / np.asarray(coordinates.scales)
-    shifts = np.concatenate([np.zeros((1, coordinates.size)), np.diag(steps), -np.diag(steps)])
-    transition, gain = discrete_models(coordinates, values[:, None, :] + shifts, dt_s)
-    up, down = slice(1, 1 + coordinates.size), slice(1 + coordinates.size, None)
-    centre = Model(np.ascontiguousarray(transition[:, 0]), np.ascontiguousarray(gain[:, 0]))
-    slope = Model(
-        (transition[:, up] - transition[:, down]) / (2.0 * steps[:, None, None]),
-        (gain[:, up] - gain[:, down]) / (2.0 * steps[:, None, None]),
-    )
-    return centre, slope
+    size = coordinates.size
+    shifted = values[:, None, :] + np.concatenate([np.zeros((1, size)), np.diag(steps), -np.diag(steps)])
+    motors, supply = coordinates.motors(shifted)
+    model = discretize(motors, dt_s)
+    transition = np.broadcast_to(model.transition, (*supply.shape, N_STATES, N_STATES))
+    gain = np.broadcast_to(model.gain, (*supply.shape, N_STATES, N_INPUTS)).copy()
+    gain[..., Input.VOLTAGE] *= supply[..., None]
+    steps = 2.0 * steps[:, None, None]
+    centre = np.ascontiguousarray(transition[:, 0]), np.ascontiguousarray(gain[:, 0])
+    up, down = slice(1, 1 + size), slice(1 + size, None)
+    return centre, ((transition[:, up] - transition[:, down]) / steps, (gain[:, up] - gain[:, down]) / steps)

@@ -20,8 +20,6 @@ from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_fac
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 
-_CHUNK = 512  # cases fitted at once: bounds the memory, and keeps them in the cache
-
 
 def class_coordinates(recipe: Recipe, fault_class: FaultClass) -> Coordinates:
     """Standard normal coordinates of the motors of a class: each factor is 1 + sd z; those without spread are fixed."""
@@ -98,15 +96,15 @@ def class_log_evidence(
         ValueError: shapes do not fit, a value is not finite, or the recipe's sensor has no noise.
     """
     observed = recipe_observed(recipe, measurements, voltage_v)
-    evidence = np.empty((observed.n_cases, len(recipe.classes)))
-    for begin in range(0, observed.n_cases, _CHUNK):
-        chosen = slice(begin, begin + _CHUNK)
-        part = observed.rows(chosen)
-        own = None if prior is None else prior.rows(np.arange(begin, begin + part.n_cases))
-        for column, fault_class in enumerate(recipe.classes):
-            noisy = part.with_variance(variance_factor(fault_class))
-            evidence[chosen, column] = laplace_evidence(noisy, class_coordinates(recipe, fault_class), own)
-    return evidence
+    return np.column_stack([class_evidence(recipe, observed, each, prior) for each in recipe.classes])
+
+
+def class_evidence(
+    recipe: Recipe, observed: Observed, fault_class: FaultClass, prior: Prior | None = None
+) -> FloatArray:
+    """Log probability density of each transient under one class of the recipe's motors (Laplace 1774), shape (n,)."""
+    noisy = observed.with_variance(variance_factor(fault_class))
+    return laplace_evidence(noisy, class_coordinates(recipe, fault_class), prior)
 
 
 def class_probabilities(
@@ -139,50 +137,17 @@ def prior_from_starts(recipe: Recipe, starts: ArrayLike) -> Prior:
     measured = np.asarray(starts, dtype=np.float64)
     coordinates = class_coordinates(recipe, FaultClass())
     n_motors, size = len(measured), coordinates.size
-    mean, covariance = np.zeros((n_motors, size)), np.tile(np.eye(size), (n_motors, 1, 1))
+    prior = Prior(np.zeros((n_motors, size)), np.tile(np.eye(size), (n_motors, 1, 1)))
     for start in np.moveaxis(measured, 1, 0) if size else ():
-        observed = recipe_observed(recipe, start)
-        believed = Prior(mean.copy(), _inverse(covariance))
-        for begin in range(0, n_motors, _CHUNK):
-            chosen = slice(begin, begin + _CHUNK)
-            part = observed.rows(chosen)
-            fitted = fit(part, coordinates, believed.rows(np.arange(begin, begin + part.n_cases)))
-            mean[chosen], covariance[chosen] = fitted.values, fitted.covariance
+        fitted = fit(recipe_observed(recipe, start), coordinates, prior)
+        mean, covariance = fitted.values, fitted.covariance
         if "supply" in coordinates.names:
             supply = coordinates.names.index("supply")
             mean[:, supply] = 0.0
             covariance[:, supply, :] = covariance[:, :, supply] = 0.0
             covariance[:, supply, supply] = 1.0
-    return Prior(mean, _inverse(covariance))
-
-
-def _inverse(covariance: FloatArray) -> FloatArray:
-    precision: FloatArray = np.linalg.inv(covariance).astype(np.float64)
-    return precision
-
-
-class Limit(NamedTuple):
-    """The Bayes-optimal accuracy on given cases.
-
-    Attributes:
-        expected_accuracy: mean of the largest probabilities.
-        standard_error: its standard error.
-    """
-
-    expected_accuracy: float
-    standard_error: float
-
-
-def bayes_limit(probabilities: FloatArray) -> Limit:
-    """Best accuracy that any rule can have (Chow 1957), from posterior probabilities of drawn cases.
-
-    The mean of the largest probability has half the standard error of counting hits, and needs no labels.
-
-    Args:
-        probabilities: shape (n_cases, n_classes), at least two cases.
-    """
-    largest = probabilities.max(axis=1)
-    return Limit(float(largest.mean()), float(largest.std(ddof=1) / np.sqrt(len(largest))))
+        prior = Prior(mean, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
+    return prior
 
 
 class Excess(NamedTuple):

@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.inference.kernels import fill_normal_equations, fill_residuals, fill_sensitivities
-from motor_env.inference.parametrisation import Coordinates, discrete_models, model_slopes
+from motor_env.inference.kernels import fill_normal_equations, fill_sensitivities
+from motor_env.inference.parametrisation import Coordinates, model_slopes
 from motor_env.motor.model import N_STATES
 from motor_env.motor.parameters import FloatArray, SensorParameters, require
+from motor_env.simulation.simulate import simulate_states
 
 
 class NormalEquations(NamedTuple):
@@ -181,18 +182,15 @@ def common_equations(observed: Observed, coordinates: Coordinates, value: FloatA
 
 def fitted_residuals(observed: Observed, coordinates: Coordinates, values: FloatArray) -> FloatArray:
     """Measured less expected at coordinates of shape (n, size), in units of the noise, shape as `observed.whitened`."""
-    model = discrete_models(coordinates, values, observed.dt_s)
-    left = np.empty_like(observed.whitened)
-    fill_residuals(
-        *(np.ascontiguousarray(part) for part in model),
-        observed.voltage_v,
-        observed.load_torque_n_m,
-        observed.whitened,
-        observed.observation,
-        observed.initial_state,
-        left,
+    motors, supply = coordinates.motors(values)
+    states = simulate_states(
+        motors,
+        supply[:, None] * observed.voltage_v,
+        observed.dt_s,
+        load_torque_n_m=observed.load_torque_n_m,
+        initial_state=observed.initial_state,
     )
-    return left
+    return observed.whitened - observed.observation @ states.swapaxes(1, 2)
 
 
 def jacobian(

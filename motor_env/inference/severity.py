@@ -13,13 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.inference.posterior import (
-    class_coordinates,
-    laplace_evidence,
-    recipe_observed,
-    variance_factor,
-)
-from motor_env.inference.sensitivities import Observed
+from motor_env.inference.posterior import class_evidence, recipe_observed
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import FaultClass, Recipe
@@ -28,7 +22,6 @@ _NODES = 12
 _GRID = 201
 _ZOOMS = 4
 _NEGLIGIBLE = 30.0  # a log density this far below the largest adds nothing
-_CHUNK = 512
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,26 +106,21 @@ def severity_posterior(
     observed = recipe_observed(recipe, measurements, voltage_v)
     # Chebyshev's points of the second kind: they hold the ends.
     nodes = np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))[::-1]
-    severity = np.empty((observed.n_cases, _GRID))
-    weights = np.empty((observed.n_cases, _GRID))
-    evidence = np.empty(observed.n_cases)
-    for begin in range(0, observed.n_cases, _CHUNK):
-        chosen = slice(begin, begin + _CHUNK)
-        at_nodes = _evidence_at(recipe, prior, observed.rows(chosen), prior.at(nodes))
-        fitted = np.polynomial.chebyshev.chebfit(nodes, at_nodes, deg=_NODES - 1)
-        position, log_density = _zoomed(np.asarray(fitted, dtype=np.float64))
-        # Trapezoid's rule; the prior's density over positions from -1 to 1 is 1/2.
-        mass = (
-            0.5
-            * (position[:, 1:2] - position[:, :1])
-            * np.where(np.arange(_GRID) % (_GRID - 1) == 0, 0.5, 1.0)
+    at_nodes = [
+        class_evidence(
+            recipe, observed, FaultClass(prior.kind, float(severity)) if severity else FaultClass()
         )
-        largest = log_density.max(axis=1, keepdims=True)
-        density = np.exp(log_density - largest) * mass
-        total = density.sum(axis=1, keepdims=True)
-        severity[chosen], weights[chosen] = prior.at(position), density / total
-        evidence[chosen] = (largest + np.log(total))[:, 0]
-    return SeverityPosterior(severity, weights, evidence)
+        for severity in prior.at(nodes)
+    ]
+    fitted = np.polynomial.chebyshev.chebfit(nodes, np.stack(at_nodes), deg=_NODES - 1)
+    position, log_density = _zoomed(np.asarray(fitted, dtype=np.float64))
+    # Trapezoid's rule; the prior's density over positions from -1 to 1 is 1/2.
+    ends = np.where(np.arange(_GRID) % (_GRID - 1) == 0, 0.5, 1.0)
+    mass = 0.5 * (position[:, 1:2] - position[:, :1]) * ends
+    largest = log_density.max(axis=1, keepdims=True)
+    density = np.exp(log_density - largest) * mass
+    total = density.sum(axis=1, keepdims=True)
+    return SeverityPosterior(prior.at(position), density / total, (largest + np.log(total))[:, 0])
 
 
 def _zoomed(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -154,15 +142,3 @@ def _zoomed(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
         low = np.take_along_axis(position, first[:, None], axis=1)
         high = np.take_along_axis(position, last[:, None], axis=1)
     return position, log_density
-
-
-def _evidence_at(
-    recipe: Recipe, prior: SeverityPrior, observed: Observed, severities: FloatArray
-) -> FloatArray:
-    """Log evidence at each severity, shape (n_severities, n_cases)."""
-    evidence = np.empty((len(severities), observed.n_cases))
-    for row, severity in enumerate(severities):
-        fault_class = FaultClass(prior.kind, float(severity)) if severity > 0.0 else FaultClass()
-        noisy = observed.with_variance(variance_factor(fault_class))
-        evidence[row] = laplace_evidence(noisy, class_coordinates(recipe, fault_class))
-    return evidence

@@ -198,7 +198,7 @@ class MatchedTest:
         whitener = MarginalWhitener.from_slopes(innovation_slopes(recipe, believed))
         voltage = recipe.nominal_voltage_v
         whitened = [
-            whitener.whiten(_noise_free_innovations(recipe, believed, motor, voltage))
+            whitener.whiten(noise_free_innovations(recipe, believed, motor, voltage))
             for motor in (recipe.motor, faulty)
         ]
         return cls(recipe, fault, believed, whitener, whitened[1] - whitened[0])
@@ -237,7 +237,7 @@ class MatchedTest:
         values, weights = _quadrature(gradient)
         motors, supply = coordinates.motors(values)
         nominal = self.recipe.nominal_voltage_v
-        innovations = _noise_free_innovations(self.recipe, self.belief, motors, supply[:, None] * nominal)
+        innovations = noise_free_innovations(self.recipe, self.belief, motors, supply[:, None] * nominal)
         means: FloatArray = self._project(innovations).reshape(-1, len(_ALONG))
         if not gradient.any():
             return StatisticLaw(means[:, 0], weights, std)
@@ -287,7 +287,7 @@ def _quadrature(gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
     return rotated.reshape(-1, size) @ basis.T, share.prod(axis=0)
 
 
-def _noise_free_innovations(
+def noise_free_innovations(
     recipe: Recipe, belief: KalmanFilter, motors: MotorParameters, voltage_v: FloatArray
 ) -> FloatArray:
     """Whitened innovations of noise-free motors, shape (n_motors, n_samples, n_channels), or without the first axis."""

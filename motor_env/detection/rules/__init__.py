@@ -6,10 +6,9 @@ Each rule has `statistic(whitened)`, `alarm_index(whitened, threshold)`, `stream
 n_channels): `FilterResult.whitened` of a known motor, `TolerantFilter.white` of one known up to its tolerances.
 """
 
-from motor_env.detection.rules.bank import ModelBank
 from motor_env.detection.rules.base import Rule, RuleStream, first_above
 from motor_env.detection.rules.calibration import recipe_thresholds, run_lengths
-from motor_env.detection.rules.cusum import Cusum, ShiryaevRoberts, SignatureCusum, Sprt
+from motor_env.detection.rules.cusum import Cusum, ModelBank, ShiryaevRoberts, SignatureCusum, Sprt
 from motor_env.detection.rules.nis import MOfN, in_a_row, nis_rule
 from motor_env.detection.rules.thresholds import Threshold
 from motor_env.detection.rules.tolerant import TolerantFilter

@@ -14,8 +14,7 @@ from motor_env.detection.rules.calibration import (
     run_lengths,
     simulated_threshold,
 )
-from motor_env.detection.rules.statistic import Statistic
-from motor_env.detection.rules.thresholds import Request, Threshold
+from motor_env.detection.rules.thresholds import Request, Statistic, Threshold
 from motor_env.detection.run_length import RunLaw
 from motor_env.motor.parameters import FloatArray, require
 

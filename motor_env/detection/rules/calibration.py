@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_env.detection.rules.kernels import first_passages
-from motor_env.detection.rules.statistic import Statistic
-from motor_env.detection.rules.thresholds import Request, Threshold
+from motor_env.detection.rules.thresholds import Request, Statistic, Threshold
 from motor_env.detection.rules.tolerant import TolerantFilter
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.drawing import draw, measure_draw

@@ -86,10 +86,7 @@ def glr_of_block(
             weight = 1.0 / energy[age - 1]
         else:
             continue
-        if two_sided:
-            raise_square(total, weight, bonus[j], best[first:count])
-        else:
-            raise_signed_square(total, weight, bonus[j], best[first:count])
+        raise_best(total, weight, bonus[j], two_sided, best[first:count])
 
 
 @njit(cache=True)
@@ -119,16 +116,9 @@ def difference(later: FloatArray, earlier: FloatArray, total: FloatArray) -> Non
 
 
 @njit(cache=True)
-def raise_square(total: FloatArray, weight: float, bonus: float, best: FloatArray) -> None:
-    """Raise the best to weighted squares where they are larger."""
+def raise_best(total: FloatArray, weight: float, bonus: float, two_sided: bool, best: FloatArray) -> None:
+    """Raise the best to weighted squares where they are larger; one-sided with the sign of what is squared."""
     for i in range(len(best)):
-        value, stored = total[i] * total[i] * weight + bonus, best[i]
-        best[i] = value if value > stored else stored
-
-
-@njit(cache=True)
-def raise_signed_square(total: FloatArray, weight: float, bonus: float, best: FloatArray) -> None:
-    """The same with the sign of what is squared."""
-    for i in range(len(best)):
-        value, stored = total[i] * abs(total[i]) * weight + bonus, best[i]
+        size = abs(total[i])
+        value, stored = size * (size if two_sided else total[i]) * weight + bonus, best[i]
         best[i] = value if value > stored else stored

@@ -12,10 +12,9 @@ from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.filters.stream import FilterStream
 from motor_env.inference.posterior import class_coordinates
-from motor_env.inference.whitening import MarginalWhitener
+from motor_env.inference.whitening import MarginalWhitener, noise_free_innovations
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import FaultClass, Recipe
-from motor_env.simulation.simulate import simulate_states
 
 _UNSEEN = (
     0.01  # standard deviations of the noise: a direction of the tolerances that moves the residual by less
@@ -118,14 +117,11 @@ def second_order(recipe: Recipe, belief: KalmanFilter) -> tuple[FloatArray, Floa
         Mean, shape (n_samples, n_channels); slopes, shape (n_samples, n_channels, n_slopes).
     """
     coordinates = class_coordinates(recipe, FaultClass())
-    voltage = recipe.nominal_voltage_v
     size = coordinates.size
 
     def response(values: FloatArray) -> FloatArray:
         motors, supply = coordinates.motors(values)
-        states = simulate_states(motors, supply[:, None] * voltage, recipe.timing.dt_s)
-        measured = recipe.sensor.observation @ np.moveaxis(states, -1, -2)
-        return run_filter(belief, measured, voltage).whitened
+        return noise_free_innovations(recipe, belief, motors, supply[:, None] * recipe.nominal_voltage_v)
 
     middle = response(np.zeros((1, size)))[0]
     if size == 0:

@@ -15,6 +15,7 @@ from motor_env.detection.rules.nis import normalised_square
 from motor_env.detection.rules.thresholds import Threshold
 from motor_env.motor.parameters import FloatArray, require
 
+_AGE_RATIO = 1.15
 _LEAST_BUFFER = 512  # samples that the GLR holds beside the longest age, so that it seldom has to move them
 
 
@@ -48,13 +49,6 @@ class WindowedNis(Rule):
         """Exact threshold for one look at a full window."""
         value = float(chi2.isf(false_alarm_probability, self.window * n_channels))
         return Threshold(value, 0.0, "exact: chi-square, one look")
-
-
-def scanned_ages(shortest: int, longest: int, ratio: float = 1.15) -> NDArray[np.int64]:
-    """Ages of an onset on a grid that is near geometric (Lai 1995), from `shortest` to `longest` samples."""
-    count = 1 + int(np.ceil(np.log(longest / shortest) / np.log(ratio)))
-    grid: NDArray[np.int64] = np.unique(np.round(np.geomspace(shortest, longest, count)).astype(np.int64))
-    return grid
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +89,10 @@ class Glr(DirectedRule):
 
     @property
     def ages(self) -> NDArray[np.int64]:
-        """Scanned ages."""
-        return scanned_ages(self.shortest, self.longest)
+        """Ages of an onset that are scanned: a grid that is near geometric (Lai 1995)."""
+        count = 1 + int(np.ceil(np.log(self.longest / self.shortest) / np.log(_AGE_RATIO)))
+        grid = np.round(np.geomspace(self.shortest, self.longest, count))
+        return np.unique(grid.astype(np.int64))
 
     def _shape(self) -> FloatArray:
         if self.signature is None:

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from accuracy_limits import bayes_limit
 from scipy.special import gammaln, logsumexp
 from scipy.stats import norm
 
 from motor_env.inference.fit import Prior, fit
 from motor_env.inference.posterior import (
-    bayes_limit,
     class_coordinates,
     class_log_evidence,
     class_probabilities,
