@@ -66,7 +66,7 @@ class Prior:
 
     def pull(self, values: FloatArray) -> FloatArray:
         """Precision times the distance from the mean, shape (n, size): half the gradient of the prior's squares."""
-        pulled: FloatArray = (self.precision @ (values - self.mean)[..., None])[..., 0]
+        pulled: FloatArray = np.einsum("...ij,...j->...i", self.precision, values - self.mean)
         return pulled
 
 
