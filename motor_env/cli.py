@@ -68,6 +68,7 @@ def diagnose(
     shunt_ohm: float = 0.0,
     sensor_lag: float = 0.0,
     ripple_periods_per_turn: float | None = None,
+    temperature_c: float | None = None,
     json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
 ) -> int:
     """Verdict on recorded starts: healthy, bearing, winding, magnet, noise, other, no_reference or unusable.
@@ -89,6 +90,7 @@ def diagnose(
         shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
         sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
         ripple_periods_per_turn: Periods of the current's commutation ripple in a turn, for the true speed, K, J and B.
+        temperature_c: Temperature of the motor; it counts where `commission` was told one too.
         json_: Print one array with one object a start.
     """
     from rich.console import Console
@@ -108,6 +110,7 @@ def diagnose(
             circuit=_circuit(shunt_ohm, sensor_lag),
             start=start,
             periods_per_turn=ripple_periods_per_turn,
+            temperature_c=temperature_c,
             progress=lambda path: status.update(f"diagnosing {path}"),
         )
     for outcome in outcomes:
@@ -266,6 +269,7 @@ def commission(
     out: Path | None = None,
     shunt_ohm: float = 0.0,
     sensor_lag: float = 0.0,
+    temperature_c: float | None = None,
     name: str = "commissioned motor",
 ) -> int:
     """Learn a motor from three or more healthy starts, for `motor-env diagnose --motor`.
@@ -281,6 +285,7 @@ def commission(
         out: Folder for the picture: starts, fits, residuals and the spread of each quantity.
         shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
         sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
+        temperature_c: Temperature of the motor at these starts, where known.
         name: Name of the motor in that file.
     """
     from motor_env.diagnosis import commission as steps
@@ -292,7 +297,13 @@ def commission(
     choices = [ColumnChoice.parse(text) for text in column or ()]
     circuit = _circuit(shunt_ohm, sensor_lag)
     result = steps.commission(
-        files, name, choices, voltage_v=voltage, false_alarm_rate=false_alarm_rate, circuit=circuit
+        files,
+        name,
+        choices,
+        voltage_v=voltage,
+        false_alarm_rate=false_alarm_rate,
+        circuit=circuit,
+        temperature_c=temperature_c,
     )
     save_motor(result.motor, output)
     if out is not None and result.motor.reference is not None:

@@ -36,6 +36,7 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.recording import Recording
 
 DEFAULT_FALSE_ALARM_RATE = 0.01
+_TELLING_WARMTH_K = 8.0
 _DOUBLED = 1.0
 
 
@@ -104,11 +105,15 @@ def decide(
     limit = significance_limit(rate, fit.exponents, freedom)
     faults = explain(difference)
     probability = probabilities(difference, faults)
-    changes = compare(fit.quantity_names, log_ratios, difference.covariance, freedom, limit)
+    same_warmth = difference.covariance - reference.warmth_covariance
+    changes = compare(fit.quantity_names, log_ratios, same_warmth, freedom, limit)
     healthy = Diagnosis(
         recording,
         Verdict.HEALTHY,
-        (f"no quantity has moved further than {reference.source} and the fit's own error allow",),
+        (
+            f"no quantity has moved further than {reference.source} and the fit's own error allow",
+            *warmth_reason(difference, reference),
+        ),
         severity=0.0,
         confidence=probability["healthy"],
         identified=fit,
@@ -135,6 +140,23 @@ def decide(
     if unseen is not None:
         return replace(healthy, verdict=Verdict.UNUSABLE, reasons=(unseen,), severity=None, confidence=None)
     return _with_noise(healthy, fit, reference, limit)
+
+
+def warmth_reason(difference: Difference, reference: Reference) -> tuple[str, ...]:
+    """That another temperature explains the changes, where it does so by itself: its posterior mean in kelvin."""
+    if reference.warmth is None or reference.temperature_k == 0.0:
+        return ()
+    solved = difference.inverse @ reference.warmth
+    kelvin = reference.temperature_k**2 * float(solved @ difference.log_ratios)
+    sd = reference.temperature_k * math.sqrt(
+        max(1.0 - reference.temperature_k**2 * float(solved @ reference.warmth), 0.0)
+    )
+    if abs(kelvin) < max(_TELLING_WARMTH_K, 2.0 * sd):
+        return ()
+    word = "warmer" if kelvin > 0.0 else "colder"
+    return (
+        f"the motor is some {abs(kelvin):.0f} K {word} than at the healthy starts: that explains its R, K and friction",
+    )
 
 
 def _with_fault(

@@ -32,6 +32,7 @@ def diagnose(
     voltage_v: float | None = None,
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
     circuit: Circuit | None = None,
+    temperature_c: float | None = None,
 ) -> Diagnosis:
     """Fit, filter, compare, decide.
 
@@ -42,13 +43,14 @@ def diagnose(
         voltage_v: level of the supply where the recording has none; the motor's nominal voltage otherwise.
         false_alarm_rate: per healthy recording.
         circuit: what is known of the measuring circuit.
+        temperature_c: of the motor, where measured; it counts where that of the healthy starts is known too.
     """
     if voltage_v is None and motor is not None and motor.reference is None:
         voltage_v = motor.nominal_voltage_v
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
     try:
         start = prepare(recording, voltage_v, circuit)
-        reference = _reference(start, motor, learned)
+        reference = _reference(start, motor, learned, temperature_c)
         typical = None
         if reference is not None:
             typical = dict(zip(reference.names, np.exp(reference.log_values).tolist(), strict=True))
@@ -101,12 +103,16 @@ def _with_ripple(diagnosis: Diagnosis, fit: Identified, starts: StartReference, 
     return replace(diagnosis, changes=(*diagnosis.changes, *changes), reasons=reasons)
 
 
-def _reference(start: Start, motor: MotorFile | None, learned: StartReference | None) -> Reference | None:
+def _reference(
+    start: Start, motor: MotorFile | None, learned: StartReference | None, temperature_c: float | None
+) -> Reference | None:
     """What there is to compare a start with."""
     which = {"has_voltage": start.voltage_known, "has_speed": start.speed_rad_s is not None}
     if learned is not None:
-        return reference_from_starts(learned, quantities.names(**which), "this motor")
-    return None if motor is None else reference_from_motor(motor, **which)
+        return reference_from_starts(learned, quantities.names(**which), "this motor", temperature_c)
+    if motor is None:
+        return None
+    return reference_from_motor(motor, **which, temperature_c=temperature_c)
 
 
 def _trouble(fit: Identified) -> str | None:

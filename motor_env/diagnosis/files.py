@@ -85,6 +85,7 @@ def diagnose_files(
     circuit: Circuit | None = None,
     start: int | None = None,
     periods_per_turn: float | None = None,
+    temperature_c: float | None = None,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> list[Outcome]:
     """Diagnose each start of each file; one that cannot be read does not stop the others.
@@ -100,6 +101,7 @@ def diagnose_files(
         circuit: what is known of the measuring circuit.
         start: number of the start in files that hold several; all of them unless given.
         periods_per_turn: periods of the commutation ripple in a turn, for the true speed.
+        temperature_c: of the motor, where measured.
         progress: told each file before it is read.
 
     Raises:
@@ -130,6 +132,7 @@ def diagnose_files(
                 voltage_v=voltage_v,
                 false_alarm_rate=false_alarm_rate,
                 circuit=circuit,
+                temperature_c=temperature_c,
             )
         except (ValueError, ArithmeticError, LookupError) as error:
             # Values so far from any motor that the numerics give up; the others go on.

@@ -24,6 +24,8 @@ START_PRIOR_WEIGHT = 4.0
 NOISE_SPREAD_PRIOR = 0.10
 SHEET_NOISE_SD = 0.10
 NORMAL_DOF = 1e6
+MEASURED_TEMPERATURE_K = 4.0
+"""How far a winding may be off a measured temperature, one standard deviation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,8 @@ class Reference:
         log_noise_sd: its standard deviation from start to start.
         model: extensions to fit with, or None to choose by evidence.
         includes_fit_error: the covariance was estimated from fits, and holds their errors already.
+        warmth: how the logarithms move for each kelvin that the motor is warmer, shape (n,); None where unknown.
+        temperature_k: standard deviation of the temperature, which the covariance holds.
     """
 
     source: str
@@ -51,13 +55,23 @@ class Reference:
     log_noise_sd: float = SHEET_NOISE_SD
     model: tuple[str, ...] | None = None
     includes_fit_error: bool = False
+    warmth: FloatArray | None = None
+    temperature_k: float = 0.0
+
+    @property
+    def warmth_covariance(self) -> FloatArray:
+        """What the unknown temperature adds to the covariance, shape (n, n): the table of changes leaves it out."""
+        warmth = np.zeros(len(self.names)) if self.warmth is None else self.warmth
+        return np.asarray(self.temperature_k**2 * np.outer(warmth, warmth), dtype=np.float64)
 
 
-def reference_from_motor(motor: MotorFile, *, has_voltage: bool, has_speed: bool) -> Reference | None:
+def reference_from_motor(
+    motor: MotorFile, *, has_voltage: bool, has_speed: bool, temperature_c: float | None = None
+) -> Reference | None:
     """Reference from a data sheet or a commissioned motor; None where it does not speak of the same quantities."""
     names = quantities.names(has_voltage=has_voltage, has_speed=has_speed)
     if motor.reference is not None:
-        return reference_from_starts(motor.reference, names, motor.name)
+        return reference_from_starts(motor.reference, names, motor.name, temperature_c)
     if not has_voltage:
         return None
     exponents = quantities.matrix(has_voltage=has_voltage, has_speed=has_speed)
@@ -77,20 +91,31 @@ def reference_from_motor(motor: MotorFile, *, has_voltage: bool, has_speed: bool
     )
 
 
-def reference_from_starts(starts: StartReference, names: tuple[str, ...], motor: str) -> Reference | None:
-    """Reference from healthy starts of a motor; None where they tell other quantities."""
+def reference_from_starts(
+    starts: StartReference, names: tuple[str, ...], motor: str, temperature_c: float | None = None
+) -> Reference | None:
+    """Reference from healthy starts of a motor; None where they tell other quantities.
+
+    Where both temperatures are known the healthy motor is taken at this one, with what is left unknown of it.
+    """
     if starts.quantities != names:
         return None
+    warmth = quantities.warmth_direction(quantities.matrix_of(names))
+    spread_k, warmer_k = starts.temperature_k, 0.0
+    if temperature_c is not None and starts.temperature_c is not None:
+        spread_k, warmer_k = min(spread_k, MEASURED_TEMPERATURE_K), temperature_c - starts.temperature_c
     return Reference(
         source=f"{starts.starts} healthy starts of {motor}",
         names=names,
-        log_values=np.log(starts.values),
-        log_covariance=starts.log_covariance,
+        log_values=np.log(starts.values) + warmer_k * warmth,
+        log_covariance=starts.log_covariance + spread_k**2 * np.outer(warmth, warmth),
         degrees_of_freedom=starts.degrees_of_freedom,
         log_noise=starts.log_noise,
         log_noise_sd=starts.log_noise_sd,
         model=starts.model,
         includes_fit_error=True,
+        warmth=warmth,
+        temperature_k=spread_k,
     )
 
 

@@ -112,6 +112,8 @@ class StartReference:
         ripple_hz: commutation ripple at the last speed; None where not every start shows it.
         ripple_constant_v_s: K times the ripple's periods a turn, from that ripple; over volt where V is unknown.
         ripple_log_sd: standard deviation of the next start's logarithm of either.
+        temperature_k: how much warmer or colder than those a healthy motor may be, one standard deviation.
+        temperature_c: temperature of the motor at those starts, where known.
     """
 
     starts: Annotated[int, Field(ge=1)]
@@ -130,6 +132,8 @@ class StartReference:
     ripple_hz: Positive | None = None
     ripple_constant_v_s: Positive | None = None
     ripple_log_sd: Positive | None = None
+    temperature_k: NotNegative = 15.0
+    temperature_c: Finite | None = None
 
     def __post_init__(self) -> None:
         n, covariance = len(self.quantities), self.log_covariance

@@ -13,6 +13,7 @@ from motor_env.motor.data_sheet import Tolerance
 from motor_env.motor.faults import FaultKind, motor_kinds
 from motor_env.motor.parameters import (
     COPPER_PER_KELVIN,
+    FRICTION_PER_KELVIN,
     MAGNET_PER_KELVIN,
     FloatArray,
     MotorParameters,
@@ -53,6 +54,19 @@ def matrix(*, has_voltage: bool, has_speed: bool) -> FloatArray:
     )
 
 
+def matrix_of(wanted: tuple[str, ...]) -> FloatArray:
+    """The same for the names of one kind of recording.
+
+    Raises:
+        ValueError: no kind of recording tells these.
+    """
+    for has_voltage in (True, False):
+        for has_speed in (True, False):
+            if names(has_voltage=has_voltage, has_speed=has_speed) == wanted:
+                return matrix(has_voltage=has_voltage, has_speed=has_speed)
+    raise ValueError(f"no recording tells {', '.join(wanted)}")
+
+
 def logarithms(parameters: MotorParameters, voltage_v: float) -> FloatArray:
     """Logarithms of (R, L, K, J, B, V) of one motor."""
     p = parameters
@@ -61,6 +75,23 @@ def logarithms(parameters: MotorParameters, voltage_v: float) -> FloatArray:
     values = [p.resistance_ohm, p.inductance_h, constant, p.inertia_kg_m2, friction, voltage_v]
     out: FloatArray = np.log(np.array(values, dtype=np.float64))
     return out
+
+
+def warmth_direction(exponents: FloatArray) -> FloatArray:
+    """How the logarithms of quantities move for each kelvin that the motor is warmer, shape (n,).
+
+    Args:
+        exponents: of (R, L, K, J, B, V) in each quantity, shape (n, 6).
+    """
+    moved: FloatArray = exponents @ [
+        COPPER_PER_KELVIN,
+        0.0,
+        MAGNET_PER_KELVIN,
+        0.0,
+        FRICTION_PER_KELVIN,
+        0.0,
+    ]
+    return moved
 
 
 def tolerance_covariance(tolerance: Tolerance) -> FloatArray:

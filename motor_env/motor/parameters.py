@@ -34,6 +34,8 @@ RAD_S_PER_RPM = 2.0 * math.pi / 60.0
 COPPER_PER_KELVIN = 0.00393
 """Relative rise of a winding's resistance (IEC 60028)."""
 MAGNET_PER_KELVIN = -0.001
+FRICTION_PER_KELVIN = -0.003
+"""Friction falls as the lubricant warms: a round number for small motors, for a kelvin of the winding."""
 """Relative change of both constants with the temperature of ferrite or NdFeB magnets."""
 
 

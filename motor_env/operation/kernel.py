@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from motor_env.motor.parameters import COPPER_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
+from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
 
 (R, L, K, J, B, COULOMB, DROP, LOAD, SQUARE, OFFSET_I, OFFSET_W, HEATING, COOLING, LAG_I, LAG_W, DELAY) = (
     range(16)
@@ -22,8 +22,6 @@ from motor_env.motor.parameters import COPPER_PER_KELVIN, MAGNET_PER_KELVIN, Flo
 (NOISE_I, NOISE_W, NOISE_V, WALK) = range(16, 20)
 """Places of the noise: standard deviations of a sample of current, speed and voltage; of the load in a second."""
 N_VALUES = 20
-FRICTION_PER_KELVIN = -0.003
-"""Friction falls as the lubricant warms; a round number for small motors, for a winding's kelvin."""
 BEGIN, OPEN = 1.0, 2.0
 """Marks of a sample: the first of a recording; an open circuit."""
 _PARTS = 16
