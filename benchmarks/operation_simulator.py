@@ -212,11 +212,11 @@ def simulate(
     out = np.empty((samples, 4))
     _run(command, mode, open_, torque, rated / motor.speed**2 if load == "square" else 0.0, constants, fine,
          dt / fine, motor.volts, gains, out)  # fmt: skip
-    return recorded(motor, profile, out, dt, rng, bits)
+    return recorded(motor, profile, out, dt=dt, rng=rng, bits=bits)
 
 
 def recorded(
-    motor: Motor, name: str, out: Floats, dt: float, rng: np.random.Generator, bits: int
+    motor: Motor, name: str, out: Floats, *, dt: float, rng: np.random.Generator, bits: int
 ) -> Recording:
     """What sensors with noise, offset and a converter show."""
 

@@ -68,7 +68,7 @@ RATIOS = geometric(2.0, 60.0)
 
 def rule(label: str, of: Rule, thresholds: FloatArray) -> Design:
     """A rule on the innovation."""
-    return Design(label, lambda setup: RulePolicy(setup, of, 0.0), thresholds)
+    return Design(label, lambda setup: RulePolicy(setup, of, threshold=0.0), thresholds)
 
 
 def passive(samples_per_step: int) -> Iterator[tuple[str, list[Design]]]:
@@ -76,7 +76,10 @@ def passive(samples_per_step: int) -> Iterator[tuple[str, list[Design]]]:
     n = samples_per_step
     rng = np.random.default_rng(0)
     yield "never", [Design("", lambda _: Never(), np.ones(1))]
-    yield "random", [Design("", lambda setup: Random(setup, rng, 0.0), 1.0 - geometric(1e-5, 3e-2))]
+    yield (
+        "random",
+        [Design("", lambda setup: Random(setup, rng, probability=0.0), 1.0 - geometric(1e-5, 3e-2))],
+    )
     yield "NIS", [rule("", nis_rule(), geometric(3.0, 90.0))]
     counts = ((2, 3), (3, 5), (5, 10), (6, 14))
     yield "M of N", [rule(f"{m} of {k}", MOfN(m, k), geometric(0.5, 60.0)) for m, k in counts]

@@ -104,7 +104,7 @@ class Agent(Policy):
 class Curve(BaseCallback):
     """Scores the agent on validation episodes now and then, keeps its best weights, and shows progress."""
 
-    def __init__(self, steps: int, episodes: int, points: int = 8) -> None:
+    def __init__(self, steps: int, episodes: int, *, points: int = 8) -> None:
         super().__init__()
         self._envs, self._every, self._total = ProbeVectorEnv(episodes), max(1, steps // points), steps
         self.points: list[dict[str, float]] = []

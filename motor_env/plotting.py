@@ -124,7 +124,9 @@ def end_label(axes: Axes, x: float, y: float, text: str, color: str, *, offset_p
     note(axes, (x, y), text, beside, color=color, va="center", fontweight="bold", annotation_clip=False)
 
 
-def mark_point(axes: Axes, x: float, y: float, text: str, color: str, offset_pt: tuple[float, float]) -> None:
+def mark_point(
+    axes: Axes, x: float, y: float, text: str, *, color: str, offset_pt: tuple[float, float]
+) -> None:
     """Mark a point of a curve and name it."""
     axes.plot([x], [y], "o", color=color, markersize=6, markeredgecolor="white", zorder=5)
     note(axes, (x, y), text, offset_pt, color=color)

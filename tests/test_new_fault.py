@@ -116,7 +116,7 @@ def test_an_environment_lets_an_agent_declare_a_weak_magnet() -> None:
     recipe = Recipe("weak", classes=classes, sensor=SensorParameters(current_noise_a=0.005))
     env = gym.make("motor_env/Probe-v0", recipe=recipe)
     assert env.unwrapped.setup.kinds == ("magnet",)  # type: ignore[attr-defined]  # of our environments
-    names = [env.unwrapped.setup.features[m] for m in env.unwrapped.setup.chosen]  # type: ignore[attr-defined]
+    names = env.unwrapped.setup.observed  # type: ignore[attr-defined]
     for seed in range(6):
         env.reset(seed=seed)
         over, evidence = False, 0.0

@@ -40,6 +40,11 @@ def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
                 yield f"{file.relative_to(ROOT)}:{node.lineno} {node.name}", node
 
 
+def is_compiled(node: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    """Whether Numba compiles it: its arguments are arrays and numbers, not objects that could carry them."""
+    return any(word in ast.unparse(mark) for mark in node.decorator_list for word in COMPILED)
+
+
 def test_no_folder_is_crowded() -> None:
     count: dict[Path, int] = defaultdict(int)
     for file in MODULES:
@@ -47,6 +52,45 @@ def test_no_folder_is_crowded() -> None:
     assert {str(folder): n for folder, n in count.items() if n > 15} == {}
     top = [path.name for path in (ROOT / "motor_env").iterdir() if path.is_file()]
     assert len([name for name in top if name not in ("py.typed", "__init__.pyi")]) <= 8
+
+
+def test_no_function_takes_more_than_five_positional_arguments() -> None:
+    """Compiled kernels are exempt; the arguments of a constructor are named beyond the first two."""
+    crowded = []
+    for where, node in functions():
+        if is_compiled(node):
+            continue
+        names = [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
+        own = [name for name in names if name not in ("self", "cls")]
+        if len(own) > (2 if node.name == "__init__" else 5):
+            crowded.append(where)
+    assert crowded == []
+
+
+def test_no_eight_lines_stand_twice() -> None:
+    """Imports, docstrings and the argument lists of compiled kernels apart, no eight lines in a row stand in two places."""
+    places = defaultdict(list)
+    for file in MODULES:
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        ignored = {
+            line
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Import | ast.ImportFrom)
+            or (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant))
+            for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
+        }
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef) and is_compiled(node):
+                ignored.update(range(node.lineno, node.body[0].lineno))
+        lines = [
+            (number, line.strip())
+            for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), 1)
+            if line.strip() and not line.strip().startswith("#") and number not in ignored
+        ]
+        for first in range(len(lines) - 7):
+            run = tuple(text for _, text in lines[first : first + 8])
+            places[run].append(f"{file.relative_to(ROOT)}:{lines[first][0]}")
+    assert [where for where in places.values() if len(where) > 1] == []
 
 
 @pytest.mark.parametrize("name", make_pages().PACKAGES)

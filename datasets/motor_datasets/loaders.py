@@ -41,7 +41,7 @@ def to_torch_iterable(recipe: Recipe, seed: int, batch_size: int = 256, **option
     """`torch.utils.data.IterableDataset` of (X, class_index, severity) batches; workers of a loader share them."""
     from motor_datasets.torch_batches import TorchBatches
 
-    return TorchBatches(recipe, seed, batch_size, options)
+    return TorchBatches(recipe, seed, batch_size=batch_size, **options)
 
 
 def to_pandas(dataset: Dataset) -> pd.DataFrame:

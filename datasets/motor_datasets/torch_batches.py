@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import torch
@@ -21,9 +21,9 @@ class TorchBatches(torch.utils.data.IterableDataset[Any]):
         options: further arguments of `stream`.
     """
 
-    def __init__(self, recipe: Recipe, seed: int, batch_size: int, options: Mapping[str, Any]) -> None:
+    def __init__(self, recipe: Recipe, seed: int, *, batch_size: int, **options: Any) -> None:
         self._arguments = (recipe, seed, batch_size)
-        self._options = dict(options)
+        self._options = options
 
     def __iter__(self) -> Iterator[Any]:
         """The batches of this process."""

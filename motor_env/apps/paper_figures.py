@@ -91,7 +91,14 @@ def healthy_start() -> Figure:
     figure, (top, middle, bottom) = subplots(3, height_in=8.0)
     top.plot(time_ms, current, color=COLOUR["healthy"])
     peak_ms = _MS * figures.peak_time_s
-    mark_point(top, peak_ms, figures.peak_a, f"{figures.peak_a:.3f} A at {peak_ms:.2f} ms", INK, (10.0, -3.0))
+    mark_point(
+        top,
+        peak_ms,
+        figures.peak_a,
+        f"{figures.peak_a:.3f} A at {peak_ms:.2f} ms",
+        color=INK,
+        offset_pt=(10.0, -3.0),
+    )
     final = (38.0, figures.final_current_a)
     note(top, final, f"final {_MA * figures.final_current_a:.2f} mA", (0, 9), ha="right")
     top.set(title="Current", ylabel="current (A)", ylim=(0.0, 5.6))

@@ -200,7 +200,7 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         if self.render_mode == "rgb_array":
             return frame
         if self._window is None:
-            self._window = Window(frame.shape[1], frame.shape[0], self.metadata["render_fps"])
+            self._window = Window(frame.shape[1], frame.shape[0], frames_per_s=self.metadata["render_fps"])
         self._window.show(frame)
         return None
 

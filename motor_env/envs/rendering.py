@@ -66,20 +66,23 @@ def text_image(text: str, size_px: int = 13) -> FloatArray:
     return image
 
 
-def write(frame: Frame, text: str, x: int, y: int, colour: tuple[int, int, int], size_px: int = 13) -> None:
+def write(
+    frame: Frame, text: str, at: tuple[int, int], colour: tuple[int, int, int], *, size_px: int = 13
+) -> None:
     """Write a line of text with its upper left corner at (x, y)."""
+    x, y = at
     image = text_image(text, size_px)[: frame.shape[0] - y, : frame.shape[1] - x, None]
     part = frame[y : y + image.shape[0], x : x + image.shape[1]]
     part[:] = (part * (1.0 - image) + np.array(colour) * image).astype(np.uint8)
 
 
 def write_figures(
-    frame: Frame, text: str, x: int, y: int, colour: tuple[int, int, int], size_px: int = 13
+    frame: Frame, text: str, at: tuple[int, int], colour: tuple[int, int, int], *, size_px: int = 13
 ) -> None:
     """The same for text that changes: character by character, each of which is drawn once and kept."""
     for place, character in enumerate(text):
         if character != " ":
-            write(frame, character, x + round(0.62 * size_px * place), y, colour, size_px)
+            write(frame, character, (at[0] + round(0.62 * size_px * place), at[1]), colour, size_px=size_px)
 
 
 def _rows(values: FloatArray, low: float, high: float, height: int) -> NDArray[np.int64]:
@@ -172,19 +175,19 @@ class Scope:
         frame = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
         frame[:] = BACKGROUND
         (rest_current, rest_speed), (reach, swing) = self._rest, self._reach
-        self._panel(frame, 0, "current", "A", rest_current - reach, rest_current + reach)
-        self._panel(frame, 1, "speed (filter)", "rad/s", rest_speed - swing, rest_speed + swing)
-        self._panel(frame, 2, "residual", "sd", -6.0, 6.0)
+        self._panel(frame, 0, "current", "A", (rest_current - reach, rest_current + reach))
+        self._panel(frame, 1, "speed (filter)", "rad/s", (rest_speed - swing, rest_speed + swing))
+        self._panel(frame, 2, "residual", "sd", (-6.0, 6.0))
         dashes = np.where(np.arange(self.width) % 9 < 4, 3.0, np.nan)
         for level in (-dashes, dashes):
             self._trace(frame, 2, level, (-6.0, 6.0), "threshold")
-        self._panel(frame, 3, "belief", "nats", 0.0, 12.0)
+        self._panel(frame, 3, "belief", "nats", (0.0, 12.0))
         for place, (name, colour) in enumerate((("measured", "current"), ("filter", "estimate"))):
-            write(frame, name, 6, self._box(0)[0] + 32 + 15 * place, TRACE[colour], 11)
+            write(frame, name, (6, self._box(0)[0] + 32 + 15 * place), TRACE[colour], size_px=11)
         for place, kind in enumerate(dict.fromkeys(self._kinds)):
-            write(frame, kind, 6, self._box(3)[0] + 32 + 15 * place, TRACE[_colour(kind)], 11)
+            write(frame, kind, (6, self._box(3)[0] + 32 + 15 * place), TRACE[_colour(kind)], size_px=11)
         shown = self.n_steps * self.setup.options.samples_per_step * self.setup.options.dt_s
-        write(frame, f"0 to {1e3 * shown:g} ms", WIDTH - RIGHT - 90, HEIGHT - 24, DIM, 12)
+        write(frame, f"0 to {1e3 * shown:g} ms", (WIDTH - RIGHT - 90, HEIGHT - 24), DIM, size_px=12)
         return frame
 
     def _traces(self, frame: Frame, first: int) -> None:
@@ -203,15 +206,15 @@ class Scope:
         top = TOP + sum(PANEL_HEIGHTS[:which]) + GAP * which
         return top, top + PANEL_HEIGHTS[which]
 
-    def _panel(self, frame: Frame, which: int, name: str, unit: str, low: float, high: float) -> None:
-        top, bottom = self._box(which)
+    def _panel(self, frame: Frame, which: int, name: str, unit: str, limits: tuple[float, float]) -> None:
+        (low, high), (top, bottom) = limits, self._box(which)
         panel = frame[top:bottom, LEFT : WIDTH - RIGHT]
         panel[:: max(1, (bottom - top) // 4)] = GRID
         panel[:, :: self.width // 10] = GRID
-        write(frame, name, 6, top - 2, INK, 12)
-        write_figures(frame, f"{high:.3g} {unit}", 6, top + 15, DIM, 11)
+        write(frame, name, (6, top - 2), INK, size_px=12)
+        write_figures(frame, f"{high:.3g} {unit}", (6, top + 15), DIM, size_px=11)
         if which < 3:
-            write_figures(frame, f"{low:.3g}", 6, bottom - 20, DIM, 11)
+            write_figures(frame, f"{low:.3g}", (6, bottom - 20), DIM, size_px=11)
 
     def _trace(
         self,
@@ -234,17 +237,17 @@ class Scope:
         assert self.onset_step is not None  # noqa: S101  # the caller looked
         x = LEFT + min(self.width - 2, self.onset_step * self.width // self.n_steps)
         frame[TOP : HEIGHT - 30 : 3, x : x + 2] = TRACE["onset"]
-        write(frame, "onset", min(x - 14, WIDTH - RIGHT - 40), HEIGHT - 30, TRACE["onset"], 12)
+        write(frame, "onset", (min(x - 14, WIDTH - RIGHT - 40), HEIGHT - 30), TRACE["onset"], size_px=12)
 
     def _head(self, frame: Frame) -> None:
         options = self.setup.options
         time_ms = 1e3 * self.step * options.samples_per_step * options.dt_s
-        write(frame, "motor under watch", 6, 8, INK, 16)
-        write_figures(frame, f"{time_ms:7.1f} ms", 190, 8, INK, 16)
+        write(frame, "motor under watch", (6, 8), INK, size_px=16)
+        write_figures(frame, f"{time_ms:7.1f} ms", (190, 8), INK, size_px=16)
         if self._voltage is not None:
-            write_figures(frame, f"{self._voltage:+7.2f} V", 330, 8, TRACE["speed"], 16)
+            write_figures(frame, f"{self._voltage:+7.2f} V", (330, 8), TRACE["speed"], size_px=16)
         if self.verdict:
-            write(frame, self.verdict, 470, 8, TRACE["current" if self.good else "threshold"], 16)
+            write(frame, self.verdict, (470, 8), TRACE["current" if self.good else "threshold"], size_px=16)
 
 
 class Window:
@@ -259,7 +262,7 @@ class Window:
         DependencyNotInstalled: pygame is not there.
     """
 
-    def __init__(self, width: int, height: int, frames_per_s: int) -> None:
+    def __init__(self, width: int, height: int, *, frames_per_s: int) -> None:
         try:
             import pygame
         except ImportError as error:

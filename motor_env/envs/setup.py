@@ -35,7 +35,6 @@ class Setup(NamedTuple):
         belief: the filter, whose gain stands among the numbers.
         numbers: what the compiled step is told of the task.
         rest: the point at which the belief would rest, from which the kernel counts: current and speed.
-        features: names of all that can be observed.
         view: scale, bound and offset of every feature, shape (3, n_features).
         chosen: numbers of the observed features.
         observed: their names.
@@ -50,7 +49,6 @@ class Setup(NamedTuple):
     belief: KalmanFilter
     numbers: TaskNumbers
     rest: FloatArray
-    features: tuple[str, ...]
     view: FloatArray
     chosen: NDArray[np.int64]
     observed: tuple[str, ...]
@@ -121,7 +119,6 @@ def make_setup(options: MonitorOptions) -> Setup:
             right,
         ),
         rest=rest,
-        features=tuple(names),
         view=view,
         chosen=np.array(chosen, dtype=np.int64),
         observed=observed,

@@ -105,7 +105,7 @@ class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Base
         n_features_in_: n_channels * n_timepoints.
     """
 
-    def __init__(self, recipe: Recipe | None = None, n_components: int = 10, n_draws: int = 1000) -> None:
+    def __init__(self, recipe: Recipe | None = None, n_components: int = 10, *, n_draws: int = 1000) -> None:
         self.recipe = recipe
         self.n_components = n_components
         self.n_draws = n_draws

@@ -91,7 +91,7 @@ class Rule(Statistic):
 
     def stream(self, n_streams: int = 1, n_channels: int = 1) -> RuleStream:
         """A running copy of the rule, fed one sample at a time."""
-        return RuleStream(self, n_streams, n_channels)
+        return RuleStream(self, n_streams, n_channels=n_channels)
 
 
 class ExactRule(Rule):
@@ -135,7 +135,7 @@ class RuleStream:
         state: its running state, shape (n_streams, width).
     """
 
-    def __init__(self, rule: Rule, n_streams: int, n_channels: int) -> None:
+    def __init__(self, rule: Rule, n_streams: int, *, n_channels: int) -> None:
         require(
             rule.n_channels in (None, n_channels),
             f"n_channels must be {rule.n_channels} for this rule, got {n_channels}",

@@ -107,7 +107,7 @@ class Random(ThresholdPolicy):
         probability: of a declaration.
     """
 
-    def __init__(self, setup: Setup, rng: np.random.Generator, probability: float) -> None:
+    def __init__(self, setup: Setup, rng: np.random.Generator, *, probability: float) -> None:
         self._declarations = declarations(setup)
         self._rng, self.threshold = rng, 1.0 - probability
 
@@ -140,7 +140,7 @@ class RulePolicy(_Isolating):
         threshold: of its statistic.
     """
 
-    def __init__(self, setup: Setup, rule: Rule, threshold: float) -> None:
+    def __init__(self, setup: Setup, rule: Rule, *, threshold: float) -> None:
         super().__init__(setup)
         self.rule, self.threshold = rule, threshold
         self._innovation = column(setup, "innovation_current")

@@ -124,7 +124,7 @@ class OnDemand(ThresholdPolicy):
         actions: of the two sides.
     """
 
-    def __init__(self, test: RatioTest, above: float, actions: tuple[int, int] = (1, 2)) -> None:
+    def __init__(self, test: RatioTest, above: float, *, actions: tuple[int, int] = (1, 2)) -> None:
         self.test, self.threshold, self.above = test, test.threshold, above
         self._actions = np.array(actions)
         kinds = test.belief.setup.kinds

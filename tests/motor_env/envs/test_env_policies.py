@@ -60,7 +60,7 @@ def test_a_sweep_gives_what_every_threshold_gives_alone(name: str) -> None:
     setup = envs.setup
     cases: dict[str, Callable[[], tuple[ThresholdPolicy, tuple[float, ...]]]] = {
         "bank": lambda: (BankPolicy(setup, 0.0), (0.5, 3.0, 30.0)),
-        "cusum": lambda: (RulePolicy(setup, Cusum(0.5, two_sided=True), 0.0), (2.0, 8.0, 1e9)),
+        "cusum": lambda: (RulePolicy(setup, Cusum(0.5, two_sided=True), threshold=0.0), (2.0, 8.0, 1e9)),
         "bayes": lambda: (BayesPolicy(setup, 0.0), (0.0, 0.8, 0.97)),
         "open loop": lambda: (
             OpenLoop(RatioTest(setup, 0.0), Bursts(5, 8, 3).actions(envs.options.n_steps)),
@@ -80,7 +80,7 @@ def test_a_sweep_gives_what_every_threshold_gives_alone(name: str) -> None:
 
 def test_random_declares_as_often_as_its_probability_says() -> None:
     envs = monitor(2000)
-    runs = run_episodes(envs, Random(envs.setup, np.random.default_rng(1), 2e-3), 4)
+    runs = run_episodes(envs, Random(envs.setup, np.random.default_rng(1), probability=2e-3), 4)
     silent = 1.0 - (1.0 - 2e-3) ** envs.options.n_steps
     assert abs((runs.declared > 0).mean() - silent) < 4.0 * np.sqrt(silent * (1.0 - silent) / 2000)
 

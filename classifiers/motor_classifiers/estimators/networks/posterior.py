@@ -28,7 +28,7 @@ _AVERAGE_BEGINS = 20
 class Posterior(nn.Module):
     """Coordinates of a transient and a perceptron on them: from flattened cases to the numbers of a posterior."""
 
-    def __init__(self, space: SignalSpace, n_hidden: int, n_layers: int, n_out: int) -> None:
+    def __init__(self, space: SignalSpace, *, n_hidden: int, n_layers: int, n_out: int) -> None:
         super().__init__()
         self.space = space
         self.network = perceptron(space.n_coordinates, n_hidden, n_layers, n_out)
@@ -115,7 +115,7 @@ class Posterior(nn.Module):
         )
         check_perceptron(arrays, *sizes)
         space = SignalSpace(n_features, len(directions), sees_noise=sees_noise)
-        posterior = cls(space, *sizes)
+        posterior = cls(space, n_hidden=sizes[0], n_layers=sizes[1], n_out=sizes[2])
         load_module(posterior, arrays)
         return posterior
 

@@ -163,7 +163,7 @@ class PosteriorNetwork(LogitClassifier):
             require(starts == wanted, f"a case must be {wanted} starts, got {starts}")
             check_classes(self.recipe, self.classes_)
             space = self._space(self.recipe)
-        posterior = Posterior(space, self.n_hidden, self.n_layers, len(self.classes_))
+        posterior = Posterior(space, n_hidden=self.n_hidden, n_layers=self.n_layers, n_out=len(self.classes_))
         generator = torch.Generator().manual_seed(seed_of(self.random_state))
         targets = torch.from_numpy(labels)
 
@@ -259,7 +259,9 @@ class PosteriorNetwork(LogitClassifier):
     def _learn(self, task: _Task, seed: int, on_step: OnStep) -> Posterior:
         """A network that has seen the task's stream, in double precision."""
         low, high = self._checked_noise()
-        posterior = Posterior(self._space(task.recipe), self.n_hidden, self.n_layers, task.n_out).float()
+        posterior = Posterior(
+            self._space(task.recipe), n_hidden=self.n_hidden, n_layers=self.n_layers, n_out=task.n_out
+        ).float()
         space = posterior.space
 
         def fresh(part: int, batch_size: int) -> Iterator[tuple[torch.Tensor, Dataset]]:

@@ -25,7 +25,7 @@ def _convolution(n_in: int, n_out: int, kernel: int, stride: int = 1) -> nn.Modu
 class _Block(nn.Module):
     """Two convolutions, and the input added to their output."""
 
-    def __init__(self, n_in: int, n_out: int, kernel: int) -> None:
+    def __init__(self, n_in: int, n_out: int, *, kernel: int) -> None:
         super().__init__()
         self.first = _convolution(n_in, n_out, kernel, stride=2)
         self.second = _convolution(n_out, n_out, kernel)
@@ -114,9 +114,9 @@ class ResNetClassifier(EpochClassifier):
         return nn.Sequential(
             _convolution(self._n_channels(), width, 2 * self.stem + 1, stride=self.stem),
             nn.ReLU(),
-            _Block(width, width, kernel),
-            _Block(width, 2 * width, kernel),
-            _Block(2 * width, 2 * width, kernel),
+            _Block(width, width, kernel=kernel),
+            _Block(width, 2 * width, kernel=kernel),
+            _Block(2 * width, 2 * width, kernel=kernel),
             nn.AdaptiveAvgPool1d(1),
             nn.Flatten(),
             unset_layer(nn.Linear, 2 * width, len(self.classes_)),
