@@ -68,7 +68,7 @@ def test_no_function_takes_more_than_five_positional_arguments() -> None:
 
 
 def test_no_eight_lines_stand_twice() -> None:
-    """Imports, docstrings and the argument lists of compiled kernels apart, no eight lines in a row stand in two places."""
+    """No eight lines in a row; imports, docstrings and the argument lists of compiled kernels do not count."""
     places = defaultdict(list)
     for file in MODULES:
         tree = ast.parse(file.read_text(encoding="utf-8"))
