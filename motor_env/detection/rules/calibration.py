@@ -164,10 +164,8 @@ def run_lengths(
     batch = max(1, _AT_ONCE // (_BLOCK * n_channels))
     for first in range(0, runs, batch):
         cases = np.arange(first, min(first + batch, runs))
-        passed, passages = (
-            np.zeros(len(cases), dtype=np.int64),
-            np.zeros((len(cases), len(thresholds)), np.int64),
-        )
+        passed = np.zeros(len(cases), dtype=np.int64)
+        passages = np.zeros((len(cases), len(thresholds)), dtype=np.int64)
         state, block = rule.start(len(cases), n_channels), 0
         while len(cases):
             values = _noise(seed, cases, block, _BLOCK, n_channels)

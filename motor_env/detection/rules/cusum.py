@@ -123,10 +123,6 @@ class ShiryaevRoberts(DirectedRule, ExactRule):
     def __post_init__(self) -> None:
         require_positive("shift", self.shift)
 
-    def start(self, n_streams: int, n_channels: int) -> FloatArray:
-        """R = 0."""
-        return np.zeros((n_streams, 1))
-
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Log R, a bank of one model."""
         return kernels.mixture(self.series(whitened), np.array([self.shift]), np.ones(1), state)
@@ -165,10 +161,6 @@ class Sprt(DirectedRule, ExactRule):
     def __post_init__(self) -> None:
         require_positive("shift", self.shift)
         require_positive("-lower", -self.lower)
-
-    def start(self, n_streams: int, n_channels: int) -> FloatArray:
-        """Ratio 1."""
-        return np.zeros((n_streams, 1))
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins."""

@@ -104,9 +104,9 @@ class Statistic(ABC):
         """Channels that the rule needs, or None where it takes any number."""
         return None
 
-    @abstractmethod
     def start(self, n_streams: int, n_channels: int) -> FloatArray:
-        """State before the first sample, shape (n_streams, width)."""
+        """State before the first sample, shape (n_streams, width): one number, 0, unless a rule says otherwise."""
+        return np.zeros((n_streams, 1))
 
     @abstractmethod
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
