@@ -4,12 +4,13 @@ from .estimators.confirmation import (
 from .estimators.features import (
     PhysicalFeatures as PhysicalFeatures,
     ResidualProjection as ResidualProjection,
+    RuleStatistics as RuleStatistics,
 )
 from .estimators.methods import (
     METHODS as METHODS,
     make_method as make_method,
 )
-from .estimators.networks.perceptron import (
+from .estimators.networks.epoch_classifier import (
     PerceptronClassifier as PerceptronClassifier,
 )
 from .estimators.networks.posterior_network import (
@@ -17,9 +18,6 @@ from .estimators.networks.posterior_network import (
 )
 from .estimators.networks.resnet import (
     ResNetClassifier as ResNetClassifier,
-)
-from .estimators.rule_statistics import (
-    RuleStatistics as RuleStatistics,
 )
 from .model_files.onnx_export import (
     export_onnx as export_onnx,

@@ -14,6 +14,7 @@ from sklearn.utils.validation import (
     assert_all_finite,
     check_array,
     check_consistent_length,
+    check_is_fitted,
     column_or_1d,
     validate_data,
 )
@@ -82,6 +83,14 @@ def fitting_recipe(recipe: Recipe | None, n_features: int) -> Recipe:
 def with_channels(flat: FloatArray, recipe: Recipe) -> FloatArray:
     """Flattened cases as (n_cases, n_channels, n_timepoints)."""
     return flat.reshape(len(flat), len(recipe.sensor.channels), -1)
+
+
+def measured_cases(estimator: Any, X: Any) -> tuple[Recipe, FloatArray]:
+    """The recipe of a fitted estimator, and checked cases, shape (n_cases, n_channels, n_timepoints)."""
+    check_is_fitted(estimator, "n_features_in_")
+    flat = flat_cases(estimator, X, reset=False)
+    recipe = fitting_recipe(estimator.recipe, flat.shape[1])
+    return recipe, with_channels(flat, recipe)
 
 
 def values_of_start(recipe: Recipe) -> int:

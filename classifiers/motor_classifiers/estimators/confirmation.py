@@ -6,7 +6,7 @@ the recipe, names the fault.
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
@@ -34,6 +34,7 @@ from motor_env.simulation.recipes import FaultClass, Recipe
 _RULE_ARRAYS = ("healthy_scale", "own_scale", "prior")
 
 
+@dataclass(eq=False, repr=False)
 class ThresholdConfirmationClassifier(ProbabilityClassifier):
     """The paper's confirmation by thresholds behind scikit-learn's interface.
 
@@ -51,9 +52,8 @@ class ThresholdConfirmationClassifier(ProbabilityClassifier):
         n_features_in_: n_channels * n_timepoints.
     """
 
-    def __init__(self, recipe: Recipe | None = None, false_alarm_rate: float | None = None) -> None:
-        self.recipe = recipe
-        self.false_alarm_rate = false_alarm_rate
+    recipe: Recipe | None = None
+    false_alarm_rate: float | None = None
 
     def fit(self, X: Any, y: Any) -> Self:
         """Tune windows, M, N, threshold and weights.

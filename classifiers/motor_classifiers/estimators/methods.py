@@ -17,11 +17,10 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
 from motor_classifiers.estimators.confirmation import ThresholdConfirmationClassifier
-from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProjection
-from motor_classifiers.estimators.networks.perceptron import PerceptronClassifier
+from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProjection, RuleStatistics
+from motor_classifiers.estimators.networks.epoch_classifier import PerceptronClassifier
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.resnet import ResNetClassifier
-from motor_classifiers.estimators.rule_statistics import RuleStatistics
 from motor_env.simulation.recipes import Recipe
 
 Make = Callable[[Recipe, int], BaseEstimator]
@@ -52,140 +51,139 @@ class Method:
         return model.fit_stream() if self.from_stream else model.fit(X, y)
 
 
-def _chain(
-    features: Callable[[Recipe], BaseEstimator], *steps: tuple[str, Callable[[int], BaseEstimator]]
-) -> Make:
-    """A pipeline of features for a recipe, and of steps for a random state."""
+METHODS: dict[str, Method] = {}
+"""Every method by name, in the order of the tables."""
 
-    def make(recipe: Recipe, seed: int) -> BaseEstimator:
-        return Pipeline([("features", features(recipe)), *((name, step(seed)) for name, step in steps)])
+ESTIMATE = "posterior-network"
+"""The method that stands for the limit where the likelihood has no closed form."""
 
-    return make
+
+def _chain(features: BaseEstimator, *steps: BaseEstimator) -> Pipeline:
+    """Features, perhaps a scale, and a classifier."""
+    names = ("features", "classify") if len(steps) == 1 else ("features", "scale", "classify")
+    return Pipeline(list(zip(names, (features, *steps), strict=True)))
+
+
+def _method(name: str, family: str, title: str, seconds: float, **options: bool) -> Callable[[Make], Make]:
+    """Puts a function that makes estimators into the table."""
+
+    def listed(make: Make) -> Make:
+        METHODS[name] = Method(name, family, title, make, seconds, **options)
+        return make
+
+    return listed
 
 
 def _physical_and_residual(recipe: Recipe) -> FeatureUnion:
     return FeatureUnion([("physical", PhysicalFeatures(recipe)), ("residual", ResidualProjection(recipe, 6))])
 
 
-def _boosting(seed: int) -> BaseEstimator:
+@_method(
+    "threshold",
+    "threshold",
+    "Confirmation by thresholds: Kalman residual, M of N, bank of fault filters",
+    4.0,
+)
+def _threshold(recipe: Recipe, seed: int) -> BaseEstimator:
+    return ThresholdConfirmationClassifier(recipe)
+
+
+@_method(
+    "rules",
+    "threshold",
+    "Statistics of the decision rules and matched tests, logistic regression for their thresholds",
+    3.0,
+)
+def _rules(recipe: Recipe, seed: int) -> BaseEstimator:
+    return _chain(RuleStatistics(recipe), StandardScaler(), LogisticRegression(C=100.0, max_iter=5000))
+
+
+@_method("physical-lda", "scikit-learn", "Fitted motor parameters, linear discriminant analysis", 5.0)
+def _lda(recipe: Recipe, seed: int) -> BaseEstimator:
+    return _chain(PhysicalFeatures(recipe), StandardScaler(), LinearDiscriminantAnalysis())
+
+
+@_method(
+    "physical-logistic", "scikit-learn", "Fitted motor parameters and residual, logistic regression", 5.0
+)
+def _logistic(recipe: Recipe, seed: int) -> BaseEstimator:
+    return _chain(_physical_and_residual(recipe), StandardScaler(), LogisticRegression(max_iter=1000))
+
+
+@_method(
+    "physical-svm",
+    "scikit-learn",
+    "Fitted motor parameters and residual, support vector machine, probabilities by Platt's method",
+    6.0,
+)
+def _svm(recipe: Recipe, seed: int) -> BaseEstimator:
+    platt = CalibratedClassifierCV(SVC(), method="sigmoid", cv=5, ensemble=False)
+    return _chain(_physical_and_residual(recipe), StandardScaler(), platt)
+
+
+@_method(
+    "physical-boosting",
+    "scikit-learn",
+    "Fitted motor parameters and residual, gradient boosting with temperature",
+    15.0,
+)
+def _boosting(recipe: Recipe, seed: int) -> BaseEstimator:
     """Shallow trees; alone they are far too sure of themselves (docs/classifiers.md)."""
     trees = HistGradientBoostingClassifier(
         learning_rate=0.03, max_iter=150, max_leaf_nodes=7, min_samples_leaf=10, random_state=seed
     )
-    return CalibratedClassifierCV(trees, method="temperature", cv=3, ensemble=False)
+    calibrated = CalibratedClassifierCV(trees, method="temperature", cv=3, ensemble=False)
+    return _chain(_physical_and_residual(recipe), calibrated)
 
 
-def _platt(seed: int) -> BaseEstimator:
-    return CalibratedClassifierCV(SVC(), method="sigmoid", cv=5, ensemble=False)
+@_method("physical-forest", "scikit-learn", "Fitted motor parameters and residual, random forest", 6.0)
+def _forest(recipe: Recipe, seed: int) -> BaseEstimator:
+    forest = RandomForestClassifier(200, min_samples_leaf=3, random_state=seed)
+    return _chain(_physical_and_residual(recipe), forest)
 
 
-_SCALE = ("scale", lambda seed: StandardScaler())
-_LOGISTIC = ("classify", lambda seed: LogisticRegression(max_iter=1000))
+@_method(
+    "residual-qda",
+    "scikit-learn",
+    "Kalman residual along the signal's directions, quadratic discriminant analysis",
+    1.0,
+)
+def _qda(recipe: Recipe, seed: int) -> BaseEstimator:
+    # Field effects move all directions together: hence the principal components. Without tolerances a class has a
+    # millionth of the variance of all; that is no lack of rank.
+    quadratic = QuadraticDiscriminantAnalysis(tol=1e-12)
+    return _chain(ResidualProjection(recipe, 6), PCA(whiten=True), quadratic)
 
-ESTIMATE = "posterior-network"
-"""The method that stands for the limit where the likelihood has no closed form."""
 
-METHODS = {
-    method.name: method
-    for method in (
-        Method(
-            "threshold",
-            "threshold",
-            "Confirmation by thresholds: Kalman residual, M of N, bank of fault filters",
-            lambda recipe, seed: ThresholdConfirmationClassifier(recipe),
-            4.0,
-        ),
-        Method(
-            "rules",
-            "threshold",
-            "Statistics of the decision rules and matched tests, logistic regression for their thresholds",
-            _chain(
-                RuleStatistics, _SCALE, ("classify", lambda seed: LogisticRegression(C=100.0, max_iter=5000))
-            ),
-            3.0,
-        ),
-        Method(
-            "physical-lda",
-            "scikit-learn",
-            "Fitted motor parameters, linear discriminant analysis",
-            _chain(PhysicalFeatures, _SCALE, ("classify", lambda seed: LinearDiscriminantAnalysis())),
-            5.0,
-        ),
-        Method(
-            "physical-logistic",
-            "scikit-learn",
-            "Fitted motor parameters and residual, logistic regression",
-            _chain(_physical_and_residual, _SCALE, _LOGISTIC),
-            5.0,
-        ),
-        Method(
-            "physical-svm",
-            "scikit-learn",
-            "Fitted motor parameters and residual, support vector machine, probabilities by Platt's method",
-            _chain(_physical_and_residual, _SCALE, ("classify", _platt)),
-            6.0,
-        ),
-        Method(
-            "physical-boosting",
-            "scikit-learn",
-            "Fitted motor parameters and residual, gradient boosting with temperature",
-            _chain(_physical_and_residual, ("classify", _boosting)),
-            15.0,
-        ),
-        Method(
-            "physical-forest",
-            "scikit-learn",
-            "Fitted motor parameters and residual, random forest",
-            _chain(
-                _physical_and_residual,
-                ("classify", lambda seed: RandomForestClassifier(200, min_samples_leaf=3, random_state=seed)),
-            ),
-            6.0,
-        ),
-        Method(
-            "residual-qda",
-            "scikit-learn",
-            "Kalman residual along the signal's directions, quadratic discriminant analysis",
-            _chain(
-                lambda recipe: ResidualProjection(recipe, 6),
-                ("scale", lambda seed: PCA(whiten=True)),  # field effects move all directions together
-                # Without tolerances a class has a millionth of the variance of all; that is no lack of rank.
-                ("classify", lambda seed: QuadraticDiscriminantAnalysis(tol=1e-12)),
-            ),
-            1.0,
-        ),
-        Method(
-            "raw-logistic",
-            "scikit-learn",
-            "Raw waveform in 20 principal components, logistic regression",
-            _chain(lambda recipe: ResidualProjection(None, 20), _SCALE, _LOGISTIC),
-            2.0,
-        ),
-        Method(
-            "network",
-            "torch",
-            "Kalman residual along the signal's directions, perceptron",
-            lambda recipe, seed: PerceptronClassifier(recipe, random_state=seed),
-            6.0,
-        ),
-        Method(
-            ESTIMATE,
-            "torch",
-            "Amortised posterior: a perceptron that learns from an endless stream of the recipe's own starts",
-            lambda recipe, seed: PosteriorNetwork(recipe, random_state=seed),
-            30.0,
-            from_stream=True,
-        ),
-        Method(
-            "residual-network",
-            "torch",
-            "Raw waveform, convolutional residual network that knows nothing of motors",
-            lambda recipe, seed: ResNetClassifier(recipe, random_state=seed),
-            30.0,
-        ),
-    )
-}
-"""Every method by name, in the order of the tables."""
+@_method("raw-logistic", "scikit-learn", "Raw waveform in 20 principal components, logistic regression", 2.0)
+def _raw(recipe: Recipe, seed: int) -> BaseEstimator:
+    return _chain(ResidualProjection(None, 20), StandardScaler(), LogisticRegression(max_iter=1000))
+
+
+@_method("network", "torch", "Kalman residual along the signal's directions, perceptron", 6.0)
+def _network(recipe: Recipe, seed: int) -> BaseEstimator:
+    return PerceptronClassifier(recipe, random_state=seed)
+
+
+@_method(
+    ESTIMATE,
+    "torch",
+    "Amortised posterior: a perceptron that learns from an endless stream of the recipe's own starts",
+    30.0,
+    from_stream=True,
+)
+def _posterior(recipe: Recipe, seed: int) -> BaseEstimator:
+    return PosteriorNetwork(recipe, random_state=seed)
+
+
+@_method(
+    "residual-network",
+    "torch",
+    "Raw waveform, convolutional residual network that knows nothing of motors",
+    30.0,
+)
+def _resnet(recipe: Recipe, seed: int) -> BaseEstimator:
+    return ResNetClassifier(recipe, random_state=seed)
 
 
 def make_method(name: str, recipe: Recipe, random_state: int) -> BaseEstimator:

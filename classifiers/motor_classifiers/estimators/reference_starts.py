@@ -6,11 +6,11 @@ then those of each reference. Any method for several channels takes it as it is.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
 from sklearn.utils.validation import check_is_fitted
 
@@ -46,19 +46,11 @@ def referenced_starts(recipe: Recipe, seed: int, motors: ArrayLike, n_references
     starts = n_references + 1
     several = replace(recipe, starts_per_motor=starts, healthy_starts=n_references)
     numbers = np.atleast_1d(np.asarray(motors, dtype=np.int64))
-    cases = numbers[:, None] * starts + np.roll(
-        np.arange(starts), 1
-    )  # the last one is judged, and comes first
+    order = np.roll(np.arange(starts), 1)  # the last one is judged, and comes first
+    cases = numbers[:, None] * starts + order
     drawn = generate_arrays(several, seed, cases.ravel())
     X = drawn.X.reshape(len(numbers), starts * drawn.X.shape[1], -1)
     return replace(drawn.select(np.arange(0, len(cases.ravel()), starts)), X=X)
-
-
-def drawn_starts(recipe: Recipe, seed: int, numbers: NDArray[np.int64], n_references: int) -> Dataset:
-    """Cases as the recipe draws them, by their numbers; with references `referenced_starts`, by motor."""
-    if n_references == 0:
-        return generate_arrays(recipe, seed, numbers)
-    return referenced_starts(recipe, seed, numbers, n_references)
 
 
 def split_starts(X: Any, recipe: Recipe) -> FloatArray:
@@ -91,6 +83,7 @@ def referenced_probabilities(recipe: Recipe, X: Any) -> FloatArray:
     return class_probabilities(recipe, starts[:, 0], prior=prior_from_starts(recipe, starts[:, 1:]))
 
 
+@dataclass(eq=False, repr=False)
 class RecentredStarts(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     """The judged start as if its motor were the nominal one: any method for plain starts then uses the references.
 
@@ -105,8 +98,7 @@ class RecentredStarts(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEst
         n_features_in_: values of a case.
     """
 
-    def __init__(self, recipe: Recipe | None = None) -> None:
-        self.recipe = recipe
+    recipe: Recipe | None = None
 
     def fit(self, X: Any, y: Any = None) -> Self:
         """Check the cases' shape; there is nothing to learn."""

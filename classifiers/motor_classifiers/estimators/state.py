@@ -47,29 +47,16 @@ def part_of(arrays: Arrays, part: str) -> Arrays:
     return {name.removeprefix(f"{part}."): a for name, a in arrays.items() if name.startswith(f"{part}.")}
 
 
-def load_module(module: nn.Module, arrays: Arrays) -> None:
-    """Set the weights and buffers of a torch module in double precision.
+def loaded_module(module: nn.Module, arrays: Arrays) -> nn.Module:
+    """A torch module made on the device `meta`, with weights and buffers in double precision.
 
     Raises:
-        RuntimeError: names or shapes are not the module's.
+        ValueError: names or shapes are not the module's; no memory was taken.
     """
-    module.double().load_state_dict({name: torch.from_numpy(a).double() for name, a in arrays.items()})
-    module.eval()
-
-
-def check_perceptron(arrays: Arrays, n_hidden: Any, n_layers: Any, n_out: int) -> None:
-    """Check sizes before a perceptron of these sizes is made: memory for a false one would be taken before a look.
-
-    Raises:
-        ValueError: the arrays are of other sizes.
-    """
-    weights = sum(name.startswith("network.") and name.endswith(".weight") for name in arrays)
-    require(
-        type(n_layers) is int and n_layers >= 0 and weights == n_layers + 1,
-        f"n_layers is {n_layers!r}, the file holds {weights} matrices",
-    )
-    first = arrays["network.0.weight"].shape
-    require(
-        type(n_hidden) is int and first[0] == (n_hidden if n_layers else n_out),
-        f"n_hidden is {n_hidden!r}, the first matrix has shape {first}",
-    )
+    # A file has one value in the place of a number.
+    wanted = {name: tuple(values.shape) or (1,) for name, values in module.state_dict().items()}
+    shapes = {name: values.shape or (1,) for name, values in arrays.items()}
+    require(shapes == wanted, "its arrays do not fit its parameters")
+    module.double().to_empty(device="cpu")
+    module.load_state_dict({name: torch.from_numpy(a) for name, a in arrays.items()})
+    return module.eval()

@@ -11,11 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.special import expit, softmax
+from sklearn.linear_model import LogisticRegression
 
 from motor_env.motor.parameters import FloatArray, require
 
@@ -105,7 +108,7 @@ class ThresholdRule:
         """
         _check_rate(false_alarm_rate, int((labels == healthy).sum()))
         prior = np.bincount(labels, minlength=len(whitened)) / len(labels)
-        best, best_score = None, -np.inf
+        candidates: list[tuple[float, Self]] = []
         for edges, pairs in _choices(whitened.shape[2], with_spread):
             features = np.stack([window_features(w, edges, with_spread) for w in whitened])
             base = cls(
@@ -119,11 +122,8 @@ class ThresholdRule:
                 candidate = replace(base, needed=needed, among=among)
                 largest = candidate.statistic(features[healthy]).max(axis=1)
                 threshold, score = _choose_threshold(largest, labels == healthy, fits, false_alarm_rate)
-                if score > best_score:
-                    best_score, best = score, replace(candidate, threshold=threshold)
-        if best is None:  # not reachable: there is always a window of the whole transient
-            raise AssertionError
-        return best.calibrated(whitened, labels)
+                candidates.append((score, replace(candidate, threshold=threshold)))
+        return max(candidates, key=itemgetter(0))[1].calibrated(whitened, labels)
 
     def decide(self, whitened: FloatArray) -> ConfirmationResult:
         """Decide on residuals under each class, shape (n_classes, n_cases, n_samples, n_channels)."""
@@ -167,12 +167,11 @@ class ThresholdRule:
         """Probability of each fault class given that there is one, shape (n, n_classes)."""
         score = self._log_likelihood(features) / self.temperature + np.log(np.maximum(self.prior, 1e-12))
         score[:, self.healthy_index] = -np.inf
-        share: FloatArray = np.exp(score - score.max(axis=1, keepdims=True))
-        share /= share.sum(axis=1, keepdims=True)
+        share: FloatArray = softmax(score, axis=1)
         return share
 
     def _probabilities(self, features: FloatArray, statistic: FloatArray) -> FloatArray:
-        faulty = _logistic(self.intercept + self.slope * np.log(np.maximum(statistic, 1e-12)))
+        faulty = expit(self.intercept + self.slope * np.log(np.maximum(statistic, 1e-12)))
         probabilities = self.fault_shares(features) * faulty[:, None]
         probabilities[:, self.healthy_index] = 1.0 - faulty
         return probabilities
@@ -184,15 +183,17 @@ class ThresholdRule:
         if not faulty.any():
             return self
         largest = self.statistic(features[self.healthy_index]).max(axis=1) / self.threshold
-        intercept, slope = _fit_logistic(np.log(np.maximum(largest, 1e-12)), faulty)
-        candidates = np.geomspace(0.5, 200.0, 40)
-        loss = []
-        for temperature in candidates:
-            share = replace(self, temperature=float(temperature)).fault_shares(features[:, faulty])
-            loss.append(-np.log(np.maximum(share[np.arange(faulty.sum()), labels[faulty]], 1e-12)).mean())
-        return replace(
-            self, intercept=intercept, slope=slope, temperature=float(candidates[int(np.argmin(loss))])
-        )
+        # With a weak prior on both weights, which keeps them finite.
+        design = np.column_stack([np.ones(len(largest)), np.log(np.maximum(largest, 1e-12))])
+        platt = LogisticRegression(C=100.0, fit_intercept=False, solver="newton-cholesky", tol=1e-10)
+        intercept, slope = platt.fit(design, faulty).coef_[0].tolist()
+
+        def loss(temperature: float) -> float:
+            share = replace(self, temperature=temperature).fault_shares(features[:, faulty])
+            return float(-np.log(np.maximum(share[np.arange(faulty.sum()), labels[faulty]], 1e-12)).mean())
+
+        temperature = min(np.geomspace(0.5, 200.0, 40).tolist(), key=loss)
+        return replace(self, intercept=intercept, slope=slope, temperature=temperature)
 
 
 def window_features(whitened: FloatArray, edges: tuple[int, ...], with_spread: bool) -> FloatArray:
@@ -261,23 +262,3 @@ def _choose_threshold(
     at = int(np.argmax(correct))
     threshold = 0.5 * float(largest[order[at]] + largest[order[at + 1]])
     return threshold, float(correct[at]) / len(largest)
-
-
-def _logistic(x: FloatArray) -> FloatArray:
-    value: FloatArray = 0.5 * (1.0 + np.tanh(0.5 * x))
-    return value
-
-
-def _fit_logistic(x: FloatArray, faulty: NDArray[np.bool_]) -> tuple[float, float]:
-    """Intercept and slope of the log odds (Platt 1999), by Newton steps with a weak prior that keeps them finite."""
-    design = np.stack([np.ones_like(x), x], axis=1)
-    weights = np.zeros(2)
-    for _ in range(50):
-        p = _logistic(design @ weights)
-        gradient = design.T @ (faulty - p) - 1e-2 * weights
-        curvature = (design * (p * (1.0 - p))[:, None]).T @ design + 1e-2 * np.eye(2)
-        step = np.linalg.solve(curvature, gradient)
-        weights = weights + np.clip(step, -2.0, 2.0)
-        if np.abs(step).max() < 1e-9:
-            break
-    return float(weights[0]), float(weights[1])

@@ -22,7 +22,7 @@ from sklearn.pipeline import Pipeline
 
 from motor_classifiers.estimators.cases import values_of_start
 from motor_classifiers.estimators.confirmation import ThresholdConfirmationClassifier
-from motor_classifiers.estimators.networks.perceptron import PerceptronClassifier
+from motor_classifiers.estimators.networks.epoch_classifier import PerceptronClassifier
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.resnet import ResNetClassifier
 from motor_classifiers.estimators.reference_starts import RecentredStarts

@@ -27,9 +27,8 @@ from sklearn.preprocessing import MinMaxScaler, RobustScaler, StandardScaler
 from sklearn.svm import SVC
 from sklearn.tree import DecisionTreeClassifier
 
-from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProjection
+from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProjection, RuleStatistics
 from motor_classifiers.estimators.reference_starts import RecentredStarts
-from motor_classifiers.estimators.rule_statistics import RuleStatistics
 from motor_env.errors import InputError
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Recipe

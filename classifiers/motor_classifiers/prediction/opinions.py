@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -149,11 +150,9 @@ def _network_severities(
 
 def overall_status(given: list[Opinion]) -> ExitStatus:
     """Fault before undecided before healthy."""
-    statuses = [opinion.status for opinion in given]
-    for status in (ExitStatus.FAULT, ExitStatus.UNDECIDED):
-        if status in statuses:
-            return status
-    return ExitStatus.HEALTHY
+    statuses = {opinion.status for opinion in given}
+    worst = (ExitStatus.FAULT, ExitStatus.UNDECIDED)
+    return next((status for status in worst if status in statuses), ExitStatus.HEALTHY)
 
 
 def predict(recording: Recording | Path | str, model: Path | str | None = None) -> Opinion:
@@ -195,15 +194,7 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording
 
 def second_opinion(recording: Recording, recipe: Recipe) -> dict[str, Any]:
     """What `motor-env diagnose` says of the recording, with the recipe's motor and tolerances for its data sheet."""
-    spread = recipe.spread
-    tolerance = Tolerance(
-        supply=spread.supply,
-        resistance=spread.resistance,
-        constants=spread.constants,
-        inertia=spread.inertia,
-        friction=spread.friction,
-        temperature_k=0.0,
-    )
+    tolerance = Tolerance(**asdict(recipe.spread), temperature_k=0.0)
     motor = MotorFile(
         recipe.name, "data_sheet", recipe.motor, float(np.asarray(recipe.supply.voltage_v)), tolerance
     )

@@ -7,7 +7,8 @@ were, and for no others: under a shift the coverage must be measured anew.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
+from itertools import cycle
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -72,12 +73,11 @@ class ConformalSets:
 
         Of the true class it is at most alpha in a share alpha of the cases.
         """
-        strange = _strangeness(probabilities)
-        shares = []
-        for column in range(probabilities.shape[1]):
-            calibrated = self.strangeness[column if len(self.strangeness) > 1 else 0]
-            below = np.searchsorted(calibrated, strange[:, column], side="left")
-            shares.append((len(calibrated) - below + 1.0) / (len(calibrated) + 1.0))
+        # One array stands for all classes.
+        pairs = zip(_strangeness(probabilities).T, cycle(self.strangeness), strict=False)
+        shares = [
+            (len(known) - np.searchsorted(known, own) + 1.0) / (len(known) + 1.0) for own, known in pairs
+        ]
         return np.stack(shares, axis=1)
 
     def sets(self, probabilities: FloatArray, coverage: float = 0.90) -> BoolArray:
@@ -201,6 +201,7 @@ def _group_names(groups: ArrayLike | None, n_cases: int) -> NDArray[np.str_]:
     return np.full(n_cases, "all") if groups is None else np.asarray(groups).astype(np.str_)
 
 
+@dataclass(eq=False, repr=False)
 class ConformalClassifier(ClassifierWrapper):
     """Any classifier with probabilities, and sets of classes with a known coverage beside its decisions.
 
@@ -219,20 +220,12 @@ class ConformalClassifier(ClassifierWrapper):
         n_features_in_: n_channels * n_timepoints.
     """
 
-    def __init__(
-        self,
-        estimator: Any = None,
-        coverage: float = 0.90,
-        *,
-        label_conditional: bool = True,
-        calibration_share: float = 0.3,
-        random_state: int | np.random.RandomState | None = None,
-    ) -> None:
-        self.estimator = estimator
-        self.coverage = coverage
-        self.label_conditional = label_conditional
-        self.calibration_share = calibration_share
-        self.random_state = random_state
+    estimator: Any = None
+    coverage: float = 0.90
+    _: KW_ONLY
+    label_conditional: bool = True
+    calibration_share: float = 0.3
+    random_state: int | np.random.RandomState | None = None
 
     def fit(self, X: Any, y: Any) -> Self:
         """Train on one part of the cases and calibrate on the other.

@@ -8,7 +8,7 @@ hypotheses; several: Baum & Veeravalli 1994). Probabilities that boast break the
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -22,7 +22,6 @@ from motor_classifiers.wrappers.fitted import unfitted
 from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
-from motor_env.simulation.simulate import Timing
 
 _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
 
@@ -107,19 +106,14 @@ def limit_by_samples(recipe: Recipe, measurements: ArrayLike, samples: ArrayLike
 def shortened(estimator: BaseEstimator, n_samples: int) -> BaseEstimator:
     """A fresh estimator whose recipes, wherever in it they are, end after so many samples."""
     fresh: BaseEstimator = clone(estimator)
-    return fresh.set_params(
-        **{
-            name: replace(value, timing=_first_samples(value.timing, n_samples))
-            for name, value in fresh.get_params().items()
-            if isinstance(value, Recipe)
-        }
-    )
+    recipes = {name: value for name, value in fresh.get_params().items() if isinstance(value, Recipe)}
+    for name, recipe in recipes.items():
+        duration_s = (n_samples - recipe.timing.n_quiet) * recipe.timing.dt_s
+        fresh.set_params(**{name: replace(recipe, timing=replace(recipe.timing, duration_s=duration_s))})
+    return fresh
 
 
-def _first_samples(timing: Timing, n_samples: int) -> Timing:
-    return replace(timing, duration_s=(n_samples - timing.n_quiet) * timing.dt_s)
-
-
+@dataclass(eq=False, repr=False)
 class EarlyClassifier(MetaEstimatorMixin, ProbabilityClassifier):
     """Any classifier, once for each of some lengths of what was seen, and the rule that stops when one is sure.
 
@@ -136,12 +130,10 @@ class EarlyClassifier(MetaEstimatorMixin, ProbabilityClassifier):
         n_features_in_: n_channels * n_timepoints.
     """
 
-    def __init__(
-        self, estimator: Any = None, samples: tuple[int, ...] | None = None, *, error: float = 0.05
-    ) -> None:
-        self.estimator = estimator
-        self.samples = samples
-        self.error = error
+    estimator: Any = None
+    samples: tuple[int, ...] | None = None
+    _: KW_ONLY
+    error: float = 0.05
 
     def fit(self, X: Any, y: Any) -> Self:
         """Train a classifier on the first samples of the cases, for each length.
@@ -171,12 +163,8 @@ class EarlyClassifier(MetaEstimatorMixin, ProbabilityClassifier):
         """Probability of each class at each length, shape (n_moments, n_cases, n_classes)."""
         check_is_fitted(self)
         flat = flat_cases(self, X, reset=False)
-        return np.stack(
-            [
-                model.predict_proba(self._first(flat, int(count)))
-                for model, count in zip(self.estimators_, self.samples_, strict=True)
-            ]
-        )
+        pairs = zip(self.estimators_, self.samples_, strict=True)
+        return np.stack([model.predict_proba(self._first(flat, int(count))) for model, count in pairs])
 
     def stop(self, X: Any) -> Stopped:
         """Verdict of each case and when it fell: `decided` indexes `classes_`, `moment` indexes `samples_`."""

@@ -8,7 +8,6 @@ ratio of the nearest of these motors against any motor at all (Wilks 1938).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
 
@@ -70,82 +69,56 @@ def family_fit(recipe: Recipe, measurements: ArrayLike) -> FamilyFit:
 
 def _fit_part(recipe: Recipe, observed: Observed) -> FamilyFit:
     coordinates = Coordinates.from_names(recipe.motor, QUANTITIES)
-    loose = fit(
-        observed,
-        coordinates,
-        Prior.from_std(np.full(len(QUANTITIES), _ANY_MOTOR)),
-        max_iterations=_MOST_STEPS,
-    )
+    prior = Prior.from_std(np.full(len(QUANTITIES), _ANY_MOTOR))
+    loose = fit(observed, coordinates, prior, max_iterations=_MOST_STEPS)
     # Any motor, and noise of any variance above the believed one: n log f + chi2 / f is least at f = chi2 / n.
     n_values = observed.n_values
     noise = np.maximum(loose.chi2 / n_values, 1.0)
     anything = loose.objective - loose.chi2 + loose.chi2 / noise + n_values * np.log(noise)
-    best = FamilyFit(
-        np.full(observed.n_cases, np.inf),
-        np.full(observed.n_cases, HEALTHY, dtype="<U60"),
-        np.zeros(observed.n_cases),
-        np.zeros(observed.n_cases, dtype=np.bool_),
-    )
-    for hypothesis in _hypotheses(recipe):
-        candidate = hypothesis.against(observed, coordinates, noise)
-        nearer = candidate.distance - anything < best.distance
-        for kept, new in zip(best, (candidate.distance - anything, *candidate[1:]), strict=True):
-            kept[nearer] = np.asarray(new)[nearer]
-    return best
+    candidates = [_fit_kinds(recipe, observed, noise, *hypothesis) for hypothesis in _hypotheses(recipe)]
+    objectives = np.nan_to_num([c.distance for c in candidates], nan=np.inf, posinf=np.inf)
+    nearest = objectives.argmin(axis=0), np.arange(observed.n_cases)
+    fitted = FamilyFit(*(np.array(column)[nearest] for column in zip(*candidates, strict=True)))
+    return fitted._replace(distance=objectives[nearest] - anything)
 
 
-def tolerance_covariance(recipe: Recipe) -> FloatArray:
-    """Covariance of the logarithms of `QUANTITIES` over healthy motors and starts of a recipe."""
-    std = [*recipe.spread.std, 0.0]
-    return np.diag(np.square(np.maximum(std, _LEAST_TOLERANCE)))
+def _fit_kinds(
+    recipe: Recipe, observed: Observed, noise: FloatArray, label: str, present: frozenset[FaultKind]
+) -> FamilyFit:
+    """Objective (in the place of the distance; infinite outside the rays) and severity of motors with these faults.
 
-
-@dataclass(frozen=True, slots=True)
-class _Hypothesis:
-    """Motors with these kinds of faults, of any severity.
-
-    Attributes:
+    Args:
+        recipe: as of `family_fit`.
+        observed: the transients.
+        noise: factor on the noise's variance of each case where the fault is one of noise, shape (n,).
         label: label kind.
-        kinds: those that change the motor.
-        noisy: those that change the noise's variance alone.
-        largest: largest severity of each of `kinds`, and of the noise where there is such a fault.
-        tolerances: covariance of the logarithms without a fault.
+        present: kinds of faults, of any severity.
     """
-
-    label: str
-    kinds: tuple[FaultKind, ...]
-    noisy: tuple[FaultKind, ...]
-    largest: dict[FaultKind, float]
-    tolerances: FloatArray
-
-    def against(self, observed: Observed, coordinates: Coordinates, noise: FloatArray) -> FamilyFit:
-        """Objective (in the place of the distance; infinite outside the rays) and severity of each case.
-
-        Args:
-            observed: the transients.
-            coordinates: logarithms of `QUANTITIES`.
-            noise: factor on the noise's variance of each case where the fault is one of noise, shape (n,).
-        """
-        rays = np.array([kind.direction(QUANTITIES) for kind in self.kinds]).reshape(-1, len(QUANTITIES))
-        covariance = self.tolerances + _ANY_SEVERITY**2 * rays.T @ rays
-        precision = np.linalg.inv(covariance)
-        fitted = fit(
-            observed, coordinates, Prior(np.zeros(len(QUANTITIES)), precision), max_iterations=_MOST_STEPS
-        )
-        objective = fitted.objective
-        if self.noisy:
-            objective = objective - fitted.chi2 + fitted.chi2 / noise + observed.n_values * np.log(noise)
-        t, std = _along(rays, precision, fitted)
-        objective = np.where((t > 0.0).all(axis=1), objective, np.inf)
-        severity, beyond = np.zeros(len(t)), np.zeros(len(t), dtype=np.bool_)
-        for column, kind in enumerate(self.kinds):
-            severity += kind.severity(t[:, column])
-            beyond |= t[:, column] - _SURE * std[:, column] > kind.log_size(self.largest[kind])
-        if self.noisy:
-            severity = severity + noise - 1.0
-            least = noise * (1.0 - _SURE * np.sqrt(2.0 / observed.n_values))
-            beyond |= least > 1.0 + max(self.largest[kind] for kind in self.noisy)
-        return FamilyFit(objective, np.full(len(t), self.label), severity, beyond)
+    largest: dict[FaultKind | None, float] = {}
+    for part in (part for fault_class in recipe.classes for part in fault_class.parts):
+        largest[part.kind] = max(part.largest_severity, largest.get(part.kind, 0.0))
+    moving = [kind for kind in recipe.kinds if kind in present and kind.motor_powers]
+    noisy = [kind for kind in recipe.kinds if kind in present and not kind.motor_powers]
+    rays = np.array([kind.direction(QUANTITIES) for kind in moving]).reshape(-1, len(QUANTITIES))
+    tolerances = np.square(np.maximum([*recipe.spread.std, 0.0], _LEAST_TOLERANCE))
+    precision = np.linalg.inv(np.diag(tolerances) + _ANY_SEVERITY**2 * rays.T @ rays)
+    prior = Prior(np.zeros(len(QUANTITIES)), precision)
+    coordinates = Coordinates.from_names(recipe.motor, QUANTITIES)
+    fitted = fit(observed, coordinates, prior, max_iterations=_MOST_STEPS)
+    objective = fitted.objective
+    if noisy:
+        objective = objective - fitted.chi2 + fitted.chi2 / noise + observed.n_values * np.log(noise)
+    t, std = _along(rays, precision, fitted)
+    objective = np.where((t > 0.0).all(axis=1), objective, np.inf)
+    severity, beyond = np.zeros(len(t)), np.zeros(len(t), dtype=np.bool_)
+    for column, kind in enumerate(moving):
+        severity += kind.severity(t[:, column])
+        beyond |= t[:, column] - _SURE * std[:, column] > kind.log_size(largest[kind])
+    if noisy:
+        severity = severity + noise - 1.0
+        least = noise * (1.0 - _SURE * np.sqrt(2.0 / observed.n_values))
+        beyond |= least > 1.0 + max(largest[kind] for kind in noisy)
+    return FamilyFit(objective, np.full(len(t), label), severity, beyond)
 
 
 def _along(rays: FloatArray, precision: FloatArray, fitted: Fit) -> tuple[FloatArray, FloatArray]:
@@ -159,30 +132,17 @@ def _along(rays: FloatArray, precision: FloatArray, fitted: Fit) -> tuple[FloatA
     return fitted.values @ weights.T, np.sqrt(np.maximum(variance, 0.0))
 
 
-def _hypotheses(recipe: Recipe) -> Iterator[_Hypothesis]:
-    """The kinds, and combinations of kinds, of a recipe's classes; healthy first."""
-    largest: dict[FaultKind, float] = {}
+def _hypotheses(recipe: Recipe) -> Iterator[tuple[str, frozenset[FaultKind]]]:
+    """Label kinds, and the kinds or combinations of kinds that they stand for; healthy first."""
     labels: dict[str, frozenset[FaultKind]] = {HEALTHY: frozenset()}
     for fault_class in recipe.classes:
-        parts: list[FaultKind] = []
-        for part in fault_class.parts:
-            if part.kind is not None:
-                largest[part.kind] = max(part.largest_severity, largest.get(part.kind, 0.0))
-                parts.append(part.kind)
-        labels.setdefault(fault_class.label_kind, frozenset(parts))
-    tolerances = tolerance_covariance(recipe)
+        kinds = frozenset(part.kind for part in fault_class.parts if part.kind is not None)
+        labels.setdefault(fault_class.label_kind, kinds)
     seen = set(labels.values())
     for label, kinds in labels.items():
+        yield label, kinds
         # Tolerances can hide a small one of joint faults: then those that are left stand for all.
-        for present in _subsets(kinds):
-            if present == kinds or present not in seen:
-                moving = tuple(kind for kind in recipe.kinds if kind in present and kind.motor_powers)
-                noisy = tuple(kind for kind in recipe.kinds if kind in present and not kind.motor_powers)
-                yield _Hypothesis(label, moving, noisy, largest, tolerances)
-
-
-def _subsets(kinds: frozenset[FaultKind]) -> Iterator[frozenset[FaultKind]]:
-    """All of the kinds first, then fewer; at least one, where there is one."""
-    for count in range(len(kinds), 0 if kinds else -1, -1):
-        for chosen in combinations(sorted(kinds), count):
-            yield frozenset(chosen)
+        for count in range(len(kinds) - 1, 0, -1):
+            for left in map(frozenset, combinations(sorted(kinds), count)):
+                if left not in seen:
+                    yield label, left

@@ -7,6 +7,7 @@ allow (`fault_family`).
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, OutlierMixin
 from sklearn.utils.validation import check_is_fitted
 
-from motor_classifiers.estimators.cases import fitting_recipe, flat_cases, labelled_cases, with_channels
+from motor_classifiers.estimators.cases import flat_cases, labelled_cases, measured_cases
 from motor_classifiers.estimators.state import State
 from motor_classifiers.wrappers.fault_family import BoolArray, FamilyFit, family_fit
 from motor_classifiers.wrappers.fitted import ClassifierWrapper, check_share, unfitted
@@ -25,6 +26,7 @@ OTHER = "other"
 """The verdict on a motor that no class explains."""
 
 
+@dataclass(eq=False, repr=False)
 class FaultFamilyDetector(OutlierMixin, BaseEstimator):
     """Tells motors that no class of the recipe explains, by scikit-learn's interface for outliers.
 
@@ -37,23 +39,21 @@ class FaultFamilyDetector(OutlierMixin, BaseEstimator):
         n_features_in_: n_channels * n_timepoints.
     """
 
-    def __init__(self, recipe: Recipe | None = None, false_alarm_rate: float = 0.01) -> None:
-        self.recipe = recipe
-        self.false_alarm_rate = false_alarm_rate
+    recipe: Recipe | None = None
+    false_alarm_rate: float = 0.01
 
     def fit(self, X: Any, y: Any = None) -> Self:
         """Set the threshold on cases of the known classes; the labels are not looked at."""
         rate = self.false_alarm_rate
         require(0.0 < rate < 1.0, f"false_alarm_rate must lie between 0 and 1, got {rate:g}")
         flat = flat_cases(self, X, reset=True, min_features=2)
-        distance = self._family(flat).distance
+        distance = self.family(flat).distance
         self.offset_ = float(np.quantile(-distance, rate))
         return self
 
     def family(self, X: Any) -> FamilyFit:
         """Distance, nearest kind, its severity and whether that is out of range, of each case."""
-        check_is_fitted(self)
-        return self._family(flat_cases(self, X, reset=False))
+        return family_fit(*measured_cases(self, X))
 
     def score_samples(self, X: Any) -> FloatArray:
         """The distance, negative: the lower, the more foreign, shape (n_cases,)."""
@@ -66,10 +66,6 @@ class FaultFamilyDetector(OutlierMixin, BaseEstimator):
     def predict(self, X: Any) -> NDArray[np.int64]:
         """-1 for foreign motors, else 1, shape (n_cases,)."""
         return np.where(self.decision_function(X) < 0.0, -1, 1)
-
-    def _family(self, flat: FloatArray) -> FamilyFit:
-        recipe = fitting_recipe(self.recipe, flat.shape[1])
-        return family_fit(recipe, with_channels(flat, recipe))
 
 
 class Verdicts(NamedTuple):
@@ -88,6 +84,7 @@ class Verdicts(NamedTuple):
     severity: FloatArray
 
 
+@dataclass(eq=False, repr=False)
 class OpenSetClassifier(ClassifierWrapper):
     """Any classifier, and beside its decisions the verdicts `other` and out of range.
 
@@ -103,12 +100,10 @@ class OpenSetClassifier(ClassifierWrapper):
         n_features_in_: n_channels * n_timepoints.
     """
 
-    def __init__(
-        self, estimator: Any = None, recipe: Recipe | None = None, *, false_alarm_rate: float = 0.01
-    ) -> None:
-        self.estimator = estimator
-        self.recipe = recipe
-        self.false_alarm_rate = false_alarm_rate
+    estimator: Any = None
+    recipe: Recipe | None = None
+    _: KW_ONLY
+    false_alarm_rate: float = 0.01
 
     def fit(self, X: Any, y: Any) -> Self:
         """Train the classifier, and set the detector's threshold on the same cases."""

@@ -12,10 +12,9 @@ from scipy.stats import ks_2samp, kstest, truncnorm
 from sklearn.base import clone
 
 from motor_classifiers.estimators.networks import severity_density
-from motor_classifiers.estimators.networks.case_stream import with_more_noise
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.severity_density import severity_priors, severity_recipe
-from motor_classifiers.estimators.networks.signal_space import SignalSpace
+from motor_classifiers.estimators.networks.signal_space import SignalSpace, with_more_noise
 from motor_classifiers.estimators.networks.training import one_thread
 from motor_datasets.generate import generate_arrays
 from motor_env.inference.severity import severity_posterior

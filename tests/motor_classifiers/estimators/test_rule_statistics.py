@@ -6,7 +6,7 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from motor_classifiers.estimators.rule_statistics import RuleStatistics
+from motor_classifiers.estimators.features import RuleStatistics
 from motor_datasets.generate import generate_arrays
 from motor_env.detection.rules import Cusum
 from motor_env.detection.rules.tolerant import TolerantFilter

@@ -229,7 +229,7 @@ def test_pipelines_with_the_old_names_of_their_classes_load(
     """Files from before the classes moved into packages."""
     features = {"motor_classifiers.estimators.features": "motor_classifiers.features"}
     starts = {"motor_classifiers.estimators.reference_starts": "motor_classifiers.reference"}
-    rules = {"motor_classifiers.estimators.rule_statistics": "motor_classifiers.rule_statistics"}
+    rules = {"motor_classifiers.estimators.features": "motor_classifiers.rule_statistics"}
     with_starts = make_pipeline(RecentredStarts(RECIPE), make_method("rules", RECIPE, 0))
     save_model(with_starts.fit(TRAIN.X, TRAIN.class_name), RECIPE, "rules", tmp_path / "new")
     for content, names, model in (

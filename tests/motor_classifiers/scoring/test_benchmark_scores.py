@@ -13,7 +13,7 @@ from sklearn.metrics import (
     recall_score,
 )
 
-from motor_classifiers.estimators.networks.perceptron import PerceptronClassifier
+from motor_classifiers.estimators.networks.epoch_classifier import PerceptronClassifier
 from motor_classifiers.scoring.metrics import (
     compare,
     level_distance,

@@ -1,14 +1,16 @@
-"""What classifiers behind a torch network share: logits, epochs over given cases, and their state as arrays."""
+"""What classifiers behind a torch network share: logits, epochs over given cases, their state; and the perceptron."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator
+from dataclasses import KW_ONLY, dataclass
 from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
 import torch
+from scipy.special import softmax
 from sklearn.utils.validation import check_is_fitted
 from torch import nn
 
@@ -18,17 +20,19 @@ from motor_classifiers.estimators.cases import (
     labelled_cases,
     values_of_start,
 )
+from motor_classifiers.estimators.features import ResidualProjection
 from motor_classifiers.estimators.networks.training import Batch, initialise, one_thread, seed_of, train
 from motor_classifiers.estimators.state import (
-    Arrays,
     State,
-    load_module,
+    loaded_module,
     module_arrays,
     part_of,
     plain_parameters,
 )
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
+
+MOST_LAYERS = 1000
 
 
 class LogitClassifier(ProbabilityClassifier):
@@ -41,9 +45,7 @@ class LogitClassifier(ProbabilityClassifier):
 
     def predict_proba(self, X: Any) -> FloatArray:
         """Probability of each class, shape (n_cases, n_classes)."""
-        logits = self._logits(X)
-        share = np.exp(logits - logits.max(axis=1, keepdims=True))
-        probabilities: FloatArray = share / share.sum(axis=1, keepdims=True)
+        probabilities: FloatArray = softmax(self._logits(X), axis=1)
         return probabilities
 
     @abstractmethod
@@ -60,31 +62,27 @@ def logits_in_parts(network: nn.Module, flat: FloatArray, at_once: int) -> Float
         return np.concatenate([network(part).numpy() for part in torch.split(inputs, at_once)])
 
 
-def unset_layer(layer: type[nn.Module], *sizes: int, **options: Any) -> nn.Module:
-    """A layer whose weights are not yet set: it takes no number from torch's global generator."""
-    made: nn.Module = nn.utils.skip_init(layer, *sizes, **options)  # type: ignore[no-untyped-call]  # torch leaves it untyped
-    return made
-
-
 def perceptron(n_in: int, n_hidden: int, n_layers: int, n_out: int) -> nn.Sequential:
-    """Fully connected layers with SiLU between, float64, weights not yet set."""
-    sizes = [n_in, *[n_hidden] * n_layers]
-    layers: list[nn.Module] = []
-    for before, after in pairwise(sizes):
-        layers += [unset_layer(nn.Linear, before, after, dtype=torch.float64), nn.SiLU()]
-    layers.append(unset_layer(nn.Linear, sizes[-1], n_out, dtype=torch.float64))
-    return nn.Sequential(*layers)
+    """Fully connected layers with SiLU between, float64, without memory for their weights."""
+    require(0 <= n_layers <= MOST_LAYERS, f"n_layers must be from 0 to {MOST_LAYERS}, got {n_layers!r}")
+    require(n_hidden >= 1, f"n_hidden must be >= 1, got {n_hidden!r}")
+    sizes = [n_in, *[n_hidden] * n_layers, n_out]
+    with torch.device("meta"):
+        layers = [[nn.SiLU(), nn.Linear(*pair, dtype=torch.float64)] for pair in pairwise(sizes)]
+    return nn.Sequential(*[layer for pair in layers for layer in pair][1:])
 
 
+@dataclass(eq=False, repr=False)
 class EpochClassifier(LogitClassifier):
     """A network on standardised inputs that sees the training cases once in each epoch."""
 
-    recipe: Recipe | None
-    epochs: int
-    batch_size: int
-    learning_rate: float
-    weight_decay: float
-    random_state: int | np.random.RandomState | None
+    recipe: Recipe | None = None
+    _: KW_ONLY
+    epochs: int = 40
+    batch_size: int = 64
+    learning_rate: float = 0.01
+    weight_decay: float = 0.1
+    random_state: int | np.random.RandomState | None = None
     _at_once = 4096
 
     def fit(self, X: Any, y: Any) -> Self:
@@ -95,7 +93,8 @@ class EpochClassifier(LogitClassifier):
         """
         flat, labels = labelled_cases(self, X, y)
         generator = torch.Generator().manual_seed(seed_of(self.random_state))
-        features = self._fit_features(flat)
+        self.projection_ = self._projection()
+        features = flat if self.projection_ is None else self.projection_.fit_transform(flat)
         self.center_ = features.mean(axis=0)
         spread = features.std(axis=0)
         self.scale_ = np.where(spread > 0.0, spread, 1.0)
@@ -121,6 +120,8 @@ class EpochClassifier(LogitClassifier):
     def to_state(self) -> State:
         """The fitted network as arrays and values."""
         arrays = module_arrays(self.network_, "network") | {"center": self.center_, "scale": self.scale_}
+        if self.projection_ is not None:
+            arrays |= {"weights": self.projection_.weights_, "offset": self.projection_.offset_}
         return State(arrays, {"parameters": plain_parameters(self)})
 
     @classmethod
@@ -134,13 +135,14 @@ class EpochClassifier(LogitClassifier):
         model.classes_ = np.array(state.values["classes"])
         model.n_features_in_ = values_of_start(recipe)
         model.center_, model.scale_ = state.arrays["center"], state.arrays["scale"]
-        n_inputs = model._load_features(state.arrays)
+        n_inputs = model.n_features_in_
+        model.projection_ = model._projection()
+        if model.projection_ is not None:
+            n_inputs = model.projection_.restore(state.arrays["weights"], state.arrays["offset"])
         sizes = model.center_.shape, model.scale_.shape
         require(sizes == ((n_inputs,), (n_inputs,)), f"center and scale must have {n_inputs} numbers each")
         require(bool((model.scale_ > 0.0).all()), "scale must be > 0")
-        model._check_sizes(state.arrays)
-        model.network_ = model._network(n_inputs)
-        load_module(model.network_, part_of(state.arrays, "network"))
+        model.network_ = loaded_module(model._network(n_inputs), part_of(state.arrays, "network"))
         return model
 
     def _batches(
@@ -158,25 +160,54 @@ class EpochClassifier(LogitClassifier):
 
     def _logits(self, X: Any) -> FloatArray:
         check_is_fitted(self)
-        features = self._features(flat_cases(self, X, reset=False))
+        features = flat_cases(self, X, reset=False)
+        if self.projection_ is not None:
+            features = self.projection_.transform(features)
         return logits_in_parts(self.network_, self._inputs(features), self._at_once)
 
-    def _fit_features(self, flat: FloatArray) -> FloatArray:
-        """Learn how cases become features, and return those of the training cases; the values themselves by default."""
-        return flat
-
-    def _features(self, flat: FloatArray) -> FloatArray:
-        """Features of cases."""
-        return flat
-
-    def _load_features(self, arrays: Arrays) -> int:
-        """Set what a file holds of the features, and return how many there are."""
-        return int(self.n_features_in_)
+    def _projection(self) -> ResidualProjection | None:
+        """How cases become features; None where the values themselves are."""
+        return None
 
     @abstractmethod
     def _network(self, n_inputs: int) -> nn.Module:
-        """The network, weights not yet set."""
+        """The network on the device `meta`: no memory is taken for its weights, which are not yet set."""
 
-    @abstractmethod
-    def _check_sizes(self, arrays: Arrays) -> None:
-        """Check that a network of the parameters' sizes has arrays as large as the file's, before it is made."""
+
+@dataclass(eq=False, repr=False)
+class PerceptronClassifier(EpochClassifier):
+    """A perceptron on the filter's residual along the model's own signal directions.
+
+    The first linear map is `ResidualProjection`, so the network sees the whole waveform through the directions that can
+    matter. Its components are standardised by the training set, never by the transient.
+
+    Args:
+        recipe: the motor, its nuisances and faults; without one, directions come from the training cases.
+        n_components: directions the network sees.
+        n_hidden: width of a hidden layer.
+        n_layers: hidden layers.
+        epochs: passes over the training cases.
+        batch_size: cases of a step.
+        learning_rate: highest rate of the cycle.
+        weight_decay: of AdamW.
+        random_state: seed, generator or None, as in scikit-learn.
+
+    Attributes:
+        classes_: labels.
+        projection_: the fitted first map.
+        scale_: standard deviation of each component in training, shape (n_components,).
+        center_: its mean.
+        network_: the torch module.
+        n_features_in_: n_channels * n_timepoints.
+    """
+
+    n_components: int = 6
+    _: KW_ONLY
+    n_hidden: int = 32
+    n_layers: int = 2
+
+    def _projection(self) -> ResidualProjection:
+        return ResidualProjection(self.recipe, self.n_components)
+
+    def _network(self, n_inputs: int) -> nn.Module:
+        return perceptron(n_inputs, self.n_hidden, self.n_layers, len(self.classes_))

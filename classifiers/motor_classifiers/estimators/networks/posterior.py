@@ -16,7 +16,7 @@ from torch.optim.swa_utils import AveragedModel
 from motor_classifiers.estimators.networks.epoch_classifier import perceptron
 from motor_classifiers.estimators.networks.signal_space import SignalSpace
 from motor_classifiers.estimators.networks.training import Batch, Loss, OnStep, initialise, train
-from motor_classifiers.estimators.state import Arrays, check_perceptron, load_module
+from motor_classifiers.estimators.state import Arrays, loaded_module
 from motor_env.motor.parameters import require
 
 _LAST_SHARE, _LARGER = 0.3, 4  # the last steps have larger batches: less noise where it matters
@@ -48,7 +48,7 @@ class Posterior(nn.Module):
         batch_size: int,
         learning_rate: float,
         weight_decay: float = 0.0,
-        on_step: OnStep = lambda done: None,
+        on_step: OnStep = lambda: None,
     ) -> None:
         """Minimise the mean loss by AdamW, the rate falling along a cosine (Loshchilov & Hutter 2019).
 
@@ -62,7 +62,7 @@ class Posterior(nn.Module):
             batch_size: cases of a batch; the last ones are four times as large.
             learning_rate: highest rate.
             weight_decay: of AdamW.
-            on_step: called with the number of steps done, after each.
+            on_step: called after each step.
         """
         network = self.network
         initialise(network, generator)
@@ -76,9 +76,9 @@ class Posterior(nn.Module):
             falling = 0.5 * (1.0 + math.cos(math.pi * step / steps))
             return learning_rate * min(1.0, step / _WARM_UP) * falling
 
-        def after(done: int) -> None:
+        def after() -> None:
             average.update_parameters(network)
-            on_step(done)
+            on_step()
 
         many = growing(batches, batch_size, steps)
         train(network, many, loss, LambdaLR(optimiser, rate), on_step=after)
@@ -108,15 +108,10 @@ class Posterior(nn.Module):
         require(bool((arrays["space.noise"] > 0.0).all()), "its noise must be > 0")
         require(bool((arrays["space.variance"] >= 0.0).all()), "its variances must be >= 0")
         require(not sees_noise or arrays["space.level"][1] > 0.0, "its spread of the noise must be > 0")
-        directions = arrays["space.directions"]
-        require(
-            directions.ndim == 2 and directions.shape[1] == n_features,
-            f"directions of shape {directions.shape} do not fit its recipe",
-        )
-        check_perceptron(arrays, *sizes)
-        space = SignalSpace(n_features, len(directions), sees_noise=sees_noise)
+        with torch.device("meta"):
+            space = SignalSpace(n_features, len(arrays["space.directions"]), sees_noise=sees_noise)
         posterior = cls(space, n_hidden=sizes[0], n_layers=sizes[1], n_out=sizes[2])
-        load_module(posterior, arrays)
+        loaded_module(posterior, arrays)
         return posterior
 
 

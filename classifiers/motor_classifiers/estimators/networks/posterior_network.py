@@ -8,7 +8,8 @@ coordinates that hold what a transient can tell. A second one gives the density 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import KW_ONLY, asdict, dataclass, replace
+from itertools import count
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -18,16 +19,16 @@ from sklearn.utils.validation import check_is_fitted
 from torch import nn
 
 from motor_classifiers.estimators.cases import check_classes, flat_cases, labelled_cases, values_of_start
-from motor_classifiers.estimators.networks import severity_density
-from motor_classifiers.estimators.networks.case_stream import fresh_cases
 from motor_classifiers.estimators.networks.epoch_classifier import LogitClassifier, logits_in_parts
 from motor_classifiers.estimators.networks.posterior import Posterior, total_cases
 from motor_classifiers.estimators.networks.severity_density import (
+    PARAMETERS,
     severity_loss,
     severity_priors,
     severity_recipe,
+    summary,
 )
-from motor_classifiers.estimators.networks.signal_space import SignalSpace
+from motor_classifiers.estimators.networks.signal_space import SignalSpace, fresh_cases
 from motor_classifiers.estimators.networks.training import Batch, Loss, OnStep, one_thread, seed_of
 from motor_classifiers.estimators.reference_starts import split_starts
 from motor_classifiers.estimators.state import Arrays, State, module_arrays, part_of, plain_parameters
@@ -65,15 +66,7 @@ class SeverityEstimate(NamedTuple):
     high: FloatArray
 
 
-class _Task(NamedTuple):
-    """What one of the two networks learns: `n_out` numbers by a loss, from cases of a recipe and their targets."""
-
-    recipe: Recipe
-    target: Callable[[Dataset], torch.Tensor]
-    loss: Loss
-    n_out: int
-
-
+@dataclass(eq=False, repr=False)
 class PosteriorNetwork(LogitClassifier):
     """The amortised posterior of a recipe behind scikit-learn's interface.
 
@@ -105,32 +98,18 @@ class PosteriorNetwork(LogitClassifier):
         n_features_in_: n_channels * n_timepoints.
     """
 
-    def __init__(
-        self,
-        recipe: Recipe | None = None,
-        n_components: int | None = None,
-        *,
-        n_hidden: int = 96,
-        n_layers: int = 2,
-        steps: int = 2500,
-        batch_size: int = 512,
-        learning_rate: float = 0.01,
-        noise_range: tuple[float, float] | None = None,
-        with_severity: bool = True,
-        n_references: int = 0,
-        random_state: int | np.random.RandomState | None = None,
-    ) -> None:
-        self.recipe = recipe
-        self.n_components = n_components
-        self.n_hidden = n_hidden
-        self.n_layers = n_layers
-        self.steps = steps
-        self.batch_size = batch_size
-        self.learning_rate = learning_rate
-        self.noise_range = noise_range
-        self.with_severity = with_severity
-        self.n_references = n_references
-        self.random_state = random_state
+    recipe: Recipe | None = None
+    n_components: int | None = None
+    _: KW_ONLY
+    n_hidden: int = 96
+    n_layers: int = 2
+    steps: int = 2500
+    batch_size: int = 512
+    learning_rate: float = 0.01
+    noise_range: tuple[float, float] | None = None
+    with_severity: bool = True
+    n_references: int = 0
+    random_state: int | np.random.RandomState | None = None
 
     @classmethod
     def from_recipe(
@@ -211,24 +190,56 @@ class PosteriorNetwork(LogitClassifier):
             kinds = torch.from_numpy(batch.class_index)
             return torch.stack([kinds.float(), torch.from_numpy(batch.severity).float() / tops[kinds]], dim=1)
 
-        tasks = [_Task(recipe, classes, nn.functional.cross_entropy, len(ranks))]
-        if self.with_severity:
-            with_ranges = severity_recipe(recipe, with_healthy=self.n_references > 0)
-            tasks.append(
-                _Task(with_ranges, severities, severity_loss, severity_density.PARAMETERS * len(tops))
-            )
-        self.n_drawn_ = len(tasks) * total_cases(self.batch_size, self.steps)
+        n_networks, done = 1 + self.with_severity, count(1)
+        self.n_drawn_ = n_networks * total_cases(self.batch_size, self.steps)
         seed = _OWN_SEEDS + _SEEDS_OF_ONE * seed_of(self.random_state)
 
-        def reporter(steps_before: int) -> OnStep:
-            return lambda done: on_step(steps_before + done, len(tasks) * self.steps)
+        def after_step() -> None:
+            on_step(next(done), n_networks * self.steps)
 
         with one_thread():
-            learned = [
-                self._learn(task, seed + 2 * n, reporter(n * self.steps)) for n, task in enumerate(tasks)
-            ]
-        self.posterior_, self.severity_ = learned[0], learned[1] if self.with_severity else None
+            self.posterior_ = self._learned(
+                recipe, classes, nn.functional.cross_entropy, n_out=len(ranks), seed=seed, on_step=after_step
+            )
+            self.severity_ = None
+            if self.with_severity:
+                ranges = severity_recipe(recipe, with_healthy=self.n_references > 0)
+                n_out = PARAMETERS * len(tops)
+                self.severity_ = self._learned(
+                    ranges, severities, severity_loss, n_out=n_out, seed=seed + 2, on_step=after_step
+                )
         return self
+
+    def _learned(
+        self,
+        recipe: Recipe,
+        target: Callable[[Dataset], torch.Tensor],
+        loss: Loss,
+        *,
+        n_out: int,
+        seed: int,
+        on_step: OnStep,
+    ) -> Posterior:
+        """A network that has seen the recipe's stream, in double precision."""
+        low, high = self._checked_noise()
+        space = self._space(recipe)
+        posterior = Posterior(space, n_hidden=self.n_hidden, n_layers=self.n_layers, n_out=n_out).float()
+
+        def fresh(part: int, batch_size: int) -> Iterator[Batch]:
+            stream = fresh_cases(
+                posterior.space,
+                recipe,
+                seed + part,
+                batch_size,
+                most_noise=high / low,
+                n_references=self.n_references,
+            )
+            return ((inputs, target(batch)) for inputs, batch in stream)
+
+        posterior.space.observe_level(next(fresh(0, _LEVEL_CASES))[0])
+        generator = torch.Generator().manual_seed(seed)
+        posterior.learn(fresh, loss, generator, **self._training(), on_step=on_step)
+        return posterior.double()
 
     def _stream_recipe(self) -> Recipe:
         """What is drawn from: each judged start of another motor, at the least noise."""
@@ -256,29 +267,6 @@ class PosteriorNetwork(LogitClassifier):
     def _training(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in ("steps", "batch_size", "learning_rate")}
 
-    def _learn(self, task: _Task, seed: int, on_step: OnStep) -> Posterior:
-        """A network that has seen the task's stream, in double precision."""
-        low, high = self._checked_noise()
-        posterior = Posterior(
-            self._space(task.recipe), n_hidden=self.n_hidden, n_layers=self.n_layers, n_out=task.n_out
-        ).float()
-        space = posterior.space
-
-        def fresh(part: int, batch_size: int) -> Iterator[tuple[torch.Tensor, Dataset]]:
-            noise, references = high / low, self.n_references
-            return fresh_cases(
-                space, task.recipe, seed + part, batch_size, most_noise=noise, n_references=references
-            )
-
-        def batches(part: int, batch_size: int) -> Iterator[Batch]:
-            for inputs, batch in fresh(part, batch_size):
-                yield inputs, task.target(batch)
-
-        space.observe_level(next(fresh(0, _LEVEL_CASES))[0])
-        generator = torch.Generator().manual_seed(seed)
-        posterior.learn(batches, task.loss, generator, **self._training(), on_step=on_step)
-        return posterior.double()
-
     def predict_severity(self, X: Any, kind: str | None = None, coverage: float = 0.90) -> SeverityEstimate:
         """How large the fault is, with an interval.
 
@@ -305,7 +293,7 @@ class PosteriorNetwork(LogitClassifier):
         own = torch.from_numpy(densities[np.arange(len(flat)), column])
         tail = 0.5 * (1.0 - coverage)
         with one_thread(), torch.inference_mode():
-            parts = [severity_density.summary(part, tail) for part in torch.split(own, _CHUNK)]
+            parts = [summary(part, tail) for part in torch.split(own, _CHUNK)]
         tops = np.array([prior.largest for prior in self.severity_priors_])[column]
         mean, low, high = tops * torch.cat(parts, dim=1).numpy()
         return SeverityEstimate(np.array(names)[column], mean, low, high)
@@ -314,26 +302,20 @@ class PosteriorNetwork(LogitClassifier):
         """Column of the most probable fault kind of each case."""
         probabilities = self.predict_proba(flat)
         by_name = {c.name: c for c in self.recipe.classes}  # type: ignore[union-attr]  # there is one where severities are
-        share = np.zeros((len(flat), len(names)))
-        for label, probability in zip(self.classes_.tolist(), probabilities.T, strict=True):
-            for part in by_name[label].parts:
-                if part.kind is not None:
-                    share[:, names.index(str(part.kind))] += probability
-        column: NDArray[np.int64] = share.argmax(axis=1)
+        kinds = [[str(part.kind) for part in by_name[label].parts] for label in self.classes_.tolist()]
+        shares = probabilities @ np.array([[present.count(name) for name in names] for present in kinds])
+        column: NDArray[np.int64] = shares.argmax(axis=1)
         return column
 
     def _logits(self, X: Any) -> FloatArray:
         check_is_fitted(self)
         return logits_in_parts(self.posterior_, flat_cases(self, X, reset=False), _CHUNK)
 
-    def _modules(self) -> dict[str, Posterior]:
-        """The networks by the names that they have in a file."""
-        modules = {"classes": self.posterior_, "severity": self.severity_}
-        return {part: module for part, module in modules.items() if module is not None}
-
     def to_state(self) -> State:
         """The fitted network as arrays and values; in single precision where that loses nothing."""
-        modules = self._modules()
+        modules = {"classes": self.posterior_}
+        if self.severity_ is not None:
+            modules["severity"] = self.severity_
         values = {
             "parameters": plain_parameters(self),
             "severities": [asdict(prior) for prior in self.severity_priors_],
@@ -353,11 +335,8 @@ class PosteriorNetwork(LogitClassifier):
         """
         parameters = dict(state.values["parameters"])
         if parameters.get("noise_range") is not None:
-            low, high = parameters["noise_range"]
-            require(
-                all(type(factor) in (int, float) for factor in (low, high)), "noise_range must be two numbers"
-            )
-            parameters["noise_range"] = (float(low), float(high))
+            low, high = map(float, parameters["noise_range"])
+            parameters["noise_range"] = (low, high)
         references = parameters.get("n_references", 0)
         require(type(references) is int and references >= 0, f"n_references must be >= 0, got {references!r}")
         model = cls(recipe, **parameters)
@@ -366,7 +345,7 @@ class PosteriorNetwork(LogitClassifier):
         model.severity_priors_ = tuple(SeverityPrior(**prior) for prior in state.values["severities"])
         n_out = {"classes": len(model.classes_)}
         if model.severity_priors_:
-            n_out["severity"] = severity_density.PARAMETERS * len(model.severity_priors_)
+            n_out["severity"] = PARAMETERS * len(model.severity_priors_)
         parts = {name.split(".")[0] for name in state.arrays}
         require(parts <= set(n_out), "it holds arrays of no part")
         modules = {

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import KW_ONLY, dataclass
 
-import numpy as np
 import torch
 from torch import nn
 
 from motor_classifiers.estimators.cases import fitting_recipe
-from motor_classifiers.estimators.networks.epoch_classifier import EpochClassifier, unset_layer
+from motor_classifiers.estimators.networks.epoch_classifier import EpochClassifier
 from motor_classifiers.estimators.networks.training import Batch
-from motor_classifiers.estimators.state import Arrays
 from motor_env.motor.parameters import FloatArray, require
-from motor_env.simulation.recipes import Recipe
 
 
 def _convolution(n_in: int, n_out: int, kernel: int, stride: int = 1) -> nn.Module:
     """A convolution and its normalisation over the batch."""
-    options = {"stride": stride, "padding": kernel // 2, "bias": False}
-    return nn.Sequential(unset_layer(nn.Conv1d, n_in, n_out, kernel, **options), nn.BatchNorm1d(n_out))
+    convolution = nn.Conv1d(n_in, n_out, kernel, stride=stride, padding=kernel // 2, bias=False)
+    return nn.Sequential(convolution, nn.BatchNorm1d(n_out))
 
 
 class _Block(nn.Module):
@@ -35,6 +33,7 @@ class _Block(nn.Module):
         return torch.relu(self.second(torch.relu(self.first(x))) + self.shortcut(x))
 
 
+@dataclass(eq=False, repr=False)
 class ResNetClassifier(EpochClassifier):
     """A one-dimensional residual network on the raw transient.
 
@@ -65,30 +64,14 @@ class ResNetClassifier(EpochClassifier):
 
     _at_once = 256
 
-    def __init__(
-        self,
-        recipe: Recipe | None = None,
-        width: int = 12,
-        *,
-        stem: int = 10,
-        kernel: int = 5,
-        noise: float = 1.0,
-        epochs: int = 30,
-        batch_size: int = 64,
-        learning_rate: float = 5e-3,
-        weight_decay: float = 0.3,
-        random_state: int | np.random.RandomState | None = None,
-    ) -> None:
-        self.recipe = recipe
-        self.width = width
-        self.stem = stem
-        self.kernel = kernel
-        self.noise = noise
-        self.epochs = epochs
-        self.batch_size = batch_size
-        self.learning_rate = learning_rate
-        self.weight_decay = weight_decay
-        self.random_state = random_state
+    width: int = 12
+    _: KW_ONLY
+    stem: int = 10
+    kernel: int = 5
+    noise: float = 1.0
+    epochs: int = 30
+    learning_rate: float = 5e-3
+    weight_decay: float = 0.3
 
     def _batches(
         self, inputs: torch.Tensor, labels: torch.Tensor, generator: torch.Generator
@@ -111,24 +94,16 @@ class ResNetClassifier(EpochClassifier):
     def _network(self, n_inputs: int) -> nn.Module:
         """A stem that thins the samples out, three residual blocks, the mean over time, logits."""
         width, kernel = self.width, self.kernel
-        return nn.Sequential(
-            _convolution(self._n_channels(), width, 2 * self.stem + 1, stride=self.stem),
-            nn.ReLU(),
-            _Block(width, width, kernel=kernel),
-            _Block(width, 2 * width, kernel=kernel),
-            _Block(2 * width, 2 * width, kernel=kernel),
-            nn.AdaptiveAvgPool1d(1),
-            nn.Flatten(),
-            unset_layer(nn.Linear, 2 * width, len(self.classes_)),
-        )
-
-    def _check_sizes(self, arrays: Arrays) -> None:
-        sizes = (self.width, self.stem, self.kernel)
-        require(
-            all(type(size) is int and size >= 1 for size in sizes), f"sizes must be integers, got {sizes!r}"
-        )
-        stem, inner = arrays["network.0.0.weight"].shape, arrays["network.2.second.0.weight"].shape
-        require(
-            stem == (self.width, self._n_channels(), 2 * self.stem + 1) and inner[2] == self.kernel,
-            f"width, stem and kernel are {sizes}, the file holds convolutions of shape {stem}, {inner}",
-        )
+        sizes = (width, self.stem, kernel)
+        require(min(sizes) >= 1, f"width, stem and kernel must be >= 1, got {sizes}")
+        with torch.device("meta"):
+            return nn.Sequential(
+                _convolution(self._n_channels(), width, 2 * self.stem + 1, stride=self.stem),
+                nn.ReLU(),
+                _Block(width, width, kernel=kernel),
+                _Block(width, 2 * width, kernel=kernel),
+                _Block(2 * width, 2 * width, kernel=kernel),
+                nn.AdaptiveAvgPool1d(1),
+                nn.Flatten(),
+                nn.Linear(2 * width, len(self.classes_)),
+            )

@@ -3,17 +3,24 @@
 In white noise a transient enters its likelihood only through the directions in which the model's signals can differ
 (docs/classifiers.md). What is left over outside them tells nothing but the level of the noise. The filter without
 process noise predicts the nominal trajectory, so the deviation is its residual.
+
+A network learns from fresh starts of a recipe at every step; nothing is stored.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
+from itertools import count
 
 import numpy as np
 import torch
 from torch import nn
 
-from motor_classifiers.estimators.reference_starts import drawn_starts
+from motor_classifiers.estimators.reference_starts import referenced_starts
+from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass, Recipe, Spread
@@ -76,7 +83,8 @@ class SignalSpace(nn.Module):
         silent = replace(recipe, sensor=recipe.sensor.with_noise(0.0))
         sound = replace(silent, spread=Spread(), classes=(FaultClass(),), healthy_starts=0, field=None)
         nominal = generate_arrays(sound, _FAMILY_SEED, 1).X.reshape(-1).astype(np.float64)
-        family = drawn_starts(silent, _FAMILY_SEED, np.arange(_FAMILY_SIZE), n_references).X
+        draw = partial(referenced_starts, n_references=n_references) if n_references else generate_arrays
+        family = draw(silent, _FAMILY_SEED, np.arange(_FAMILY_SIZE)).X
         nominal = np.tile(nominal, 1 + n_references)
         noise = np.tile(np.repeat(recipe.sensor.noise_std, recipe.timing.n_samples), 1 + n_references)
         deviation = family.reshape(_FAMILY_SIZE, -1) - nominal
@@ -164,3 +172,61 @@ class SignalSpace(nn.Module):
     def forward(self, X: torch.Tensor) -> torch.Tensor:
         """Standardised coordinates of flattened cases, shape (n_cases, n_coordinates)."""
         return self.standardise(*self.coordinates(X))
+
+
+def with_more_noise(
+    coefficients: torch.Tensor,
+    energy: torch.Tensor,
+    freedom: int,
+    factor: FloatArray,
+    generator: np.random.Generator,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The same starts under more noise: what `SignalSpace.coordinates` would be.
+
+    White noise along orthonormal directions is white; outside them n is added to what is left, v, of which only the
+    squares matter: |v + n|^2 is (|v| + n_1)^2 and a chi-square with one degree of freedom less. Both are exact.
+
+    Args:
+        coefficients: in units of the recipe's noise, shape (n, n_components).
+        energy: squares left outside the directions, shape (n,).
+        freedom: their degrees of freedom.
+        factor: on the noise's standard deviation, >= 1, shape (n,).
+        generator: of the noise.
+    """
+    n_cases = len(coefficients)
+    added = np.sqrt(np.square(factor) - 1.0)
+    along = coefficients.numpy() + added[:, None] * generator.standard_normal(coefficients.shape)
+    first = np.sqrt(energy.numpy()) + added * generator.standard_normal(n_cases)
+    rest = generator.chisquare(freedom - 1, n_cases) if freedom > 1 else 0.0
+    outside = np.square(first) + np.square(added) * rest
+    return torch.from_numpy(along.astype(np.float32)), torch.from_numpy(outside.astype(np.float32))
+
+
+def fresh_cases(
+    space: SignalSpace,
+    recipe: Recipe,
+    seed: int,
+    batch_size: int,
+    *,
+    most_noise: float = 1.0,
+    n_references: int = 0,
+) -> Iterator[tuple[torch.Tensor, Dataset]]:
+    """Endless batches of standardised coordinates, and the cases with their truth.
+
+    Args:
+        space: in single precision.
+        recipe: what to draw from.
+        seed: of the stream.
+        batch_size: cases of a batch.
+        most_noise: largest factor on the recipe's noise; it is drawn log-uniformly from 1 for each case.
+        n_references: healthy starts of the same motor that come with each case.
+    """
+    generator = np.random.default_rng(seed)
+    for number in count():
+        cases = np.arange(number * batch_size, (number + 1) * batch_size)
+        batch = referenced_starts(recipe, seed, cases, n_references)
+        coordinates = space.coordinates(torch.from_numpy(batch.X.reshape(len(batch), -1)))
+        if most_noise > 1.0:
+            factor = np.exp(generator.uniform(0.0, math.log(most_noise), len(batch)))
+            coordinates = with_more_noise(*coordinates, space.freedom, factor, generator)
+        yield space.standardise(*coordinates), batch

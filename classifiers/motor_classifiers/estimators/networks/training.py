@@ -16,7 +16,7 @@ from torch.optim.lr_scheduler import LRScheduler
 
 Batch = tuple[torch.Tensor, torch.Tensor]
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
-OnStep = Callable[[int], object]
+OnStep = Callable[[], object]
 
 _LARGEST_SEED = 2**31 - 1
 
@@ -39,11 +39,14 @@ def seed_of(random_state: int | np.random.RandomState | None) -> int:
 
 def initialise(network: nn.Module, generator: torch.Generator) -> None:
     """Weights by He et al. (2015), biases zero, from the generator alone."""
+    network.to_empty(device="cpu")
     for layer in network.modules():
         if isinstance(layer, nn.Conv1d | nn.Linear):
             nn.init.kaiming_normal_(layer.weight, nonlinearity="relu", generator=generator)
             if layer.bias is not None:
                 nn.init.zeros_(layer.bias)
+        elif isinstance(layer, nn.BatchNorm1d):
+            layer.reset_parameters()
 
 
 def train(
@@ -52,7 +55,7 @@ def train(
     loss: Loss,
     schedule: LRScheduler,
     *,
-    on_step: OnStep = lambda done: None,
+    on_step: OnStep = lambda: None,
 ) -> None:
     """Take one step of the optimiser for each batch.
 
@@ -61,13 +64,13 @@ def train(
         batches: inputs and targets; they end when the training ends.
         loss: from outputs and targets to a number.
         schedule: of the learning rate; its optimiser is the one that steps.
-        on_step: called with the number of steps done, after each.
+        on_step: called after each step.
     """
     network.train()
-    for done, (inputs, targets) in enumerate(batches, start=1):
+    for inputs, targets in batches:
         schedule.optimizer.zero_grad()
         loss(network(inputs), targets).backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         schedule.optimizer.step()
         schedule.step()
-        on_step(done)
+        on_step()
     network.eval()
