@@ -3,10 +3,11 @@
 python benchmarks/defects.py --starts 40
 """
 
-import argparse
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
+from cyclopts import run
 from simulated_captures import DEFECTS, captures
 
 from motor_env.diagnosis.decision import Diagnosis, Verdict
@@ -40,19 +41,14 @@ def is_right(name: str, truth: Verdict, found: Diagnosis) -> bool:
     return found.verdict is truth
 
 
-def main() -> None:
+def main(*, starts: int = 40, seed: int = 7, defect: Sequence[str] = tuple(DEFECTS)) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--starts", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--defect", choices=list(DEFECTS), nargs="*", default=list(DEFECTS))
-    options = parser.parse_args()
     print("| defect | healthy | bearing +25 % | contact +25 % | noticed | wrong verdicts |")
     print("|---|---|---|---|---|---|")
-    for name in options.defect:
+    for name in defect:
         cells, wrong, noticed, total = [], Counter[str](), 0, 0
         for truth in CASES:
-            found = diagnose_all(name, truth, options.starts, options.seed)
+            found = diagnose_all(name, truth, starts, seed)
             good = [is_right(name, truth, diagnosis) for diagnosis in found]
             cells.append(f"{sum(good)}/{len(good)}")
             wrong.update(f"{truth}: {d.verdict}" for d, ok in zip(found, good, strict=True) if not ok)
@@ -70,4 +66,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -3,36 +3,34 @@
 MOTOR_ENV_RECORDINGS=... python benchmarks/production_line.py --choices 20
 """
 
-import argparse
 import os
 import random
 from collections import Counter
 from itertools import combinations
 from pathlib import Path
 
+from cyclopts import run
+
 from motor_env.diagnosis.commission import commission
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.recordings.recording import read_recording
 
 
-def main() -> None:
-    """Print the counts as they grow: all choices take an hour."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--choices", type=int, default=252, help="of the 252 choices of five, drawn at random"
-    )
-    parser.add_argument(
-        "--skip", type=int, default=0, help="of them, the first ones: to go on, or side by side"
-    )
-    parser.add_argument("--seed", type=int, default=7)
-    options = parser.parse_args()
+def main(*, choices: int = 252, skip: int = 0, seed: int = 7) -> None:
+    """Print the counts as they grow: all choices take an hour.
+
+    Args:
+        choices: of the 252 choices of five, drawn at random.
+        skip: of them, the first ones: to go on, or side by side.
+        seed: of the draw.
+    """
     folder = Path(os.environ["MOTOR_ENV_RECORDINGS"]) / "production_line"
     good, bad = sorted(folder.glob("ok_*.csv")), sorted(folder.glob("ng_*.csv"))
     recordings = {path: read_recording(path) for path in (*good, *bad)}
     every = list(combinations(good, 5))
-    some = random.Random(options.seed).sample(every, min(options.choices, len(every)))  # noqa: S311 - no secret
+    some = random.Random(seed).sample(every, min(choices, len(every)))  # noqa: S311 - no secret
     alarms, missed, signs, judged = Counter[str](), Counter[str](), Counter[str](), 0
-    some = some[options.skip :]
+    some = some[skip:]
     for number, chosen in enumerate(some, start=1):
         motor = commission(list(chosen), "motor 5499").motor
         for path in good:
@@ -52,4 +50,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

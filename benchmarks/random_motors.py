@@ -3,11 +3,11 @@
 python benchmarks/random_motors.py --motors 60
 """
 
-import argparse
 from collections import Counter, defaultdict
 from pathlib import Path
 
 import numpy as np
+from cyclopts import run
 
 from motor_env.diagnosis.decision import Diagnosis, Verdict
 from motor_env.diagnosis.diagnose import diagnose
@@ -109,15 +109,11 @@ def said(found: Diagnosis) -> str:
     return f"{found.verdict} (+50 % might not show, it said)" if stated else str(found.verdict)
 
 
-def main() -> None:
+def main(*, motors: int = 60, seed: int = 0) -> None:
     """Print each motor's verdicts, then the counts."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--motors", type=int, default=60)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
     verdicts: defaultdict[str, Counter[str]] = defaultdict(Counter)
-    for number in range(options.motors):
-        recordings = starts(np.random.default_rng([options.seed, number]))
+    for number in range(motors):
+        recordings = starts(np.random.default_rng([seed, number]))
         learned = learn_reference(fit_healthy(recordings[:HEALTHY]))
         found = {r.path.name: said(diagnose(r, None, learned)) for r in recordings[HEALTHY:]}
         for name, verdict in found.items():
@@ -129,4 +125,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -3,10 +3,11 @@
 python benchmarks/remaining_life.py --runs 2000
 """
 
-import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from cyclopts import run
 from run_to_failure import WearRecipe, remaining_life_coverage
 
 from motor_env.motor.parameters import SensorParameters
@@ -29,29 +30,24 @@ REGIMES = {
 }
 
 
-def main() -> None:
+def main(*, runs: int = 2000, seed: int = 7, recipe: Sequence[str] = tuple(REGIMES)) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--recipe", choices=list(REGIMES), nargs="*", default=list(REGIMES))
-    options = parser.parse_args()
     print(
         "| recipe | runs | all covered (claimed) | reported | of them covered (claimed) | too early / too late |"
     )
     print("|---|---|---|---|---|---|")
-    for name in options.recipe:
-        result = remaining_life_coverage(REGIMES[name], options.seed, np.arange(options.runs))
+    for name in recipe:
+        result = remaining_life_coverage(REGIMES[name], seed, np.arange(runs))
         told = result.reported
         parts = (result.covered, result.life > result.high, result.life < result.low)
         claimed = 100.0 * float(result.claimed[told].mean()) if told.any() else np.nan
         covered, early, late = (100.0 * float(part[told].mean()) if told.any() else np.nan for part in parts)
         print(
-            f"| {name} | {options.runs} | {100 * result.covered.mean():.1f} % ({100 * result.claimed.mean():.1f}) "
+            f"| {name} | {runs} | {100 * result.covered.mean():.1f} % ({100 * result.claimed.mean():.1f}) "
             f"| {100 * told.mean():.0f} % | {covered:.1f} % ({claimed:.1f}) | {early:.1f} / {late:.1f} % |",
             flush=True,
         )
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -24,8 +24,6 @@ from motor_env.motor.parameters import (
     MotorParameters,
     SensorParameters,
     SupplyParameters,
-    require,
-    require_positive,
 )
 from motor_env.prognosis.wear import TREND_PROBABILITY
 from motor_env.prognosis.wear_fit import degradation
@@ -72,17 +70,6 @@ class WearRecipe:
     supply: SupplyParameters = field(default_factory=SupplyParameters)
     sensor: SensorParameters = field(default_factory=SensorParameters)
     timing: Timing = field(default_factory=lambda: Timing(sampling_rate_hz=2_000.0, duration_s=0.1))
-
-    def __post_init__(self) -> None:
-        for name in ("limit", "interval_days", "horizon"):
-            require_positive(name, getattr(self, name))
-        for name in ("drift_per_day", "drift_spread", "diffusion", "diffusion_spread", "supply_spread"):
-            require_positive(name, getattr(self, name), zero_allowed=True)
-        require(
-            1 <= self.starts < _MOST_STARTS, f"starts must lie in 1 .. {_MOST_STARTS - 1}, got {self.starts}"
-        )
-        first, last = self.onset_days
-        require(0.0 <= first <= last, f"onset_days must be 0 <= first <= last, got {first:g}, {last:g}")
 
     @property
     def time_days(self) -> FloatArray:
@@ -237,7 +224,6 @@ class Coverage(NamedTuple):
     """How the intervals of the remaining life did on synthetic runs, one entry a run.
 
     Attributes:
-        starts: number of starts seen when the run was judged, shape (n,).
         low: lower end of the interval, shape (n,).
         high: upper end, shape (n,).
         life: true time from the judgement to the failure, 0 where it had failed before, shape (n,).
@@ -246,7 +232,6 @@ class Coverage(NamedTuple):
         level: probability of a central interval with two ends.
     """
 
-    starts: NDArray[np.int64]
     low: FloatArray
     high: FloatArray
     life: FloatArray
@@ -291,9 +276,8 @@ def remaining_life_coverage(
             estimates.standard_error[n, :seen],
             recipe.limit,
         )
-        found = wear.remaining_life(level)
-        life = max(float(runs.failure_days[n] - estimates.time_days[seen - 1]), 0.0)
-        trends = wear.probability_trend >= TREND_PROBABILITY
-        rows.append((found.low, found.high, life, trends, found.probability_reached >= 0.5))
-    low, high, life_days, told, reached = np.array(rows, dtype=np.float64).T
-    return Coverage(starts, low, high, life_days, told > 0.0, reached > 0.0, level)
+        life, left = wear.remaining_life(level), float(runs.failure_days[n] - estimates.time_days[seen - 1])
+        trends, reached = wear.probability_trend >= TREND_PROBABILITY, life.probability_reached >= 0.5
+        rows.append((life.low, life.high, max(left, 0.0), trends, reached))
+    low, high, life_days, trending, over = (np.array(column) for column in zip(*rows, strict=True))
+    return Coverage(low, high, life_days, trending, over, level)

@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
 from motor_env import __version__, console
 from motor_env.errors import InputError
 
-if TYPE_CHECKING:
-    from motor_env.recordings.start import Circuit
+Json = Annotated[bool, Parameter(name="--json", negative=())]
 
 app = App(
     name="motor-env",
@@ -23,12 +23,62 @@ app = App(
 )
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """What the user says of a recording.
+
+    Attributes:
+        voltage: Level of the supply in volt, for recordings without a voltage.
+        column: A column that its header does not tell, e.g. --column current=CH2:mA (may be repeated).
+        shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
+        sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
+    """
+
+    voltage: float | None = None
+    column: list[str] | None = None
+    shunt_ohm: float = 0.0
+    sensor_lag: float = 0.0
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The same as the functions behind the commands take it."""
+        from motor_env.recordings.headers import ColumnChoice
+        from motor_env.recordings.start import Circuit
+
+        for name, value in (("shunt-ohm", self.shunt_ohm), ("sensor-lag", self.sensor_lag)):
+            if not 0.0 <= value < float("inf"):
+                raise InputError(f"{name} must be >= 0, got {value:g}")
+        return {
+            "voltage_v": self.voltage,
+            "columns": [ColumnChoice.parse(text) for text in self.column or ()],
+            "circuit": Circuit(self.shunt_ohm, self.sensor_lag),
+        }
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class StartMeasurement(Measurement):
+    """The same, and which start of it counts.
+
+    Attributes:
+        start: Which start, counted from 1, where a file holds several; each is a row of its own without it.
+        ripple_periods_per_turn: Periods of the current's commutation ripple in a turn, for the true speed, K, J and B.
+    """
+
+    start: int | None = None
+    ripple_periods_per_turn: float | None = None
+
+
+_MEASUREMENT, _START = Measurement(), StartMeasurement()
+
+
 @app.command
 def reproduce(
     *,
     out: Path,
     image_format: str = "svg",
-    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    json_: Json = False,
 ) -> int:
     """Write the source paper's figures, its numbers beside ours, and where it is wrong.
 
@@ -60,16 +110,11 @@ def diagnose(
     *,
     motor: str | None = None,
     healthy: Annotated[list[Path] | None, Parameter(consume_multiple=True, negative=())] = None,
-    voltage: float | None = None,
     false_alarm_rate: float = 0.01,
     out: Path | None = None,
-    column: list[str] | None = None,
-    start: int | None = None,
-    shunt_ohm: float = 0.0,
-    sensor_lag: float = 0.0,
-    ripple_periods_per_turn: float | None = None,
+    measurement: StartMeasurement = _START,
     temperature_c: float | None = None,
-    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    json_: Json = False,
 ) -> int:
     """Verdict on recorded starts: healthy, bearing, winding, magnet, noise, other, no_reference or unusable.
 
@@ -82,14 +127,9 @@ def diagnose(
             where measured; e.g. columns time_s, current_a, voltage_v, speed_rad_s.
         motor: Motor file (TOML), or the name of a catalogue motor.
         healthy: Recordings of the healthy motor to compare with, after the option: --healthy A.csv B.csv C.csv
-        voltage: Level of the supply in volt, for recordings without a voltage.
         false_alarm_rate: How often a healthy recording may be called faulty.
         out: Folder for one picture a file.
-        column: A column that its header does not tell, e.g. --column current=CH2:mA (may be repeated).
-        start: Which start, counted from 1, where a file holds several; each is a row of its own without it.
-        shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
-        sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
-        ripple_periods_per_turn: Periods of the current's commutation ripple in a turn, for the true speed, K, J and B.
+        measurement: How it was measured.
         temperature_c: Temperature of the motor; it counts where `commission` was told one too.
         json_: Print one array with one object a start.
     """
@@ -103,14 +143,12 @@ def diagnose(
             files,
             motor=motor,
             healthy=healthy or (),
-            voltage_v=voltage,
             false_alarm_rate=false_alarm_rate,
             out=out,
-            columns=column or (),
-            circuit=_circuit(shunt_ohm, sensor_lag),
-            start=start,
-            periods_per_turn=ripple_periods_per_turn,
+            start=measurement.start,
+            periods_per_turn=measurement.ripple_periods_per_turn,
             temperature_c=temperature_c,
+            **measurement.options,
             progress=lambda path: status.update(f"diagnosing {path}"),
         )
     for outcome in outcomes:
@@ -133,10 +171,10 @@ def trend(
     limit: Annotated[list[str] | None, Parameter(negative=())] = None,
     level: float = 0.9,
     voltage: float | None = None,
-    date: str = "name",
+    date: Literal["name", "modified"] = "name",
     reference_count: int = 3,
     out: Path = Path("out/trend.html"),
-    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    json_: Json = False,
 ) -> int:
     """Trends of a motor's quantities over its starts, and the time to a limit where there is a trend.
 
@@ -161,16 +199,13 @@ def trend(
     from motor_env.prognosis.page import page, status
     from motor_env.prognosis.trend import parse_limits
 
-    sources = [str(source) for source in trends.DateSource]
-    if date not in sources:
-        raise InputError(f"date must be one of {', '.join(sources)}, got {date!r}")
     with Console(stderr=True).status("reading") as progress:
         judged, notes = trends.trends_of(
             paths,
             parse_limits(limit or ()),
             level=level,
             voltage_v=voltage,
-            date=trends.DateSource(date),
+            date=date,
             reference_count=reference_count,
             progress=lambda path: progress.update(f"fitting {path}"),
         )
@@ -188,17 +223,12 @@ def trend(
 def identify(
     files: list[Path],
     *,
-    voltage: float | None = None,
-    column: list[str] | None = None,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
     out: Path | None = None,
-    start: int | None = None,
-    shunt_ohm: float = 0.0,
-    sensor_lag: float = 0.0,
-    ripple_periods_per_turn: float | None = None,
+    measurement: StartMeasurement = _START,
     name: str = "identified motor",
     regime: str = "auto",
-    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    json_: Json = False,
 ) -> int:
     """Parameters of a motor from recorded starts or from logs of it at work, and the model that the evidence prefers.
 
@@ -209,14 +239,9 @@ def identify(
 
     Args:
         files: Recordings of one motor.
-        voltage: Level of the supply in volt, for recordings without a voltage.
-        column: A column that its header does not tell, e.g. --column current=CH2:mA (may be repeated).
         output: Motor file to write (TOML).
         out: Folder for one picture a start.
-        start: Which start, counted from 1, where a file holds several; all of them without it.
-        shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
-        sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
-        ripple_periods_per_turn: Periods of the current's commutation ripple in a turn, for the true speed, K, J and B.
+        measurement: How it was measured.
         name: Name of the motor in that file.
         regime: start, operation, or auto: decided by what the voltage does.
         json_: Print one array with one object a start, and one for all logs of a motor at work.
@@ -224,22 +249,16 @@ def identify(
     from motor_env.diagnosis import commission as steps
     from motor_env.motor.data_sheet import save_motor
     from motor_env.operation import logs
-    from motor_env.recordings.headers import ColumnChoice
 
-    choices, circuit = [ColumnChoice.parse(text) for text in column or ()], _circuit(shunt_ohm, sensor_lag)
-    periods = ripple_periods_per_turn
-    works, starts = logs.sorted_files(files, choices, regime=regime, start=start)
+    periods, options = measurement.ripple_periods_per_turn, measurement.options
+    works, starts = logs.sorted_files(files, options["columns"], regime=regime, start=measurement.start)
     if works:
-        work = logs.identify_logs(works, voltage_v=voltage, circuit=circuit)
+        work = logs.identify_logs(works, voltage_v=measurement.voltage, circuit=options["circuit"])
         if output is not None:
             save_motor(work.motor(name), output)
         if out is not None:
             work.plot(out)
-    fits = [
-        pair
-        for path in starts
-        for pair in steps.identify_file(path, choices, voltage_v=voltage, circuit=circuit, start=start)
-    ]
+    fits = [pair for path in starts for pair in steps.identify_file(path, start=measurement.start, **options)]
     if output is not None and fits:
         save_motor(steps.to_motor([fit for _, fit in fits], name), output)
     if out is not None:
@@ -263,12 +282,9 @@ def commission(
     files: list[Path],
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
-    voltage: float | None = None,
-    column: list[str] | None = None,
     false_alarm_rate: float = 0.01,
     out: Path | None = None,
-    shunt_ohm: float = 0.0,
-    sensor_lag: float = 0.0,
+    measurement: Measurement = _MEASUREMENT,
     temperature_c: float | None = None,
     name: str = "commissioned motor",
 ) -> int:
@@ -279,31 +295,19 @@ def commission(
     Args:
         files: Recordings of healthy starts of one motor; a file may hold several.
         output: Motor file to write (TOML).
-        voltage: Level of the supply in volt, for recordings without a voltage.
-        column: A column that its header does not tell, e.g. --column current=CH2:mA (may be repeated).
         false_alarm_rate: For the intervals that are printed.
         out: Folder for the picture: starts, fits, residuals and the spread of each quantity.
-        shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
-        sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
+        measurement: How they were measured.
         temperature_c: Temperature of the motor at these starts, where known.
         name: Name of the motor in that file.
     """
     from motor_env.diagnosis import commission as steps
     from motor_env.motor.data_sheet import save_motor
-    from motor_env.recordings.headers import ColumnChoice
 
     if not 0.0 < false_alarm_rate < 0.5:
         raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
-    choices = [ColumnChoice.parse(text) for text in column or ()]
-    circuit = _circuit(shunt_ohm, sensor_lag)
     result = steps.commission(
-        files,
-        name,
-        choices,
-        voltage_v=voltage,
-        false_alarm_rate=false_alarm_rate,
-        circuit=circuit,
-        temperature_c=temperature_c,
+        files, name, false_alarm_rate=false_alarm_rate, temperature_c=temperature_c, **measurement.options
     )
     save_motor(result.motor, output)
     if out is not None and result.motor.reference is not None:
@@ -314,16 +318,6 @@ def commission(
     print(steps.commissioned_text(result, false_alarm_rate))
     print(f"written: {output}")
     return 0
-
-
-def _circuit(shunt_ohm: float, sensor_lag_s: float) -> Circuit:
-    """What the options say of the measuring circuit."""
-    from motor_env.recordings.start import Circuit
-
-    for name, value in (("shunt-ohm", shunt_ohm), ("sensor-lag", sensor_lag_s)):
-        if not 0.0 <= value < float("inf"):
-            raise InputError(f"{name} must be >= 0, got {value:g}")
-    return Circuit(shunt_ohm, sensor_lag_s)
 
 
 @app.command
@@ -363,7 +357,7 @@ def lab(*, port: int = 0, browser: bool = True) -> int:
 
 
 @app.command
-def coastdown(file: Path, *, json_: Annotated[bool, Parameter(name="--json", negative=())] = False) -> int:
+def coastdown(file: Path, *, json_: Json = False) -> int:
     """Viscous and Coulomb friction from a coast-down: the speed of a motor whose voltage was taken away.
 
     Example: motor-env coastdown coastdown.csv
@@ -372,8 +366,6 @@ def coastdown(file: Path, *, json_: Annotated[bool, Parameter(name="--json", neg
         file: Recording with time, current and speed.
         json_: Print one object.
     """
-    from dataclasses import asdict
-
     from motor_env.identification.coastdown import fit_coastdown
     from motor_env.recordings.defects import UnusableError
     from motor_env.recordings.recording import read_recording

@@ -13,13 +13,15 @@ from scipy import stats
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.explanations import significance_limit, smallest_changes
-from motor_env.diagnosis.healthy_motor import fit_alike, learn_reference, reference_from_starts
+from motor_env.diagnosis.files import fit_files
+from motor_env.diagnosis.healthy_motor import learn_reference, reference_from_starts
 from motor_env.diagnosis.report import (
     UNITS,
-    extension_lines,
     extensions_json,
+    model_words,
     quality,
     quantities_json,
+    quantity_lines,
     ripple_json,
     ripple_lines,
 )
@@ -32,10 +34,15 @@ from motor_env.motor.parameters import MotorParameters
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, read_recording
-from motor_env.recordings.splitting import chosen_starts, split_starts
+from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit, prepare
 
 FEWEST_STARTS = 3
+_WARMTH = "R +0.39 %, K -0.1 % and friction -0.3 % a kelvin come on top of that"
+_SPREAD = (
+    "  the spread between starts is believed to be 2 % before any start is seen, worth 4 starts: few starts give wide"
+    " intervals, more starts narrow them"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +91,7 @@ def commission(
     """
     if len({path.resolve() for path in paths}) < len(paths):
         raise InputError("a healthy start is given twice: it would make the spread look smaller than it is")
-    starts = [part for path in paths for part in split_starts(read_recording(path, columns))]
-    if len(starts) < FEWEST_STARTS:
-        raise InputError(f"commissioning needs at least {FEWEST_STARTS} healthy starts, got {len(starts)}")
-    fits = fit_alike(starts, "start", voltage_v=voltage_v, circuit=circuit)
+    fits = fit_files(paths, "start", columns, fewest=FEWEST_STARTS, voltage_v=voltage_v, circuit=circuit)
     reference = replace(learn_reference(fits), temperature_c=temperature_c)
     limit = significance_limit(false_alarm_rate, fits[0].exponents, reference.degrees_of_freedom)
     motor = to_motor(fits, name, kind="commissioned", reference=reference)
@@ -148,25 +152,20 @@ def not_told(fit: Identified) -> list[str]:
 
 def identified_text(recording: Recording, fit: Identified, periods_per_turn: float | None = None) -> str:
     """Parameters, correlations and what cannot be told."""
-    lines = [
-        f"{recording.path}: model {' + '.join(['textbook', *fit.model])}",
-        "  read: " + "; ".join(recording.columns),
-    ]
-    for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True):
-        lines.append(f"  {name:<12} {value:11.4g} +- {error:.2g} {UNITS[name]}")
-    lines += extension_lines(fit)
-    sigma = np.sqrt(np.diag(fit.log_covariance))
-    correlation = fit.log_covariance / np.outer(sigma, sigma)
+    names, correlation = fit.quantity_names, fit.correlation
     pairs = [
-        f"{fit.quantity_names[i]} with {fit.quantity_names[j]} {correlation[i, j]:+.2f}"
-        for i in range(len(sigma))
-        for j in range(i)
+        f"{names[i]} with {names[j]} {correlation[i, j]:+.2f}" for i in range(len(names)) for j in range(i)
     ]
-    lines.append("  correlations: " + ", ".join(pairs))
-    lines.append(f"  {quality(fit)}; residual's autocorrelation at one sample {fit.lag_one:.2f}")
-    lines += ripple_lines(fit, periods_per_turn)
-    lines += [f"  noticed: {defect}" for defect in fit.defects]
-    lines += [f"  note: {sentence}" for sentence in not_told(fit)]
+    lines = [
+        f"{recording.path}: model {model_words(fit.model)}",
+        "  read: " + "; ".join(recording.columns),
+        *quantity_lines(quantities_json(fit) | extensions_json(fit)),
+        "  correlations: " + ", ".join(pairs),
+        f"  {quality(fit)}; residual's autocorrelation at one sample {fit.lag_one:.2f}",
+        *ripple_lines(fit, periods_per_turn),
+        *(f"  noticed: {defect}" for defect in fit.defects),
+        *(f"  note: {sentence}" for sentence in not_told(fit)),
+    ]
     return "\n".join(lines)
 
 
@@ -174,13 +173,12 @@ def identified_json(
     recording: Recording, fit: Identified, periods_per_turn: float | None = None
 ) -> dict[str, Any]:
     """The same as one object."""
-    sigma = np.sqrt(np.diag(fit.log_covariance))
     return {
         "file": str(recording.path),
         "model": ["textbook", *fit.model],
         "parameters": quantities_json(fit),
         "extensions": extensions_json(fit),
-        "correlations": (fit.log_covariance / np.outer(sigma, sigma)).tolist(),
+        "correlations": fit.correlation.tolist(),
         "r2_current": fit.r2_current,
         "r2_speed": fit.r2_speed,
         "residual_autocorrelation": fit.lag_one,
@@ -200,27 +198,19 @@ def commissioned_text(result: Commissioned, rate: float) -> str:
         return ""
     freedom = reference.degrees_of_freedom
     half = float(stats.t.isf(rate / 2.0, freedom)) * np.sqrt(np.diag(reference.log_covariance))
-    model = " + ".join(["textbook", *reference.model])
-    interval = (
-        f"prediction interval of the next healthy start ({1.0 - rate:.0%}, Student t, {freedom:.0f} degrees)"
-    )
-    lines = [f"{reference.starts} healthy starts, model {model}; {interval}"]
-    for name, value, h in zip(reference.quantities, reference.values, half, strict=True):
-        lines.append(
-            f"  {name:<12} {value:11.4g} {UNITS[name]:<12} {math.exp(-h) - 1.0:+.1%} to {math.exp(h) - 1.0:+.1%}"
-        )
-    lines.append(
-        f"  R2 of the current {min(fit.r2_current for fit in result.fits):.4f} to"
-        f" {max(fit.r2_current for fit in result.fits):.4f}"
-    )
+    explained = [fit.r2_current for fit in result.fits]
     smallest = ", ".join(f"{kind} {severity:.1%}" for kind, severity in result.smallest.items())
-    lines.append(f"  smallest change that is found in 95 of 100 cases: {smallest}")
-    lines.append(
-        f"  a motor that is warmer or colder by {reference.temperature_k:.0f} K (1 sd) is healthy too: R"
-        " +0.39 %, K -0.1 % and friction -0.3 % a kelvin come on top of that"
-    )
-    lines.append(
-        "  the spread between starts is believed to be 2 % before any start is seen, worth 4 starts: few starts give"
-        " wide intervals, more starts narrow them"
-    )
+    interval = f"({1.0 - rate:.0%}, Student t, {freedom:.0f} degrees)"
+    head = f"{reference.starts} healthy starts, model {model_words(reference.model)}"
+    lines = [
+        f"{head}; prediction interval of the next healthy start {interval}",
+        *(
+            f"  {name:<12} {value:11.4g} {UNITS[name]:<12} {math.exp(-h) - 1.0:+.1%} to {math.exp(h) - 1.0:+.1%}"
+            for name, value, h in zip(reference.quantities, reference.values, half, strict=True)
+        ),
+        f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}",
+        f"  smallest change that is found in 95 of 100 cases: {smallest}",
+        f"  a motor that is warmer or colder by {reference.temperature_k:.0f} K (1 sd) is healthy too: {_WARMTH}",
+        _SPREAD,
+    ]
     return "\n".join(lines)

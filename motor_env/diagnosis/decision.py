@@ -181,7 +181,14 @@ def _with_fault(
 
 def _with_noise(healthy: Diagnosis, fit: Identified, reference: Reference, limit: float) -> Diagnosis:
     """The diagnosis of a noisy current, where it is noisier than the reference's by more than `limit`."""
-    if reference.log_noise is None or _noise_is_hidden(fit, reference):
+    if reference.log_noise is None:
+        return healthy
+    # Coarse steps, a rectifier, a dead zone and a converter's ripple change the noise seen: it tells nothing. Healthy
+    # starts were recorded with the same sensor, and hold the same.
+    alignment = fit.start.alignment
+    coarse = alignment.quantum_a > math.exp(reference.log_noise)
+    hides = alignment.rectified or fit.extension.dead_zone_a > 0.0 or bool(fit.start.lines)
+    if (coarse or hides) and not reference.includes_fit_error:
         return healthy
     z = (math.log(max(fit.noise_a, 1e-12)) - reference.log_noise) / reference.log_noise_sd
     if z <= limit:
@@ -192,19 +199,6 @@ def _with_noise(healthy: Diagnosis, fit: Identified, reference: Reference, limit
     return replace(
         healthy, verdict=Verdict.NOISE, reasons=(reason,), severity=ratio**2 - 1.0, confidence=confidence
     )
-
-
-def _noise_is_hidden(fit: Identified, reference: Reference) -> bool:
-    """Coarse steps, a rectifier, a dead zone and a converter's ripple change the noise seen: it tells nothing.
-
-    Healthy starts were recorded with the same sensor, and hold the same.
-    """
-    if reference.includes_fit_error:
-        return False
-    alignment = fit.start.alignment
-    coarse = alignment.quantum_a > math.exp(reference.log_noise or 0.0)
-    hides = alignment.rectified or fit.extension.dead_zone_a > 0.0
-    return coarse or hides or bool(fit.start.lines)
 
 
 def _covariance(fit: Identified, reference: Reference) -> FloatArray:

@@ -51,9 +51,7 @@ def diagnose(
     try:
         start = prepare(recording, voltage_v, circuit)
         reference = _reference(start, motor, learned, temperature_c)
-        typical = None
-        if reference is not None:
-            typical = dict(zip(reference.names, np.exp(reference.log_values).tolist(), strict=True))
+        typical = None if reference is None else reference.values
         if start.alignment.saturation:
             fit = identify(start, constant=constant)
         elif reference is None:

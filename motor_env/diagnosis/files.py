@@ -12,10 +12,12 @@ import numpy as np
 from motor_env.diagnosis import report
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, Diagnosis
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.healthy_motor import fit_alike, learn_reference
+from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
 from motor_env.diagnosis.pictures import plot_diagnosis
 from motor_env.errors import InputError
+from motor_env.identification.identify import Identified
 from motor_env.motor.data_sheet import MotorFile, StartReference, load_motor
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.splitting import chosen_starts, split_starts
@@ -50,27 +52,35 @@ class Outcome:
         return "" if self.diagnosis is None else report.as_text(self.diagnosis, self.periods_per_turn)
 
 
-def learn(
-    healthy: Sequence[Path],
-    motor: MotorFile | None,
-    voltage_v: float | None,
-    columns: Sequence[ColumnChoice] = (),
-    circuit: Circuit | None = None,
-) -> StartReference | None:
-    """Reference from healthy recordings.
+def fit_files(
+    paths: Sequence[Path], word: str, columns: Sequence[ColumnChoice] = (), *, fewest: int = 1, **options: Any
+) -> list[Identified]:
+    """Fit the healthy starts of files as `fit_healthy` does; a file may hold several.
 
     Raises:
-        InputError: one of them cannot be read or used.
+        InputError: one of them cannot be read or used, they are fewer than `fewest`, or hold different columns; `word`
+            is what the user calls them.
     """
-    if not healthy:
-        return None
+    starts = [part for path in paths for part in split_starts(read_recording(path, columns))]
+    if len(starts) < fewest:
+        raise InputError(f"commissioning needs at least {fewest} healthy starts, got {len(starts)}")
+    try:
+        fits = fit_healthy(starts, **options)
+    except UnusableError as error:
+        raise InputError(f"a healthy {word} cannot be used: {error}") from None
+    if len({fit.quantity_names for fit in fits}) > 1:
+        raise InputError(f"the healthy {word}s hold different columns; give such that agree")
+    return fits
+
+
+def _learn(
+    healthy: Sequence[Path], motor: MotorFile | None, voltage_v: float | None, **options: Any
+) -> StartReference:
+    """Reference from healthy recordings; what they do not tell is the motor's."""
     if voltage_v is None and motor is not None:
         voltage_v = motor.nominal_voltage_v
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
-    starts = [part for path in healthy for part in split_starts(read_recording(path, columns))]
-    return learn_reference(
-        fit_alike(starts, "recording", voltage_v=voltage_v, constant=constant, circuit=circuit)
-    )
+    return learn_reference(fit_files(healthy, "recording", voltage_v=voltage_v, constant=constant, **options))
 
 
 def diagnose_files(
@@ -81,7 +91,7 @@ def diagnose_files(
     voltage_v: float | None = None,
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
     out: Path | None = None,
-    columns: Sequence[str] = (),
+    columns: Sequence[ColumnChoice] = (),
     circuit: Circuit | None = None,
     start: int | None = None,
     periods_per_turn: float | None = None,
@@ -97,7 +107,7 @@ def diagnose_files(
         voltage_v: level of the supply, for recordings without a voltage.
         false_alarm_rate: per healthy recording.
         out: folder for one picture a file; none are drawn without it.
-        columns: columns named by the user, see `ColumnChoice.parse`.
+        columns: columns named by the user.
         circuit: what is known of the measuring circuit.
         start: number of the start in files that hold several; all of them unless given.
         periods_per_turn: periods of the commutation ripple in a turn, for the true speed.
@@ -114,12 +124,11 @@ def diagnose_files(
     if voltage_v is not None and not 0.0 < voltage_v < float("inf"):
         raise InputError(f"voltage must be > 0, got {voltage_v:g}")
     loaded = None if motor is None else load_motor(motor)
-    choices = [ColumnChoice.parse(text) for text in columns]
     if periods_per_turn is not None and not 0.0 < periods_per_turn < float("inf"):
         raise InputError(f"ripple-periods-per-turn must be > 0, got {periods_per_turn:g}")
-    learned = learn(healthy, loaded, voltage_v, choices, circuit)
+    learned = _learn(healthy, loaded, voltage_v, columns=columns, circuit=circuit) if healthy else None
     outcomes: list[Outcome] = []
-    for path, recording, sentence in _starts(files, choices, start):
+    for path, recording, sentence in _starts(files, columns, start):
         progress(path)
         if recording is None:
             outcomes.append(Outcome(path, None, sentence))

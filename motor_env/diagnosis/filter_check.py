@@ -11,7 +11,7 @@ from motor_env.filters.batch import FilterResult, run_filter
 from motor_env.filters.consistency import Consistency, check_consistency
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.identification.identify import Identified
-from motor_env.identification.start_model import between_samples, rise_of_supply
+from motor_env.identification.start_model import between_samples, mean_rise
 from motor_env.motor.parameters import FloatArray, SensorParameters
 
 _CONSISTENT_NIS = 1.2
@@ -101,7 +101,8 @@ def _inputs(fit: Identified, begin: int) -> tuple[FloatArray, FloatArray]:
     """
     start = fit.start
     if start.voltage_v is None:
-        voltage = start.level_v * rise_of_supply(fit.extension, start.time_s[begin:], fit.onset_s)
+        since = start.time_s[begin:] - fit.onset_s
+        voltage = start.level_v * mean_rise(fit.extension, since[:-1], since[1:])
     else:
         voltage = between_samples(start.voltage_v[begin:], start.lateness(fit.onset_s))
     direction = np.sign(fit.expected[begin + 1 :, 1])

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from motor_env.errors import InputError
 from motor_env.identification.commutation import ripple_quantities
 from motor_env.identification.identify import Identified, identify
 from motor_env.identification.model_choice import NUISANCES, identify_best
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import MotorFile, StartReference
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 from motor_env.recordings.start import Circuit, prepare
 
@@ -63,6 +60,11 @@ class Reference:
         """What the unknown temperature adds to the covariance, shape (n, n): the table of changes leaves it out."""
         warmth = np.zeros(len(self.names)) if self.warmth is None else self.warmth
         return np.asarray(self.temperature_k**2 * np.outer(warmth, warmth), dtype=np.float64)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The quantities of a healthy motor by name."""
+        return dict(zip(self.names, np.exp(self.log_values).tolist(), strict=True))
 
 
 def reference_from_motor(
@@ -145,21 +147,6 @@ def fit_healthy(
     middle = np.exp(np.median([fit.log_values for fit in first], axis=0))
     typical = dict(zip(first[0].quantity_names, middle.tolist(), strict=True))
     return [identify(start, model, constant=constant, typical=typical) for start in starts]
-
-
-def fit_alike(recordings: list[Recording], word: str, **options: Any) -> list[Identified]:
-    """Fit healthy starts as `fit_healthy` does, and be sure that they tell the same quantities.
-
-    Raises:
-        InputError: one of them cannot be used, or they hold different columns; `word` is what the user calls them.
-    """
-    try:
-        fits = fit_healthy(recordings, **options)
-    except UnusableError as error:
-        raise InputError(f"a healthy {word} cannot be used: {error}") from None
-    if len({fit.quantity_names for fit in fits}) > 1:
-        raise InputError(f"the healthy {word}s hold different columns; give such that agree")
-    return fits
 
 
 def learn_reference(fits: list[Identified]) -> StartReference:

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from scipy import stats
 
 from motor_env.diagnosis.decision import Diagnosis
-from motor_env.diagnosis.report import headline
+from motor_env.diagnosis.report import headline, model_words
 from motor_env.identification.identify import Identified
-from motor_env.identification.residuals import started
+from motor_env.identification.residuals import absolute, started
 from motor_env.motor.data_sheet import StartReference
 from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.plotting import COLOUR, drawing, save, subplots
@@ -31,22 +31,14 @@ def plot_diagnosis(diagnosis: Diagnosis, path: Path) -> None:
     colour = COLOUR.get(str(diagnosis.verdict), COLOUR["other"])
     with drawing():
         figure, (top, middle, bottom) = subplots(3, height_in=8.5, height_ratios=(2.2, 1.0, 1.0))
-        _currents(top, fit, colour)
+        time_ms = _time_ms(fit)
+        _currents(top, middle, fit, colour)
         reference = reference_current(diagnosis)
         if reference is not None:
-            label = "expected of the reference"
-            top.plot(
-                _time_ms(fit),
-                reference,
-                color=COLOUR["threshold"],
-                linewidth=1.3,
-                linestyle="--",
-                label=label,
-            )
+            ink, label = COLOUR["threshold"], "expected of the reference"
+            top.plot(time_ms, reference, "--", color=ink, linewidth=1.3, label=label)
         top.set_title(f"{diagnosis.recording.path.name}: {headline(diagnosis)}")
         top.legend(loc="upper right")
-        _residual(middle, fit, colour)
-        time_ms = _time_ms(fit)
         whitened = check.result.whitened[..., 0]
         begin = len(time_ms) - whitened.shape[-1]
         bottom.plot(time_ms[begin:], np.ravel(whitened), color=COLOUR["other"], linewidth=0.8)
@@ -67,16 +59,15 @@ def plot_identified(fit: Identified, name: str, path: Path) -> None:
     with drawing():
         rows = 2 if fit.start.speed_rad_s is None else 4
         figure, axes = subplots(rows, height_in=3.0 + 1.6 * rows, height_ratios=(2.2, 1.0) * (rows // 2))
-        _currents(axes[0], fit, COLOUR["healthy"])
-        axes[0].set_title(f"{name}: {' + '.join(['textbook', *fit.model])}, R² {fit.r2_current:.4f}")
+        _currents(axes[0], axes[1], fit, COLOUR["healthy"])
+        axes[0].set_title(f"{name}: {model_words(fit.model)}, R² {fit.r2_current:.4f}")
         axes[0].legend(loc="upper right")
-        _residual(axes[1], fit, COLOUR["healthy"])
         if fit.start.speed_rad_s is not None:
-            time_ms, speed = _time_ms(fit), fit.start.speed_rad_s
-            axes[2].plot(time_ms, speed, color=COLOUR["measured"], linewidth=1.2, label="measured")
-            axes[2].plot(time_ms, fit.expected[:, 1], color=COLOUR["healthy"], label="fitted")
+            time_ms, speed, fitted = _time_ms(fit), fit.start.speed_rad_s, fit.expected[:, 1]
+            axes[2].plot(time_ms, speed, color=COLOUR["measured"], linewidth=1.2)
+            axes[2].plot(time_ms, fitted, color=COLOUR["healthy"])
             axes[2].set_ylabel("speed (rad/s)")
-            axes[3].plot(time_ms, speed - fit.expected[:, 1], color=COLOUR["healthy"], linewidth=0.8)
+            axes[3].plot(time_ms, speed - fitted, color=COLOUR["healthy"], linewidth=0.8)
             axes[3].set_ylabel("residual (rad/s)")
         axes[-1].set_xlabel("time after the start (ms)")
         figure.align_ylabels()
@@ -122,7 +113,7 @@ def _spread(axes: Axes, fits: Sequence[Identified], reference: StartReference, r
     half = float(stats.t.isf(rate / 2.0, reference.degrees_of_freedom))
     for row in range(len(reference.quantities)):
         width = half * math.sqrt(reference.log_covariance[row, row])
-        low, high = 100.0 * (math.exp(-width) - 1.0), 100.0 * (math.exp(width) - 1.0)
+        low, high = 100.0 * math.expm1(-width), 100.0 * math.expm1(width)
         axes.barh(row, high - low, left=low, height=0.55, color=COLOUR["healthy"], alpha=0.18)
         # Beyond the axis the bar is cut: its ends are said.
         ends = f"{low:+.0f} … {high:+.0f} %"
@@ -144,13 +135,10 @@ def reference_current(diagnosis: Diagnosis) -> FloatArray | None:
     fit, reference = diagnosis.identified, diagnosis.reference
     if fit is None or reference is None:
         return None
-    values = dict(zip(reference.names, np.exp(reference.log_values).tolist(), strict=True))
-    plain = {name.replace("(J V)", "J").replace("/V", ""): value for name, value in values.items()}
-    constant = plain.get("K", float(np.max(fit.parameters.back_emf_constant_v_s_per_rad)))
-    inertia = plain["J"] if "J" in plain else constant**2 / plain["K^2/J"]
-    friction = plain["B"] if "B" in plain else plain["B/J"] * inertia
-    ohm = plain["R"] + fit.start.circuit.shunt_ohm
-    motor = MotorParameters(ohm, plain["L"], constant, constant, inertia, friction)
+    believed = float(np.max(fit.parameters.back_emf_constant_v_s_per_rad))
+    value = absolute(reference.values, believed)
+    ohm, constant = value["R"] + fit.start.circuit.shunt_ohm, value["K"]
+    motor = MotorParameters(ohm, value["L"], constant, constant, value["J"], value["B"])
     states = started(fit.start, motor, fit.extension, fit.onset_s)
     current: FloatArray = states[:, 0] + (0.0 if fit.start.alignment.rectified else fit.offset_a)
     return current
@@ -160,12 +148,11 @@ def _time_ms(fit: Identified) -> FloatArray:
     return 1e3 * (fit.start.time_s - fit.onset_s)
 
 
-def _currents(axes: Axes, fit: Identified, colour: str) -> None:
-    axes.plot(_time_ms(fit), fit.start.current_a, color=COLOUR["measured"], linewidth=1.2, label="measured")
-    axes.plot(_time_ms(fit), fit.expected[:, 0], color=colour, label="fitted")
-    axes.set_ylabel("current (A)")
-
-
-def _residual(axes: Axes, fit: Identified, colour: str) -> None:
-    axes.plot(_time_ms(fit), fit.residual_a, color=colour, linewidth=0.8)
-    axes.set_ylabel("residual (A)")
+def _currents(top: Axes, below: Axes, fit: Identified, colour: str) -> None:
+    """Measured and fitted current, and the residual below."""
+    time_ms = _time_ms(fit)
+    top.plot(time_ms, fit.start.current_a, color=COLOUR["measured"], linewidth=1.2, label="measured")
+    top.plot(time_ms, fit.expected[:, 0], color=colour, label="fitted")
+    top.set_ylabel("current (A)")
+    below.plot(time_ms, fit.residual_a, color=colour, linewidth=0.8)
+    below.set_ylabel("residual (A)")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from motor_env import console
 from motor_env.diagnosis.decision import Diagnosis, Verdict
-from motor_env.identification.commutation import ripple_speed
+from motor_env.diagnosis.explanations import Change
+from motor_env.identification.commutation import constants_at, find_ripple
 from motor_env.identification.identify import Identified
 from motor_env.motor.parameters import RAD_S_PER_RPM
 
@@ -30,18 +32,21 @@ UNITS = {
 
 def exit_status(diagnoses: list[Diagnosis], *, unreadable: bool) -> int:
     """0: all healthy; 1: any fault; 2: any input unreadable; 3: no fault, but some undecided."""
+    verdicts = {d.verdict for d in diagnoses}
     if unreadable:
         return int(console.ExitStatus.BAD_INPUT)
-    if any(d.verdict.is_fault for d in diagnoses):
+    if any(verdict.is_fault for verdict in verdicts):
         return int(console.ExitStatus.FAULT)
-    if any(d.verdict is not Verdict.HEALTHY for d in diagnoses):
-        return int(console.ExitStatus.UNDECIDED)
-    return int(console.ExitStatus.HEALTHY)
+    return int(console.ExitStatus.UNDECIDED if verdicts - {Verdict.HEALTHY} else console.ExitStatus.HEALTHY)
 
 
 def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict[str, Any]:
     """One object: file, verdict, severity, confidence, parameters, r2_current, and what they rest on."""
     fit, check = diagnosis.identified, diagnosis.filter_check
+    parameters: dict[str, Any] = {}
+    if fit is not None:
+        onset, offset = {"value": fit.onset_s, "unit": "s"}, {"value": fit.offset_a, "unit": "A"}
+        parameters = quantities_json(fit) | extensions_json(fit) | {"onset_s": onset, "offset_a": offset}
     return {
         "file": str(diagnosis.recording.path),
         "verdict": str(diagnosis.verdict),
@@ -50,7 +55,7 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
         "severity_interval": _interval(diagnosis.severity_low, diagnosis.severity_high),
         "confidence": _number(diagnosis.confidence),
         "reasons": list(diagnosis.reasons),
-        "parameters": {} if fit is None else _parameters(fit),
+        "parameters": parameters,
         "changes": {
             c.name: {"ratio": c.ratio, "interval": [c.low, c.high], "significant": c.significant}
             for c in diagnosis.changes
@@ -73,41 +78,32 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
 
 
 def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, Any] | None:
-    """What the commutation ripple tells; None without one."""
-    speed = ripple_speed(fit, periods_per_turn)
-    if speed is None:
+    """What the commutation ripple tells of speed and constants; None without one."""
+    ripple = find_ripple(fit)
+    if ripple is None:
         return None
+    speed = None if periods_per_turn is None else 2.0 * math.pi * ripple.frequency_hz / periods_per_turn
+    constants = {} if speed is None else constants_at(fit, speed)
     return {
-        "ripple_hz": speed.ripple.frequency_hz,
-        "standard_error_hz": speed.ripple.standard_error_hz,
-        "amplitude_a": speed.ripple.amplitude_a,
-        "speed_rad_s": speed.speed_rad_s,
-        **{name: {"value": value, "unit": UNITS[name]} for name, value in speed.constants.items()},
+        "ripple_hz": ripple.frequency_hz,
+        "standard_error_hz": ripple.standard_error_hz,
+        "amplitude_a": ripple.amplitude_a,
+        "speed_rad_s": speed,
+        **{name: {"value": value, "unit": UNITS[name]} for name, value in constants.items()},
     }
 
 
 def ripple_lines(fit: Identified, periods_per_turn: float | None) -> list[str]:
     """The same in sentences, none without a ripple."""
-    speed = ripple_speed(fit, periods_per_turn)
-    if speed is None:
+    ripple = ripple_json(fit, periods_per_turn)
+    if ripple is None:
         return []
-    line = f"commutation ripple of {speed.ripple.frequency_hz:.5g} Hz at the end"
-    if speed.speed_rad_s is None:
-        return [
-            f"  {line}; with its periods a turn (--ripple-periods-per-turn) it tells the speed, K, J and B"
-        ]
-    constants = ", ".join(f"{name} {value:.4g} {UNITS[name]}" for name, value in speed.constants.items())
-    return [
-        f"  {line}: {speed.speed_rad_s:.5g} rad/s ({speed.speed_rad_s / RAD_S_PER_RPM:.0f} rpm), so {constants}"
-    ]
-
-
-def _parameters(fit: Identified) -> dict[str, Any]:
-    alignment = {
-        "onset_s": {"value": fit.onset_s, "unit": "s"},
-        "offset_a": {"value": fit.offset_a, "unit": "A"},
-    }
-    return quantities_json(fit) | extensions_json(fit) | alignment
+    line = f"  commutation ripple of {ripple['ripple_hz']:.5g} Hz at the end"
+    if periods_per_turn is None:
+        return [f"{line}; with its periods a turn (--ripple-periods-per-turn) it tells the speed, K, J and B"]
+    speed, constants = ripple["speed_rad_s"], list(ripple.items())[4:]
+    words = ", ".join(f"{name} {row['value']:.4g} {row['unit']}" for name, row in constants)
+    return [f"{line}: {speed:.5g} rad/s ({speed / RAD_S_PER_RPM:.0f} rpm), so {words}"]
 
 
 def quantities_json(fit: Identified) -> dict[str, Any]:
@@ -126,12 +122,20 @@ def extensions_json(fit: Identified) -> dict[str, Any]:
     }
 
 
-def extension_lines(fit: Identified) -> list[str]:
-    """The same in words, a line each."""
+def quantity_lines(
+    quantities: Mapping[str, Mapping[str, Any]], beside: Mapping[str, str] | None = None
+) -> list[str]:
+    """A line for each of such quantities, and what stands beside it."""
     return [
-        f"  {name:<12} {value:11.4g} +- {error:.2g} {_extension_unit(fit, name)}"
-        for name, (value, error) in fit.fitted_extension.items()
+        f"  {name:<12} {row['value']:11.4g} +- {row['standard_error']:.2g} {row['unit']:<12}"
+        f" {(beside or {}).get(name, '')}".rstrip()
+        for name, row in quantities.items()
     ]
+
+
+def model_words(model: Sequence[str]) -> str:
+    """The textbook and its extensions."""
+    return " + ".join(["textbook", *model])
 
 
 def quality(fit: Identified) -> str:
@@ -173,22 +177,16 @@ def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
     lines.append("  read: " + "; ".join(diagnosis.recording.columns))
     fit, check = diagnosis.identified, diagnosis.filter_check
     if fit is not None:
-        changes = {change.name: change for change in diagnosis.changes}
-        for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True):
-            line = f"  {name:<12} {value:11.4g} +- {error:.2g} {UNITS[name]:<12}"
-            if name in changes:
-                c = changes[name]
-                line += f" {c.ratio - 1.0:+6.1%} from the reference (95 %: {c.low - 1.0:+.1%} to {c.high - 1.0:+.1%})"
-            lines.append(line.rstrip())
-        lines += extension_lines(fit)
-        for name in [name for name in changes if name not in fit.quantity_names]:
-            c = changes[name]
-            span = f"(95 %: {c.low - 1.0:+.1%} to {c.high - 1.0:+.1%})"
-            lines.append(
-                f"  {name:<12} {c.ratio - 1.0:+6.1%} from the reference {span}, by the commutation ripple"
-            )
+        moved = {c.name: f"{c.ratio - 1.0:+6.1%} from the reference ({_span(c)})" for c in diagnosis.changes}
+        lines += quantity_lines(quantities_json(fit), moved)
+        lines += quantity_lines(extensions_json(fit))
+        lines += [
+            f"  {name:<12} {words}, by the commutation ripple"
+            for name, words in moved.items()
+            if name not in fit.quantity_names
+        ]
         lines += ripple_lines(fit, periods_per_turn)
-        lines.append(f"  fit: {quality(fit)}; model {' + '.join(['textbook', *fit.model])}")
+        lines.append(f"  fit: {quality(fit)}; model {model_words(fit.model)}")
         lines += [f"  noticed: {defect}" for defect in fit.defects]
     if check is not None:
         lines.append(
@@ -205,6 +203,10 @@ def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
         )
         lines.append(f"  smallest change that this comparison finds in 95 of 100 cases: {smallest}")
     return "\n".join(lines)
+
+
+def _span(change: Change) -> str:
+    return f"95 %: {change.low - 1.0:+.1%} to {change.high - 1.0:+.1%}"
 
 
 def headline(diagnosis: Diagnosis) -> str:

@@ -57,17 +57,11 @@ def fit_coastdown(recording: Recording) -> CoastDown:
     time, fall = recording.time_s[begin:end] - recording.time_s[begin], speed[begin:end]
     length = float(time[-1])
 
-    def curve(unknowns: FloatArray) -> FloatArray:
-        start, rate, coulomb = (
-            unknowns[0],
-            max(unknowns[1], 1e-9 / length),
-            unknowns[2] if len(unknowns) > 2 else 0.0,
-        )
-        out: FloatArray = (start + coulomb / rate) * np.exp(-rate * time) - coulomb / rate
-        return out
-
     def residual(unknowns: FloatArray) -> FloatArray:
-        return curve(unknowns) - fall
+        start, rate, coulomb = (*unknowns, 0.0)[:3]
+        rate = max(rate, 1e-9 / length)
+        out: FloatArray = (start + coulomb / rate) * np.exp(-rate * time) - coulomb / rate - fall
+        return out
 
     viscous = least_squares(residual, [fall[0], 2.0 / length], x_scale="jac")
     both = least_squares(
@@ -77,12 +71,12 @@ def fit_coastdown(recording: Recording) -> CoastDown:
         x_scale="jac",
     )
     variance = float(np.sum((fall - fall.mean()) ** 2))
-    r2_viscous, r2 = 1.0 - 2.0 * viscous.cost / variance, 1.0 - 2.0 * both.cost / variance
     # The samples that the residual's correlation leaves independent (first-order: (1 - rho) / (1 + rho)).
     left = both.fun - both.fun.mean()
     rho = float(np.clip(np.sum(left[1:] * left[:-1]) / max(np.sum(left**2), 1e-300), 0.0, 0.999))
     independent = len(fall) * (1.0 - rho) / (1.0 + rho)
     gain = independent * math.log(viscous.cost / max(both.cost, 1e-300)) - math.log(max(independent, 2.0))
-    if gain < STRONG_EVIDENCE:
-        return CoastDown(float(viscous.x[1]), 0.0, float(r2_viscous), float(r2_viscous), gain)
-    return CoastDown(float(both.x[1]), float(both.x[2]), float(r2_viscous), float(r2), gain)
+    best = viscous if gain < STRONG_EVIDENCE else both
+    _, rate, coulomb = (*best.x, 0.0)[:3]
+    r2_viscous, r2 = (1.0 - 2.0 * float(fit.cost) / variance for fit in (viscous, best))
+    return CoastDown(float(rate), float(coulomb), r2_viscous, r2, gain)

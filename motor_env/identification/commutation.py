@@ -15,7 +15,6 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from motor_env.identification.identify import Identified
-from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.periodic_lines import over_angle
 
 _FEWEST_SAMPLES = 256
@@ -34,20 +33,12 @@ class CommutationRipple:
         standard_error_hz: of that frequency, from the line's height over its background.
         amplitude_a: of the line.
         strength: power over the background's.
-        time_s: of the samples since the onset, shape (n,).
-        track_hz: frequency at these times, shape (n,): proportional to the speed.
     """
 
     frequency_hz: float
     standard_error_hz: float
     amplitude_a: float
     strength: float
-    time_s: FloatArray
-    track_hz: FloatArray
-
-    def speed_rad_s(self, periods_per_turn: float) -> float:
-        """Speed at the last sample."""
-        return 2.0 * math.pi * self.frequency_hz / periods_per_turn
 
 
 def find_ripple(fit: Identified) -> CommutationRipple | None:
@@ -62,8 +53,7 @@ def find_ripple(fit: Identified) -> CommutationRipple | None:
     if n < _FEWEST_SAMPLES or not start.from_rest:
         return None
     time_s, residual = start.time_s[begin:], fit.residual_a[begin:]
-    speed = fit.states[begin:, 1]
-    turning = over_angle(residual, time_s, speed)
+    turning = over_angle(residual, time_s, fit.states[begin:, 1])
     if turning is None:
         return None
     even, resampled = turning
@@ -88,24 +78,7 @@ def find_ripple(fit: Identified) -> CommutationRipple | None:
         standard_error_hz=math.sqrt(6.0 / strength[peak]) / (math.pi * float(even[-1])),
         amplitude_a=2.0 * math.sqrt(float(power[peak])) / float(window.sum()),
         strength=float(strength[peak]),
-        time_s=time_s - fit.onset_s,
-        track_hz=frequency_hz * np.maximum(speed / np.mean(speed[-max(n // 20, 1) :]), 0.0),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class RippleSpeed:
-    """What the ripple adds to a fit.
-
-    Attributes:
-        ripple: the line.
-        speed_rad_s: last speed; None where the periods per turn are not known.
-        constants: K, J and B (over volt where the voltage is unknown) by name, of that speed; empty without it.
-    """
-
-    ripple: CommutationRipple
-    speed_rad_s: float | None
-    constants: dict[str, float]
 
 
 def ripple_quantities(fit: Identified) -> tuple[float, float] | None:
@@ -116,26 +89,18 @@ def ripple_quantities(fit: Identified) -> tuple[float, float] | None:
     return ripple.frequency_hz, back_emf_v(fit) / (2.0 * math.pi * ripple.frequency_hz)
 
 
-def ripple_speed(fit: Identified, periods_per_turn: float | None = None) -> RippleSpeed | None:
-    """Speed and, with it, the constants that the current alone does not tell.
+def constants_at(fit: Identified, speed_rad_s: float) -> dict[str, float]:
+    """K, J and B (over volt where the voltage is unknown) by name, which the current alone does not tell, of a speed.
 
     At the last sample V = R i + K w; with K, J follows from K^2/J and B from B/J.
     """
-    ripple = find_ripple(fit)
-    if ripple is None:
-        return None
-    if periods_per_turn is None:
-        return RippleSpeed(ripple, None, {})
-    speed = ripple.speed_rad_s(periods_per_turn)
-    constant = back_emf_v(fit) / speed
-    known = fit.start.voltage_known
-    p = fit.parameters
-    believed = float(np.max(p.back_emf_constant_v_s_per_rad))
+    constant, p = back_emf_v(fit) / speed_rad_s, fit.parameters
     # The fit's K^2/J and B/J hold whatever K it believed.
-    inertia = float(np.max(p.inertia_kg_m2)) * (constant / believed) ** 2
-    friction = float(np.max(p.viscous_friction_n_m_s_per_rad)) * (constant / believed) ** 2
-    names = ("K", "J", "B") if known else ("K/V", "J/V", "B/V")
-    return RippleSpeed(ripple, speed, dict(zip(names, (constant, inertia, friction), strict=True)))
+    factor = float(constant / np.max(p.back_emf_constant_v_s_per_rad)) ** 2
+    inertia = factor * float(np.max(p.inertia_kg_m2))
+    friction = factor * float(np.max(p.viscous_friction_n_m_s_per_rad))
+    per_volt = "" if fit.start.voltage_known else "/V"
+    return {f"K{per_volt}": constant, f"J{per_volt}": inertia, f"B{per_volt}": friction}
 
 
 def back_emf_v(fit: Identified) -> float:

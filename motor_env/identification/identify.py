@@ -140,7 +140,14 @@ class Identified:
     @property
     def standard_errors(self) -> FloatArray:
         """Their standard errors."""
-        return np.exp(self.log_values) * np.sqrt(np.diag(self.log_covariance))
+        return self.values * np.sqrt(np.diag(self.log_covariance))
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Correlations of the logarithms, shape (n, n)."""
+        sigma = np.sqrt(np.diag(self.log_covariance))
+        out: FloatArray = self.log_covariance / np.outer(sigma, sigma)
+        return out
 
 
 def identify(

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-import numpy as np
-
 from motor_env.identification.identify import FIT_SAMPLES, Identified, identify
 from motor_env.identification.residuals import Problem
 from motor_env.recordings.start import Start
@@ -50,37 +48,28 @@ def identify_best(
     best = identify(start, constant=constant, typical=typical)
     start = best.start
     knows_inductance = any(name in (typical or {}) for name in ("L", "L/V"))
+
+    def is_worth_trying(model: tuple[str, ...]) -> bool:
+        """Whether its last extension may earn strong evidence: a score test, far cheaper than its fit."""
+        if model[-1] in {"supply_curve", "dead_zone"} or best.inductance_off**2 > _PROMISING:
+            return True
+        problem = Problem(start.shortened(FIT_SAMPLES), model, constant=constant, typical=typical)
+        return problem.score(best.unknowns) > _PROMISING
+
     while True:
-        left = [
-            name
+        applicable = (
+            (*best.model, name)
             for name in candidates
-            if name not in best.model
-            and _applies(name, start, best.model, knows_inductance=knows_inductance)
-            and _is_worth_trying(best, name, constant, typical)
-        ]
-        if not left:
-            return best
+            if name not in best.model and _applies(name, start, best.model, knows_inductance=knows_inductance)
+        )
         trials = [
-            identify(start, (*best.model, name), constant=constant, typical=typical, simpler=best)
-            for name in left
+            identify(start, model, constant=constant, typical=typical, simpler=best)
+            for model in filter(is_worth_trying, applicable)
         ]
-        gains = [evidence(best, trial) for trial in trials]
-        top = int(np.argmax(gains))
-        if gains[top] < STRONG_EVIDENCE:
+        richer = max(trials, key=lambda trial: evidence(best, trial), default=None)
+        if richer is None or evidence(best, richer) < STRONG_EVIDENCE:
             return best
-        best = trials[top]
-
-
-def _is_worth_trying(
-    best: Identified, name: str, constant: float | None, typical: Mapping[str, float] | None
-) -> bool:
-    """Whether an extension may earn strong evidence: a score test, far cheaper than its fit, with room to spare."""
-    if name in {"supply_curve", "dead_zone"} or best.inductance_off**2 > _PROMISING:
-        return True
-    problem = Problem(
-        best.start.shortened(FIT_SAMPLES), (*best.model, name), constant=constant, typical=typical
-    )
-    return problem.score(best.unknowns) > _PROMISING
+        best = richer
 
 
 def _applies(name: str, start: Start, model: tuple[str, ...], *, knows_inductance: bool) -> bool:

@@ -54,6 +54,7 @@ class Problem:
         self.start, self.model = start, model
         self.has_speed = start.speed_rad_s is not None
         self.free = tuple(name for name in CORE if name != "K" or self.has_speed)
+        self.n_core = len(self.free)
         self.extras = tuple(
             part
             for name in model
@@ -109,20 +110,10 @@ class Problem:
 
     def _typical(self, quantities: Mapping[str, float]) -> dict[str, float]:
         """Logarithms of the typical parameters over the rough ones; empty where they are not known."""
-        plain = {name.replace("(J V)", "J").replace("/V", ""): value for name, value in quantities.items()}
-        if self.has_speed:
-            values = {name: plain[name] for name in CORE if name in plain}
-        else:
-            values = {name: plain[name] for name in ("R", "L") if name in plain}
-            if "K^2/J" in plain and "B/J" in plain:
-                values["J"] = self.base["K"] ** 2 / plain["K^2/J"]
-                values["B"] = plain["B/J"] * values["J"]
-        return {name: math.log(value / self.base[name]) for name, value in values.items() if value > 0.0}
-
-    @property
-    def n_core(self) -> int:
-        """Number of textbook parameters that are free."""
-        return len(self.free)
+        values = absolute(quantities, self.base["K"])
+        return {
+            name: math.log(values[name] / self.base[name]) for name in self.free if values.get(name, 0) > 0.0
+        }
 
     @property
     def has_inductance_prior(self) -> bool:
@@ -263,6 +254,20 @@ class Problem:
         left = self.residuals(unknowns)[: len(self.measured)] * self.scale
         for begin in range(0, len(left), n):
             self.scale[begin : begin + n] = max(float(np.std(left[begin : begin + n])), 1e-9 * self.span)
+
+
+def absolute(quantities: Mapping[str, float], constant: float) -> dict[str, float]:
+    """R, L, K, J and B as far as quantities tell them; K is believed where the current alone was measured.
+
+    The current depends on K^2/J and B/J only, whatever K is believed.
+    """
+    values = {"K": constant} | {
+        name.replace("(J V)", "J").replace("/V", ""): value for name, value in quantities.items()
+    }
+    if "K^2/J" in values and "B/J" in values:
+        values["J"] = constant**2 / values["K^2/J"]
+        values["B"] = values["B/J"] * values["J"]
+    return values
 
 
 def started(start: Start, motor: MotorParameters, extension: Extension, onset_s: float) -> FloatArray:

@@ -19,7 +19,7 @@ from motor_env.motor.model import DiscreteModel, continuous_model, discretize, s
 from motor_env.motor.parameters import FloatArray, MotorParameters
 
 _SMALLEST_FRACTION = 1e-6
-_DEAD_ZONE_EDGE = 0.1
+_DEAD_ZONE_EDGE = 0.1  # width of its edge (1 sd), of the zone
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,17 +90,7 @@ def _run(
         out[k, 0], out[k, 1] = current, speed
 
 
-@njit(cache=True)
-def _low_pass(values: FloatArray, decay: float) -> None:
-    """First-order lag, in place, exact for a curve that is straight between the samples' means."""
-    previous, lagged = values[0], values[0]
-    for k in range(1, values.shape[0]):
-        lagged = decay * lagged + (1.0 - decay) * 0.5 * (previous + values[k])
-        previous = values[k]
-        values[k] = lagged
-
-
-def _mean_rise(extension: Extension, begin_s: FloatArray, end_s: FloatArray) -> FloatArray:
+def mean_rise(extension: Extension, begin_s: FloatArray, end_s: FloatArray) -> FloatArray:
     """Mean over the intervals [begin, end] of a supply that rises to 1, piece by piece in straight lines."""
     rise_s = extension.supply_rise_s
     if rise_s <= 0.0:
@@ -117,12 +107,6 @@ def _mean_rise(extension: Extension, begin_s: FloatArray, end_s: FloatArray) -> 
 
     mean: FloatArray = (integral(end_s) - integral(begin_s)) / (end_s - begin_s)
     return mean
-
-
-def rise_of_supply(extension: Extension, time_s: FloatArray, onset_s: float) -> FloatArray:
-    """Mean of the supply over each interval between the sample times, 1 being its final level, shape (n - 1,)."""
-    elapsed = time_s - onset_s
-    return _mean_rise(extension, elapsed[:-1], elapsed[1:])
 
 
 def step_start(
@@ -155,7 +139,7 @@ def step_start(
     ends = time_s[begin:] - onset_s
     ends[0] = max(ends[0], _SMALLEST_FRACTION * dt_s)
     voltage = np.zeros(len(time_s))
-    voltage[begin:] = voltage_v * _mean_rise(extension, starts, ends)
+    voltage[begin:] = voltage_v * mean_rise(extension, starts, ends)
     first = discretize(parameters, float(ends[0]))
     return _integrate(parameters, extension, voltage, models=(first, model), begin=begin, state=(0.0, 0.0))
 
@@ -234,21 +218,14 @@ def _integrate(
     if extension.sensor_lag_s > 0.0:
         out[:, 0] = _sensed(parameters, extension.sensor_lag_s, out, models=models, begin=begin)
     if extension.dead_zone_a > 0.0:
-        out[:, 0] = _without_the_small(out[:, 0], extension.dead_zone_a)
+        # Nothing below the zone is shown and all above it; the commutation carries the current across its edge.
+        out[:, 0] *= ndtr((out[:, 0] / extension.dead_zone_a - 1.0) / _DEAD_ZONE_EDGE)
     if extension.speed_lag_s > 0.0:
-        lagged = out[:, 1].copy()
-        _low_pass(lagged, math.exp(-model.dt_s / extension.speed_lag_s))
-        out[:, 1] = lagged
+        # A first-order lag, exact for a curve that is straight between the samples' means.
+        decay, speed = math.exp(-model.dt_s / extension.speed_lag_s), out[:, 1]
+        means = 0.5 * (speed[:-1] + speed[1:])
+        out[1:, 1] = lfilter([1.0 - decay], [1.0, -decay], means, zi=[decay * speed[0]])[0]
     return out
-
-
-def _without_the_small(current: FloatArray, dead_zone_a: float) -> FloatArray:
-    """What a sensor shows whose amplifier cannot come near 0: nothing below the dead zone, all of it above.
-
-    The edge is as wide as a tenth of the zone (1 sd): the commutation carries the current to and fro across it.
-    """
-    shown: FloatArray = current * ndtr((current - dead_zone_a) / (_DEAD_ZONE_EDGE * dead_zone_a))
-    return shown
 
 
 def _lag_row(parameters: MotorParameters, model: DiscreteModel, lag_s: float) -> FloatArray:

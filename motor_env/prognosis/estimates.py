@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -46,15 +46,8 @@ class Series:
     start: datetime | None = None
 
 
-class _Row(NamedTuple):
-    """One estimate as it stands in a file, with the place for error messages."""
-
-    where: str
-    time: Any
-    parameter: str
-    estimate: Any
-    standard_error: Any
-    unit: str
+_Row = tuple[str, Any, str, Any, Any, str]
+"""One estimate as it stands in a file: place for error messages, time, parameter, estimate, standard error, unit."""
 
 
 def date_of(text: str) -> datetime | None:
@@ -99,9 +92,7 @@ def _json_rows(path: Path) -> Iterator[_Row]:
             if not isinstance(entry, dict) or key not in entry:
                 raise InputError(f"{path}, entry {number}: {key} is missing")
         spread = entry.get("standard_error", 0.0)
-        yield _Row(
-            f"entry {number}", entry["time"], str(entry["parameter"]), entry["estimate"], spread, "starts"
-        )
+        yield f"entry {number}", entry["time"], str(entry["parameter"]), entry["estimate"], spread, "starts"
 
 
 def _csv_rows(path: Path) -> Iterator[_Row]:
@@ -126,11 +117,11 @@ def _csv_rows(path: Path) -> Iterator[_Row]:
         where, time = f"line {line}", row.pop(time_name)
         if "parameter" in row and "estimate" in row:
             spread = row.get("standard_error", "0")
-            yield _Row(where, time, row["parameter"], row["estimate"], spread, unit)
+            yield where, time, row["parameter"], row["estimate"], spread, unit
             continue
         for name, value in row.items():
             if value and not name.endswith("_se"):
-                yield _Row(where, time, name, value, row.get(f"{name}_se", "0") or "0", unit)
+                yield where, time, name, value, row.get(f"{name}_se", "0") or "0", unit
 
 
 def _series(path: Path, rows: Iterable[_Row]) -> list[Series]:

@@ -6,33 +6,28 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
-from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from motor_env.diagnosis.healthy_motor import fit_healthy
 from motor_env.errors import InputError
 from motor_env.identification.identify import Identified, identify
 from motor_env.prognosis.estimates import SECONDS_PER_DAY, Series, build_series, date_of, read_estimates
 from motor_env.prognosis.page import leading, status
-from motor_env.prognosis.trend import Trend, judge_all
+from motor_env.prognosis.trend import DEFAULT_LIMITS, Trend, judge
 from motor_env.prognosis.wear import RemainingLife
 from motor_env.recordings.recording import read_recording
 from motor_env.recordings.start import prepare
 
-
-class DateSource(StrEnum):
-    """Where the date of a recording comes from."""
-
-    NAME = "name"
-    MODIFIED = "modified"
+DateSource = Literal["name", "modified"]
+"""Where the date of a recording comes from: its name, or the file's own date."""
 
 
 def load_series(
     paths: Sequence[Path],
     *,
     voltage_v: float | None = None,
-    date: DateSource = DateSource.NAME,
+    date: DateSource = "name",
     progress: Callable[[Path], None] = lambda path: None,
 ) -> tuple[list[Series], list[str]]:
     """Series from one table of estimates, or from a folder (or a list) of dated recordings.
@@ -73,7 +68,7 @@ def _from_recordings(
     dated: list[tuple[float, Path]] = []
     for file in files:
         when = date_of(file.name)
-        if date is DateSource.MODIFIED:
+        if date == "modified":
             when = datetime.fromtimestamp(file.stat().st_mtime, tz=UTC)
         if when is None:
             notes.append(f"{file.name}: its name holds no date such as 2026-01-31 (or use --date modified)")
@@ -124,7 +119,7 @@ def trends_of(
     *,
     level: float = 0.9,
     voltage_v: float | None = None,
-    date: DateSource = DateSource.NAME,
+    date: DateSource = "name",
     reference_count: int = 3,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> tuple[list[Trend], list[str]]:
@@ -138,7 +133,10 @@ def trends_of(
     if reference_count < 1:
         raise InputError(f"reference-count must be >= 1, got {reference_count}")
     series, notes = load_series(paths, voltage_v=voltage_v, date=date, progress=progress)
-    return judge_all(series, limits, level, reference_count), notes
+    names = {one.name for one in series}
+    if unknown := [name for name in limits if name not in names]:
+        raise InputError(f"--limit names {unknown[0]!r}; the quantities are {', '.join(sorted(names))}")
+    return [judge(one, limits.get(one.name, DEFAULT_LIMITS), level, reference_count) for one in series], notes
 
 
 def as_json(trend: Trend) -> dict[str, Any]:
@@ -172,12 +170,8 @@ def as_json(trend: Trend) -> dict[str, Any]:
 
 
 def _life(life: RemainingLife) -> dict[str, float | None]:
-    ends = {"low": life.low, "median": life.median, "high": life.high}
-    return {**{key: _finite(value) for key, value in ends.items()}, "level": life.level}
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    names = ("low", "median", "high", "level")
+    return {name: value if math.isfinite(value) else None for name, value in zip(names, life, strict=False)}
 
 
 def as_text(trends: Sequence[Trend]) -> str:

@@ -6,7 +6,7 @@ Each quantity is set in relation to its reference, the mean of its first estimat
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,15 +70,12 @@ def judge(
         reference_count: number of first estimates whose mean is the reference.
 
     Raises:
-        InputError: the reference is 0, or a factor is not usable.
+        InputError: the reference is 0.
     """
     first = slice(0, min(reference_count, len(series.time)))
     reference = float(np.mean(series.estimate[first]))
     if reference == 0.0:
         raise InputError(f"{series.name}: the first estimates are 0; limits are relative to them")
-    bad = [factor for factor in factors if not math.isfinite(factor) or factor == 1.0]
-    if bad:
-        raise InputError(f"limit of {series.name} must be a factor different from 1, got {bad[0]:g}")
     if len(series.time) < FEWEST_ESTIMATES:
         sentence = (
             f"too few estimates for a trend: {len(series.time)}, at least {FEWEST_ESTIMATES} are needed"
@@ -105,7 +102,7 @@ def _sentence(series: Series, forecasts: Sequence[Forecast]) -> str:
         if forecast.trends:
             return (
                 f"trends to the limit at {_percent(forecast.factor - 1.0)}, by "
-                f"{_percent(forecast.wear.mean_drift, digits=2)} of the reference a {singular(series.unit)}: "
+                f"{_percent(forecast.wear.mean_drift, digits=2)} of the reference a {series.unit.removesuffix('s')}: "
                 f"{describe(forecast.life, series.unit)}"
             )
     likely = max(forecast.wear.probability_trend for forecast in forecasts)
@@ -124,11 +121,6 @@ def describe(life: RemainingLife, unit: str) -> str:
             f"it is reached at all with {100.0 * life.probability_ever:.0f} %)"
         )
     return f"reached in {life.median:.3g} {unit} ({share} interval {life.low:.3g} to {life.high:.3g})"
-
-
-def singular(unit: str) -> str:
-    """The unit of one: days, day."""
-    return unit.removesuffix("s")
 
 
 def _percent(value: float, digits: int = 0) -> str:
@@ -154,24 +146,3 @@ def parse_limits(options: Iterable[str]) -> dict[str, tuple[float, ...]]:
             )
         limits[name] = factors
     return limits
-
-
-def judge_all(
-    all_series: Iterable[Series],
-    limits: Mapping[str, tuple[float, ...]],
-    level: float = 0.9,
-    reference_count: int = 3,
-) -> list[Trend]:
-    """Judge every quantity.
-
-    Raises:
-        InputError: a limit names a quantity that is not there.
-    """
-    listed = list(all_series)
-    names = {series.name for series in listed}
-    unknown = [name for name in limits if name not in names]
-    if unknown:
-        raise InputError(f"--limit names {unknown[0]!r}; the quantities are {', '.join(sorted(names))}")
-    return [
-        judge(series, limits.get(series.name, DEFAULT_LIMITS), level, reference_count) for series in listed
-    ]

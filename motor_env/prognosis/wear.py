@@ -132,12 +132,12 @@ class Degradation:
         slope = self.covariance[:, 0, 1] / self.covariance[:, 0, 0]
         drift = self.drift[:, None] + slope[:, None] * (level - self.level[:, None])
         variance = np.maximum(self.covariance[:, 1, 1] - slope * self.covariance[:, 0, 1], 0.0)
-        repeated = np.ones(len(_LEVEL_NODES))
+        nodes = len(_LEVEL_NODES)
         return (
             (self.sign * self.limit - level).ravel(),
             drift.ravel(),
-            np.outer(variance, repeated).ravel(),
-            np.outer(self.diffusion, repeated).ravel(),
+            np.repeat(variance, nodes),
+            np.repeat(self.diffusion, nodes),
             np.outer(self.weights, _LEVEL_WEIGHTS).ravel(),
         )
 
@@ -146,8 +146,7 @@ class Degradation:
         distance = max(self.sign * self.limit - float(self.weights @ self.level), 0.0)
         spread = math.sqrt(float(self.weights @ self.covariance[:, 0, 0]))
         reach = distance + 3.0 * spread
-        pace = max(abs(self.mean_drift), 0.05 * self.drift_std)
-        pace = max(pace, 1e-12 * reach, 1e-300)
+        pace = max(abs(self.mean_drift), 0.05 * self.drift_std, 1e-12 * reach, 1e-300)
         return np.geomspace(1e-4, 1e3, _LIFE_POINTS) * reach / pace
 
     def remaining_life(self, level: float = 0.9) -> RemainingLife:
@@ -159,21 +158,10 @@ class Degradation:
         require(0.0 < level < 1.0, f"level must lie between 0 and 1, got {level:g}")
         axis = self.life_axis()
         cdf = np.maximum.accumulate(self.cdf(axis))
-        low, median, high = (
-            self._quantile(axis, cdf, p) for p in (0.5 - level / 2.0, 0.5, 0.5 + level / 2.0)
-        )
+        wanted = [0.5 - level / 2.0, 0.5, 0.5 + level / 2.0]
+        low, median, high = np.exp(np.interp(wanted, cdf, np.log(axis), left=-np.inf, right=np.inf)).tolist()
         distance, *_, weights = self._nodes()
         return RemainingLife(low, median, high, level, float(weights[distance <= 0.0].sum()), float(cdf[-1]))
-
-    @staticmethod
-    def _quantile(axis: FloatArray, cdf: FloatArray, probability: float) -> float:
-        if probability <= cdf[0]:
-            return 0.0
-        if probability >= cdf[-1]:
-            return math.inf
-        at = int(np.searchsorted(cdf, probability))
-        share = (probability - cdf[at - 1]) / (cdf[at] - cdf[at - 1])
-        return float(axis[at - 1] * (axis[at] / axis[at - 1]) ** share)
 
     def forecast(self, ahead: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of the level at times after the last estimate, each the shape of `ahead`."""

@@ -83,7 +83,8 @@ def align(recording: Recording) -> Alignment:
     sign = 1.0 if deviation.max() >= -deviation.min() else -1.0
     noise = difference_noise(current)
     onset = _onset(sign * deviation, noise)
-    quantum = _smallest_step(current, span)
+    steps = np.abs(np.diff(current))
+    quantum = float(np.min(steps, where=steps > 0.0, initial=span))
     rectified = _is_rectified(current, onset, quantum)
     quiet = current[: max(onset - _GUARD, 0)]
     quiet = quiet if len(quiet) >= _FEW else quiet[:0]
@@ -135,11 +136,6 @@ def _onset(rise: FloatArray, noise: float) -> int:
     while onset > 0 and rise[onset - 1] > foot:
         onset -= 1
     return onset
-
-
-def _smallest_step(current: FloatArray, span: float) -> float:
-    steps = np.abs(np.diff(current))
-    return float(steps[steps > 0.0].min()) if (steps > 0.0).any() else span
 
 
 def _is_rectified(current: FloatArray, onset: int, quantum: float) -> bool:

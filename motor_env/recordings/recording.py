@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -13,7 +14,11 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.headers import ColumnChoice, understand
 from motor_env.recordings.tables import Table, read_table
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 FEWEST_SAMPLES = 20
+_Record = TypeVar("_Record", bound="DataclassInstance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +47,13 @@ class Recording:
     def dt_s(self) -> float:
         """Sampling interval."""
         return float((self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
+
+
+def cut(record: _Record, part: slice) -> _Record:
+    """A record with all of its arrays cut to a part of their samples."""
+    values = {field.name: getattr(record, field.name) for field in fields(record)}
+    arrays = {name: value[part] for name, value in values.items() if isinstance(value, np.ndarray)}
+    return replace(record, **arrays)
 
 
 def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
@@ -149,20 +161,12 @@ def evened(
     time_s: FloatArray, columns: dict[str, FloatArray]
 ) -> tuple[FloatArray, dict[str, FloatArray], tuple[str, ...]]:
     """Columns on an even time axis, and a note where they had to be interpolated."""
-    even, jitter = _even(time_s)
-    if not jitter:
+    even = np.linspace(time_s[0], time_s[-1], len(time_s))
+    off = float(np.max(np.abs(even - time_s)) / (even[1] - even[0]))
+    if off <= 0.02:
         return even, columns, ()
+    if off >= 0.5:  # gaps: evenly at the median step
+        count = int(min((time_s[-1] - time_s[0]) / np.median(np.diff(time_s)), 4 * len(time_s)))
+        even = np.linspace(time_s[0], time_s[-1], max(count, 1) + 1)
     note = ("the time axis is uneven: interpolated to an even one",)
     return even, {name: np.interp(even, time_s, values) for name, values in columns.items()}, note
-
-
-def _even(time_s: FloatArray) -> tuple[FloatArray, bool]:
-    """An even time axis at the median step, and whether the samples must be interpolated to lie on it."""
-    steps = np.diff(time_s)
-    line = np.linspace(time_s[0], time_s[-1], len(time_s))
-    step = line[1] - line[0]
-    if np.max(np.abs(line - time_s)) < 0.5 * step:
-        return line, bool(np.max(np.abs(line - time_s)) > 0.02 * step)
-    step = float(np.median(steps))
-    count = int(min((time_s[-1] - time_s[0]) / step, 4 * len(time_s)))
-    return np.linspace(time_s[0], time_s[-1], max(count, 1) + 1), True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import wild_samples, without_wild
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, cut
 
 _FEWEST_APART = 40
 _HIGH, _LOW, _REST = 0.5, 0.25, 0.05
@@ -37,13 +37,9 @@ def split_starts(recording: Recording) -> list[Recording]:
     ends = [*cuts[1:], len(recording.time_s)]
     parts = []
     for number, (first, last) in enumerate(zip(cuts, ends, strict=True), 1):
-        part = {
-            f.name: getattr(recording, f.name)[first:last]
-            for f in fields(recording)
-            if isinstance(getattr(recording, f.name), np.ndarray)
-        }
         notes = (*recording.columns, f"start {number} of {len(cuts)} in the file")
-        parts.append(replace(recording, path=Path(f"{recording.path}#{number}"), columns=notes, **part))
+        part = cut(recording, slice(first, last))
+        parts.append(replace(part, path=Path(f"{recording.path}#{number}"), columns=notes))
     return parts
 
 

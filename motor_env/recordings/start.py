@@ -11,7 +11,7 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.alignment import Alignment, align
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.periodic_lines import PeriodicLine
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, cut
 
 _REST_SHARE = 0.05
 _FEWEST_AFTER = 15
@@ -85,16 +85,7 @@ class Start:
 
     def shortened(self, count: int) -> Start:
         """The same with at most `count` samples after the onset."""
-        end = self.alignment.onset_index + count
-        if end >= len(self.time_s):
-            return self
-        return replace(
-            self,
-            time_s=self.time_s[:end],
-            current_a=self.current_a[:end],
-            speed_rad_s=None if self.speed_rad_s is None else self.speed_rad_s[:end],
-            voltage_v=None if self.voltage_v is None else self.voltage_v[:end],
-        )
+        return cut(self, slice(self.alignment.onset_index + count))
 
 
 def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circuit | None = None) -> Start:
@@ -112,16 +103,12 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
     sign, after = alignment.sign, len(recording.time_s) - alignment.onset_index
     if after < _FEWEST_AFTER:
         raise UnusableError(f"only {after} samples follow the start; at least {_FEWEST_AFTER} are needed")
-    measured, level, known = None, 1.0, False
-    if recording.voltage_v is not None:
-        level, measured, sign = _supply(recording.voltage_v, sign)
-        known = True
-    elif recording.duty is not None:
-        scale = 1.0 if voltage_v is None else abs(voltage_v)
-        level, measured, sign = _supply(scale * recording.duty, sign)
-        known = voltage_v is not None
-    elif voltage_v is not None:
-        level, known = abs(voltage_v), True
+    supply, measured, level = recording.voltage_v, None, 1.0 if voltage_v is None else abs(voltage_v)
+    known = supply is not None or voltage_v is not None
+    if supply is None and recording.duty is not None:
+        supply = level * recording.duty
+    if supply is not None:
+        level, measured, sign = _supply(supply, sign)
     if circuit is not None and circuit.shunt_ohm > 0.0 and not known:
         raise UnusableError("a shunt in series can be taken off only where the voltage is known")
     speed = None

@@ -14,8 +14,9 @@ from motor_env import PAPER_MOTOR, Fault, FaultKind, Timing
 from motor_env.diagnosis.decision import Diagnosis, Verdict
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
+from motor_env.diagnosis.report import ripple_json
 from motor_env.errors import InputError
-from motor_env.identification.commutation import find_ripple, ripple_speed
+from motor_env.identification.commutation import find_ripple
 from motor_env.identification.identify import TEXTBOOK, identify
 from motor_env.identification.model_choice import identify_best
 from motor_env.identification.start_model import Extension, driven
@@ -105,12 +106,12 @@ def rippled(constant: float = 1.0, periods: float = 14.0) -> tuple[Recording, fl
 @pytest.mark.parametrize("constant", [1.0, 1.2])
 def test_the_ripple_tells_the_speed_and_the_constants(constant: float) -> None:
     recording, speed = rippled(constant)
-    found = ripple_speed(identify_best(prepare(recording)), 14.0)
+    found = ripple_json(identify_best(prepare(recording)), 14.0)
     assert found is not None
-    assert found.speed_rad_s == pytest.approx(speed, rel=0.002)
+    assert found["speed_rad_s"] == pytest.approx(speed, rel=0.002)
     nominal = float(PAPER_MOTOR.back_emf_constant_v_s_per_rad)
-    assert found.constants["K"] == pytest.approx(constant * nominal, rel=0.01)
-    assert found.constants["J"] == pytest.approx(float(PAPER_MOTOR.inertia_kg_m2), rel=0.05)
+    assert found["K"]["value"] == pytest.approx(constant * nominal, rel=0.01)
+    assert found["J"]["value"] == pytest.approx(float(PAPER_MOTOR.inertia_kg_m2), rel=0.05)
 
 
 def test_without_a_ripple_there_is_no_speed() -> None:
