@@ -10,23 +10,24 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import asdict, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from motor_datasets.card import data_card
 from motor_datasets.generate import generate_arrays
 from motor_datasets.layout import Plan, PlannedFile, make_plan
-from motor_datasets.manifest import MANIFEST, Entry, Manifest, read_manifest, size_and_digest
+from motor_datasets.manifest import MANIFEST, Entry, Manifest, is_whole, read_manifest, size_and_digest
 from motor_datasets.parquet import to_table, write_table
 from motor_datasets.remote import Folder, RemotePath, folder_of, whole_file
 from motor_env.errors import InputError
 from motor_env.motor.parameters import require
+from motor_env.processes import end_with_parent
 from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
 
@@ -66,55 +67,92 @@ def generate_dataset(
         require(
             workers == 1, f"workers must be 1 for {folder}, which other processes do not see, got {workers}"
         )
-    finished = _open_folder(folder, plan, resume=resume)
-    if finished is not None:
-        on_progress(plan.cases_of_all)
-        return finished
-    entries = {file.path: _whole_entry(folder, file) if resume else None for file in plan.files}
+    entries = _open_folder(folder, plan, resume=resume)
     for entry in entries.values():
-        if entry is not None:
-            on_progress(entry.rows)
-    missing = [file for file in plan.files if entries[file.path] is None]
-    for entry in _write_files(missing, folder, plan, workers):
-        entries[entry.path] = entry
         on_progress(entry.rows)
-    manifest = Manifest(recipe, seed, cases, tuple(entry for entry in entries.values() if entry is not None))
+    missing = [file for file in plan.files if file.path not in entries]
+    if missing or not (folder / MANIFEST).is_file():
+        _make_files(missing, entries, folder, plan, workers=workers, on_progress=on_progress)
+    (folder / UNFINISHED).unlink(missing_ok=True)
+    return Manifest(recipe, seed, cases, tuple(entries[file.path] for file in plan.files))
+
+
+def _make_files(
+    missing: list[PlannedFile],
+    entries: dict[str, Entry],
+    folder: Folder,
+    plan: Plan,
+    *,
+    workers: int,
+    on_progress: Callable[[int], object],
+) -> None:
+    """Write the missing files and add them to the entries; then the card and the manifest."""
+    (folder / "data").mkdir(parents=True, exist_ok=True)
+    due = 0
+    try:
+        for entry in chain([None], _write_files(missing, folder, plan, workers)):
+            if entry is not None:
+                entries[entry.path] = entry
+            if len(entries) >= due:  # seldom where there are many: a storage writes the note whole each time
+                _write_text(folder / UNFINISHED, _note(plan, entries.values()))
+                due = len(entries) + 1 + len(entries) // 32
+            if entry is not None:
+                on_progress(entry.rows)
+    except BaseException:
+        _remove_partial_files(folder)
+        raise
+    manifest = Manifest(plan.recipe, plan.seed, plan.cases, tuple(entries[file.path] for file in plan.files))
     _write_text(folder / "README.md", data_card(manifest))
     _write_text(folder / MANIFEST, manifest.as_text())
-    (folder / UNFINISHED).unlink(missing_ok=True)
-    return manifest
 
 
-def _open_folder(out: Folder, plan: Plan, *, resume: bool) -> Manifest | None:
-    """Make or reopen the folder of a data set; the manifest, if it is finished already.
+def _open_folder(out: Folder, plan: Plan, *, resume: bool) -> dict[str, Entry]:
+    """The files that an earlier generation left in the folder, each as it was written; none in a new folder.
 
     Raises:
         InputError: the folder holds something that is not overwritten.
     """
     note = out / UNFINISHED
-    made = {"recipe": recipe_to_dict(plan.recipe), "seed": plan.seed, "cases": plan.cases}
-    wanted = json.dumps(made) + "\n"
-    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
-        if not resume:
-            hint = "add --resume to finish it" if note.is_file() else "give another folder, or remove it"
-            raise InputError(f"{out} exists already and is not overwritten: {hint}")
-        if (out / MANIFEST).is_file():
-            manifest = read_manifest(out)
-            if (manifest.recipe, manifest.seed, manifest.cases) != (plan.recipe, plan.seed, plan.cases):
-                raise InputError(f"{out} holds another data set and is not overwritten: give another folder")
-            note.unlink(missing_ok=True)
-            return manifest
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return {}
+    if not resume:
+        hint = "add --resume to finish it" if note.is_file() else "give another folder, or remove it"
+        raise InputError(f"{out} exists already and is not overwritten: {hint}")
+    if (out / MANIFEST).is_file():
+        manifest = read_manifest(out)
+        if (manifest.recipe, manifest.seed, manifest.cases) != (plan.recipe, plan.seed, plan.cases):
+            raise InputError(f"{out} holds another data set and is not overwritten: give another folder")
+        recorded = list(manifest.files)
+    else:
         # Killed before the note was whole: the folder holds nothing but its beginnings.
         names = {path.name for path in out.iterdir()}
         only_begun = names <= {"data", f".{UNFINISHED}.partial"} and not any((out / "data").glob("*"))
-        if not only_begun and (not note.is_file() or note.read_text() != wanted):
+        text = note.read_text() if note.is_file() else ""
+        if not only_begun and not text.startswith(_note(plan)):
             raise InputError(f"{out} holds something other than this data set unfinished, and is not touched")
-        if isinstance(out, Path):
-            for partial in out.rglob(".*.partial"):
-                partial.unlink()
-    (out / "data").mkdir(parents=True, exist_ok=True)
-    _write_text(note, wanted)
-    return None
+        recorded = list(_recorded(text))
+        _remove_partial_files(out)
+    planned = {file.path for file in plan.files}
+    return {entry.path: entry for entry in recorded if entry.path in planned and is_whole(out, entry)}
+
+
+def _note(plan: Plan, entries: Iterable[Entry] = ()) -> str:
+    """What is being made, and a line for each of its files that is whole."""
+    made = {"recipe": recipe_to_dict(plan.recipe), "seed": plan.seed, "cases": plan.cases}
+    return "".join(f"{json.dumps(line)}\n" for line in (made, *map(asdict, entries)))
+
+
+def _recorded(note: str) -> Iterator[Entry]:
+    """The files that a note names; a line that is none is of no file."""
+    for line in note.splitlines()[1:]:
+        with suppress(TypeError, ValueError):
+            yield Entry(**json.loads(line))
+
+
+def _remove_partial_files(folder: Folder) -> None:
+    if isinstance(folder, Path):
+        for partial in folder.rglob(".*.partial"):
+            partial.unlink(missing_ok=True)
 
 
 def _write_text(path: Folder, text: str) -> None:
@@ -122,19 +160,6 @@ def _write_text(path: Folder, text: str) -> None:
         stream.write(text.encode())
         stream.flush()
         os.fsync(stream.fileno())
-
-
-def _whole_entry(folder: Folder, file: PlannedFile) -> Entry | None:
-    """The file that an interrupted generation left whole; None if there is none."""
-    path = folder / file.path
-    if not path.is_file():
-        return None
-    try:
-        with path.open("rb") as stream:
-            rows = pq.read_metadata(stream).num_rows
-    except pa.ArrowInvalid:
-        return None
-    return Entry(file.path, file.split, rows, *size_and_digest(path))
 
 
 def _write_file(folder: Folder, file: PlannedFile, recipe: Recipe, seed: int) -> Entry:
@@ -158,8 +183,12 @@ def _write_files(files: list[PlannedFile], folder: Folder, plan: Plan, workers: 
         return
     from joblib import Parallel, delayed
     from joblib.externals.loky.process_executor import TerminatedWorkerError
+    from joblib.parallel import LokyBackend, get_active_backend
 
-    pool: Any = Parallel(n_jobs=workers, return_as="generator_unordered")
+    # The workers of a cluster are not ours to end.
+    ours = isinstance(get_active_backend()[0], LokyBackend)
+    options: dict[str, Any] = {"initializer": end_with_parent} if ours else {}
+    pool: Any = Parallel(n_jobs=workers, return_as="generator_unordered", **options)
     try:
         yield from pool(delayed(_write_file)(folder, file, plan.recipe, plan.seed) for file in files)
     except TerminatedWorkerError:

@@ -16,6 +16,7 @@ SHIFT_CASES = 2**40
 """Case numbers of the n-th shift begin at n times this, n counting from 1: they meet no others."""
 
 _SHARD_BYTES = 32 * 2**20
+_MOST_SHARDS = 10**6  # six digits of a file's name
 _SHARE_OF_SHIFT = 10  # a shift has a tenth of the cases
 
 
@@ -73,6 +74,11 @@ def make_plan(recipe: Recipe, cases: int, seed: int) -> Plan:
     require(1 <= cases < SHIFT_CASES, f"cases must be in 1 .. 2^40 - 1, got {cases}")
     require(0 <= seed < 2**64, f"seed must be in 0 .. 2^64 - 1, got {seed}")
     per_shard = max(1, _SHARD_BYTES // bytes_of_case(recipe))
+    most = per_shard * _MOST_SHARDS
+    require(
+        cases <= most,
+        f"cases must fit into a million files of {_SHARD_BYTES / 2**20:g} MB, here {most} cases, got {cases}",
+    )
     files = []
     for shard, begin in enumerate(range(0, cases, per_shard)):
         end = min(begin + per_shard, cases)

@@ -9,7 +9,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 from motor_datasets.remote import Folder
 from motor_env.errors import InputError
@@ -22,15 +24,36 @@ FORMAT_VERSION = 1
 MANIFEST = "dataset.json"
 
 
+_FILE_NAME = re.compile(r"data/(train|validation|test|shift_\w+)-\d{6}\.parquet")
+_LARGEST_BYTES = 2**28  # of a manifest: of a million files
+
+
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A written file."""
+    """A written file; of a name, and with a size and a digest, as this package gives them."""
 
     path: str
     split: str
     rows: int
     bytes: int
     sha256: str
+
+    def __post_init__(self) -> None:
+        name = _FILE_NAME.fullmatch(self.path)
+        require(name is not None, f"path must be data/SPLIT-NUMBER.parquet, got {self.path[:80]!r}")
+        require(
+            name is not None and name[1] == self.split,
+            f"{self.path} must be of its split, got {self.split!r}",
+        )
+        for count in (self.rows, self.bytes):
+            require(
+                type(count) is int and count >= 1,
+                f"rows and bytes of {self.path} must be >= 1, got {count!r}",
+            )
+        require(
+            re.fullmatch("[0-9a-f]{64}", self.sha256) is not None,
+            f"sha256 of {self.path} must be 64 hexadecimal digits",
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +64,15 @@ class Manifest:
     seed: int
     cases: int
     files: tuple[Entry, ...]
+
+    def __post_init__(self) -> None:
+        for name, number in (("seed", self.seed), ("cases", self.cases)):
+            require(
+                type(number) is int and 0 <= number < 2**64,
+                f"{name} must be in 0 .. 2^64 - 1, got {number!r}",
+            )
+        paths = [entry.path for entry in self.files]
+        require(len(set(paths)) == len(paths), "no file may be named twice")
 
     @property
     def bytes(self) -> int:
@@ -75,21 +107,56 @@ def read_manifest(folder: Folder) -> Manifest:
     if not path.is_file():
         raise InputError(f"{folder} is no data set: it has no {MANIFEST}")
     try:
-        content = json.loads(path.read_text())
+        with path.open("rb") as stream:
+            text = stream.read(_LARGEST_BYTES + 1)
+        require(len(text) <= _LARGEST_BYTES, f"it is larger than {_LARGEST_BYTES // 2**20} MB")
+        content = json.loads(text)
         require(content["format"] == FORMAT, f"format must be {FORMAT}, got {content['format']!r}")
         version = content["version"]
         require(version == FORMAT_VERSION, f"version must be {FORMAT_VERSION}, got {version!r}")
         files = tuple(Entry(**entry) for entry in content["files"])
         return Manifest(recipe_from_dict(content["recipe"]), content["seed"], content["cases"], files)
-    except (KeyError, TypeError, ValueError) as error:
+    except RecursionError:
+        raise InputError(f"{path} cannot be read as a data set's manifest: it is nested too deeply") from None
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path} cannot be read as a data set's manifest: {error}") from error
 
 
-def size_and_digest(path: Folder) -> tuple[int, str]:
+def size_and_digest(path: Path) -> tuple[int, str]:
     """Bytes of a file, and their SHA-256."""
     with path.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
         return stream.seek(0, os.SEEK_END), digest
+
+
+def whole_content(folder: Folder, entry: Entry) -> bytes:
+    """The content of a file, exactly as it was written.
+
+    Raises:
+        InputError: it is missing, cannot be read, or has another size or digest. A file of another size is not read.
+    """
+    path = folder / entry.path
+    if not path.is_file():
+        raise InputError(f"{path} is missing")
+    try:
+        with path.open("rb") as stream:
+            size = stream.seek(0, os.SEEK_END)
+            stream.seek(0)
+            content = bytes(stream.read(entry.bytes)) if size == entry.bytes else b""
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}") from error
+    if hashlib.sha256(content).hexdigest() != entry.sha256:
+        raise InputError(f"{path} is damaged: its digest is not that of the manifest")
+    return content
+
+
+def is_whole(folder: Folder, entry: Entry) -> bool:
+    """Whether a file is as it was written."""
+    try:
+        whole_content(folder, entry)
+    except InputError:
+        return False
+    return True
 
 
 def problems(folder: Folder) -> list[str]:
@@ -101,11 +168,10 @@ def problems(folder: Folder) -> list[str]:
     manifest = read_manifest(folder)
     defects = []
     for entry in manifest.files:
-        path = folder / entry.path
-        if not path.is_file():
-            defects.append(f"{entry.path} is missing")
-        elif size_and_digest(path) != (entry.bytes, entry.sha256):
-            defects.append(f"{entry.path} is damaged: its digest is not that of the manifest")
+        try:
+            whole_content(folder, entry)
+        except InputError as error:
+            defects.append(str(error).removeprefix(f"{folder}/"))
     known = {entry.path for entry in manifest.files}
     present = {f"data/{path.name}" for path in (folder / "data").glob("*")}
     return defects + [f"{name} is foreign: the manifest does not name it" for name in sorted(present - known)]

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset, parameter_names
-from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Manifest
+from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Entry, Manifest, whole_content
 from motor_datasets.remote import Folder
 from motor_datasets.splits import Split
 from motor_env.errors import InputError
@@ -96,11 +96,12 @@ def read_files(folder: Folder, manifest: Manifest, split: str | None = None) -> 
     entries = [entry for entry in manifest.files if entry.split in wanted]
     if not entries:
         raise InputError(f"{folder} holds no case of split {split}")
-    tables = [_read_table(folder / entry.path) for entry in entries]
-    rows = sum(len(table) for table in tables)
     recipe = manifest.recipe
     if split is not None and split.startswith("shift_"):
         recipe = recipe.shifted(split.removeprefix("shift_"))
+    schema = _schema(recipe, manifest.seed)
+    tables = [_read_table(folder, entry, schema) for entry in entries]
+    rows = sum(len(table) for table in tables)
     X = np.empty((rows, len(recipe.sensor.channels), recipe.timing.n_samples), dtype=np.float32)
     labels = pa.concat_tables(
         table.drop_columns([COLUMN_OF_CHANNEL[c] for c in recipe.sensor.channels]) for table in tables
@@ -131,11 +132,12 @@ def _column(table: pa.Table, name: str) -> NDArray[Any]:
     return values
 
 
-def _read_table(path: Folder) -> pa.Table:
-    if not path.is_file():
-        raise InputError(f"{path} is missing")
+def _read_table(folder: Folder, entry: Entry, schema: pa.Schema) -> pa.Table:
+    path = folder / entry.path
     try:
-        with path.open("rb") as stream:
-            return pq.read_table(stream)
-    except pa.ArrowInvalid as error:
+        file = pq.ParquetFile(pa.BufferReader(whole_content(folder, entry)))
+        if file.metadata.num_rows != entry.rows or not file.schema_arrow.equals(schema):
+            raise InputError(f"{path} holds other rows or columns than its manifest and recipe say")
+        return file.read()
+    except (pa.ArrowException, OSError) as error:
         raise InputError(f"{path} cannot be read: {error}") from error

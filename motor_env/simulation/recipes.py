@@ -195,6 +195,11 @@ class Recipe:
             len(set(names)) == len(names),
             f"classes of recipe {self.name} must differ, got {', '.join(names)}",
         )
+        shifts = [shift.name for shift in self.shifts]
+        require(
+            len(set(shifts)) == len(shifts),
+            f"shifts of recipe {self.name} must differ, got {', '.join(shifts)}",
+        )
         require(
             any(fault_class.weight > 0.0 for fault_class in self.classes),
             f"weights of recipe {self.name} must not all be 0",

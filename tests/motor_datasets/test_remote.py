@@ -104,7 +104,7 @@ def test_the_manifest_is_put_last(url: str, monkeypatch: pytest.MonkeyPatch) -> 
     names = [path.partition("/set/")[2] for path in put]
     assert names[0] == "unfinished.json"
     assert names[-2:] == ["README.md", "dataset.json"]
-    assert len(names) == 6
+    assert len(set(names)) == 6
     assert "unfinished.json" not in objects_of(url)
 
 

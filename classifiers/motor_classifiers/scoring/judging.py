@@ -6,8 +6,6 @@ import hashlib
 import io
 import json
 import multiprocessing
-import os
-import threading
 import zipfile
 import zlib
 from concurrent.futures import ProcessPoolExecutor
@@ -30,6 +28,7 @@ from motor_env.errors import InputError
 from motor_env.files import replacing
 from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.parameters import FloatArray, require
+from motor_env.processes import end_with_parent
 from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
 
@@ -176,7 +175,7 @@ def judge_apart(name: str, cell: Cell) -> Answer:
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     if "forkserver" in methods:
         context.set_forkserver_preload([__name__])  # imports are paid once, not for every method
-    with ProcessPoolExecutor(1, mp_context=context, initializer=_end_with_parent) as pool:
+    with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
         try:
             return pool.submit(judge, name, cell).result()
         except BrokenProcessPool:
@@ -184,18 +183,6 @@ def judge_apart(name: str, cell: Cell) -> Answer:
         except (ValueError, np.linalg.LinAlgError) as error:
             reason = str(error)
     raise InputError(f"{name} on {cell.title}: {reason}")
-
-
-def _end_with_parent() -> None:
-    """When the run is killed, its method does not go on alone."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-
-        def watch() -> None:
-            parent.join()
-            os._exit(1)
-
-        threading.Thread(target=watch, daemon=True).start()
 
 
 def posterior(cell: Cell) -> Answer:
