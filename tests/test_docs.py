@@ -1,0 +1,118 @@
+"""The documentation holds: its Python runs, its commands run, its links and pictures are there.
+
+Everything that a page shows as Python runs, block after block in one process, in a folder that holds `examples/`.
+Commands run where `<!-- run -->` stands above their block. A block below `<!-- not run: reason -->` is left out, and a
+page with `<!-- long -->` is run by `make test-long`.
+"""
+
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted(page for page in DOCS.rglob("*.md") if "_build" not in page.parts)
+FENCE = re.compile(
+    r"^(?:<!-- (?P<mark>[^>\n]*) -->\n\n?)?^```(?P<language>\w*)\n(?P<code>.*?)^```$",
+    re.MULTILINE | re.DOTALL,
+)
+LINK = re.compile(r"!?\[[^\]]*\]\((?!https?:|mailto:)([^)\s]*)\)")
+HAS_OWN_TEST = {DOCS / "new-fault.md"}  # tests/test_new_fault.py: it registers a kind, which must not stay
+
+
+def name(page: Path) -> str:
+    return page.relative_to(DOCS).as_posix()
+
+
+def script(page: Path) -> str:
+    """The page with everything but its Python blanked: a traceback tells the page's own line."""
+    text = page.read_text(encoding="utf-8")
+    lines = [""] * (text.count("\n") + 1)
+    for block in FENCE.finditer(text):
+        if block["language"] == "python" and not (block["mark"] or "").startswith("not run"):
+            first = text.count("\n", 0, block.start("code"))
+            for offset, line in enumerate(block["code"].splitlines()):
+                lines[first + offset] = line
+    return "\n".join(lines).rstrip() + "\n" if any(lines) else ""
+
+
+def commands(page: Path) -> list[str]:
+    """The commands of the blocks that are marked to be run, continued lines joined."""
+    blocks = FENCE.finditer(page.read_text(encoding="utf-8"))
+    text = "\n".join(
+        block["code"]
+        for block in blocks
+        if block["mark"] == "run" and block["language"] in ("console", "bash")
+    )
+    lines = text.replace("\\\n", " ").splitlines()
+    return [line.removeprefix("$ ").split("  #")[0].strip() for line in lines if line.startswith("$ motor-")]
+
+
+def is_long(page: Path) -> bool:
+    return "<!-- long -->" in page.read_text(encoding="utf-8")
+
+
+def parameters(pages: list[Path]) -> list[object]:
+    return [pytest.param(page, id=name(page), marks=[pytest.mark.long] * is_long(page)) for page in pages]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder beside the examples, as the working directory."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("page", parameters([page for page in PAGES if commands(page) or script(page)]))
+def test_page_runs(page: Path, folder: Path) -> None:
+    for command in commands(page):
+        program, *arguments = shlex.split(command)
+        done = subprocess.run(
+            [sys.executable, "-m", program.replace("-", "_"), *arguments],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+        # 1 says that a fault was found: the example motor has one.
+        assert done.returncode in (0, 1), f"{command}\n{done.stdout}{done.stderr}"
+        assert done.stdout, command
+    if page not in HAS_OWN_TEST and (code := script(page)):
+        path = folder / (page.stem.replace("-", "_") + "_page.py")
+        path.write_text(code, encoding="utf-8")
+        runpy.run_path(str(path))
+        plt.close("all")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_and_pictures_exist(page: Path) -> None:
+    text = re.sub(r"```.*?```|`[^`\n]*`|\$[^$\n]*\$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    targets = [link.split("#")[0] for link in LINK.findall(text)]
+    assert [target for target in targets if target and not (page.parent / target).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_pictures_have_alternative_text(page: Path) -> None:
+    assert re.findall(r"!\[\s*\]\([^)]*\)", page.read_text(encoding="utf-8")) == []
+
+
+def test_index_lists_every_page() -> None:
+    trees = re.findall(
+        r"^```\{toctree\}\n(.*?)^```", (DOCS / "index.md").read_text(encoding="utf-8"), re.M | re.S
+    )
+    listed = [
+        line.strip()
+        for tree in trees
+        for line in tree.splitlines()
+        if line.strip() and not line.startswith(":")
+    ]
+    assert sorted(listed) == sorted(name(page).removesuffix(".md") for page in PAGES if page.stem != "index")
