@@ -92,7 +92,7 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         self._scope = Scope(self.setup) if render_mode is not None else None
         self._window: Any = None
         self._over = True
-        self._part_names = reward_parts(options)
+        self._moves_voltage = options.moves_voltage
         self._samples, self._n_observed = options.samples_per_step, len(self.setup.chosen)
 
     def _actions(self) -> spaces.Space[Any]:
@@ -150,8 +150,14 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
             if self._over:
                 self._scope.verdict, self._scope.good = self._verdict(declared)
             self._show()
-        info = {**self._truth, "fault_active": fault_active}
-        info.update(zip(self._part_names, parts, strict=False))
+        info = {
+            **self._truth,
+            "fault_active": fault_active,
+            "reward_verdict": parts[0],
+            "reward_delay": parts[1],
+        }
+        if self._moves_voltage:
+            info["reward_probe"], info["reward_energy"] = parts[2], parts[3]
         return observation, reward, self._over, False, info
 
     def _verdict(self, declared: int) -> tuple[str, bool]:

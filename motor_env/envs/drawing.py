@@ -33,7 +33,9 @@ from motor_env.envs.lanes import (
     CASE_LOW,
     CLASS_INDEX,
     CLASS_LENGTH,
+    DRAWN_LENGTH,
     FACTORS,
+    N_LEVELS,
     N_PRIOR,
     RUNNING_ONSET,
     SEED_HIGH,
@@ -131,7 +133,7 @@ def _fused(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _factor(power: float, loses: float, severity: float) -> float:
     """What a fault multiplies a quantity by: `FaultKind.factor`."""
     if power == 0.0:
@@ -141,30 +143,24 @@ def _factor(power: float, loses: float, severity: float) -> float:
     return size if loses > 0.0 or power > 0.0 else 1.0 / size
 
 
-@njit(cache=True, error_model="numpy")
-def motor_row(task: TaskNumbers, which: int, drawn: FloatArray, share: float, row: FloatArray) -> None:
+@njit(cache=True, forceinline=True, error_model="numpy")
+def motor_row(p: FloatArray, c: FloatArray, drawn: FloatArray, share: float, row: FloatArray) -> None:
     """The motor of a class at a share of its fault's severity, as its difference to the belief's: the kernel's row.
 
     Args:
-        task: the task.
-        which: class.
+        p: prior of the task.
+        c: row of the class.
         drawn: severity and factors.
         share: of the severity, 0 to 1.
         row: written, shape (ROW_LENGTH,).
     """
-    p, c = task.prior, task.classes[which]
-    supply, resistance, constants, inertia, friction = (
-        drawn[FACTORS],
-        drawn[FACTORS + 1],
-        drawn[FACTORS + 2],
-        drawn[FACTORS + 3],
-        drawn[FACTORS + 4],
-    )
-    values = (p[R] * resistance, p[L], p[KE] * constants, p[KT] * constants, p[J] * inertia, p[B] * friction)
-    severity, scaled = drawn[SEVERITY] * share, np.empty(6)
-    for m in range(6):
-        scaled[m] = values[m] * _factor(c[POWERS + m], c[LOSES], severity)
-    ohm, henry, back_emf, torque, moment, drag = scaled
+    severity, loses, supply, constants = drawn[SEVERITY] * share, c[LOSES], drawn[FACTORS], drawn[FACTORS + 2]
+    ohm = p[R] * drawn[FACTORS + 1] * _factor(c[POWERS], loses, severity)
+    henry = p[L] * _factor(c[POWERS + 1], loses, severity)
+    back_emf = p[KE] * constants * _factor(c[POWERS + 2], loses, severity)
+    torque = p[KT] * constants * _factor(c[POWERS + 3], loses, severity)
+    moment = p[J] * drawn[FACTORS + 3] * _factor(c[POWERS + 4], loses, severity)
+    drag = p[B] * drawn[FACTORS + 4] * _factor(c[POWERS + 5], loses, severity)
     dt = p[DT]
     a, phi = exponential_and_phi(
         -ohm / henry * dt, -back_emf / henry * dt, torque / moment * dt, -drag / moment * dt
@@ -179,7 +175,7 @@ def motor_row(task: TaskNumbers, which: int, drawn: FloatArray, share: float, ro
         moved = _fused(a[2 * m], rest_0, a[2 * m + 1] * rest_1)
         row[4 + m] = moved + gain * volts + load_gain * p[LOAD] - p[REST + m]
         row[6 + m] = gain * supply - p[BELIEF_B + m]
-    noise = np.sqrt(_factor(c[NOISE_POWER], c[LOSES], severity))
+    noise = np.sqrt(_factor(c[NOISE_POWER], loses, severity))
     row[SIGMA_CURRENT], row[SIGMA_SPEED] = noise * p[STD], noise * p[STD + 1]
 
 
@@ -192,11 +188,11 @@ def motor_table(task: TaskNumbers) -> FloatArray:
     for which in range(n_classes):
         drawn[SEVERITY] = task.classes[which, SEVERITY_FROM]
         for level in range(n_levels + 1):
-            motor_row(task, which, drawn, level / n_levels, table[which, level])
+            motor_row(task.prior, task.classes[which], drawn, level / n_levels, table[which, level])
     return table
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def set_motor(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, level: int) -> None:
     """Let lane j of a block, lane n of all, have the motor at a level of its fault."""
     which = lanes.marks[CLASS_INDEX, n]
@@ -204,13 +200,11 @@ def set_motor(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, le
         for f in range(ROW_LENGTH):
             s[j + f * LANES] = task.motors[which, level, f]
     else:
-        row = np.empty(ROW_LENGTH)
-        motor_row(task, which, lanes.drawn[n], level / task.prior[2], row)
-        for f in range(ROW_LENGTH):
-            s[j + f * LANES] = row[f]
+        row = s[j : j + ROW_LENGTH * LANES : LANES]
+        motor_row(task.prior, task.classes[which], lanes.drawn[n], level / task.prior[N_LEVELS], row)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _uniform(stream: np.uint32, words: WordArray, n: int, case: np.uint64, number: int) -> float:
     """Uniform number of a case in (0, 1), as `random_streams.uniforms`."""
     four = philox(
@@ -224,11 +218,11 @@ def _uniform(stream: np.uint32, words: WordArray, n: int, case: np.uint64, numbe
     return float((float(four[number & 3]) + 0.5) * 2.0**-32)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _draw_factors(
     task: TaskNumbers, words: WordArray, n: int, case: np.uint64, motor: np.uint64, out: FloatArray
 ) -> None:
-    """The five nuisance factors, in the order of `recipes.FACTORS`: supply first."""
+    """The five nuisance factors into `drawn`, in the order of `recipes.FACTORS`: supply first."""
     p = task.prior
     low, high, k0, k1 = (
         np.uint32(motor & _LOW),
@@ -237,16 +231,19 @@ def _draw_factors(
         words[SEED_HIGH, n],
     )
     a, b, c, d = philox(np.uint32(0), _MOTOR, low, high, k0, k1)
-    out[1] = 1.0 + p[SPREAD + 1] * float(box_muller(a, b)[1])
+    out[FACTORS + 1] = 1.0 + p[SPREAD + 1] * float(box_muller(a, b)[1])
     two = box_muller(c, d)
-    out[2], out[3] = 1.0 + p[SPREAD + 2] * float(two[0]), 1.0 + p[SPREAD + 3] * float(two[1])
+    out[FACTORS + 2], out[FACTORS + 3] = (
+        1.0 + p[SPREAD + 2] * float(two[0]),
+        1.0 + p[SPREAD + 3] * float(two[1]),
+    )
     a, b, c, d = philox(np.uint32(1), _MOTOR, low, high, k0, k1)
-    out[4] = 1.0 + p[SPREAD + 4] * float(box_muller(a, b)[0])
+    out[FACTORS + 4] = 1.0 + p[SPREAD + 4] * float(box_muller(a, b)[0])
     a, b, c, d = philox(np.uint32(0), _SUPPLY, np.uint32(case & _LOW), np.uint32(case >> _WORD), k0, k1)
-    out[0] = 1.0 + p[SPREAD] * float(box_muller(a, b)[0])
+    out[FACTORS] = 1.0 + p[SPREAD] * float(box_muller(a, b)[0])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
     """Draw the episode that the words of lane n name, into its marks and `drawn`; its onset, NEVER without a fault."""
     p, words, drawn = task.prior, lanes.words, lanes.drawn[n]
@@ -266,9 +263,10 @@ def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
         u = _uniform(_SEVERITY, words, n, motor, int(c[KIND_INDEX]))
         drawn[SEVERITY] += (c[SEVERITY_TO] - c[SEVERITY_FROM]) * u
     if p[IS_KNOWN] > 0.0:
-        drawn[FACTORS:] = 1.0
+        for m in range(FACTORS, DRAWN_LENGTH):  # a slice would cost more than the draw
+            drawn[m] = 1.0
     else:
-        _draw_factors(task, words, n, case, motor, drawn[FACTORS:])
+        _draw_factors(task, words, n, case, motor, drawn)
     onset = NEVER
     if c[VERDICT] > 0.0:
         onset = p[EARLIEST]
@@ -279,7 +277,7 @@ def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
     return onset
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def begin_state(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int) -> None:
     """Let lane j of a block, lane n of all, take the initial state of the episode drawn for it."""
     p, drawn = task.prior, lanes.drawn[n]

@@ -99,7 +99,7 @@ def pack_task(task: TaskNumbers) -> TaskArrays:
     return np.concatenate(parts).astype(precision), np.concatenate([task.prior, task.classes.ravel()])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def unpack_task(numbers: FloatArray, prior: FloatArray) -> TaskNumbers:
     """The task of `pack_task`."""
     n_classes, n_observed, n_motors = int(prior[N_CLASSES]), int(prior[N_OBSERVED]), int(prior[N_LEVELS]) + 1
@@ -129,7 +129,7 @@ def empty_lanes(blocks: int, lanes: int, precision: str) -> LaneArrays:
     return state, words, marks, flags, np.zeros((lanes, DRAWN_LENGTH))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def unpack_lanes(
     state: FloatArray, words: WordArray, marks: MarkArray, flags: BoolArray, drawn: FloatArray
 ) -> Lanes:

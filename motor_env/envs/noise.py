@@ -29,7 +29,7 @@ def case_of(index: NDArray[np.int64], episode: NDArray[np.int64]) -> NDArray[np.
     return cases
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def four_normals(group: int, words: WordArray, n: int) -> tuple[np.float32, ...]:
     """Normals 4 group .. 4 group + 3 of the episode that lane n of all runs."""
     a, b, c, d = philox(
@@ -45,7 +45,7 @@ def four_normals(group: int, words: WordArray, n: int) -> tuple[np.float32, ...]
     return n0, n1, n2, n3
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def begin_noise(s: FloatArray, words: WordArray, n: int, row: int, channels: int) -> tuple[np.float32, ...]:
     """What a new episode of lane n of all finds in the rows from `row` on; the first four normals of the episode.
 

@@ -126,7 +126,7 @@ def _step_block(
     return row
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _begin_lane(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: int) -> None:
     """Let lane j of a block, lane n of all, begin its next episode; its noise goes on at that row."""
     lanes.words[CASE_LOW, n] += np.uint32(1)
@@ -210,19 +210,20 @@ def _split_cost(s: FloatArray, p: Constants, samples: int, parts: FloatArray, fi
             energy[j] = rest if p[kernel.ENERGY_COST] > 0.0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _settle(
     s: FloatArray, j: int, p: Constants, samples: int, declared: int, parts: FloatArray, n: int
 ) -> float:
     """The last reward of lane j of a block, lane n of all; of its parts the verdict, and no others if it declares."""
     verdict = settle(s, j, p, samples, declared)
     if declared > 0:
-        parts[:, n] = 0.0
+        for m in range(parts.shape[0]):
+            parts[m, n] = 0.0
     parts[0, n] = verdict
     return verdict if declared > 0 else float(verdict - s[j + kernel.COST * LANES])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _finish_block(
     s: FloatArray,
     p: Constants,
@@ -243,7 +244,8 @@ def _finish_block(
         if next_step and lanes.flags[TERMINATED, n]:
             _begin_lane(s, j, task, lanes, n, row)
             reward[n] = 0.0
-            parts[:, n] = 0.0
+            for m in range(parts.shape[0]):
+                parts[m, n] = 0.0
         elif lanes.marks[DECLARED, n] > 0 or s[j + kernel.SAMPLE * LANES] >= p[kernel.HORIZON]:
             reward[n] = _settle(s, j, p, samples, lanes.marks[DECLARED, n], parts, n)
             lanes.flags[TERMINATED, n] = True
@@ -251,7 +253,7 @@ def _finish_block(
     return n_over
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def lay_discrete(lanes: Lanes, actions: NDArray[np.int64], offsets_v: FloatArray, n_offsets: int) -> bool:
     """Lay offset and declaration of each action into the lanes; False if an action does not exist.
 
@@ -270,7 +272,7 @@ def lay_discrete(lanes: Lanes, actions: NDArray[np.int64], offsets_v: FloatArray
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def decode_continuous(action: FloatArray, reach_v: float) -> tuple[float, int]:
     """Offset of the voltage, and declaration, of an action (offset, then one entry a kind), clipped to -1 .. 1."""
     best, declared = DECLARE_ABOVE, 0
@@ -281,7 +283,7 @@ def decode_continuous(action: FloatArray, reach_v: float) -> tuple[float, int]:
     return (0.0 if declared > 0 else offset), declared
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _step_lanes(
     task: TaskNumbers,
     lanes: Lanes,
