@@ -66,7 +66,7 @@ class StartMeasurement(Measurement):
         ripple_periods_per_turn: Periods of the current's commutation ripple in a turn, for the true speed, K, J and B.
     """
 
-    start: int | None = None
+    start: console.Whole | None = None
     ripple_periods_per_turn: float | None = None
 
 
@@ -172,7 +172,7 @@ def trend(
     level: float = 0.9,
     voltage: float | None = None,
     date: Literal["name", "modified"] = "name",
-    reference_count: int = 3,
+    reference_count: console.Whole = 3,
     out: Path = Path("out/trend.html"),
     json_: Json = False,
 ) -> int:
@@ -333,7 +333,7 @@ def warm_up() -> int:
 
 
 @app.command
-def lab(*, port: int = 0, browser: bool = True) -> int:
+def lab(*, port: console.Whole = 0, browser: bool = True) -> int:
     """A page in the browser: faults, noise and motor by sliders, residual, rule and verdict; drop a recording on it.
 
     Example: motor-env lab

@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import IntEnum
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, Parameter, Token
 
 from motor_env.errors import InputError
 
 if TYPE_CHECKING:
     from rich.progress import ProgressColumn
+
+
+def _whole(_: type[int], tokens: Sequence[Token]) -> int:
+    text = tokens[0].value
+    try:
+        return int(text)
+    except ValueError:
+        raise ValueError(f"must be a whole number, got {text!r}") from None
+
+
+Whole = Annotated[int, Parameter(converter=_whole)]
+"""An option's whole number; cyclopts alone would round 1.5 to 2."""
 
 
 class ExitStatus(IntEnum):
@@ -32,17 +46,19 @@ def run(app: App, arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return its exit status.
 
     Bad input becomes one sentence on standard error and status 2; an unexpected error its traceback and status 70.
+    SIGTERM ends it as Ctrl-C does, so that nothing half written stays.
     """
     app.suppress_keyboard_interrupt = False  # otherwise cyclopts exits before anything can be said
     try:
+        _heed_termination()
         status = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
         message = " ".join(str(error).split())
     except (InputError, ValueError, OSError) as error:
         message = _sentence(error)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         print(f"{app.name[0]}: interrupted", file=sys.stderr)
-        return 130
+        return 128 + (interrupt.args[0] if interrupt.args else signal.SIGINT)
     except Exception:  # noqa: BLE001  # a bug, whatever it is, must not end with the exit status of a verdict
         traceback.print_exc()
         return int(ExitStatus.BUG)
@@ -50,6 +66,17 @@ def run(app: App, arguments: Sequence[str] | None = None) -> int:
         return int(status) if isinstance(status, int) else 0
     print(f"{app.name[0]}: {message}", file=sys.stderr)
     return int(ExitStatus.BAD_INPUT)
+
+
+def _heed_termination() -> None:
+    def interrupt(number: int, _: object) -> None:
+        signal.signal(number, signal.SIG_DFL)  # a second one ends at once
+        raise KeyboardInterrupt(number)
+
+    # A handler that somebody else has set stays.
+    is_main = threading.current_thread() is threading.main_thread()
+    if is_main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, interrupt)
 
 
 def _sentence(error: Exception) -> str:

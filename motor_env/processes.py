@@ -5,15 +5,22 @@ from __future__ import annotations
 import multiprocessing
 import os
 import threading
+import time
 
 
 def end_with_parent() -> None:
     """For the start of a worker: it ends when its parent ends, however that was killed."""
     parent = multiprocessing.parent_process()
     if parent is not None:
+        asked_by = os.getppid()
+        sentinel: int | None = getattr(parent, "sentinel", None)
 
         def watch() -> None:
-            parent.join()
+            # Workers of joblib have no sentinel to wait for; those of a fork server have another process above them.
+            while sentinel is None and os.getppid() == asked_by:
+                time.sleep(0.2)
+            if sentinel is not None:
+                parent.join()
             os._exit(1)
 
         threading.Thread(target=watch, daemon=True).start()

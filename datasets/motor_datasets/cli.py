@@ -25,8 +25,8 @@ def generate(
     recipe: str,
     /,
     *,
-    cases: int,
-    seed: int,
+    cases: console.Whole,
+    seed: console.Whole,
     out: str,
     sampling_rate_hz: float | None = None,
     duration_s: float | None = None,
@@ -34,7 +34,7 @@ def generate(
     current_noise_a: float | None = None,
     channels: str | None = None,
     motor: str | None = None,
-    workers: int = 1,
+    workers: console.Whole = 1,
     backend: str | None = None,
     scheduler: str | None = None,
     resume: Flag = False,
@@ -143,7 +143,7 @@ def verify(folder: str, /, *, json_: Annotated[bool, Parameter(name="--json", ne
 
 
 @app.command
-def describe(recipe: str, /, *, picture: Path | None = None, seed: int = 0) -> int:
+def describe(recipe: str, /, *, picture: Path | None = None, seed: console.Whole = 0) -> int:
     """Print what a recipe, or the recipe of a data set, samples, and draw a sheet of examples.
 
     Example: motor-datasets describe field --picture out/field.png

@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 from cyclopts import App
 
+from motor_classifiers.cli import main as classifiers_cli
+from motor_datasets import cli as datasets_cli
 from motor_env import cli, console
 from motor_env.console import ExitStatus
 from motor_env.errors import InputError, require_extra
@@ -50,6 +52,33 @@ def test_wrong_use_is_one_sentence(arguments: list[str], capsys: pytest.CaptureF
     assert captured.out == ""
     assert captured.err.startswith("tool: ")
     assert captured.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("number", ["1.5", "2.7", "1e3", "nan", "0.0", "9" * 5000])
+def test_whole_numbers_are_not_rounded(number: str, capsys: pytest.CaptureFixture[str]) -> None:
+    commands = [
+        (datasets_cli.main, ["generate", "bench", "--cases", "3", "--out", "x", "--seed", number]),
+        (datasets_cli.main, ["generate", "bench", "--cases", number, "--out", "x", "--seed", "1"]),
+        (cli.main, ["lab", "--no-browser", "--port", number]),
+        (cli.main, ["diagnose", "x.csv", "--start", number]),
+        (classifiers_cli.main, ["benchmark", "--dry-run", "--seed", number]),
+    ]
+    for main, arguments in commands:
+        assert main(arguments) == ExitStatus.BAD_INPUT
+        said = capsys.readouterr().err
+        assert "must be a whole number" in said
+        assert said.count("\n") == 1
+    assert classifiers_cli.main(["benchmark", "--dry-run", "--n-train", "100.5"]) == ExitStatus.BAD_INPUT
+
+
+@pytest.mark.parametrize("cases", [10**12, 10**18])
+def test_more_cases_than_files_can_be_named_are_refused_at_once(
+    cases: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for more in ([], ["--dry-run"]):
+        command = ["generate", "bench", "--cases", str(cases), "--seed", "1", "--out", "x", *more]
+        assert datasets_cli.main(command) == ExitStatus.BAD_INPUT
+        assert "cases must" in capsys.readouterr().err
 
 
 def test_a_bug_is_neither_bad_input_nor_a_fault(capsys: pytest.CaptureFixture[str]) -> None:

@@ -45,8 +45,8 @@ def train(
     duration_s: float | None = None,
     current_noise_a: float | None = None,
     noise_range: str | None = None,
-    steps: int | None = None,
-    seed: int = 0,
+    steps: console.Whole | None = None,
+    seed: console.Whole = 0,
     json_: Json = False,
 ) -> int:
     """Train a network for a motor or a recipe on starts drawn without end, or a method on a data set.
@@ -107,7 +107,9 @@ def train(
 
 
 @app.command
-def evaluate(model: Path, dataset: str, /, *, split: str = "test", seed: int = 0, json_: Json = False) -> int:
+def evaluate(
+    model: Path, dataset: str, /, *, split: str = "test", seed: console.Whole = 0, json_: Json = False
+) -> int:
     """Judge a model on a split of a data set, beside the Bayes limit on the same cases.
 
     Example: motor-classifiers evaluate out/network.model out/bench
@@ -230,8 +232,8 @@ def benchmark(
     current_noise_a: str | None = None,
     n_train: str | None = None,
     methods: str | None = None,
-    n_test: int = 2000,
-    seed: int = 0,
+    n_test: console.Whole = 2000,
+    seed: console.Whole = 0,
     duration_s: float | None = None,
     channels: str | None = None,
     peers: Path | None = None,
@@ -266,7 +268,7 @@ def benchmark(
         json_: Print what stands in results.json.
     """
     _require_extras()
-    from motor_classifiers.cli.options import numbers, require_writable
+    from motor_classifiers.cli.options import numbers, require_writable, whole_numbers
     from motor_classifiers.cli.sweep import FULL_SWEEP, plan_lines, run_with_progress, table_lines
     from motor_classifiers.estimators.methods import METHODS
     from motor_classifiers.report.page import write_results
@@ -283,7 +285,7 @@ def benchmark(
         [changed_recipe(named_recipe(name), duration_s=duration_s, channels=measured) for name in names],
         rates_hz=numbers("sampling-rate-hz", sampling_rate_hz or usual.get("sampling_rate_hz")),
         noises_a=numbers("current-noise-a", current_noise_a or usual.get("current_noise_a")),
-        train_sizes=[int(n) for n in numbers("n-train", n_train or usual.get("n_train", "2000"))],
+        train_sizes=whole_numbers("n-train", n_train or usual.get("n_train", "2000")),
         n_test=n_test,
         seed=seed,
     )

@@ -25,6 +25,14 @@ def numbers(option: str, text: str | None) -> tuple[float, ...]:
     return values
 
 
+def whole_numbers(option: str, text: str) -> list[int]:
+    """The same, without fractions."""
+    values = numbers(option, text)
+    if not all(value.is_integer() for value in values):
+        raise InputError(f"--{option} must be whole numbers, got {text!r}")
+    return list(map(int, values))
+
+
 def require_writable(out: Path) -> None:
     """Fail before the work, not after it.
 
