@@ -120,6 +120,8 @@ def diagnose(
 
     Example: motor-env diagnose examples/startup_capture.csv --motor examples/motor.toml
 
+    A motor that was commissioned with --window is judged by windows of its logs.
+
     Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
 
     Args:
@@ -135,9 +137,19 @@ def diagnose(
     """
     from rich.console import Console
 
-    from motor_env.diagnosis import report
+    from motor_env.diagnosis import report, running
     from motor_env.diagnosis.files import diagnose_files
+    from motor_env.motor.data_sheet import load_motor
 
+    known = None if motor is None else load_motor(motor)
+    if known is not None and known.operation is not None:
+        columns = measurement.options["columns"]
+        records = running.diagnose_running(files, known, columns, false_alarm_rate, out)
+        if json_:
+            print(json.dumps([record.as_json() for record in records], ensure_ascii=False, indent=1))
+        else:
+            print("\n".join(record.as_text() for record in records))
+        return running.exit_status(records)
     with Console(stderr=True).status("reading") as status:
         outcomes = diagnose_files(
             files,
@@ -286,6 +298,7 @@ def commission(
     out: Path | None = None,
     measurement: Measurement = _MEASUREMENT,
     temperature_c: float | None = None,
+    window: float | None = None,
     name: str = "commissioned motor",
 ) -> int:
     """Learn a motor from three or more healthy starts, for `motor-env diagnose --motor`.
@@ -299,13 +312,21 @@ def commission(
         out: Folder for the picture: starts, fits, residuals and the spread of each quantity.
         measurement: How they were measured.
         temperature_c: Temperature of the motor at these starts, where known.
+        window: Length in seconds of the windows into which logs of the motor at work are cut, instead of starts.
         name: Name of the motor in that file.
     """
-    from motor_env.diagnosis import commission as steps
+    from motor_env.diagnosis import commission as steps, running
     from motor_env.motor.data_sheet import save_motor
 
     if not 0.0 < false_alarm_rate < 0.5:
         raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
+    if window is not None:
+        known = running.commission_running(files, measurement.options["columns"], window, name)
+        save_motor(known, output)
+        if known.operation is not None:
+            print(running.commissioned_text(known.operation, false_alarm_rate))
+        print(f"written: {output}")
+        return 0
     result = steps.commission(
         files, name, false_alarm_rate=false_alarm_rate, temperature_c=temperature_c, **measurement.options
     )

@@ -151,6 +151,37 @@ class StartReference:
         )
 
 
+@dataclass(frozen=True)
+class WindowReference:
+    """What windows of a healthy motor at work have taught: R, K, J and the drag of the next window.
+
+    Attributes:
+        windows: number of windows.
+        window_s: their length.
+        degrees_of_freedom: of the spread below (Student t); it counts the windows and the prior.
+        values: geometric means of R, K, J, SI, and of the factor on the friction, shape (4,).
+        log_covariance: covariance of the logarithms of the *next* window's values about these, shape (4, 4).
+        terms: of the joint fit, see `motor_env.operation.terms`.
+        physical: values of the joint fit, in the order of `motor_env.operation.kernel`.
+        hold: what the voltage does between two samples.
+        dt_s: sampling interval of the fit.
+        rms_volts: least and largest effective voltage of a window.
+        temperature_k: how much warmer or colder a healthy motor may be, one standard deviation.
+    """
+
+    windows: Annotated[int, Field(ge=1)]
+    window_s: Positive
+    degrees_of_freedom: Positive
+    values: Annotated[FloatArray, ArrayOf(tuple[Positive, ...])]
+    log_covariance: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
+    terms: tuple[str, ...]
+    physical: Annotated[FloatArray, ArrayOf(tuple[Finite, ...])]
+    hold: Literal["held", "straight", "late"]
+    dt_s: Positive
+    rms_volts: tuple[Positive, Positive]
+    temperature_k: NotNegative = 15.0
+
+
 @dataclass(frozen=True, slots=True)
 class MotorFile:
     """A motor as its file describes it.
@@ -167,6 +198,7 @@ class MotorFile:
         brush_drop_v: voltage drop of the brushes.
         reference: what commissioning learned, for a commissioned motor.
         notes: sentences for the reader of the file.
+        operation: what commissioning learned from windows of the motor at work.
     """
 
     name: str
@@ -180,6 +212,7 @@ class MotorFile:
     brush_drop_v: float = 0.0
     reference: StartReference | None = None
     notes: tuple[str, ...] = ()
+    operation: WindowReference | None = None
 
 
 @dataclass(frozen=True)
@@ -193,6 +226,7 @@ class _File:
     tolerance: Tolerance = field(default_factory=Tolerance)
     sensor: _SensorTable = field(default_factory=_SensorTable)
     reference: StartReference | None = None
+    operation: WindowReference | None = None
 
     __pydantic_config__: ClassVar = {"extra": "forbid"}  # for the tables too
 
@@ -239,6 +273,7 @@ def _to_motor(file: _File) -> MotorFile:
         coulomb_friction_n_m=si.get("coulomb_friction_n_m", 0.0),
         brush_drop_v=si.get("brush_drop_v", 0.0),
         reference=file.reference,
+        operation=file.operation,
         notes=file.notes,
     )
 
@@ -299,4 +334,6 @@ def to_toml(motor: MotorFile) -> str:
     }
     if motor.reference is not None:
         tables["reference"] = content["reference"]
+    if motor.operation is not None:
+        tables["operation"] = content["operation"]
     return toml_text(top, tables)

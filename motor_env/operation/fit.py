@@ -50,6 +50,8 @@ class Problem:
         values = self.known.copy()
         for term, one in zip(self.free, theta, strict=True):
             values[term.place] = term.value(one)
+        if values[kernel.DRAG] > 0.0:
+            values[[kernel.B, kernel.COULOMB]] *= values[kernel.DRAG]
         values[kernel.L] = math.hypot(values[kernel.L], _LEAST_LAG * values[kernel.R] * self.record.dt_s)
         return values
 
@@ -338,7 +340,7 @@ def score_tests(best: Solution, every: dict[str, Term]) -> dict[str, ScoreTest]:
     variance = float(base @ base) / best.problem.count
     inverse = np.linalg.pinv(jacobian)
     found = {}
-    for name in candidates(best):
+    for name in (name for name in candidates(best) if name in every):
         problem = best.problem.with_terms([every[name]])
         theta = np.append(best.theta, 0.0)
         column = np.delete(problem.column(theta, len(best.theta), np.append(base, 0.0)), len(base))

@@ -21,7 +21,9 @@ from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, M
 """Places in the vector of physical values, SI."""
 (NOISE_I, NOISE_W, NOISE_V, WALK) = range(16, 20)
 """Places of the noise: standard deviations of a sample of current, speed and voltage; of the load in a second."""
-N_VALUES = 20
+DRAG = 20
+"""Place of a factor on the friction, where it is fitted as a whole; 0 for none."""
+N_VALUES = 21
 BEGIN, OPEN = 1.0, 2.0
 """Marks of a sample: the first of a recording; an open circuit."""
 _PARTS = 16

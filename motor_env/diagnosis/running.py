@@ -1,0 +1,179 @@
+"""Files of a running motor: `commission --window` and `diagnose` with a motor commissioned by windows."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from motor_env.console import ExitStatus
+from motor_env.diagnosis.windows import NAMES, WindowVerdict, judge_windows, learn_windows
+from motor_env.errors import InputError
+from motor_env.motor.data_sheet import MotorFile, WindowReference
+from motor_env.motor.parameters import MotorParameters
+from motor_env.operation import kernel
+from motor_env.plotting import COLOUR, drawing, save, subplots
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.headers import ColumnChoice
+from motor_env.recordings.recording import read_recording
+
+_SHOWN = {"R": "R", "K": "K", "J": "J", "B": "friction"}
+
+
+@dataclass(frozen=True, slots=True)
+class RunningRecord:
+    """One log of a running motor: its windows, or the sentence why it cannot be judged."""
+
+    path: Path
+    windows: tuple[WindowVerdict, ...]
+    trouble: str = ""
+    unreadable: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """Of the record as a whole: the most frequent alarm of its windows."""
+        if self.trouble:
+            return "unusable"
+        alarms = Counter(w.verdict for w in self.windows if w.verdict not in ("healthy", "unusable"))
+        if alarms:
+            return alarms.most_common(1)[0][0]
+        judged = any(w.verdict == "healthy" for w in self.windows)
+        return "healthy" if judged else "unusable"
+
+    def as_text(self) -> str:
+        """A line for the record and one for each window."""
+        lines = [f"{self.path}: {self.verdict}" + (f" ({self.trouble})" if self.trouble else "")]
+        for window in self.windows:
+            moved = ", ".join(f"{_SHOWN[c.name]} {c.ratio - 1.0:+.1%}" for c in window.changes)
+            lines.append(f"  from {window.begin_s:.6g} s: {window.verdict}; {moved}")
+        return "\n".join(lines)
+
+    def as_json(self) -> dict[str, Any]:
+        """The same as one object."""
+        return {
+            "file": str(self.path),
+            "verdict": self.verdict,
+            "reason": self.trouble or None,
+            "windows": [
+                {
+                    "begin_s": window.begin_s,
+                    "verdict": window.verdict,
+                    "changes": {
+                        _SHOWN[c.name]: {"ratio": c.ratio, "interval": [c.low, c.high]}
+                        for c in window.changes
+                    },
+                }
+                for window in self.windows
+            ],
+        }
+
+    def plot(self, path: Path) -> None:
+        """Each quantity over time with its interval and the alarms.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        windows = [window for window in self.windows if window.changes]
+        if not windows:
+            return
+        time_s = np.array([window.begin_s for window in windows])
+        with drawing():
+            figure, axes = subplots(len(NAMES), height_in=2.0 * len(NAMES))
+            for n, (axis, name) in enumerate(zip(axes, NAMES, strict=True)):
+                changes = [window.changes[n] for window in windows]
+                ratio = np.array([c.ratio for c in changes])
+                band = np.abs(np.array([[c.low, c.high] for c in changes]).T - ratio)
+                for is_alarm, colour in ((False, COLOUR["healthy"]), (True, COLOUR["other"])):
+                    some = np.array([(window.verdict != "healthy") == is_alarm for window in windows])
+                    axis.errorbar(time_s[some], ratio[some], band[:, some], fmt="o", color=colour)
+                axis.axhline(1.0, color=COLOUR["threshold"], linewidth=1.0)
+                axis.set_ylabel(_SHOWN[name])
+            axes[0].set_title(f"{self.path.name}: {self.verdict}")
+            axes[-1].set_xlabel("begin of the window (s)")
+            figure.align_ylabels()
+            save(figure, path)
+
+
+def commission_running(
+    files: Sequence[Path], columns: Sequence[ColumnChoice], window_s: float, name: str
+) -> MotorFile:
+    """Learn a motor from windows of its logs.
+
+    Raises:
+        InputError: a log cannot be read, or they cannot be used.
+    """
+    if not 0.0 < window_s < math.inf:
+        raise InputError(f"window must be > 0, got {window_s:g}")
+    recordings = [read_recording(path, columns) for path in files]
+    try:
+        reference = learn_windows(recordings, window_s)
+    except UnusableError as error:
+        raise InputError(f"the logs cannot be used: {error}") from None
+    v = reference.physical
+    return MotorFile(
+        name=name,
+        kind="commissioned",
+        parameters=MotorParameters(
+            resistance_ohm=float(v[kernel.R]),
+            inductance_h=float(v[kernel.L]),
+            back_emf_constant_v_s_per_rad=float(v[kernel.K]),
+            torque_constant_n_m_per_a=float(v[kernel.K]),
+            inertia_kg_m2=float(v[kernel.J]),
+            viscous_friction_n_m_s_per_rad=float(v[kernel.B]),
+        ),
+        coulomb_friction_n_m=float(v[kernel.COULOMB]),
+        brush_drop_v=float(v[kernel.DROP]),
+        operation=reference,
+    )
+
+
+def commissioned_text(reference: WindowReference, rate: float) -> str:
+    """What was learned, with the interval of the next healthy window."""
+    half = float(stats.t.isf(rate / 2.0, reference.degrees_of_freedom))
+    lines = [
+        f"{reference.windows} healthy windows of {reference.window_s:g} s; the next one lies within ({1 - rate:.0%})"
+    ]
+    for n, name in enumerate(NAMES):
+        width = half * math.sqrt(reference.log_covariance[n, n])
+        value = "" if name == "B" else f" {reference.values[n]:.4g}"
+        lines.append(
+            f"  {_SHOWN[name]:<10}{value} {math.exp(-width) - 1.0:+.1%} to {math.exp(width) - 1.0:+.1%}"
+        )
+    lines.append(f"  and another temperature, by {reference.temperature_k:.0f} K (1 sd), is healthy too")
+    return "\n".join(lines)
+
+
+def diagnose_running(
+    files: Sequence[Path], motor: MotorFile, columns: Sequence[ColumnChoice], rate: float, out: Path | None
+) -> list[RunningRecord]:
+    """Judge logs by windows; one that cannot be read or judged does not stop the others."""
+    records = []
+    for number, path in enumerate(files, 1):
+        try:
+            if motor.operation is None:
+                raise InputError(f"{path}: the motor was not commissioned with --window")
+            record = RunningRecord(
+                path, tuple(judge_windows(read_recording(path, columns), motor.operation, rate))
+            )
+        except (InputError, UnusableError) as error:
+            record = RunningRecord(path, (), str(error), isinstance(error, InputError))
+        if out is not None:
+            record.plot(out / f"{number:03d}-{path.name.replace('.', '-')}.png")
+        records.append(record)
+    return records
+
+
+def exit_status(records: Sequence[RunningRecord]) -> int:
+    """0: all healthy; 1: any fault; 2: a log that cannot be read; 3: no fault, but some undecided."""
+    if any(record.unreadable for record in records):
+        return int(ExitStatus.BAD_INPUT)
+    verdicts = {record.verdict for record in records}
+    if verdicts - {"healthy", "unusable"}:
+        return int(ExitStatus.FAULT)
+    return int(ExitStatus.UNDECIDED if "unusable" in verdicts else ExitStatus.HEALTHY)

@@ -1,0 +1,190 @@
+"""A running motor by windows of its logs: what healthy windows teach, and the verdict on each window and on a record.
+
+All windows are fitted with the terms that the healthy ones were identified with jointly. What windows of one motor
+share is held there: brush drop, inductance, and how the drag divides into viscous and dry friction, so that regimes
+agree. What may change is R, K, J and the whole drag.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from motor_env.diagnosis.explanations import Change, Difference, compare, explain, significance_limit
+from motor_env.motor import identifiable as quantities
+from motor_env.motor.data_sheet import WindowReference
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation import kernel
+from motor_env.operation.fit import Problem, Solution
+from motor_env.operation.identify import Operation, identify_operation
+from motor_env.operation.record import Record, from_recordings
+from motor_env.operation.terms import NOISES, terms
+from motor_env.operation.uncertainty import covariance, motor_places
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import Recording
+
+FEWEST_WINDOWS = 4
+SPREAD_PRIOR, PRIOR_WEIGHT = 0.01, 4.0
+NAMES = ("R", "K", "J", "B")
+_FREE = ("R", "K", "J", "coulomb", "load_constant", "load_square", "offset_current", "offset_speed", *NOISES)
+_REGIME = 2.0
+_EXPONENTS = np.array([[1.0 if name == other else 0.0 for other in quantities.PARAMETERS] for name in NAMES])
+
+
+@dataclass(frozen=True, slots=True)
+class WindowVerdict:
+    """One window: when it begins, what it says, how far R, K, J and the drag lie from the healthy ones."""
+
+    begin_s: float
+    verdict: str
+    changes: tuple[Change, ...]
+
+
+def cut(recording: Recording, window_s: float) -> Iterator[Recording]:
+    """Windows of a recording of equal length, a rest at the end left out."""
+    length = round(window_s / recording.dt_s)
+    for first in range(0, len(recording.time_s) - length + 1, length):
+        some = slice(first, first + length)
+        arrays = {
+            f.name: getattr(recording, f.name)[some]
+            for f in fields(recording)
+            if isinstance(getattr(recording, f.name), np.ndarray)
+        }
+        yield replace(recording, **arrays)
+
+
+def learn_windows(recordings: Sequence[Recording], window_s: float) -> WindowReference:
+    """What windows of a healthy motor at work teach about its next window.
+
+    The spread is that of windows beyond their own errors, with a prior of 1 % on every quantity worth 4 windows.
+
+    Raises:
+        UnusableError: no current and speed, too few windows, or no motor explains them.
+    """
+    parts = [part for recording in recordings for part in cut(recording, window_s)]
+    if len(parts) < FEWEST_WINDOWS:
+        raise UnusableError(f"{len(parts)} windows of {window_s:g} s; at least {FEWEST_WINDOWS} are needed")
+    joint = identify_operation(recordings)
+    if not joint.record.seen.all():
+        raise UnusableError("windows of a running motor are judged only where current and speed tell of it")
+    known = _known(joint)
+    fits = [_window(from_recordings([part]), known, joint) for part in parts]
+    logs, errors = np.array([fit[0] for fit in fits]), np.mean([fit[1] for fit in fits], axis=0)
+    n, centre = len(fits), logs.mean(axis=0)
+    scatter = (logs - centre).T @ (logs - centre)
+    freedom = n - 1 + PRIOR_WEIGHT
+    prior = np.eye(len(NAMES)) * SPREAD_PRIOR**2 + errors
+    volts = [_rms(part) for part in parts]
+    return WindowReference(
+        windows=n,
+        window_s=window_s,
+        degrees_of_freedom=freedom,
+        values=np.exp(centre),
+        log_covariance=(scatter + PRIOR_WEIGHT * prior) / freedom * (1.0 + 1.0 / n),
+        terms=joint.solution.names,
+        physical=known,
+        hold=joint.record.hold,
+        dt_s=joint.record.dt_s,
+        rms_volts=(min(volts), max(volts)),
+    )
+
+
+def judge_windows(recording: Recording, reference: WindowReference, rate: float) -> list[WindowVerdict]:
+    """A verdict on each window; together they alarm in the stated share of healthy records (Bonferroni).
+
+    Raises:
+        UnusableError: the record is outside the commissioned regime, or shorter than a window.
+    """
+    parts = list(cut(recording, reference.window_s))
+    if not parts:
+        raise UnusableError(f"the record is shorter than a window of {reference.window_s:g} s")
+    low, high = reference.rms_volts
+    volts = _rms(recording)
+    if not low / _REGIME <= volts <= high * _REGIME:
+        raise UnusableError(
+            f"outside the commissioned regime: {volts:.3g} V effective, commissioned {low:.3g} to {high:.3g} V"
+        )
+    if not 1.0 / _REGIME <= recording.dt_s / reference.dt_s <= _REGIME:
+        raise UnusableError("outside the commissioned regime: another sampling interval")
+    return [_judged(part, reference, rate / len(parts)) for part in parts]
+
+
+def _judged(part: Recording, reference: WindowReference, rate: float) -> WindowVerdict:
+    warmth = reference.temperature_k * quantities.warmth_direction(_EXPONENTS)
+    try:
+        logs, error = _window(from_recordings([part]), np.asarray(reference.physical), reference)
+    except UnusableError:
+        return WindowVerdict(float(part.time_s[0]), "unusable", ())
+    ratios, freedom = logs - np.log(reference.values), reference.degrees_of_freedom
+    healthy = reference.log_covariance
+    own = healthy + _beyond(healthy, error)
+    difference = Difference(ratios, own + np.outer(warmth, warmth), _EXPONENTS, freedom)
+    limit = significance_limit(rate, _EXPONENTS, freedom)
+    changes = compare(NAMES, ratios, difference.covariance, freedom, limit)
+    alarms = [fault for fault in explain(difference) if fault.z > limit]
+    whole = difference.p_value(difference.squared_distance, len(NAMES)) < rate / 2.0
+    verdict = "healthy"
+    if alarms or whole or any(change.significant for change in changes):
+        fitting = [fault for fault in alarms if fault.p_left_over > rate]
+        best = max(fitting, key=lambda fault: fault.z, default=None)
+        verdict = "other" if best is None else str(best.kind)
+    return WindowVerdict(float(part.time_s[0]), verdict, changes)
+
+
+def _beyond(healthy: FloatArray, error: FloatArray) -> FloatArray:
+    """What the own error of a window is beyond the spread of the healthy ones, which holds theirs."""
+    root = np.linalg.cholesky(healthy)
+    inverse = np.linalg.inv(root)
+    sizes, axes = np.linalg.eigh(inverse @ error @ inverse.T)
+    more = root @ axes * np.sqrt(np.maximum(sizes - 1.0, 0.0))
+    out: FloatArray = more @ more.T
+    return out
+
+
+def _rms(recording: Recording) -> float:
+    return (
+        float(np.sqrt(np.mean(np.square(recording.voltage_v))))
+        if recording.voltage_v is not None
+        else math.nan
+    )
+
+
+def _known(joint: Operation) -> FloatArray:
+    """Physical values of the joint fit, without warmth: each window is taken at its own temperature."""
+    known = joint.solution.values
+    known[[kernel.HEATING, kernel.COOLING]] = 0.0
+    return known
+
+
+def _window(
+    record: Record, known: FloatArray, joint: Operation | WindowReference
+) -> tuple[FloatArray, FloatArray]:
+    """Logarithms of R, K, J and the drag of one window, with their covariance.
+
+    The drag is a factor on the whole friction of the joint fit.
+    """
+    hold = joint.record.hold if isinstance(joint, Operation) else joint.hold
+    wanted = joint.solution.names if isinstance(joint, Operation) else joint.terms
+    record = replace(record, hold=hold)
+    every = terms(record, known)
+    every["drag"] = replace(every["coulomb"], name="drag", place=kernel.DRAG, unit=1.0, low=0.05, high=20.0)
+    names = [name for name in _FREE if name in wanted and name != "coulomb"]
+    free = (*(every[name] for name in names), every["drag"])
+    begin = np.array([_begin(term.place, known, term.unit, is_log=term.is_log) for term in free])
+    problem = Problem(record, known, free)
+    theta, misfit = problem.solve(begin)
+    spread = covariance(Solution(problem, theta, misfit), {})
+    rows = [problem.names[n] for n in motor_places(problem)]
+    places = [rows.index(name) for name in ("R", "K", "J", "drag")]
+    values = problem.values(theta)
+    factor = theta[problem.names.index("drag")]
+    slope = np.diag([1.0, 1.0, 1.0, 1.0 / factor])
+    logs = np.log([values[kernel.R], values[kernel.K], values[kernel.J], factor])
+    return logs, slope @ spread[np.ix_(places, places)] @ slope
+
+
+def _begin(place: int, known: FloatArray, unit: float, *, is_log: bool) -> float:
+    return math.log(max(known[place], 1e-300) / unit) if is_log else float(known[place]) / unit

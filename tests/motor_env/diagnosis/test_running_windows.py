@@ -1,0 +1,58 @@
+"""A running motor judged by windows of its logs."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_env.cli import main
+from motor_env.recordings.recording import Recording
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+from operation_simulator import Motor, draw_motor, simulate
+
+
+def write(path: Path, recording: Recording) -> str:
+    assert recording.voltage_v is not None
+    assert recording.speed_rad_s is not None
+    columns = [recording.time_s, recording.voltage_v, recording.current_a, recording.speed_rad_s]
+    header = "time_s,voltage_v,current_a,speed_rad_s"
+    np.savetxt(path, np.stack(columns, axis=1), delimiter=",", header=header, comments="")
+    return str(path)
+
+
+@pytest.mark.long
+def test_faults_show_in_windows_and_warmth_does_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng([77, 2])
+    motor = draw_motor(rng)
+    dt_s = motor.mechanical_s / 10.0
+
+    def log(name: str, changed: Motor = motor, samples: int = 800, warm_k: float = 0.0) -> str:
+        recording = simulate(changed, "reversals", rng, samples=samples, dt_s=dt_s, warm_k=warm_k)
+        return write(tmp_path / f"{name}.csv", recording)
+
+    toml = str(tmp_path / "motor.toml")
+    healthy = [log("a", samples=1200), log("b", samples=1200)]
+    assert main(["commission", *healthy, "--window", str(300 * dt_s), "-o", toml]) == 0
+    friction = replace(motor, viscous=1.5 * motor.viscous, coulomb=1.5 * motor.coulomb)
+    logs = [
+        log("healthy"),
+        log("warm", warm_k=20.0),
+        log("contact", replace(motor, ohm=1.25 * motor.ohm)),
+        log("friction", friction),
+        log("magnet", replace(motor, constant=0.9 * motor.constant)),
+        write(
+            tmp_path / "weak.csv",
+            simulate(replace(motor, volts=0.1 * motor.volts), "reversals", rng, dt_s=dt_s),
+        ),
+    ]
+    capsys.readouterr()
+    assert main(["diagnose", *logs, "--motor", toml, "--json", "--out", str(tmp_path)]) == 1
+    verdicts = [record["verdict"] for record in json.loads(capsys.readouterr().out)]
+    assert verdicts == ["healthy", "healthy", "winding_contact", "bearing", "magnet", "unusable"]
+    assert (tmp_path / "003-contact-csv.png").exists()
