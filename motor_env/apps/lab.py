@@ -79,7 +79,7 @@ class Settings:
         for name, (low, high) in RANGES.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise InputError(f"{name} must lie in {low:g} .. {high:g}, got {value:g}")
+                raise InputError(f"{name} must lie in {low:g} .. {high:g}, got {str(value)[:40]}")
 
 
 RANGES: dict[str, tuple[float, float]] = {
@@ -105,8 +105,9 @@ def settings_of(document: object) -> Settings:
     for key, value in document.items():
         if key not in known:
             raise InputError(f"settings has an unknown key {str(key)[:40]!r}")
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-        if not (isinstance(value, str) if known[key] == "str" else is_number):
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        # Compared and not converted: a whole number of JSON may be larger than any float.
+        if not (isinstance(value, str) if known[key] == "str" else is_number and abs(value) < math.inf):
             raise InputError(f"{key} must be a {'text' if known[key] == 'str' else 'finite number'}")
         values[key] = int(value) if known[key] == "int" else value
     return Settings(**values)

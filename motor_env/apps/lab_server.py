@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import math
 import threading
-from collections.abc import Callable
+import traceback
+from collections.abc import Callable, Iterator
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
@@ -35,6 +36,10 @@ _HEADERS = {
 }
 
 
+class _Server(ThreadingHTTPServer):
+    request_queue_size = 256  # connections that wait to be taken; the usual 5 would reset the others
+
+
 def make_server(port: int = 0) -> ThreadingHTTPServer:
     """A server that listens and does not serve yet; port 0 takes a free one (`server.server_port`).
 
@@ -44,7 +49,7 @@ def make_server(port: int = 0) -> ThreadingHTTPServer:
     if not 0 <= port <= 65_535:
         raise InputError(f"port must lie in 0 .. 65535, got {port}")
     try:
-        return ThreadingHTTPServer((HOST, port), _Handler)
+        return _Server((HOST, port), _Handler)
     except OSError as error:
         raise InputError(f"port {port} cannot be opened ({(error.strerror or str(error)).lower()})") from None
 
@@ -55,6 +60,7 @@ def address(server: ThreadingHTTPServer) -> str:
 
 
 _ONE_AT_A_TIME = threading.Lock()  # a fit takes a whole core; requests of a moved slider must not pile up
+_PLACES = threading.BoundedSemaphore(8)  # for the one that is at work and those that wait
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -64,8 +70,27 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """The page, its script and style, and what it offers."""
-        if not self._is_ours():
-            return
+        self._answer(self._get)
+
+    def do_POST(self) -> None:
+        """Simulate, judge, diagnose."""
+        self._answer(self._post)
+
+    def _answer(self, action: Callable[[], None]) -> None:
+        try:
+            if self._is_ours():
+                action()
+        except (InputError, ValueError, OverflowError) as error:
+            self._send_json(HTTPStatus.BAD_REQUEST, {"error": str(error)})
+        except (ConnectionError, TimeoutError):  # whoever asked is gone
+            self.close_connection = True
+        except Exception as error:  # noqa: BLE001  # a bug is said on the page and on the terminal
+            traceback.print_exc()
+            self.close_connection = True
+            said = f"the lab failed: {type(error).__name__}: {error}"
+            self._send_json(HTTPStatus.INTERNAL_SERVER_ERROR, {"error": said})
+
+    def _get(self) -> None:
         path = urlsplit(self.path).path
         if path in _ASSETS:
             name, kind = _ASSETS[path]
@@ -75,10 +100,7 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self._send_json(HTTPStatus.NOT_FOUND, {"error": "no such page"})
 
-    def do_POST(self) -> None:
-        """Simulate, judge, diagnose."""
-        if not self._is_ours():
-            return
+    def _post(self) -> None:
         actions: dict[str, tuple[int, Callable[[bytes], dict[str, Any]]]] = {
             "/api/simulate": (_LARGEST_SETTINGS_BYTES, lambda body: lab.simulated(_settings(body))),
             "/api/verdict": (_LARGEST_SETTINGS_BYTES, lambda body: lab.verdict(_settings(body))),
@@ -89,14 +111,18 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_json(HTTPStatus.NOT_FOUND, {"error": "no such page"})
             return
         largest, action = actions[path]
+        if not _PLACES.acquire(blocking=False):
+            for _ in self._chunks(self._length(largest)):  # an unread request would be reset, not refused
+                pass
+            self._send_json(HTTPStatus.SERVICE_UNAVAILABLE, {"error": "the lab is busy; try again"})
+            return
         try:
-            body = self._body(largest)
+            body = b"".join(self._chunks(self._length(largest)))
             with _ONE_AT_A_TIME:
                 answer = action(body)
-        except (InputError, ValueError) as error:
-            self._send_json(HTTPStatus.BAD_REQUEST, {"error": str(error)})
-        else:
-            self._send_json(HTTPStatus.OK, answer)
+        finally:
+            _PLACES.release()
+        self._send_json(HTTPStatus.OK, answer)
 
     def _diagnose(self, body: bytes) -> dict[str, Any]:
         query = parse_qs(urlsplit(self.path).query)
@@ -110,15 +136,20 @@ class _Handler(BaseHTTPRequestHandler):
         name = unquote(query.get("name", ["recording.csv"])[0])
         return lab.recording_verdict(name, body, query.get("motor", [""])[0], voltage)
 
-    def _body(self, largest: int) -> bytes:
+    def _length(self, largest: int) -> int:
         length = self.headers.get("Content-Length", "")
         if not length.isascii() or not length.isdigit():
             self.close_connection = True
             raise InputError("the request has no length")
-        if int(length) > largest:
+        if len(length) > 15 or int(length) > largest:
             self.close_connection = True  # the rest is not read
-            raise InputError(f"at most {largest / 1e6:g} MB can be taken, got {int(length) / 1e6:.1f} MB")
-        return self.rfile.read(int(length))
+            raise InputError(f"at most {largest / 1e6:g} MB can be taken, got {float(length) / 1e6:.1f} MB")
+        return int(length)
+
+    def _chunks(self, length: int) -> Iterator[bytes]:
+        while length and (chunk := self.rfile.read(min(length, 2**16))):
+            length -= len(chunk)
+            yield chunk
 
     def _is_ours(self) -> bool:
         port = self.connection.getsockname()[1]

@@ -11,6 +11,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -152,6 +153,79 @@ def test_server_answers_its_own_machine_only(server: str) -> None:
     assert "default-src 'none'" in headers_back["Content-Security-Policy"]
     assert "http" not in told["text"]  # nothing from elsewhere
     assert request(server, "POST", "/api/simulate", b"{")[:2] == (400, {"error": "settings must be JSON"})
+
+
+@pytest.mark.parametrize(
+    "number", ["1e400", "1" + "0" * 400, "-1" + "0" * 400, "1" * 5000, "NaN", "-Infinity", "[[1]]", "1e308"]
+)
+def test_overflowing_numbers_get_an_answer(server: str, number: str) -> None:
+    for name in ("severity_percent", "noise_ma", "seed"):
+        for path in ("/api/simulate", "/api/verdict"):
+            status, answer, _ = request(server, "POST", path, f'{{"{name}": {number}}}'.encode())
+            assert (status, len(answer["error"]) < 300) == (400, True)
+    for query in ("voltage=1e400", "voltage=nan", "voltage=" + "9" * 400):
+        assert request(server, "POST", f"/api/diagnose?{query}", b"t,i\n")[0] == 400
+
+
+@pytest.mark.parametrize("length", ["9" * 400, "-1", "1e3", ""])
+def test_lengths_of_requests_get_an_answer(server: str, length: str) -> None:
+    status, _, _ = request(server, "POST", "/api/simulate", b"{}", {"Content-Length": length})
+    assert status == 400
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_any_exception_gets_an_answer(
+    server: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("by zero")
+
+    monkeypatch.setattr(lab, "simulated", fail)
+    monkeypatch.setattr(lab, "options", fail)
+    for method, path in (("POST", "/api/simulate"), ("GET", "/api/options")):
+        status, answer, _ = request(server, method, path, b"{}")
+        assert (status, answer["error"]) == (500, "the lab failed: ZeroDivisionError: by zero")
+    assert "Traceback" in capsys.readouterr().err
+    assert request(server, "GET", "ftp://[/")[0] == 400  # an address that cannot be taken apart
+
+
+def test_many_requests_at_once_are_answered_or_refused(server: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def slow(settings: lab.Settings) -> dict[str, Any]:
+        time.sleep(0.05)
+        return {"seed": settings.seed}
+
+    monkeypatch.setattr(lab, "simulated", slow)
+    body = b'{"seed": 3}' + b" " * 9_000
+    with ThreadPoolExecutor(100) as pool:
+        answers = list(pool.map(lambda _: request(server, "POST", "/api/simulate", body)[:2], range(100)))
+    statuses = [status for status, _ in answers]
+    assert set(statuses) == {200, 503}
+    assert statuses.count(200) >= 8
+    assert all(
+        answer == ({"seed": 3} if status == 200 else {"error": "the lab is busy; try again"})
+        for status, answer in answers
+    )
+    assert request(server, "POST", "/api/simulate", body)[0] == 200
+
+
+def test_random_requests_get_an_answer(server: str) -> None:
+    rng = np.random.default_rng(6)
+    paths = [
+        "/",
+        "/api/simulate",
+        "/api/verdict",
+        "/api/diagnose?name=x.npz&motor=paper",
+        "/api/none",
+        "//",
+        "/%ff",
+    ]
+    whole = json.dumps({"kind": "bearing", "severity_percent": 20, "seed": 2}).encode()
+    for _ in range(60):
+        body = bytearray(whole)
+        for place in rng.integers(len(body), size=3):
+            body[place] = rng.integers(256)
+        method, path = ("GET", "POST")[rng.integers(2)], paths[rng.integers(len(paths))]
+        assert request(server, method, path, bytes(body))[0] in (200, 400, 404)
 
 
 def test_a_taken_port_is_one_sentence(server: str, capsys: pytest.CaptureFixture[str]) -> None:
