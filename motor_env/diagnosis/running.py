@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,7 @@ from motor_env.console import ExitStatus
 from motor_env.diagnosis.windows import NAMES, WindowVerdict, judge_windows, learn_windows
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import MotorFile, WindowReference
-from motor_env.motor.parameters import MotorParameters
-from motor_env.operation import kernel
+from motor_env.operation.report import motor_of
 from motor_env.plotting import COLOUR, drawing, save, subplots
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
@@ -115,22 +114,7 @@ def commission_running(
         reference = learn_windows(recordings, window_s)
     except UnusableError as error:
         raise InputError(f"the logs cannot be used: {error}") from None
-    v = reference.physical
-    return MotorFile(
-        name=name,
-        kind="commissioned",
-        parameters=MotorParameters(
-            resistance_ohm=float(v[kernel.R]),
-            inductance_h=float(v[kernel.L]),
-            back_emf_constant_v_s_per_rad=float(v[kernel.K]),
-            torque_constant_n_m_per_a=float(v[kernel.K]),
-            inertia_kg_m2=float(v[kernel.J]),
-            viscous_friction_n_m_s_per_rad=float(v[kernel.B]),
-        ),
-        coulomb_friction_n_m=float(v[kernel.COULOMB]),
-        brush_drop_v=float(v[kernel.DROP]),
-        operation=reference,
-    )
+    return replace(motor_of(reference.physical, name, "commissioned"), operation=reference)
 
 
 def commissioned_text(reference: WindowReference, rate: float) -> str:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from motor_env.errors import InputError
-from motor_env.motor.data_sheet import MotorFile
-from motor_env.motor.parameters import MotorParameters
+from motor_env.motor.data_sheet import Kind, MotorFile
+from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.operation import kernel
 from motor_env.operation.identify import Operation
 from motor_env.plotting import COLOUR, drawing, save, subplots
@@ -77,23 +78,30 @@ def to_motor(found: Operation, name: str) -> MotorFile:
     if not found.record.seen.all():
         raise InputError("a motor file needs current and speed: the parameters are not known one by one")
     v = found.solution.values
-    return MotorFile(
-        name=name,
-        kind="identified",
-        parameters=MotorParameters(
-            resistance_ohm=float(v[kernel.R]),
-            inductance_h=float(v[kernel.L]),
-            back_emf_constant_v_s_per_rad=float(v[kernel.K]),
-            torque_constant_n_m_per_a=float(v[kernel.K]),
-            inertia_kg_m2=float(v[kernel.J]),
-            viscous_friction_n_m_s_per_rad=float(v[kernel.B]),
-        ),
+    return replace(
+        motor_of(v, name, "identified"),
         nominal_voltage_v=found.record.peaks[0],
         current_noise_a=float(v[kernel.NOISE_I]),
         speed_noise_rad_s=float(v[kernel.NOISE_W]),
-        coulomb_friction_n_m=float(v[kernel.COULOMB]),
-        brush_drop_v=float(v[kernel.DROP]),
         notes=found.notes,
+    )
+
+
+def motor_of(values: FloatArray, name: str, kind: Kind) -> MotorFile:
+    """A motor of a fit's physical values, shape (kernel.N_VALUES,)."""
+    return MotorFile(
+        name=name,
+        kind=kind,
+        parameters=MotorParameters(
+            resistance_ohm=float(values[kernel.R]),
+            inductance_h=float(values[kernel.L]),
+            back_emf_constant_v_s_per_rad=float(values[kernel.K]),
+            torque_constant_n_m_per_a=float(values[kernel.K]),
+            inertia_kg_m2=float(values[kernel.J]),
+            viscous_friction_n_m_s_per_rad=float(values[kernel.B]),
+        ),
+        coulomb_friction_n_m=float(values[kernel.COULOMB]),
+        brush_drop_v=float(values[kernel.DROP]),
     )
 
 
