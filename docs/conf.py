@@ -17,3 +17,5 @@ napoleon_numpy_docstring = False
 
 html_theme = "furo"
 html_title = f"motor-env {release}"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
