@@ -18,8 +18,8 @@ from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import WindowReference
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
-from motor_env.operation.fit import Problem, Solution
 from motor_env.operation.identify import Operation, identify_operation
+from motor_env.operation.problem import Problem, Solution
 from motor_env.operation.record import Record, from_recordings
 from motor_env.operation.terms import NOISES, terms
 from motor_env.operation.uncertainty import covariance, motor_places

@@ -1,8 +1,4 @@
-"""A motor at work, fitted: prediction errors of the Kalman filter, least squares, and the terms the evidence supports.
-
-The whitened innovations, times the geometric mean of their standard deviations, are the residuals: their sum of squares
-is the concentrated likelihood (Ljung 1999, ch. 7), so that one least-squares fit finds motor and noise together.
-"""
+"""A motor at work, fitted: beginnings, prediction errors, and the terms that the evidence supports."""
 
 from __future__ import annotations
 
@@ -11,172 +7,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
 from motor_env.operation.beginnings import beginnings
+from motor_env.operation.problem import Problem, Solution
 from motor_env.operation.record import HOLDS, Record
 from motor_env.operation.terms import Term, terms
 from motor_env.recordings.defects import UnusableError
 
 STRONG_EVIDENCE = 6.0
-_LEAST_LAG = 0.01  # of R dt: an L so small that the current follows at once
 _FIRST_NOISE_V = 0.02
 _TRIED = 2
 _FEW = 6
 _RIVAL = 0.1  # of the number of readings
 _CLEARLY = math.log(2.0)
-_STEP = 1e-4
 _CANDIDATES = ("load_constant", "load_square", "heating", "current_lag", "speed_lag", "delay")
-
-
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """Residuals of one choice of terms.
-
-    Attributes:
-        record: what is fitted.
-        known: values of what is not fitted, shape (kernel.N_VALUES,).
-        free: the terms that are.
-    """
-
-    record: Record
-    known: FloatArray
-    free: tuple[Term, ...]
-
-    def values(self, theta: FloatArray) -> FloatArray:
-        """Physical values and noises."""
-        values = self.known.copy()
-        for term, one in zip(self.free, theta, strict=True):
-            values[term.place] = term.value(one)
-        if values[kernel.DRAG] > 0.0:
-            values[[kernel.B, kernel.COULOMB]] *= values[kernel.DRAG]
-        values[kernel.L] = math.hypot(values[kernel.L], _LEAST_LAG * values[kernel.R] * self.record.dt_s)
-        return values
-
-    def residuals(self, theta: FloatArray) -> FloatArray:
-        """Scaled innovations of each sample and channel, and what is believed beforehand of the terms."""
-        out, logs = self.record.predict(self.values(theta))
-        white = np.where(np.isfinite(out[:, :2]), out[:, :2], 1e6)
-        scale = math.exp(min(0.5 * logs / self.count, 300.0))
-        prior = [one / term.prior_sd for term, one in zip(self.free, theta, strict=True)]
-        residuals: FloatArray = scale * np.concatenate([white[:, self.record.seen > 0.0].ravel(), prior])
-        return residuals
-
-    @property
-    def count(self) -> int:
-        """Number of readings."""
-        return int((np.sum(self.record.marks != kernel.BEGIN)) * self.record.seen.sum())
-
-    def jacobian(self, theta: FloatArray) -> FloatArray:
-        """Derivatives of the residuals, by differences in one direction."""
-        base = self.residuals(theta)
-        columns = [self.column(theta, n, base) for n in range(len(theta))]
-        return np.stack(columns, axis=1)
-
-    def column(self, theta: FloatArray, n: int, base: FloatArray) -> FloatArray:
-        """One column of it; the step goes away from the nearer bound."""
-        step = _STEP * max(1.0, abs(theta[n]))
-        if theta[n] + step > self.free[n].high:
-            step = -step
-        slope: FloatArray = (self.residuals(_moved(theta, n, step)) - base) / step
-        return slope
-
-    def secant(self, theta: FloatArray, n: int, step: float) -> FloatArray:
-        """One column of it over a wide step in both directions, as far as the bounds allow.
-
-        Where the motor starts and stops the residuals have kinks: what counts for an interval is their slope over
-        its width.
-        """
-        low = max(theta[n] - step, self.free[n].low)
-        high = min(theta[n] + step, self.free[n].high)
-        rise = self.residuals(_moved(theta, n, high - theta[n])) - self.residuals(
-            _moved(theta, n, low - theta[n])
-        )
-        slope: FloatArray = rise / max(high - low, 1e-12)
-        return slope
-
-    def solve(self, theta: FloatArray, most: int = 40) -> tuple[FloatArray, float]:
-        """The best unknowns and their misfit, from a beginning; never worse than that."""
-        low = np.array([term.low for term in self.free])
-        high = np.array([term.high for term in self.free])
-        begin = np.clip(theta, low + 1e-9, high - 1e-9)
-        found = least_squares(
-            self.residuals,
-            begin,
-            jac=self.jacobian,
-            bounds=(low, high),
-            x_scale="jac",
-            max_nfev=most,
-            ftol=1e-9,
-        )
-        return np.asarray(found.x, dtype=np.float64), self.misfit(2.0 * found.cost)
-
-    def misfit(self, squares: float) -> float:
-        """-2 log likelihood, noise level concentrated out."""
-        return self.count * math.log(max(squares, 1e-300) / self.count)
-
-    def with_terms(self, added: Sequence[Term]) -> Problem:
-        """The same with more terms."""
-        return replace(self, free=(*self.free, *added))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the terms."""
-        return tuple(term.name for term in self.free)
-
-
-def _moved(theta: FloatArray, n: int, step: float) -> FloatArray:
-    moved = theta.copy()
-    moved[n] += step
-    return moved
-
-
-@dataclass(frozen=True, slots=True)
-class Solution:
-    """A problem with its best unknowns."""
-
-    problem: Problem
-    theta: FloatArray
-    misfit: float
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the terms."""
-        return self.problem.names
-
-    @property
-    def values(self) -> FloatArray:
-        """Physical values and noises, the noises scaled to what is left."""
-        values = self.problem.values(self.theta)
-        out, _ = self.problem.record.predict(values)
-        white = out[:, :2][:, self.problem.record.seen > 0.0]
-        values[[kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V, kernel.WALK]] *= math.sqrt(
-            float(np.mean(white**2))
-        )
-        return values
-
-    def free(self) -> tuple[FloatArray, FloatArray]:
-        """The filter's table, and that of the model that runs freely under the voltage and the filter's load."""
-        record, values = self.problem.record, self.values
-        filtered, _ = record.predict(values)
-        return filtered, record.predict(values, learn=False, load=filtered[:, 4])[0]
-
-    def explained(self) -> tuple[float | None, float | None]:
-        """Share of the variance of current and speed that the free model explains; None where not used."""
-        record, free = self.problem.record, self.free()[1]
-        r2 = [_r2(record.readings[:, n], free[:, 2 + n]) if record.seen[n] else None for n in range(2)]
-        return r2[0], r2[1]
-
-    def penalised(self) -> float:
-        """Bayesian information criterion (Schwarz 1978)."""
-        return self.misfit + len(self.theta) * math.log(self.problem.count)
-
-
-def _r2(measured: FloatArray, expected: FloatArray) -> float:
-    left = float(np.sum((measured - expected) ** 2))
-    return 1.0 - left / max(float(np.sum((measured - measured.mean()) ** 2)), 1e-300)
 
 
 def fit(record: Record) -> Solution:

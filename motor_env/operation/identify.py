@@ -10,7 +10,8 @@ import numpy as np
 
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
-from motor_env.operation.fit import Solution, fit
+from motor_env.operation.fit import fit
+from motor_env.operation.problem import Solution
 from motor_env.operation.record import MOST, Record, from_recordings
 from motor_env.operation.terms import NOISES, terms
 from motor_env.operation.uncertainty import covariance, motor_places

@@ -8,7 +8,8 @@ import numpy as np
 
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
-from motor_env.operation.fit import Problem, Solution, score_tests
+from motor_env.operation.fit import score_tests
+from motor_env.operation.problem import Problem, Solution
 from motor_env.operation.terms import NOISES, Term
 
 _WIDEST = 1e3
