@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motor_env.filters.kalman import KalmanFilter, schedule, schedules, score
-from motor_env.filters.kernels import AnyFloat, filter_one_channel, filter_states, propagate_nominal
+from motor_env.filters.kernels import (
+    AnyFloat,
+    filter_one_channel,
+    filter_states,
+    filter_two_channels,
+    propagate_nominal,
+)
 from motor_env.motor.model import N_STATES, Input
 from motor_env.motor.parameters import FloatArray, require
 
@@ -141,30 +147,39 @@ def filter_residuals(
     plan = schedule(kalman, np.shape(measurements)[-1])
     series = _series(kalman, measurements, voltage_v, load_torque_n_m)
     n_cases, n_channels, n_samples = series.measured.shape
+    # One block for both: two arrays of some megabytes would go back to the system after each call, and their pages
+    # be zeroed anew in the next one, which took longer than to filter.
+    block = np.empty(n_cases * n_samples * (n_channels + 1), dtype=dtype)
+    innovation = block[: -n_cases * n_samples].reshape(n_cases, n_samples, n_channels)
+    nis = block[-n_cases * n_samples :].reshape(n_cases, n_samples)
+    transition, observation = kalman.model.transition, kalman.observation
+    forward = transition @ plan.gain
+    expected = series.nominal @ observation.T
     if n_channels == 1:
-        # One block for both: two arrays of some megabytes would go back to the system after each call, and their pages
-        # be zeroed anew in the next one, which took longer than to filter.
-        innovation, nis = np.empty((2, n_cases, n_samples), dtype=dtype)
-        row, transition = kalman.observation[0], kalman.model.transition
-        a, gain = output_coordinates(transition, row, (transition @ plan.gain)[:, :, 0])
+        a, gain = output_coordinates(transition, observation[0], forward[:, :, 0])
         filter_one_channel(
             a.astype(dtype),
             gain.astype(dtype),
             (1.0 / plan.innovation_covariance[:, 0, 0]).astype(dtype),
-            series.nominal @ row,
+            expected[:, :, 0],
             series.measured[:, 0],
-            innovation,
+            innovation[:, :, 0],
             nis,
         )
     else:
-        double, _ = _innovations_and_states(kalman, series, plan.gain[None])
-        weight, first, second = np.linalg.inv(plan.innovation_covariance), double[..., 0], double[..., 1]
-        squares = first * (weight[:, 0, 0] * first + 2.0 * weight[:, 0, 1] * second)
-        nis = (squares + weight[:, 1, 1] * second * second).astype(dtype, copy=False)
-        innovation = double.astype(dtype, copy=False)
-    # One channel: a sample that is not finite makes all later innovations of its case not finite.
-    last = innovation[:, -1] if n_channels == 1 else innovation
-    require(bool(np.isfinite(last).all()), "measurements must be finite, got a value that is not")
+        filter_two_channels(
+            transition.astype(dtype),
+            observation.astype(dtype),
+            forward.astype(dtype),
+            np.linalg.inv(plan.innovation_covariance).astype(dtype),
+            expected,
+            series.measured,
+            innovation,
+            nis,
+        )
+    # A sample that is not finite makes all later innovations of its case not finite.
+    finite = bool(np.isfinite(innovation[:, -1]).all())
+    require(finite, "measurements must be finite, got a value that is not")
     return Residuals(
         innovation.reshape(*series.batch, n_samples, n_channels),
         plan.innovation_covariance,

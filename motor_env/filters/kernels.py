@@ -162,6 +162,37 @@ def filter_one_channel(
 
 
 @njit(cache=True)
+def filter_two_channels(
+    a: AnyFloat,
+    c: AnyFloat,
+    gain: AnyFloat,
+    weight: AnyFloat,
+    expected: FloatArray,
+    measured: AnyFloat,
+    innovation: AnyFloat,
+    nis: AnyFloat,
+) -> None:
+    """The same (paper, Table 1) for two channels, in the states themselves.
+
+    `gain` is A K, shape (n_samples, 2, 2), `weight` S^-1, `expected` (rows, n_samples, 2).
+    """
+    number = innovation.dtype.type
+    for n in range(measured.shape[0]):
+        x = expected[min(n, expected.shape[0] - 1)]
+        d0 = d1 = number(0.0)
+        for k in range(measured.shape[2]):
+            f0 = number(measured[n, 0, k] - x[k, 0]) - (c[0, 0] * d0 + c[0, 1] * d1)
+            f1 = number(measured[n, 1, k] - x[k, 1]) - (c[1, 0] * d0 + c[1, 1] * d1)
+            innovation[n, k, 0], innovation[n, k, 1] = f0, f1
+            g, w = gain[k], weight[k]
+            nis[n, k] = f0 * f0 * w[0, 0] + (f0 * w[0, 1] + f0 * w[1, 0]) * f1 + f1 * f1 * w[1, 1]
+            d0, d1 = (
+                a[0, 0] * d0 + a[0, 1] * d1 + g[0, 0] * f0 + g[0, 1] * f1,
+                a[1, 0] * d0 + a[1, 1] * d1 + g[1, 0] * f0 + g[1, 1] * f1,
+            )
+
+
+@njit(cache=True)
 def filter_states(
     a: FloatArray,
     c: FloatArray,

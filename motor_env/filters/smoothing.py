@@ -35,22 +35,33 @@ class Smoothed(NamedTuple):
     covariance: FloatArray
 
 
-@njit(cache=True)
-def _congruence(x: FloatArray, y: FloatArray) -> FloatArray:
-    """X y x' of a symmetric y: symmetric to the last digit."""
-    product: FloatArray = x @ y @ x.T
-    product[1, 0] = product[0, 1]
-    return product
+# Written out: a product of arrays of four numbers would take ten times as long.
 
 
 @njit(cache=True)
-def _less(x: FloatArray, y: FloatArray) -> FloatArray:
+def _congruence(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
+    """Put x y x', of a symmetric y, into `out`: symmetric to the last digit."""
+    t00, t01 = x[0, 0] * y[0, 0] + x[0, 1] * y[0, 1], x[0, 0] * y[0, 1] + x[0, 1] * y[1, 1]
+    t10, t11 = x[1, 0] * y[0, 0] + x[1, 1] * y[0, 1], x[1, 0] * y[0, 1] + x[1, 1] * y[1, 1]
+    u01 = t00 * x[1, 0] + t01 * x[1, 1]
+    out[0, 0], out[1, 1] = t00 * x[0, 0] + t01 * x[0, 1], t10 * x[1, 0] + t11 * x[1, 1]
+    out[0, 1] = out[1, 0] = u01
+
+
+@njit(cache=True)
+def _less(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
     """(I + x y)^-1 x: what an information y leaves of a covariance x, or a covariance y of an information x.
 
     Computed as W (x + x y x) W' with W = (I + x y)^-1: a sum of positive terms, as Joseph's form is for the filter.
     """
-    less: FloatArray = _congruence(np.linalg.inv(np.eye(2) + x @ y), x + _congruence(x, y))
-    return less
+    w = np.empty((2, 2))
+    p00, p01 = 1.0 + x[0, 0] * y[0, 0] + x[0, 1] * y[1, 0], x[0, 0] * y[0, 1] + x[0, 1] * y[1, 1]
+    p10, p11 = x[1, 0] * y[0, 0] + x[1, 1] * y[1, 0], 1.0 + x[1, 0] * y[0, 1] + x[1, 1] * y[1, 1]
+    scale = 1.0 / (p00 * p11 - p01 * p10)
+    w[0, 0], w[0, 1], w[1, 0], w[1, 1] = p11 * scale, -p01 * scale, -p10 * scale, p00 * scale
+    _congruence(x, y, out)
+    out += x
+    _congruence(w, out, out)
 
 
 @njit(cache=True)
@@ -65,10 +76,13 @@ def _smoothed_covariance(
 
     `information` is C' R^-1 C of each sample, over the channels measured.
     """
-    later, forward = np.zeros((2, 2)), a.T.copy()
+    later, now, forward = np.zeros((2, 2)), np.empty((2, 2)), a.T.copy()
     for k in range(len(covariance) - 1, -1, -1):
-        smoothed[k] = _less(covariance[k], later)
-        later = _congruence(forward, _less(information[k] + later, q))
+        _less(covariance[k], later, smoothed[k])
+        now[:] = information[k]
+        now += later
+        _less(now, q, later)
+        _congruence(forward, later, later)
 
 
 @njit(cache=True)
@@ -115,8 +129,11 @@ def smooth(kalman: KalmanFilter, result: FilterResult) -> Smoothed:
     transition = np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES)
     q, c = kalman.process_covariance, kalman.observation
     missing = np.isnan(result.innovation).reshape(weighted.shape)[: len(covariance)]
-    rows, noise = masked_sensor(c, kalman.measurement_covariance, missing)
-    information = rows.swapaxes(-1, -2) @ np.linalg.solve(noise, rows)
+    # The information of a sample depends only on which channels are missing: one table of all cases, (2, ..., 2, 2).
+    patterns = np.moveaxis(np.indices((2,) * n_channels), 0, -1) == 1
+    rows, noise = masked_sensor(c, kalman.measurement_covariance, patterns)
+    table = rows.swapaxes(-1, -2) @ np.linalg.solve(noise, rows)
+    information = table[tuple(np.moveaxis(missing.astype(np.intp), -1, 0))]
     spread, out = np.empty_like(covariance), np.empty_like(state)
     for n, filtered in enumerate(covariance):
         cases = slice(None) if len(covariance) == 1 else slice(n, n + 1)

@@ -30,9 +30,9 @@ class DirectedRule(Rule):
         """Standard normal samples along the direction, shape (n_streams, n_samples); NaN where nothing was measured."""
         if self.direction is None:
             return np.ascontiguousarray(whitened[..., 0])
-        unit, missing = np.asarray(self.direction, dtype=np.float64), np.isnan(whitened)
-        along = np.where(missing, 0.0, whitened) @ (unit / np.linalg.norm(unit))
-        return np.where(missing.all(axis=-1), np.nan, along)
+        unit, along = np.asarray(self.direction, dtype=np.float64), np.empty(whitened.shape[:2])
+        kernels.project(whitened, unit / np.linalg.norm(unit), along)
+        return along
 
 
 @dataclass(frozen=True, slots=True)

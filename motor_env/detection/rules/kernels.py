@@ -16,6 +16,33 @@ LARGEST_ODDS = 1e250
 
 
 @njit(cache=True)
+def project(whitened: FloatArray, unit: FloatArray, out: FloatArray) -> None:
+    """Along a direction of the channels; a missing one adds nothing, and all missing is a missing sample."""
+    for n in range(whitened.shape[0]):
+        for k in range(whitened.shape[1]):
+            total, seen = 0.0, False
+            for c in range(whitened.shape[2]):
+                value = whitened[n, k, c]
+                if not np.isnan(value):
+                    total += unit[c] * value
+                    seen = True
+            out[n, k] = total if seen else np.nan
+
+
+@njit(cache=True)
+def square(whitened: FloatArray, out: FloatArray) -> None:
+    """Normalised innovation squared; a missing channel adds nothing."""
+    for n in range(whitened.shape[0]):
+        for k in range(whitened.shape[1]):
+            total = 0.0
+            for c in range(whitened.shape[2]):
+                value = whitened[n, k, c]
+                if not np.isnan(value):
+                    total += value * value
+            out[n, k] = total
+
+
+@njit(cache=True)
 def cusum(series: FloatArray, half: float, sums: FloatArray, out: FloatArray) -> None:
     """S <- max(0, S +- r - d/2); one column of `sums` for each sign (Page 1954)."""
     two_sided = sums.shape[1] == 2

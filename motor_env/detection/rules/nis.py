@@ -16,8 +16,8 @@ from motor_env.motor.parameters import FloatArray
 
 def normalised_square(whitened: FloatArray) -> FloatArray:
     """NIS, shape (n_streams, n_samples); 0 where nothing was measured (Bar-Shalom, Li & Kirubarajan 2001)."""
-    known = np.where(np.isnan(whitened), 0.0, whitened)
-    nis: FloatArray = np.einsum("nkc,nkc->nk", known, known)
+    nis = np.empty(whitened.shape[:2])
+    kernels.square(whitened, nis)
     return nis
 
 
