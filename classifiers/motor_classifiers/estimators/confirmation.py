@@ -137,7 +137,14 @@ class ThresholdConfirmationClassifier(ProbabilityClassifier):
         rate = values["false_alarm_rate"]
         require(rate is None or isinstance(rate, float), f"false_alarm_rate must be a number, got {rate!r}")
         model = cls(recipe, rate)
-        rule |= {name: state.arrays[name] for name in _RULE_ARRAYS}
+        n_channels = len(recipe.sensor.channels)
+        windows = (len(rule["edges"]) - 1, n_channels * (1 + rule["with_spread"]))
+        for name, shape in zip(_RULE_ARRAYS, (windows, windows, (len(recipe.classes),)), strict=True):
+            rule[name] = state.arrays[name]
+            require(rule[name].shape == shape, f"{name} must be of shape {shape}, got {rule[name].shape}")
+            # A share may be 0; a scale may not.
+            least = 0.0 if name == "prior" else np.finfo(np.float64).tiny
+            require(bool((rule[name] >= least).all()), f"{name} must be > 0")
         model.rule_ = ThresholdRule(**rule)
         model.filters_ = tuple(class_filter(recipe, c) for c in recipe.classes)
         model.templates_ = None
@@ -181,7 +188,10 @@ def _check_rule(rule: dict[str, Any], recipe: Recipe) -> None:
     spread = rule["with_spread"]
     require(type(spread) is bool, f"with_spread must be true or false, got {spread!r}")
     for name in ("threshold", "temperature", "slope", "intercept"):
-        require(isinstance(rule[name], float), f"{name} must be a number, got {rule[name]!r}")
+        require(
+            isinstance(rule[name], float) and np.isfinite(rule[name]),
+            f"{name} must be a number, got {rule[name]!r}",
+        )
 
 
 def class_filter(recipe: Recipe, fault_class: FaultClass) -> KalmanFilter:

@@ -1,8 +1,9 @@
 """Models on disk without pickle: one file a model, which holds its recipe.
 
 A scikit-learn pipeline is a skops archive with our own `motor.json` beside its schema. The confirmation and the
-networks are safetensors with the same JSON in the header. A classifier around one of these (open-set, conformal) is an
-archive of its own values as JSON and the file of the model inside. A file that holds anything else is refused.
+networks are safetensors with the same JSON in the header, and a digest of both. A classifier around one of these
+(open-set, conformal) is an archive of its own values as JSON and the file of the model inside. A file that holds
+anything else is refused.
 """
 
 from __future__ import annotations
@@ -27,7 +28,15 @@ from motor_classifiers.estimators.networks.posterior_network import PosteriorNet
 from motor_classifiers.estimators.networks.resnet import ResNetClassifier
 from motor_classifiers.estimators.reference_starts import RecentredStarts
 from motor_classifiers.estimators.state import State
-from motor_classifiers.model_files.pipelines import load_pipeline, pipeline_bytes
+from motor_classifiers.model_files.containers import (
+    LARGEST_TEXT_BYTES,
+    digest,
+    packed,
+    parsed,
+    read_file,
+    unpacked,
+)
+from motor_classifiers.model_files.pipelines import load_pipeline, pipeline_members
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
 from motor_classifiers.wrappers.open_set import OpenSetClassifier
@@ -41,8 +50,7 @@ FORMAT = "motor-classifiers"
 VERSION = 1
 PRETRAINED = Path(__file__).parent / "pretrained" / "paper-motor.safetensors"
 """The network for the paper's motor that comes with the package (pretrained/README.md)."""
-LARGEST_FILE_BYTES = 200_000_000
-MOST_FEATURES = 10_000_000
+MOST_FEATURES = 1_000_000
 """Values of a case: a recipe that asks for more comes from a damaged file, not from a motor."""
 
 _KINDS: dict[str, Any] = {
@@ -55,6 +63,7 @@ _WRAPPERS: dict[str, Any] = {"open-set": OpenSetClassifier, "conformal": Conform
 _NAMES: dict[type, str] = {made: kind for kind, made in {**_KINDS, **_WRAPPERS}.items()}
 _MEMBER = "motor.json"
 _WRAPPER, _INNER = "wrapper.json", "model"
+_DIGEST = "sha256"
 _MOST_WRAPPERS = 2
 
 Loaded = tuple[BaseEstimator, Recipe, str]
@@ -84,14 +93,7 @@ def load_model(path: Path) -> Loaded:
     Raises:
         InputError: no such file, not one of ours, damaged, or with content that is not allowed.
     """
-    try:
-        if path.stat().st_size > LARGEST_FILE_BYTES:
-            raise InputError(
-                f"{path}: is larger than {LARGEST_FILE_BYTES // 1_000_000} MB, not a model of ours"
-            )
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
+    content = read_file(path)
     try:
         return _loaded(content, _MOST_WRAPPERS)
     except InputError as error:
@@ -112,48 +114,47 @@ def _content(model: BaseEstimator, recipe: Recipe, method: str) -> bytes:
         require(own, "an open-set classifier must be saved with its own recipe")
         head |= {"kind": kind, **model.to_state().values}
         inner = _content(model.wrapped_model, recipe, method)
-        return _with_member(_with_member(b"", _WRAPPER, json.dumps(head)), _INNER, inner)
+        return packed({_WRAPPER: json.dumps(head).encode(), _INNER: inner})
     head |= {
         "method": method,
         "recipe": recipe_to_dict(recipe),
         "classes": [str(name) for name in model.classes_],
     }
     if isinstance(model, Pipeline):
-        return _with_member(pipeline_bytes(model), _MEMBER, json.dumps(head))
+        return packed({**pipeline_members(model), _MEMBER: json.dumps(head).encode()})
     if kind is None:
         raise TypeError(f"model must be a pipeline, a confirmation or a network, got {type(model).__name__}")
     state = model.to_state()
     arrays = {name: np.ascontiguousarray(values) for name, values in state.arrays.items()}
-    return save_tensors(arrays, metadata={FORMAT: json.dumps(head | {"kind": kind, **state.values})})
-
-
-def _with_member(archive: bytes, name: str, member: str | bytes) -> bytes:
-    """An archive, or none, with one member more."""
-    buffer = io.BytesIO(archive)
-    with zipfile.ZipFile(buffer, "a") as target:
-        target.writestr(name, member)
-    return buffer.getvalue()
+    text = json.dumps(head | {"kind": kind, **state.values})
+    return save_tensors(arrays, metadata={FORMAT: text, _DIGEST: digest(text, arrays)})
 
 
 def _loaded(content: bytes, most_wrappers: int) -> Loaded:
     if zipfile.is_zipfile(io.BytesIO(content)):
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            if sum(member.file_size for member in archive.infolist()) > 4 * LARGEST_FILE_BYTES:
-                raise InputError("unpacks to more than a model of ours needs")
-            members = {
-                name: archive.read(name) for name in (_WRAPPER, _INNER, _MEMBER) if name in archive.namelist()
-            }
+        members = unpacked(content)
         if _WRAPPER in members:
             loaded = _loaded_wrapper(members, most_wrappers)
         elif _MEMBER in members:
-            head, recipe = _checked_head(members[_MEMBER].decode())
-            loaded = load_pipeline(content, recipe), recipe, str(head["method"])
+            head, recipe = _checked_head(members.pop(_MEMBER))
+            loaded = load_pipeline(members, recipe), recipe, str(head["method"])
+            own = [str(name) for name in loaded[0].classes_]
+            require(own == head["classes"], "its classes are not those of its pipeline")
         else:
             raise InputError("is no model of motor-classifiers")
     else:
-        arrays = load_tensors(content)
         length = int.from_bytes(content[:8], "little")
-        head, recipe = _checked_head(json.loads(content[8 : 8 + length])["__metadata__"][FORMAT])
+        require(length <= LARGEST_TEXT_BYTES, "its header is too long")
+        arrays = load_tensors(content)
+        metadata = parsed(content[8 : 8 + length])["__metadata__"]
+        # Files of older versions have no digest.
+        own = metadata.get(_DIGEST, digest(metadata[FORMAT], arrays))
+        require(own == digest(metadata[FORMAT], arrays), "its content is not what was saved")
+        for name, values in arrays.items():
+            require(
+                values.dtype.kind in "fi" and bool(np.isfinite(values).all()), f"{name[:60]} is not finite"
+            )
+        head, recipe = _checked_head(metadata[FORMAT])
         model = _KINDS[head["kind"]].from_state(State(arrays, head), recipe)
         loaded = model, recipe, str(head["method"])
     _try_out(*loaded[:2])
@@ -162,7 +163,7 @@ def _loaded(content: bytes, most_wrappers: int) -> Loaded:
 
 def _loaded_wrapper(members: dict[str, bytes], most_wrappers: int) -> Loaded:
     require(most_wrappers > 0, "too many classifiers are nested in it")
-    head = json.loads(members[_WRAPPER])
+    head = parsed(members[_WRAPPER])
     _check_format(head)
     inner, recipe, method = _loaded(members[_INNER], most_wrappers - 1)
     return _WRAPPERS[head["kind"]].from_state(State({}, head), inner, recipe), recipe, method
@@ -184,7 +185,8 @@ def _try_out(model: BaseEstimator, recipe: Recipe) -> None:
         f"its cases of {model.n_features_in_} values are no starts of its recipe",
     )
     require(model.n_features_in_ <= MOST_FEATURES, f"a case has more than {MOST_FEATURES} values")
-    probabilities = model.predict_proba(np.zeros((1, model.n_features_in_)))
+    with np.errstate(all="ignore"):
+        probabilities = model.predict_proba(np.zeros((1, model.n_features_in_)))
     require(probabilities.shape == (1, len(model.classes_)), "it gives no probability for each class")
     require(bool(np.isfinite(probabilities).all()), "its probabilities are not finite")
     foreign = {str(name) for name in model.classes_} - set(recipe.class_names)
@@ -198,8 +200,8 @@ def _check_format(head: dict[str, Any]) -> None:
         )
 
 
-def _checked_head(text: str) -> tuple[dict[str, Any], Recipe]:
-    head = json.loads(text)
+def _checked_head(text: bytes | str) -> tuple[dict[str, Any], Recipe]:
+    head = parsed(text)
     _check_format(head)
     recipe = recipe_from_dict(head["recipe"])
     classes = head["classes"]

@@ -6,9 +6,7 @@ arrays. So each step of a pipeline is of a type that is checked here, or that co
 
 from __future__ import annotations
 
-import io
 import json
-import zipfile
 from collections.abc import Iterator
 from copy import copy
 from typing import Any
@@ -20,15 +18,18 @@ from sklearn.calibration import CalibratedClassifierCV
 from sklearn.decomposition import PCA
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis, QuadraticDiscriminantAnalysis
 from sklearn.ensemble import HistGradientBoostingClassifier, RandomForestClassifier
+from sklearn.ensemble._hist_gradient_boosting.predictor import TreePredictor
 from sklearn.linear_model import LogisticRegression
 from sklearn.naive_bayes import GaussianNB
 from sklearn.pipeline import FeatureUnion, Pipeline
 from sklearn.preprocessing import MinMaxScaler, RobustScaler, StandardScaler
 from sklearn.svm import SVC
 from sklearn.tree import DecisionTreeClassifier
+from sklearn.tree._tree import Tree
 
 from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProjection, RuleStatistics
 from motor_classifiers.estimators.reference_starts import RecentredStarts
+from motor_classifiers.model_files.containers import packed, parsed, unpacked
 from motor_env.errors import InputError
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Recipe
@@ -39,6 +40,7 @@ _STEPS = {
     LinearDiscriminantAnalysis, LogisticRegression, MinMaxScaler, PCA, Pipeline, QuadraticDiscriminantAnalysis,
     RandomForestClassifier, RobustScaler, StandardScaler, SVC,
 }  # fmt: skip
+_SCHEMA = "schema.json"
 _OLD_MODULES = {
     "PhysicalFeatures": "motor_classifiers.features",
     "ResidualProjection": "motor_classifiers.features",
@@ -58,9 +60,38 @@ TRUSTED = [
 ]
 """Types beyond those that skops trusts by itself."""
 
+_ALLOWED = {
+    *TRUSTED,
+    *(f"{step.__module__}.{step.__name__}" for step in (*_STEPS, DecisionTreeClassifier)),
+    *(f"builtins.{name}" for name in ("dict", "list", "str", "tuple")),
+    *(
+        f"numpy.{name}"
+        for name in ("bool", "float32", "float64", "int32", "int64", "ndarray", "uint64", "uint8")
+    ),
+    "numpy.random._generator.Generator",
+    "sklearn._loss._loss.CyHalfBinomialLoss",
+    "sklearn._loss._loss.CyHalfMultinomialLoss",
+    "sklearn._loss.link.Interval",
+    "sklearn._loss.link.LogitLink",
+    "sklearn._loss.link.MultinomialLogit",
+    "sklearn._loss.loss.HalfBinomialLoss",
+    "sklearn._loss.loss.HalfMultinomialLoss",
+    "sklearn.ensemble._hist_gradient_boosting.binning._BinMapper",
+    "sklearn.preprocessing._label.LabelEncoder",
+}
+"""All types that a saved pipeline is made of; skops itself would take any of scikit-learn, NumPy and SciPy."""
 
-def pipeline_bytes(model: Pipeline) -> bytes:
-    """A fitted pipeline without its recipe.
+_LOADERS = {
+    f"{name}Node"
+    for name in (
+        "Dict", "Json", "List", "Loss", "NdArray", "Object", "RandomGenerator", "Tree", "Tuple", "Type",
+    )
+}  # fmt: skip
+"""Ways of skops to make an object; among the others are methods, operators and functions."""
+
+
+def pipeline_members(model: Pipeline) -> dict[str, bytes]:
+    """A fitted pipeline without its recipe, as the members of an archive.
 
     Raises:
         TypeError: a step is of a type that could not be loaded again.
@@ -70,11 +101,10 @@ def pipeline_bytes(model: Pipeline) -> bytes:
     foreign = sorted({type(step).__name__ for step in _steps(model)} - {step.__name__ for step in _STEPS})
     if foreign:
         raise TypeError(f"a pipeline with a {foreign[0]} cannot be saved")
-    content: bytes = skops.io.dumps(with_recipe(model, None))
-    return content
+    return unpacked(skops.io.dumps(with_recipe(model, None)))
 
 
-def load_pipeline(content: bytes, recipe: Recipe) -> Pipeline:
+def load_pipeline(members: dict[str, bytes], recipe: Recipe) -> Pipeline:
     """The fitted pipeline of an archive; its content is no longer a stranger's afterwards.
 
     Raises:
@@ -83,10 +113,13 @@ def load_pipeline(content: bytes, recipe: Recipe) -> Pipeline:
     """
     import skops.io
 
-    content = _with_new_names(content)
-    foreign = sorted(set(skops.io.get_untrusted_types(data=content)) - set(TRUSTED))
+    schema = parsed(members[_SCHEMA], object_hook=_with_new_name)
+    foreign = _foreign_types(schema)
     if foreign:
-        raise InputError(f"is refused: it would load {', '.join(foreign)}, which no model of ours needs")
+        raise InputError(
+            f"is refused: it would load {', '.join(sorted(foreign))[:200]}, which no model of ours needs"
+        )
+    content = packed(members | {_SCHEMA: json.dumps(schema).encode()})
     model = skops.io.loads(content, trusted=TRUSTED)
     if type(model) is not Pipeline:
         raise InputError(f"holds a {type(model).__name__}, not a pipeline")
@@ -95,6 +128,20 @@ def load_pipeline(content: bytes, recipe: Recipe) -> Pipeline:
             raise InputError(f"is refused: it has a {type(step).__name__}, which no model of ours needs")
         _check_step(step)
     return with_recipe(model, recipe)
+
+
+def _foreign_types(node: Any) -> set[str]:
+    """Names of types, and of skops's ways to make them, that are in a schema and must not be."""
+    if isinstance(node, list):
+        return set().union(*map(_foreign_types, node))
+    if not isinstance(node, dict):
+        return set()
+    foreign = set().union(*map(_foreign_types, node.values()))
+    if "__loader__" in node:
+        name = f"{node['__module__']}.{node['__class__']}"
+        foreign |= set() if name in _ALLOWED else {name}
+        foreign |= set() if node["__loader__"] in _LOADERS else {str(node["__loader__"])}
+    return foreign
 
 
 def with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
@@ -109,23 +156,12 @@ def with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
     return changed
 
 
-def _with_new_names(content: bytes) -> bytes:
-    """The archive with our classes named by the modules in which they are now; all else stays."""
-
-    def renamed(node: dict[str, Any]) -> dict[str, Any]:
-        name = node.get("__class__")
-        if isinstance(name, str) and name in _OLD_MODULES and node.get("__module__") == _OLD_MODULES[name]:
-            node["__module__"] = _OWN[name]
-        return node
-
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(content)) as source, zipfile.ZipFile(buffer, "w") as target:
-        for member in source.infolist():
-            text = source.read(member)
-            if member.filename == "schema.json":
-                text = json.dumps(json.loads(text, object_hook=renamed)).encode()
-            target.writestr(member, text)
-    return buffer.getvalue()
+def _with_new_name(node: dict[str, Any]) -> dict[str, Any]:
+    """A part of a schema with our class named by the module in which it is now."""
+    name = node.get("__class__")
+    if isinstance(name, str) and name in _OLD_MODULES and node.get("__module__") == _OLD_MODULES[name]:
+        node["__module__"] = _OWN[name]
+    return node
 
 
 def _steps(model: BaseEstimator) -> Iterator[BaseEstimator]:
@@ -143,28 +179,54 @@ def _steps(model: BaseEstimator) -> Iterator[BaseEstimator]:
 
 
 def _check_step(step: BaseEstimator) -> None:
-    """Check what compiled code will believe.
+    """Check what compiled code, or a pool of workers, will believe.
 
     Raises:
-        ValueError: a tree or a support vector machine whose parts do not fit.
+        ValueError: a tree or a support vector machine whose parts do not fit, or workers asked for.
     """
+    require(getattr(step, "n_jobs", None) is None, "it asks for workers")
     if isinstance(step, RandomForestClassifier):
         for grown in step.estimators_:
             require(type(grown) is DecisionTreeClassifier, "a forest holds something else than trees")
-            tree = grown.tree_
-            inner = tree.children_left != -1
-            children = (tree.children_left[inner], tree.children_right[inner])
-            _check_tree(inner, children, tree.feature[inner], tree.n_features)
+            _check_grown(grown, step)
     elif isinstance(step, HistGradientBoostingClassifier):
-        require(step._preprocessor is None, "a tree asks for a category")  # noqa: SLF001  # no public way
-        for predictor in (tree for round_ in step._predictors for tree in round_):  # noqa: SLF001  # no public way
-            nodes = predictor.nodes
-            inner = nodes["is_leaf"] == 0
-            children = (nodes["left"][inner], nodes["right"][inner])
-            _check_tree(inner, children, nodes["feature_idx"][inner], step.n_features_in_)
-            require(not nodes["is_categorical"].any(), "a tree asks for a category")
+        _check_boosting(step)
     elif isinstance(step, SVC):
         _check_vectors(step)
+
+
+def _check_grown(grown: DecisionTreeClassifier, forest: RandomForestClassifier) -> None:
+    tree = grown.tree_
+    # Before anything else: the arrays of a tree are views of as many nodes as it says.
+    require(type(tree) is Tree and tree.node_count == tree.capacity, "a tree has not the nodes that it says")
+    sizes = (tree.n_features, tree.n_outputs, tree.max_n_classes)
+    require(
+        sizes == (forest.n_features_in_, 1, len(forest.classes_)) and grown.n_features_in_ == tree.n_features,
+        f"a tree is for {sizes[0]} features and {sizes[2]} classes, and its forest is not",
+    )
+    inner = tree.children_left != -1
+    children = (tree.children_left[inner], tree.children_right[inner])
+    _check_tree(inner, children, tree.feature[inner], tree.n_features)
+
+
+def _check_boosting(boosting: HistGradientBoostingClassifier) -> None:
+    mapper, n_classes = boosting._bin_mapper, len(boosting.classes_)  # noqa: SLF001  # no public way
+    require(
+        boosting._preprocessor is None and not np.any(mapper.is_categorical_),  # noqa: SLF001  # no public way
+        "a tree asks for a category",
+    )
+    require(not getattr(boosting, "_in_fit", False), "its boosting is not fitted")
+    n_trees = 1 if n_classes == 2 else n_classes
+    require(boosting.n_trees_per_iteration_ == n_trees, f"its boosting must have {n_trees} trees a round")
+    for trees in boosting._predictors:  # noqa: SLF001  # no public way
+        require(len(trees) == n_trees, f"its boosting must have {n_trees} trees a round")
+        for predictor in trees:
+            nodes = predictor.nodes
+            require(type(predictor) is TreePredictor and nodes.ndim == 1, "a tree has no list of nodes")
+            inner = nodes["is_leaf"] == 0
+            children = (nodes["left"][inner], nodes["right"][inner])
+            _check_tree(inner, children, nodes["feature_idx"][inner], boosting.n_features_in_)
+            require(not nodes["is_categorical"].any(), "a tree asks for a category")
 
 
 def _check_tree(
@@ -173,6 +235,7 @@ def _check_tree(
     """Check a tree: which nodes have children, both children of these, the feature each asks for."""
     require(len(inner) > 0, "a tree has no node")
     for child in children:
+        # Children lie behind their parents: so no walk is endless.
         later = (child.astype(np.int64) > np.flatnonzero(inner)) & (child < len(inner))
         require(bool(later.all()), "a tree has a child that does not exist")
     require(bool(((asked >= 0) & (asked < n_features)).all()), "a tree asks for no feature")
@@ -180,13 +243,22 @@ def _check_tree(
 
 def _check_vectors(machine: SVC) -> None:
     n_classes, n_vectors = len(machine.classes_), len(machine.support_vectors_)
+    n_pairs = n_classes * (n_classes - 1) // 2
     counts = machine._n_support  # noqa: SLF001  # what libsvm is given
+    scales = {machine._probA.shape, machine._probB.shape}  # noqa: SLF001  # the same
     require(
-        machine.support_vectors_.shape == (n_vectors, machine.n_features_in_)
+        n_classes >= 2
+        and machine.support_vectors_.shape == (n_vectors, machine.n_features_in_)
         and counts.shape == (n_classes,)
         and bool((counts >= 0).all())
         and int(counts.sum()) == n_vectors == len(machine.support_)
         and machine._dual_coef_.shape == (n_classes - 1, n_vectors)
-        and machine._intercept_.shape == (n_classes * (n_classes - 1) // 2,),
+        and machine._intercept_.shape == (n_pairs,)
+        and scales in ({(0,)}, {(n_pairs,)}),
         "the parts of its support vector machine do not fit each other",
+    )
+    kind = (machine._impl, machine._sparse)  # noqa: SLF001  # the same
+    require(
+        kind == ("c_svc", False) and machine.kernel in ("linear", "poly", "rbf", "sigmoid"),
+        "its support vector machine is of an unknown kind",
     )

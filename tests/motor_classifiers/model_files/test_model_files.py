@@ -193,8 +193,8 @@ def test_tensors_of_another_shape_are_refused(
 ) -> None:
     content = contents[name]
     length = int.from_bytes(content[:8], "little")
-    metadata = json.loads(content[8 : 8 + length])["__metadata__"]
-    refusal(save({**load(content), key: values}, metadata=metadata), tmp_path)
+    head = json.loads(content[8 : 8 + length])["__metadata__"][FORMAT]
+    refusal(save({**load(content), key: values}, metadata={FORMAT: head}), tmp_path)
 
 
 def test_a_function_in_a_pipeline_is_refused_by_name(contents: dict[str, bytes], tmp_path: Path) -> None:

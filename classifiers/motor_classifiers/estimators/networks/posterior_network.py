@@ -340,6 +340,7 @@ class PosteriorNetwork(LogitClassifier):
         references = parameters.get("n_references", 0)
         require(type(references) is int and references >= 0, f"n_references must be >= 0, got {references!r}")
         model = cls(recipe, **parameters)
+        model._checked_noise()
         model.classes_ = np.array(state.values["classes"])
         model.n_features_in_ = (1 + references) * values_of_start(recipe)
         model.severity_priors_ = tuple(SeverityPrior(**prior) for prior in state.values["severities"])

@@ -1,0 +1,103 @@
+"""What a model file may hold before anything is made of it: a regular file, of a stated size packed and unpacked."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import stat
+import zipfile
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from motor_classifiers.estimators.state import Arrays
+from motor_env.errors import InputError
+from motor_env.motor.parameters import require
+
+LARGEST_FILE_BYTES = 200_000_000
+"""Of a model file, and of all that an archive unpacks to; a forest on 100,000 starts has some 50 MB."""
+LARGEST_TEXT_BYTES = 32_000_000
+"""Of a JSON text: what is made of it takes up to forty times as much."""
+_CENTRAL_ENTRY = b"PK\x01\x02"
+MOST_MEMBERS = 50_000
+"""Members of an archive; a forest of 200 trees has 600."""
+
+
+def read_file(path: Path) -> bytes:
+    """Content of a regular file that is not too large.
+
+    Raises:
+        InputError: no such file, no regular one, or a larger one.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise InputError(f"{path}: is no regular file")
+        with path.open("rb") as file:
+            content = file.read(LARGEST_FILE_BYTES + 1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
+    if len(content) > LARGEST_FILE_BYTES:
+        raise InputError(f"{path}: is larger than {LARGEST_FILE_BYTES // 1_000_000} MB, not a model of ours")
+    return content
+
+
+def unpacked(content: bytes) -> dict[str, bytes]:
+    """Members of an archive by name. No more is unpacked than the archive says, whatever is in it.
+
+    Raises:
+        ValueError: too many members, too large ones, or packed by another method than zip's own.
+        zipfile.BadZipFile, zlib.error: damaged.
+    """
+    require(content.count(_CENTRAL_ENTRY) <= MOST_MEMBERS, f"it has more than {MOST_MEMBERS} members")
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        members = archive.infolist()
+        methods = {member.compress_type for member in members}
+        # The other methods unpack a whole member before its size is looked at.
+        require(methods <= {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}, "it is packed by an unknown method")
+        require(
+            sum(member.file_size for member in members) <= LARGEST_FILE_BYTES,
+            f"it unpacks to more than {LARGEST_FILE_BYTES // 1_000_000} MB",
+        )
+        return {member.filename: _read(archive, member) for member in members}
+
+
+def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    with archive.open(member) as file:
+        content = file.read(member.file_size)
+    require(len(content) == member.file_size, f"{member.filename[:40]!r} is cut short")
+    return content
+
+
+def packed(members: dict[str, bytes]) -> bytes:
+    """An archive of members, not compressed."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return buffer.getvalue()
+
+
+def parsed(text: bytes | str, **options: Any) -> Any:
+    """The value of a JSON text.
+
+    Raises:
+        ValueError: too long, no JSON, or a number that is none.
+        RecursionError: too deep.
+    """
+    require(len(text) <= LARGEST_TEXT_BYTES, f"a text is longer than {LARGEST_TEXT_BYTES // 1_000_000} MB")
+    return json.loads(text, parse_constant=_no_number, **options)
+
+
+def _no_number(text: str) -> NoReturn:
+    raise ValueError(f"{text} is no number")
+
+
+def digest(head: str, arrays: Arrays) -> str:
+    """SHA-256 of a head and of arrays with their names, types and shapes: a flipped bit is not taken for a weight."""
+    total = hashlib.sha256(head.encode())
+    for name, values in sorted(arrays.items()):
+        total.update(f"\n{name} {values.dtype.str} {values.shape}\n".encode())
+        total.update(np.ascontiguousarray(values).tobytes())
+    return total.hexdigest()
