@@ -178,6 +178,10 @@ def judge_apart(name: str, cell: Cell) -> Answer:
     with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
         try:
             return pool.submit(judge, name, cell).result()
+        except KeyboardInterrupt:
+            for worker in multiprocessing.active_children():
+                worker.terminate()  # closing the pool would wait for its answer
+            raise
         except BrokenProcessPool:
             reason = "its process ended without an answer; is there memory enough?"
         except (ValueError, np.linalg.LinAlgError) as error:

@@ -258,6 +258,26 @@ def test_a_killed_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
             )
 
 
+@pytest.mark.long
+@pytest.mark.timeout(400)
+def test_a_terminated_run_does_not_wait_for_its_method(tmp_path: Path) -> None:
+    arguments = [*FAST, "--methods", "posterior-network", "--out", str(tmp_path)]
+    with subprocess.Popen(
+        [sys.executable, "-m", "motor_classifiers", *arguments], stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stderr is not None
+        told = iter(process.stderr.readline, "")
+        assert any("posterior-network on bench" in line for line in told)
+        time.sleep(10.0)  # some minutes of training have begun
+        begin = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        said = process.stderr.read()  # ends when no process holds the pipe
+        assert process.wait(30.0) == 128 + signal.SIGTERM
+        assert time.monotonic() - begin < 30.0
+    assert said.endswith("motor-classifiers: interrupted\n")
+    assert "Traceback" not in said
+
+
 def test_dry_run_tells_what_is_there_and_makes_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
