@@ -1,76 +1,90 @@
-"""Arrays out of binary files: MATLAB, NumPy, Parquet. None of them may run code."""
+"""Arrays out of binary files: MATLAB, NumPy, Parquet. None of them may run code.
+
+Compiled parsers of involved formats crash on some damaged files, and a small file may unpack to gigabytes: MATLAB and
+Parquet are parsed in a process of their own (`array_parser`), with limits of memory and time.
+"""
 
 from __future__ import annotations
 
 import io
+import json
+import os
+import subprocess
+import sys
+import zipfile
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from motor_env.errors import InputError, require_extra
+from motor_env.recordings import array_parser
+
+_SECONDS = 60.0
+_SINGLE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
 
 
 def read_arrays(path: Path, content: bytes) -> dict[str, Any] | None:
     """Arrays of a binary file by name; None where its ending is that of no such file.
 
     Raises:
-        InputError: it is not what its ending says.
+        InputError: it is not what its ending says, or unpacks to more than can be read.
     """
     match path.suffix.lower():
         case ".mat":
-            return _mat(path, content)
+            if content[:19] == b"MATLAB 7.3 MAT-file":
+                raise _unreadable(path, "MATLAB", "it is of version 7.3; save it with -v7")
+            return _parsed_elsewhere(path, content, "MATLAB")
         case ".npy" | ".npz":
             return _numpy(path, content)
         case ".parquet" | ".pq":
-            return _parquet(path, content)
+            require_extra("pyarrow", "datasets")
+            return _parsed_elsewhere(path, content, "Parquet")
     return None
 
 
-def _mat(path: Path, content: bytes) -> dict[str, Any]:
-    from scipy.io import loadmat
-
+def _parsed_elsewhere(path: Path, content: bytes, kind: str) -> dict[str, Any]:
+    # -P: modules of this folder must not hide others of the same name.
+    command = [sys.executable, "-P", array_parser.__file__, kind]
     try:
-        variables = loadmat(cast("Any", io.BytesIO(content)), simplify_cells=True)
-    except Exception as error:  # noqa: BLE001  # a damaged file makes scipy raise anything, struct.error to MemoryError
-        reason = "it is of version 7.3; save it with -v7" if content[:19] == b"MATLAB 7.3 MAT-file" else error
-        raise InputError(f"{path}: is not a MATLAB file that can be read ({_short(reason)})") from None
-    out: dict[str, Any] = {}
-    for name, value in variables.items():
-        if name.startswith("__"):
-            continue
-        out |= value if isinstance(value, dict) else {name: value}
-    return out
+        done = subprocess.run(  # noqa: S603  # our own interpreter and file; the content comes by its input
+            command,
+            input=content,
+            capture_output=True,
+            timeout=_SECONDS,
+            env=os.environ | _SINGLE,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise _unreadable(path, kind, f"it takes longer than {_SECONDS:g} s") from None
+    if done.returncode:
+        crash = f"its parser crashed with status {done.returncode}"
+        words = done.stderr.decode(errors="replace").strip().splitlines() if done.returncode == 1 else []
+        raise _unreadable(path, kind, words[-1] if words else crash)
+    head, _, data = done.stdout.partition(b"\n")
+    arrays, begin = {}, 0
+    for name, shape in json.loads(head):
+        size = int(np.prod(shape))
+        arrays[name] = np.frombuffer(data, np.float64, size, begin).reshape(shape)
+        begin += 8 * size
+    return arrays
 
 
 def _numpy(path: Path, content: bytes) -> dict[str, Any]:
     try:
+        if content[:2] == b"PK":
+            with zipfile.ZipFile(io.BytesIO(content)) as archive:
+                array_parser.check_count(sum(member.file_size for member in archive.infolist()) // 8)
         loaded = np.load(io.BytesIO(content), allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            if loaded.dtype.names:
-                return {name: loaded[name] for name in loaded.dtype.names}
-            return {"array": loaded}
-        return {name: loaded[name] for name in loaded.files}
+        if not isinstance(loaded, np.ndarray):
+            return {name: loaded[name] for name in loaded.files}
+        return (
+            {name: loaded[name] for name in loaded.dtype.names} if loaded.dtype.names else {"array": loaded}
+        )
     except Exception as error:  # noqa: BLE001  # a damaged file makes NumPy raise anything, zipfile's errors among them
-        raise InputError(f"{path}: is not a NumPy file that can be read ({_short(error)})") from None
+        raise _unreadable(path, "NumPy", error) from None
 
 
-def _parquet(path: Path, content: bytes) -> dict[str, Any]:
-    require_extra("pyarrow", "datasets")
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        table = pq.read_table(pa.BufferReader(content))
-        return {
-            name: table.column(name).to_numpy()
-            for name in table.column_names
-            if pa.types.is_floating(table.schema.field(name).type)
-            or pa.types.is_integer(table.schema.field(name).type)
-        }
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError(f"{path}: is not a Parquet file that can be read ({_short(error)})") from None
-
-
-def _short(reason: object) -> str:
-    return " ".join(str(reason).split())[:100]
+def _unreadable(path: Path, kind: str, reason: object) -> InputError:
+    short = " ".join(str(reason).split())[:100]
+    return InputError(f"{path}: is not a {kind} file that can be read ({short})")

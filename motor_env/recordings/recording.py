@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 FEWEST_SAMPLES = 20
+_SHORTEST_STEP_S, _LONGEST_STEP_S = 1e-10, 1e4
+_SMALLEST_READING, _LARGEST_READING = 1e-12, 1e9
+_GAP_STEPS = 100.0  # median steps without a sample: what lies between is not known
 _Record = TypeVar("_Record", bound="DataclassInstance")
 
 
@@ -68,7 +71,7 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
             time axis that does not rise.
     """
     path = Path(path)
-    table = read_table(path)
+    table = read_table(path, [choice.column for choice in choices])
     recognised = _recognise(path, table, choices)
     columns = {quantity: factor * table.values[:, k] for quantity, (k, factor) in recognised.items()}
     notes = [
@@ -141,11 +144,18 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
             f"{path}, {table.where} {table.lines[bad]}: the column time_s must rise,"
             f" got {time[bad]:.10g} after {time[bad - 1]:.10g}"
         )
-    largest = max(float(np.max(np.abs(values))) for values in columns.values())
-    if largest > 1e9:
-        raise InputError(f"{path}: a value of {largest:.3g} is no reading of a motor")
-    even, columns, note = evened(time, columns)
-    notes = (*notes, *note)
+    if not _SHORTEST_STEP_S <= float(np.median(steps)) <= _LONGEST_STEP_S:
+        raise InputError(f"{path}: samples {np.median(steps):.3g} s apart are no recording of a motor")
+    for name, values in columns.items():
+        largest = float(np.max(np.abs(values)))
+        if largest > _LARGEST_READING or (name != "time" and 0.0 < largest < _SMALLEST_READING):
+            raise InputError(f"{path}: a {name} of {largest:.3g} is no reading of a motor")
+    stretch, gap_note = _without_gaps(time, steps)
+    if stretch.stop - stretch.start < FEWEST_SAMPLES:
+        raise InputError(f"{path}: has gaps between all of its samples")
+    columns = {name: values[stretch] for name, values in columns.items()}
+    even, columns, note = evened(columns["time"], columns)
+    notes = (*notes, *gap_note, *note)
     return Recording(
         path=path,
         time_s=even,
@@ -154,6 +164,20 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
         speed_rad_s=columns.get("speed"),
         duty=columns.get("duty"),
         columns=notes,
+    )
+
+
+def _without_gaps(time_s: FloatArray, steps: FloatArray) -> tuple[slice, tuple[str, ...]]:
+    """The longest stretch of samples without a long gap, and a note where there is one."""
+    gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps))
+    if len(gaps) == 0:
+        return slice(0, len(time_s)), ()
+    edges = np.concatenate([[0], gaps + 1, [len(time_s)]])
+    longest = int(np.argmax(np.diff(edges)))
+    begin, end = int(edges[longest]), int(edges[longest + 1])
+    span = f"{time_s[begin]:.6g} to {time_s[end - 1]:.6g} s"
+    return slice(begin, end), (
+        f"a gap of {steps[gaps].max():.3g} s: only {span} is read, the longest stretch",
     )
 
 

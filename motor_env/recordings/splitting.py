@@ -14,9 +14,11 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import wild_samples, without_wild
 from motor_env.recordings.recording import Recording, cut
 
-_FEWEST_APART = 40
 _HIGH, _LOW, _REST = 0.5, 0.25, 0.05
-_FEWEST_AT_REST = 10
+_FEWEST_APART, _SHORTEST_APART_S = 40, 0.005
+_FEWEST_AT_REST, _SHORTEST_AT_REST_S = 10, 0.001
+_WILD = 5  # samples of a long recording that may lie above all that counts
+MOST_STARTS = 200
 
 
 def split_starts(recording: Recording) -> list[Recording]:
@@ -26,11 +28,13 @@ def split_starts(recording: Recording) -> list[Recording]:
     beyond half of the largest, after less than a quarter of it for a while. A part's name is that of the file with #2.
     """
     if recording.voltage_v is not None:
-        begins = _rises(np.abs(recording.voltage_v), rest=_REST)
+        voltage = without_wild(recording.voltage_v, wild_samples(recording.voltage_v))
+        begins = _rises(np.abs(voltage), recording.dt_s, rest=_REST)
     else:
         current = without_wild(recording.current_a, wild_samples(recording.current_a))
         current = current - np.median(current[: max(len(current) // 50, 5)])
-        begins = _rises(current if current.max() >= -current.min() else -current, rest=_LOW)
+        rising = current if current.max() >= -current.min() else -current
+        begins = _rises(rising, recording.dt_s, rest=_LOW)
     if len(begins) < 2:
         return [recording]
     cuts = [0, *(_switched_off(recording, a, b) for a, b in pairwise(begins))]
@@ -43,33 +47,40 @@ def split_starts(recording: Recording) -> list[Recording]:
     return parts
 
 
-def chosen_starts(recording: Recording, number: int | None) -> list[Recording]:
+def chosen_starts(recording: Recording, number: int | None = None) -> list[Recording]:
     """All starts, or the one with that number.
 
     Raises:
-        InputError: there is no such start.
+        InputError: there is no such start, or there are more than 200 of them and none is chosen.
     """
     parts = split_starts(recording)
     if number is None:
+        if len(parts) > MOST_STARTS:
+            raise InputError(
+                f"{recording.path}: it rises from rest {len(parts)} times; at most {MOST_STARTS} starts are judged at"
+                " once: is it one? Else name one of them with --start"
+            )
         return parts
     if not 1 <= number <= len(parts):
         raise InputError(f"{recording.path}: --start must lie in 1 .. {len(parts)}, got {number}")
     return [parts[number - 1]]
 
 
-def _rises(values: FloatArray, rest: float) -> list[int]:
+def _rises(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:
     """Samples where the values rise beyond half of their largest, after having been at rest."""
-    top = float(np.percentile(values, 99.9)) if len(values) > 2000 else float(values.max())
-    high, low = values > _HIGH * top, values < rest * top
+    top = float(np.sort(values)[-1 - (_WILD if len(values) > 2000 else 0)])
+    high, low = (values > _HIGH * top).tolist(), (values < rest * top).tolist()
+    apart = max(_FEWEST_APART, round(_SHORTEST_APART_S / dt_s))
+    pause = max(_FEWEST_AT_REST, round(_SHORTEST_AT_REST_S / dt_s))
     begins: list[int] = []
-    at_rest, since = 0, _FEWEST_APART
+    at_rest, since = 0, apart
     armed = True
     for k in range(len(values)):
         at_rest = at_rest + 1 if low[k] else 0
-        armed = armed or at_rest >= _FEWEST_AT_REST
+        armed = armed or at_rest >= pause
         since += 1
         if armed and high[k]:
-            if since >= _FEWEST_APART or not begins:
+            if since >= apart or not begins:
                 begins.append(k)
                 since = 0
             armed = False

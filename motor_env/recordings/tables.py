@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Sequence
+import stat
+from array import array
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +17,12 @@ import numpy as np
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.array_files import read_arrays
-from motor_env.recordings.headers import is_unit
+from motor_env.recordings.headers import is_unit, understand
 
-LARGEST_FILE_BYTES = 500_000_000
+LARGEST_FILE_BYTES = 200_000_000
+_LARGEST_TEXT_BYTES = 20_000_000  # of what is kept cell by cell
+_LONGEST_PREAMBLE = 10_000  # lines
+_MOST_COLUMNS = 1_000
 _DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "blank"}
 _DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*$")
 _LOOK_AHEAD = 60  # rows at the end of a file, far from any preamble, that show its form
@@ -79,40 +84,51 @@ class TextTable:
         return True
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path, wanted: Sequence[str] = ()) -> Table:
     """Read a table of numbers.
 
+    Args:
+        path: of the file.
+        wanted: columns that must not be left out.
+
     Raises:
-        InputError: the file is missing, empty, or not of a kind that can be read; a cell is no finite number.
+        InputError: the file is missing, empty, too large or of no kind that can be read; a cell is no finite number.
     """
     content = _content(path)
     arrays = read_arrays(path, content)
-    return _block_of_numbers(_cells(path, content)) if arrays is None else _columns(path, arrays)
+    if arrays is None:
+        return _block_of_numbers(path, _decoded(path, content).splitlines())
+    return _columns(path, arrays, wanted)
 
 
 def read_text_table(path: Path) -> TextTable:
     """Read a text file as a table of cells.
 
     Raises:
-        InputError: the file is missing or empty, or no text.
+        InputError: the file is missing, empty or too large, or no text.
     """
-    return _cells(path, _content(path))
+    return _cells(path, read_text(path).splitlines())
 
 
 def read_text(path: Path) -> str:
     """Read a text file, whatever its code page.
 
     Raises:
-        InputError: the file is missing or empty, or no text.
+        InputError: the file is missing, empty or too large, or no text.
     """
-    return _decoded(path, _content(path))
+    return _decoded(path, _content(path, _LARGEST_TEXT_BYTES))
 
 
-def _content(path: Path) -> bytes:
+def _content(path: Path, largest: int = LARGEST_FILE_BYTES) -> bytes:
     try:
-        if path.stat().st_size > LARGEST_FILE_BYTES:
-            raise InputError(f"{path}: is larger than {LARGEST_FILE_BYTES // 1_000_000} MB")
-        content = path.read_bytes()
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(f"{path}: is no regular file")
+        # What the system makes up while it is read has no size, and may never end.
+        content = b""
+        if status.st_size:
+            with path.open("rb") as file:
+                content = file.read(largest + 1)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except InputError:
@@ -120,6 +136,8 @@ def _content(path: Path) -> bytes:
     except (OSError, ValueError) as error:
         reason = (error.strerror or str(error)).lower() if isinstance(error, OSError) else str(error)
         raise InputError(f"{path}: cannot be read ({reason})") from None
+    if len(content) > largest:
+        raise InputError(f"{path}: is larger than {largest // 1_000_000} MB")
     if not content.strip():
         raise InputError(f"{path}: is empty")
     return content
@@ -140,21 +158,26 @@ def _decoded(path: Path, content: bytes) -> str:
     raise InputError(f"{path}: is not text, and its ending is none of .mat, .npy, .npz, .parquet")
 
 
-def _cells(path: Path, content: bytes) -> TextTable:
-    lines = _decoded(path, content).splitlines()
+def _cells(path: Path, lines: list[str]) -> TextTable:
     delimiter = _delimiter(lines)
-    if delimiter == " ":
-        numbered = [(n, line.split()) for n, line in enumerate(lines, 1)]
-    else:
-        try:
-            reader = csv.reader(lines, delimiter=delimiter)
-            numbered = [(reader.line_num, row) for row in reader]
-        except csv.Error as error:
-            raise InputError(f"{path}: is not a table ({error})") from None
-    kept = [(n, row) for n, row in numbered if any(cell.strip() for cell in row)]
+    kept = list(_rows(path, lines, delimiter))
     near_end = (cell for _, row in kept[-_LOOK_AHEAD:] for cell in row)
     comma = delimiter != "," and any(_DECIMAL_COMMA.match(cell) for cell in near_end)
     return TextTable(path, delimiter, comma, tuple(n for n, _ in kept), tuple(row for _, row in kept))
+
+
+def _rows(path: Path, lines: list[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    """Number and cells of each line that is not blank."""
+    if delimiter == " ":
+        yield from ((n, row) for n, line in enumerate(lines, 1) if (row := line.split()))
+        return
+    reader = csv.reader(lines, delimiter=delimiter)
+    try:
+        for row in reader:
+            if any(cell.strip() for cell in row):
+                yield reader.line_num, row
+    except csv.Error as error:
+        raise InputError(f"{path}: is not a table ({error})") from None
 
 
 def _delimiter(lines: list[str]) -> str:
@@ -165,29 +188,62 @@ def _delimiter(lines: list[str]) -> str:
     return next(frequent, " " if blanks else ",")
 
 
-def _block_of_numbers(table: TextTable) -> Table:
-    """The block of numbers in a text file, with the header above it."""
+def _block_of_numbers(path: Path, lines: list[str]) -> Table:
+    """The block of numbers in a text file, with the header above it.
+
+    Its form is told by the beginning and the end of the file; a preamble is at most 10,000 lines long.
+    """
+    while lines and not lines[-1].strip():
+        lines.pop()
+    seen = lines
+    if len(lines) > _LONGEST_PREAMBLE + _LOOK_AHEAD:
+        seen = [*lines[:_LONGEST_PREAMBLE], *lines[-_LOOK_AHEAD:]]
+    table = _cells(path, seen)
     columns = _number_columns(table)
     is_full = (table.numbers(row, columns) == len(columns) for row in table.rows)
     first = next((n for n, full in enumerate(is_full) if full), None) if columns else None
-    if first is None:
-        raise InputError(f"{table.path}: holds no table of numbers")
+    if first is None or (seen is not lines and table.lines[first] > _LONGEST_PREAMBLE):
+        raise InputError(f"{path}: holds no table of numbers")
     first = _with_damaged_rows(table, first, columns)
-    names, lines = _names(table, first, columns), table.lines[first:]
+    names, begin = _names(table, first, columns), table.lines[first]
     remarks = []
     if table.delimiter != ",":
         remarks.append(f"delimiter {_DELIMITERS[table.delimiter]}")
     if table.decimal_comma:
         remarks.append("decimal comma")
-    if lines[0] > 2:
-        remarks.append(f"numbers begin in line {lines[0]}")
-    values = np.empty((len(lines), len(columns)))
-    for n, row in enumerate(table.rows[first:]):
-        for k, column in enumerate(columns):
-            name = names[k] or f"number {column + 1}"
+    if begin > 2:
+        remarks.append(f"numbers begin in line {begin}")
+    body = lines[begin - 1 :]
+    values = _parsed(table, body, columns)
+    numbers: Sequence[int] = range(begin, begin + len(body))
+    if values is None:
+        values, numbers = _parsed_cell_by_cell(table, body, columns, names=names, begin=begin)
+    return Table(tuple(names), values, numbers, remarks=tuple(remarks))
+
+
+def _parsed(table: TextTable, body: list[str], columns: Sequence[int]) -> FloatArray | None:
+    """Plain rows of numbers by NumPy's parser, shape (n_rows, n_columns); None where it stumbles over one."""
+    plain = (line.replace(",", ".") for line in body) if table.decimal_comma else body
+    delimiter = None if table.delimiter == " " else table.delimiter
+    try:
+        values = np.loadtxt(plain, delimiter=delimiter, usecols=columns, ndmin=2, comments=None)
+    except ValueError:
+        return None
+    return values if len(values) == len(body) and np.isfinite(values).all() else None
+
+
+def _parsed_cell_by_cell(
+    table: TextTable, body: list[str], columns: Sequence[int], *, names: list[str], begin: int
+) -> tuple[FloatArray, Sequence[int]]:
+    """The same slowly, with blank lines and quotes, and a sentence that tells the cell which is no number."""
+    values, numbers = array("d"), array("q")
+    for n, row in _rows(table.path, body, table.delimiter):
+        numbers.append(begin - 1 + n)
+        for name, column in zip(names, columns, strict=True):
             cell = row[column] if column < len(row) else ""
-            values[n, k] = _value(table, cell, f"line {lines[n]}: the column {name}")
-    return Table(tuple(names), values, lines, remarks=tuple(remarks))
+            where = f"line {numbers[-1]}: the column {name or f'number {column + 1}'}"
+            values.append(_value(table, cell, where))
+    return np.array(values).reshape(-1, len(columns)), numbers
 
 
 def _number_columns(table: TextTable) -> list[int]:
@@ -198,6 +254,8 @@ def _number_columns(table: TextTable) -> list[int]:
     count = len(table.rows)
     tail = table.rows[-min(_LOOK_AHEAD, max(count // 2, min(count - 1, _FEWEST), 1)) :]
     width = max((len(row) for row in tail), default=0)
+    if width > _MOST_COLUMNS:
+        raise InputError(f"{table.path}: has {width} columns; at most {_MOST_COLUMNS} can be read")
     return [k for k in range(width) if sum(table.numbers(row, [k]) for row in tail) > 0.5 * len(tail)]
 
 
@@ -235,24 +293,37 @@ def _value(table: TextTable, cell: str, where: str) -> float:
     return value
 
 
-def _columns(path: Path, arrays: dict[str, Any]) -> Table:
-    """Table of the one-dimensional arrays of the most frequent length, and of the columns of a matrix."""
+def _columns(path: Path, arrays: dict[str, Any], wanted: Sequence[str]) -> Table:
+    """Table of the arrays of one length, that of a wanted one or the most frequent, and of the columns of a matrix.
+
+    Raises:
+        InputError: no such array, a value that is not finite, or a quantity would be lost with an array of another
+            length.
+    """
     flat: dict[str, FloatArray] = {}
-    for name, array in arrays.items():
-        array = np.asarray(array)
-        if array.dtype.kind not in "fiub" or array.size < 2:
+    for name, given in arrays.items():
+        if given.dtype.kind not in "fiub" or given.size < 2:
             continue
-        squeezed = np.squeeze(array).astype(np.float64)
+        squeezed = np.squeeze(given).astype(np.float64)
         if squeezed.ndim == 1:
             flat[name] = squeezed
-        elif squeezed.ndim == 2:
+        elif squeezed.ndim == 2 and min(squeezed.shape) <= _MOST_COLUMNS:
             tall = squeezed if squeezed.shape[0] >= squeezed.shape[1] else squeezed.T
             flat |= {f"{name}#{k + 1}": tall[:, k] for k in range(tall.shape[1])}
     if not flat:
         raise InputError(f"{path}: holds no column of numbers")
-    lengths = [len(values) for values in flat.values()]
-    length = max(set(lengths), key=lengths.count)
+    lengths = [len(flat[name]) for name in wanted if name in flat] or [
+        len(values) for values in flat.values()
+    ]
+    length = max(set(lengths), key=lambda n: (lengths.count(n), n))
+    others = {name: values for name, values in flat.items() if len(values) != length}
     flat = {name: values for name, values in flat.items() if len(values) == length}
+    there = {understand(name)[0] for name in flat}
+    for name, values in others.items():
+        quantity = understand(name)[0]
+        lost = quantity is not None and quantity not in there and len(values) >= _FEWEST
+        if lost or name in wanted:
+            raise InputError(f"{path}: {name} has {len(values)} values where the others have {length}")
     values = np.column_stack(list(flat.values()))
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
@@ -262,4 +333,5 @@ def _columns(path: Path, arrays: dict[str, Any]) -> Table:
             f"{path}, row {row + 1}: the column {name} must hold finite numbers, got {values[row, column]}"
         )
     names = tuple("" if "#" in name else name for name in flat)
-    return Table(names, values, range(1, length + 1), where="row")
+    remarks = (f"left out, for their lengths: {', '.join(others)}",) if others else ()
+    return Table(names, values, range(1, length + 1), where="row", remarks=remarks)

@@ -1,0 +1,103 @@
+"""Parses one MATLAB or Parquet file from standard input, in a process of its own.
+
+What comes out: a line of JSON with name and shape of each array of numbers, then their values as bytes of float64.
+A file that cannot be parsed ends it with status 1 and a sentence on standard error.
+
+This file is run as a script: it imports nothing of the package.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from collections.abc import Iterator
+from typing import Any, cast
+
+import numpy as np
+
+MOST_NUMBERS = 50_000_000
+_MEMORY_BYTES = 1_600_000_000
+
+
+def check_count(numbers: int) -> None:
+    """Refuse more numbers than a recording holds.
+
+    Raises:
+        ValueError: they are more.
+    """
+    if numbers > MOST_NUMBERS:
+        raise ValueError(f"it unpacks to {numbers:,} numbers; at most {MOST_NUMBERS:,} are read")
+
+
+def parse_matlab(content: bytes) -> dict[str, Any]:
+    """Variables of a MATLAB file; those of structs by their own name, or as `struct.name` where it is there twice."""
+    from scipy.io import loadmat
+
+    variables = loadmat(cast("Any", io.BytesIO(content)), simplify_cells=True)
+    named = list(_named({name: value for name, value in variables.items() if not name.startswith("__")}))
+    shorts = [name.rpartition(".")[2] for name, _ in named]
+    return {
+        short if shorts.count(short) == 1 else name: np.asarray(value)
+        for short, (name, value) in zip(shorts, named, strict=True)
+    }
+
+
+def _named(variables: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in variables.items():
+        entries: list[Any] = value if isinstance(value, list) else []
+        if isinstance(value, np.ndarray) and value.dtype.kind == "O":
+            entries = list(value.flat)
+        if isinstance(value, dict):
+            yield from _named(value, f"{prefix}{name}.")
+        elif entries and isinstance(entries[0], dict):
+            structs = {f"{name}({n})": entry for n, entry in enumerate(entries, 1) if isinstance(entry, dict)}
+            yield from _named(structs, prefix)
+        elif not isinstance(value, list) or all(isinstance(entry, (int, float)) for entry in value):
+            yield prefix + name, value
+
+
+def parse_parquet(content: bytes) -> dict[str, Any]:
+    """Columns of numbers of a Parquet file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with pq.ParquetFile(pa.BufferReader(content)) as file:
+        fields = [
+            field.name
+            for field in file.schema_arrow
+            if pa.types.is_floating(field.type) or pa.types.is_integer(field.type)
+        ]
+        check_count(file.metadata.num_rows * len(fields))
+        table = file.read(columns=fields, use_threads=False)
+    return {name: table.column(name).to_numpy() for name in table.column_names}
+
+
+def main() -> int:
+    """Limit the memory, parse, write."""
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        pass
+    else:
+        resource.setrlimit(resource.RLIMIT_DATA, (_MEMORY_BYTES, resource.getrlimit(resource.RLIMIT_DATA)[1]))
+    parse = {"MATLAB": parse_matlab, "Parquet": parse_parquet}[sys.argv[1]]
+    try:
+        found = {
+            name: array.astype(np.float64)
+            for name, array in parse(sys.stdin.buffer.read()).items()
+            if array.dtype.kind in "fiub"
+        }
+        check_count(sum(array.size for array in found.values()))
+    except Exception as error:  # noqa: BLE001  # a damaged file makes a parser raise anything
+        sys.stderr.write(str(error) or type(error).__name__)
+        return 1
+    head = json.dumps([(name, array.shape) for name, array in found.items()])
+    sys.stdout.buffer.write(head.encode() + b"\n")
+    for array in found.values():
+        sys.stdout.buffer.write(np.ascontiguousarray(array).tobytes())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,322 @@
+"""Files of strangers: damaged, endless, enormous, oddly named. Each is read right, or refused in a sentence."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from motor_env import cli
+from motor_env.errors import InputError
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings import array_parser, tables
+from motor_env.recordings.headers import ColumnChoice
+from motor_env.recordings.recording import Recording, read_recording
+from motor_env.recordings.splitting import chosen_starts, split_starts
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+TIME = np.linspace(0.0, 0.0399, 400)
+CURRENT: FloatArray = 3.0 * np.exp(-TIME / 0.01) + 0.1
+VOLTAGE = np.where(TIME > 0.005, 12.0, 0.0)
+
+
+def bytes_of(kind: str) -> bytes:
+    """A good recording as the content of a file of some kind."""
+    columns: dict[str, Any] = {"time_s": TIME, "current_a": CURRENT, "voltage_v": VOLTAGE}
+    stream: Any = io.BytesIO()
+    if kind == "mat":
+        savemat(stream, columns, do_compression=True)
+    elif kind == "npz":
+        np.savez_compressed(stream, **columns)
+    elif kind == "npy":
+        np.save(stream, np.column_stack([TIME, CURRENT]))
+    elif kind == "parquet":
+        pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+        parquet.write_table(pa.table(columns), stream)
+    else:
+        np.savetxt(
+            stream,
+            np.column_stack(list(columns.values())),
+            delimiter=",",
+            header=",".join(columns),
+            comments="",
+        )
+    content: bytes = stream.getvalue()
+    return content
+
+
+def mutated(content: bytes, rng: np.random.Generator) -> bytes:
+    """One to three bits flipped, bytes overwritten, a piece cut out, doubled or put elsewhere, the end cut off."""
+    data = bytearray(content)
+    for _ in range(int(rng.integers(1, 4))):
+        place, size = int(rng.integers(len(data))), int(rng.integers(1, 40))
+        match int(rng.integers(6)):
+            case 0:
+                data[place] ^= 1 << int(rng.integers(8))
+            case 1:
+                data[place : place + size] = rng.bytes(min(size, len(data) - place))
+            case 2:
+                del data[place : place + size]
+            case 3:
+                data[place:place] = data[place : place + size]
+            case 4:
+                piece = data[place : place + size]
+                begin = int(rng.integers(len(data)))
+                data[begin : begin + size] = piece
+            case _:
+                del data[max(place, 10) :]
+        if len(data) < 10:
+            break
+    return bytes(data)
+
+
+def check_mutated(kind: str, seed: int, count: int, path: Path) -> None:
+    """Each mutated file is read to finite columns of one length, or refused in one line."""
+    content, rng = bytes_of(kind), np.random.default_rng([seed, len(kind)])
+    for n in range(count):
+        path.write_bytes(mutated(content, rng))
+        try:
+            recording = read_recording(path)
+        except InputError as error:
+            sentence = str(error)
+        else:
+            sentence = ""
+        assert "\n" not in sentence, (n, sentence)
+        if sentence:
+            continue
+        arrays = [a for a in (recording.current_a, recording.voltage_v) if a is not None]
+        assert {len(a) for a in arrays} == {len(recording.time_s)}
+        assert all(np.isfinite(a).all() for a in (recording.time_s, *arrays))
+
+
+@pytest.mark.parametrize(
+    ("kind", "count"), [("csv", 60), ("npz", 60), ("npy", 60), ("mat", 3), ("parquet", 3)]
+)
+def test_mutated_files_are_read_or_refused(kind: str, count: int, tmp_path: Path) -> None:
+    check_mutated(kind, 1, count, tmp_path / f"a.{kind}")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize(
+    ("kind", "count"), [("csv", 100), ("npz", 100), ("npy", 100), ("mat", 40), ("parquet", 40)]
+)
+def test_many_mutated_files_are_read_or_refused(kind: str, count: int, seed: int, tmp_path: Path) -> None:
+    check_mutated(kind, 10 + seed, count, tmp_path / f"a.{kind}")
+
+
+def test_a_crash_of_the_parser_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some damaged MATLAB files end the process that parses them."""
+    crashing = tmp_path / "crashing.py"
+    crashing.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
+    monkeypatch.setattr(array_parser, "__file__", str(crashing))
+    path = tmp_path / "a.mat"
+    path.write_bytes(bytes_of("mat"))
+    with pytest.raises(InputError, match="its parser crashed"):
+        read_recording(path)
+
+
+def test_odd_names_cost_no_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capture = (EXAMPLES / "startup_capture.csv").read_bytes()
+    folder = tmp_path / "cap["
+    folder.mkdir()
+    names = [
+        tmp_path / "x$_$.csv",
+        folder / "b].csv",
+        Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.csv")),
+        tmp_path / "\x1b[31mred.csv",
+        tmp_path / ("n" * 240 + ".csv"),
+    ]
+    for name in names:
+        name.write_bytes(capture)
+    empty, commas = tmp_path / "bom.csv", tmp_path / "commas.csv"
+    empty.write_bytes(b"\xef\xbb\xbf")
+    commas.write_bytes(b"," * 5_000_000)
+    files = [str(name) for name in (*names, empty, commas)]
+    options = ["--motor", str(EXAMPLES / "motor.toml"), "--out", str(tmp_path / "out")]
+    assert cli.main(["diagnose", *files, *options]) == 2
+    printed = capsys.readouterr()
+    assert printed.out.count("bearing +") == len(names)
+    assert "\x1b" not in printed.out + printed.err
+    assert printed.err.count("holds no table of numbers") == 2
+    assert len(list((tmp_path / "out").iterdir())) == len(names)
+    assert cli.main(["diagnose", files[2], files[3], *options[:2], "--json"]) == 1
+    assert [entry["verdict"] for entry in json.loads(capsys.readouterr().out)] == ["bearing"] * 2
+
+
+def test_a_bug_on_one_file_costs_no_verdict(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from motor_env.diagnosis import files
+
+    calls = iter([TypeError("a bug"), None])
+
+    def sometimes(path: Path, columns: Any) -> Recording:
+        if (error := next(calls)) is not None:
+            raise error
+        return read_recording(path, columns)
+
+    monkeypatch.setattr(files, "read_recording", sometimes)
+    capture, motor = str(EXAMPLES / "startup_capture.csv"), str(EXAMPLES / "motor.toml")
+    assert cli.main(["diagnose", capture, capture, "--motor", motor]) == 70
+    printed = capsys.readouterr()
+    assert "bearing +" in printed.out
+    assert "Traceback" in printed.err
+
+
+def long_record(seconds: float, rate_hz: float) -> Recording:
+    """A healthy start without a voltage, recorded long after its inrush is over."""
+    time_s = np.linspace(0.0, seconds, round(seconds * rate_hz), endpoint=False)
+    since = np.maximum(time_s - 0.05, 0.0)
+    current: FloatArray = 5.0 * (np.exp(-since / 0.004) - np.exp(-since / 0.0005)) + 0.1 * (time_s > 0.05)
+    noise: FloatArray = 0.05 * np.random.default_rng(3).standard_normal(len(time_s))
+    return Recording(Path("long"), time_s, current + noise)
+
+
+def test_noise_after_a_short_inrush_is_no_start() -> None:
+    assert len(split_starts(long_record(20.0, 10_000.0))) == 1
+
+
+def test_a_bouncing_contact_is_one_start() -> None:
+    time_s = np.linspace(0.0, 0.4, 40_000, endpoint=False)
+    on = (time_s > 0.1) & ~((time_s > 0.1005) & (time_s < 0.101)) & ~((time_s > 0.1015) & (time_s < 0.102))
+    recording = Recording(Path("bounce"), time_s, np.where(on, 2.0, 0.0), np.where(on, 12.0, 0.0))
+    assert len(split_starts(recording)) == 1
+
+
+def test_a_sine_is_not_a_thousand_starts() -> None:
+    time_s = np.linspace(0.0, 20.0, 200_000, endpoint=False)
+    sine = Recording(Path("sine"), time_s, np.sin(2.0 * np.pi * 50.0 * time_s))
+    with pytest.raises(InputError, match="at most 200 starts"):
+        chosen_starts(sine)
+    assert len(chosen_starts(sine, 3)) == 1
+
+
+def test_what_comes_after_a_long_gap_is_left_out(tmp_path: Path) -> None:
+    time_s = TIME.copy()
+    time_s[-25:] += 100.0
+    np.savez(tmp_path / "a.npz", time_s=time_s, current_a=CURRENT)
+    recording = read_recording(tmp_path / "a.npz")
+    np.testing.assert_allclose(recording.time_s, TIME[:-25])
+    np.testing.assert_array_equal(recording.current_a, CURRENT[:-25])
+    assert any("a gap of 100 s" in note for note in recording.columns)
+
+
+def test_structs_of_two_runs_are_not_merged(tmp_path: Path) -> None:
+    runs = {f"run{n}": {"time_s": TIME, "current_a": n * CURRENT} for n in (1, 2)}
+    path = tmp_path / "a.mat"
+    for content in (runs, {"data": runs}):
+        savemat(path, content)
+        with pytest.raises(InputError, match="name it: --column time="):
+            read_recording(path)
+    options = ("time=data.run2.time_s", "current=data.run2.current_a")
+    chosen = [ColumnChoice.parse(option) for option in options]
+    np.testing.assert_allclose(read_recording(path, chosen).current_a, 2.0 * CURRENT)
+    savemat(path, {"inputs": {"voltage_v": VOLTAGE}, "outputs": {"time_s": TIME, "current_a": CURRENT}})
+    assert read_recording(path).voltage_v is not None
+
+
+@pytest.mark.parametrize("kind", ["npz", "mat"])
+def test_a_voltage_one_sample_short_is_not_lost_in_silence(kind: str, tmp_path: Path) -> None:
+    columns: dict[str, Any] = {"time_s": TIME, "current_a": CURRENT, "voltage_v": VOLTAGE[:-1]}
+    path = tmp_path / f"a.{kind}"
+    if kind == "npz":
+        np.savez(path, **columns)
+    else:
+        savemat(path, columns)
+    with pytest.raises(InputError, match="voltage_v has 399 values where the others have 400"):
+        read_recording(path)
+
+
+def lzma_archive(path: Path) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("time_s.npy", bytes_of("npy"))
+    data = bytearray(path.read_bytes())
+    data[60:200] = bytes(140)
+    path.write_bytes(data)
+
+
+def large_matrix(path: Path) -> None:
+    zeros = np.zeros((array_parser.MOST_NUMBERS // 1000 + 1, 1000), dtype=np.uint8)
+    savemat(path, {"zeros": zeros}, do_compression=True)
+
+
+def large_parquet(path: Path) -> None:
+    pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    part = pa.table({"time_s": np.zeros(5_000_000)})
+    with parquet.ParquetWriter(path, part.schema) as writer:
+        for _ in range(11):
+            writer.write_table(part)
+
+
+def large_archive(path: Path) -> None:
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("time_s.npy", "w") as member,
+    ):
+        for _ in range(101):
+            member.write(bytes(4_000_000))
+
+
+def written(values: FloatArray, current: FloatArray) -> Callable[[Path], None]:
+    return lambda path: np.savez(path, time_s=values, current_a=current)
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "sentence"),
+    [
+        ("a.npz", lzma_archive, "is not a NumPy file"),
+        ("a.npz", large_archive, "unpacks to"),
+        ("a.mat", large_matrix, "unpacks to"),
+        ("a.parquet", large_parquet, "unpacks to"),
+        ("a.csv", os.mkfifo, "is no regular file"),
+        ("a.csv", Path.mkdir, "is no regular file"),
+        ("a.npz", written(TIME * 1e-310, CURRENT), "are no recording of a motor"),
+        ("a.npz", written(TIME, CURRENT * 1e-300), "is no reading of a motor"),
+        ("a.npz", written(TIME, CURRENT * 1e300), "is no reading of a motor"),
+        ("a.csv", lambda path: path.write_text("1," * 5_000 + "\n"), "at most 1000 can be read"),
+    ],
+)  # fmt: skip
+def test_bombs_and_odd_files_get_a_sentence(
+    name: str, make: Callable[[Path], Any], sentence: str, tmp_path: Path
+) -> None:
+    make(tmp_path / name)
+    with pytest.raises(InputError, match=sentence):
+        read_recording(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["/dev/zero", "/proc/self/environ"])
+def test_what_never_ends_is_not_read(name: str) -> None:
+    if not Path(name).exists():
+        pytest.skip("not on this system")
+    with pytest.raises(InputError, match=r"is no regular file|is empty"):
+        read_recording(name)
+
+
+def test_a_file_larger_than_what_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(bytes_of("csv"))
+    monkeypatch.setattr(tables._content, "__defaults__", (10_000,))
+    with pytest.raises(InputError, match="is larger than"):
+        read_recording(path)
+
+
+def test_plain_rows_are_parsed_at_once_and_like_cell_by_cell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, slow = tmp_path / "plain.csv", tmp_path / "slow.csv"
+    plain.write_bytes(bytes_of("csv"))
+    slow.write_text(plain.read_text().replace("\n", "\n \n"))
+    expected = read_recording(slow)
+    monkeypatch.setattr(tables, "_parsed_cell_by_cell", None)
+    found = read_recording(plain)
+    np.testing.assert_array_equal(found.current_a, expected.current_a)
+    np.testing.assert_array_equal(found.current_a, CURRENT)
