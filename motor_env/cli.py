@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import App, Parameter
 
 from motor_env import __version__, console
+from motor_env.console import printable
 from motor_env.errors import InputError
 
 Json = Annotated[bool, Parameter(name="--json", negative=())]
@@ -89,16 +90,14 @@ def reproduce(
         image_format: svg or png.
         json_: Print what stands in reproduce.json.
     """
-    from rich.console import Console
-
     from motor_env.apps import reproduce as paper
 
-    with Console(stderr=True).status("computing the paper's numbers") as status:
+    with console.working("computing the paper's numbers") as say:
         result = paper.reproduce(
-            out, image_format=image_format, progress=lambda figure: status.update(f"drawing {figure.name}")
+            out, image_format=image_format, progress=lambda figure: say(f"drawing {figure.name}")
         )
     if json_:
-        print(json.dumps(result, ensure_ascii=False))
+        print(json.dumps(result))
     else:
         print(f"{len(result['figures'])} figures and {len(result['numbers'])} numbers: {out / 'index.html'}")
     return 0
@@ -135,8 +134,6 @@ def diagnose(
         temperature_c: Temperature of the motor; it counts where `commission` was told one too.
         json_: Print one array with one object a start.
     """
-    from rich.console import Console
-
     from motor_env.diagnosis import report, running
     from motor_env.diagnosis.files import diagnose_files
     from motor_env.motor.data_sheet import load_motor
@@ -146,11 +143,11 @@ def diagnose(
         columns = measurement.options["columns"]
         records = running.diagnose_running(files, known, columns, false_alarm_rate, out)
         if json_:
-            print(json.dumps([record.as_json() for record in records], ensure_ascii=False, indent=1))
+            print(json.dumps([record.as_json() for record in records], indent=1))
         else:
-            print("\n".join(record.as_text() for record in records))
+            print(printable("\n".join(record.as_text() for record in records)))
         return running.exit_status(records)
-    with Console(stderr=True).status("reading") as status:
+    with console.working("reading") as say:
         outcomes = diagnose_files(
             files,
             motor=motor,
@@ -161,17 +158,19 @@ def diagnose(
             periods_per_turn=measurement.ripple_periods_per_turn,
             temperature_c=temperature_c,
             **measurement.options,
-            progress=lambda path: status.update(f"diagnosing {path}"),
+            progress=lambda path: say(f"diagnosing {path}"),
         )
     for outcome in outcomes:
         if outcome.error is not None:
-            print(f"motor-env: {outcome.error}", file=sys.stderr)
+            print(f"motor-env: {printable(outcome.error)}", file=sys.stderr)
     if json_:
-        print(json.dumps([outcome.as_json() for outcome in outcomes], ensure_ascii=False, indent=1))
+        print(json.dumps([outcome.as_json() for outcome in outcomes], indent=1))
     else:
         for outcome in outcomes:
             if outcome.diagnosis is not None:
-                print(outcome.as_text())
+                print(printable(outcome.as_text()))
+    if any(outcome.is_bug for outcome in outcomes):
+        return int(console.ExitStatus.BUG)
     diagnoses = [outcome.diagnosis for outcome in outcomes if outcome.diagnosis is not None]
     return report.exit_status(diagnoses, unreadable=len(diagnoses) < len(outcomes))
 
@@ -204,14 +203,12 @@ def trend(
         out: The page, one self-contained HTML file.
         json_: Print one array with one object a quantity.
     """
-    from rich.console import Console
-
     from motor_env.files import write_text
     from motor_env.prognosis import files as trends
     from motor_env.prognosis.page import page, status
     from motor_env.prognosis.trend import parse_limits
 
-    with Console(stderr=True).status("reading") as progress:
+    with console.working("reading") as say:
         judged, notes = trends.trends_of(
             paths,
             parse_limits(limit or ()),
@@ -219,15 +216,15 @@ def trend(
             voltage_v=voltage,
             date=date,
             reference_count=reference_count,
-            progress=lambda path: progress.update(f"fitting {path}"),
+            progress=lambda path: say(f"fitting {path}"),
         )
     write_text(out, page(judged, notes))
     for note in notes:
         print(f"motor-env: {note}", file=sys.stderr)
     if json_:
-        print(json.dumps([trends.as_json(one) for one in judged], ensure_ascii=False, indent=1))
+        print(json.dumps([trends.as_json(one) for one in judged], indent=1))
     else:
-        print(f"{trends.as_text(judged)}\n{out}")
+        print(printable(f"{trends.as_text(judged)}\n{out}"))
     return int(any(status(one) in ("reached", "trending") for one in judged))
 
 
@@ -282,10 +279,10 @@ def identify(
     if json_:
         objects = [steps.identified_json(*one, periods) for one in fits]
         objects += work.as_json() if works else []
-        print(json.dumps(objects, ensure_ascii=False, indent=1))
+        print(json.dumps(objects, indent=1))
     else:
         texts = [steps.identified_text(*one, periods) for one in fits]
-        print("\n".join([*texts, *(work.as_text() if works else [])]))
+        print(printable("\n".join([*texts, *(work.as_text() if works else [])])))
     return work.exit_status() if works else 0
 
 
@@ -337,7 +334,7 @@ def commission(
         picture = out / f"{output.stem}.png"
         plot_commissioned(result.fits, result.motor.reference, result.smallest, false_alarm_rate, picture)
     print(steps.commissioned_text(result, false_alarm_rate))
-    print(f"written: {output}")
+    print(printable(f"written: {output}"))
     return 0
 
 

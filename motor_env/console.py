@@ -64,7 +64,7 @@ def run(app: App, arguments: Sequence[str] | None = None) -> int:
         return int(ExitStatus.BUG)
     else:
         return int(status) if isinstance(status, int) else 0
-    print(f"{app.name[0]}: {message}", file=sys.stderr)
+    print(f"{app.name[0]}: {printable(message)}", file=sys.stderr)
     return int(ExitStatus.BAD_INPUT)
 
 
@@ -77,6 +77,24 @@ def _heed_termination() -> None:
     is_main = threading.current_thread() is threading.main_thread()
     if is_main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, interrupt)
+
+
+def printable(text: str) -> str:
+    """Text of strangers, such as the name of a file, without what steers a terminal or cannot be encoded."""
+    return "".join(
+        letter if letter.isprintable() or letter in "\n\t" else letter.encode("unicode_escape").decode()
+        for letter in text
+    )
+
+
+@contextmanager
+def working(words: str) -> Iterator[Callable[[object], None]]:
+    """A line on the terminal that says what is worked on; yields the function that changes it."""
+    from rich.console import Console
+    from rich.text import Text
+
+    with Console(stderr=True).status(words) as status:
+        yield lambda now: status.update(Text(printable(str(now))))
 
 
 def _sentence(error: Exception) -> str:

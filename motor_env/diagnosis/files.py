@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,10 @@ from motor_env.motor.data_sheet import MotorFile, StartReference, load_motor
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, read_recording
-from motor_env.recordings.splitting import chosen_starts, split_starts
+from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit
+
+_LONGEST_NAME = 50  # of a picture: a file's name has 255 bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +35,7 @@ class Outcome:
     diagnosis: Diagnosis | None
     error: str | None = None
     periods_per_turn: float | None = None
+    is_bug: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """One object; a file that could not be read has the verdict unusable, and the error."""
@@ -61,7 +65,7 @@ def fit_files(
         InputError: one of them cannot be read or used, they are fewer than `fewest`, or hold different columns; `word`
             is what the user calls them.
     """
-    starts = [part for path in paths for part in split_starts(read_recording(path, columns))]
+    starts = [part for path in paths for part in chosen_starts(read_recording(path, columns))]
     if len(starts) < fewest:
         raise InputError(f"commissioning needs at least {fewest} healthy starts, got {len(starts)}")
     try:
@@ -128,40 +132,61 @@ def diagnose_files(
         raise InputError(f"ripple-periods-per-turn must be > 0, got {periods_per_turn:g}")
     learned = _learn(healthy, loaded, voltage_v, columns=columns, circuit=circuit) if healthy else None
     outcomes: list[Outcome] = []
-    for path, recording, sentence in _starts(files, columns, start):
+
+    def judged(recording: Recording) -> Outcome:
+        diagnosis = diagnose(
+            recording,
+            loaded,
+            learned,
+            voltage_v=voltage_v,
+            false_alarm_rate=false_alarm_rate,
+            circuit=circuit,
+            temperature_c=temperature_c,
+        )
+        return Outcome(recording.path, diagnosis, None, periods_per_turn)
+
+    for path in files:
         progress(path)
-        if recording is None:
-            outcomes.append(Outcome(path, None, sentence))
-            continue
         try:
-            diagnosis = diagnose(
-                recording,
-                loaded,
-                learned,
-                voltage_v=voltage_v,
-                false_alarm_rate=false_alarm_rate,
-                circuit=circuit,
-                temperature_c=temperature_c,
-            )
-        except (ValueError, ArithmeticError, LookupError) as error:
-            # Values so far from any motor that the numerics give up; the others go on.
-            outcomes.append(Outcome(path, None, f"{path}: cannot be judged ({' '.join(str(error).split())})"))
+            parts = chosen_starts(read_recording(path, columns), start)
+        except Exception as error:  # noqa: BLE001  # whatever it is, it is said, and the others keep their verdicts
+            outcomes.append(_failure(path, error))
             continue
-        if out is not None:
-            plot_diagnosis(diagnosis, out / f"{len(outcomes) + 1:03d}-{path.name.replace('.', '-')}.png")
-        outcomes.append(Outcome(path, diagnosis, None, periods_per_turn))
+        for part in parts:
+            try:
+                outcomes.append(judged(part))
+            except Exception as error:  # noqa: BLE001  # the same
+                outcomes.append(_failure(part.path, error))
+                continue
+            if out is not None:
+                name = part.path.name.replace(".", "-")[:_LONGEST_NAME]
+                outcomes[-1] = _drawn(outcomes[-1], out / f"{len(outcomes):03d}-{name}.png")
     return outcomes
 
 
-def _starts(
-    files: Sequence[Path], choices: Sequence[ColumnChoice], number: int | None
-) -> Iterator[tuple[Path, Recording | None, str]]:
-    """Each start of each file, or the sentence why the file cannot be read."""
-    for path in files:
-        try:
-            parts = chosen_starts(read_recording(path, choices), number)
-        except InputError as error:
-            yield path, None, str(error)
-            continue
-        for part in parts:
-            yield part.path, part, ""
+def _drawn(outcome: Outcome, picture: Path) -> Outcome:
+    """Draw it; a verdict without its picture is better than none.
+
+    Raises:
+        InputError: the picture cannot be written.
+    """
+    try:
+        if outcome.diagnosis is not None:
+            plot_diagnosis(outcome.diagnosis, picture)
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001  # whatever matplotlib raises
+        failure = _failure(outcome.path, error, "drawn")
+        return replace(outcome, error=failure.error, is_bug=failure.is_bug)
+    return outcome
+
+
+def _failure(path: Path, error: Exception, word: str = "judged") -> Outcome:
+    """What is said of a file that cannot be read, on which the numerics give up, or which shows a bug."""
+    if isinstance(error, InputError):
+        return Outcome(path, None, str(error))
+    words = " ".join(str(error).split())
+    if isinstance(error, (ValueError, ArithmeticError, LookupError)):  # values far from any motor
+        return Outcome(path, None, f"{path}: cannot be {word} ({words})")
+    traceback.print_exception(error)
+    return Outcome(path, None, f"{path}: cannot be {word} ({type(error).__name__}: {words})", is_bug=True)

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy import stats
 
+from motor_env.console import printable
 from motor_env.diagnosis.decision import Diagnosis
 from motor_env.diagnosis.report import headline, model_words
 from motor_env.identification.identify import Identified
@@ -17,6 +18,8 @@ from motor_env.identification.residuals import absolute, started
 from motor_env.motor.data_sheet import StartReference
 from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.plotting import COLOUR, drawing, save, subplots
+
+_LONGEST_TITLE = 80
 
 
 def plot_diagnosis(diagnosis: Diagnosis, path: Path) -> None:
@@ -37,7 +40,7 @@ def plot_diagnosis(diagnosis: Diagnosis, path: Path) -> None:
         if reference is not None:
             ink, label = COLOUR["threshold"], "expected of the reference"
             top.plot(time_ms, reference, "--", color=ink, linewidth=1.3, label=label)
-        top.set_title(f"{diagnosis.recording.path.name}: {headline(diagnosis)}")
+        top.set_title(f"{_title(diagnosis.recording.path.name)}: {headline(diagnosis)}", parse_math=False)
         top.legend(loc="upper right")
         whitened = check.result.whitened[..., 0]
         begin = len(time_ms) - whitened.shape[-1]
@@ -60,7 +63,8 @@ def plot_identified(fit: Identified, name: str, path: Path) -> None:
         rows = 2 if fit.start.speed_rad_s is None else 4
         figure, axes = subplots(rows, height_in=3.0 + 1.6 * rows, height_ratios=(2.2, 1.0) * (rows // 2))
         _currents(axes[0], axes[1], fit, COLOUR["healthy"])
-        axes[0].set_title(f"{name}: {model_words(fit.model)}, R² {fit.r2_current:.4f}")
+        title = f"{_title(name)}: {model_words(fit.model)}, R² {fit.r2_current:.4f}"
+        axes[0].set_title(title, parse_math=False)
         axes[0].legend(loc="upper right")
         if fit.start.speed_rad_s is not None:
             time_ms, speed, fitted = _time_ms(fit), fit.start.speed_rad_s, fit.expected[:, 1]
@@ -142,6 +146,10 @@ def reference_current(diagnosis: Diagnosis) -> FloatArray | None:
     states = started(fit.start, motor, fit.extension, fit.onset_s)
     current: FloatArray = states[:, 0] + (0.0 if fit.start.alignment.rectified else fit.offset_a)
     return current
+
+
+def _title(name: str) -> str:
+    return printable(name)[:_LONGEST_TITLE]
 
 
 def _time_ms(fit: Identified) -> FloatArray:

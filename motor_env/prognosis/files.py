@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from motor_env.console import printable
 from motor_env.diagnosis.healthy_motor import fit_healthy
 from motor_env.errors import InputError
 from motor_env.identification.identify import Identified, identify
@@ -136,7 +137,8 @@ def trends_of(
     names = {one.name for one in series}
     if unknown := [name for name in limits if name not in names]:
         raise InputError(f"--limit names {unknown[0]!r}; the quantities are {', '.join(sorted(names))}")
-    return [judge(one, limits.get(one.name, DEFAULT_LIMITS), level, reference_count) for one in series], notes
+    trends = [judge(one, limits.get(one.name, DEFAULT_LIMITS), level, reference_count) for one in series]
+    return trends, [printable(note) for note in notes]
 
 
 def as_json(trend: Trend) -> dict[str, Any]:
