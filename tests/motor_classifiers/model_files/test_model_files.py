@@ -100,6 +100,19 @@ def test_a_flipped_byte_is_refused_or_harmless(name: str, contents: dict[str, by
         assert model.predict_proba(TRAIN.X[:2]).shape == (2, 5)
 
 
+@pytest.mark.parametrize("name", ["threshold", "network", "posterior-network", "residual-network"])
+def test_a_flipped_bit_is_not_taken_for_a_weight(
+    name: str, contents: dict[str, bytes], tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(1)
+    content = contents[name]
+    begin = 8 + int.from_bytes(content[:8], "little")
+    for position in rng.integers(begin, len(content), size=10):
+        damaged = bytearray(content)
+        damaged[position] ^= 1
+        assert "not what was saved" in refusal(bytes(damaged), tmp_path)
+
+
 def with_head(content: bytes, changes: dict[str, Any]) -> bytes:
     """A safetensors model with another head; nested tables are merged."""
     length = int.from_bytes(content[:8], "little")
