@@ -55,22 +55,21 @@ class DiscreteModel(NamedTuple):
 
 def continuous_model(parameters: MotorParameters) -> ContinuousModel:
     """Continuous state space of the motor (paper, eqs. (1) and (2), constants in their right places)."""
-    shape = parameters.batch_shape
-    transition = np.empty((*shape, N_STATES, N_STATES))
-    transition[..., State.CURRENT, State.CURRENT] = -parameters.resistance_ohm / parameters.inductance_h
-    transition[..., State.CURRENT, State.SPEED] = (
-        -parameters.back_emf_constant_v_s_per_rad / parameters.inductance_h
+    p, zero = parameters, np.zeros(parameters.batch_shape)
+    inverse_l, inverse_j = 1.0 / p.inductance_h, 1.0 / p.inertia_kg_m2
+    transition = _matrices(
+        -p.resistance_ohm / p.inductance_h,
+        -p.back_emf_constant_v_s_per_rad / p.inductance_h,
+        p.torque_constant_n_m_per_a / p.inertia_kg_m2,
+        -p.viscous_friction_n_m_s_per_rad / p.inertia_kg_m2,
     )
-    transition[..., State.SPEED, State.CURRENT] = (
-        parameters.torque_constant_n_m_per_a / parameters.inertia_kg_m2
-    )
-    transition[..., State.SPEED, State.SPEED] = (
-        -parameters.viscous_friction_n_m_s_per_rad / parameters.inertia_kg_m2
-    )
-    gain = np.zeros((*shape, N_STATES, N_INPUTS))
-    gain[..., State.CURRENT, Input.VOLTAGE] = 1.0 / parameters.inductance_h
-    gain[..., State.SPEED, Input.LOAD_TORQUE] = -1.0 / parameters.inertia_kg_m2
-    return ContinuousModel(transition, gain)
+    return ContinuousModel(transition, _matrices(inverse_l, zero, zero, -inverse_j))
+
+
+def _matrices(*entries: Floats) -> FloatArray:
+    """2 x 2 matrices from their entries, row by row, shape (..., 2, 2)."""
+    rows: FloatArray = np.stack(np.broadcast_arrays(*entries), axis=-1)
+    return rows.reshape(*rows.shape[:-1], 2, 2)
 
 
 _SERIES_NORM = 0.25
