@@ -31,7 +31,16 @@ from pydantic import Field
 from motor_env.errors import InputError
 from motor_env.files import write_text
 from motor_env.motor.parameters import CATALOGUE, RAD_S_PER_RPM, FloatArray, MotorParameters, require
-from motor_env.motor.toml_files import ArrayOf, Finite, NotNegative, Positive, from_dict, read_toml, toml_text
+from motor_env.motor.toml_files import (
+    ArrayOf,
+    Finite,
+    NotNegative,
+    OneLine,
+    Positive,
+    from_dict,
+    read_toml,
+    toml_text,
+)
 
 Kind = Literal["data_sheet", "identified", "commissioned"]
 _UNITS: dict[str, dict[str, float]] = {
@@ -220,9 +229,9 @@ class _File:
     """A motor file as it stands."""
 
     motor: _MotorTable  # type: ignore[valid-type]  # made from the table of units
-    name: str = "motor"
+    name: OneLine = "motor"
     kind: Kind = "data_sheet"
-    notes: tuple[str, ...] = ()
+    notes: tuple[OneLine, ...] = ()
     tolerance: Tolerance = field(default_factory=Tolerance)
     sensor: _SensorTable = field(default_factory=_SensorTable)
     reference: StartReference | None = None

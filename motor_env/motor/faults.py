@@ -72,7 +72,7 @@ class FaultKind(str, metaclass=_Registry):
 
     def __new__(cls, name: str) -> Self:
         """The registered kind of that name."""
-        require(name in _KINDS or name in cls, f"kind must be one of {', '.join(_KINDS)}, got {name!r}")
+        require(name in _KINDS or name in cls, f"kind must be one of {', '.join(_KINDS)}, got {name[:40]!r}")
         return _KINDS[name]  # type: ignore[return-value]  # there are no subclasses
 
     def __reduce__(self) -> tuple[Any, ...]:

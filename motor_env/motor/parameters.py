@@ -39,6 +39,10 @@ FRICTION_PER_KELVIN = -0.003
 """Relative change of both constants with the temperature of ferrite or NdFeB magnets."""
 
 
+SMALLEST, LARGEST = 1e-15, 1e12
+"""What a number in a file can be, in any unit: beyond, nothing is a motor, and computations overflow."""
+
+
 class Channel(StrEnum):
     """What a sensor measures."""
 

@@ -3,24 +3,39 @@
 from __future__ import annotations
 
 import json
+import reprlib
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 from pydantic_core import core_schema
 
 from motor_env.errors import InputError
-from motor_env.motor.parameters import FloatArray, require
+from motor_env.motor.parameters import LARGEST, SMALLEST, FloatArray, require
 
 T = TypeVar("T")
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(ge=SMALLEST, le=LARGEST)]
+NotNegative = Annotated[float, Field(ge=0.0, le=LARGEST)]
+Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+_LONGEST_TEXT = 1000  # characters
+
+
+def one_line(name: str, text: str) -> str:
+    """The text, if it can be shown: no line breaks or escape codes, and not endless; else `ValueError`."""
+    require(
+        text.isprintable() and len(text) <= _LONGEST_TEXT,
+        f"{name} must be one line of at most {_LONGEST_TEXT} characters, got {reprlib.repr(text)}",
+    )
+    return text
+
+
+OneLine = Annotated[str, AfterValidator(partial(one_line, "text"))]
+_LARGEST_FILE = 1_000_000  # bytes
 
 
 @dataclass(frozen=True)
@@ -52,17 +67,27 @@ def read_toml(path: Path, missing: str) -> dict[str, Any]:
         missing: what to say where there is none.
 
     Raises:
-        InputError: no such file, or not TOML.
+        InputError: no such file, no file of text (a device, a gigabyte), or not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        if path.exists() and not path.is_file() and not path.is_dir():
+            raise InputError(f"{path}: cannot be read (not a regular file)")
+        with path.open("rb") as file:
+            content = file.read(_LARGEST_FILE + 1)
+        if len(content) > _LARGEST_FILE:
+            raise InputError(f"{path}: is larger than {_LARGEST_FILE / 1e6:g} MB, which no such file needs")
+        return tomllib.loads(content.decode("utf-8"))
     except FileNotFoundError:
         raise InputError(f"{path}: {missing}") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not text (byte {error.start} is not UTF-8)") from None
-    except tomllib.TOMLDecodeError as error:
+    except RecursionError:
+        raise InputError(f"{path}: is not TOML: nested too deep") from None
+    except InputError:
+        raise
+    except ValueError as error:  # a number of too many digits, too
         raise InputError(f"{path}: is not TOML: {error}") from None
 
 
@@ -94,13 +119,13 @@ def _sentence(cls: type[Any], error: ValidationError, whole: str) -> str:
     *outer, last = first["loc"] or ("",)
     if first["type"] == "unexpected_keyword_argument":
         known = ", ".join(_keys(cls, outer))
-        return f"unknown key {last!r} in {_place(outer) or whole}; known are {known}"
+        return f"unknown key {reprlib.repr(last)} in {_place(outer) or whole}; known are {known}"
     place = _place(first["loc"]) or whole
     if first["type"] == "missing":
         return f"{place} is missing"
     told = first["msg"].removeprefix("Value error, ")
     if told.startswith("Input should "):
-        return f"{place} must {told.removeprefix('Input should ')}, got {first['input']!r}"
+        return f"{place} must {told.removeprefix('Input should ')}, got {reprlib.repr(first['input'])}"
     return f"{place}: {told}"
 
 

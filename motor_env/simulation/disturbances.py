@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require
+from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require, require_positive
 from motor_env.simulation.nonlinear import Effects
 from motor_env.simulation.random_streams import Stream, uniforms
 from motor_env.simulation.sensor import SensorChain
@@ -16,6 +16,9 @@ from motor_env.simulation.sensor import SensorChain
 Range = tuple[float, float]
 
 NOTHING: Range = (0.0, 0.0)
+
+COLDEST_K, HOTTEST_K = -250.0, 900.0
+"""Rises of temperature between which the linear laws of copper and magnets leave R, Kt and Kb positive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +80,12 @@ class Field:
             self.trigger_jitter[1] < 1.0, f"field.trigger_jitter must be < 1, got {self.trigger_jitter[1]:g}"
         )
         require(self.sensor_gain[0] > 0.0, f"field.sensor_gain must be > 0, got {self.sensor_gain[0]:g}")
+        low, high = self.temperature_rise_k
+        require(
+            low >= COLDEST_K and high <= HOTTEST_K,
+            f"field.temperature_rise_k must be in {COLDEST_K:g} .. {HOTTEST_K:g}, got [{low:g}, {high:g}]",
+        )
+        require_positive("field.ripple_hz", self.ripple_hz, zero_allowed=True)
         self.sensor_chain(gain=1.0, offset_a=0.0)
 
     def sensor_chain(self, gain: Floats, offset_a: Floats) -> SensorChain:

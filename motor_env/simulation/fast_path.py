@@ -117,6 +117,10 @@ def measure(
     else:
         states = scenario_states(scenario, seed, numbers)
         out[:] = np.moveaxis(states, -1, -2)[:, np.where(is_current, State.CURRENT, State.SPEED)]
+    require(
+        bool(np.isfinite(out[..., -1]).all()),
+        "the simulated current or speed left the range of numbers: a value of the recipe is too large or too small",
+    )
     rows = _NO_CHAIN if chain is None else chain.rows(n_cases, timing.dt_s)
     read_sensors(out, is_current, rows, _noise_std(scenario), np.uint64(seed), numbers.astype(np.uint64))
     if chain is not None and chain.missing_fraction > 0.0:

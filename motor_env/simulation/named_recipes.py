@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from dataclasses import replace
 
 from motor_env.motor.faults import FaultKind
@@ -91,5 +92,5 @@ def named_recipe(name: str, **changes: object) -> Recipe:
         ValueError: no such recipe; the sentence lists those that exist.
     """
     if name not in RECIPES:
-        raise ValueError(f"recipe must be one of {', '.join(sorted(RECIPES))}, got {name!r}")
+        raise ValueError(f"recipe must be one of {', '.join(sorted(RECIPES))}, got {reprlib.repr(name)}")
     return replace(RECIPES[name], **changes)  # type: ignore[arg-type]  # replace checks the names

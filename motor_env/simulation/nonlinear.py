@@ -40,6 +40,7 @@ _STEPS_PER_TIME_CONSTANT = (
     4.3  # at 10 kHz four steps a sample for the paper's motor; the error is in docs/datasets.md
 )
 _STEPS_PER_PERIOD = 12.0
+_MOST_STEPS = 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +118,13 @@ def substeps(nominal: MotorParameters, dt_s: float, ripple_hz: float = 0.0) -> i
     largest_s = float(nominal.electrical_time_constant_s) / _STEPS_PER_TIME_CONSTANT
     if ripple_hz > 0.0:
         largest_s = min(largest_s, 1.0 / (_STEPS_PER_PERIOD * ripple_hz))
-    return max(1, math.ceil(dt_s / largest_s))
+    steps = max(1, math.ceil(dt_s / largest_s))
+    require(
+        steps <= _MOST_STEPS,
+        f"a sampling interval of {dt_s:g} s must hold at most {_MOST_STEPS} integration steps, got {steps:g}: the"
+        " inductance is too small or ripple_hz too high for it",
+    )
+    return steps
 
 
 def parameter_rows(

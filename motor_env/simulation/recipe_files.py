@@ -10,7 +10,8 @@ from typing import Any
 
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import load_motor
-from motor_env.motor.toml_files import from_dict, read_toml
+from motor_env.motor.parameters import require
+from motor_env.motor.toml_files import from_dict, one_line, read_toml
 from motor_env.simulation.named_recipes import RECIPES, named_recipe
 from motor_env.simulation.recipes import Recipe
 
@@ -49,7 +50,7 @@ def load_recipe(name_or_path: str | Path) -> Recipe:
         return _from_toml(content, path)
     except InputError:
         raise
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         raise InputError(f"{path}: {error}") from None
 
 
@@ -57,8 +58,10 @@ def _from_toml(content: dict[str, Any], path: Path) -> Recipe:
     base = content.pop("base", None)
     motor = content.get("motor")
     if isinstance(motor, str):
+        one_line("motor", motor)
         beside = path.parent / motor
         content["motor"] = asdict(load_motor(beside if beside.is_file() else motor).parameters)
+    require(base is None or isinstance(base, str), f"base must be the name of a recipe, got {base!r}")
     start: dict[str, Any] = {} if base is None else recipe_to_dict(named_recipe(base))
     return recipe_from_dict(_merged(start | {"name": path.stem}, content))
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field as dataclass_field, fields, replace
+import reprlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field as dataclass_field, fields, is_dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,7 +12,9 @@ from numpy.typing import NDArray
 
 from motor_env.motor.faults import BUILT_IN_KINDS, HEALTHY, Fault, FaultKind
 from motor_env.motor.parameters import (
+    LARGEST,
     PAPER_MOTOR,
+    SMALLEST,
     FloatArray,
     MotorParameters,
     SensorParameters,
@@ -19,11 +23,15 @@ from motor_env.motor.parameters import (
     require_positive,
 )
 from motor_env.simulation.disturbances import Field
+from motor_env.simulation.nonlinear import substeps
 from motor_env.simulation.simulate import Timing
 
 LARGEST_SPREAD = (
     0.14  # a normal number of the streams stays below 6.77, so a factor 1 + 0.14 z stays positive
 )
+
+
+MOST_STARTS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +97,7 @@ class FaultClass:
             object.__setattr__(self, "kind", FaultKind(self.kind))
             is_range = self.severity_to is not None
             require_positive(f"severity of {self.kind}", self.severity, zero_allowed=is_range)
+            self.kind.require_severity(self.largest_severity)
         if self.severity_to is not None:
             require(
                 self.severity_to > self.severity,
@@ -142,6 +151,20 @@ PAPER_CLASSES = (
 """The paper's fault levels (part 4): healthy, and 10 and 25 % of friction or resistance."""
 
 
+def _numbers(value: Any, place: str) -> Iterator[tuple[str, float]]:
+    """The numbers in a recipe, each with its place."""
+    if is_dataclass(value):
+        for f in fields(value):
+            yield from _numbers(getattr(value, f.name), f"{place}.{f.name}".lstrip("."))
+    elif isinstance(value, tuple):
+        for n, entry in enumerate(value):
+            yield from _numbers(entry, f"{place}[{n}]")
+    elif isinstance(value, np.ndarray):
+        yield from ((place, float(entry)) for entry in np.ravel(value))
+    elif isinstance(value, float | int):
+        yield place, value
+
+
 @dataclass(frozen=True, slots=True)
 class Shift:
     """A test under other conditions than the training: what is not None replaces the recipe's."""
@@ -189,6 +212,12 @@ class Recipe:
     __pydantic_config__: ClassVar = {"extra": "forbid"}  # in files; for the dataclasses in its fields too
 
     def __post_init__(self) -> None:
+        for name, number in _numbers(self, ""):
+            smallest = SMALLEST if name.startswith("motor.") and number != 0.0 else -LARGEST
+            if not smallest <= number <= LARGEST:
+                got = reprlib.repr(number)
+                raise ValueError(f"{name} must be in {smallest:g} .. {LARGEST:g}, got {got}")
+        require(self.name.isprintable(), f"name must be one line, got {self.name[:40]!r}")
         require(len(self.classes) > 0, f"classes of recipe {self.name} must not be empty")
         names = [fault_class.name for fault_class in self.classes]
         require(
@@ -204,7 +233,10 @@ class Recipe:
             any(fault_class.weight > 0.0 for fault_class in self.classes),
             f"weights of recipe {self.name} must not all be 0",
         )
-        require(self.starts_per_motor >= 1, f"starts_per_motor must be >= 1, got {self.starts_per_motor}")
+        require(
+            1 <= self.starts_per_motor <= MOST_STARTS,
+            f"starts_per_motor must be in 1 .. {MOST_STARTS}, got {self.starts_per_motor:g}",
+        )
         require(
             0 <= self.healthy_starts <= self.starts_per_motor,
             f"healthy_starts must be in 0 .. starts_per_motor ({self.starts_per_motor}), got {self.healthy_starts}",
@@ -214,6 +246,9 @@ class Recipe:
             "healthy_starts need a healthy class among the classes",
         )
         require(self.motor.batch_shape == (), f"motor of recipe {self.name} must be one motor, got a batch")
+        for surroundings in (self.field, *(shift.field for shift in self.shifts)):
+            if surroundings is not None:
+                substeps(self.motor, self.timing.dt_s, surroundings.ripple_hz)
 
     @property
     def kinds(self) -> tuple[FaultKind, ...]:

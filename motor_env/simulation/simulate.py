@@ -22,6 +22,9 @@ from motor_env.motor.parameters import (
 )
 from motor_env.simulation.random_streams import Stream, normals, whole_blocks
 
+MOST_SAMPLES = 10_000_000
+"""Samples of a transient: with all that is computed for one, about a gigabyte of memory."""
+
 
 @dataclass(frozen=True, slots=True)
 class Timing:
@@ -41,6 +44,12 @@ class Timing:
         require_positive("sampling_rate_hz", self.sampling_rate_hz)
         require_positive("duration_s", self.duration_s)
         require_positive("quiet_s", self.quiet_s, zero_allowed=True)
+        samples = self.sampling_rate_hz * (self.duration_s + self.quiet_s)
+        require(
+            samples <= MOST_SAMPLES,
+            f"duration_s and quiet_s must hold at most {MOST_SAMPLES} samples at {self.sampling_rate_hz:g} Hz,"
+            f" got {samples:g}",
+        )
         require(
             self.n_after >= 1,
             f"duration_s must hold at least one sample at {self.sampling_rate_hz:g} Hz, got {self.duration_s:g}",

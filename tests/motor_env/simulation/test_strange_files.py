@@ -1,0 +1,258 @@
+"""Recipes and motor files of strangers: each gives finite data, or is refused in one sentence."""
+
+from __future__ import annotations
+
+import tomllib
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from motor_env.errors import InputError
+from motor_env.motor.data_sheet import load_motor
+from motor_env.motor.toml_files import toml_text
+from motor_env.simulation.drawing import draw, measure_draw
+from motor_env.simulation.motor_recipes import motor_recipe
+from motor_env.simulation.recipe_files import load_recipe
+from motor_env.simulation.recipes import Recipe, changed_recipe
+
+N_MUTATIONS = 300
+N_QUICK = 40
+
+PARAMETERS = """
+[motor]
+resistance_ohm = 2.18
+inductance_h = 2.38e-4
+back_emf_constant_v_s_per_rad = 0.0235
+torque_constant_n_m_per_a = 0.0235
+inertia_kg_m2 = 1.07e-6
+viscous_friction_n_m_s_per_rad = 1.2e-6
+"""
+
+RECIPE = """
+base = "bench"
+name = "mine"
+starts_per_motor = 3
+healthy_starts = 1
+[supply]
+voltage_v = 12.0
+[timing]
+sampling_rate_hz = 2000
+duration_s = 0.05
+quiet_s = 0.02
+[sensor]
+channels = ["current", "speed"]
+current_noise_a = 0.02
+[field]
+temperature_rise_k = [0.0, 30.0]
+coulomb_ratio = [0.1, 0.2]
+stribeck_ratio = [0.0, 0.1]
+brush_drop_v = [0.0, 0.1]
+supply_resistance_ohm = [0.02, 0.06]
+commutation_ripple = [0.0, 0.02]
+sensor_gain = [0.995, 1.005]
+sensor_offset_a = [-0.0025, 0.0025]
+load_ratio = [0.0, 0.05]
+ramp_s = [0.0, 0.0005]
+ripple_v = [0.0, 0.05]
+trigger_jitter = [0.0, 0.99]
+bearing_ripple_ratio = [0.0, 0.5]
+ripple_hz = 100.0
+sensor_lag_s = 1e-4
+sensor_range_a = 8.0
+adc_bits = 12
+missing_fraction = 0.01
+[[classes]]
+[[classes]]
+kind = "bearing"
+severity = 0.05
+severity_to = 0.3
+weight = 2.0
+[[classes]]
+kind = "noise"
+severity = 0.5
+[[shifts]]
+name = "hot"
+field = { temperature_rise_k = [40.0, 60.0] }
+"""
+RECIPES = (RECIPE + PARAMETERS, RECIPE.replace("\nname", '\nmotor = "paper"\nname'))
+MOTOR = """
+name = "RE 25"
+notes = ["a note"]
+[motor]
+resistance_ohm = 2.18
+inductance_mh = 0.238
+torque_constant_mnm_per_a = 23.5
+speed_constant_rpm_per_v = 406.0
+rotor_inertia_g_cm2 = 10.7
+no_load_current_ma = 26.3
+no_load_speed_rpm = 4860.0
+nominal_voltage_v = 12.0
+[tolerance]
+resistance = 0.02
+[sensor]
+current_noise_a = 0.01
+[reference]
+starts = 5
+degrees_of_freedom = 8.0
+quantities = ["R", "L"]
+values = [2.2, 2.4e-4]
+log_covariance = [[4e-4, 0.0], [0.0, 2.5e-3]]
+log_noise = -4.0
+log_noise_sd = 0.1
+sampling_rate_hz = 6000.0
+duration_s = 0.08
+"""
+
+STRANGE: list[Any] = [
+    1e300, -1e300, 1e39, 1e20, 1e12, 1e308, 1e-310, 1e-30, -1.0, 0.0, 0, 1, -5, 10**21, 10**400, True, False,
+    float("nan"), float("inf"), "", "1", "bench", "../nothing.toml", "/dev/zero", "a\nb", "\x00", "x" * 5000,
+    [], ["bench"], [1.0], [1.0, 2.0], [[1.0], [1.0, 2.0]], [2.0, 1.0], [1e300, 1e300], [0.0, 1e308], {}, {"a": 1},
+    [{}], [{"kind": "bearing", "severity": 1e300}], [{"kind": "winding_short", "severity": 5.0}], [[[[[]]]]],
+]  # fmt: skip
+
+
+def mutated(text: str, rng: np.random.Generator) -> str:
+    """The file with one or two values strange, a key more or less, or its characters shuffled."""
+    content = tomllib.loads(text)
+    for _ in range(int(rng.integers(1, 3))):
+        table: Any = content
+        while True:
+            inner = [value for value in table.values() if isinstance(value, dict)]
+            inner += [
+                v for value in table.values() if isinstance(value, list) for v in value if isinstance(v, dict)
+            ]
+            if not inner or rng.random() < 0.3:
+                break
+            table = inner[int(rng.integers(len(inner)))]
+        keys = [*table, "strange"]
+        key = keys[int(rng.integers(len(keys)))]
+        if rng.random() < 0.1:
+            table.pop(key, None)
+        else:
+            table[key] = STRANGE[int(rng.integers(len(STRANGE)))]
+    written = "".join(f"{key} = {_value(value)}\n" for key, value in content.items())
+    if rng.random() < 0.05:
+        place = int(rng.integers(len(written)))
+        written = written[:place] + '\\"[{='[int(rng.integers(5))] + written[place + 1 :]
+    return written
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_value(entry)}" for key, entry in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    if isinstance(value, float) and not np.isfinite(value):
+        return str(value)
+    return toml_text({"x": value}, {}).removeprefix("x = ").rstrip("\n")
+
+
+def finite_or_refused(path: Path, *, is_motor: bool) -> str:
+    """The sentence of the refusal; empty where the file gives finite data."""
+    try:
+        recipe = motor_recipe(load_motor(path)) if is_motor else load_recipe(path)
+        for one in (recipe, *(recipe.shifted(shift.name) for shift in recipe.shifts)):
+            check_data(one)
+    except ValueError as error:
+        sentence = str(error)
+        assert sentence
+        assert "\n" not in sentence
+        assert len(sentence) < 1500
+        return sentence
+    return ""
+
+
+def check_data(recipe: Recipe) -> None:
+    drawn = draw(recipe, 1, np.arange(3))
+    readings = measure_draw(drawn, recipe, 1)
+    lost = 0.0 if recipe.field is None else recipe.field.missing_fraction
+    assert np.isfinite(readings).all() or (lost > 0.0 and not np.isinf(readings).any())
+    assert np.isfinite(drawn.severity).all()
+
+
+def check_mutations(folder: Path, seeds: range) -> None:
+    refused = 0
+    for seed in seeds:
+        is_motor = seed % 3 == 0
+        path = folder / f"{seed}.toml"
+        path.write_text(
+            mutated(MOTOR if is_motor else RECIPES[seed % 2], np.random.default_rng(seed)), encoding="utf-8"
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            refused += finite_or_refused(path, is_motor=is_motor) != ""
+    assert 0.3 * len(seeds) < refused < len(seeds)
+
+
+def test_strange_files_give_finite_data_or_one_sentence(tmp_path: Path) -> None:
+    check_mutations(tmp_path, range(N_QUICK))
+
+
+@pytest.mark.long
+def test_all_strange_files_give_finite_data_or_one_sentence(tmp_path: Path) -> None:
+    check_mutations(tmp_path, range(N_MUTATIONS))
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('base = ["bench"]', "base must be the name of a recipe, got ['bench']"),
+        (PARAMETERS.replace("2.18", "true"), "motor.resistance_ohm must be a valid number, got True"),
+        (
+            PARAMETERS.replace("1.07e-6", "1e-300"),
+            "motor.inertia_kg_m2 must be in 1e-15 .. 1e+12, got 1e-300",
+        ),
+        ("[supply]\nvoltage_v = 1e300", "supply.voltage_v must be in -1e+12 .. 1e+12, got 1e+300"),
+        ("[sensor]\ncurrent_noise_a = 1e39", "sensor.current_noise_a must be in -1e+12 .. 1e+12"),
+        ("[field]\ntemperature_rise_k = [0.0, 1e308]", "field.temperature_rise_k must be in -250 .. 900"),
+        ("starts_per_motor = 1000000000000000000000", "starts_per_motor must be in"),
+        ("[timing]\nduration_s = 1e6", "must hold at most 10000000 samples at 10000 Hz, got 1e+10"),
+        ("[timing]\nduration_s = 1e300\nsampling_rate_hz = 1e300", "must hold at most 10000000 samples"),
+        ("[field]\nripple_hz = 1e12", "must hold at most 10000 integration steps, got 1.2e+09"),
+        (
+            "[[classes]]\nkind = 'winding_short'\nseverity = 5.0",
+            "severity of winding_short must be < 1, got 5",
+        ),
+        ("name = " + "[" * 100_000, "is not TOML: nested too deep"),
+        ("starts_per_motor = " + "9" * 5000, "is not TOML"),
+        ("# " + "x" * 1_000_000, "is larger than 1 MB"),
+        ('motor = "/dev/zero"', "/dev/zero: cannot be read (not a regular file)"),
+    ],
+)
+def test_a_strange_recipe_is_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    path = tmp_path / "strange.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_recipe(path)
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("resistance_ohm = 2.18", "resistance_ohm = true"),
+        ("torque_constant_mnm_per_a = 23.5", "torque_constant_mnm_per_a = 1e300"),
+        ("rotor_inertia_g_cm2 = 10.7", "rotor_inertia_g_cm2 = 1e-310"),
+        ("starts = 5", "starts = true"),
+        ("starts = 5", "starts = 5.5"),
+        ("values = [2.2, 2.4e-4]", "values = [2.2]"),
+        ("[4e-4, 0.0]", "[4e-4]"),
+        ("degrees_of_freedom = 8.0", "degrees_of_freedom = 1e300"),
+    ],
+)
+def test_a_strange_motor_is_one_sentence(tmp_path: Path, old: str, new: str) -> None:
+    path = tmp_path / "strange.toml"
+    assert old in MOTOR
+    path.write_text(MOTOR.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        load_motor(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_option_is_held_to_the_same_bounds() -> None:
+    with pytest.raises(ValueError, match=r"supply\.voltage_v must be in -1e\+12 \.\. 1e\+12, got 1e\+300"):
+        changed_recipe(load_recipe("bench"), voltage_v=1e300)
