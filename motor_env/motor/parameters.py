@@ -10,7 +10,8 @@ The textbook motor (paper, part 2B; sign convention of both sources: motor opera
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+import reprlib
+from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import StrEnum
 from typing import Annotated, Any, Self
 
@@ -71,6 +72,23 @@ def require_positive(name: str, value: Floats, *, zero_allowed: bool = False) ->
     if not good.all():
         bad = array[~good].flat[0]
         raise ValueError(f"{name} must be finite and {'>=' if zero_allowed else '>'} 0, got {bad:g}")
+
+
+def require_plausible(value: object, place: str = "") -> None:
+    """Raise `ValueError` naming the place and the number, unless every number in a dataclass is within `LARGEST`.
+
+    What a motor has is 0 or at least `SMALLEST`.
+    """
+    if is_dataclass(value):
+        for f in fields(value):
+            require_plausible(getattr(value, f.name), f"{place}.{f.name}".lstrip("."))
+    elif isinstance(value, tuple):
+        for n, entry in enumerate(value):
+            require_plausible(entry, f"{place}[{n}]")
+    elif isinstance(value, float | int):
+        smallest = SMALLEST if place.startswith("motor.") and value != 0.0 else -LARGEST
+        if not smallest <= value <= LARGEST:
+            raise ValueError(f"{place} must be in {smallest:g} .. {LARGEST:g}, got {reprlib.repr(value)}")
 
 
 QUANTITY_FIELDS: dict[str, tuple[str, ...]] = {

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import reprlib
-from collections.abc import Iterator
-from dataclasses import dataclass, field as dataclass_field, fields, is_dataclass, replace
+from dataclasses import dataclass, field as dataclass_field, fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,14 +10,13 @@ from numpy.typing import NDArray
 
 from motor_env.motor.faults import BUILT_IN_KINDS, HEALTHY, Fault, FaultKind
 from motor_env.motor.parameters import (
-    LARGEST,
     PAPER_MOTOR,
-    SMALLEST,
     FloatArray,
     MotorParameters,
     SensorParameters,
     SupplyParameters,
     require,
+    require_plausible,
     require_positive,
 )
 from motor_env.simulation.disturbances import Field
@@ -151,20 +148,6 @@ PAPER_CLASSES = (
 """The paper's fault levels (part 4): healthy, and 10 and 25 % of friction or resistance."""
 
 
-def _numbers(value: Any, place: str) -> Iterator[tuple[str, float]]:
-    """The numbers in a recipe, each with its place."""
-    if is_dataclass(value):
-        for f in fields(value):
-            yield from _numbers(getattr(value, f.name), f"{place}.{f.name}".lstrip("."))
-    elif isinstance(value, tuple):
-        for n, entry in enumerate(value):
-            yield from _numbers(entry, f"{place}[{n}]")
-    elif isinstance(value, np.ndarray):
-        yield from ((place, float(entry)) for entry in np.ravel(value))
-    elif isinstance(value, float | int):
-        yield place, value
-
-
 @dataclass(frozen=True, slots=True)
 class Shift:
     """A test under other conditions than the training: what is not None replaces the recipe's."""
@@ -212,11 +195,7 @@ class Recipe:
     __pydantic_config__: ClassVar = {"extra": "forbid"}  # in files; for the dataclasses in its fields too
 
     def __post_init__(self) -> None:
-        for name, number in _numbers(self, ""):
-            smallest = SMALLEST if name.startswith("motor.") and number != 0.0 else -LARGEST
-            if not smallest <= number <= LARGEST:
-                got = reprlib.repr(number)
-                raise ValueError(f"{name} must be in {smallest:g} .. {LARGEST:g}, got {got}")
+        require_plausible(self)
         require(self.name.isprintable(), f"name must be one line, got {self.name[:40]!r}")
         require(len(self.classes) > 0, f"classes of recipe {self.name} must not be empty")
         names = [fault_class.name for fault_class in self.classes]
