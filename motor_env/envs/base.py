@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from typing import Any, Generic, TypeVar, cast
 
 import gymnasium as gym
@@ -226,7 +227,12 @@ class DiscreteMotorEnv(MotorEnv[Any]):
         Raises:
             ValueError: there is no such action.
         """
-        which = int(action)
+        try:
+            which = operator.index(action)
+        except TypeError:  # 1.9 and "1" are not 1
+            which = -1
         if not 0 <= which < len(self._offsets_v):
-            raise ValueError(f"action must be in 0 .. {len(self._offsets_v) - 1}, got {action}")
+            raise ValueError(
+                f"action must be a whole number in 0 .. {len(self._offsets_v) - 1}, got {action!r}"
+            )
         return self._advance(self._offsets_v[which], self._declarations[which])

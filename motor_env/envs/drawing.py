@@ -12,9 +12,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
+from motor_env.compiled import njit
 from motor_env.envs.kernel import (
     CURRENT,
     ERROR_CURRENT,

@@ -12,9 +12,9 @@ episode costs one counter, or two: what it finds in the rows that are left.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from motor_env.compiled import njit
 from motor_env.envs.kernel import LANES, LATEST, NOISE, ROWS, SAMPLE
 from motor_env.envs.lanes import CASE_HIGH, CASE_LOW, SEED_HIGH, SEED_LOW, WordArray
 from motor_env.motor.parameters import FloatArray

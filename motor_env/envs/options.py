@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
@@ -23,6 +22,7 @@ from motor_env.motor.parameters import (
 from motor_env.simulation.recipes import Recipe
 
 MAX_SAMPLES = 10_000_000
+LARGEST_REWARD, LARGEST_V = 1e9, 1e6  # beyond, sums of rewards and states lose their digits or overflow
 DEFAULT_LOAD_N_M = 0.0147
 
 
@@ -153,7 +153,10 @@ class MonitorOptions:
         for field in fields(self):
             if field.name.endswith(("_reward", "_cost", "_cost_per_s", "load_torque_n_m")):
                 value = getattr(self, field.name)
-                require(value is None or math.isfinite(value), f"{field.name} must be finite, got {value}")
+                require(
+                    value is None or abs(value) <= LARGEST_REWARD,
+                    f"{field.name} must be finite, at most {LARGEST_REWARD:g} either way, got {value}",
+                )
         noise = self.belief_noise_std
         require(len(noise) == 2, f"belief_noise_std must be two numbers, got {noise!r}")
         for value in noise:

@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from motor_env.envs import stepping
 from motor_env.envs.base import DiscreteMotorEnv, Info, MotorEnv, Observation
-from motor_env.envs.options import MonitorOptions
+from motor_env.envs.options import LARGEST_REWARD, LARGEST_V, MonitorOptions
 from motor_env.envs.setup import Setup
 from motor_env.envs.vector import DiscreteVectorEnv, MotorVectorEnv
 from motor_env.motor.parameters import require, require_positive
@@ -64,12 +64,20 @@ class ProbeOptions(MonitorOptions):
         MonitorOptions.__post_init__(self)
         object.__setattr__(self, "offsets_v", tuple(float(v) for v in self.offsets_v))
         require(
-            1 <= len(self.offsets_v) <= 1000 and bool(np.isfinite(self.offsets_v).all()),
-            f"offsets_v must be 1 to 1000 finite voltages, got {self.offsets_v}",
+            1 <= len(self.offsets_v) <= 1000 and bool((np.abs(self.offsets_v) <= LARGEST_V).all()),
+            f"offsets_v must be 1 to 1000 finite voltages of at most {LARGEST_V:g} V either way, got {self.offsets_v}",
         )
         require_positive("max_offset_v", self.max_offset_v)
+        require(
+            self.max_offset_v <= LARGEST_V,
+            f"max_offset_v must be at most {LARGEST_V:g}, got {self.max_offset_v:g}",
+        )
         for name in ("probe_cost_per_v2_s", "energy_cost_per_j"):
             require_positive(name, getattr(self, name), zero_allowed=True)
+            require(
+                getattr(self, name) <= LARGEST_REWARD,
+                f"{name} must be at most {LARGEST_REWARD:g}, got {getattr(self, name):g}",
+            )
 
 
 class ProbeEnv(DiscreteMotorEnv):

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
+from motor_env.compiled import njit
 from motor_env.envs import kernel
 from motor_env.envs.drawing import begin_state, draw_episode, set_motor
 from motor_env.envs.kernel import (

@@ -7,9 +7,9 @@ noise has no gain and changes nothing. A missing sample is the same thing for on
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from motor_env.compiled import njit
 from motor_env.motor.parameters import FloatArray
 
 AnyFloat = NDArray[np.float32 | np.float64]

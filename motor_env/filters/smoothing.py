@@ -15,8 +15,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from motor_env.compiled import njit
 from motor_env.filters.batch import FilterResult
 from motor_env.filters.kalman import KalmanFilter, masked_sensor
 from motor_env.motor.model import N_STATES

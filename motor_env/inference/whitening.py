@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from motor_env.compiled import njit
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.inference.posterior import class_coordinates

@@ -15,8 +15,8 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from motor_env.compiled import njit
 from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require_positive
 
 

@@ -6,10 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
+from motor_env.compiled import njit
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.prognosis.wear import Degradation
 

@@ -7,9 +7,9 @@ readings alone, the same to float32, some ten times as fast.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.compiled import njit
 from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_factor
 from motor_env.motor.model import State, discretize, steady_state
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, require

@@ -21,9 +21,9 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from motor_env.compiled import njit
 from motor_env.motor.parameters import (
     COPPER_PER_KELVIN,
     MAGNET_PER_KELVIN,

@@ -12,9 +12,9 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.compiled import njit
 from motor_env.motor.parameters import FloatArray, require
 
 _MULTIPLIER_0 = np.uint64(0xD2511F53)

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.compiled import njit
 from motor_env.motor.faults import Fault, NoiseSource, apply_faults, noise_variance_factor
 from motor_env.motor.model import N_STATES, Input, discretize
 from motor_env.motor.parameters import (

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from motor_env.compiled import njit
 from motor_env.motor.parameters import FloatArray
 
 

@@ -7,9 +7,9 @@ statistic after each sample.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from motor_env.compiled import njit
 from motor_env.motor.parameters import FloatArray
 
 LARGEST_ODDS = 1e250

@@ -15,9 +15,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from motor_env.compiled import njit
 from motor_env.envs import kernel
 from motor_env.envs.baselines.hypotheses import (
     N_HYPOTHESIS,

@@ -17,10 +17,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.optimize import minimize
 from scipy.special import expit, softmax
 
+from motor_env.compiled import njit
 from motor_env.envs.baselines.hypotheses import N_HYPOTHESIS, known_faults, sample_model, step_of
 from motor_env.envs.options import MonitorOptions
 from motor_env.envs.setup import Setup, make_setup

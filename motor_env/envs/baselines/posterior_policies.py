@@ -10,8 +10,8 @@ signatures agree.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from motor_env.compiled import njit
 from motor_env.envs.baselines.belief import worth
 from motor_env.envs.baselines.hypotheses import kind_matrix, known_faults
 from motor_env.envs.baselines.policies import Actions, Observations, ThresholdPolicy, column, declarations

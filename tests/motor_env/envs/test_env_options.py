@@ -1,6 +1,8 @@
 """Options: every environment that can be made can be stepped to its end, or refuses with one sentence."""
 
+import math
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -271,3 +273,30 @@ def test_a_thousand_million_random_steps() -> None:
         assert (observations >= lows).all() and (observations <= highs).all()  # noqa: PT018  # also without NaN
         assert np.isfinite(rewards).all()
     assert memory[-1] < 1.02 * memory[len(memory) // 4]
+
+
+@pytest.mark.parametrize(
+    ("env", "options", "sentence"),
+    [
+        ("Monitor", {"miss_cost": 1e300}, "miss_cost must be finite, at most 1e+09 either way, got 1e+300"),
+        ("Monitor", {"correct_reward": -1e20}, "correct_reward must be finite, at most 1e+09 either way"),
+        ("Monitor", {"load_torque_n_m": 1e300}, "load_torque_n_m must be finite, at most 1e+09 either way"),
+        ("Probe", {"offsets_v": (0.0, 1e20)}, "finite voltages of at most 1e+06 V either way"),
+        ("Probe", {"probe_cost_per_v2_s": 1e300}, "probe_cost_per_v2_s must be at most 1e+09, got 1e+300"),
+        ("Probe", {"energy_cost_per_j": 1e300}, "energy_cost_per_j must be at most 1e+09, got 1e+300"),
+        ("ProbeContinuous", {"max_offset_v": 1e20}, "max_offset_v must be at most 1e+06, got 1e+20"),
+    ],
+)
+def test_options_that_would_overflow_are_refused(env: str, options: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(sentence)):
+        gym.make(f"motor_env/{env}-v0", **options)
+
+
+@pytest.mark.parametrize("env", ["Monitor", "Probe"])
+@pytest.mark.parametrize("action", [1.9, "1", None, np.float32(1.0), 99, -1])
+def test_an_action_is_a_whole_number(env: str, action: Any) -> None:
+    made = gym.make(f"motor_env/{env}-v0", disable_env_checker=True).unwrapped
+    made.reset(seed=1)
+    with pytest.raises(ValueError, match=r"action must be a whole number in 0 \.\. \d+, got "):
+        made.step(action)
+    assert math.isfinite(float(made.step(np.int64(0))[1]))
