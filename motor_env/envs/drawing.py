@@ -15,7 +15,6 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
-from motor_env.compiled import njit
 from motor_env.envs.kernel import (
     CURRENT,
     ERROR_CURRENT,
@@ -48,6 +47,7 @@ from motor_env.envs.lanes import (
 )
 from motor_env.envs.options import MonitorOptions, Start
 from motor_env.filters.kalman import KalmanFilter
+from motor_env.motor.compiled import njit
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.model import Input, exponential_and_phi
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters

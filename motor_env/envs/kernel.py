@@ -11,7 +11,7 @@ The same source serves float32 and float64: whichever the arrays are.
 
 from __future__ import annotations
 
-from motor_env.compiled import njit
+from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray
 
 LANES = 64

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.compiled import njit
 from motor_env.envs.kernel import (
     BLOCK,
     FEATURE_LENGTH,
@@ -25,6 +24,7 @@ from motor_env.envs.kernel import (
     ROW_LENGTH,
     ROWS,
 )
+from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray
 
 N_CLASSES, N_OBSERVED, N_LEVELS = range(3)  # the prior begins with these sizes

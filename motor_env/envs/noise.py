@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.compiled import njit
 from motor_env.envs.kernel import LANES, LATEST, NOISE, ROWS, SAMPLE
 from motor_env.envs.lanes import CASE_HIGH, CASE_LOW, SEED_HIGH, SEED_LOW, WordArray
+from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, box_muller, philox
 

@@ -12,7 +12,6 @@ import numpy as np
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
-from motor_env.compiled import njit
 from motor_env.envs import kernel
 from motor_env.envs.drawing import begin_state, draw_episode, set_motor
 from motor_env.envs.kernel import (
@@ -40,6 +39,7 @@ from motor_env.envs.lanes import (
     unpack_task,
 )
 from motor_env.envs.noise import begin_noise, refill
+from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray
 
 DECLARE_ABOVE = 0.5

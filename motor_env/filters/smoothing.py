@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.compiled import njit
 from motor_env.filters.batch import FilterResult
 from motor_env.filters.kalman import KalmanFilter, masked_sensor
+from motor_env.motor.compiled import njit
 from motor_env.motor.model import N_STATES
 from motor_env.motor.parameters import FloatArray
 

@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.special import ndtr
 
-from motor_env.compiled import njit
+from motor_env.motor.compiled import njit
 from motor_env.motor.model import DiscreteModel, continuous_model, discretize, steady_state
 from motor_env.motor.parameters import FloatArray, MotorParameters
 

@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from motor_env.compiled import njit
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.inference.posterior import class_coordinates
 from motor_env.inference.sensitivities import jacobian
+from motor_env.motor.compiled import njit
 from motor_env.motor.faults import Fault, apply_fault
 from motor_env.motor.parameters import FloatArray, MotorParameters, require
 from motor_env.simulation.recipes import FaultClass, Recipe

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.compiled import njit
+from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require_positive
 
 

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from motor_env.compiled import njit
+from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
 
 (R, L, K, J, B, COULOMB, DROP, LOAD, SQUARE, OFFSET_I, OFFSET_W, HEATING, COOLING, LAG_I, LAG_W, DELAY) = (

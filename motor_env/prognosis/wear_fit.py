@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-from motor_env.compiled import njit
+from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.prognosis.wear import Degradation
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.compiled import njit
+from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray, require
 
 _MULTIPLIER_0 = np.uint64(0xD2511F53)

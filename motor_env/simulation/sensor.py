@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.compiled import njit
+from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray, Floats, require, require_finite, require_positive
 from motor_env.simulation.random_streams import NORMALS_AT_ONCE, Stream, fill_case, whole_blocks
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.compiled import njit
+from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray
 
 

@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.compiled import njit
 from motor_env.envs import kernel
 from motor_env.envs.baselines.hypotheses import (
     N_HYPOTHESIS,
@@ -29,6 +28,7 @@ from motor_env.envs.baselines.hypotheses import (
 from motor_env.envs.baselines.policies import Actions, Observations, column
 from motor_env.envs.options import MonitorOptions
 from motor_env.envs.setup import INNOVATION_BOUND, Setup
+from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray
 
 LONGEST_AGE_S = 40e-3

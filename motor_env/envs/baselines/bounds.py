@@ -20,10 +20,10 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit, softmax
 
-from motor_env.compiled import njit
 from motor_env.envs.baselines.hypotheses import N_HYPOTHESIS, known_faults, sample_model, step_of
 from motor_env.envs.options import MonitorOptions
 from motor_env.envs.setup import Setup, make_setup
+from motor_env.motor.compiled import njit
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.model import State
 from motor_env.motor.parameters import FloatArray, require

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from motor_env.compiled import njit
 from motor_env.envs.baselines.belief import worth
 from motor_env.envs.baselines.hypotheses import kind_matrix, known_faults
 from motor_env.envs.baselines.policies import Actions, Observations, ThresholdPolicy, column, declarations
 from motor_env.envs.setup import Setup
+from motor_env.motor.compiled import njit
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.model import State
 from motor_env.motor.parameters import FloatArray, require
