@@ -219,7 +219,8 @@ def _integrate(
         out[:, 0] = _sensed(parameters, extension.sensor_lag_s, out, models=models, begin=begin)
     if extension.dead_zone_a > 0.0:
         # Nothing below the zone is shown and all above it; the commutation carries the current across its edge.
-        out[:, 0] *= ndtr((out[:, 0] / extension.dead_zone_a - 1.0) / _DEAD_ZONE_EDGE)
+        zone = extension.dead_zone_a
+        out[:, 0] *= ndtr((out[:, 0] - zone) / (_DEAD_ZONE_EDGE * zone))
     if extension.speed_lag_s > 0.0:
         # A first-order lag, exact for a curve that is straight between the samples' means.
         decay, speed = math.exp(-model.dt_s / extension.speed_lag_s), out[:, 1]
