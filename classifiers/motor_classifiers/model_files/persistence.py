@@ -126,8 +126,11 @@ def _content(model: BaseEstimator, recipe: Recipe, method: str) -> bytes:
         raise TypeError(f"model must be a pipeline, a confirmation or a network, got {type(model).__name__}")
     state = model.to_state()
     arrays = {name: np.ascontiguousarray(values) for name, values in state.arrays.items()}
-    text = json.dumps(head | {"kind": kind, **state.values})
-    return save_tensors(arrays, metadata={FORMAT: text, _DIGEST: digest(text, arrays)})
+    head |= {"kind": kind, **state.values}
+    head[_DIGEST] = digest(json.dumps(head), arrays)
+    return save_tensors(
+        arrays, metadata={FORMAT: json.dumps(head)}
+    )  # one entry: safetensors does not order them
 
 
 def _loaded(content: bytes, most_wrappers: int) -> Loaded:
@@ -147,9 +150,9 @@ def _loaded(content: bytes, most_wrappers: int) -> Loaded:
         require(length <= LARGEST_TEXT_BYTES, "its header is too long")
         arrays = load_tensors(content)
         metadata = parsed(content[8 : 8 + length])["__metadata__"]
-        # Files of older versions have no digest.
-        own = metadata.get(_DIGEST, digest(metadata[FORMAT], arrays))
-        require(own == digest(metadata[FORMAT], arrays), "its content is not what was saved")
+        stated = parsed(metadata[FORMAT])
+        own = stated.pop(_DIGEST, None)  # files of older versions have none
+        require(own in (None, digest(json.dumps(stated), arrays)), "its content is not what was saved")
         for name, values in arrays.items():
             require(
                 values.dtype.kind in "fi" and bool(np.isfinite(values).all()), f"{name[:60]} is not finite"

@@ -117,6 +117,7 @@ def with_head(content: bytes, changes: dict[str, Any]) -> bytes:
     """A safetensors model with another head; nested tables are merged."""
     length = int.from_bytes(content[:8], "little")
     head = json.loads(json.loads(content[8 : 8 + length])["__metadata__"][FORMAT])
+    del head["sha256"]  # as a file of an older version: the checks behind the digest are what is asked
     for key, value in changes.items():
         head[key] = {**head[key], **value} if isinstance(value, dict) else value
     return save(load(content), metadata={FORMAT: json.dumps(head)})
@@ -204,7 +205,7 @@ def test_json_with_wrong_types_or_values_is_refused(
 def test_tensors_of_another_shape_are_refused(
     name: str, key: str, values: Any, contents: dict[str, bytes], tmp_path: Path
 ) -> None:
-    content = contents[name]
+    content = with_head(contents[name], {})
     length = int.from_bytes(content[:8], "little")
     head = json.loads(content[8 : 8 + length])["__metadata__"][FORMAT]
     refusal(save({**load(content), key: values}, metadata={FORMAT: head}), tmp_path)
