@@ -50,9 +50,9 @@ def verdicts(learned: StartReference, time_s: FloatArray, current_a: FloatArray)
     return [diagnose(recording, None, learned) for recording in recordings(time_s, current_a)]
 
 
-def learn(*captures: tuple[FloatArray, FloatArray]) -> StartReference:
+def learn(time_s: FloatArray, current_a: FloatArray) -> StartReference:
     """What healthy starts teach where the motor is always as warm: a change of 15 K would hide R +25 % at 2 kHz."""
-    return replace(learn_reference(fit_healthy(recordings(*captures))), temperature_k=0.0)
+    return replace(learn_reference(fit_healthy(recordings(time_s, current_a))), temperature_k=0.0)
 
 
 @pytest.fixture(scope="module")
