@@ -24,7 +24,7 @@ from motor_datasets.generate import generate_arrays
 from motor_datasets.layout import Plan, PlannedFile, make_plan
 from motor_datasets.manifest import MANIFEST, Entry, Manifest, is_whole, read_manifest, size_and_digest
 from motor_datasets.parquet import to_table, write_table
-from motor_datasets.remote import Folder, RemotePath, folder_of, whole_file
+from motor_datasets.remote import Folder, folder_of, whole_file
 from motor_env.errors import InputError
 from motor_env.motor.parameters import require
 from motor_env.processes import end_with_parent
@@ -38,7 +38,7 @@ def generate_dataset(
     recipe: Recipe,
     cases: int,
     seed: int,
-    out: str | Path | RemotePath,
+    out: str | Folder,
     *,
     workers: int = 1,
     resume: bool = False,
@@ -63,10 +63,11 @@ def generate_dataset(
     require(workers >= 1, f"workers must be >= 1, got {workers}")
     plan = make_plan(recipe, cases, seed)
     folder = folder_of(out)
-    if isinstance(folder, RemotePath) and not folder.shared:
-        require(
-            workers == 1, f"workers must be 1 for {folder}, which other processes do not see, got {workers}"
-        )
+    alone = not isinstance(folder, Path) and folder.protocol == "memory"
+    require(
+        workers == 1 or not alone,
+        f"workers must be 1 for {folder}, which other processes do not see, got {workers}",
+    )
     entries = _open_folder(folder, plan, resume=resume)
     for entry in entries.values():
         on_progress(entry.rows)
@@ -87,7 +88,8 @@ def _make_files(
     on_progress: Callable[[int], object],
 ) -> None:
     """Write the missing files and add them to the entries; then the card and the manifest."""
-    (folder / "data").mkdir(parents=True, exist_ok=True)
+    if isinstance(folder, Path):  # object storage has no folders
+        (folder / "data").mkdir(parents=True, exist_ok=True)
     due = 0
     try:
         for entry in chain([None], _write_files(missing, folder, plan, workers)):

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset
 from motor_datasets.manifest import read_manifest
-from motor_datasets.remote import RemotePath, folder_of
+from motor_datasets.remote import Folder, folder_of
 from motor_env.simulation.recipes import Recipe
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-def load(folder: str | Path | RemotePath, split: str | None = None) -> Dataset:
+def load(folder: str | Folder, split: str | None = None) -> Dataset:
     """Load a data set, or one split of it, ordered by case, from a folder or a URL such as `s3://bucket/prefix`.
 
     Raises:

@@ -12,10 +12,10 @@ import fsspec
 import numpy as np
 import pytest
 from fsspec.registry import known_implementations
+from upath import UPath
 
 from motor_datasets import generate_dataset, layout, load
 from motor_datasets.cli import main
-from motor_datasets.remote import RemotePath
 from motor_env.errors import InputError
 from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.simulate import Timing
@@ -111,7 +111,7 @@ def test_the_manifest_is_put_last(url: str, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.usefixtures("small_shards")
 def test_worker_processes_put_the_same(tmp_path: Path) -> None:
     """fsspec's own local file system stands in for a storage that all workers see."""
-    there = RemotePath(fsspec.filesystem("file", auto_mkdir=True), str(tmp_path / "there"))
+    there = UPath((tmp_path / "there").as_uri(), auto_mkdir=True)
     generate_dataset(SHORT, 100, 1, tmp_path / "here")
     generate_dataset(SHORT, 100, 1, there, workers=2)
     assert files_of(tmp_path / "there") == files_of(tmp_path / "here")
