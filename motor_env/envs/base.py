@@ -86,6 +86,7 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         lanes = empty_lanes(1, 1, options.precision)
         self._state, self._words, self._marks, _, self._drawn = lanes
         self._arrays = (*pack_task(self.setup.numbers._replace(bank=bank)), *lanes)
+        self._parts = np.empty((4, 1))
         self._seed: int | None = None
         self._truth: Info = {}
         self._offsets_v: list[float] = self.setup.offsets_v.tolist()
@@ -145,7 +146,7 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
             raise gym.error.ResetNeeded("call reset() before step(): the episode is over")
         observation = np.empty(self._n_observed, dtype=np.float32)
         reward, self._over, fault_active, parts = stepping.step_single(
-            offset_v, declared, self._samples, observation, *self._arrays
+            offset_v, declared, self._samples, observation, self._parts, *self._arrays
         )
         if self._scope is not None:
             if self._over:

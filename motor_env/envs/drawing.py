@@ -15,6 +15,7 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
+from motor_env.envs.compiling import compiled_with_arrays, inlined
 from motor_env.envs.kernel import (
     CURRENT,
     ERROR_CURRENT,
@@ -47,7 +48,6 @@ from motor_env.envs.lanes import (
 )
 from motor_env.envs.options import MonitorOptions, Start
 from motor_env.filters.kalman import KalmanFilter
-from motor_env.motor.compiled import njit
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.model import Input, exponential_and_phi
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters
@@ -134,7 +134,7 @@ def _fused(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def _factor(power: float, loses: float, severity: float) -> float:
     """What a fault multiplies a quantity by: `FaultKind.factor`."""
     if power == 0.0:
@@ -144,7 +144,7 @@ def _factor(power: float, loses: float, severity: float) -> float:
     return size if loses > 0.0 or power > 0.0 else 1.0 / size
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def motor_row(p: FloatArray, c: FloatArray, drawn: FloatArray, share: float, row: FloatArray) -> None:
     """The motor of a class at a share of its fault's severity, as its difference to the belief's: the kernel's row.
 
@@ -180,7 +180,7 @@ def motor_row(p: FloatArray, c: FloatArray, drawn: FloatArray, share: float, row
     row[SIGMA_CURRENT], row[SIGMA_SPEED] = noise * p[STD], noise * p[STD + 1]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_with_arrays
 def motor_table(task: TaskNumbers) -> FloatArray:
     """All motors of a task whose motors are alike, as `TaskNumbers.motors` wants them; zeros where they are not."""
     n_classes, n_levels = len(task.classes), int(task.motors.shape[1]) - 1
@@ -193,7 +193,7 @@ def motor_table(task: TaskNumbers) -> FloatArray:
     return table
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def set_motor(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, level: int) -> None:
     """Let lane j of a block, lane n of all, have the motor at a level of its fault."""
     which = lanes.marks[CLASS_INDEX, n]
@@ -205,7 +205,7 @@ def set_motor(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, le
         motor_row(task.prior, task.classes[which], lanes.drawn[n], level / task.prior[N_LEVELS], row)
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def _uniform(stream: np.uint32, words: WordArray, n: int, case: np.uint64, number: int) -> float:
     """Uniform number of a case in (0, 1), as `random_streams.uniforms`."""
     four = philox(
@@ -219,7 +219,7 @@ def _uniform(stream: np.uint32, words: WordArray, n: int, case: np.uint64, numbe
     return float((float(four[number & 3]) + 0.5) * 2.0**-32)
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def _draw_factors(
     task: TaskNumbers, words: WordArray, n: int, case: np.uint64, motor: np.uint64, out: FloatArray
 ) -> None:
@@ -244,7 +244,7 @@ def _draw_factors(
     out[FACTORS] = 1.0 + p[SPREAD] * float(box_muller(a, b)[0])
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
     """Draw the episode that the words of lane n name, into its marks and `drawn`; its onset, NEVER without a fault."""
     p, words, drawn = task.prior, lanes.words, lanes.drawn[n]
@@ -278,7 +278,7 @@ def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
     return onset
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def begin_state(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int) -> None:
     """Let lane j of a block, lane n of all, take the initial state of the episode drawn for it."""
     p, drawn = task.prior, lanes.drawn[n]

@@ -11,7 +11,7 @@ The same source serves float32 and float64: whichever the arrays are.
 
 from __future__ import annotations
 
-from motor_env.motor.compiled import njit
+from motor_env.envs.compiling import inlined
 from motor_env.motor.parameters import FloatArray
 
 LANES = 64
@@ -77,7 +77,7 @@ FIELD_OF_FEATURE = (
 )
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def advance(s: FloatArray, j: int, p: Constants, kept: float, with_speed: bool, full: bool) -> None:
     """One sample of lane j of the block s: plant, measurement, filter, statistics, cost of waiting.
 
@@ -146,7 +146,7 @@ def advance(s: FloatArray, j: int, p: Constants, kept: float, with_speed: bool, 
     s[j + SAMPLE * LANES] += p[ONE]
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def weigh(s: FloatArray, j: int, m: int, p: Constants, t: Constants) -> None:
     """Filter m of the bank after a sample of lane j: the cumulative sum of its log-likelihood ratio to the belief.
 
@@ -172,7 +172,7 @@ def weigh(s: FloatArray, j: int, m: int, p: Constants, t: Constants) -> None:
     s[at1] = a1 if goes_on else s[j + ERROR_SPEED * LANES]
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def settle(s: FloatArray, j: int, p: Constants, samples: int, declared: int) -> float:
     """Verdict on the last step of lane j's episode, which took so many samples; at the horizon the cost comes on top.
 

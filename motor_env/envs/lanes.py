@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.envs.compiling import inlined
 from motor_env.envs.kernel import (
     BLOCK,
     FEATURE_LENGTH,
@@ -24,7 +25,6 @@ from motor_env.envs.kernel import (
     ROW_LENGTH,
     ROWS,
 )
-from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray
 
 N_CLASSES, N_OBSERVED, N_LEVELS = range(3)  # the prior begins with these sizes
@@ -99,7 +99,7 @@ def pack_task(task: TaskNumbers) -> TaskArrays:
     return np.concatenate(parts).astype(precision), np.concatenate([task.prior, task.classes.ravel()])
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def unpack_task(numbers: FloatArray, prior: FloatArray) -> TaskNumbers:
     """The task of `pack_task`."""
     n_classes, n_observed, n_motors = int(prior[N_CLASSES]), int(prior[N_OBSERVED]), int(prior[N_LEVELS]) + 1
@@ -129,7 +129,7 @@ def empty_lanes(blocks: int, lanes: int, precision: str) -> LaneArrays:
     return state, words, marks, flags, np.zeros((lanes, DRAWN_LENGTH))
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def unpack_lanes(
     state: FloatArray, words: WordArray, marks: MarkArray, flags: BoolArray, drawn: FloatArray
 ) -> Lanes:

@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.envs.compiling import compiled_with_arrays, inlined
 from motor_env.envs.kernel import LANES, LATEST, NOISE, ROWS, SAMPLE
 from motor_env.envs.lanes import CASE_HIGH, CASE_LOW, SEED_HIGH, SEED_LOW, WordArray
-from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, box_muller, philox
 
@@ -29,7 +29,7 @@ def case_of(index: NDArray[np.int64], episode: NDArray[np.int64]) -> NDArray[np.
     return cases
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def four_normals(group: int, words: WordArray, n: int) -> tuple[np.float32, ...]:
     """Normals 4 group .. 4 group + 3 of the episode that lane n of all runs."""
     a, b, c, d = philox(
@@ -45,7 +45,7 @@ def four_normals(group: int, words: WordArray, n: int) -> tuple[np.float32, ...]
     return n0, n1, n2, n3
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def begin_noise(s: FloatArray, words: WordArray, n: int, row: int, channels: int) -> tuple[np.float32, ...]:
     """What a new episode of lane n of all finds in the rows from `row` on; the first four normals of the episode.
 
@@ -63,7 +63,7 @@ def begin_noise(s: FloatArray, words: WordArray, n: int, row: int, channels: int
     return first
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_with_arrays
 def refill(s: FloatArray, words: WordArray, first: int, channels: int, width: int) -> None:
     """All rows of a block anew, for its lanes up to `width`; `first` is the number of its first lane among all.
 

@@ -13,6 +13,7 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from motor_env.envs import kernel
+from motor_env.envs.compiling import compiled, inlined
 from motor_env.envs.drawing import begin_state, draw_episode, set_motor
 from motor_env.envs.kernel import (
     BLOCK,
@@ -39,14 +40,13 @@ from motor_env.envs.lanes import (
     unpack_task,
 )
 from motor_env.envs.noise import begin_noise, refill
-from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray
 
 DECLARE_ABOVE = 0.5
 Float32Array = NDArray[np.float32]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _change_levels(
     s: FloatArray, p: Constants, task: TaskNumbers, lanes: Lanes, first: int, width: int
 ) -> None:
@@ -68,7 +68,7 @@ def _change_levels(
     lanes.marks[QUIET, first] = int(quiet)
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def _advance_all(s: FloatArray, p: Constants, row: int, kept: float, width: int) -> None:
     """A sample of a block; four loops, each without what it does not need.
 
@@ -95,7 +95,7 @@ def _advance_all(s: FloatArray, p: Constants, row: int, kept: float, width: int)
             advance(s, j, p, kept, False, False)
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def _step_block(
     s: FloatArray,
     p: Constants,
@@ -126,7 +126,7 @@ def _step_block(
     return row
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def _begin_lane(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: int) -> None:
     """Let lane j of a block, lane n of all, begin its next episode; its noise goes on at that row."""
     lanes.words[CASE_LOW, n] += np.uint32(1)
@@ -152,7 +152,7 @@ def _begin_lane(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, 
     lanes.marks[QUIET, first] = min(lanes.marks[QUIET, first], soon)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def begin_lanes(mask: BoolArray, numbers: FloatArray, prior: FloatArray, *arrays: Any) -> None:
     """Let the lanes of the mask begin their next episodes."""
     task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
@@ -164,7 +164,7 @@ def begin_lanes(mask: BoolArray, numbers: FloatArray, prior: FloatArray, *arrays
             _begin_lane(s, j, task, lanes, n, row)
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def _observe_block(
     s: FloatArray, view: FloatArray, observation: Float32Array, first: int, width: int
 ) -> None:
@@ -179,7 +179,7 @@ def _observe_block(
             row[j] = np.float32(bound if value > bound else value)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def observe(observation: Float32Array, numbers: FloatArray, prior: FloatArray, *arrays: Any) -> None:
     """Write the observed features of all lanes, one row a feature."""
     task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
@@ -188,7 +188,7 @@ def observe(observation: Float32Array, numbers: FloatArray, prior: FloatArray, *
         _observe_block(s, task.features, observation, first, min(LANES, observation.shape[1] - first))
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def _split_cost(s: FloatArray, p: Constants, samples: int, parts: FloatArray, first: int, width: int) -> None:
     """What the reward of a step in the middle of an episode is made of: verdict (none), delay, probe, energy.
 
@@ -210,7 +210,7 @@ def _split_cost(s: FloatArray, p: Constants, samples: int, parts: FloatArray, fi
             energy[j] = rest if p[kernel.ENERGY_COST] > 0.0 else 0.0
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def _settle(
     s: FloatArray, j: int, p: Constants, samples: int, declared: int, parts: FloatArray, n: int
 ) -> float:
@@ -223,7 +223,7 @@ def _settle(
     return verdict if declared > 0 else float(verdict - s[j + kernel.COST * LANES])
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def _finish_block(
     s: FloatArray,
     p: Constants,
@@ -253,7 +253,7 @@ def _finish_block(
     return n_over
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def lay_discrete(lanes: Lanes, actions: NDArray[np.int64], offsets_v: FloatArray, n_offsets: int) -> bool:
     """Lay offset and declaration of each action into the lanes; False if an action does not exist.
 
@@ -272,7 +272,7 @@ def lay_discrete(lanes: Lanes, actions: NDArray[np.int64], offsets_v: FloatArray
     return True
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def decode_continuous(action: FloatArray, reach_v: float) -> tuple[float, int]:
     """Offset of the voltage, and declaration, of an action (offset, then one entry a kind), clipped to -1 .. 1."""
     best, declared = DECLARE_ABOVE, 0
@@ -283,7 +283,7 @@ def decode_continuous(action: FloatArray, reach_v: float) -> tuple[float, int]:
     return (0.0 if declared > 0 else offset), declared
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@inlined
 def _step_lanes(
     task: TaskNumbers,
     lanes: Lanes,
@@ -321,7 +321,7 @@ def _step_lanes(
     return n_over
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def step_discrete(
     actions: NDArray[np.int64],
     offsets_v: FloatArray,
@@ -342,7 +342,7 @@ def step_discrete(
     return int(_step_lanes(task, lanes, samples, next_step, observation, reward, parts, len(actions)))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def step_continuous(
     actions: FloatArray,
     reach_v: float,
@@ -364,23 +364,26 @@ def step_continuous(
     return int(_step_lanes(task, lanes, samples, next_step, observation, reward, parts, len(actions)))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def step_single(
     offset_v: float,
     declared: int,
     samples: int,
     observation: Float32Array,
+    parts: FloatArray,
     numbers: FloatArray,
     prior: FloatArray,
     *arrays: Any,
 ) -> tuple[float, bool, bool, tuple[float, ...]]:
     """A step of a single environment, which is lane 0 of a block of its own.
 
+    `parts` is written, shape (4, 1).
+
     Returns:
         Reward, end, whether a fault acts, and the four parts of the reward.
     """
     task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
-    p, s, parts = to_fixed_tuple(task.constants, N_CONSTANTS), lanes.state, np.empty((4, 1))
+    p, s = to_fixed_tuple(task.constants, N_CONSTANTS), lanes.state
     s[kernel.VOLTAGE * LANES] = offset_v
     lanes.marks[ROW, 0] = _step_block(s, p, task, lanes, 0, lanes.marks[ROW, 0], samples, 1)
     _split_cost(s, p, samples, parts, 0, 1)
