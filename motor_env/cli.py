@@ -34,12 +34,14 @@ class Measurement:
         column: A column that its header does not tell, e.g. --column current=CH2:mA (may be repeated).
         shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
         sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
+        start: Which start, counted from 1, where a file holds several; all of them without it.
     """
 
     voltage: float | None = None
     column: list[str] | None = None
     shunt_ohm: float = 0.0
     sensor_lag: float = 0.0
+    start: console.Whole | None = None
 
     @property
     def options(self) -> dict[str, Any]:
@@ -54,20 +56,29 @@ class Measurement:
             "voltage_v": self.voltage,
             "columns": [ColumnChoice.parse(text) for text in self.column or ()],
             "circuit": Circuit(self.shunt_ohm, self.sensor_lag),
+            "start": self.start,
         }
+
+    def for_windows(self, **others: object) -> dict[str, Any]:
+        """The same for windows of a motor at work; options that belong to starts are refused, not ignored."""
+        others |= {"start": self.start, "sensor_lag": self.sensor_lag or None}
+        for name, value in others.items():
+            if value is not None:
+                raise InputError(
+                    f"--{name.replace('_', '-')} belongs to starts, not to windows of a motor at work"
+                )
+        return {name: value for name, value in self.options.items() if name != "start"}
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class StartMeasurement(Measurement):
-    """The same, and which start of it counts.
+    """The same, and what is known of its commutation ripple.
 
     Attributes:
-        start: Which start, counted from 1, where a file holds several; each is a row of its own without it.
         ripple_periods_per_turn: Periods of the current's commutation ripple in a turn, for the true speed, K, J and B.
     """
 
-    start: console.Whole | None = None
     ripple_periods_per_turn: float | None = None
 
 
@@ -140,8 +151,8 @@ def diagnose(
 
     known = None if motor is None else load_motor(motor)
     if known is not None and known.operation is not None:
-        columns = measurement.options["columns"]
-        records = running.diagnose_running(files, known, columns, false_alarm_rate, out)
+        options = measurement.for_windows(temperature_c=temperature_c, healthy=healthy)
+        records = running.diagnose_running(files, known, false_alarm_rate, out, **options)
         if json_:
             print(json.dumps([record.as_json() for record in records], indent=1))
         else:
@@ -154,7 +165,6 @@ def diagnose(
             healthy=healthy or (),
             false_alarm_rate=false_alarm_rate,
             out=out,
-            start=measurement.start,
             periods_per_turn=measurement.ripple_periods_per_turn,
             temperature_c=temperature_c,
             **measurement.options,
@@ -267,7 +277,7 @@ def identify(
             save_motor(work.motor(name), output)
         if out is not None:
             work.plot(out)
-    fits = [pair for path in starts for pair in steps.identify_file(path, start=measurement.start, **options)]
+    fits = [pair for path in starts for pair in steps.identify_file(path, **options)]
     if output is not None and fits:
         save_motor(steps.to_motor([fit for _, fit in fits], name), output)
     if out is not None:
@@ -318,7 +328,8 @@ def commission(
     if not 0.0 < false_alarm_rate < 0.5:
         raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
     if window is not None:
-        known = running.commission_running(files, measurement.options["columns"], window, name)
+        options = measurement.for_windows(temperature_c=temperature_c, out=out)
+        known = running.commission_running(files, window, name, **options)
         save_motor(known, output)
         if known.operation is not None:
             print(running.commissioned_text(known.operation, false_alarm_rate))

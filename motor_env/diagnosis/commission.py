@@ -64,10 +64,12 @@ def identify_file(
 ) -> list[tuple[Recording, Identified]]:
     """Read a recording and fit each of its starts, or one of them, with the model that the evidence prefers.
 
+    It is taken for starts, whatever its voltage does.
+
     Raises:
         InputError: it cannot be read, or holds no start.
     """
-    parts = chosen_starts(read_recording(path, columns), start)
+    parts = chosen_starts(read_recording(path, columns), start, also_work=True)
     try:
         return [(part, identify_best(prepare(part, voltage_v, circuit), EXTENSIONS)) for part in parts]
     except UnusableError as error:
@@ -83,15 +85,18 @@ def commission(
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
     circuit: Circuit | None = None,
     temperature_c: float | None = None,
+    start: int | None = None,
 ) -> Commissioned:
-    """Learn a motor from healthy starts; a file may hold several.
+    """Learn a motor from healthy starts; a file may hold several, of which `start` chooses one.
 
     Raises:
         InputError: fewer than three, one that cannot be read or fitted, or such that hold different columns.
     """
     if len({path.resolve() for path in paths}) < len(paths):
         raise InputError("a healthy start is given twice: it would make the spread look smaller than it is")
-    fits = fit_files(paths, "start", columns, fewest=FEWEST_STARTS, voltage_v=voltage_v, circuit=circuit)
+    fits = fit_files(
+        paths, "start", columns, fewest=FEWEST_STARTS, start=start, voltage_v=voltage_v, circuit=circuit
+    )
     reference = replace(learn_reference(fits), temperature_c=temperature_c)
     limit = significance_limit(false_alarm_rate, fits[0].exponents, reference.degrees_of_freedom)
     motor = to_motor(fits, name, kind="commissioned", reference=reference)

@@ -18,6 +18,7 @@ from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import MotorFile, StartReference
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
+from motor_env.recordings.regime import refuse_work
 from motor_env.recordings.start import Circuit, Start, prepare
 
 _POOR_FIT = 0.75
@@ -49,6 +50,8 @@ def diagnose(
         voltage_v = motor.nominal_voltage_v
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
     try:
+        if learned is not None or (motor is not None and motor.reference is not None):
+            refuse_work(recording)
         start = prepare(recording, voltage_v, circuit)
         reference = _reference(start, motor, learned, temperature_c)
         typical = None if reference is None else reference.values
@@ -63,7 +66,7 @@ def diagnose(
     except UnusableError as error:
         return Diagnosis(recording, Verdict.UNUSABLE, (str(error),))
     check = filter_check(fit)
-    trouble = _trouble(fit)
+    trouble = unusable_reason(fit)
     if trouble:
         return Diagnosis(recording, Verdict.UNUSABLE, (trouble,), identified=fit, filter_check=check)
     if reference is None:
@@ -113,8 +116,8 @@ def _reference(
     return reference_from_motor(motor, **which, temperature_c=temperature_c)
 
 
-def _trouble(fit: Identified) -> str | None:
-    """Why a fit cannot carry a verdict."""
+def unusable_reason(fit: Identified) -> str | None:
+    """Why a fit cannot carry a verdict; None where it can."""
     clipped = fit.start.alignment.saturation
     if clipped:
         return f"the recording is clipped, {clipped}"

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from motor_env.diagnosis import report
-from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, Diagnosis
-from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
+from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, Diagnosis, Verdict
+from motor_env.diagnosis.diagnose import diagnose, unusable_reason
+from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference, odd_one_out
 from motor_env.diagnosis.pictures import plot_diagnosis
 from motor_env.errors import InputError
 from motor_env.identification.identify import Identified
@@ -57,15 +57,21 @@ class Outcome:
 
 
 def fit_files(
-    paths: Sequence[Path], word: str, columns: Sequence[ColumnChoice] = (), *, fewest: int = 1, **options: Any
+    paths: Sequence[Path],
+    word: str,
+    columns: Sequence[ColumnChoice] = (),
+    *,
+    fewest: int = 1,
+    start: int | None = None,
+    **options: Any,
 ) -> list[Identified]:
     """Fit the healthy starts of files as `fit_healthy` does; a file may hold several.
 
     Raises:
-        InputError: one of them cannot be read or used, they are fewer than `fewest`, or hold different columns; `word`
-            is what the user calls them.
+        InputError: one of them cannot be read or used, or no motor explains it; they are fewer than `fewest`, or hold
+            different columns. `word` is what the user calls them.
     """
-    starts = [part for path in paths for part in chosen_starts(read_recording(path, columns))]
+    starts = [part for path in paths for part in _healthy_starts(path, word, columns, start)]
     if len(starts) < fewest:
         raise InputError(f"commissioning needs at least {fewest} healthy starts, got {len(starts)}")
     try:
@@ -74,7 +80,20 @@ def fit_files(
         raise InputError(f"a healthy {word} cannot be used: {error}") from None
     if len({fit.quantity_names for fit in fits}) > 1:
         raise InputError(f"the healthy {word}s hold different columns; give such that agree")
+    for number, part in enumerate(starts):
+        reason = unusable_reason(fits[number]) or odd_one_out(fits, number)
+        if reason is not None:
+            raise InputError(f"{part.path}: a healthy {word} cannot be used: {reason}")
     return fits
+
+
+def _healthy_starts(
+    path: Path, word: str, columns: Sequence[ColumnChoice], start: int | None
+) -> list[Recording]:
+    try:
+        return chosen_starts(read_recording(path, columns), start)
+    except UnusableError as error:
+        raise InputError(f"{path}: a healthy {word} cannot be used: {error}") from None
 
 
 def _learn(
@@ -131,6 +150,7 @@ def diagnose_files(
     if periods_per_turn is not None and not 0.0 < periods_per_turn < float("inf"):
         raise InputError(f"ripple-periods-per-turn must be > 0, got {periods_per_turn:g}")
     learned = _learn(healthy, loaded, voltage_v, columns=columns, circuit=circuit) if healthy else None
+    from_starts = learned is not None or (loaded is not None and loaded.reference is not None)
     outcomes: list[Outcome] = []
 
     def judged(recording: Recording) -> Outcome:
@@ -148,7 +168,11 @@ def diagnose_files(
     for path in files:
         progress(path)
         try:
-            parts = chosen_starts(read_recording(path, columns), start)
+            recording = read_recording(path, columns)
+            parts = chosen_starts(recording, start, also_work=not from_starts)
+        except UnusableError as error:
+            outcomes.append(Outcome(path, Diagnosis(recording, Verdict.UNUSABLE, (str(error),))))
+            continue
         except Exception as error:  # noqa: BLE001  # whatever it is, it is said, and the others keep their verdicts
             outcomes.append(_failure(path, error))
             continue

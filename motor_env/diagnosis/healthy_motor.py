@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,7 @@ SHEET_NOISE_SD = 0.10
 NORMAL_DOF = 1e6
 MEASURED_TEMPERATURE_K = 4.0
 """How far a winding may be off a measured temperature, one standard deviation."""
+_SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm from start to start, and how many are odd
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,3 +206,19 @@ def white_error(fit: Identified) -> FloatArray:
     """Covariance of the fit from its white noise alone: what differs from one start to the next of one motor."""
     left = float(np.var(fit.residual_a[fit.start.alignment.onset_index :]))
     return fit.log_covariance * min(fit.noise_a**2 / max(left, 1e-300), 1.0)
+
+
+def odd_one_out(fits: Sequence[Identified], number: int) -> str | None:
+    """Why one of the healthy starts is of another motor than the others; None where it agrees with them."""
+    others = np.array([fit.log_values for n, fit in enumerate(fits) if n != number])
+    if len(others) < 2:
+        return None
+    middle = np.median(others, axis=0)
+    scatter = np.median(np.abs(others - middle), axis=0)
+    off = fits[number].log_values - middle
+    sd = np.sqrt(np.diag(fits[number].log_covariance) + scatter**2 + _SAME_MOTOR**2)
+    worst = int(np.argmax(np.abs(off) / sd))
+    if abs(off[worst]) <= _ODD * sd[worst]:
+        return None
+    name = fits[number].quantity_names[worst]
+    return f"its {name} is {math.exp(off[worst]):.3g} times that of the others"

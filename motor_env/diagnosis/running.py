@@ -16,11 +16,13 @@ from motor_env.console import ExitStatus
 from motor_env.diagnosis.windows import NAMES, WindowVerdict, judge_windows, learn_windows
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import MotorFile, WindowReference
+from motor_env.operation.record import at_terminals
 from motor_env.operation.report import motor_of
 from motor_env.plotting import COLOUR, drawing, save, subplots
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import read_recording
+from motor_env.recordings.start import Circuit
 
 _SHOWN = {"R": "R", "K": "K", "J": "J", "B": "friction"}
 
@@ -100,16 +102,30 @@ class RunningRecord:
 
 
 def commission_running(
-    files: Sequence[Path], columns: Sequence[ColumnChoice], window_s: float, name: str
+    files: Sequence[Path],
+    window_s: float,
+    name: str,
+    *,
+    columns: Sequence[ColumnChoice] = (),
+    voltage_v: float | None = None,
+    circuit: Circuit | None = None,
 ) -> MotorFile:
     """Learn a motor from windows of its logs.
+
+    Args:
+        files: logs of the healthy motor at work.
+        window_s: length of a window.
+        name: of the motor.
+        columns: columns named by the user.
+        voltage_v: supply, for a voltage that was recorded as a duty cycle.
+        circuit: what is known of the measuring circuit.
 
     Raises:
         InputError: a log cannot be read, or they cannot be used.
     """
     if not 0.0 < window_s < math.inf:
         raise InputError(f"window must be > 0, got {window_s:g}")
-    recordings = [read_recording(path, columns) for path in files]
+    recordings = [at_terminals(read_recording(path, columns), voltage_v, circuit) for path in files]
     try:
         reference = learn_windows(recordings, window_s)
     except UnusableError as error:
@@ -134,7 +150,14 @@ def commissioned_text(reference: WindowReference, rate: float) -> str:
 
 
 def diagnose_running(
-    files: Sequence[Path], motor: MotorFile, columns: Sequence[ColumnChoice], rate: float, out: Path | None
+    files: Sequence[Path],
+    motor: MotorFile,
+    rate: float,
+    out: Path | None,
+    *,
+    columns: Sequence[ColumnChoice] = (),
+    voltage_v: float | None = None,
+    circuit: Circuit | None = None,
 ) -> list[RunningRecord]:
     """Judge logs by windows; one that cannot be read or judged does not stop the others."""
     records = []
@@ -142,9 +165,8 @@ def diagnose_running(
         try:
             if motor.operation is None:
                 raise InputError(f"{path}: the motor was not commissioned with --window")
-            record = RunningRecord(
-                path, tuple(judge_windows(read_recording(path, columns), motor.operation, rate))
-            )
+            recording = at_terminals(read_recording(path, columns), voltage_v, circuit)
+            record = RunningRecord(path, tuple(judge_windows(recording, motor.operation, rate)))
         except (InputError, UnusableError) as error:
             record = RunningRecord(path, (), str(error), isinstance(error, InputError))
         if out is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,11 @@ from motor_env.errors import InputError
 from motor_env.motor.data_sheet import MotorFile
 from motor_env.operation import report
 from motor_env.operation.identify import Operation, identify_operation
-from motor_env.operation.regime import REGIMES, work_seen
+from motor_env.operation.record import at_terminals
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, read_recording
+from motor_env.recordings.regime import REGIMES, work_seen
 from motor_env.recordings.start import Circuit
 
 
@@ -94,16 +95,9 @@ def identify_logs(
     works: Sequence[tuple[Recording, str]], *, voltage_v: float | None = None, circuit: Circuit | None = None
 ) -> Work:
     """Fit one motor to all logs."""
-    recordings = tuple(without_shunt(recording, circuit) for recording, _ in works)
+    recordings = tuple(at_terminals(recording, voltage_v, circuit) for recording, _ in works)
     reason = "; ".join(dict.fromkeys(reason for _, reason in works))
     try:
-        return Work(recordings, reason, identify_operation(recordings, voltage_v=voltage_v))
+        return Work(recordings, reason, identify_operation(recordings))
     except UnusableError as error:
         return Work(recordings, reason, None, str(error))
-
-
-def without_shunt(recording: Recording, circuit: Circuit | None) -> Recording:
-    """The recording with the voltage of the motor alone."""
-    if circuit is None or circuit.shunt_ohm == 0.0 or recording.voltage_v is None:
-        return recording
-    return replace(recording, voltage_v=recording.voltage_v - circuit.shunt_ohm * recording.current_a)

@@ -14,6 +14,7 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.operation.kernel import BEGIN, DELAY, OPEN, predict
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
+from motor_env.recordings.start import Circuit
 
 Hold = Literal["held", "straight", "late"]
 HOLDS: tuple[Hold, ...] = ("held", "straight", "late")
@@ -110,7 +111,7 @@ def from_recordings(
     Raises:
         UnusableError: no voltage, neither current nor speed, other columns or sampling from one to the next.
     """
-    parts = [_columns(recording, voltage_v) for recording in recordings]
+    parts = [_columns(at_terminals(recording, voltage_v)) for recording in recordings]
     steps = np.array([recording.dt_s for recording in recordings])
     if np.ptp(steps) > _SAME_DT * steps.mean():
         raise UnusableError("the recordings differ in their sampling interval: identify them one by one")
@@ -177,13 +178,21 @@ def block_means(values: FloatArray, factor: int) -> FloatArray:
     return means
 
 
-def _columns(
-    recording: Recording, voltage_v: float | None
-) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
-    """Voltage, current, speed; a channel that never moves counts as not recorded."""
+def at_terminals(
+    recording: Recording, voltage_v: float | None = None, circuit: Circuit | None = None
+) -> Recording:
+    """The recording with the voltage at the motor's terminals: a duty cycle in volts, what is in series taken off."""
     voltage = recording.voltage_v
     if voltage is None and recording.duty is not None and voltage_v is not None:
         voltage = recording.duty * voltage_v
+    if voltage is not None and circuit is not None:
+        voltage = voltage - circuit.shunt_ohm * recording.current_a
+    return replace(recording, voltage_v=voltage)
+
+
+def _columns(recording: Recording) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
+    """Voltage, current, speed; a channel that never moves counts as not recorded."""
+    voltage = recording.voltage_v
     if voltage is None:
         raise UnusableError("a motor at work can be identified only where the voltage was recorded")
     if float(np.ptp(voltage)) == 0.0 and float(np.ptp(recording.current_a)) == 0.0:

@@ -13,10 +13,10 @@ from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import wild_samples, without_wild
 from motor_env.recordings.recording import Recording, cut
+from motor_env.recordings.regime import refuse_work
 
 _HIGH, _LOW, _REST = 0.5, 0.25, 0.05
-_FEWEST_APART, _SHORTEST_APART_S = 40, 0.005
-_FEWEST_AT_REST, _SHORTEST_AT_REST_S = 10, 0.001
+_FEWEST, _BOUNCE_S = 3, 0.02  # samples; a contact has bounced and settled after that time
 _WILD = 5  # samples of a long recording that may lie above all that counts
 MOST_STARTS = 200
 
@@ -47,12 +47,17 @@ def split_starts(recording: Recording) -> list[Recording]:
     return parts
 
 
-def chosen_starts(recording: Recording, number: int | None = None) -> list[Recording]:
-    """All starts, or the one with that number.
+def chosen_starts(
+    recording: Recording, number: int | None = None, *, also_work: bool = False
+) -> list[Recording]:
+    """All starts, or the one with that number; with `also_work` those of a log of a motor at work, too.
 
     Raises:
+        UnusableError: it is a log of a motor at work, and no start of it is chosen.
         InputError: there is no such start, or there are more than 200 of them and none is chosen.
     """
+    if number is None and not also_work:
+        refuse_work(recording)
     parts = split_starts(recording)
     if number is None:
         if len(parts) > MOST_STARTS:
@@ -70,17 +75,16 @@ def _rises(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:
     """Samples where the values rise beyond half of their largest, after having been at rest."""
     top = float(np.sort(values)[-1 - (_WILD if len(values) > 2000 else 0)])
     high, low = (values > _HIGH * top).tolist(), (values < rest * top).tolist()
-    apart = max(_FEWEST_APART, round(_SHORTEST_APART_S / dt_s))
-    pause = max(_FEWEST_AT_REST, round(_SHORTEST_AT_REST_S / dt_s))
+    shortest = max(_FEWEST, round(_BOUNCE_S / dt_s))
     begins: list[int] = []
-    at_rest, since = 0, apart
+    at_rest, since = 0, shortest
     armed = True
     for k in range(len(values)):
         at_rest = at_rest + 1 if low[k] else 0
-        armed = armed or at_rest >= pause
+        armed = armed or at_rest >= shortest
         since += 1
         if armed and high[k]:
-            if since >= apart or not begins:
+            if since >= shortest or not begins:
                 begins.append(k)
                 since = 0
             armed = False

@@ -10,8 +10,8 @@ import pytest
 from motor_env.cli import main
 from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation.regime import work_seen
 from motor_env.recordings.recording import Recording
+from motor_env.recordings.regime import work_seen
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 from operation_simulator import draw_motor, simulate

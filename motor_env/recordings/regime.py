@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 
 Regime = Literal["auto", "start", "operation"]
@@ -41,6 +42,20 @@ def work_seen(recording: Recording) -> str | None:
     if len(pauses) >= _MOST_SWITCHES and float(np.median(pauses)) < _PAUSE_S:
         return "the voltage is switched faster than a motor stops"
     return None
+
+
+def refuse_work(recording: Recording) -> None:
+    """Refuse a log of a motor at work where a start is wanted.
+
+    Raises:
+        UnusableError: the voltage shows that the recording is no plain start.
+    """
+    reason = work_seen(recording)
+    if reason is not None:
+        raise UnusableError(
+            f"a log of a motor at work ({reason}), and no start: learn its motor from healthy logs with"
+            " `motor-env commission --window SECONDS`"
+        )
 
 
 def changes(share: FloatArray) -> int:

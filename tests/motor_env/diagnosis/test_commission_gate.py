@@ -1,0 +1,98 @@
+"""What is no healthy start: logs of a motor at work, starts that no motor explains, starts of another motor."""
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated_captures import DEFECTS, captures
+
+from motor_env.cli import main
+from motor_env.motor.parameters import PAPER_MOTOR
+from motor_env.recordings.recording import Recording
+from motor_env.recordings.splitting import split_starts
+
+DT_S = 1e-4
+
+
+def write(path: Path, recording: Recording) -> str:
+    assert recording.voltage_v is not None
+    columns = np.stack([recording.time_s, recording.current_a, recording.voltage_v], axis=1)
+    np.savetxt(path, columns, delimiter=",", header="time_s,current_a,voltage_v", comments="")
+    return str(path)
+
+
+@pytest.fixture
+def healthy(tmp_path: Path) -> list[str]:
+    starts = captures(DEFECTS["none"], (), PAPER_MOTOR, 5, 3)
+    return [write(tmp_path / f"healthy_{n}.csv", start) for n, start in enumerate(starts)]
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> str:
+    time_s = DT_S * np.arange(4000)
+    voltage = np.where(time_s % 0.02 < 0.01, 12.0, 0.0)
+    return write(tmp_path / "pwm.csv", Recording(Path("x"), time_s, 0.1 * voltage, voltage))
+
+
+def test_a_log_is_no_healthy_start(
+    healthy: list[str], log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    toml = tmp_path / "motor.toml"
+    assert main(["commission", *healthy, log, "-o", str(toml)]) == 2
+    said = capsys.readouterr().err
+    assert "pwm.csv: a healthy start cannot be used: a log of a motor at work" in said
+    assert "--window" in said
+    assert not toml.exists()
+
+
+def test_a_log_is_not_judged_by_starts(
+    healthy: list[str], log: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["diagnose", log, "--healthy", *healthy]) == 3
+    assert "a log of a motor at work" in capsys.readouterr().out
+
+
+def test_a_start_that_no_motor_explains_is_named(
+    healthy: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (start,) = captures(DEFECTS["none"], (), PAPER_MOTOR, 6, 1)
+    triangle = np.where(start.time_s > 0.0, start.time_s % 0.05 * 200.0, 0.0)
+    odd = write(tmp_path / "odd.csv", replace(start, current_a=start.current_a + triangle))
+    assert main(["commission", *healthy, odd, "-o", str(tmp_path / "motor.toml")]) == 2
+    said = capsys.readouterr().err
+    assert "odd.csv: a healthy start cannot be used: no motor model explains the current" in said
+    (other,) = captures(DEFECTS["none"], (), replace(PAPER_MOTOR, resistance_ohm=4.0), 6, 1)
+    odd = write(tmp_path / "odd.csv", other)
+    assert main(["commission", *healthy, odd, "-o", str(tmp_path / "motor.toml")]) == 2
+    assert "times that of the others" in capsys.readouterr().err
+
+
+def test_one_start_of_each_file_is_commissioned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    starts = captures(DEFECTS["none"], (), PAPER_MOTOR, 7, 4)
+    files = []
+    for n, (first, second) in enumerate(pairwise(starts)):
+        assert first.voltage_v is not None
+        assert second.voltage_v is not None
+        current = np.concatenate([first.current_a, second.current_a])
+        voltage = np.concatenate([first.voltage_v, second.voltage_v])
+        both = Recording(Path("x"), DT_S * np.arange(len(current)), current, voltage)
+        files.append(write(tmp_path / f"two_{n}.csv", both))
+    toml = str(tmp_path / "motor.toml")
+    assert main(["commission", *files, "--start", "2", "-o", toml]) == 0
+    assert capsys.readouterr().out.startswith("3 healthy starts")
+    assert main(["commission", *files, "--start", "3", "-o", toml]) == 2
+    assert main(["commission", *files, "--window", "0.1", "--start", "1", "-o", toml]) == 2
+    assert "--start belongs to starts" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("rate_hz", [1_000.0, 10_000.0, 100_000.0])
+@pytest.mark.parametrize("has_voltage", [True, False])
+def test_a_switch_that_bounces_for_milliseconds_makes_one_start(rate_hz: float, has_voltage: bool) -> None:
+    time_s = np.arange(round(0.4 * rate_hz)) / rate_hz
+    on = (time_s > 0.1) & ~((time_s > 0.106) & (time_s < 0.114)) & ~((time_s > 0.120) & (time_s < 0.126))
+    recording = Recording(
+        Path("x"), time_s, np.where(on, 2.0, 0.0), np.where(on, 12.0, 0.0) if has_voltage else None
+    )
+    assert len(split_starts(recording)) == 1
