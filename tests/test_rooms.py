@@ -19,7 +19,7 @@ PACKAGES = [
     ROOT / "classifiers" / "motor_classifiers",
 ]
 MODULES = sorted(file for package in PACKAGES for file in package.rglob("*.py"))
-COMPILED = ("njit", "vectorize")
+COMPILED = ("njit", "vectorize", "compiled", "inlined")
 
 
 def make_pages() -> ModuleType:

@@ -31,7 +31,7 @@ def healthy(tmp_path: Path) -> list[str]:
 
 @pytest.fixture
 def log(tmp_path: Path) -> str:
-    time_s = DT_S * np.arange(4000)
+    time_s = DT_S * np.arange(4000, dtype=np.float64)
     voltage = np.where(time_s % 0.02 < 0.01, 12.0, 0.0)
     return write(tmp_path / "pwm.csv", Recording(Path("x"), time_s, 0.1 * voltage, voltage))
 
@@ -77,7 +77,7 @@ def test_one_start_of_each_file_is_commissioned(tmp_path: Path, capsys: pytest.C
         assert second.voltage_v is not None
         current = np.concatenate([first.current_a, second.current_a])
         voltage = np.concatenate([first.voltage_v, second.voltage_v])
-        both = Recording(Path("x"), DT_S * np.arange(len(current)), current, voltage)
+        both = Recording(Path("x"), DT_S * np.arange(len(current), dtype=np.float64), current, voltage)
         files.append(write(tmp_path / f"two_{n}.csv", both))
     toml = str(tmp_path / "motor.toml")
     assert main(["commission", *files, "--start", "2", "-o", toml]) == 0
