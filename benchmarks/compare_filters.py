@@ -9,12 +9,12 @@ the same transients. The third shows how process noise absorbs a bearing fault o
 move, and what that CUSUM finds of it.
 """
 
-import argparse
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from cyclopts import run
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 from tables import print_table
@@ -140,11 +140,8 @@ def noise_row(
     return [f"{std[0]:g} A, {std[1]:g} rad/s", f"{squares:.2f}", f"{separation:.2f}", share(alarms)]
 
 
-def main() -> None:
-    """Draw, filter, print."""
-    parser = argparse.ArgumentParser(description="Compare the variants of the filter on the paper's faults.")
-    parser.add_argument("--cases", type=int, default=2000, help="transients that are judged")
-    cases = parser.parse_args().cases
+def main(*, cases: int = 2000) -> None:
+    """Compare the variants of the filter on the paper's faults, over so many transients."""
     names = [str(c.kind) for c in RECIPE.classes]
     assert names == ["None", "bearing", "bearing", "winding_contact", "winding_contact"], names
     drawn = draw(RECIPE, 5, range(cases))
@@ -198,4 +195,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

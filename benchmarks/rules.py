@@ -1,18 +1,18 @@
 """Print the tables of delays in docs/rules.md and draw its picture: `python benchmarks/rules.py`, some ten minutes.
 
 Thresholds are solved for ARL0 10,000; delays count from an onset at the start of the rule, and in mid-run from one
-after 1,000 healthy samples without an alarm. Each row is printed as soon as it is known. `--runs` (2,000) are the
-simulated delays of a row, `--calibration` (10,000) the healthy runs behind a simulated threshold.
+after 1,000 healthy samples without an alarm. Each row is printed as soon as it is known.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from cyclopts import run
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 from tables import print_table
@@ -137,22 +137,28 @@ def draw() -> None:
     print(f"drawn: {PICTURE}")
 
 
-def main() -> None:
-    """Delays, growing faults, picture."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=2_000)
-    parser.add_argument("--calibration", type=int, default=10_000)
-    parser.add_argument("--only", choices=("delays", "growth", "picture"), default=None)
-    given = parser.parse_args()
-    if given.only in (None, "delays"):
+def main(
+    *,
+    runs: int = 2_000,
+    calibration: int = 10_000,
+    only: Literal["delays", "growth", "picture"] | None = None,
+) -> None:
+    """Delays, growing faults, picture.
+
+    Args:
+        runs: simulated delays of a row.
+        calibration: healthy runs behind a simulated threshold.
+        only: one of the three.
+    """
+    if only in (None, "delays"):
         header = ("shift", "rule", "threshold", "delay", "of least", "delay in mid-run")
-        print_table("Delays at ARL0 10,000", header, delays(given.runs, given.calibration))
-    if given.only in (None, "growth"):
+        print_table("Delays at ARL0 10,000", header, delays(runs, calibration))
+    if only in (None, "growth"):
         header_of_growth = ("samples to full size", "rule", "delay", "of the matched")
-        print_table("Growing faults", header_of_growth, growth(given.runs, given.calibration))
-    if given.only in (None, "picture"):
+        print_table("Growing faults", header_of_growth, growth(runs, calibration))
+    if only in (None, "picture"):
         draw()
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

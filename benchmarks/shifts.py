@@ -55,7 +55,6 @@ class ShiftScore(NamedTuple):
         coverage: share of the conformal sets that hold a class of the true kind.
         set_size: mean number of classes in a set.
         other: share of cases that the detector calls `other`; nan without a detector.
-        out_of_range: share of cases with a severity above the trained ones; nan without a detector.
         limit: the same accuracy of who knows the conditions: the exact posterior, or an estimate for a field.
     """
 
@@ -65,7 +64,6 @@ class ShiftScore(NamedTuple):
     coverage: float
     set_size: float
     other: float
-    out_of_range: float
     limit: float
 
 
@@ -103,8 +101,6 @@ def shift_scores(
         held = sets.sets(probabilities, coverage)
         true = kinds == drawn.kind[:, None]
         kind_accuracy, ece = _kind_scores(probabilities, kinds, drawn.kind)
-        family = None if detector is None else detector.family(drawn.X)
-        is_other = None if family is None or detector is None else -family.distance < detector.offset_
         scores.append(
             ShiftScore(
                 name,
@@ -112,10 +108,7 @@ def shift_scores(
                 ece,
                 float((held & true).any(axis=1).mean()),
                 float(held.sum(axis=1).mean()),
-                float("nan") if is_other is None else float(is_other.mean()),
-                float("nan")
-                if family is None or is_other is None
-                else float((family.out_of_range & ~is_other).mean()),
+                float("nan") if detector is None else float((detector.predict(drawn.X) < 0).mean()),
                 _limit(recipe, drawn.X, drawn.kind, reference),
             )
         )

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from shifts import shift_scores, textbook_shifts
 from sklearn.base import BaseEstimator
+from tables import print_table
 
 from motor_classifiers.estimators.methods import METHODS, make_method
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
@@ -394,9 +395,7 @@ def main() -> None:
     if unknown:
         sys.exit(f"section must be one of {', '.join(SECTIONS)}, got {unknown[0]!r}")
     for title, names, rows in chain.from_iterable(SECTIONS[name]() for name in asked):
-        print(f"\n## {title}\n\n| {' | '.join(names)} |\n|{'---|' * len(names)}", flush=True)
-        for row in rows:  # as they come
-            print(f"| {' | '.join(row)} |", flush=True)
+        print_table(title, names, rows)
 
 
 if __name__ == "__main__":
