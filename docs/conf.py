@@ -1,4 +1,12 @@
+import re
+import sys
 from importlib.metadata import version as installed_version
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+from site_pages import write_pages  # it lies beside this file
+
+write_pages()
 
 project = "motor-env"
 author = "The motor-env contributors"
@@ -11,11 +19,34 @@ exclude_patterns = ["_build"]
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
-autodoc_typehints = "description"
+autodoc_typehints_format = "short"
+maximum_signature_line_length = 80
 autodoc_member_order = "bysource"
+autodoc_type_aliases = {name: name for name in ("ArrayLike", "FloatArray", "Floats")}
 napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+napoleon_attr_annotations = False  # the signature has the types
+default_role = "py:obj"  # `KalmanFilter` in a docstring leads there
 
 html_theme = "furo"
 html_title = f"motor-env {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+
+
+def as_rst(app, what, name, obj, options, lines):  # noqa: ANN001, ANN201
+    """Docstrings have headings of Markdown, names like `classes_` and |x| for a size."""
+    for n, line in enumerate(lines):
+        if line.startswith("## "):
+            lines[n] = f"**{line[3:]}**\n"
+        elif ">>>" not in line:
+            lines[n] = re.sub(r"(?<![`\w])(\w+)_(?=[:,. ;)]|$)", r"\1\\_", line).replace("|", r"\|")
+
+
+def left_out(app, what, name, obj, skip, options):  # noqa: ANN001, ANN201, D103
+    return True if re.fullmatch("set_.*_request", name) else None  # scikit-learn's own
+
+
+def setup(app):  # noqa: ANN001, ANN201, D103
+    app.connect("autodoc-process-docstring", as_rst, priority=400)  # before napoleon
+    app.connect("autodoc-skip-member", left_out)

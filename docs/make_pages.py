@@ -19,6 +19,7 @@ PACKAGES = ("motor_env", "motor_env.envs", "motor_datasets", "motor_classifiers"
 HEAD = """# Public names
 
 What a user imports. Everything is loaded when it is first used; what is not listed here is private and may change.
+The site has a page for each group, with an example and every argument; `help(motor_env.filters)` shows the same.
 The lists are the files `__init__.pyi` of the packages; `python docs/make_pages.py` writes this page from them.
 """
 

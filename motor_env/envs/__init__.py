@@ -1,6 +1,15 @@
 """Gymnasium environments in which a motor may be failing, textbook policies for them, scores and bounds.
 
 `import motor_env` registers the ids. Everything is loaded when first used; `__init__.pyi` lists what is public.
+
+Example:
+    A textbook policy plays 100 episodes of the easy task.
+
+    >>> from motor_env.envs import BayesPolicy, MonitorVectorEnv, baseline_features, run_episodes, score
+    >>> envs = MonitorVectorEnv(100, recipe="easy", observe=baseline_features("easy"))
+    >>> result = score(envs, run_episodes(envs, BayesPolicy(envs.setup, threshold=0.99), seed=1))
+    >>> print(f"mean return {result.mean_return:.2f}")
+    mean return 0.99
 """
 
 import lazy_loader

@@ -1,1 +1,13 @@
-"""What a transient tells about a motor: fits, bounds, posterior probabilities of faults and their severity."""
+"""What a transient tells about a motor: fits, bounds, posterior probabilities of faults and their severity.
+
+Example:
+    The probability of each class, given the start-up current and the recipe from which motors are drawn.
+
+    >>> from motor_datasets import generate_arrays
+    >>> from motor_env import RECIPES, class_probabilities
+    >>> starts = generate_arrays(RECIPES["bench"], seed=1, cases=range(3))
+    >>> print(class_probabilities(RECIPES["bench"], starts.X).round(2))
+    [[0.   0.   0.   0.   1.  ]
+     [0.89 0.11 0.   0.   0.  ]
+     [0.   0.   0.   0.   1.  ]]
+"""

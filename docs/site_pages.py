@@ -1,0 +1,221 @@
+"""Writes the pages of the site that follow from the code: one for each environment id and each group of public names.
+
+`conf.py` calls `write_pages` when the site is built; nothing of it is kept in the repository.
+"""
+
+import dataclasses
+import inspect
+import re
+from importlib import import_module
+from itertools import groupby
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import gymnasium as gym
+import matplotlib.image
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from make_pages import DOCS, PACKAGES, homes, stub_of
+
+import motor_env
+
+FEATURES = {
+    "measured": "what the sensor reads",
+    "estimated": "what the Kalman filter of the healthy motor expects it to be",
+    "innovation": "what the sensor reads minus what the filter expected, in standard deviations",
+    "fast": "mean of the innovation over the last 1 ms",
+    "slow": "mean of the innovation over the last 10 ms",
+    "excess": "how much the power of the innovation exceeds that of noise, over 10 ms",
+    "voltage": "the supply's voltage during the last step",
+    "time": "share of the horizon that has passed",
+    "evidence": "evidence for this kind of fault: its log-likelihood ratio since it was last zero, a tenth of it",
+}
+
+
+def table(head: list[str], rows: list[list[object]]) -> str:
+    """A Markdown table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |" for row in lines)
+
+
+def sections(docstring: str) -> dict[str, str]:
+    """Parts of a docstring between its headings; the part before the first has the name ''."""
+    parts = re.split(r"^## (.*)\n", docstring.split("\nArgs:", maxsplit=1)[0], flags=re.MULTILINE)
+    return {"": parts[0].strip()} | {
+        name: text.strip() for name, text in zip(parts[1::2], parts[2::2], strict=True)
+    }
+
+
+def attributes(cls: type) -> dict[str, str]:
+    """What the docstring of a class says of its attributes."""
+    text = inspect.getdoc(cls) or ""
+    block = text.partition("Attributes:\n")[2].partition("\n\n")[0]
+    pairs = re.findall(r"^    (\w+): (.*(?:\n     .*)*)", block, flags=re.MULTILINE)
+    return {name: " ".join(said.split()) for name, said in pairs}
+
+
+def options_table(options: Any) -> str:
+    """Every option, its value in this environment, and what it is."""
+    said: dict[str, str] = {}
+    for cls in reversed(type(options).__mro__):
+        said |= {name: text for name, text in attributes(cls).items() if not text.startswith("see `")}
+    values = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
+    values["recipe"] = values["recipe"].name
+    return table(
+        ["option", "value here", "what it is"], [[f"`{n}`", f"`{v}`", said[n]] for n, v in values.items()]
+    )
+
+
+def observation_table(env: Any) -> str:
+    """Every number of an observation."""
+    space, names = env.observation_space, env.setup.observed
+    rows = [
+        [n, f"`{name}`", FEATURES[name.split("_")[0]], f"{space.low[n]:.4g}", f"{space.high[n]:.4g}"]
+        for n, name in enumerate(names)
+    ]
+    return table(["", "name", "what it is", "least", "most"], rows)
+
+
+def action_table(env: Any) -> str:
+    """Every action of a list of actions; empty where actions are continuous."""
+    if not isinstance(env.action_space, gym.spaces.Discrete):
+        return ""
+    rows = []
+    for n, (offset, declared) in enumerate(zip(env.setup.offsets_v, env.setup.declarations, strict=True)):
+        if declared:
+            meaning = f"declare {env.setup.kinds[int(declared) - 1]}; the episode ends"
+        else:
+            meaning = f"apply {offset:+g} V for a step" if offset else "wait"
+        rows.append([n, meaning])
+    return table(["action", "meaning"], rows)
+
+
+def reward_table(options: Any) -> str:
+    """What pays and what costs."""
+    events = [
+        ("the right kind is declared after the onset", options.correct_reward),
+        ("silence until the horizon, and there was no fault", options.silent_reward),
+        ("a kind is declared before anything has happened", -options.false_alarm_cost),
+        ("another kind than the fault's is declared after the onset", -options.wrong_kind_cost),
+        ("silence until the horizon, and there was a fault", -options.miss_cost),
+        ("each second between onset and declaration", -options.delay_cost_per_s),
+    ]
+    if options.moves_voltage:
+        events.append(
+            ("an offset of 1 V, each second; it grows with the square", -options.probe_cost_per_v2_s)
+        )
+    return table(["event", "reward"], [[event, f"{reward:+g}"] for event, reward in events])
+
+
+def picture(spec: EnvSpec, path: Path) -> None:
+    """The screen at the end of an episode with a fault; where the voltage can be moved, it is moved now and then."""
+    env = gym.make(spec.id, render_mode="rgb_array")
+    _, info = env.reset(seed=1)
+    while info["onset_sample"] < 0:
+        _, info = env.reset()
+    step, over = 0, False
+    while not over:
+        moved = env.unwrapped.options.moves_voltage and step % 15 < 2
+        if isinstance(env.action_space, gym.spaces.Discrete):
+            action: Any = 1 + step % 2 if moved else 0
+        else:
+            action = np.where(np.arange(env.action_space.shape[0]) == 0, moved * 0.5, 0.0)
+        _, _, over, _, _ = env.step(action)
+        step += 1
+    matplotlib.image.imsave(path, env.render())
+    env.close()
+
+
+def rows_of(pattern: str) -> str:
+    """Rows of a table on the page of all environments, or nothing."""
+    found = re.search(pattern, (DOCS / "environments.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return found[1] if found else ""
+
+
+def environment_page(spec: EnvSpec) -> str:
+    """The specification of one id: what its class's docstring says, and its numbers."""
+    env = gym.make(spec.id).unwrapped
+    said = sections(inspect.getdoc(type(env)) or "")
+    name, family = spec.id.split("/")[1], type(env).__name__.removesuffix("Env")
+    options, recipe = env.options, env.options.recipe
+    scores = rows_of(rf"^{family}-v0, `{recipe.name}`:\n\n((?:\|.*\n)+)")
+    speed = rows_of(rf"^(\| {name}[, ].*\n(?:\| \|.*\n)*)")
+    parts = [
+        f"# {name}",
+        f"{said.pop('')}",
+        f'```python\nenv = gym.make("motor_env:{spec.id}")\n```',
+        f"![Screen of {name}: current, speed, residual and evidence over an episode with a fault]({name}.png)",
+        f"*An episode with a fault: {options.n_steps} steps of {1000 * options.dt_s * options.samples_per_step:g} ms.*",
+        f"Motors and faults are drawn from the recipe `{recipe.name}`. Classes by weight:",
+        table(
+            ["kind", "severity", "weight"],
+            [[each.kind or "healthy", f"{each.severity:.1%}", f"{each.weight:g}"] for each in recipe.classes],
+        ),
+    ]
+    tables = {
+        "Action space": action_table(env),
+        "Observation space": observation_table(env),
+        "Reward": reward_table(options),
+    }
+    for heading in dict.fromkeys([*said, *tables]):
+        parts += [f"## {heading}", said.get(heading, ""), tables.get(heading, "")]
+    if speed:
+        head = table(["task", "policy", "ours", "CartPole", "ratio"], [])
+        speed = f"Steps per second of processor time beside CartPole, by how often an episode ends:\n\n{head}\n{speed}"
+    parts += [
+        "## Options",
+        "Any of them by name: `gym.make(..., horizon_s=0.3)`; all are checked, and a wrong value is named.",
+        options_table(options),
+        "## Scores",
+        f"The best return known, which is the `reward_threshold` of the id, is {spec.reward_threshold:+.3f}.",
+        scores and "How they were tuned and scored: [environments](../environments.md).",
+        scores,
+        speed and "## Speed",
+        speed,
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def directive(package: ModuleType, name: str, home: str) -> str:
+    """What makes autodoc describe one public name."""
+    thing = getattr(package, name)
+    if isinstance(thing, type):
+        hidden = ", ".join(getattr(thing, "_fields", ()))
+        extra = f"\n   :exclude-members: {hidden}" if hidden else ""
+        return f".. autoclass:: {package.__name__}.{name}\n   :members:{extra}\n"
+    if callable(thing):
+        return f".. autofunction:: {package.__name__}.{name}\n"
+    return f".. autodata:: {package.__name__}.{home}.{name}\n   :no-value:\n"
+
+
+def api_pages() -> dict[str, str]:
+    """A page for each room that has public names: what it is for, an example, and every name."""
+    pages = {}
+    for package in map(import_module, PACKAGES):
+        listed = sorted(
+            homes(stub_of(package)).items(), key=lambda item: (item[1].split(".")[0], item[0].lower())
+        )
+        of_room = package is motor_env
+        for room, names in groupby(listed, key=lambda item: item[1].split(".")[0] if of_room else ""):
+            module = f"{package.__name__}.{room}".rstrip(".")
+            directives = [directive(package, *each) for each in names]
+            body = "\n".join([f".. automodule:: {module}\n   :no-members:\n", *directives])
+            pages[module] = f"# {module}\n\n```{{eval-rst}}\n{body}```\n"
+    return pages
+
+
+def write_pages() -> None:
+    """Write all pages into docs/environments/ and docs/api/."""
+    environments, api = DOCS / "environments", DOCS / "api"
+    for folder in (environments, api):
+        folder.mkdir(exist_ok=True)
+        for old in folder.iterdir():
+            old.unlink()
+    for spec in gym.registry.values():
+        if spec.namespace == "motor_env":
+            name = spec.id.split("/")[1]
+            (environments / f"{name}.md").write_text(environment_page(spec), encoding="utf-8")
+            picture(spec, environments / f"{name}.png")
+    for module, text in api_pages().items():
+        (api / f"{module}.md").write_text(text, encoding="utf-8")
