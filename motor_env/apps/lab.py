@@ -5,13 +5,11 @@ Every function here takes plain numbers from the page and gives a dictionary for
 
 from __future__ import annotations
 
-import math
 import tempfile
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -65,6 +63,7 @@ class Settings:
     friction_percent: float = 0.0
     rule: str = "cusum"
     seed: int = 1
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
 
     @property
     def sensor(self) -> SensorParameters:
@@ -90,27 +89,6 @@ RANGES: dict[str, tuple[float, float]] = {
     "seed": (0, 1_000_000),
 }
 """Smallest and largest value of every slider."""
-
-
-def settings_of(document: object) -> Settings:
-    """Settings from the page's JSON.
-
-    Raises:
-        InputError: not an object, an unknown key, a value of the wrong type or out of range.
-    """
-    if not isinstance(document, Mapping):
-        raise InputError("settings must be an object")
-    known = {field.name: field.type for field in fields(Settings)}
-    values: dict[str, Any] = {}
-    for key, value in document.items():
-        if key not in known:
-            raise InputError(f"settings has an unknown key {str(key)[:40]!r}")
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        # Compared and not converted: a whole number of JSON may be larger than any float.
-        if not (isinstance(value, str) if known[key] == "str" else is_number and abs(value) < math.inf):
-            raise InputError(f"{key} must be a {'text' if known[key] == 'str' else 'finite number'}")
-        values[key] = int(value) if known[key] == "int" else value
-    return Settings(**values)
 
 
 def start_of(settings: Settings) -> Transients:

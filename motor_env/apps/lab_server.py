@@ -19,6 +19,7 @@ from urllib.parse import parse_qs, unquote, urlsplit
 
 from motor_env.apps import lab
 from motor_env.errors import InputError
+from motor_env.motor.toml_files import from_dict
 
 HOST = "127.0.0.1"
 _LARGEST_SETTINGS_BYTES = 10_000
@@ -186,4 +187,4 @@ def _settings(body: bytes) -> lab.Settings:
         document = json.loads(body)
     except (ValueError, RecursionError):
         raise InputError("settings must be JSON") from None
-    return lab.settings_of(document)
+    return from_dict(lab.Settings, document, "the settings")

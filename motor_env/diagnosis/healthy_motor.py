@@ -78,12 +78,12 @@ def reference_from_motor(
         return reference_from_starts(motor.reference, names, motor.name, temperature_c)
     if not has_voltage:
         return None
-    exponents = quantities.matrix(has_voltage=has_voltage, has_speed=has_speed)
+    exponents = quantities.matrix(names)
     voltage = motor.nominal_voltage_v or 1.0
     # V is held at what the recording says; its tolerance scales the current, so it acts like R, L, ... per volt.
     covariance = quantities.tolerance_covariance(motor.tolerance)
     supply = motor.tolerance.supply
-    per_volt = quantities.matrix(has_voltage=False, has_speed=has_speed)[:, -1]
+    per_volt = quantities.matrix(quantities.names(has_voltage=False, has_speed=has_speed))[:, -1]
     return Reference(
         source=f"data sheet {motor.name}"
         if motor.kind == "data_sheet"
@@ -104,7 +104,7 @@ def reference_from_starts(
     """
     if starts.quantities != names:
         return None
-    warmth = quantities.warmth_direction(quantities.matrix_of(names))
+    warmth = quantities.warmth_direction(quantities.matrix(names))
     spread_k, warmer_k = starts.temperature_k, 0.0
     if temperature_c is not None and starts.temperature_c is not None:
         spread_k, warmer_k = min(spread_k, MEASURED_TEMPERATURE_K), temperature_c - starts.temperature_c

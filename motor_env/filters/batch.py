@@ -16,9 +16,8 @@ from motor_env.filters.kernels import (
     filter_one_channel,
     filter_states,
     filter_two_channels,
-    propagate_nominal,
 )
-from motor_env.motor.model import N_STATES, Input
+from motor_env.motor.model import N_STATES, Input, propagate
 from motor_env.motor.parameters import FloatArray, require
 
 
@@ -103,7 +102,8 @@ def _series(
     )
     nominal = np.empty((max(len(inputs), len(transition)), n_samples, N_STATES))
     gain = np.ascontiguousarray(kalman.model.gain.reshape(-1, N_STATES, len(Input)))
-    propagate_nominal(transition, gain, kalman.initial_state, inputs, nominal)
+    begin = np.tile(kalman.initial_state, (len(nominal), 1))
+    propagate(transition, gain, inputs, np.empty((0, n_samples, N_STATES)), begin, nominal)
     return _Series(flat, batch, nominal)
 
 
@@ -187,15 +187,18 @@ def filter_residuals(
     )
 
 
-def _innovations_and_states(
-    kalman: KalmanFilter, series: _Series, gain: FloatArray
+def innovations_and_states(
+    kalman: KalmanFilter, measured: AnyFloat, nominal: FloatArray, gain: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Innovations (n_cases, n_samples, n_channels) and states (n_cases, n_samples, 2); one gain serves all, or each."""
-    n_cases, n_channels, n_samples = series.measured.shape
+    """Innovations (n_cases, n_samples, n_channels) and states (n_cases, n_samples, 2); one gain serves all, or each.
+
+    `measured` is (n_cases, n_channels, n_samples), `nominal` the states that the model alone expects.
+    """
+    n_cases, n_channels, n_samples = measured.shape
     innovation = np.empty((n_cases, n_samples, n_channels))
     state = np.empty((n_cases, n_samples, N_STATES))
     transition = np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES)
-    filter_states(transition, kalman.observation, gain, series.nominal, series.measured, innovation, state)
+    filter_states(transition, kalman.observation, gain, nominal, measured, innovation, state)
     return innovation, state
 
 
@@ -219,7 +222,7 @@ def run_filter(
     missing = np.isnan(series.measured).swapaxes(1, 2)
     own_covariance = kalman.model.transition.ndim > 2 or bool(missing.any())
     rows = schedules(kalman, missing if own_covariance else np.zeros((1, *missing.shape[1:]), np.bool_))
-    innovation, state = _innovations_and_states(kalman, series, rows.gain)
+    innovation, state = innovations_and_states(kalman, series.measured, series.nominal, rows.gain)
     whitened, nis, log_likelihood = score(innovation, rows.innovation_covariance)
     batch = series.batch
     lead = batch if own_covariance else ()

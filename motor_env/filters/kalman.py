@@ -1,9 +1,9 @@
 """The Kalman filter (paper, Table 1): its belief, which is never the truth, its update and its gains.
 
-`measurement_update` is the one update of the package: the stream, the adaptive filter and the joint filters call it.
-Batches of transients (`batch.py`) run the same equations compiled for two states (`kernels.covariance_step`), because a
-loop over samples in Python would take a thousand times as long; a test compares the two. What the paper calls R is
-`measurement_covariance`, its Q `process_covariance`, its H `observation`.
+`measurement_update` is the update of the adaptive and of the joint filters, whose noise or motion the data change.
+Batches of transients (`batch.py`) and streams run the same equations compiled for two states
+(`kernels.covariance_step`), because a loop over samples in Python would take a thousand times as long; a test compares
+the two. What the paper calls R is `measurement_covariance`, its Q `process_covariance`, its H `observation`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.filters.kernels import fill_schedules
+from motor_env.filters.kernels import fill_schedules, score_innovations
 from motor_env.motor.model import N_STATES, DiscreteModel, discretize
 from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, require
 
@@ -178,32 +178,35 @@ def schedule(kalman: KalmanFilter, n_samples: int) -> Schedule:
     return Schedule(rows.gain[0], rows.innovation_covariance[0], rows.covariance[0], rows.held_from)
 
 
-def schedules(kalman: KalmanFilter, missing: NDArray[np.bool_]) -> Schedule:
+def schedules(
+    kalman: KalmanFilter, missing: NDArray[np.bool_], initial: FloatArray | None = None
+) -> Schedule:
     """Schedules of rows of samples, shapes (n_rows, ...); `missing` is (n_rows, n_samples, n_channels) (Kalman 1960).
 
-    Each row has its own motor where the belief has as many.
+    Each row has its own motor where the belief has as many, and may begin with a covariance of its own, (n_rows, 2, 2).
     """
     # A channel that is not there has a zero row and unit noise, so that it has no gain and changes nothing.
     m, observation, noise = missing.shape[2], np.zeros((2, N_STATES)), np.eye(2)
     observation[:m], noise[:m, :m] = kalman.observation, kalman.measurement_covariance
-    gain, innovation_covariance, covariance = (np.empty((*missing.shape[:2], 2, 2)) for _ in range(3))
+    n_rows, n_samples, _ = missing.shape
+    count = n_rows * n_samples
+    # One block for all: arrays of some megabytes go back to the system, and zeroing their pages anew takes long.
+    block = np.empty(count * (N_STATES * m + m * m + N_STATES * N_STATES))
+    gain = block[: count * N_STATES * m].reshape(n_rows, n_samples, N_STATES, m)
+    innovation_covariance = block[gain.size : gain.size + count * m * m].reshape(n_rows, n_samples, m, m)
+    covariance = block[-count * N_STATES * N_STATES :].reshape(n_rows, n_samples, N_STATES, N_STATES)
     held_from = fill_schedules(
         np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES),
         kalman.process_covariance,
         observation,
         noise,
-        kalman.initial_covariance,
+        kalman.initial_covariance[None] if initial is None else initial,
         np.ascontiguousarray(missing),
         gain,
         innovation_covariance,
         covariance,
     )
-    return Schedule(
-        np.ascontiguousarray(gain[..., :m]),
-        np.ascontiguousarray(innovation_covariance[..., :m, :m]),
-        covariance,
-        held_from,
-    )
+    return Schedule(gain, innovation_covariance, covariance, held_from)
 
 
 def checked_series(
@@ -223,9 +226,9 @@ class Scores(NamedTuple):
     """Innovations of n cases, normalised.
 
     Attributes:
-        whitened: innovation times the inverse of S's Cholesky factor, shape (..., n_samples, n_channels).
-        nis: normalised innovation squared over the channels measured, shape (..., n_samples); 0 where none was.
-        log_likelihood: of all samples measured, shape (...).
+        whitened: innovation times the inverse of S's Cholesky factor, shape (n_cases, n_samples, n_channels).
+        nis: normalised innovation squared over the channels measured, shape (n_cases, n_samples); 0 where none was.
+        log_likelihood: of all samples measured, shape (n_cases,).
     """
 
     whitened: FloatArray
@@ -236,25 +239,11 @@ class Scores(NamedTuple):
 def score(innovation: FloatArray, innovation_covariance: FloatArray) -> Scores:
     """Whitened innovations, NIS and log-likelihood (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4; Schweppe 1965).
 
-    Where the first of two channels is missing the second is scaled alone; S has no covariance between them then.
-
     Args:
-        innovation: of one or two channels, shape (..., n_samples, n_channels); NaN is missing.
-        innovation_covariance: S, shape (..., n_samples, n_channels, n_channels).
+        innovation: of one or two channels, shape (n_cases, n_samples, n_channels); NaN is missing.
+        innovation_covariance: S of each case or of all, shape (n_cases or 1, n_samples, n_channels, n_channels).
     """
-    missing = np.isnan(innovation)
-    pivot = innovation_covariance[..., 0, 0]
     whitened = np.empty_like(innovation)
-    whitened[..., 0] = innovation[..., 0] / np.sqrt(pivot)
-    log_pivot = [np.log(pivot)]
-    if innovation.shape[-1] == 2:
-        slope = innovation_covariance[..., 1, 0] / pivot
-        rest = innovation_covariance[..., 1, 1] - slope * innovation_covariance[..., 1, 0]
-        first = np.where(missing[..., 0], 0.0, innovation[..., 0])
-        whitened[..., 1] = (innovation[..., 1] - slope * first) / np.sqrt(rest)
-        log_pivot.append(np.log(rest))
-    nis = np.square(np.where(missing, 0.0, whitened)).sum(axis=-1)
-    log_determinant = np.where(missing, 0.0, np.stack(log_pivot, axis=-1)).sum(axis=(-2, -1))
-    n_measured = (~missing).sum(axis=(-2, -1))
-    log_likelihood = -0.5 * (nis.sum(axis=-1) + log_determinant + n_measured * np.log(2.0 * np.pi))
+    nis, log_likelihood = np.empty(innovation.shape[:-1]), np.empty(len(innovation))
+    score_innovations(innovation, innovation_covariance, whitened, nis, log_likelihood)
     return Scores(whitened, nis, log_likelihood)

@@ -67,55 +67,46 @@ def fill_schedules(
 ) -> int:
     """Gains and covariances of every sample of each row (paper, Table 1; Joseph form: Bucy & Joseph 1968).
 
-    `missing` is (n_rows, n_samples, n_channels), the results (n_rows, n_samples, 2, 2). Where nothing is missing the
+    `missing` is (n_rows, n_samples, n_channels), the results (n_rows, n_samples, ...). Where nothing is missing the
     gain is held as soon as it has converged: the answer is the sample from which on the last row's is, or their number.
     """
-    cc, rr = np.empty((2, 2)), np.empty((2, 2))
     held_from = count = gain.shape[1]
+    cc, rr, known = c.copy(), r.copy(), 0
     for n in range(gain.shape[0]):
-        t, whole = a[min(n, a.shape[0] - 1)], not missing[n].any()
-        p00, p01, p11 = initial[0, 0], initial[0, 1], initial[1, 1]
+        t, whole, p = a[min(n, a.shape[0] - 1)], not missing[n].any(), initial[min(n, initial.shape[0] - 1)]
+        p00, p01, p11 = p[0, 0], p[0, 1], p[1, 1]
         held_from = count
         for k in range(count):
-            cc[:], rr[:] = c, r
+            lost = 0
             for m in range(missing.shape[2]):
-                if missing[n, k, m]:
-                    cc[m] = 0.0
-                    rr[0, 1] = rr[1, 0] = 0.0
+                lost += (m + 1) * missing[n, k, m]
+            if lost != known:
+                cc[:], rr[:], known = c, r, lost
+                for m in range(missing.shape[2]):
+                    if missing[n, k, m]:
+                        cc[m] = 0.0
+                        rr[0, 1] = rr[1, 0] = 0.0
             k00, k01, k10, k11, s00, s01, s11, u00, u01, u11 = covariance_step(t, q, cc, rr, p00, p01, p11)
             g, s, u = gain[n, k], innovation_covariance[n, k], covariance[n, k]
-            g[0, 0], g[0, 1], g[1, 0], g[1, 1] = k00, k01, k10, k11
-            s[0, 0], s[0, 1], s[1, 0], s[1, 1] = s00, s01, s01, s11
+            g[0, 0], g[1, 0], s[0, 0] = k00, k10, s00
+            if missing.shape[2] == 2:
+                g[0, 1], g[1, 1] = k01, k11
+                s[0, 1], s[1, 0], s[1, 1] = s01, s01, s11
             u[0, 0], u[0, 1], u[1, 0], u[1, 1] = u00, u01, u01, u11
             still = (
-                abs(u00 - p00) <= CONVERGED * u00
+                whole
+                and abs(u00 - p00) <= CONVERGED * u00
                 and abs(u11 - p11) <= CONVERGED * u11
                 and abs(u01 - p01) <= CONVERGED * np.sqrt(u00 * u11)
             )
             p00, p01, p11 = u00, u01, u11
-            if still and whole:
+            if still:
                 gain[n, k + 1 :] = g
                 innovation_covariance[n, k + 1 :] = s
                 covariance[n, k + 1 :] = u
                 held_from = k + 1
                 break
     return int(held_from)
-
-
-@njit(cache=True)
-def propagate_nominal(
-    a: FloatArray, b: FloatArray, initial: FloatArray, inputs: FloatArray, out: FloatArray
-) -> None:
-    """States without noise (paper, Table 1); one-row models and inputs serve all rows of `out`."""
-    for n in range(out.shape[0]):
-        t, g = a[n if a.shape[0] > 1 else 0], b[n if b.shape[0] > 1 else 0]
-        u = inputs[n if inputs.shape[0] > 1 else 0]
-        x0, x1 = initial[0], initial[1]
-        for k in range(out.shape[1]):
-            y0 = t[0, 0] * x0 + t[0, 1] * x1 + g[0, 0] * u[k, 0] + g[0, 1] * u[k, 1]
-            x1 = t[1, 0] * x0 + t[1, 1] * x1 + g[1, 0] * u[k, 0] + g[1, 1] * u[k, 1]
-            x0 = y0
-            out[n, k, 0], out[n, k, 1] = x0, x1
 
 
 # Fused multiply-adds round once where two operations round twice, and reorder nothing; they save an eighth of the time.
@@ -221,3 +212,46 @@ def filter_states(
                     u0 += g[k, 0, m] * e
                     u1 += g[k, 1, m] * e
             state[n, k, 0], state[n, k, 1] = x[k, 0] + u0, x[k, 1] + u1
+
+
+@njit(cache=True)
+def score_innovations(
+    innovation: FloatArray,
+    innovation_covariance: FloatArray,
+    whitened: FloatArray,
+    nis: FloatArray,
+    log_likelihood: FloatArray,
+) -> None:
+    """Innovations over the Cholesky factor of S, their squares and their likelihood; one S serves all cases, or each.
+
+    Where the first of two channels is missing the second is scaled alone; S has no covariance between them then.
+    """
+    count, channels = innovation.shape[1:]
+    scale, slope, log_determinant = np.empty((count, channels)), np.zeros(count), 0.0
+    for n in range(innovation.shape[0]):
+        if n < innovation_covariance.shape[0]:
+            log_determinant = 0.0
+            for k in range(count):
+                s, product = innovation_covariance[n, k], 1.0
+                rest = s[0, 0]
+                for m in range(channels):
+                    if m == 1:
+                        slope[k] = s[1, 0] / s[0, 0]
+                        rest = s[1, 1] - slope[k] * s[1, 0]
+                    scale[k, m] = np.sqrt(rest)
+                    if not np.isnan(innovation[n, k, m]):
+                        product *= 2.0 * np.pi * rest
+                log_determinant += np.log(product)
+        total = log_determinant
+        for k in range(count):
+            first = square = 0.0
+            for m in range(channels):
+                e = innovation[n, k, m]
+                w = (e - slope[k] * first) / scale[k, m]
+                whitened[n, k, m] = w
+                if not np.isnan(w):
+                    square += w * w
+                    first = e
+            nis[n, k] = square
+            total += square
+        log_likelihood[n] = -0.5 * total

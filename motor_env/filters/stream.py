@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.filters.kalman import KalmanFilter, measurement_update, score
-from motor_env.motor.model import N_STATES, Input
+from motor_env.filters.batch import innovations_and_states
+from motor_env.filters.kalman import KalmanFilter, schedules, score
+from motor_env.motor.model import N_STATES, Input, propagate
 from motor_env.motor.parameters import FloatArray
 
 
@@ -37,13 +38,12 @@ class FilterStream:
     """
 
     def __init__(self, kalman: KalmanFilter, n_streams: int = 1) -> None:
-        shape = (n_streams, N_STATES, N_STATES)
         self.kalman = kalman
         self.n_streams = n_streams
-        self._transition = np.broadcast_to(kalman.model.transition, shape)
-        self._gain = np.broadcast_to(kalman.model.gain, (n_streams, N_STATES, len(Input)))
-        self._state = np.broadcast_to(kalman.initial_state, (n_streams, N_STATES)).copy()
-        self._covariance = np.broadcast_to(kalman.initial_covariance, shape).copy()
+        self._transition = kalman.model.transition.reshape(-1, N_STATES, N_STATES)
+        self._gain = np.ascontiguousarray(kalman.model.gain).reshape(-1, N_STATES, len(Input))
+        self._state = np.tile(kalman.initial_state, (n_streams, 1))
+        self._covariance = kalman.initial_covariance[None]
 
     def update(
         self, measurement: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike = 0.0
@@ -55,18 +55,14 @@ class FilterStream:
             voltage_v: voltage held in the interval that the sample ends, scalar or shape (n_streams,).
             load_torque_n_m: load torque in that interval.
         """
-        kalman, a = self.kalman, self._transition
-        measured = np.asarray(measurement, dtype=np.float64).reshape(self.n_streams, len(kalman.observation))
-        inputs = np.empty((self.n_streams, len(Input)))
-        inputs[:, Input.VOLTAGE] = voltage_v
-        inputs[:, Input.LOAD_TORQUE] = load_torque_n_m
-        updated = measurement_update(
-            (a @ self._state[:, :, None] + self._gain @ inputs[:, :, None])[:, :, 0],
-            a @ self._covariance @ np.swapaxes(a, 1, 2) + kalman.process_covariance,
-            measured,
-            observation=kalman.observation,
-            noise=kalman.measurement_covariance,
-        )
-        self._state, self._covariance = updated.state, updated.covariance
-        scores = score(updated.innovation[:, None], updated.innovation_covariance[:, None])
-        return StreamSample(updated.innovation, scores.whitened[:, 0], scores.nis[:, 0], self._state.copy())
+        shape = (self.n_streams, len(self.kalman.observation), 1)
+        measured = np.asarray(measurement, dtype=np.float64).reshape(shape)
+        inputs, nominal = np.empty((self.n_streams, 1, len(Input))), np.empty((self.n_streams, 1, N_STATES))
+        inputs[:, 0, Input.VOLTAGE] = voltage_v
+        inputs[:, 0, Input.LOAD_TORQUE] = load_torque_n_m
+        propagate(self._transition, self._gain, inputs, np.empty((0, 1, N_STATES)), self._state, nominal)
+        rows = schedules(self.kalman, np.isnan(measured).swapaxes(1, 2), self._covariance)
+        innovation, state = innovations_and_states(self.kalman, measured, nominal, rows.gain)
+        self._state, self._covariance = state[:, 0], rows.covariance[:, 0]
+        scores = score(innovation, rows.innovation_covariance)
+        return StreamSample(innovation[:, 0], scores.whitened[:, 0], scores.nis[:, 0], self._state.copy())

@@ -129,8 +129,7 @@ class Identified:
     @property
     def exponents(self) -> FloatArray:
         """Exponents of (R, L, K, J, B, V) in each quantity, shape (n, 6)."""
-        start = self.start
-        return quantities.matrix(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
+        return quantities.matrix(self.quantity_names)
 
     @property
     def values(self) -> FloatArray:
@@ -240,8 +239,8 @@ def _result(problem: Problem, unknowns: FloatArray, jacobian: FloatArray, start:
         # What looks like L may be the ramp or the lag, and the other way round: L tells nothing then.
         place = problem.free.index("L")
         covariance[place, place] += _UNTOLD_LOG_SD**2
-    which = {"has_voltage": start.voltage_known, "has_speed": problem.has_speed}
-    exponents = quantities.matrix(**which)
+    names = quantities.names(has_voltage=start.voltage_known, has_speed=problem.has_speed)
+    exponents = quantities.matrix(names)
     core = exponents[:, [quantities.PARAMETERS.index(name) for name in problem.free]]
     extras = {}
     for k, name in enumerate(problem.extras, n_core):
@@ -259,7 +258,7 @@ def _result(problem: Problem, unknowns: FloatArray, jacobian: FloatArray, start:
         extension=extension,
         onset_s=onset,
         offset_a=offset,
-        quantity_names=quantities.names(**which),
+        quantity_names=names,
         log_values=exponents @ quantities.logarithms(parameters, start.level_v),
         log_covariance=capped(core @ covariance[:n_core, :n_core] @ core.T),
         expected=expected,

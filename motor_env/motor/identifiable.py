@@ -43,28 +43,12 @@ def names(*, has_voltage: bool, has_speed: bool) -> tuple[str, ...]:
     return _NAMES[has_voltage, has_speed]
 
 
-def matrix(*, has_voltage: bool, has_speed: bool) -> FloatArray:
-    """Exponents of (R, L, K, J, B, V) in each quantity, shape (n_quantities, 6)."""
-    sides = [
-        name.replace("K^2", "KK").partition("/")
-        for name in names(has_voltage=has_voltage, has_speed=has_speed)
-    ]
+def matrix(quantities: tuple[str, ...]) -> FloatArray:
+    """Exponents of (R, L, K, J, B, V) in each of the named quantities, shape (n_quantities, 6)."""
+    sides = [name.replace("K^2", "KK").partition("/") for name in quantities]
     return np.array(
         [[float(above.count(p) - below.count(p)) for p in PARAMETERS] for above, _, below in sides]
     )
-
-
-def matrix_of(wanted: tuple[str, ...]) -> FloatArray:
-    """The same for the names of one kind of recording.
-
-    Raises:
-        ValueError: no kind of recording tells these.
-    """
-    for has_voltage in (True, False):
-        for has_speed in (True, False):
-            if names(has_voltage=has_voltage, has_speed=has_speed) == wanted:
-                return matrix(has_voltage=has_voltage, has_speed=has_speed)
-    raise ValueError(f"no recording tells {', '.join(wanted)}")
 
 
 def logarithms(parameters: MotorParameters, voltage_v: float) -> FloatArray:
@@ -83,14 +67,7 @@ def warmth_direction(exponents: FloatArray) -> FloatArray:
     Args:
         exponents: of (R, L, K, J, B, V) in each quantity, shape (n, 6).
     """
-    moved: FloatArray = exponents @ [
-        COPPER_PER_KELVIN,
-        0.0,
-        MAGNET_PER_KELVIN,
-        0.0,
-        FRICTION_PER_KELVIN,
-        0.0,
-    ]
+    moved: FloatArray = exponents @ [COPPER_PER_KELVIN, 0.0, MAGNET_PER_KELVIN, 0.0, FRICTION_PER_KELVIN, 0.0]
     return moved
 
 

@@ -147,6 +147,39 @@ def discretize(parameters: MotorParameters, dt_s: float) -> DiscreteModel:
     return DiscreteModel(exponential.reshape(shape), gain, float(dt_s))
 
 
+@njit(cache=True)
+def propagate(
+    transition: FloatArray,
+    gain: FloatArray,
+    inputs: FloatArray,
+    noise: FloatArray,
+    state: FloatArray,
+    out: FloatArray,
+) -> None:
+    """x[k+1] = A x[k] + B u[k] + w[k] for every case (paper, eq. (3)); one-row arrays serve all cases.
+
+    `state` is carried on. `noise` has no rows where there is none.
+    """
+    for n in range(out.shape[0]):
+        a = transition[n if transition.shape[0] > 1 else 0]
+        b = gain[n if gain.shape[0] > 1 else 0]
+        u = inputs[n if inputs.shape[0] > 1 else 0]
+        a00, a01, a10, a11 = a[0, 0], a[0, 1], a[1, 0], a[1, 1]
+        b00, b01, b10, b11 = b[0, 0], b[0, 1], b[1, 0], b[1, 1]
+        current, speed = state[n, 0], state[n, 1]
+        noisy = noise.shape[0] > 0
+        for k in range(out.shape[1]):
+            new_current = a00 * current + a01 * speed + b00 * u[k, 0] + b01 * u[k, 1]
+            speed = a10 * current + a11 * speed + b10 * u[k, 0] + b11 * u[k, 1]
+            current = new_current
+            if noisy:
+                current += noise[n, k, 0]
+                speed += noise[n, k, 1]
+            out[n, k, 0] = current
+            out[n, k, 1] = speed
+        state[n, 0], state[n, 1] = current, speed
+
+
 def steady_state(parameters: MotorParameters, voltage_v: Floats, load_torque_n_m: Floats = 0.0) -> FloatArray:
     """Current and speed at rest of the dynamics, shape (..., 2): -A^-1 B u."""
     p = parameters

@@ -5,12 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-import numpy as np
-from numpy.typing import NDArray
-
-from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require, require_positive
-from motor_env.simulation.nonlinear import Effects
-from motor_env.simulation.random_streams import Stream, uniforms
+from motor_env.motor.parameters import Floats, require, require_positive
 from motor_env.simulation.sensor import SensorChain
 
 Range = tuple[float, float]
@@ -100,48 +95,3 @@ PRIORS = tuple(f.name for f in fields(Field) if "Range" in str(f.type))
 
 PER_MOTOR = PRIORS[:6]
 """Those drawn once a motor; the others are drawn once a start."""
-
-_DRAWN_EFFECTS = tuple(f.name for f in fields(Effects) if f.name in PRIORS)
-
-
-def draw_field(
-    field: Field,
-    nominal: MotorParameters,
-    voltage_v: Floats,
-    dt_s: float,
-    *,
-    bearing_severity: FloatArray,
-    seed: int,
-    motor_id: NDArray[np.int64],
-    cases: NDArray[np.int64],
-) -> tuple[Effects, SensorChain]:
-    """Draw what surrounds each case; everything has shape (n_cases,).
-
-    Args:
-        field: the priors.
-        nominal: motor that the torque ratios refer to.
-        voltage_v: nominal supply, for the no-load speed.
-        dt_s: sampling interval.
-        bearing_severity: of each case, 0 without a bearing fault.
-        seed: the random seed.
-        motor_id: motor of each case.
-        cases: case numbers.
-    """
-    low, high = np.array([getattr(field, name) for name in PRIORS]).T
-    by_motor = uniforms(seed, Stream.FIELD_MOTOR, motor_id, len(PRIORS))
-    by_start = uniforms(seed, Stream.FIELD_START, cases, len(PRIORS))
-    is_motor = np.array([name in PER_MOTOR for name in PRIORS])
-    drawn = low + (high - low) * np.where(is_motor, by_motor, by_start)
-    v = dict(zip(PRIORS, drawn.T, strict=True))
-    no_load_speed = voltage_v / nominal.back_emf_constant_v_s_per_rad
-    torque = nominal.viscous_friction_n_m_s_per_rad * no_load_speed
-    effects = Effects(
-        coulomb_friction_n_m=v["coulomb_ratio"] * torque * (1.0 + bearing_severity),
-        stribeck_friction_n_m=v["stribeck_ratio"] * torque,
-        load_torque_n_m=v["load_ratio"] * torque,
-        bearing_ripple_n_m=v["bearing_ripple_ratio"] * torque * bearing_severity,
-        ripple_hz=field.ripple_hz,
-        delay_s=v["trigger_jitter"] * dt_s,
-        **{name: v[name] for name in _DRAWN_EFFECTS},
-    )
-    return effects, field.sensor_chain(v["sensor_gain"], v["sensor_offset_a"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from motor_env.motor.parameters import (
     MotorParameters,
     SupplyParameters,
 )
-from motor_env.simulation.disturbances import draw_field
+from motor_env.simulation.disturbances import PER_MOTOR, PRIORS
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.nonlinear import Effects
 from motor_env.simulation.random_streams import Stream, normals, uniforms
@@ -73,23 +74,7 @@ def draw(recipe: Recipe, seed: int, cases: ArrayLike) -> Draw:
     first = np.zeros(len(numbers))
     for kind, severity in severities.items():
         first += severity * np.array([c.kind == kind for c in recipe.classes])[class_index]
-    effects, chain = None, None
-    if recipe.field is not None:
-        bearing = sum(
-            (s for kind, s in severities.items() if kind.verdict == FaultKind.BEARING.verdict),
-            np.zeros(len(numbers)),
-        )
-        voltage, dt_s = recipe.supply.voltage_v, recipe.timing.dt_s
-        effects, chain = draw_field(
-            recipe.field,
-            recipe.motor,
-            voltage,
-            dt_s,
-            bearing_severity=bearing,
-            seed=seed,
-            motor_id=motor_id,
-            cases=numbers,
-        )
+    effects, chain = _draw_field(recipe, seed, numbers, severities)
     return Draw(numbers, class_index, factors, scenario, motor_id, first, effects, chain)
 
 
@@ -124,6 +109,37 @@ def _draw_severities(
             low = low + (high - low) * u[:, columns.index(kind)]
         severities[kind] = np.ascontiguousarray(low)
     return severities
+
+
+def _draw_field(
+    recipe: Recipe, seed: int, cases: NDArray[np.int64], severities: dict[FaultKind, FloatArray]
+) -> tuple[Effects | None, SensorChain | None]:
+    """What surrounds each case, everything of shape (n_cases,); None where the recipe says nothing of it."""
+    field, nominal = recipe.field, recipe.motor
+    if field is None:
+        return None, None
+    bearing = np.zeros(len(cases))
+    for kind, severity in severities.items():
+        if kind.verdict == FaultKind.BEARING.verdict:
+            bearing = bearing + severity
+    low, high = np.array([getattr(field, name) for name in PRIORS]).T
+    by_motor = uniforms(seed, Stream.FIELD_MOTOR, recipe.motor_id(cases), len(PRIORS))
+    by_start = uniforms(seed, Stream.FIELD_START, cases, len(PRIORS))
+    is_motor = np.array([name in PER_MOTOR for name in PRIORS])
+    drawn = low + (high - low) * np.where(is_motor, by_motor, by_start)
+    v = dict(zip(PRIORS, drawn.T, strict=True))
+    no_load_speed = recipe.supply.voltage_v / nominal.back_emf_constant_v_s_per_rad
+    torque = nominal.viscous_friction_n_m_s_per_rad * no_load_speed
+    effects = Effects(
+        coulomb_friction_n_m=v["coulomb_ratio"] * torque * (1.0 + bearing),
+        stribeck_friction_n_m=v["stribeck_ratio"] * torque,
+        load_torque_n_m=v["load_ratio"] * torque,
+        bearing_ripple_n_m=v["bearing_ripple_ratio"] * torque * bearing,
+        ripple_hz=field.ripple_hz,
+        delay_s=v["trigger_jitter"] * recipe.timing.dt_s,
+        **{f.name: v[f.name] for f in fields(Effects) if f.name in v},
+    )
+    return effects, field.sensor_chain(v["sensor_gain"], v["sensor_offset_a"])
 
 
 def measure_draw(

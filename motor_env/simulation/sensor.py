@@ -78,10 +78,7 @@ def _convert(row: NDArray[np.float32], limit: float, step: float) -> None:
         value = float(row[k])
         if step > 0.0:
             value = np.floor(value / step + 0.5) * step
-            limit_high = limit - step
-        else:
-            limit_high = limit
-        row[k] = np.float32(min(max(value, -limit), limit_high))
+        row[k] = np.float32(min(max(value, -limit), limit - step))
 
 
 _MEASUREMENT = int(Stream.MEASUREMENT)

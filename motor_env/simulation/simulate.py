@@ -8,9 +8,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.motor.compiled import njit
 from motor_env.motor.faults import Fault, NoiseSource, apply_faults, noise_variance_factor
-from motor_env.motor.model import N_STATES, Input, discretize
+from motor_env.motor.model import N_STATES, Input, discretize, propagate
 from motor_env.motor.parameters import (
     Channel,
     FloatArray,
@@ -147,36 +146,6 @@ class Transients:
     states: FloatArray
 
 
-@njit(cache=True)
-def _propagate(
-    transition: FloatArray,
-    gain: FloatArray,
-    inputs: FloatArray,
-    noise: FloatArray,
-    state: FloatArray,
-    out: FloatArray,
-) -> None:
-    """x[k+1] = A x[k] + B u[k] + w[k] for every case; `state` is carried on; one-row arrays serve all cases."""
-    for n in range(out.shape[0]):
-        a = transition[n if transition.shape[0] > 1 else 0]
-        b = gain[n if gain.shape[0] > 1 else 0]
-        u = inputs[n if inputs.shape[0] > 1 else 0]
-        a00, a01, a10, a11 = a[0, 0], a[0, 1], a[1, 0], a[1, 1]
-        b00, b01, b10, b11 = b[0, 0], b[0, 1], b[1, 0], b[1, 1]
-        current, speed = state[n, 0], state[n, 1]
-        noisy = noise.shape[0] > 0
-        for k in range(out.shape[1]):
-            new_current = a00 * current + a01 * speed + b00 * u[k, 0] + b01 * u[k, 1]
-            speed = a10 * current + a11 * speed + b10 * u[k, 0] + b11 * u[k, 1]
-            current = new_current
-            if noisy:
-                current += noise[n, k, 0]
-                speed += noise[n, k, 1]
-            out[n, k, 0] = current
-            out[n, k, 1] = speed
-        state[n, 0], state[n, 1] = current, speed
-
-
 def simulate_states(
     parameters: MotorParameters,
     voltage_v: ArrayLike,
@@ -231,7 +200,7 @@ def simulate_states(
     out = np.empty((n_cases, n_samples, N_STATES))
     for begin, end, active in _segments(faults, start_s + dt_s * np.arange(n_samples, dtype=np.float64)):
         model = discretize(apply_faults(parameters, active), dt_s)
-        _propagate(
+        propagate(
             model.transition.reshape(-1, N_STATES, N_STATES),
             np.ascontiguousarray(model.gain).reshape(-1, N_STATES, len(Input)),
             inputs[:, begin:end],
