@@ -7,13 +7,16 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
 from motor_env import __version__, console
 from motor_env.console import printable
 from motor_env.errors import InputError
+
+if TYPE_CHECKING:
+    from motor_env.recordings.profiles import Profile
 
 Json = Annotated[bool, Parameter(name="--json", negative=())]
 
@@ -31,37 +34,50 @@ class Measurement:
 
     Attributes:
         voltage: Level of the supply in volt, for recordings without a voltage.
-        column: A column that its header does not tell, e.g. --column current=CH2:mA (may be repeated).
+        column: A column that its header does not tell, its unit or its scale (may be repeated): current=CH2:mA,
+            "current=CH2*10-0.05" for 10 A/V and an offset of -0.05 A, voltage=none.
+        sampling_rate: Samples a second, for files without a time.
         shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
         sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
         start: Which start, counted from 1, where a file holds several; all of them without it.
+        profile: File of --save-profile; what is said here as well counts more.
+        save_profile: File (TOML) to keep these choices in for the next time.
     """
 
     voltage: float | None = None
     column: list[str] | None = None
-    shunt_ohm: float = 0.0
-    sensor_lag: float = 0.0
+    sampling_rate: float | None = None
+    shunt_ohm: float | None = None
+    sensor_lag: float | None = None
     start: console.Whole | None = None
+    profile: Path | None = None
+    save_profile: Path | None = None
+
+    @property
+    def chosen(self) -> Profile:
+        """The choices, with those of the profile."""
+        from motor_env.recordings import profiles
+
+        names = ("voltage", "sampling_rate", "shunt_ohm", "sensor_lag")
+        given = {name: getattr(self, name) for name in names} | {"column": self.column or ()}
+        own = profiles.profile_from(given)
+        return own if self.profile is None else own.over(profiles.load_profile(self.profile))
+
+    def keep(self) -> None:
+        """Save them where that is asked for."""
+        from motor_env.recordings.profiles import save_profile
+
+        if self.save_profile is not None:
+            save_profile(self.chosen, self.save_profile)
 
     @property
     def options(self) -> dict[str, Any]:
         """The same as the functions behind the commands take it."""
-        from motor_env.recordings.headers import ColumnChoice
-        from motor_env.recordings.start import Circuit
-
-        for name, value in (("shunt-ohm", self.shunt_ohm), ("sensor-lag", self.sensor_lag)):
-            if not 0.0 <= value < float("inf"):
-                raise InputError(f"{name} must be >= 0, got {value:g}")
-        return {
-            "voltage_v": self.voltage,
-            "columns": [ColumnChoice.parse(text) for text in self.column or ()],
-            "circuit": Circuit(self.shunt_ohm, self.sensor_lag),
-            "start": self.start,
-        }
+        return self.chosen.options | {"start": self.start}
 
     def for_windows(self, **others: object) -> dict[str, Any]:
         """The same for windows of a motor at work; options that belong to starts are refused, not ignored."""
-        others |= {"start": self.start, "sensor_lag": self.sensor_lag or None}
+        others |= {"start": self.start, "sensor_lag": self.chosen.sensor_lag or None}
         for name, value in others.items():
             if value is not None:
                 raise InputError(
@@ -157,6 +173,7 @@ def diagnose(
             print(json.dumps([record.as_json() for record in records], indent=1))
         else:
             print(printable("\n".join(record.as_text() for record in records)))
+        measurement.keep()
         return running.exit_status(records)
     with console.working("reading") as say:
         outcomes = diagnose_files(
@@ -179,6 +196,7 @@ def diagnose(
         for outcome in outcomes:
             if outcome.diagnosis is not None:
                 print(printable(outcome.as_text()))
+    measurement.keep()
     if any(outcome.is_bug for outcome in outcomes):
         return int(console.ExitStatus.BUG)
     diagnoses = [outcome.diagnosis for outcome in outcomes if outcome.diagnosis is not None]
@@ -272,7 +290,7 @@ def identify(
     periods, options = measurement.ripple_periods_per_turn, measurement.options
     works, starts = logs.sorted_files(files, options["columns"], regime=regime, start=measurement.start)
     if works:
-        work = logs.identify_logs(works, voltage_v=measurement.voltage, circuit=options["circuit"])
+        work = logs.identify_logs(works, voltage_v=options["voltage_v"], circuit=options["circuit"])
         if output is not None:
             save_motor(work.motor(name), output)
         if out is not None:
@@ -293,6 +311,7 @@ def identify(
     else:
         texts = [steps.identified_text(*one, periods) for one in fits]
         print(printable("\n".join([*texts, *(work.as_text() if works else [])])))
+    measurement.keep()
     return work.exit_status() if works else 0
 
 
@@ -334,9 +353,14 @@ def commission(
         if known.operation is not None:
             print(running.commissioned_text(known.operation, false_alarm_rate))
         print(f"written: {output}")
+        measurement.keep()
         return 0
     result = steps.commission(
-        files, name, false_alarm_rate=false_alarm_rate, temperature_c=temperature_c, **measurement.options
+        files,
+        name,
+        false_alarm_rate=false_alarm_rate,
+        temperature_c=temperature_c,
+        **measurement.options,
     )
     save_motor(result.motor, output)
     if out is not None and result.motor.reference is not None:
@@ -346,6 +370,7 @@ def commission(
         plot_commissioned(result.fits, result.motor.reference, result.smallest, false_alarm_rate, picture)
     print(steps.commissioned_text(result, false_alarm_rate))
     print(printable(f"written: {output}"))
+    measurement.keep()
     return 0
 
 

@@ -1,19 +1,26 @@
-"""Headers of columns: which quantity, in which unit."""
+"""Headers of columns: which quantity, in which unit, and what the user says instead."""
 
 from __future__ import annotations
 
 import math
 import re
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import RAD_S_PER_RPM
 
 QUANTITIES = ("time", "current", "voltage", "speed", "duty")
 UNITS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    "current": {"a": 1.0, "ma": 1e-3, "ua": 1e-6},
-    "voltage": {"v": 1.0, "mv": 1e-3, "kv": 1e3},
+    "time": {
+        **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
+        **dict.fromkeys(("ms", "millis", "milliseconds"), 1e-3),
+        **dict.fromkeys(("us", "micros", "microseconds"), 1e-6),
+        "ns": 1e-9,
+        "min": 60.0,
+    },
+    "current": {**dict.fromkeys(("a", "amp", "amps", "ampere", "amperes"), 1.0), "ma": 1e-3, "ua": 1e-6},
+    "voltage": {**dict.fromkeys(("v", "volt", "volts"), 1.0), "mv": 1e-3, "kv": 1e3},
     "speed": {
         **dict.fromkeys(("rad/s", "rad_s", "rad/sec"), 1.0),
         **dict.fromkeys(("rpm", "1/min", "u/min", "min-1"), RAD_S_PER_RPM),
@@ -23,84 +30,176 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """Factors to SI."""
 
+SI = {"time": "s", "current": "A", "voltage": "V", "speed": "rad/s", "duty": "1"}
+NUMBERED = "sequence"
+"""The unit of a column that counts samples."""
+
 _WORDS = {
     quantity: frozenset(words.split())
     for quantity, words in {
-        "time": "t time zeit temps tempo tid tiempo timestamp seconds second x-axis",
-        "current": "i ia i_a current armature_current strom ankerstrom courant corrente corriente iarm amps "
-        "ampere",
-        "voltage": "v u va ua vin voltage spannung tension tensao tensão voltaje volts volt supply",
-        "speed": "w n omega ω speed velocity drehzahl vitesse velocidade velocidad rpm angular_speed wm",
+        "time": "t time zeit temps tempo tid tiempo timestamp x-axis",
+        "current": "i ia i_a current armature_current strom ankerstrom courant corrente corriente iarm",
+        "voltage": "v u va ua vin voltage spannung tension tensao tensão voltaje supply",
+        "speed": "w n omega ω speed velocity drehzahl vitesse velocidade velocidad angular_speed wm",
         "duty": "duty duty_cycle pwm",
     }.items()
 }
+_COUNTERS = frozenset(["index", "sequence", "sample", "samples", "point", "nr", "no", "#"])
+_NO_UNIT = frozenset(("", "value", "values", "raw", "none", "-"))  # in a row of units
 _UNIT_IN_HEADER = re.compile(
     r"^(?P<name>.*?)\s*(?:[\(\[](?P<bracket>[^\)\]]*)[\)\]]|\bin\s+(?P<word>\S+))\s*$"
+)
+_QUOTIENT = re.compile(r"^(?P<name>[^/]+?)\s*/\s*(?P<unit>\S+)$")  # I / mA, as DIN 461 wants it
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_CHOICE = re.compile(
+    r"^(?P<column>.+?)(?::(?P<unit>[^:*]+?))?"
+    rf"(?:\s*(?P<mark>[*/])\s*(?P<scale>{_NUMBER}))?(?:\s*(?P<sign>[-+])\s*(?P<offset>{_NUMBER}))?\s*$"
 )
 
 
 @dataclass(frozen=True, slots=True)
 class ColumnChoice:
-    """A column that the user names: `current=CH2:mA`, or by number `current=3:mA`."""
+    """A column that the user names: `current=CH2:mA`, `current=3:mA`, `current=CH2*10-0.05`.
+
+    Attributes:
+        quantity: of `QUANTITIES`.
+        text: all that stands behind the equals sign.
+        column: header or number of the column.
+        unit: of its numbers; None to take that of the header.
+        scale: factor on the numbers in V, A, s and so on.
+        offset: added after that.
+        sampling_rate_hz: of a time that no column holds.
+    """
 
     quantity: str
+    text: str
     column: str
     unit: str | None = None
+    scale: float | None = None
+    offset: float = 0.0
+    sampling_rate_hz: float | None = None
 
     @classmethod
     def parse(cls, text: str) -> ColumnChoice:
         """From the option's text.
 
         Raises:
-            InputError: not of the form quantity=column:unit, or an unknown quantity or unit.
+            InputError: not of the form quantity=column:unit*scale+offset, or an unknown quantity or unit.
         """
         quantity, equals, rest = text.partition("=")
-        column, _, unit = rest.rpartition(":") if ":" in rest else (rest, "", "")
-        if not equals or quantity not in QUANTITIES or not column:
+        column, _, last = rest.strip().rpartition(":")
+        if column and unit_quantity(last) == quantity:  # before a unit such as 1/min is taken for a quotient
+            return cls(quantity, rest.strip(), column, last)
+        match = _CHOICE.match(rest.strip())
+        if not equals or quantity not in QUANTITIES or match is None:
             raise InputError(
-                f"--column must read QUANTITY=COLUMN or QUANTITY=COLUMN:UNIT with QUANTITY one of"
-                f" {', '.join(QUANTITIES)}, got {text!r}"
+                "--column must read QUANTITY=COLUMN, QUANTITY=COLUMN:UNIT or QUANTITY=COLUMN*SCALE+OFFSET with"
+                f" QUANTITY one of {', '.join(QUANTITIES)}, got {text!r}"
             )
-        known = UNITS[quantity]
-        if unit and _unit_key(unit) not in known:
-            raise InputError(f"--column {quantity}: the unit must be one of {', '.join(known)}, got {unit!r}")
-        return cls(quantity, column, unit or None)
+        unit, scale, offset = match["unit"], match["scale"], match["offset"]
+        choice = cls(
+            quantity,
+            rest.strip(),
+            match["column"].strip(),
+            unit,
+            None if scale is None else float(scale) ** (-1.0 if match["mark"] == "/" else 1.0),
+            0.0 if offset is None else float(match["sign"] + offset),
+        )
+        if (
+            unit is not None
+            and unit_quantity(unit) != quantity
+            and (choice.scale is None or not unit_quantity(unit))
+        ):
+            known = ", ".join(UNITS[quantity])
+            raise InputError(f"--column {quantity}: the unit must be one of {known}, got {unit!r}")
+        return choice
 
-    @property
-    def factor(self) -> float | None:
-        """Factor to SI of the unit; None without one."""
-        return None if self.unit is None else UNITS[self.quantity][_unit_key(self.unit)]
+    @classmethod
+    def sampled(cls, sampling_rate_hz: float) -> ColumnChoice:
+        """The time of a recording whose rows lie evenly, whatever its columns say.
+
+        Raises:
+            InputError: the rate is not positive.
+        """
+        if not 0.0 < sampling_rate_hz < float("inf"):
+            raise InputError(f"sampling-rate must be > 0, got {sampling_rate_hz:g}")
+        return cls("time", "", "", sampling_rate_hz=sampling_rate_hz)
 
 
-def _unit_key(unit: str) -> str:
+class Meaning(NamedTuple):
+    """What a header says.
+
+    Attributes:
+        quantity: of the name, or of the unit where the name says nothing; None where neither does.
+        factor: to SI.
+        unit: as it stands; empty where none is stated.
+        name: without the unit.
+    """
+
+    quantity: str | None
+    factor: float
+    unit: str
+    name: str
+
+
+def unit_key(unit: str) -> str:
+    """A unit as the tables here spell it."""
     return unit.strip().replace("µ", "u").replace("μ", "u").lower()
 
 
-def is_unit(word: str) -> bool:
-    """Whether a word is a unit of something that a recording may hold."""
-    return _unit_key(word) in {"hz", *(unit for units in UNITS.values() for unit in units)}
+def unit_quantity(unit: str) -> str | None:
+    """The quantity that is measured in a unit; None for what is no unit of a recording."""
+    key = unit_key(unit)
+    return next((quantity for quantity in QUANTITIES if key in UNITS[quantity]), None)
 
 
-def understand(header: str) -> tuple[str | None, float]:
-    """Quantity and factor to SI of a header such as `current_a`, `I (mA)`, `Speed [rpm]`, `t_ms`; None if unknown."""
-    name, unit = header.strip(), ""
+def is_unit_cell(cell: str) -> bool:
+    """Whether a cell may stand in a row of units."""
+    key = unit_key(cell.strip("()[] "))
+    return key in _NO_UNIT or key in (NUMBERED, "hz") or unit_quantity(key) is not None
+
+
+def understand(header: str, unit: str = "") -> Meaning:
+    """What a header such as `current_a`, `I (mA)`, `Speed [rpm]`, `t_ms` says, with the unit that stands elsewhere."""
+    name = header.strip()
     match = _UNIT_IN_HEADER.match(name)
     if match:
-        name, unit = match["name"].strip(), _unit_key(match["bracket"] or match["word"] or "")
-    word = name.lower().replace(" ", "_").strip("_:")
+        name = match["name"].strip()
+        unit = unit or match["bracket"] or match["word"] or ""
+    elif (quotient := _QUOTIENT.match(name)) and _quantity_of(_word(quotient["name"])):
+        name, unit = quotient["name"], unit or quotient["unit"]
+    word = _word(name)
+    if not unit:
+        word, unit = _split(word)
+    elif unit_key(unit) in _NO_UNIT:
+        unit = ""
+    if unit_key(unit) == NUMBERED or (not unit and word in _COUNTERS):
+        return Meaning(None, 1.0, NUMBERED, name)
+    quantity = _quantity_of(word)
+    measured = unit_quantity(unit)
+    if quantity is None and measured != "duty" and unit_key(unit) != "min":
+        quantity = measured
+    if unit and quantity != measured:  # a current in volt is a probe's
+        quantity = None
+    factor = UNITS[measured][unit_key(unit)] if measured else 1.0
+    return Meaning(quantity, factor, unit, name)
+
+
+def _word(name: str) -> str:
+    return name.strip().lower().replace(" ", "_").strip("_:#")
+
+
+def _quantity_of(word: str) -> str | None:
+    return next((each for each in QUANTITIES if word in _WORDS[each]), None)
+
+
+def _split(word: str) -> tuple[str, str]:
+    """Word and unit of `current_ma`, of `rpm`; a word that is no quantity keeps its ending."""
+    if unit_quantity(word) is not None and len(word) > 1:
+        return word, word
     for quantity in QUANTITIES:
-        units, words = UNITS[quantity], _WORDS[quantity]
-        if word in words:
-            own = units.get(word, 1.0) if quantity == "speed" else 1.0
-            if not unit:
-                return quantity, own
-            return (quantity, units[unit]) if unit in units else (None, 1.0)
-        for suffix, factor in sorted(units.items(), key=lambda item: -len(item[0])):
-            stem = word.removesuffix(f"_{suffix}")
-            if not unit and stem != word and (stem in words or stem.split("_")[-1] in words):
-                return quantity, factor
-    if unit:
-        for quantity in ("current", "speed", "voltage", "time"):
-            if unit in UNITS[quantity] and not (quantity == "time" and unit == "min"):
-                return quantity, UNITS[quantity][unit]
-    return None, 1.0
+        for unit in sorted(UNITS[quantity], key=len, reverse=True):
+            stem = word.removesuffix(f"_{unit}")
+            if stem != word and (stem in _WORDS[quantity] or stem.split("_")[-1] in _WORDS[quantity]):
+                return stem if stem in _WORDS[quantity] else stem.split("_")[-1], unit
+    return word, ""

@@ -11,8 +11,10 @@ import numpy as np
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.headers import ColumnChoice, understand
-from motor_env.recordings.tables import Table, read_table
+from motor_env.recordings.columns import recognise
+from motor_env.recordings.headers import SI, ColumnChoice
+from motor_env.recordings.tables import read_table
+from motor_env.recordings.text.settings import Table
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 FEWEST_SAMPLES = 20
 _SHORTEST_STEP_S, _LONGEST_STEP_S = 1e-10, 1e4
 _SMALLEST_READING, _LARGEST_READING = 1e-12, 1e9
+_LATEST_BEGIN_S = 1e7  # seconds of a computer's clock count from 1970
 _GAP_STEPS = 100.0  # median steps without a sample: what lies between is not known
 _Record = TypeVar("_Record", bound="DataclassInstance")
 
@@ -72,69 +75,18 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
     """
     path = Path(path)
     table = read_table(path, [choice.column for choice in choices])
-    recognised = _recognise(path, table, choices)
-    columns = {quantity: factor * table.values[:, k] for quantity, (k, factor) in recognised.items()}
-    notes = [
-        f"{quantity} is column {k + 1}"
-        + (f" ({table.names[k]})" if table.names[k] else "")
-        + (f", times {factor:g}" if factor != 1.0 else "")
-        for quantity, (k, factor) in recognised.items()
-    ]
-    return _recording(path, table, columns, (*notes, *table.remarks))
-
-
-def _recognise(path: Path, table: Table, choices: Sequence[ColumnChoice]) -> dict[str, tuple[int, float]]:
-    recognised = {choice.quantity: _chosen(path, table, choice) for choice in choices}
-    taken = {k for k, _ in recognised.values()}
-    for k, name in enumerate(table.names):
-        quantity, factor = understand(name) if name and k not in taken else (None, 1.0)
-        if quantity is None or (
-            quantity in recognised and quantity in {choice.quantity for choice in choices}
-        ):
-            continue
-        if quantity in recognised:
-            first = table.names[recognised[quantity][0]]
-            raise InputError(
-                f"{path}: the columns {first} and {name} both look like the {quantity};"
-                f" say which: --column {quantity}={name}"
-            )
-        recognised[quantity] = (k, factor)
-    if not any(table.names) and not choices:
-        if table.values.shape[1] != 2:
-            raise InputError(
-                f"{path}: the {table.values.shape[1]} columns have no header; name them:"
-                " --column time=1 --column current=2"
-            )
-        recognised = {"time": (0, 1.0), "current": (1, 1.0)}
-    for quantity, column in (("time", "time_s"), ("current", "current_a")):
-        if quantity not in recognised:
-            names = ", ".join(repr(name[:30]) for name in table.names[:8])
-            raise InputError(
-                f"{path}, {table.where} {max(table.lines[0] - 1, 1)}: the column {column} is missing,"
-                f" found {names}; name it: --column {quantity}=..."
-            )
-    return recognised
-
-
-def _chosen(path: Path, table: Table, choice: ColumnChoice) -> tuple[int, float]:
-    if choice.column in table.names:
-        k = table.names.index(choice.column)
-    elif choice.column.isdigit() and 1 <= int(choice.column) <= table.values.shape[1]:
-        k = int(choice.column) - 1
-    else:
-        raise InputError(
-            f"{path}: there is no column {choice.column}; there are"
-            f" {', '.join(filter(None, table.names)) or table.values.shape[1]}"
-        )
-    if choice.factor is not None:
-        return k, choice.factor
-    quantity, factor = understand(table.names[k])
-    return k, factor if quantity == choice.quantity else 1.0
+    columns = recognise(path, table, choices)
+    notes = [f"{quantity} is {column.origin}" for quantity, column in columns.items()]
+    values = {quantity: column.values for quantity, column in columns.items()}
+    return _recording(path, table, values, (*notes, *table.remarks))
 
 
 def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: tuple[str, ...]) -> Recording:
     """Check the time axis and even it out."""
     time = columns["time"]
+    if abs(time[0]) > _LATEST_BEGIN_S:
+        notes, time = (*notes, f"time counts from {time[0]:.10g} s"), time - time[0]
+        columns = columns | {"time": time}
     if len(time) < FEWEST_SAMPLES:
         raise InputError(f"{path}: must hold at least {FEWEST_SAMPLES} samples, got {len(time)}")
     steps = np.diff(time)
@@ -142,7 +94,7 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
         bad = int(np.argmax(steps <= 0.0)) + 1
         raise InputError(
             f"{path}, {table.where} {table.lines[bad]}: the column time_s must rise,"
-            f" got {time[bad]:.10g} after {time[bad - 1]:.10g}"
+            f" got {time[bad]:.10g} after {time[bad - 1]:.10g}; where the rows lie evenly, say --sampling-rate HZ"
         )
     if not _SHORTEST_STEP_S <= float(np.median(steps)) <= _LONGEST_STEP_S:
         raise InputError(f"{path}: samples {np.median(steps):.3g} s apart are no recording of a motor")
@@ -155,7 +107,7 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
         raise InputError(f"{path}: has gaps between all of its samples")
     columns = {name: values[stretch] for name, values in columns.items()}
     even, columns, note = evened(columns["time"], columns)
-    notes = (*notes, *gap_note, *note)
+    notes = (*notes, *gap_note, *note, _summary(even, columns))
     return Recording(
         path=path,
         time_s=even,
@@ -165,6 +117,17 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
         duty=columns.get("duty"),
         columns=notes,
     )
+
+
+def _summary(time_s: FloatArray, columns: dict[str, FloatArray]) -> str:
+    """Number, rate and ranges of the samples, by which a wrong unit is seen."""
+    rate = (len(time_s) - 1) / (time_s[-1] - time_s[0])
+    ranges = [
+        f"{name} {values.min():.4g} to {values.max():.4g} {SI[name]}"
+        for name, values in columns.items()
+        if name != "time"
+    ]
+    return f"{len(time_s)} samples at {rate:.6g} Hz, {', '.join(ranges)}"
 
 
 def _without_gaps(time_s: FloatArray, steps: FloatArray) -> tuple[slice, tuple[str, ...]]:

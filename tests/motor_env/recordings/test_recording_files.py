@@ -105,9 +105,9 @@ def test_a_pickle_in_a_numpy_file_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_headers(header: str, quantity: str | None, factor: float) -> None:
-    found, scale = understand(header)
-    assert found == quantity
-    assert scale == pytest.approx(factor)
+    meaning = understand(header)
+    assert meaning.quantity == quantity
+    assert meaning.factor == pytest.approx(factor)
 
 
 def malformed(kind: int, good: bytes, rng: np.random.Generator) -> tuple[bytes, str]:

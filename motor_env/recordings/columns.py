@@ -1,0 +1,241 @@
+"""Columns of a table as the quantities of a recording: recognised by their headers, or named by the user."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from motor_env.errors import InputError
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.headers import (
+    NUMBERED,
+    QUANTITIES,
+    SI,
+    UNITS,
+    ColumnChoice,
+    Meaning,
+    understand,
+    unit_key,
+    unit_quantity,
+)
+from motor_env.recordings.text.settings import Table
+
+_NONE = "none"
+_SMALL = {"time": "ms", "current": "mA", "voltage": "mV", "speed": "rpm"}
+_MANY_WHOLE = (
+    20  # different whole numbers: counts of a converter or of a clock, not a voltage that is 0 or 12
+)
+
+
+class Column(NamedTuple):
+    """A quantity: its values in SI units, and in words where they come from."""
+
+    values: FloatArray
+    origin: str
+
+
+def recognise(path: Path, table: Table, choices: Sequence[ColumnChoice] = ()) -> dict[str, Column]:
+    """The quantities of a table, `time` and `current` among them.
+
+    Raises:
+        InputError: one of these two is missing, two columns look alike, or a column's unit cannot be told; the sentence
+            names the option that helps.
+    """
+    meanings = [understand(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
+    found: dict[str, Column] = {}
+    taken: set[int] = set()
+    for choice in choices:
+        if choice.column.lower() == _NONE:
+            continue
+        if choice.sampling_rate_hz is not None:
+            found["time"] = _even(table, 0.0, 1.0 / choice.sampling_rate_hz, "as asked")
+            continue
+        k = _place(path, table, meanings, choice)
+        taken.add(k)
+        found[choice.quantity] = _chosen(path, table, meanings[k], k, choice)
+    chosen = {choice.quantity for choice in choices}
+    if not any(table.names) and not choices and table.values.shape[1] == 2 and not any(table.units):
+        meanings = [Meaning("time", 1.0, "", ""), Meaning("current", 1.0, "", "")]
+    if "current" not in chosen and not any(meaning.quantity == "current" for meaning in meanings):
+        raise InputError(_no_current(path, table, meanings, taken))
+    for quantity, k in _by_header(path, table, meanings, chosen, taken):
+        found[quantity] = _column(path, table, meanings[k], k, quantity)
+    if "time" not in found:
+        counter = next((k for k, meaning in enumerate(meanings) if meaning.unit == NUMBERED), None)
+        found["time"] = _counted(path, table, counter)
+    return {quantity: found[quantity] for quantity in QUANTITIES if quantity in found}
+
+
+def _by_header(
+    path: Path, table: Table, meanings: Sequence[Meaning], chosen: set[str], taken: set[int]
+) -> Iterator[tuple[str, int]]:
+    """Quantity and column of those that the headers tell."""
+    first: dict[str, int] = {}
+    for k, meaning in enumerate(meanings):
+        quantity = meaning.quantity
+        if quantity is None or quantity in chosen or k in taken:
+            continue
+        if quantity in first:
+            one, other = (_name(table, i) for i in (first[quantity], k))
+            none = f", or --column {quantity}=none" if quantity not in ("time", "current") else ""
+            raise InputError(
+                f"{path}: the columns {one} and {other} both look like the {quantity};"
+                f" say which: --column {quantity}={one}{none}"
+            )
+        first[quantity] = k
+        yield quantity, k
+
+
+def _place(path: Path, table: Table, meanings: Sequence[Meaning], choice: ColumnChoice) -> int:
+    """Which column is meant: by its header, with or without its unit, or by its number in the file."""
+    wanted = (choice.text, choice.column)
+    spellings: list[list[str]] = [
+        list(table.names),
+        [name.lower() for name in table.names],
+        [meaning.name.lower() for meaning in meanings],
+    ]
+    for spelling in spellings:
+        for text in wanted:
+            name = text if spelling is spellings[0] else text.lower()
+            if spelling.count(name) > 1:
+                raise InputError(f"{path}: several columns are named {name}; give the number of one of them")
+            if name in spelling:
+                return spelling.index(name)
+    if choice.column.isdecimal() and int(choice.column) in table.numbers:
+        return table.numbers.index(int(choice.column))
+    names = ", ".join(filter(None, table.names)) or f"{len(table.numbers)} without a name"
+    raise InputError(f"{path}: there is no column {choice.column}; there are {names}")
+
+
+def _chosen(path: Path, table: Table, meaning: Meaning, k: int, choice: ColumnChoice) -> Column:
+    is_whole_text = table.names[k] == choice.text != choice.column  # a header with * or : in it
+    unit = None if is_whole_text else choice.unit
+    scale = None if is_whole_text else choice.scale
+    offset = 0.0 if is_whole_text else choice.offset
+    if unit is not None:
+        measured = unit_quantity(unit) or choice.quantity
+        meaning = Meaning(choice.quantity, UNITS[measured][unit_key(unit)], unit, meaning.name)
+    if meaning.unit == NUMBERED and unit is None and choice.quantity == "time":
+        return _counted(path, table, k)
+    stated = unit_quantity(meaning.unit)
+    if scale is None and stated is not None and stated != choice.quantity and unit is None:
+        raise InputError(
+            f"{path}: the column {_name(table, k)} is in {meaning.unit}; say how many {SI[choice.quantity]} that is:"
+            f" {_example(choice.quantity, _name(table, k))}"
+        )
+    if scale is None:
+        column = _column(path, table, meaning._replace(quantity=choice.quantity), k, choice.quantity)
+    else:
+        column = Column(meaning.factor * table.values[:, k], _origin(table, meaning, k))
+    per = f" {SI[choice.quantity]}/{SI[stated]}" if stated else ""
+    words = "" if scale is None else f", times {scale:g}{per}"
+    words += (
+        ""
+        if offset == 0.0
+        else f", {'plus' if offset > 0.0 else 'minus'} {abs(offset):g} {SI[choice.quantity]}"
+    )
+    return Column((1.0 if scale is None else scale) * column.values + offset, column.origin + words)
+
+
+def _column(path: Path, table: Table, meaning: Meaning, k: int, quantity: str) -> Column:
+    """A column with the unit of its header; where it has none it is taken as SI, unless it holds counts."""
+    values, origin = table.values[:, k], _origin(table, meaning, k)
+    if not unit_quantity(meaning.unit):
+        if _holds_counts(table, k) and quantity != "duty":
+            name = _name(table, k)
+            raise InputError(
+                f"{path}: the column {name} holds whole numbers, and no unit is stated: name it"
+                f' (--column "{quantity}={name}:{_SMALL[quantity]}") or give a scale ({_example(quantity, name)})'
+            )
+        origin += f", no unit stated, taken as {SI[quantity]}"
+    return Column(meaning.factor * values, origin)
+
+
+def _holds_counts(table: Table, k: int) -> bool:
+    values = table.values[:, k]
+    return bool(np.all(values == np.round(values))) and len(np.unique(values)) > _MANY_WHOLE
+
+
+def _origin(table: Table, meaning: Meaning, k: int) -> str:
+    name = f" ({table.names[k]})" if table.names[k] else ""
+    unit = (
+        f" in {meaning.unit}" if meaning.unit and meaning.unit.lower() not in table.names[k].lower() else ""
+    )
+    return f"column {table.numbers[k]}{name}{unit}"
+
+
+def _name(table: Table, k: int) -> str:
+    """What the user may call a column."""
+    name = table.names[k]
+    return name if name and table.names.count(name) == 1 else str(table.numbers[k])
+
+
+def _example(quantity: str, name: str) -> str:
+    if quantity == "current":
+        return f'--column "current={name}*10" for a probe of 100 mV/A'
+    return f'--column "{quantity}={name}*2.5+0"'
+
+
+def _even(table: Table, begin_s: float, interval_s: float, reason: str) -> Column:
+    values: FloatArray = begin_s + interval_s * np.arange(len(table.values), dtype=np.float64)
+    return Column(values, f"{1.0 / interval_s:.6g} samples a second, {reason}")
+
+
+def _counted(path: Path, table: Table, counter: int | None) -> Column:
+    """The time of a file that counts its samples, or only says how far apart they are."""
+    unexplained = counter is None and any(
+        understand(name, unit).quantity is None for name, unit in zip(table.names, table.units, strict=True)
+    )
+    if table.interval_s is None or unexplained:
+        unknown = [
+            k for k, name in enumerate(table.names) if understand(name, table.units[k]).quantity is None
+        ]
+        hint = f'name it: --column "time={_name(table, unknown[0])}:s", or ' if unknown else ""
+        raise InputError(
+            f"{_where(path, table)}: the column time_s is missing, {_found(table)}; {hint}say --sampling-rate HZ"
+        )
+    begin_s = table.begin_s
+    if counter is not None:
+        begin_s += table.interval_s * table.values[0, counter]
+        steps = np.diff(table.values[:, counter])
+        if not (steps == 1.0).all():
+            bad = int(np.argmax(steps != 1.0)) + 1
+            raise InputError(
+                f"{path}, {table.where} {table.lines[bad]}: the column {_name(table, counter)} must count by one,"
+                f" got {table.values[bad, counter]:g} after {table.values[bad - 1, counter]:g}"
+            )
+    elif table.samples is not None and table.samples != len(table.values):
+        raise InputError(
+            f"{path}: holds {len(table.values)} rows and says that there are {table.samples}; no column tells which"
+        )
+    return _even(table, begin_s, table.interval_s, "as the file says above its numbers")
+
+
+def _no_current(path: Path, table: Table, meanings: Sequence[Meaning], taken: set[int]) -> str:
+    """What to do about a file without a column of the current."""
+    free = [
+        k
+        for k, meaning in enumerate(meanings)
+        if k not in taken and meaning.unit != NUMBERED and meaning.quantity in (None, "voltage")
+    ]
+    hint = "--column current=..."
+    if free:
+        name = _name(table, free[-1])
+        hint = _example("current", name)
+        if _holds_counts(table, free[-1]):
+            hint = f'--column "current={name}*0.0132-6.76" with the scale and the offset of the converter\'s counts'
+        elif unit_quantity(meanings[free[-1]].unit) is None:
+            hint = f'--column "current={name}:A", or {hint}'
+    return f"{_where(path, table)}: the column current_a is missing, {_found(table)}; name it: {hint}"
+
+
+def _where(path: Path, table: Table) -> str:
+    return f"{path}, {table.where} {max(table.lines[0] - 1, 1)}"
+
+
+def _found(table: Table) -> str:
+    names = ", ".join(repr(name[:30]) for name in table.names[:8])
+    return f"found {names}" if any(table.names) else f"found {len(table.names)} columns without a header"

@@ -1,0 +1,89 @@
+"""Profiles: how the files of one instrument are read, kept for the next time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from motor_env.errors import InputError
+from motor_env.files import write_text
+from motor_env.motor.toml_files import NotNegative, OneLine, Positive, from_dict, read_toml, toml_text
+from motor_env.recordings.headers import ColumnChoice
+from motor_env.recordings.start import Circuit
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What the user says of an instrument's files.
+
+    Attributes:
+        column: choices of columns, as `ColumnChoice.parse` reads them.
+        sampling_rate: in Hz, where no column holds the time.
+        voltage: level of the supply in volt, where none was recorded.
+        shunt_ohm: resistance in series with the motor.
+        sensor_lag: time constant of the current sensor in seconds.
+    """
+
+    column: tuple[OneLine, ...] = ()
+    sampling_rate: Positive | None = None
+    voltage: Positive | None = None
+    shunt_ohm: NotNegative | None = None
+    sensor_lag: NotNegative | None = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The same as the functions that read and fit take it.
+
+        Raises:
+            InputError: a choice that cannot be understood.
+        """
+        sampled = [] if self.sampling_rate is None else [ColumnChoice.sampled(self.sampling_rate)]
+        return {
+            "voltage_v": self.voltage,
+            "columns": [*map(ColumnChoice.parse, self.column), *sampled],
+            "circuit": Circuit(self.shunt_ohm or 0.0, self.sensor_lag or 0.0),
+        }
+
+    def over(self, kept: Profile) -> Profile:
+        """This profile, with what it leaves open taken from one that was kept; a column counts as one quantity."""
+        named = {text.partition("=")[0] for text in self.column}
+        columns = [text for text in kept.column if text.partition("=")[0] not in named]
+        own = {name: value for name, value in asdict(self).items() if value is not None}
+        return replace(kept, **own | {"column": (*columns, *self.column)})
+
+
+def profile_from(given: Mapping[str, Any]) -> Profile:
+    """A profile out of options of a command.
+
+    Raises:
+        InputError: a number out of its range.
+    """
+    try:
+        return from_dict(Profile, given, "the profile")
+    except ValueError as error:
+        raise InputError(str(error).replace("_", "-")) from None
+
+
+def load_profile(path: Path) -> Profile:
+    """A profile out of its TOML file.
+
+    Raises:
+        InputError: no such file, not TOML, an unknown key or a value out of range.
+    """
+    try:
+        return from_dict(Profile, read_toml(path, "no such profile"), "the profile")
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def save_profile(profile: Profile, path: Path) -> None:
+    """Write a profile as TOML.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_text(path, toml_text(asdict(profile), {}))

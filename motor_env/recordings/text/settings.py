@@ -1,0 +1,149 @@
+"""What an instrument says above or beside its numbers: units, and how far its samples lie apart."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.headers import UNITS, understand, unit_key, unit_quantity
+from motor_env.recordings.text.cells import TextTable, is_clock
+
+_BESIDE = 30  # rows beside which an old scope writes its settings
+_SETTING = re.compile(r"(?:^|[\s:=])([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-zA-Zµμ/]*)")
+_INTERVAL = re.compile(r"^(sampl\w* (interval|period)|time interval|x?increment|clock)$")
+_RATE = re.compile(r"^sampl\w* (rate|frequency)$")
+_SAMPLES = re.compile(r"^(size|record length|memory length)$")
+_BEGIN = re.compile(r"^x?start$")
+_HERTZ = {"": 1.0, "hz": 1.0, "sa/s": 1.0, "khz": 1e3, "ksa/s": 1e3, "mhz": 1e6, "msa/s": 1e6}
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Columns of numbers as they stand in a file.
+
+    Attributes:
+        names: header of each column, empty strings where there is none.
+        values: shape (n_rows, n_columns); times of a clock in seconds since the first.
+        lines: where each row stands in the file, for error messages; row numbers for binary files.
+        units: unit of each column where it stands elsewhere than in its header, else empty strings.
+        numbers: of each column in the file, counted from 1.
+        where: the word for the lines: line or row.
+        remarks: what was found out about the file's form.
+        begin_s: time of the first sample, as the settings above the numbers say.
+        interval_s: time between two samples, as the settings say; None where they do not.
+        samples: number of samples, as the settings say; None where they do not.
+    """
+
+    names: tuple[str, ...]
+    values: FloatArray
+    lines: Sequence[int]
+    units: tuple[str, ...]
+    numbers: tuple[int, ...]
+    where: str = "line"
+    remarks: tuple[str, ...] = ()
+    begin_s: float = 0.0
+    interval_s: float | None = None
+    samples: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Where the numbers stand.
+
+    Attributes:
+        table: the file's cells, or those of its beginning and its end.
+        first: row of the table where they begin.
+        columns: which columns hold numbers, and times of a clock.
+        clocks: those of a clock among them.
+        width: cells of a row, empty ones at its end left out.
+    """
+
+    table: TextTable
+    first: int
+    columns: tuple[int, ...]
+    clocks: tuple[int, ...]
+    width: int
+
+    def is_full(self, row: list[str]) -> bool:
+        """Whether every column holds what it should."""
+        plain = [k for k in self.columns if k not in self.clocks]
+        return self.table.numbers(row, plain) == len(plain) and all(
+            k < len(row) and is_clock(row[k]) for k in self.clocks
+        )
+
+
+def filled(row: Sequence[str]) -> int:
+    """Number of cells up to the last that is not empty."""
+    return max((k + 1 for k, cell in enumerate(row) if cell.strip()), default=0)
+
+
+def with_settings(found: Table, block: Block) -> Table:
+    """The table with what the instrument says above or beside its numbers: units, and how far its samples lie apart."""
+    settings = dict(_settings(block))
+    numbered = {key: match for key, text in settings.items() if (match := _SETTING.search(text))}
+
+    def first(pattern: re.Pattern[str], factors: Mapping[str, float]) -> float | None:
+        fitting = (match for key, match in numbered.items() if pattern.match(key))
+        usable = (
+            float(match[1]) * factors[unit] for match in fitting if (unit := unit_key(match[2])) in factors
+        )
+        return next((value for value in usable if value > 0.0 or pattern is _BEGIN), None)
+
+    interval, rate = first(_INTERVAL, {"": 1.0, **UNITS["time"]}), first(_RATE, _HERTZ)
+    samples = first(_SAMPLES, {"": 1.0})
+    return replace(
+        found,
+        units=tuple(
+            "s" if k in block.clocks else unit
+            for k, unit in zip(block.columns, _units(found, settings), strict=True)
+        ),
+        begin_s=first(_BEGIN, {"": 1.0}) or 0.0,
+        interval_s=interval if interval or not rate else 1.0 / rate,
+        samples=None if samples is None else round(samples),
+    )
+
+
+def _settings(block: Block) -> Iterator[tuple[str, str]]:
+    """Name and text of each setting: rows above the header, columns beside it, columns beside the numbers."""
+    table, first = block.table, block.first
+    beside = list(range(min(block.columns)))
+    rows = [*table.rows[:first], *([row[k] for k in beside] for row in table.rows[first : first + _BESIDE])]
+    mark = "," if table.decimal_comma else "."
+    for row in rows:
+        words = [cell.strip(" #\t").replace(mark, ".") for cell in row]
+        name, rest = words[0] if words else "", ",".join(words[1:])
+        if not rest.strip(","):
+            name, _, rest = name.replace("=", ":", 1).partition(":")
+        yield name.strip(" :").lower(), " " + rest
+    if first > 1:
+        upper, lower = table.rows[first - 2 : first]
+        yield from (
+            (upper[k].strip().lower(), " " + lower[k].replace(mark, "."))
+            for k in range(block.width, min(len(upper), len(lower)))
+        )
+
+
+def _units(found: Table, settings: Mapping[str, str]) -> tuple[str, ...]:
+    """Units of the columns that have none in their headers, out of the settings."""
+    text = settings.get("vertical units", settings.get("units", "")).strip()
+    horizontal = settings.get("horizontal units", "").strip(" ,")
+    stated = dict(re.findall(r"(\w+):\s*(\w+)", text))
+    listed = [cell.strip() for cell in text.split(",")]
+    alone = listed[0] if len([cell for cell in listed if cell]) == 1 else ""
+
+    def unit(k: int) -> str:
+        name = found.names[k]
+        if found.units[k] and unit_quantity(found.units[k]):
+            return found.units[k]
+        meaning = understand(name, found.units[k])
+        if meaning.unit:
+            return found.units[k]
+        if meaning.quantity == "time" or (not name and k == 0 and len(found.names) > 1):
+            return horizontal or found.units[k]
+        place = found.numbers[k] - 2  # the first cell is the setting's name
+        by_place = listed[place] if not stated and 0 <= place < len(listed) else ""
+        return stated.get(name, by_place or (alone if len(found.names) <= 2 else "")) or found.units[k]
+
+    return tuple(map(unit, range(len(found.names))))
