@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
-from motor_env.diagnosis.explanations import significance_limit, smallest_changes
+from motor_env.diagnosis.explanations import alarm_share, significance_limit, smallest_changes
 from motor_env.diagnosis.files import fit_files
 from motor_env.diagnosis.healthy_motor import learn_reference, reference_from_starts
 from motor_env.diagnosis.report import (
@@ -98,11 +98,14 @@ def commission(
         paths, "start", columns, fewest=FEWEST_STARTS, start=start, voltage_v=voltage_v, circuit=circuit
     )
     reference = replace(learn_reference(fits), temperature_c=temperature_c)
-    limit = significance_limit(false_alarm_rate, fits[0].exponents, reference.degrees_of_freedom)
+    exponents = fits[0].exponents
+    limit = significance_limit(false_alarm_rate, exponents, reference.degrees_of_freedom)
     motor = to_motor(fits, name, kind="commissioned", reference=reference)
     known = reference_from_starts(reference, reference.quantities, name, temperature_c)
-    covariance = reference.log_covariance if known is None else known.log_covariance
-    smallest = smallest_changes(covariance, fits[0].exponents, limit)
+    covariance = reference.log_covariance
+    if known is not None:
+        covariance = known.any_warmth(covariance, alarm_share(false_alarm_rate, exponents))
+    smallest = smallest_changes(covariance, exponents, limit)
     return Commissioned(motor, tuple(fits), smallest)
 
 

@@ -101,18 +101,21 @@ def decide(
 ) -> Diagnosis:
     """The diagnosis of a fit against a reference, at a rate of false alarms per healthy recording."""
     log_ratios, freedom = fit.log_values - reference.log_values, reference.degrees_of_freedom
-    difference = Difference(log_ratios, _covariance(fit, reference), fit.exponents, freedom)
+    same_warmth, share = _covariance(fit, reference), alarm_share(rate, fit.exponents)
+    difference = Difference(log_ratios, reference.any_warmth(same_warmth, share), fit.exponents, freedom)
     limit = significance_limit(rate, fit.exponents, freedom)
     faults = explain(difference)
     probability = probabilities(difference, faults)
-    same_warmth = difference.covariance - reference.warmth_covariance
-    changes = compare(fit.quantity_names, log_ratios, same_warmth, freedom, limit)
+    p_value = difference.p_value(difference.squared_distance, len(log_ratios))
+    is_alarm = any(fault.z > limit for fault in faults) or p_value < share
+    marked = limit if is_alarm else math.inf
+    changes = compare(fit.quantity_names, log_ratios, same_warmth, freedom, marked)
     healthy = Diagnosis(
         recording,
         Verdict.HEALTHY,
         (
             f"no quantity has moved further than {reference.source} and the fit's own error allow",
-            *warmth_reason(difference, reference),
+            *warmth_reason(log_ratios, same_warmth, reference),
         ),
         severity=0.0,
         confidence=probability["healthy"],
@@ -129,8 +132,7 @@ def decide(
     best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
     if best is not None and probability[best.kind] >= probability["other"]:
         return _with_fault(healthy, best, float(stats.t.isf(0.025, freedom)), probability)
-    p_value = difference.p_value(difference.squared_distance, len(log_ratios))
-    if any(fault.z > limit for fault in faults) or p_value < alarm_share(rate, fit.exponents):
+    if is_alarm:
         named = {fault.kind for fault in faults}
         unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
         alike = map(_alike_reason, filter(suffices, explain(difference, unnamed)))
@@ -142,15 +144,13 @@ def decide(
     return _with_noise(healthy, fit, reference, limit)
 
 
-def warmth_reason(difference: Difference, reference: Reference) -> tuple[str, ...]:
+def warmth_reason(log_ratios: FloatArray, same_warmth: FloatArray, reference: Reference) -> tuple[str, ...]:
     """That another temperature explains the changes, where it does so by itself: its posterior mean in kelvin."""
     if reference.warmth is None or reference.temperature_k == 0.0:
         return ()
-    solved = difference.inverse @ reference.warmth
-    kelvin = reference.temperature_k**2 * float(solved @ difference.log_ratios)
-    sd = reference.temperature_k * math.sqrt(
-        max(1.0 - reference.temperature_k**2 * float(solved @ reference.warmth), 0.0)
-    )
+    solved = np.linalg.solve(same_warmth, reference.warmth)
+    sd = 1.0 / math.sqrt(float(solved @ reference.warmth) + reference.temperature_k**-2)
+    kelvin = sd**2 * float(solved @ log_ratios)
     if abs(kelvin) < max(_TELLING_WARMTH_K, 2.0 * sd):
         return ()
     word = "warmer" if kelvin > 0.0 else "colder"

@@ -68,7 +68,7 @@ class Change:
         name: the quantity.
         ratio: fitted over reference.
         low, high: interval of the ratio, 95 %, the reference's uncertainty included.
-        significant: whether 1 lies outside the interval at the wanted rate of false alarms.
+        significant: whether there is an alarm, and 1 lies outside the interval at the wanted rate of false alarms.
     """
 
     name: str
@@ -155,7 +155,7 @@ def compare(
         difference: of their logarithms, shape (n,).
         covariance: of the difference, shape (n, n).
         freedom: degrees of freedom of the covariance.
-        limit: standard deviations beyond which a difference is significant.
+        limit: standard deviations beyond which a difference is significant; infinite where there is no alarm.
     """
     half = float(stats.t.isf(0.025, freedom))
     sigma = np.sqrt(np.diag(covariance))

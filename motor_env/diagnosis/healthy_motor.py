@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from motor_env.identification.commutation import ripple_quantities
 from motor_env.identification.identify import Identified, identify
@@ -35,14 +36,16 @@ class Reference:
         source: in words, for the user.
         names: the quantities.
         log_values: logarithms of the quantities of a healthy motor, shape (n,).
-        log_covariance: covariance of the next healthy start about them, the fit's own error left out, shape (n, n).
+        log_covariance: covariance of the next healthy start about them, equally warm, the fit's own error left out,
+            shape (n, n).
         degrees_of_freedom: of that covariance.
         log_noise: logarithm of the noise of the current, or None where unknown.
         log_noise_sd: its standard deviation from start to start.
         model: extensions to fit with, or None to choose by evidence.
         includes_fit_error: the covariance was estimated from fits, and holds their errors already.
-        warmth: how the logarithms move for each kelvin that the motor is warmer, shape (n,); None where unknown.
-        temperature_k: standard deviation of the temperature, which the covariance holds.
+        warmth: how the logarithms move for each kelvin that the motor is warmer, shape (n,); None where the covariance
+            holds the temperature.
+        temperature_k: standard deviation of the temperature.
     """
 
     source: str
@@ -57,16 +60,32 @@ class Reference:
     warmth: FloatArray | None = None
     temperature_k: float = 0.0
 
-    @property
-    def warmth_covariance(self) -> FloatArray:
-        """What the unknown temperature adds to the covariance, shape (n, n): the table of changes leaves it out."""
-        warmth = np.zeros(len(self.names)) if self.warmth is None else self.warmth
-        return np.asarray(self.temperature_k**2 * np.outer(warmth, warmth), dtype=np.float64)
+    def any_warmth(self, covariance: FloatArray, rate: float) -> FloatArray:
+        """A covariance at one temperature, with another temperature added for tests of a rate, shape (n, n)."""
+        if self.warmth is None:
+            return covariance
+        return warmer(covariance, self.temperature_k * self.warmth, rate, self.degrees_of_freedom)
 
     @property
     def values(self) -> dict[str, float]:
         """The quantities of a healthy motor by name."""
         return dict(zip(self.names, np.exp(self.log_values).tolist(), strict=True))
+
+
+def warmer(covariance: FloatArray, warmth: FloatArray, rate: float, freedom: float) -> FloatArray:
+    """A covariance of Student's t with the known normal spread of the temperature added.
+
+    The quantile of a sum of t and normal lies below the root of the sum of their squared quantiles. So the normal part
+    counts in the ratio of the two quantiles, at the share of one test.
+
+    Args:
+        covariance: at one temperature, shape (n, n).
+        warmth: how the quantities move for one standard deviation of the temperature, shape (n,).
+        rate: of one test.
+        freedom: degrees of freedom of the covariance.
+    """
+    ratio = float(stats.norm.isf(rate) / stats.t.isf(rate, freedom))
+    return np.asarray(covariance + np.outer(ratio * warmth, ratio * warmth), dtype=np.float64)
 
 
 def reference_from_motor(
@@ -112,7 +131,7 @@ def reference_from_starts(
         source=f"{starts.starts} healthy starts of {motor}",
         names=names,
         log_values=np.log(starts.values) + warmer_k * warmth,
-        log_covariance=starts.log_covariance + spread_k**2 * np.outer(warmth, warmth),
+        log_covariance=starts.log_covariance,
         degrees_of_freedom=starts.degrees_of_freedom,
         log_noise=starts.log_noise,
         log_noise_sd=starts.log_noise_sd,

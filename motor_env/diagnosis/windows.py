@@ -13,7 +13,15 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from motor_env.diagnosis.explanations import Change, Difference, compare, explain, significance_limit
+from motor_env.diagnosis.explanations import (
+    Change,
+    Difference,
+    alarm_share,
+    compare,
+    explain,
+    significance_limit,
+)
+from motor_env.diagnosis.healthy_motor import warmer
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import WindowReference
 from motor_env.motor.parameters import FloatArray
@@ -121,13 +129,14 @@ def _judged(part: Recording, reference: WindowReference, rate: float) -> WindowV
     ratios, freedom = logs - np.log(reference.values), reference.degrees_of_freedom
     healthy = reference.log_covariance
     own = healthy + _beyond(healthy, error)
-    difference = Difference(ratios, own + np.outer(warmth, warmth), _EXPONENTS, freedom)
-    limit = significance_limit(rate, _EXPONENTS, freedom)
-    changes = compare(NAMES, ratios, difference.covariance, freedom, limit)
+    limit, share = significance_limit(rate, _EXPONENTS, freedom), alarm_share(rate, _EXPONENTS)
+    difference = Difference(ratios, warmer(own, warmth, share, freedom), _EXPONENTS, freedom)
     alarms = [fault for fault in explain(difference) if fault.z > limit]
-    whole = difference.p_value(difference.squared_distance, len(NAMES)) < rate / 2.0
+    whole = difference.p_value(difference.squared_distance, len(NAMES)) < share
+    is_alarm = bool(alarms) or whole
+    changes = compare(NAMES, ratios, difference.covariance, freedom, limit if is_alarm else math.inf)
     verdict = "healthy"
-    if alarms or whole or any(change.significant for change in changes):
+    if is_alarm:
         fitting = [fault for fault in alarms if fault.p_left_over > rate]
         best = max(fitting, key=lambda fault: fault.z, default=None)
         verdict = "other" if best is None else str(best.kind)
