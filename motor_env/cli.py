@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -25,6 +25,10 @@ app = App(
     help="A DC motor that may be failing: simulate, diagnose, reproduce the paper.",
     version=__version__,
 )
+
+
+def _show(as_json: bool, objects: Callable[[], Any], text: Callable[[], str]) -> None:
+    print(json.dumps(objects(), indent=1) if as_json else printable(text()))
 
 
 @Parameter(name="*")
@@ -123,10 +127,8 @@ def reproduce(
         result = paper.reproduce(
             out, image_format=image_format, progress=lambda figure: say(f"drawing {figure.name}")
         )
-    if json_:
-        print(json.dumps(result))
-    else:
-        print(f"{len(result['figures'])} figures and {len(result['numbers'])} numbers: {out / 'index.html'}")
+    counts = f"{len(result['figures'])} figures and {len(result['numbers'])} numbers"
+    _show(json_, lambda: result, lambda: f"{counts}: {out / 'index.html'}")
     return 0
 
 
@@ -169,10 +171,7 @@ def diagnose(
     if known is not None and known.operation is not None:
         options = measurement.for_windows(temperature_c=temperature_c, healthy=healthy)
         records = running.diagnose_running(files, known, false_alarm_rate, out, **options)
-        if json_:
-            print(json.dumps([record.as_json() for record in records], indent=1))
-        else:
-            print(printable("\n".join(record.as_text() for record in records)))
+        _show(json_, lambda: [r.as_json() for r in records], lambda: "\n".join(r.as_text() for r in records))
         measurement.keep()
         return running.exit_status(records)
     with console.working("reading") as say:
@@ -190,12 +189,9 @@ def diagnose(
     for outcome in outcomes:
         if outcome.error is not None:
             print(f"motor-env: {printable(outcome.error)}", file=sys.stderr)
-    if json_:
-        print(json.dumps([outcome.as_json() for outcome in outcomes], indent=1))
-    else:
-        for outcome in outcomes:
-            if outcome.diagnosis is not None:
-                print(printable(outcome.as_text()))
+    judged = [outcome for outcome in outcomes if outcome.diagnosis is not None]
+    if json_ or judged:
+        _show(json_, lambda: [o.as_json() for o in outcomes], lambda: "\n".join(o.as_text() for o in judged))
     measurement.keep()
     if any(outcome.is_bug for outcome in outcomes):
         return int(console.ExitStatus.BUG)
@@ -249,10 +245,7 @@ def trend(
     write_text(out, page(judged, notes))
     for note in notes:
         print(f"motor-env: {note}", file=sys.stderr)
-    if json_:
-        print(json.dumps([trends.as_json(one) for one in judged], indent=1))
-    else:
-        print(printable(f"{trends.as_text(judged)}\n{out}"))
+    _show(json_, lambda: list(map(trends.as_json, judged)), lambda: f"{trends.as_text(judged)}\n{out}")
     return int(any(status(one) in ("reached", "trending") for one in judged))
 
 
@@ -304,13 +297,13 @@ def identify(
         for number, (recording, fit) in enumerate(fits, 1):
             file = recording.path.name
             plot_identified(fit, file, out / f"{number:03d}-{file.replace('.', '-')}.png")
-    if json_:
-        objects = [steps.identified_json(*one, periods) for one in fits]
-        objects += work.as_json() if works else []
-        print(json.dumps(objects, indent=1))
-    else:
-        texts = [steps.identified_text(*one, periods) for one in fits]
-        print(printable("\n".join([*texts, *(work.as_text() if works else [])])))
+    _show(
+        json_,
+        lambda: [steps.identified_json(*one, periods) for one in fits] + (work.as_json() if works else []),
+        lambda: "\n".join(
+            [steps.identified_text(*one, periods) for one in fits] + (work.as_text() if works else [])
+        ),
+    )
     measurement.keep()
     return work.exit_status() if works else 0
 
@@ -429,14 +422,10 @@ def coastdown(file: Path, *, json_: Json = False) -> int:
         friction = fit_coastdown(recording)
     except UnusableError as error:
         raise InputError(f"{file}: {error}") from None
-    if json_:
-        print(json.dumps(asdict(friction)))
-    else:
-        print(
-            f"{file}: B/J {friction.viscous_per_s:.4g} 1/s, Coulomb friction Tc/J {friction.coulomb_rad_s2:.4g} rad/s2"
-        )
-        viscous = f"with viscous friction alone {friction.r2_viscous:.4f}"
-        print(f"  R2 {friction.r2:.4f}; {viscous}; evidence {friction.evidence:.0f}")
+    viscous, coulomb = f"B/J {friction.viscous_per_s:.4g} 1/s", f"Tc/J {friction.coulomb_rad_s2:.4g} rad/s2"
+    alone = f"with viscous friction alone {friction.r2_viscous:.4f}; evidence {friction.evidence:.0f}"
+    text = f"{file}: {viscous}, Coulomb friction {coulomb}\n  R2 {friction.r2:.4f}; {alone}"
+    _show(json_, lambda: asdict(friction), lambda: text)
     return 0
 
 

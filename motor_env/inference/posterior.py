@@ -51,30 +51,6 @@ def recipe_observed(recipe: Recipe, measurements: ArrayLike, voltage_v: ArrayLik
     return Observed.from_measurements(measured, shown, recipe.sensor, recipe.timing.dt_s)
 
 
-def laplace_evidence(observed: Observed, coordinates: Coordinates, prior: Prior | None = None) -> FloatArray:
-    """Log probability density of each transient, coordinates integrated out (Laplace 1774), shape (n,).
-
-    Args:
-        observed: the measured transients.
-        coordinates: the nuisances.
-        prior: of the coordinates; standard normal by default.
-    """
-    if coordinates.size == 0:
-        exact = np.zeros((observed.n_cases, 0))
-        chi2 = np.square(fitted_residuals(observed, coordinates, exact)).sum(axis=(-2, -1))
-        likelihood: FloatArray = observed.log_normaliser - 0.5 * chi2
-        return likelihood
-    belief = Prior.from_std(np.ones(coordinates.size)) if prior is None else prior
-    fitted = fit(observed, coordinates, belief)
-    # The peak's volume over the prior's.
-    _, log_determinant = np.linalg.slogdet(fitted.information)
-    _, log_precision = np.linalg.slogdet(belief.precision)
-    evidence: FloatArray = observed.log_normaliser - 0.5 * (
-        fitted.objective + log_determinant - log_precision
-    )
-    return evidence
-
-
 def class_log_evidence(
     recipe: Recipe,
     measurements: ArrayLike,
@@ -104,7 +80,19 @@ def class_evidence(
 ) -> FloatArray:
     """Log probability density of each transient under one class of the recipe's motors (Laplace 1774), shape (n,)."""
     noisy = observed.with_variance(variance_factor(fault_class))
-    return laplace_evidence(noisy, class_coordinates(recipe, fault_class), prior)
+    coordinates = class_coordinates(recipe, fault_class)
+    if coordinates.size == 0:
+        exact = np.zeros((noisy.n_cases, 0))
+        chi2 = np.square(fitted_residuals(noisy, coordinates, exact)).sum(axis=(-2, -1))
+        likelihood: FloatArray = noisy.log_normaliser - 0.5 * chi2
+        return likelihood
+    belief = Prior.from_std(np.ones(coordinates.size)) if prior is None else prior
+    fitted = fit(noisy, coordinates, belief)
+    # The peak's volume over the prior's.
+    _, log_determinant = np.linalg.slogdet(fitted.information)
+    _, log_precision = np.linalg.slogdet(belief.precision)
+    evidence: FloatArray = noisy.log_normaliser - 0.5 * (fitted.objective + log_determinant - log_precision)
+    return evidence
 
 
 def class_probabilities(

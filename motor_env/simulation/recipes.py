@@ -198,16 +198,12 @@ class Recipe:
         require_plausible(self)
         require(self.name.isprintable(), f"name must be one line, got {self.name[:40]!r}")
         require(len(self.classes) > 0, f"classes of recipe {self.name} must not be empty")
-        names = [fault_class.name for fault_class in self.classes]
-        require(
-            len(set(names)) == len(names),
-            f"classes of recipe {self.name} must differ, got {', '.join(names)}",
-        )
-        shifts = [shift.name for shift in self.shifts]
-        require(
-            len(set(shifts)) == len(shifts),
-            f"shifts of recipe {self.name} must differ, got {', '.join(shifts)}",
-        )
+        for parts, named in (("classes", self.classes), ("shifts", self.shifts)):
+            names = [part.name for part in named]
+            require(
+                len(set(names)) == len(names),
+                f"{parts} of recipe {self.name} must differ, got {', '.join(names)}",
+            )
         require(
             any(fault_class.weight > 0.0 for fault_class in self.classes),
             f"weights of recipe {self.name} must not all be 0",
@@ -221,7 +217,7 @@ class Recipe:
             f"healthy_starts must be in 0 .. starts_per_motor ({self.starts_per_motor}), got {self.healthy_starts}",
         )
         require(
-            self.healthy_starts == 0 or HEALTHY in names,
+            self.healthy_starts == 0 or HEALTHY in self.class_names,
             "healthy_starts need a healthy class among the classes",
         )
         require(self.motor.batch_shape == (), f"motor of recipe {self.name} must be one motor, got a batch")

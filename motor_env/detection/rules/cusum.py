@@ -30,8 +30,8 @@ class DirectedRule(Rule):
         """Standard normal samples along the direction, shape (n_streams, n_samples); NaN where nothing was measured."""
         if self.direction is None:
             return np.ascontiguousarray(whitened[..., 0])
-        unit, along = np.asarray(self.direction, dtype=np.float64), np.empty(whitened.shape[:2])
-        kernels.project(whitened, unit / np.linalg.norm(unit), along)
+        unit = np.asarray(self.direction, dtype=np.float64)
+        along: FloatArray = kernels.project(whitened, unit / np.linalg.norm(unit))
         return along
 
 
@@ -61,9 +61,8 @@ class Cusum(DirectedRule, ExactRule):
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """The larger sum."""
-        answer = np.empty(whitened.shape[:2])
-        kernels.cusum(self.series(whitened), 0.5 * self.shift, state, answer)
-        return answer
+        statistic: FloatArray = kernels.cusum(self.series(whitened), 0.5 * self.shift, state)
+        return statistic
 
     def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
         """By integral equation from S = 0; a `shift` of d gives the worst-case delay."""
@@ -98,11 +97,9 @@ class SignatureCusum(DirectedRule):
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Largest log-likelihood ratio over the onsets."""
-        answer = np.empty(whitened.shape[:2])
-        kernels.signature_cusum(
-            self.series(whitened), np.asarray(self.signature, dtype=np.float64), state, answer
-        )
-        return answer
+        signature = np.asarray(self.signature, dtype=np.float64)
+        statistic: FloatArray = kernels.signature_cusum(self.series(whitened), signature, state)
+        return statistic
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,9 +161,9 @@ class Sprt(DirectedRule, ExactRule):
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins."""
-        answer = np.empty(whitened.shape[:2])
-        kernels.sprt(self.series(whitened), self.shift, self.lower, self.restart, state, answer)
-        return answer
+        series = self.series(whitened)
+        statistic: FloatArray = kernels.sprt(series, self.shift, self.lower, self.restart, state)
+        return statistic
 
     def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
         """By integral equation from ratio 1."""

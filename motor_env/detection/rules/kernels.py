@@ -16,8 +16,9 @@ LARGEST_ODDS = 1e250
 
 
 @njit(cache=True)
-def project(whitened: FloatArray, unit: FloatArray, out: FloatArray) -> None:
+def project(whitened: FloatArray, unit: FloatArray) -> FloatArray:
     """Along a direction of the channels; a missing one adds nothing, and all missing is a missing sample."""
+    out = np.empty(whitened.shape[:2])
     for n in range(whitened.shape[0]):
         for k in range(whitened.shape[1]):
             total, seen = 0.0, False
@@ -27,11 +28,13 @@ def project(whitened: FloatArray, unit: FloatArray, out: FloatArray) -> None:
                     total += unit[c] * value
                     seen = True
             out[n, k] = total if seen else np.nan
+    return out
 
 
 @njit(cache=True)
-def square(whitened: FloatArray, out: FloatArray) -> None:
+def square(whitened: FloatArray) -> FloatArray:
     """Normalised innovation squared; a missing channel adds nothing."""
+    out = np.empty(whitened.shape[:2])
     for n in range(whitened.shape[0]):
         for k in range(whitened.shape[1]):
             total = 0.0
@@ -40,11 +43,13 @@ def square(whitened: FloatArray, out: FloatArray) -> None:
                 if not np.isnan(value):
                     total += value * value
             out[n, k] = total
+    return out
 
 
 @njit(cache=True)
-def cusum(series: FloatArray, half: float, sums: FloatArray, out: FloatArray) -> None:
+def cusum(series: FloatArray, half: float, sums: FloatArray) -> FloatArray:
     """S <- max(0, S +- r - d/2); one column of `sums` for each sign (Page 1954)."""
+    out = np.empty(series.shape)
     two_sided = sums.shape[1] == 2
     for n in range(series.shape[0]):
         up = sums[n, 0]
@@ -59,14 +64,16 @@ def cusum(series: FloatArray, half: float, sums: FloatArray, out: FloatArray) ->
         sums[n, 0] = up
         if two_sided:
             sums[n, 1] = down
+    return out
 
 
 @njit(cache=True)
-def signature_cusum(series: FloatArray, shape: FloatArray, state: FloatArray, out: FloatArray) -> None:
+def signature_cusum(series: FloatArray, shape: FloatArray, state: FloatArray) -> FloatArray:
     """Largest sum of s r - s^2 / 2 over the onsets (Lorden 1971).
 
     The state is that sum for each age, and the best of the onsets that are older than the signature.
     """
+    out = np.empty(series.shape)
     count, last = len(shape), shape[-1]
     half = 0.5 * shape * shape
     earlier, now = np.empty(count), np.empty(count)
@@ -85,13 +92,13 @@ def signature_cusum(series: FloatArray, shape: FloatArray, state: FloatArray, ou
             earlier, now = now, earlier
         state[n, :count] = earlier
         state[n, count] = older
+    return out
 
 
 @njit(cache=True)
-def sprt(
-    series: FloatArray, shift: float, lower: float, restart: bool, ratios: FloatArray, out: FloatArray
-) -> None:
+def sprt(series: FloatArray, shift: float, lower: float, restart: bool, ratios: FloatArray) -> FloatArray:
     """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins (Wald 1945)."""
+    out = np.empty(series.shape)
     accepted = 0.0 if restart else -np.inf
     for n in range(series.shape[0]):
         ratio = ratios[n, 0]
@@ -103,6 +110,7 @@ def sprt(
                     ratio = accepted
             out[n, k] = ratio
         ratios[n, 0] = ratio
+    return out
 
 
 def mixture(series: FloatArray, shifts: FloatArray, weights: FloatArray, odds: FloatArray) -> FloatArray:
@@ -127,8 +135,9 @@ def _add_odds(ratios: FloatArray, weight: float, odds: FloatArray, total: FloatA
 
 
 @njit(cache=True)
-def m_of_n(squares: FloatArray, needed: int, recent: FloatArray, out: FloatArray) -> None:
+def m_of_n(squares: FloatArray, needed: int, recent: FloatArray) -> FloatArray:
     """M-th largest of the last N (Schwartz 1956); `recent` is a ring of them, and the place of the oldest."""
+    out = np.empty(squares.shape)
     among = recent.shape[1] - 1
     largest = np.empty(needed)
     for n in range(squares.shape[0]):
@@ -147,11 +156,13 @@ def m_of_n(squares: FloatArray, needed: int, recent: FloatArray, out: FloatArray
                     value = before if value > before else value
             out[n, k] = largest[needed - 1]
         recent[n, among] = oldest
+    return out
 
 
 @njit(cache=True)
-def windowed_sum(squares: FloatArray, recent: FloatArray, out: FloatArray) -> None:
+def windowed_sum(squares: FloatArray, recent: FloatArray) -> FloatArray:
     """Sum of the last w (Bar-Shalom, Li & Kirubarajan 2001); `recent`: a ring, the place of the oldest, the sum."""
+    out = np.empty(squares.shape)
     window = recent.shape[1] - 2
     for n in range(squares.shape[0]):
         oldest, total = int(recent[n, window]), recent[n, window + 1]
@@ -163,6 +174,7 @@ def windowed_sum(squares: FloatArray, recent: FloatArray, out: FloatArray) -> No
                 oldest, total = 0, recent[n, :window].sum()
             out[n, k] = total
         recent[n, window], recent[n, window + 1] = oldest, total
+    return out
 
 
 # Each a plain loop over contiguous values, so that it vectorises.

@@ -14,13 +14,6 @@ from motor_env.detection.run_length import HitChain, RunLaw
 from motor_env.motor.parameters import FloatArray
 
 
-def normalised_square(whitened: FloatArray) -> FloatArray:
-    """NIS, shape (n_streams, n_samples); 0 where nothing was measured (Bar-Shalom, Li & Kirubarajan 2001)."""
-    nis = np.empty(whitened.shape[:2])
-    kernels.square(whitened, nis)
-    return nis
-
-
 @dataclass(frozen=True, slots=True)
 class MOfN(ExactRule):
     """Alarm when at least M of the last N samples have a NIS above the threshold.
@@ -47,12 +40,8 @@ class MOfN(ExactRule):
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """M-th largest of the last N squares."""
-        squares = normalised_square(whitened)
-        if self.among == 1:
-            return squares
-        answer = np.empty_like(squares)
-        kernels.m_of_n(squares, self.needed, state, answer)
-        return answer
+        squares: FloatArray = kernels.square(whitened)
+        return squares if self.among == 1 else kernels.m_of_n(squares, self.needed, state)
 
     @property
     def lowest(self) -> tuple[float, float]:

@@ -11,7 +11,6 @@ from scipy.stats import chi2
 from motor_env.detection.rules import glr_kernels, kernels
 from motor_env.detection.rules.base import Rule
 from motor_env.detection.rules.cusum import DirectedRule
-from motor_env.detection.rules.nis import normalised_square
 from motor_env.detection.rules.thresholds import Threshold
 from motor_env.motor.parameters import FloatArray, require
 
@@ -41,9 +40,8 @@ class WindowedNis(Rule):
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Sum of the last w squares."""
-        answer = np.empty(whitened.shape[:2])
-        kernels.windowed_sum(normalised_square(whitened), state, answer)
-        return answer
+        total: FloatArray = kernels.windowed_sum(kernels.square(whitened), state)
+        return total
 
     def one_look(self, false_alarm_probability: float, n_channels: int = 1) -> Threshold:
         """Exact threshold for one look at a full window."""
