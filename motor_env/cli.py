@@ -102,6 +102,12 @@ class StartMeasurement(Measurement):
     ripple_periods_per_turn: float | None = None
 
 
+def _positive(option: str, value: float | None) -> float | None:
+    if value is not None and not 0.0 < value < float("inf"):
+        raise InputError(f"{option} must be > 0, got {value:g}")
+    return value
+
+
 _MEASUREMENT, _START = Measurement(), StartMeasurement()
 
 
@@ -256,6 +262,7 @@ def identify(
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
     out: Path | None = None,
     measurement: StartMeasurement = _START,
+    torque_constant: float | None = None,
     name: str = "identified motor",
     regime: str = "auto",
     json_: Json = False,
@@ -272,6 +279,7 @@ def identify(
         output: Motor file to write (TOML).
         out: Folder for one picture a start.
         measurement: How it was measured.
+        torque_constant: In N m/A, where known and the speed was not recorded: the current alone does not tell it.
         name: Name of the motor in that file.
         regime: start, operation, or auto: decided by what the voltage does.
         json_: Print one array with one object a start, and one for all logs of a motor at work.
@@ -281,6 +289,7 @@ def identify(
     from motor_env.operation import logs
 
     periods, options = measurement.ripple_periods_per_turn, measurement.options
+    constant = _positive("torque-constant", torque_constant)
     works, starts = logs.sorted_files(files, options["columns"], regime=regime, start=measurement.start)
     if works:
         work = logs.identify_logs(works, voltage_v=options["voltage_v"], circuit=options["circuit"])
@@ -288,9 +297,9 @@ def identify(
             save_motor(work.motor(name), output)
         if out is not None:
             work.plot(out)
-    fits = [pair for path in starts for pair in steps.identify_file(path, **options)]
+    fits = [pair for path in starts for pair in steps.identify_file(path, **options, constant=constant)]
     if output is not None and fits:
-        save_motor(steps.to_motor([fit for _, fit in fits], name), output)
+        save_motor(steps.to_motor([fit for _, fit in fits], name, constant=constant), output)
     if out is not None:
         from motor_env.diagnosis.pictures import plot_identified
 
@@ -318,6 +327,7 @@ def commission(
     measurement: Measurement = _MEASUREMENT,
     temperature_c: float | None = None,
     window: float | None = None,
+    torque_constant: float | None = None,
     name: str = "commissioned motor",
 ) -> int:
     """Learn a motor from three or more healthy starts, for `motor-env diagnose --motor`.
@@ -332,6 +342,7 @@ def commission(
         measurement: How they were measured.
         temperature_c: Temperature of the motor at these starts, where known.
         window: Length in seconds of the windows into which logs of the motor at work are cut, instead of starts.
+        torque_constant: In N m/A, where known and the speed was not recorded: the current alone does not tell it.
         name: Name of the motor in that file.
     """
     from motor_env.diagnosis import commission as steps, running
@@ -340,7 +351,9 @@ def commission(
     if not 0.0 < false_alarm_rate < 0.5:
         raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
     if window is not None:
-        options = measurement.for_windows(temperature_c=temperature_c, out=out)
+        options = measurement.for_windows(
+            temperature_c=temperature_c, out=out, torque_constant=torque_constant
+        )
         known = running.commission_running(files, window, name, **options)
         save_motor(known, output)
         if known.operation is not None:
@@ -354,6 +367,7 @@ def commission(
         false_alarm_rate=false_alarm_rate,
         temperature_c=temperature_c,
         **measurement.options,
+        constant=_positive("torque-constant", torque_constant),
     )
     save_motor(result.motor, output)
     if out is not None and result.motor.reference is not None:

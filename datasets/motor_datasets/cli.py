@@ -68,7 +68,9 @@ def generate(
     from motor_datasets.folder import generate_dataset, seconds_per_case
     from motor_datasets.layout import make_plan
     from motor_datasets.remote import folder_of
+    from motor_env.motor.assumptions import usable_parameters
     from motor_env.motor.data_sheet import load_motor
+    from motor_env.motor.parameters import Channel
     from motor_env.simulation.recipe_files import load_recipe
     from motor_env.simulation.recipes import changed_recipe
 
@@ -81,7 +83,8 @@ def generate(
         channels=tuple(channels.split(",")) if channels is not None else None,
     )
     if motor is not None:
-        chosen = replace(chosen, motor=load_motor(motor).parameters)
+        needs_speed = Channel.SPEED in chosen.sensor.channels
+        chosen = replace(chosen, motor=usable_parameters(load_motor(motor), needs_speed=needs_speed))
     plan = make_plan(chosen, cases, seed)
     folder = folder_of(out)
     summary: dict[str, object] = {

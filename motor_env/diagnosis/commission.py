@@ -28,7 +28,9 @@ from motor_env.diagnosis.report import (
 from motor_env.errors import InputError
 from motor_env.identification.identify import Identified
 from motor_env.identification.model_choice import EXTENSIONS, identify_best
+from motor_env.identification.plausibility import implausible
 from motor_env.identification.residuals import AMBIGUOUS
+from motor_env.motor.assumptions import assumptions, lines as lines_of
 from motor_env.motor.data_sheet import MotorFile, StartReference
 from motor_env.motor.parameters import MotorParameters
 from motor_env.recordings.defects import UnusableError
@@ -38,6 +40,7 @@ from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit, prepare
 
 FEWEST_STARTS = 3
+_DIFFERENT = 2.0  # standard errors
 _WARMTH = "R +0.39 %, K -0.1 % and friction -0.3 % a kelvin come on top of that"
 _SPREAD = (
     "  the spread between starts is believed to be 2 % before any start is seen, worth 4 starts: few starts give wide"
@@ -61,6 +64,7 @@ def identify_file(
     voltage_v: float | None = None,
     circuit: Circuit | None = None,
     start: int | None = None,
+    constant: float | None = None,
 ) -> list[tuple[Recording, Identified]]:
     """Read a recording and fit each of its starts, or one of them, with the model that the evidence prefers.
 
@@ -71,7 +75,10 @@ def identify_file(
     """
     parts = chosen_starts(read_recording(path, columns), start, also_work=True)
     try:
-        return [(part, identify_best(prepare(part, voltage_v, circuit), EXTENSIONS)) for part in parts]
+        return [
+            (part, identify_best(prepare(part, voltage_v, circuit), EXTENSIONS, constant=constant))
+            for part in parts
+        ]
     except UnusableError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -86,21 +93,23 @@ def commission(
     circuit: Circuit | None = None,
     temperature_c: float | None = None,
     start: int | None = None,
+    constant: float | None = None,
 ) -> Commissioned:
     """Learn a motor from healthy starts; a file may hold several, of which `start` chooses one.
+
+    Where the speed was not recorded, `constant` is the torque constant that the user knows.
 
     Raises:
         InputError: fewer than three, one that cannot be read or fitted, or such that hold different columns.
     """
     if len({path.resolve() for path in paths}) < len(paths):
         raise InputError("a healthy start is given twice: it would make the spread look smaller than it is")
-    fits = fit_files(
-        paths, "start", columns, fewest=FEWEST_STARTS, start=start, voltage_v=voltage_v, circuit=circuit
-    )
+    circumstances: dict[str, Any] = {"voltage_v": voltage_v, "circuit": circuit, "constant": constant}
+    fits = fit_files(paths, "start", columns, fewest=FEWEST_STARTS, start=start, **circumstances)
     reference = replace(learn_reference(fits), temperature_c=temperature_c)
     exponents = fits[0].exponents
     limit = significance_limit(false_alarm_rate, exponents, reference.degrees_of_freedom)
-    motor = to_motor(fits, name, kind="commissioned", reference=reference)
+    motor = to_motor(fits, name, kind="commissioned", reference=reference, constant=constant)
     known = reference_from_starts(reference, reference.quantities, name, temperature_c)
     covariance = reference.log_covariance
     if known is not None:
@@ -115,25 +124,39 @@ def to_motor(
     *,
     kind: Any = "identified",
     reference: StartReference | None = None,
+    constant: float | None = None,
 ) -> MotorFile:
-    """Motor file of fits of one motor: the geometric mean of their parameters."""
+    """Motor file of fits of one motor: the geometric mean of their parameters.
+
+    Where the speed was not recorded, `constant` is the torque constant that the user knows.
+    """
     mean = {
         field: float(np.exp(np.mean([math.log(max(getattr(fit.parameters, field), 1e-300)) for fit in fits])))
         for field in MotorParameters.__dataclass_fields__
     }
     known = fits[0].start.voltage_known
-    extension = [fit.extension for fit in fits]
+    assumed = assumptions(fits[0].quantity_names, has_voltage=known)
+    if constant is not None:
+        assumed = {key: source for key, source in assumed.items() if key == "nominal_voltage_v"}
     return MotorFile(
         name=name,
         kind=kind,
         parameters=MotorParameters(**mean),
         nominal_voltage_v=float(np.mean([fit.start.level_v for fit in fits])),
         current_noise_a=float(np.exp(np.mean([math.log(max(fit.noise_a, 1e-12)) for fit in fits]))),
-        coulomb_friction_n_m=float(np.mean([e.coulomb_friction_n_m for e in extension])),
-        brush_drop_v=float(np.mean([e.brush_drop_v for e in extension])),
+        coulomb_friction_n_m=_if_told(fits, "coulomb"),
+        brush_drop_v=_if_told(fits, "brush_drop"),
         reference=reference,
         notes=() if known and fits[0].start.speed_rad_s is not None else tuple(not_told(fits[0])),
+        assumed=assumed,
     )
+
+
+def _if_told(fits: Sequence[Identified], name: str) -> float:
+    """Mean of an extension over fits, or 0 where it is not different from 0 by two standard errors."""
+    each = [fit.fitted_extension.get(name, (0.0, 0.0)) for fit in fits]
+    mean, error = np.mean(each, axis=0)[0], float(np.linalg.norm([e for _, e in each])) / len(each)
+    return float(mean) if mean > _DIFFERENT * error else 0.0
 
 
 def not_told(fit: Identified) -> list[str]:
@@ -171,6 +194,7 @@ def identified_text(recording: Recording, fit: Identified, periods_per_turn: flo
         "  correlations: " + ", ".join(pairs),
         f"  {quality(fit)}; residual's autocorrelation at one sample {fit.lag_one:.2f}",
         *ripple_lines(fit, periods_per_turn),
+        *(f"  warning: {sentence}" for sentence in implausible(fit)),
         *(f"  noticed: {defect}" for defect in fit.defects),
         *(f"  note: {sentence}" for sentence in not_told(fit)),
     ]
@@ -196,6 +220,7 @@ def identified_json(
         "columns": list(recording.columns),
         "defects": [str(defect) for defect in fit.defects],
         "not_told": not_told(fit),
+        "warnings": implausible(fit),
     }
 
 
@@ -220,5 +245,6 @@ def commissioned_text(result: Commissioned, rate: float) -> str:
         f"  smallest change that is found in 95 of 100 cases: {smallest}",
         f"  a motor that is warmer or colder by {reference.temperature_k:.0f} K (1 sd) is healthy too: {_WARMTH}",
         _SPREAD,
+        *lines_of(result.motor.assumed),
     ]
     return "\n".join(lines)

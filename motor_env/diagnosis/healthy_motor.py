@@ -117,21 +117,24 @@ def reference_from_motor(
 def reference_from_starts(
     starts: StartReference, names: tuple[str, ...], motor: str, temperature_c: float | None = None
 ) -> Reference | None:
-    """Reference from healthy starts of a motor; None where they tell other quantities.
+    """Reference from healthy starts of a motor; None where they do not tell these quantities.
 
     Where both temperatures are known the healthy motor is taken at this one, with what is left unknown of it.
     """
-    if starts.quantities != names:
+    # Each wanted quantity as powers of the known ones: K^2/J of K and J, where the healthy starts had a speed.
+    known, wanted = quantities.matrix(starts.quantities), quantities.matrix(names)
+    powers = wanted @ np.linalg.pinv(known)
+    if not np.allclose(powers @ known, wanted):
         return None
-    warmth = quantities.warmth_direction(quantities.matrix(names))
+    warmth = quantities.warmth_direction(wanted)
     spread_k, warmer_k = starts.temperature_k, 0.0
     if temperature_c is not None and starts.temperature_c is not None:
         spread_k, warmer_k = min(spread_k, MEASURED_TEMPERATURE_K), temperature_c - starts.temperature_c
     return Reference(
         source=f"{starts.starts} healthy starts of {motor}",
         names=names,
-        log_values=np.log(starts.values) + warmer_k * warmth,
-        log_covariance=starts.log_covariance,
+        log_values=powers @ np.log(starts.values) + warmer_k * warmth,
+        log_covariance=powers @ starts.log_covariance @ powers.T,
         degrees_of_freedom=starts.degrees_of_freedom,
         log_noise=starts.log_noise,
         log_noise_sd=starts.log_noise_sd,

@@ -11,6 +11,7 @@ from motor_env.diagnosis.decision import Diagnosis, Verdict
 from motor_env.diagnosis.explanations import Change
 from motor_env.identification.commutation import constants_at, find_ripple
 from motor_env.identification.identify import Identified
+from motor_env.identification.plausibility import implausible
 from motor_env.motor.parameters import RAD_S_PER_RPM
 
 UNITS = {
@@ -71,6 +72,7 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
         "model_error_a": None if check is None else _number(check.model_error_a),
         "consistent": None if check is None or check.consistency is None else check.consistency.holds,
         "warning": diagnosis.warning or None,
+        "warnings": [] if fit is None else implausible(fit),
         "commutation": None if fit is None else ripple_json(fit, periods_per_turn),
         "columns": list(diagnosis.recording.columns),
         "defects": [] if fit is None else [str(defect) for defect in fit.defects],
@@ -170,24 +172,43 @@ def _interval(low: float | None, high: float | None) -> list[float] | None:
     return None if low is None or high is None else [low, high]
 
 
-def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
-    """What a maintenance engineer reads."""
+def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None, *, verbose: bool = False) -> str:
+    """What a maintenance engineer reads; `verbose` adds how well model and filter fit."""
     lines = [f"{diagnosis.recording.path}: {headline(diagnosis)}"]
     lines += [f"  {reason}." for reason in diagnosis.reasons]
     lines.append("  read: " + "; ".join(diagnosis.recording.columns))
-    fit, check = diagnosis.identified, diagnosis.filter_check
+    fit = diagnosis.identified
     if fit is not None:
+        lines += [f"  warning: {sentence}" for sentence in implausible(fit)]
         moved = {c.name: f"{c.ratio - 1.0:+6.1%} from the reference ({_span(c)})" for c in diagnosis.changes}
         lines += quantity_lines(quantities_json(fit), moved)
-        lines += quantity_lines(extensions_json(fit))
         lines += [
             f"  {name:<12} {words}, by the commutation ripple"
             for name, words in moved.items()
             if name not in fit.quantity_names
         ]
         lines += ripple_lines(fit, periods_per_turn)
-        lines.append(f"  fit: {quality(fit)}; model {model_words(fit.model)}")
         lines += [f"  noticed: {defect}" for defect in fit.defects]
+    if verbose:
+        lines += expert_lines(diagnosis)
+    if diagnosis.smallest_changes:
+        lines.append(f"  {smallest_words(diagnosis)}")
+    return "\n".join(lines)
+
+
+def smallest_words(diagnosis: Diagnosis) -> str:
+    """What this comparison would have found."""
+    smallest = ", ".join(f"{kind} {severity:.0%}" for kind, severity in diagnosis.smallest_changes.items())
+    return f"smallest change that this comparison finds in 95 of 100 cases: {smallest}"
+
+
+def expert_lines(diagnosis: Diagnosis) -> list[str]:
+    """How well model and filter fit, and what the verdict allows for."""
+    fit, check = diagnosis.identified, diagnosis.filter_check
+    lines = []
+    if fit is not None:
+        lines += quantity_lines(extensions_json(fit))
+        lines.append(f"  fit: {quality(fit)}; model {model_words(fit.model)}")
     if check is not None:
         lines.append(
             f"  filter: sensor noise {check.sensor_noise_a:.3g} A, model error {check.model_error_a:.3g} A,"
@@ -195,14 +216,9 @@ def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
         )
     if diagnosis.warning:
         # The fit's errors come from the autocorrelated residual, not from the filter.
-        allowed = "; the verdict above allows for it" if diagnosis.reference is not None else ""
-        lines.append(f"  warning: {diagnosis.warning}{allowed}")
-    if diagnosis.smallest_changes:
-        smallest = ", ".join(
-            f"{kind} {severity:.0%}" for kind, severity in diagnosis.smallest_changes.items()
-        )
-        lines.append(f"  smallest change that this comparison finds in 95 of 100 cases: {smallest}")
-    return "\n".join(lines)
+        allowed = "; the verdict allows for it" if diagnosis.reference is not None else ""
+        lines.append(f"  {diagnosis.warning}{allowed}")
+    return lines
 
 
 def _span(change: Change) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from motor_env.motor.faults import FaultKind
-from motor_env.motor.parameters import CATALOGUE, MotorParameters, SensorParameters, require
+from motor_env.motor.parameters import CATALOGUE, Channel, MotorParameters, SensorParameters, require
 from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.recipes import FaultClass, Recipe, Spread
 
@@ -110,10 +110,12 @@ def with_motor(recipe: Recipe, motor: MotorParameters | str | Path) -> Recipe:
         )
     if str(motor) in CATALOGUE:
         return replace(recipe, motor=read.parameters)
+    from motor_env.motor.assumptions import usable_parameters
     from motor_env.simulation.motor_recipes import motor_recipe
 
     require(read.nominal_voltage_v is not None, f"{motor}: motor.nominal_voltage_v is missing")
-    for note in read.notes:  # what an identification had to assume
+    usable_parameters(read, needs_speed=Channel.SPEED in recipe.sensor.channels)
+    for note in () if read.assumed else read.notes:
         warnings.warn(f"{motor}: {note}", stacklevel=2)
     own = motor_recipe(read, timing=recipe.timing, classes=recipe.classes)
     return replace(recipe, motor=own.motor, supply=own.supply, sensor=own.sensor, spread=own.spread)

@@ -208,6 +208,7 @@ class MotorFile:
         reference: what commissioning learned, for a commissioned motor.
         notes: sentences for the reader of the file.
         operation: what commissioning learned from windows of the motor at work.
+        assumed: keys of the file's table `motor` whose values were not measured, each with its source.
     """
 
     name: str
@@ -222,6 +223,7 @@ class MotorFile:
     reference: StartReference | None = None
     notes: tuple[str, ...] = ()
     operation: WindowReference | None = None
+    assumed: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -236,6 +238,7 @@ class _File:
     sensor: _SensorTable = field(default_factory=_SensorTable)
     reference: StartReference | None = None
     operation: WindowReference | None = None
+    assumed: dict[OneLine, OneLine] | None = None
 
     __pydantic_config__: ClassVar = {"extra": "forbid"}  # for the tables too
 
@@ -284,7 +287,24 @@ def _to_motor(file: _File) -> MotorFile:
         reference=file.reference,
         operation=file.operation,
         notes=file.notes,
+        assumed=_assumed(file),
     )
+
+
+def _assumed(file: _File) -> dict[str, str]:
+    """What the file says to be assumed; older files do not say it, their references and notes do."""
+    if file.assumed is not None:
+        unknown = [key for key in file.assumed if getattr(file.motor, key, None) is None]
+        require(not unknown, f"assumed.{', '.join(unknown)} is no value of the table motor")
+        return file.assumed
+    told = file.reference.quantities if file.reference is not None else ()
+    has_speed = file.operation is not None or "K" in told or (not told and not file.notes)
+    if file.kind == "data_sheet" or has_speed:
+        return {}
+    source = "written by a version that did not say: its starts may not tell it"
+    names = ("torque_constant_n_m_per_a", "rotor_inertia_kg_m2", "viscous_friction_n_m_s_per_rad")
+    per_volt = ("nominal_voltage_v",) if any("/V" in name for name in told) else ()
+    return dict.fromkeys((*names, *per_volt), source)
 
 
 def _constants(si: Mapping[str, float]) -> dict[str, float]:
@@ -341,6 +361,8 @@ def to_toml(motor: MotorFile) -> str:
         "tolerance": content["tolerance"],
         "sensor": {f.name: content[f.name] for f in fields(_SensorTable)},
     }
+    if motor.kind != "data_sheet":
+        tables["assumed"] = content["assumed"]
     if motor.reference is not None:
         tables["reference"] = content["reference"]
     if motor.operation is not None:

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from motor_env.errors import InputError
+from motor_env.motor.assumptions import usable_parameters
 from motor_env.motor.data_sheet import load_motor
-from motor_env.motor.parameters import require
+from motor_env.motor.parameters import Channel, require
 from motor_env.motor.toml_files import from_dict, one_line, read_toml
 from motor_env.simulation.named_recipes import RECIPES, named_recipe
 from motor_env.simulation.recipes import Recipe
@@ -56,14 +57,18 @@ def load_recipe(name_or_path: str | Path) -> Recipe:
 
 def _from_toml(content: dict[str, Any], path: Path) -> Recipe:
     base = content.pop("base", None)
-    motor = content.get("motor")
+    motor, known = content.get("motor"), None
     if isinstance(motor, str):
         one_line("motor", motor)
         beside = path.parent / motor
-        content["motor"] = asdict(load_motor(beside if beside.is_file() else motor).parameters)
+        known = load_motor(beside if beside.is_file() else motor)
+        content["motor"] = asdict(known.parameters)
     require(base is None or isinstance(base, str), f"base must be the name of a recipe, got {base!r}")
     start: dict[str, Any] = {} if base is None else recipe_to_dict(named_recipe(base))
-    return recipe_from_dict(_merged(start | {"name": path.stem}, content))
+    recipe = recipe_from_dict(_merged(start | {"name": path.stem}, content))
+    if known is not None:
+        usable_parameters(known, needs_speed=Channel.SPEED in recipe.sensor.channels)
+    return recipe
 
 
 def _merged(start: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from motor_classifiers.model_files.persistence import save_model
 from motor_datasets.loaders import load
 from motor_env.console import progress_bar
 from motor_env.errors import InputError
+from motor_env.motor.assumptions import usable_parameters
 from motor_env.motor.data_sheet import MotorFile, load_motor
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import Channel
@@ -52,6 +53,7 @@ def network_recipe(
     """
     kinds = (FaultKind.BEARING, FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT)
     classes = (FaultClass(), *(FaultClass(kind, 0.05, severity_to=0.30) for kind in kinds))
+    usable_parameters(motor, needs_speed=False)
     recipe = motor_recipe(
         motor, voltage_v=voltage_v, timing=settling_timing(motor, duration_s), classes=classes
     )

@@ -1,0 +1,114 @@
+"""Motor files tell what was measured from what was assumed; healthy starts with a speed serve a start without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_env import (
+    PAPER_MOTOR,
+    Fault,
+    Scenario,
+    SensorParameters,
+    Timing,
+    cli,
+    diagnose,
+    read_recording,
+    simulate,
+)
+from motor_env.diagnosis.commission import identify_file, to_motor
+from motor_env.envs.tasks import with_motor
+from motor_env.errors import InputError
+from motor_env.motor.assumptions import usable_parameters
+from motor_env.motor.data_sheet import load_motor, to_toml
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import Channel
+from motor_env.simulation.named_recipes import RECIPES
+
+SENSOR = SensorParameters(
+    current_noise_a=0.02, speed_noise_rad_s=0.2, channels=(Channel.CURRENT, Channel.SPEED)
+)
+
+
+def write(path: Path, seed: int, faults: tuple[Fault, ...] = (), *, columns: int = 4) -> str:
+    """One start as CSV, with voltage and speed, or without."""
+    scenario = Scenario(PAPER_MOTOR, faults, sensor=SENSOR, timing=Timing(duration_s=0.2, quiet_s=0.02))
+    start = simulate(scenario, seed=seed, cases=[0])
+    rows = np.column_stack(
+        [start.time_s, start.measurements[0, 0], start.voltage_v[0], start.measurements[0, 1]]
+    )
+    header = ["time_s", "current_a", "voltage_v", "speed_rad_s"][:columns]
+    np.savetxt(path, rows[:, :columns], delimiter=",", comments="", header=",".join(header), fmt="%.7g")
+    return str(path)
+
+
+def commissioned(folder: Path, *options: str, columns: int = 3) -> Path:
+    """The motor file of three healthy starts."""
+    files = [write(folder / f"{n}.csv", n, columns=columns) for n in range(3)]
+    assert cli.main(["commission", *files, "-o", str(folder / "m.toml"), *options]) == 0
+    return folder / "m.toml"
+
+
+def test_a_guessed_constant_is_marked_warned_of_and_refused_where_speeds_are_seen(tmp_path: Path) -> None:
+    path = commissioned(tmp_path)
+    motor = load_motor(path)
+    assert "a guess, 1/100 of the voltage" in motor.assumed["torque_constant_n_m_per_a"]
+    assert motor.parameters.torque_constant_n_m_per_a == pytest.approx(0.12)
+    with pytest.warns(UserWarning, match="Currents are right, speeds and torques are not"):
+        usable_parameters(motor, needs_speed=False)
+    recipe = RECIPES["bench"]
+    with pytest.warns(UserWarning, match="--torque-constant"):
+        with_motor(recipe, path)
+    with pytest.raises(ValueError, match="commission or identify it with a speed"):
+        with_motor(replace(recipe, sensor=SENSOR), path)
+
+
+def test_files_of_before_tell_it_by_their_quantities(tmp_path: Path) -> None:
+    path = commissioned(tmp_path)
+    text = path.read_text()
+    begin, end = text.index("[assumed]"), text.index("[reference]")
+    path.write_text(text[:begin] + text[end:])
+    assert "torque_constant_n_m_per_a" in load_motor(path).assumed
+    path.write_text(text.replace("[assumed]", '[assumed]\nbrush_drop = "?"'))
+    with pytest.raises(InputError, match=r"assumed\.brush_drop is no value"):
+        load_motor(path)
+
+
+def test_a_constant_that_the_user_knows_makes_all_known(tmp_path: Path) -> None:
+    motor = load_motor(commissioned(tmp_path, "--torque-constant", "0.02351"))
+    assert motor.assumed == {}
+    assert usable_parameters(motor, needs_speed=True).inertia_kg_m2 == pytest.approx(
+        PAPER_MOTOR.inertia_kg_m2, rel=0.02
+    )
+
+
+def test_without_a_voltage_nothing_can_be_simulated(tmp_path: Path) -> None:
+    motor = load_motor(commissioned(tmp_path, columns=2))
+    with pytest.raises(ValueError, match="its voltage is unknown"):
+        usable_parameters(motor, needs_speed=False)
+    assert "per volt" in to_toml(motor)
+
+
+def test_healthy_starts_with_a_speed_serve_a_start_without(tmp_path: Path) -> None:
+    motor = load_motor(commissioned(tmp_path, columns=4))
+    assert motor.assumed == {}
+    healthy = diagnose(read_recording(write(tmp_path / "h.csv", 5, columns=3)), motor)
+    faulty = diagnose(
+        read_recording(write(tmp_path / "f.csv", 6, (Fault(FaultKind.WINDING_CONTACT, 0.4),), columns=3)),
+        motor,
+    )
+    assert (healthy.verdict, faulty.verdict) == ("healthy", "winding")
+    assert faulty.severity == pytest.approx(0.4, abs=0.1)
+    assert {change.name for change in healthy.changes} >= {"K^2/J", "B/J"}
+    per_volt = diagnose(read_recording(write(tmp_path / "v.csv", 7, columns=2)), motor)
+    assert per_volt.verdict == "no_reference"
+
+
+def test_terms_that_are_not_different_from_0_are_not_written(tmp_path: Path) -> None:
+    ((_, fit),) = identify_file(Path(write(tmp_path / "a.csv", 8)))
+    for error, written in ((0.071, 0.0), (0.010, 0.070)):
+        seen = replace(fit, fitted_extension={"brush_drop": (0.070, error)})
+        assert to_motor([seen], "m").brush_drop_v == written
