@@ -301,11 +301,11 @@ def identify(
     if output is not None and fits:
         save_motor(steps.to_motor([fit for _, fit in fits], name, constant=constant), output)
     if out is not None:
+        from motor_env.diagnosis.files import picture_of
         from motor_env.diagnosis.pictures import plot_identified
 
         for number, (recording, fit) in enumerate(fits, 1):
-            file = recording.path.name
-            plot_identified(fit, file, out / f"{number:03d}-{file.replace('.', '-')}.png")
+            plot_identified(fit, recording.path.name, picture_of(recording.path, out, number))
     _show(
         json_,
         lambda: [steps.identified_json(*one, periods) for one in fits] + (work.as_json() if works else []),

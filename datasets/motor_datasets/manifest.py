@@ -26,6 +26,7 @@ MANIFEST = "dataset.json"
 
 _FILE_NAME = re.compile(r"data/(train|validation|test|shift_\w+)-\d{6}\.parquet")
 _LARGEST_BYTES = 2**28  # of a manifest: of a million files
+_LARGEST_FILE = 2**28  # bytes; files of 32 MB are written, larger ones where one case is larger
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +48,8 @@ class Entry:
         )
         for count in (self.rows, self.bytes):
             require(
-                type(count) is int and count >= 1,
-                f"rows and bytes of {self.path} must be >= 1, got {count!r}",
+                type(count) is int and 1 <= count <= _LARGEST_FILE,
+                f"rows and bytes of {self.path} must be in 1 .. {_LARGEST_FILE}, got {count!r}",
             )
         require(
             re.fullmatch("[0-9a-f]{64}", self.sha256) is not None,

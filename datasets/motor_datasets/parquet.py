@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset, parameter_names
+from motor_datasets.layout import bytes_of_case
 from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Entry, Manifest, whole_content
 from motor_datasets.remote import Folder
 from motor_datasets.splits import Split
@@ -23,6 +24,9 @@ from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
 
 _ROW_GROUP_BYTES = 8 * 2**20
+_ALWAYS_READ_BYTES = 2**27
+_MOST_TIMES = 50  # that data unpack to more than this is no measurement; the recipes' reach 7
+_OVERHEAD = 2**20  # headers of pages, dictionaries
 
 
 def _schema(recipe: Recipe, seed: int) -> pa.Schema:
@@ -99,8 +103,14 @@ def read_files(folder: Folder, manifest: Manifest, split: str | None = None) -> 
     recipe = manifest.recipe
     if split is not None and split.startswith("shift_"):
         recipe = recipe.shifted(split.removeprefix("shift_"))
+    row_bytes = bytes_of_case(recipe)
+    stored, unpacked = sum(e.bytes for e in entries), sum(e.rows for e in entries) * row_bytes
+    if unpacked > max(_ALWAYS_READ_BYTES, _MOST_TIMES * stored):
+        raise InputError(
+            f"{folder}: {stored / 1e6:.3g} MB that unpack to {unpacked / 1e6:,.0f} MB are no data set of ours"
+        )
     schema = _schema(recipe, manifest.seed)
-    tables = [_read_table(folder, entry, schema) for entry in entries]
+    tables = [_read_table(folder, entry, schema, row_bytes) for entry in entries]
     rows = sum(len(table) for table in tables)
     X = np.empty((rows, len(recipe.sensor.channels), recipe.timing.n_samples), dtype=np.float32)
     labels = pa.concat_tables(
@@ -127,17 +137,22 @@ def read_files(folder: Folder, manifest: Manifest, split: str | None = None) -> 
 def _column(table: pa.Table, name: str) -> NDArray[Any]:
     column = table.column(name).combine_chunks()
     if pa.types.is_dictionary(column.type):
-        return np.array(column.cast(pa.string()).to_pylist())
-    values: NDArray[Any] = column.to_numpy()
+        column = np.array(column.dictionary.to_pylist())[column.indices.to_numpy()]
+    values: NDArray[Any] = np.asarray(column)
     return values
 
 
-def _read_table(folder: Folder, entry: Entry, schema: pa.Schema) -> pa.Table:
+def _read_table(folder: Folder, entry: Entry, schema: pa.Schema, row_bytes: int) -> pa.Table:
     path = folder / entry.path
     try:
         file = pq.ParquetFile(pa.BufferReader(whole_content(folder, entry)))
         if file.metadata.num_rows != entry.rows or not file.schema_arrow.equals(schema):
             raise InputError(f"{path} holds other rows or columns than its manifest and recipe say")
-        return file.read()
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{path} cannot be read: {error}") from error
+        unpacked = sum(file.metadata.row_group(n).total_byte_size for n in range(file.num_row_groups))
+        if unpacked > 2 * entry.rows * row_bytes + _OVERHEAD:
+            raise InputError(f"{path} unpacks to {unpacked:,} bytes, more than {entry.rows} cases have")
+        table = file.read()
+        table.validate(full=True)  # text that is none, labels beyond their list
+        return table
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} cannot be read: {' '.join(str(error).split())}") from error

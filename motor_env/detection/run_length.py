@@ -22,9 +22,6 @@ from motor_env.motor.parameters import FloatArray, require
 LONGEST_WINDOW = 14
 """Longest window N of the M-of-N chain, which has 2^(N - 1) states."""
 
-LONGEST_RUN = 1e12
-"""Longest average run length that the equations resolve."""
-
 _SETTLED = 1e-14  # relative change from sample to sample of what no longer changes
 _NEGLIGIBLE = 1e-300  # probability below which nothing is left to alarm
 _NODES_PER_STD = 4.0
@@ -59,11 +56,14 @@ class Chain:
     start: int = 0
 
     def average_run_length(self) -> float:
-        """Expected samples to the alarm, from the start (Brook & Evans 1972); infinite where rounding hides it."""
-        size = len(self.kernel)
-        length = float(np.linalg.solve(np.eye(size) - self.kernel, np.ones(size))[self.start])
-        # Beyond 1e12 samples, 1 - kernel is singular to working precision.
-        return length if 1.0 - 1e-9 <= length < LONGEST_RUN else np.inf
+        """Expected samples to the alarm, from the start (Brook & Evans 1972)."""
+        if not self.alarm.any():
+            return np.inf
+        # L = c + w with w = 0 at the start. (1 - kernel) 1 is the probability of the alarm, so this multiplies c,
+        # where it may be far smaller than the rounding of 1 - kernel.
+        matrix = np.eye(len(self.kernel)) - self.kernel
+        matrix[:, self.start] = self.alarm
+        return float(np.linalg.solve(matrix, np.ones(len(matrix)))[self.start])
 
     def alarm_pmf(self, n_samples: int) -> FloatArray:
         """Probability that the alarm comes at sample 1, 2, ..., `n_samples`, shape (n_samples,)."""

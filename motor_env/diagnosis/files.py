@@ -183,9 +183,13 @@ def diagnose_files(
                 outcomes.append(_failure(part.path, error))
                 continue
             if out is not None:
-                name = part.path.name.replace(".", "-")[:_LONGEST_NAME]
-                outcomes[-1] = _drawn(outcomes[-1], out / f"{len(outcomes):03d}-{name}.png")
+                outcomes[-1] = _drawn(outcomes[-1], picture_of(part.path, out, len(outcomes)))
     return outcomes
+
+
+def _failure(path: Path, error: Exception) -> Outcome:
+    sentence, is_bug = why_not(path, error)
+    return Outcome(path, None, sentence, is_bug=is_bug)
 
 
 def _drawn(outcome: Outcome, picture: Path) -> Outcome:
@@ -200,17 +204,22 @@ def _drawn(outcome: Outcome, picture: Path) -> Outcome:
     except InputError:
         raise
     except Exception as error:  # noqa: BLE001  # whatever matplotlib raises
-        failure = _failure(outcome.path, error, "drawn")
-        return replace(outcome, error=failure.error, is_bug=failure.is_bug)
+        sentence, is_bug = why_not(outcome.path, error, "drawn")
+        return replace(outcome, error=sentence, is_bug=is_bug)
     return outcome
 
 
-def _failure(path: Path, error: Exception, word: str = "judged") -> Outcome:
-    """What is said of a file that cannot be read, on which the numerics give up, or which shows a bug."""
+def picture_of(recording: Path, folder: Path, number: int) -> Path:
+    """Where the picture of the n-th recording goes."""
+    return folder / f"{number:03d}-{recording.name.replace('.', '-')[:_LONGEST_NAME]}.png"
+
+
+def why_not(path: Path, error: Exception, word: str = "judged") -> tuple[str, bool]:
+    """What is said of a file that cannot be read, on which the numerics give up, or which shows a bug: true then."""
     if isinstance(error, InputError):
-        return Outcome(path, None, str(error))
+        return str(error), False
     words = " ".join(str(error).split())
     if isinstance(error, (ValueError, ArithmeticError, LookupError)):  # values far from any motor
-        return Outcome(path, None, f"{path}: cannot be {word} ({words})")
+        return f"{path}: cannot be {word} ({words})", False
     traceback.print_exception(error)
-    return Outcome(path, None, f"{path}: cannot be {word} ({type(error).__name__}: {words})", is_bug=True)
+    return f"{path}: cannot be {word} ({type(error).__name__}: {words})", True

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import stats
 
 from motor_env.console import ExitStatus
+from motor_env.diagnosis.files import picture_of, why_not
 from motor_env.diagnosis.windows import NAMES, WindowVerdict, judge_windows, learn_windows
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import MotorFile, WindowReference
@@ -35,6 +36,7 @@ class RunningRecord:
     windows: tuple[WindowVerdict, ...]
     trouble: str = ""
     unreadable: bool = False
+    is_bug: bool = False
 
     @property
     def verdict(self) -> str:
@@ -167,16 +169,21 @@ def diagnose_running(
                 raise InputError(f"{path}: the motor was not commissioned with --window")
             recording = at_terminals(read_recording(path, columns), voltage_v, circuit)
             record = RunningRecord(path, tuple(judge_windows(recording, motor.operation, rate)))
-        except (InputError, UnusableError) as error:
-            record = RunningRecord(path, (), str(error), isinstance(error, InputError))
+        except UnusableError as error:
+            record = RunningRecord(path, (), str(error))
+        except Exception as error:  # noqa: BLE001  # whatever it is, it is said, and the others keep their verdicts
+            sentence, is_bug = why_not(path, error)
+            record = RunningRecord(path, (), sentence, unreadable=True, is_bug=is_bug)
         if out is not None:
-            record.plot(out / f"{number:03d}-{path.name.replace('.', '-')}.png")
+            record.plot(picture_of(path, out, number))
         records.append(record)
     return records
 
 
 def exit_status(records: Sequence[RunningRecord]) -> int:
-    """0: all healthy; 1: any fault; 2: a log that cannot be read; 3: no fault, but some undecided."""
+    """0: all healthy; 1: any fault; 2: a log that cannot be read; 3: no fault, but some undecided; 70: a bug."""
+    if any(record.is_bug for record in records):
+        return int(ExitStatus.BUG)
     if any(record.unreadable for record in records):
         return int(ExitStatus.BAD_INPUT)
     verdicts = {record.verdict for record in records}

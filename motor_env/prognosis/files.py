@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from motor_env.console import printable
+from motor_env.diagnosis.files import why_not
 from motor_env.diagnosis.healthy_motor import fit_healthy
 from motor_env.errors import InputError
 from motor_env.identification.identify import Identified, identify
@@ -98,8 +99,8 @@ def _fits(
     for when, file in dated:
         try:
             recordings.append((when, read_recording(file)))
-        except InputError as error:
-            notes.append(str(error))
+        except (ValueError, ArithmeticError, LookupError) as error:
+            notes.append(why_not(file, error, "read")[0])
     model: tuple[str, ...] | None = None
     fits = []
     for number, (when, recording) in enumerate(recordings):

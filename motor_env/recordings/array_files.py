@@ -20,7 +20,7 @@ import numpy as np
 from motor_env.errors import InputError, require_extra
 from motor_env.recordings import array_parser
 
-_SECONDS = 60.0
+_SECONDS = 30.0
 _SINGLE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
 
 

@@ -4,9 +4,13 @@ import hashlib
 import json
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from motor_datasets import generate_dataset, layout, load
+from motor_datasets import generate_dataset, layout, load, parquet
 from motor_datasets.cli import main
 from motor_env.errors import InputError
 from motor_env.simulation.named_recipes import RECIPES
@@ -130,6 +134,57 @@ def test_samples_of_another_length_are_not_broadcast(tmp_path: Path) -> None:
         load(tmp_path / "set")
 
 
+def many_rows(table: pa.Table) -> pa.Table:
+    return table.take(np.zeros(10_000, np.int64))
+
+
+def long_label(table: pa.Table) -> pa.Table:
+    place = table.schema.get_field_index("split")
+    label = pa.array(["train" + "x" * 20_000_000])
+    column = pa.DictionaryArray.from_arrays(pa.array(np.zeros(len(table), np.int16)), label)
+    return table.set_column(place, table.schema.field(place), column)
+
+
+@pytest.mark.parametrize(("bomb", "rows"), [(many_rows, 10_000), (long_label, None)])
+def test_a_file_that_unpacks_to_more_than_its_cases_is_not_read(
+    bomb: Callable[[pa.Table], pa.Table], rows: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    generate_dataset(SHORT, 60, 1, tmp_path / "set")
+    path = tmp_path / "set/data/train-000000.parquet"
+    table = bomb(pq.read_table(path))
+    pq.write_table(table, path, compression="zstd", use_dictionary=["split"])
+
+    def change(manifest: dict[str, Any]) -> None:
+        certified(path, manifest)
+        manifest["files"][0]["rows"] = rows or manifest["files"][0]["rows"]
+
+    told(tmp_path / "set", change)
+    monkeypatch.setattr(parquet, "_ALWAYS_READ_BYTES", 10**6)
+    monkeypatch.setattr(pq.ParquetFile, "read", None)
+    with pytest.raises(InputError, match=r"unpacks? to"):
+        load(tmp_path / "set")
+
+
+def test_a_file_larger_than_any_of_ours_is_not_read(tmp_path: Path) -> None:
+    generate_dataset(SHORT, 60, 1, tmp_path / "set")
+    path = tmp_path / "set/data/train-000000.parquet"
+    os.truncate(path, 10**10)  # all zeros, which take no room on the disk
+    told(tmp_path / "set", lambda manifest: manifest["files"][0].update(bytes=10**10))
+    for command in ("verify", "export"):
+        assert (
+            main([command, str(tmp_path / "set"), *([str(tmp_path / "x.npz")] * (command == "export"))]) == 2
+        )
+
+
+def test_what_does_not_fit_onto_the_disk_is_not_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=10_000))
+    with pytest.raises(InputError, match=r"of data do not fit onto its disk, which has 0\.0 GB left"):
+        generate_dataset(SHORT, 200, 1, tmp_path / "parent/set")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     "path",
     [
@@ -216,6 +271,47 @@ def test_changed_manifests_are_one_sentence_or_the_same_data(
         path.write_text(damaged)
         assert main(["verify", str(tmp_path / "set")]) == 2
         assert capsys.readouterr().err.count("\n") == 1
+
+
+def damaged(whole: bytes, rng: np.random.Generator) -> bytes:
+    """A Parquet file with bytes overwritten in its pages, or in its footer, the table of what it holds."""
+    data, footer = bytearray(whole), int.from_bytes(whole[-8:-4], "little") + 8
+    for _ in range(int(rng.integers(1, 4))):
+        low = 4 if rng.random() < 0.5 else len(data) - footer
+        place, size = int(rng.integers(low, len(data) - 8)), int(rng.integers(1, 9))
+        data[place : place + size] = rng.bytes(size)
+    return bytes(data[: len(whole)])
+
+
+READ_ALL = """
+import resource, signal, sys
+from motor_datasets import load
+from motor_env.errors import InputError
+for folder in sys.argv[1:]:
+    signal.alarm(60)
+    try:
+        load(folder)
+    except InputError as error:
+        assert chr(10) not in str(error), str(error)
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, folder, flush=True)
+"""
+
+
+@pytest.mark.parametrize("count", [20, pytest.param(300, marks=pytest.mark.long)])
+def test_certified_damage_is_one_sentence_or_data(tmp_path: Path, count: int) -> None:
+    """Files of strangers, whose digests are right: whatever compiled code makes of them, it ends in a sentence."""
+    generate_dataset(SHORT, 30, 1, tmp_path / "set")
+    rng, folders = np.random.default_rng(9), []
+    for n in range(count):
+        folders.append(str(shutil.copytree(tmp_path / "set", tmp_path / str(n))))
+        path = tmp_path / f"{n}/data/train-000000.parquet"
+        path.write_bytes(damaged(path.read_bytes(), rng))
+        told(tmp_path / str(n), partial(certified, path))
+    done = subprocess.run(
+        [sys.executable, "-c", READ_ALL, *folders], capture_output=True, text=True, timeout=600, check=False
+    )
+    assert done.returncode == 0, done.stderr[-500:] + done.stdout[-100:]
+    assert max(int(line.split()[0]) for line in done.stdout.splitlines()) < 1_000_000
 
 
 def test_two_shifts_of_one_name_are_refused(tmp_path: Path) -> None:

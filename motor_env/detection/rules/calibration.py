@@ -49,6 +49,7 @@ def simulated_threshold(
     """
     if request.probability is not None:
         count = runs or _TRANSIENTS
+        _check_runs(request.probability, count)
         _check_effort(f"n_samples {request.n_samples}", request.n_samples, count)
         largest = largest_values(rule, request.n_samples, np.arange(count), n_channels, seed)
         method = f"simulated: {count} runs of {request.n_samples} samples"
@@ -58,6 +59,13 @@ def simulated_threshold(
     count = runs or int(np.clip(_SAMPLES / arl0, _LEAST_RUNS, _MOST_RUNS))
     _check_effort(f"arl0 {arl0:g}", arl0, max(count, _PILOT))
     return _for_run_length(rule, arl0, count, n_channels, seed)
+
+
+def _check_runs(probability: float, runs: int) -> None:
+    require(
+        10.0 / probability <= runs,
+        f"runs must be >= {10.0 / probability:.6g} to calibrate a probability of {probability:g}, got {runs}",
+    )
 
 
 def _check_effort(request: str, samples: float, runs: int) -> None:
@@ -100,6 +108,7 @@ def recipe_thresholds(
             for rule in rules
         ]
     count = runs or _TRANSIENTS
+    _check_runs(false_alarm_probability, count)
     tolerant = TolerantFilter.from_recipe(recipe)
     largest = np.empty((len(rules), count))
     batch = max(1, _AT_ONCE // tolerant.bias.size)
@@ -189,11 +198,6 @@ def _noise(seed: int, cases: IntArray, block: int, count: int, n_channels: int) 
 
 
 def _order_statistic(largest: FloatArray, probability: float, method: str) -> Threshold:
-    least = int(np.ceil(10.0 / probability))
-    require(
-        len(largest) >= least,
-        f"runs must be >= {least} to calibrate a probability of {probability:g}, got {len(largest)}",
-    )
     error = np.sqrt(probability * (1.0 - probability) / len(largest))
     shares = 1.0 - np.array([probability + error, probability, probability - error])
     below, value, above = np.quantile(largest, shares, method="higher")

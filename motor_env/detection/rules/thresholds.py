@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from motor_env.detection.run_length import LONGEST_RUN, RunLaw
+from motor_env.detection.run_length import RunLaw
 from motor_env.motor.parameters import FloatArray, require
+
+_MOST = 1e290  # beyond, probabilities underflow
 
 
 class Threshold(NamedTuple):
@@ -50,11 +52,12 @@ class Request:
             "give one of arl0 and false_alarm_probability, got " + ("none" if arl0 is None else "both"),
         )
         if arl0 is not None:
-            require(np.isfinite(arl0) and arl0 > 1.0, f"arl0 must be > 1 sample, got {arl0:g}")
+            require(1.0 < arl0 <= _MOST, f"arl0 must be > 1 sample and at most {_MOST:g}, got {arl0:g}")
             return cls(float(arl0), None, 0)
         probability = float(false_alarm_probability or 0.0)
         require(
-            0.0 < probability < 1.0, f"false_alarm_probability must lie between 0 and 1, got {probability:g}"
+            1.0 / _MOST <= probability < 1.0,
+            f"false_alarm_probability must be >= {1.0 / _MOST:g} and < 1, got {probability:g}",
         )
         require(
             n_samples is not None and n_samples >= 1,
@@ -71,7 +74,8 @@ class Request:
             step: first step upwards from there; the steps grow by a half each.
 
         Raises:
-            ValueError: an average run length beyond what the rule's equation resolves.
+            ValueError: the rule gives fewer false alarms at any threshold, or needs one that its equation cannot be
+                solved for.
         """
 
         def excess(threshold: float) -> float:
@@ -80,18 +84,13 @@ class Request:
             probability = law(threshold).alarm_probability(self.n_samples)
             return float(np.log(self.probability or 0.0) - np.log(max(probability, 1e-300)))
 
+        require(
+            excess(low) < 0.0, "even at its lowest threshold this rule gives fewer false alarms than that"
+        )
         high = low + step
         while excess(high) < 0.0:
             low, high, step = high, high + 1.5 * step, 1.5 * step
-        if excess(low) >= 0.0:
-            return low
-        root = float(brentq(excess, low, high, xtol=1e-10, rtol=1e-12))
-        # Beyond what the equation resolves the run length jumps to infinity, and the jump is no root.
-        require(
-            abs(excess(root)) < 1e-3,
-            f"arl0 {self.arl0 or 0.0:g} is more than the equation of this rule resolves, some {LONGEST_RUN:g} samples",
-        )
-        return root
+        return float(brentq(excess, low, high, xtol=1e-10, rtol=1e-12))
 
 
 class Statistic(ABC):

@@ -291,14 +291,28 @@ def test_rare_alarms_are_exact() -> None:
     assert ratio == pytest.approx(np.e, rel=0.01)
 
 
-def test_run_lengths_that_no_equation_resolves_are_refused() -> None:
-    two_sided = Cusum(1.0, two_sided=True)
-    assert two_sided.average_run_length(two_sided.threshold_for(arl0=1e9).value) == pytest.approx(
-        1e9, rel=1e-5
-    )
-    for rule in (Cusum(1.0), two_sided, ShiryaevRoberts(1.0), Sprt(1.0, restart=True)):
-        with pytest.raises(ValueError, match=r"arl0 1e\+13 is more than the equation of this rule resolves"):
-            rule.threshold_for(arl0=1e13)
+@pytest.mark.parametrize(
+    "rule",
+    [Cusum(1.0), Cusum(1.0, two_sided=True), Cusum(0.3), ShiryaevRoberts(1.0), Sprt(1.0, restart=True)],
+)
+def test_long_run_lengths_are_exact(rule: Cusum | ShiryaevRoberts | Sprt) -> None:
+    # Far out the run length grows by exp(d) for each unit of a sum's threshold, by e for each of a logarithm's.
+    rate = rule.shift if isinstance(rule, Cusum) else 1.0
+    low, middle, high = (rule.threshold_for(arl0=arl0).value for arl0 in (1e12, 1e15, 1e24))
+    assert rate * (middle - low) == pytest.approx(3.0 * np.log(10.0), rel=1e-7)
+    assert rate * (high - middle) == pytest.approx(9.0 * np.log(10.0), rel=1e-7)
+
+
+def test_what_a_rule_cannot_have_is_refused() -> None:
+    with pytest.raises(ValueError, match="even at its lowest threshold this rule gives fewer false alarms"):
+        Cusum(20.0).threshold_for(arl0=1e6)
+    for rule in (Cusum(1.0), nis_rule()):
+        with pytest.raises(ValueError, match="arl0 must be > 1 sample and at most"):
+            rule.threshold_for(arl0=np.inf)
+        with pytest.raises(ValueError, match="false_alarm_probability must be >="):
+            rule.threshold_for(false_alarm_probability=1e-310, n_samples=10)
+    with pytest.raises(ValueError, match="standard deviations high: too high for the equation"):
+        Cusum(0.01).threshold_for(arl0=1e12)
 
 
 def test_simulations_without_end_are_refused() -> None:

@@ -2,13 +2,19 @@
 
 import json
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from motor_env.cli import main
+from motor_env.diagnosis import running
+from motor_env.diagnosis.windows import WindowVerdict
+from motor_env.errors import InputError
 from motor_env.recordings.recording import Recording
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
@@ -56,3 +62,29 @@ def test_faults_show_in_windows_and_warmth_does_not(
     verdicts = [record["verdict"] for record in json.loads(capsys.readouterr().out)]
     assert verdicts == ["healthy", "healthy", "winding_contact", "bearing", "magnet", "unusable"]
     assert (tmp_path / "003-contact-csv.png").exists()
+
+
+def test_one_bad_log_costs_no_other_its_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = Recording(tmp_path / "a.csv", np.arange(30.0), np.ones(30))
+    read: Iterator[Recording | Exception] = iter(
+        [OverflowError("too large"), TypeError("a bug"), record, InputError("b.csv: is empty")]
+    )
+
+    def reading(*_: object) -> Recording:
+        found = next(read)
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+    monkeypatch.setattr(running, "read_recording", reading)
+    monkeypatch.setattr(running, "judge_windows", lambda *_: [WindowVerdict(0.0, "healthy", ())])
+    motor = SimpleNamespace(operation=object())
+    records = running.diagnose_running(
+        [tmp_path / f"{n}.csv" for n in range(4)], cast("Any", motor), 0.01, None
+    )
+    assert [record.verdict for record in records] == ["unusable", "unusable", "healthy", "unusable"]
+    assert [record.is_bug for record in records] == [False, True, False, False]
+    assert running.exit_status(records) == 70
+    assert "Traceback" in capsys.readouterr().err

@@ -96,6 +96,9 @@ def check_mutated(kind: str, seed: int, count: int, path: Path) -> None:
         arrays = [a for a in (recording.current_a, recording.voltage_v) if a is not None]
         assert {len(a) for a in arrays} == {len(recording.time_s)}
         assert all(np.isfinite(a).all() for a in (recording.time_s, *arrays))
+        if kind in ("npz", "mat"):  # their checksums tell every change; the others have none
+            assert recording.voltage_v is not None
+            np.testing.assert_array_equal(arrays, [CURRENT, VOLTAGE], strict=True)
 
 
 @pytest.mark.parametrize(
@@ -106,12 +109,11 @@ def test_mutated_files_are_read_or_refused(kind: str, count: int, tmp_path: Path
 
 
 @pytest.mark.long
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", range(10))
-@pytest.mark.parametrize(
-    ("kind", "count"), [("csv", 100), ("npz", 100), ("npy", 100), ("mat", 40), ("parquet", 40)]
-)
-def test_many_mutated_files_are_read_or_refused(kind: str, count: int, seed: int, tmp_path: Path) -> None:
-    check_mutated(kind, 10 + seed, count, tmp_path / f"a.{kind}")
+@pytest.mark.parametrize("kind", ["csv", "npz", "npy", "mat", "parquet"])
+def test_thousand_mutated_files_are_read_or_refused(kind: str, seed: int, tmp_path: Path) -> None:
+    check_mutated(kind, 10 + seed, 100, tmp_path / f"a.{kind}")
 
 
 def test_a_crash_of_the_parser_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
