@@ -27,13 +27,20 @@ from motor_env.envs.baselines.policies import (
 from motor_env.envs.baselines.posterior_policies import BayesPolicy
 from motor_env.envs.baselines.probing import Bursts, OnDemand, OpenLoop, RatioTest, WorthTest
 from motor_env.envs.monitor import MonitorVectorEnv
+from motor_env.envs.options import Drive
 from motor_env.envs.probe import ProbeVectorEnv
 from motor_env.envs.setup import Setup
 from motor_env.envs.tasks import TASKS, task_recipe
 from motor_env.envs.vector import MotorVectorEnv
 from motor_env.motor.parameters import FloatArray
 
-TASK_NAMES = (*(f"Monitor-v0/{recipe}" for recipe in TASKS), "Probe-v0/small", "Probe-v0/medium")
+TASK_NAMES = (
+    *(f"Monitor-v0/{recipe}" for recipe in TASKS),
+    "MonitorSpeedLoop-v0/medium",
+    "Probe-v0/small",
+    "Probe-v0/medium",
+)
+RETUNED = ("CUSUM", "GLR of a step", "bank of filters")
 N_THRESHOLDS = 24
 TUNING_SEED = 100
 EVALUATION_SEEDS = (1, 2, 3, 4, 5)
@@ -71,15 +78,12 @@ def rule(label: str, of: Rule, thresholds: FloatArray) -> Design:
     return Design(label, lambda setup: RulePolicy(setup, of, threshold=0.0), thresholds)
 
 
-def passive(samples_per_step: int) -> Iterator[tuple[str, list[Design]]]:
-    """Rules that never move the voltage; shifts and windows are scaled to the samples of a step."""
-    n = samples_per_step
+def passive(setup: Setup) -> Iterator[tuple[str, list[Design]]]:
+    """Rules that never move the voltage, and chance; shifts and windows are scaled to the samples of a step."""
+    n, uniform = setup.options.samples_per_step, 1.0 - len(setup.kinds) / len(setup.offsets_v)
     rng = np.random.default_rng(0)
     yield "never", [Design("", lambda _: Never(), np.ones(1))]
-    yield (
-        "random",
-        [Design("", lambda setup: Random(setup, rng, probability=0.0), 1.0 - geometric(1e-5, 3e-2))],
-    )
+    yield "random", [Design("", lambda setup: Random(setup, rng), np.array([uniform]))]
     yield "NIS", [rule("", nis_rule(), geometric(3.0, 90.0))]
     counts = ((2, 3), (3, 5), (5, 10), (6, 14))
     yield "M of N", [rule(f"{m} of {k}", MOfN(m, k), geometric(0.5, 60.0)) for m, k in counts]
@@ -126,13 +130,18 @@ class Bench:
     def __init__(self, name: str, episodes: int) -> None:
         self.environment, recipe = name.split("/")
         self.recipe, self.episodes = task_recipe(recipe), episodes
+        self.drive = Drive.SPEED_LOOP if self.environment == "MonitorSpeedLoop-v0" else Drive.OPEN_LOOP
         self._made: dict[tuple[int, float], MotorVectorEnv] = {}
         self.envs = self.vector(episodes)
 
     def vector(self, count: int, level_v: float = 1.0) -> MotorVectorEnv:
         """So many sub-environments with that level of the voltage's offsets."""
         if (count, level_v) not in self._made:
-            options: dict[str, Any] = {"recipe": self.recipe, "observe": baseline_features(self.recipe)}
+            options: dict[str, Any] = {
+                "recipe": self.recipe,
+                "observe": baseline_features(self.recipe),
+                "drive": self.drive,
+            }
             probes = self.environment == "Probe-v0"
             self._made[count, level_v] = (
                 ProbeVectorEnv(count, **options, offsets_v=(0.0, -level_v, level_v))
@@ -169,19 +178,22 @@ class Bench:
         task = f"{self.environment}/{self.recipe.name}"
         return {"task": task, "policy": name, "design": label, "threshold": threshold, **found.as_row()}
 
-    def tuned_row(self, name: str, designs: Sequence[Design]) -> dict[str, Any]:
-        """The best of the designs on the tuning seed, scored on the others."""
-        _, design, threshold = self.tune(designs, 2 * self.episodes)[0]
+    def tuned_row(self, name: str, designs: Sequence[Design], where: "Bench | None" = None) -> dict[str, Any]:
+        """The best of the designs on the tuning seed, there or on another task, scored on the others."""
+        _, design, threshold = (where or self).tune(designs, 2 * self.episodes)[0]
         policy = design.build(self.vector(self.episodes, design.level_v).setup)
         return self.row(name, design.label, threshold, self.evaluate(policy, threshold, design.level_v))
 
     def passive_rows(self) -> Iterator[dict[str, Any]]:
         """Policies that do not move the voltage."""
-        setup = self.envs.setup
-        for name, designs in passive(setup.options.samples_per_step):
+        for name, designs in passive(self.envs.setup):
             yield self.tuned_row(name, designs)
-        if self.recipe.spread.std.any():
-            return  # no posterior: the motor is not known
+            if self.drive is Drive.SPEED_LOOP and name in RETUNED:
+                yield self.tuned_row(
+                    f"{name}, solved open loop", designs, Bench("Monitor-v0/medium", self.episodes)
+                )
+        if self.recipe.spread.std.any() or self.drive is Drive.SPEED_LOOP:
+            return  # no posterior: the motor is not known, or not what the controller does
         test = WorthTest if self.environment == "Probe-v0" else BayesPolicy
         yield self.tuned_row("Bayes posterior", [Design("", lambda setup: test(setup, 0.0), WORTHS)])
 

@@ -13,21 +13,20 @@ import json
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch
 from matplotlib import pyplot as plt
-from numpy.typing import NDArray
 from PIL import Image
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from motor_env.envs.adapters import StableBaselinesVecEnv
 from motor_env.envs.baselines.belief import ProbeBelief
 from motor_env.envs.baselines.evaluation import Runs, interval, joined, run_episodes, score
-from motor_env.envs.baselines.policies import Actions, Observations, Policy
+from motor_env.envs.baselines.policies import Policy
+from motor_env.envs.baselines.posterior_view import PosteriorView, Summarised
 from motor_env.envs.baselines.probing import Bursts, OnDemand, OpenLoop, WorthTest
 from motor_env.envs.probe import ProbeEnv, ProbeVectorEnv
 from motor_env.envs.setup import Setup
@@ -36,7 +35,6 @@ TRAINING_SEED, VALIDATION_SEED = 1000, 800
 EVALUATION_SEEDS = (1, 2, 3, 4, 5)
 OPEN_LOOP, OPEN_LOOP_THRESHOLD = Bursts(start=20, period=10, length=2), 0.93
 ON_DEMAND_ABOVE, ON_DEMAND_THRESHOLD = 0.065, 0.97
-Rewards = NDArray[np.float32]
 
 
 def open_loop(setup: Setup) -> Policy:
@@ -49,56 +47,9 @@ def on_demand(setup: Setup) -> OnDemand:
     return OnDemand(WorthTest(setup, ON_DEMAND_THRESHOLD), ON_DEMAND_ABOVE)
 
 
-class BeliefVecEnv(VecEnvWrapper):
-    """The environment as an agent with a posterior sees it: its summary, and the reward that it expects."""
-
-    def __init__(self, envs: ProbeVectorEnv) -> None:
-        self.belief = ProbeBelief(envs.setup)
-        self.belief.start(envs.num_envs)
-        width = self.belief.summary().shape[1]
-        super().__init__(StableBaselinesVecEnv(envs), gym.spaces.Box(-4.0, 4.0, (width,), dtype=np.float32))
-
-    def reset(self) -> NDArray[np.float32]:
-        """Begin episodes everywhere."""
-        self.venv.reset()
-        self.belief.start(self.num_envs)
-        return self.belief.summary()
-
-    def step_async(self, actions: Actions) -> None:
-        """Expect a reward, then step."""
-        self._reward = self.belief.expected_reward(actions).astype(np.float32)
-        self.venv.step_async(actions)
-
-    def step_wait(self) -> tuple[NDArray[np.float32], Rewards, NDArray[np.bool_], list[dict[str, Any]]]:
-        """Learn from what followed. What an episode ends with is not looked at: none is truncated."""
-        observations, _, over, infos = self.venv.step_wait()
-        assert isinstance(observations, np.ndarray)  # noqa: S101  # no dictionary
-        self.belief.update(observations)
-        self.belief.restart(over)
-        summary = self.belief.summary()
-        for n in np.flatnonzero(over):
-            infos[n]["terminal_observation"] = summary[n]
-        return summary, self._reward, over, infos
-
-
-class Agent(Policy):
+def agent(setup: Setup, model: BaseAlgorithm) -> Policy:
     """What was learned, as a policy: the likeliest action, without chance."""
-
-    def __init__(self, setup: Setup, model: PPO) -> None:
-        self.belief, self._model, self._seen = ProbeBelief(setup), model, False
-
-    def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
-        super().start(count)
-        self.belief.start(count)
-        self._seen = False
-
-    def act(self, observations: Observations) -> Actions:
-        """The likeliest action. The first observation follows no step."""
-        if self._seen:
-            self.belief.update(observations)
-        self._seen = True
-        return self._model.predict(self.belief.summary(), deterministic=True)[0].astype(np.int64)
+    return Summarised(ProbeBelief(setup), lambda seen: model.predict(seen, deterministic=True)[0])
 
 
 class Curve(BaseCallback):
@@ -132,7 +83,7 @@ class Curve(BaseCallback):
 
     def measure(self) -> None:
         """One more point of the curve."""
-        runs = run_episodes(self._envs, Agent(self._envs.setup, self.model), VALIDATION_SEED)  # type: ignore[arg-type]  # a PPO
+        runs = run_episodes(self._envs, agent(self._envs.setup, self.model), VALIDATION_SEED)
         mean, half_width = interval(runs.returns)
         self.points.append({"steps": self.num_timesteps, "mean_return": mean, "half_width": half_width})
         self._progress.update(self._task, description=f"return {mean:+.3f} ± {half_width:.3f}")
@@ -144,7 +95,8 @@ class Curve(BaseCallback):
 def train(steps: int, n_envs: int, seed: int, episodes: int) -> tuple[PPO, list[dict[str, float]]]:
     """The agent and its learning curve."""
     torch.set_num_threads(1)
-    envs = BeliefVecEnv(ProbeVectorEnv(n_envs, autoreset_mode="SameStep"))
+    view = PosteriorView(ProbeVectorEnv(n_envs, autoreset_mode="SameStep"))
+    envs = StableBaselinesVecEnv(view)
     envs.seed(TRAINING_SEED + seed)
     model = PPO(
         "MlpPolicy",
@@ -161,7 +113,7 @@ def train(steps: int, n_envs: int, seed: int, episodes: int) -> tuple[PPO, list[
         device="cpu",
     )
     with torch.no_grad():  # at first it seldom declares: else no episode lasts until its fault
-        model.policy.action_net.bias[len(envs.belief.setup.options.offsets_v) :] -= 6.0
+        model.policy.action_net.bias[len(view.belief.setup.options.offsets_v) :] -= 6.0
     curve = Curve(steps, episodes)
     model.learn(steps, callback=curve)
     return model, curve.points
@@ -171,7 +123,7 @@ def compare(model: PPO, episodes: int) -> dict[str, Any]:
     """Scores of the agent and its rivals on the same episodes, and how far it is ahead of each."""
     envs = ProbeVectorEnv(episodes)
     rivals = {
-        "agent": Agent(envs.setup, model),
+        "agent": agent(envs.setup, model),
         "open loop": open_loop(envs.setup),
         "on demand": on_demand(envs.setup),
     }
@@ -211,15 +163,15 @@ def draw_curve(points: list[dict[str, float]], compared: dict[str, Any], path: P
 def film(model: PPO, path: Path, severity: float = 0.01) -> None:
     """An animation of one episode in which a winding grows worse by that much, from a little before the onset on."""
     env = ProbeEnv(render_mode="rgb_array")
-    agent = Agent(env.setup, model)
+    learned = agent(env.setup, model)
     for seed in range(10_000):
         observation, info = env.reset(seed=seed)
         if info["severity"] == severity and 1000 < info["onset_sample"] < 2000:
             break
-    agent.start(1)
+    learned.start(1)
     frames, over, step = [], False, 0
     while not over:
-        observation, _, over, _, _ = env.step(int(agent.act(observation[None])[0]))
+        observation, _, over, _, _ = env.step(int(learned.act(observation[None])[0]))
         if step % 2 == 0 or over:
             frames.append(Image.fromarray(env.render()).quantize(32))
         step += 1

@@ -11,20 +11,21 @@ __version__ = "0.1.0"
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-# Id, module and class, recipe (None: the class's own), return of the best policy known (docs/environments.md).
-for _id, _class, _recipe, _best in (
-    ("Monitor", "monitor:Monitor", None, 0.889),
-    ("MonitorEasy", "monitor:Monitor", "easy", 0.989),
-    ("MonitorHard", "monitor:Monitor", "hard", 0.526),
-    ("MonitorSmall", "monitor:Monitor", "small", 0.497),
-    ("Probe", "probe:Probe", None, 0.867),
-    ("ProbeMedium", "probe:Probe", "medium", 0.928),
-    ("ProbeContinuous", "probe:ProbeContinuous", None, 0.867),
+# Id, module and class, options, return of the best policy known (docs/environments.md).
+for _id, _class, _options, _best in (
+    ("Monitor", "monitor:Monitor", {}, 0.889),
+    ("MonitorEasy", "monitor:Monitor", {"recipe": "easy"}, 0.989),
+    ("MonitorHard", "monitor:Monitor", {"recipe": "hard"}, 0.526),
+    ("MonitorSmall", "monitor:Monitor", {"recipe": "small"}, 0.497),
+    ("MonitorSpeedLoop", "monitor:Monitor", {"drive": "speed_loop"}, 0.714),
+    ("Probe", "probe:Probe", {}, 0.867),
+    ("ProbeMedium", "probe:Probe", {"recipe": "medium"}, 0.928),
+    ("ProbeContinuous", "probe:ProbeContinuous", {}, 0.867),
 ):
     register(
         id=f"motor_env/{_id}-v0",
         entry_point=f"motor_env.envs.{_class}Env",
         vector_entry_point=f"motor_env.envs.{_class}VectorEnv",
         reward_threshold=_best,
-        kwargs={} if _recipe is None else {"recipe": _recipe},
+        kwargs=_options,
     )

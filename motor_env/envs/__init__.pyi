@@ -27,6 +27,10 @@ from .baselines.policies import (
 from .baselines.posterior_policies import (
     BayesPolicy as BayesPolicy,
 )
+from .baselines.posterior_view import (
+    PosteriorView as PosteriorView,
+    Summarised as Summarised,
+)
 from .baselines.probing import (
     Bursts as Bursts,
     OnDemand as OnDemand,

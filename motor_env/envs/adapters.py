@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
+from motor_env.envs.baselines.posterior_view import PosteriorView
 from motor_env.envs.vector import MotorVectorEnv
 from motor_env.motor.parameters import require
 
@@ -22,13 +23,13 @@ class StableBaselinesVecEnv(VecEnv):
     and `episode` with return and length, as Monitor of Stable-Baselines3 gives it.
 
     Args:
-        envs: a vector with the autoreset mode SameStep.
+        envs: a vector with the autoreset mode SameStep, or a view of one.
 
     Raises:
         ValueError: the vector has another autoreset mode.
     """
 
-    def __init__(self, envs: MotorVectorEnv) -> None:
+    def __init__(self, envs: MotorVectorEnv | PosteriorView) -> None:
         require(
             envs.autoreset_mode is AutoresetMode.SAME_STEP,
             f"autoreset_mode of the vector must be SameStep, got {envs.autoreset_mode.value}",

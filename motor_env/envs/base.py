@@ -17,6 +17,7 @@ from motor_env.envs.lanes import (
     CASE_HIGH,
     CASE_LOW,
     CLASS_INDEX,
+    DECLARED,
     ROW,
     RUNNING_ONSET,
     SEED_HIGH,
@@ -150,7 +151,7 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         )
         if self._scope is not None:
             if self._over:
-                self._scope.verdict, self._scope.good = self._verdict(declared)
+                self._scope.verdict, self._scope.good = self._verdict(self._marks.item(DECLARED))
             self._show()
         info = {
             **self._truth,

@@ -20,6 +20,7 @@ from motor_env.envs.kernel import (
     CURRENT,
     ERROR_CURRENT,
     ERROR_SPEED,
+    HELD,
     KIND,
     LANES,
     NEVER,
@@ -291,6 +292,7 @@ def begin_state(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int) 
         current = (drag * volts + back_emf * p[LOAD]) / total
         speed = (torque * volts - ohm * p[LOAD]) / total
     s[j + CURRENT * LANES], s[j + SPEED * LANES] = current - p[REST], speed - p[REST + 1]
+    s[j + HELD * LANES] = speed - p[REST + 1]
     s[j + ERROR_CURRENT * LANES] = current - p[INITIAL]
     s[j + ERROR_SPEED * LANES] = speed - p[INITIAL + 1]
     s[j + KIND * LANES], s[j + SUPPLY * LANES] = (

@@ -30,7 +30,8 @@ ONSET, LEVEL, KIND, SUPPLY = range(30, 34)  # the episode
 OLD_CURRENT, OLD_SPEED, MISMATCH_0, MISMATCH_1 = range(34, 38)  # for the bank, as the next three
 NOISE_CURRENT, NOISE_SPEED, POWER = range(38, 41)
 CARRY = 41  # what rounding took from the error of the speed
-BANK = 42  # three fields for each filter of the bank: the errors of its current and speed, its evidence
+DRIVE, HELD = 42, 43  # what a speed loop adds to the voltage, and the speed that it holds
+BANK = 44  # three fields for each filter of the bank: the errors of its current and speed, its evidence
 BANK_LENGTH = 3
 MAX_BANK = 5
 N_FIELDS = BANK + BANK_LENGTH * MAX_BANK
@@ -44,7 +45,8 @@ MEMORY_FAST, MEMORY_SLOW, INTO_FAST, INTO_SLOW, INTO_EXCESS, N_CHANNELS = range(
 HORIZON, DELAY_COST, CORRECT, SILENT, FALSE_ALARM, WRONG_KIND, MISS = range(21, 28)
 REST_VOLTAGE, REST_CURRENT, PROBE_COST, ENERGY_COST, GROWTH, N_LEVELS = range(28, 34)
 ZERO, HALF, ONE, FULL = range(34, 38)  # typed as the state is: a literal would make float64 of float32
-N_CONSTANTS = 38
+LOOP_P, LOOP_I, CONFIRM = range(38, 41)
+N_CONSTANTS = 41
 # A filter of the bank: its transition, and its difference to the belief in transition, voltage gain and drift.
 (T00, T01, T10, T11, T_M00, T_M01, T_M10, T_M11, T_B0, T_B1, T_D0, T_D1) = range(12)
 MODEL_LENGTH = 12
@@ -91,6 +93,8 @@ def advance(s: FloatArray, j: int, p: Constants, kept: float, with_speed: bool, 
     innovation is C (e + v), and e[k+1] = e - K (e + v) with the gain to which the filter converges. Exponentially
     weighted means of the whitened innovation are scaled to a standard deviation of 1.
 
+    What a speed loop adds to the voltage, d, the filter is not told: it is a part of m.
+
     `kept` is 0 on the first sample of a step, 1 after that.
     `with_speed` (a speed sensor is there) and `full` (the voltage may move, or a bank follows) are literals where this
     is called, so the compiler leaves out what is not needed.
@@ -99,8 +103,13 @@ def advance(s: FloatArray, j: int, p: Constants, kept: float, with_speed: bool, 
     m0 = s[j + M00 * LANES] * x0 + s[j + M01 * LANES] * x1 + s[j + D0 * LANES]
     m1 = s[j + M10 * LANES] * x0 + s[j + M11 * LANES] * x1 + s[j + D1 * LANES]
     if full:
-        u = s[j + VOLTAGE * LANES]
-        m0, m1 = m0 + s[j + B0 * LANES] * u, m1 + s[j + B1 * LANES] * u
+        u, d, b0, b1 = (
+            s[j + VOLTAGE * LANES],
+            s[j + DRIVE * LANES],
+            s[j + B0 * LANES],
+            s[j + B1 * LANES],
+        )
+        m0, m1 = m0 + b0 * u + (p[G0] + b0) * d, m1 + b1 * u + (p[G1] + b1) * d
         y0 = p[F00] * x0 + p[F01] * x1 + p[G0] * u + m0
         y1 = x1 + (p[F10] * x0 + p[F11] * x1 + p[G1] * u + m1)
     else:
@@ -137,13 +146,21 @@ def advance(s: FloatArray, j: int, p: Constants, kept: float, with_speed: bool, 
     s[j + EXCESS * LANES] = slow * s[j + EXCESS * LANES] + p[INTO_EXCESS] * (power - p[N_CHANNELS])
     cost = kept * s[j + COST * LANES] + s[j + DELAY * LANES]
     if full:
-        taken = (u + p[REST_VOLTAGE]) * s[j + SUPPLY * LANES] * (y0 + p[REST_CURRENT])
+        taken = (u + d + p[REST_VOLTAGE]) * s[j + SUPPLY * LANES] * (y0 + p[REST_CURRENT])
         cost += p[PROBE_COST] * u * u + p[ENERGY_COST] * abs(taken)
         s[j + OLD_CURRENT * LANES], s[j + OLD_SPEED * LANES] = x0, x1
         s[j + MISMATCH_0 * LANES], s[j + MISMATCH_1 * LANES] = m0, m1
         s[j + NOISE_CURRENT * LANES], s[j + POWER * LANES] = v0, power
     s[j + COST * LANES] = cost
     s[j + SAMPLE * LANES] += p[ONE]
+
+
+@inlined
+def hold_speed(s: FloatArray, j: int, p: Constants) -> None:
+    """The speed loop of lane j after a sample: a PI controller in its incremental form, which begins without a jump."""
+    speed = s[j + SPEED * LANES]
+    away = p[LOOP_P] * (speed - s[j + OLD_SPEED * LANES]) + p[LOOP_I] * (speed - s[j + HELD * LANES])
+    s[j + DRIVE * LANES] -= away
 
 
 @inlined

@@ -38,9 +38,10 @@ DRAWN_LENGTH = 6
 # Rows of the words (of what the random numbers of an episode depend on), the marks, and the flags.
 CASE_LOW, CASE_HIGH, SEED_LOW, SEED_HIGH = range(4)
 BEFORE_FIRST = 0xFFFFFFFF  # number of the episode before the first: one more is 0
-CLASS_INDEX, RUNNING_ONSET, DECLARED, QUIET, ROW = range(5)
-"""Class and onset (-1: none) of the episode, number of the declared kind (0: none); in the first lane of a block, how
-many samples it has until a fault of its lanes changes or an episode ends; in the first lane of all, the noise's row."""
+CLASS_INDEX, RUNNING_ONSET, DECLARED, CHOSEN, TIMES, QUIET, ROW = range(7)
+"""Class and onset (-1: none) of the episode; number of the kind that is declared (0: none), and of the one that was
+chosen, with how often in a row; in the first lane of a block, how many samples it has until a fault of its lanes
+changes or an episode ends; in the first lane of all, the noise's row."""
 TERMINATED, TRUNCATED, FAULT_ACTIVE, KNOWN = range(4)
 
 Float32Array = NDArray[np.float32]
@@ -76,7 +77,7 @@ class Lanes(NamedTuple):
     Attributes:
         state: blocks of fields and noise, flat.
         words: see the rows above, shape (4, n_lanes).
-        marks: shape (5, n_lanes).
+        marks: shape (7, n_lanes).
         flags: shape (4, n_lanes).
         drawn: float64, shape (n_lanes, DRAWN_LENGTH).
     """

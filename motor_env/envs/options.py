@@ -40,6 +40,13 @@ class Start(StrEnum):
     STANDSTILL = "standstill"
 
 
+class Drive(StrEnum):
+    """What feeds the motor."""
+
+    OPEN_LOOP = "open_loop"
+    SPEED_LOOP = "speed_loop"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MonitorOptions:
     """Everything about the task that can be chosen; times in seconds, rewards in the reward's own unit.
@@ -56,6 +63,9 @@ class MonitorOptions:
         load_torque_n_m: load on the shaft, known to the filter. Without load a winding fault of a running motor is all
             but invisible. None: half the rated torque of the default motor, for others the same share of what they
             hold at standstill (11 %).
+        drive: `open_loop` is a voltage; `speed_loop` a PI controller that holds the speed at which the motor begins.
+            It has a tachometer of its own. What it adds to the voltage, neither filter nor agent is told.
+        loop_time_s: time constant of the speed loop, at least twice a sample and L / R, else it would not be stable.
         earliest_onset_s: before this time there is no fault.
         mean_onset_s: mean of the (geometric) waiting time from `earliest_onset_s` to the onset; 0: always at once.
         growth_s: time over which the fault grows to its severity; 0: abrupt.
@@ -67,6 +77,8 @@ class MonitorOptions:
         wrong_kind_cost: for declaring another kind than the fault's.
         miss_cost: for reaching the horizon in silence when there was a fault.
         delay_cost_per_s: for every second that passes between onset and declaration.
+        confirm_steps: a kind is declared once it has been chosen in so many steps in a row, or in the last step. Agents
+            that begin at random end an episode after two steps if it is 1; the choices before count as waiting.
         precision: `float32` or `float64` inside the step; observations are float32 in any case. float32 is
             quicker in a vector, and about 1e-5 of an observation's scale away; choose float64 below
             10 microseconds of sampling.
@@ -82,6 +94,8 @@ class MonitorOptions:
     samples_per_step: int = 1
     start: Start = Start.RUNNING
     load_torque_n_m: float | None = None
+    drive: Drive = Drive.OPEN_LOOP
+    loop_time_s: float = 0.001
     earliest_onset_s: float = 0.01
     mean_onset_s: float = 0.05
     growth_s: float = 0.0
@@ -93,6 +107,7 @@ class MonitorOptions:
     wrong_kind_cost: float = 0.5
     miss_cost: float = 1.0
     delay_cost_per_s: float = 5.0
+    confirm_steps: int = 1
     precision: Precision = Precision.FLOAT32
     observe: tuple[str, ...] = ()
 
@@ -134,17 +149,21 @@ class MonitorOptions:
             object.__setattr__(self, "motor", recipe.motor)
         require_environment(recipe)
         object.__setattr__(self, "recipe", recipe)
-        require(self.start in set(Start), f"start must be one of {', '.join(Start)}, got {self.start!r}")
-        object.__setattr__(self, "start", Start(self.start))
-        require(
-            self.precision in set(Precision),
-            f"precision must be one of {', '.join(Precision)}, got {self.precision!r}",
-        )
-        object.__setattr__(self, "precision", Precision(self.precision))
+        for name, choices in (("start", Start), ("drive", Drive), ("precision", Precision)):
+            value = getattr(self, name)
+            require(value in set(choices), f"{name} must be one of {', '.join(choices)}, got {value!r}")
+            object.__setattr__(self, name, choices(value))
+        if self.drive is Drive.SPEED_LOOP:
+            require(self.start is Start.RUNNING, f"start must be running in a speed loop, got {self.start}")
+            shortest = 2.0 * (self.dt_s + float(np.asarray(recipe.motor.electrical_time_constant_s)))
+            require(
+                shortest <= self.loop_time_s <= 1e3,
+                f"loop_time_s must be from {shortest:.3g} (twice a sample and L / R) to 1000, got {self.loop_time_s:g}",
+            )
         require_positive("horizon_s", self.horizon_s)
         for name in ("earliest_onset_s", "mean_onset_s", "growth_s"):
             require_positive(name, getattr(self, name), zero_allowed=True)
-        for name in ("samples_per_step", "growth_levels"):
+        for name in ("samples_per_step", "growth_levels", "confirm_steps"):
             value = getattr(self, name)
             require(
                 isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= 1000,

@@ -13,7 +13,7 @@ from motor_env.envs import kernel
 from motor_env.envs.compiling import announce
 from motor_env.envs.drawing import make_prior, motor_table
 from motor_env.envs.lanes import TaskNumbers
-from motor_env.envs.options import MonitorOptions, Start
+from motor_env.envs.options import Drive, MonitorOptions, Start
 from motor_env.filters.kalman import KalmanFilter, gain_and_covariance
 from motor_env.motor.faults import HEALTHY, Fault, FaultKind, apply_fault
 from motor_env.motor.model import DiscreteModel, Input, State, discretize, steady_state
@@ -138,7 +138,7 @@ def _numbers(
         for field in range(kernel.BANK + 2, kernel.N_FIELDS, kernel.BANK_LENGTH)
     ]
     bank[np.logical_not(shown)] = 0.0  # what nobody sees need not run
-    constants[kernel.FULL] = options.moves_voltage or bank.any()
+    constants[kernel.FULL] = options.moves_voltage or options.drive is Drive.SPEED_LOOP or bank.any()
     prior, classes = make_prior(options, belief, rest, right, len(view))
     motors = np.zeros((len(classes), options.n_levels + 1, kernel.ROW_LENGTH))
     numbers = TaskNumbers(constants, bank, view, motors, prior, classes)
@@ -185,7 +185,18 @@ def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: floa
     p[kernel.GROWTH] = round(options.growth_s / options.dt_s)
     p[kernel.N_LEVELS] = options.n_levels
     p[[kernel.ZERO, kernel.HALF, kernel.ONE]] = 0.0, 0.5, 1.0
+    p[kernel.CONFIRM] = options.confirm_steps
+    if options.drive is Drive.SPEED_LOOP:
+        p[[kernel.LOOP_P, kernel.LOOP_I]] = _loop_gains(options)
     return p
+
+
+def _loop_gains(options: MonitorOptions) -> tuple[float, float]:
+    """Gains of the speed loop: its zero cancels the motor's slow pole, and what is left decays in the loop's time."""
+    supply, slow_s = options.task.supply.voltage_v, options.task.motor.mechanical_time_constant_s
+    no_load = steady_state(options.task.motor, float(supply), 0.0)[State.SPEED]
+    gain = float(supply) / no_load / options.loop_time_s
+    return gain * float(slow_s), gain * options.dt_s
 
 
 def transition_row(model: DiscreteModel) -> FloatArray:

@@ -23,16 +23,19 @@ from motor_env.envs.kernel import (
     ROWS,
     Constants,
     advance,
+    hold_speed,
     settle,
     weigh,
 )
 from motor_env.envs.lanes import (
     CASE_LOW,
+    CHOSEN,
     DECLARED,
     FAULT_ACTIVE,
     QUIET,
     ROW,
     TERMINATED,
+    TIMES,
     BoolArray,
     Lanes,
     TaskNumbers,
@@ -116,6 +119,9 @@ def _step_block(
             refill(s, lanes.words, first, channels, width)
             row = 0
         _advance_all(s, p, row, kept, width)
+        if p[kernel.LOOP_I] > 0.0:
+            for j in range(width):
+                hold_speed(s, j, p)
         for m in range(task.bank.shape[0]):
             if task.bank[m, kernel.T11] != 0.0:
                 t = to_fixed_tuple(task.bank[m], MODEL_LENGTH)
@@ -147,6 +153,7 @@ def _begin_lane(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, 
     s[j + kernel.MEASURED_CURRENT * LANES] = current + s[j + kernel.SIGMA_CURRENT * LANES] * four[0]
     s[j + kernel.MEASURED_SPEED * LANES] = speed + s[j + kernel.SIGMA_SPEED * LANES] * four[channels - 1]
     lanes.flags[TERMINATED, n], lanes.flags[FAULT_ACTIVE, n] = False, False
+    lanes.marks[TIMES, n] = 0
     first = n - j
     soon = int(min(s[j + kernel.NEXT_CHANGE * LANES], task.constants[kernel.HORIZON]))
     lanes.marks[QUIET, first] = min(lanes.marks[QUIET, first], soon)
@@ -284,6 +291,18 @@ def decode_continuous(action: FloatArray, reach_v: float) -> tuple[float, int]:
 
 
 @inlined
+def _confirm(p: FloatArray, lanes: Lanes, samples: int, n_envs: int) -> None:
+    """Let a choice be a declaration only where it has been made often enough in a row, or is the last of an episode."""
+    times, chosen, declared = lanes.marks[TIMES], lanes.marks[CHOSEN], lanes.marks[DECLARED]
+    for n in range(n_envs):
+        times[n] = times[n] + 1 if declared[n] == chosen[n] else 1
+        chosen[n] = declared[n]
+        sample = lanes.state[(n // LANES) * BLOCK + kernel.SAMPLE * LANES + n % LANES]
+        if times[n] < p[kernel.CONFIRM] and sample + samples < p[kernel.HORIZON]:
+            declared[n] = 0
+
+
+@inlined
 def _step_lanes(
     task: TaskNumbers,
     lanes: Lanes,
@@ -295,6 +314,8 @@ def _step_lanes(
     n_envs: int,
 ) -> int:
     """A step of all lanes, whose actions lie in them: writes observations and rewards; how many are over now."""
+    if task.constants[kernel.CONFIRM] > 1.0:
+        _confirm(task.constants, lanes, samples, n_envs)
     p = to_fixed_tuple(task.constants, N_CONSTANTS)
     n_over, row = 0, lanes.marks[ROW, 0]
     next_row = row
@@ -384,7 +405,10 @@ def step_single(
     """
     task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
     p, s = to_fixed_tuple(task.constants, N_CONSTANTS), lanes.state
-    s[kernel.VOLTAGE * LANES] = offset_v
+    s[kernel.VOLTAGE * LANES], lanes.marks[DECLARED, 0] = offset_v, declared
+    if p[kernel.CONFIRM] > 1.0:
+        _confirm(task.constants, lanes, samples, 1)
+        declared = lanes.marks[DECLARED, 0]
     lanes.marks[ROW, 0] = _step_block(s, p, task, lanes, 0, lanes.marks[ROW, 0], samples, 1)
     _split_cost(s, p, samples, parts, 0, 1)
     over = declared > 0 or s[kernel.SAMPLE * LANES] >= p[kernel.HORIZON]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.envs.options import MonitorOptions, Start
+from motor_env.envs.options import Drive, MonitorOptions, Start
 from motor_env.envs.setup import Setup, converged_gain
 from motor_env.motor.faults import FaultKind, apply_faults
 from motor_env.motor.model import Input, discretize
@@ -62,6 +62,10 @@ def _require_known_motor(options: MonitorOptions) -> None:
     noisy = any(kind.changes_noise for kind in recipe.kinds)
     require(not noisy, "the exact posterior knows no noise faults")
     require(options.start is Start.RUNNING, "start must be running for the exact posterior")
+    require(
+        options.drive is Drive.OPEN_LOOP,
+        f"drive must be open_loop for the exact posterior, got {options.drive}",
+    )
     require(options.growth_s == 0.0, f"growth_s must be 0 for the exact posterior, got {options.growth_s:g}")
     require(recipe.sensor.channels == (Channel.CURRENT,), "the exact posterior reads the current alone")
     require(options.mean_onset_s > 0.0 and math.isfinite(options.mean_onset_s), "mean_onset_s must be > 0")

@@ -99,21 +99,24 @@ class Never(ThresholdPolicy):
 
 
 class Random(ThresholdPolicy):
-    """Declares any kind with a small probability a step.
+    """Every action is as likely as any other, in each step anew.
 
     Args:
         setup: of the environment.
         rng: source of randomness.
-        probability: of a declaration.
     """
 
-    def __init__(self, setup: Setup, rng: np.random.Generator, *, probability: float) -> None:
-        self._declarations = declarations(setup)
-        self._rng, self.threshold = rng, 1.0 - probability
+    def __init__(self, setup: Setup, rng: np.random.Generator) -> None:
+        self._declarations, self._n_offsets = declarations(setup), len(setup.offsets_v) - len(setup.kinds)
+        self._rng, self.threshold = rng, self._n_offsets / len(setup.offsets_v)
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
         """A number from 0 to 1, and any kind."""
         return self._rng.random(self.count), self._rng.choice(self._declarations, self.count)
+
+    def probe(self) -> Actions:
+        """Any offset."""
+        return self._rng.integers(0, self._n_offsets, self.count)
 
 
 class _Isolating(ThresholdPolicy):

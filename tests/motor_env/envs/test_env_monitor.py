@@ -2,6 +2,7 @@
 
 import warnings
 from importlib.util import find_spec
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -17,8 +18,8 @@ from motor_env.envs.noise import case_of
 from motor_env.envs.setup import converged_gain
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter, schedule
-from motor_env.motor.faults import Fault, FaultKind
-from motor_env.motor.model import steady_state
+from motor_env.motor.faults import Fault, FaultKind, apply_fault
+from motor_env.motor.model import State, discretize, steady_state
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
 from motor_env.simulation.drawing import draw
 from motor_env.simulation.random_streams import Stream, normals
@@ -74,6 +75,43 @@ def test_true_states_are_those_of_the_simulation(kind: FaultKind) -> None:
         initial_state=steady_state(PAPER_MOTOR, 12.0, load),
     )
     np.testing.assert_allclose(states, expected, rtol=1e-10)
+
+
+def test_a_speed_loop_is_a_pi_controller_that_the_filter_is_not_told_of() -> None:
+    options: dict[str, Any] = {"precision": "float64", "observe": ("innovation_current",)}
+    env = MonitorEnv(drive="speed_loop", loop_time_s=0.002, **options)
+    seed = faulty_episode(env, FaultKind.WINDING_CONTACT)
+    _, infos, states = rollout(env, seed)
+    motor, rest, dt_s = PAPER_MOTOR, env.setup.rest, env.options.dt_s
+    worse = apply_fault(motor, Fault(FaultKind.WINDING_CONTACT, infos[0]["severity"]))
+    gain = 12.0 / steady_state(motor, 12.0, 0.0)[State.SPEED] / 0.002
+    state, added, expected = rest, 0.0, []
+    for k in range(len(states)):
+        model = discretize(motor if k < infos[0]["onset_sample"] else worse, dt_s)
+        before = state[State.SPEED]
+        state = model.transition @ state + model.gain @ [12.0 + added, env.options.load_n_m]
+        added -= gain * motor.mechanical_time_constant_s * (state[State.SPEED] - before)
+        added -= gain * dt_s * (state[State.SPEED] - rest[State.SPEED])
+        expected.append(state)
+    np.testing.assert_allclose(states, expected, rtol=1e-9)
+    dropped = rollout(MonitorEnv(**options), seed)[2][-1, State.SPEED] - rest[State.SPEED]
+    assert abs(states[-1, State.SPEED] - rest[State.SPEED]) < 1e-3 * abs(dropped)
+
+
+def test_a_declaration_can_be_asked_to_be_confirmed() -> None:
+    env = MonitorEnv(confirm_steps=3, horizon_s=0.02, earliest_onset_s=0.0, mean_onset_s=0.0)
+
+    def ended(*actions: int) -> bool:
+        env.reset(seed=1)
+        return [env.step(action)[2] for action in actions][-1]
+
+    assert not ended(1, 1)
+    assert ended(1, 1, 1)
+    assert not ended(1, 1, 2, 1, 1)
+    assert not ended(2, 2, 0, 2, 2)
+    faulty_episode(env, FaultKind.BEARING)
+    rewards = [env.step(0)[1] for _ in range(199)] + [env.step(1)[1]]
+    assert rewards[-1] > 0.0  # in the last step the first word counts
 
 
 def test_innovations_are_those_of_the_filter() -> None:

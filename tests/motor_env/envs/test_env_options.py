@@ -63,6 +63,9 @@ MONITOR = {
     "delay_cost_per_s": NUMBERS,
     "miss_cost": NUMBERS,
     "precision": st.sampled_from(["float32", "float32", "float16"]),
+    "drive": st.sampled_from(["open_loop", "speed_loop", "current_loop"]),
+    "loop_time_s": NUMBERS,
+    "confirm_steps": st.integers(-1, 40),
     "observe": st.sampled_from(
         [(), ("time",), ("evidence_bearing", "excess"), ("label",), ("measured_speed",)]
     ),

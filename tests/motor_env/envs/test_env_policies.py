@@ -78,11 +78,12 @@ def test_a_sweep_gives_what_every_threshold_gives_alone(name: str) -> None:
             np.testing.assert_array_equal(one, other)
 
 
-def test_random_declares_as_often_as_its_probability_says() -> None:
-    envs = monitor(2000)
-    runs = run_episodes(envs, Random(envs.setup, np.random.default_rng(1), probability=2e-3), 4)
-    silent = 1.0 - (1.0 - 2e-3) ** envs.options.n_steps
-    assert abs((runs.declared > 0).mean() - silent) < 4.0 * np.sqrt(silent * (1.0 - silent) / 2000)
+def test_random_takes_every_action_as_often() -> None:
+    envs = ProbeVectorEnv(3000, **PROBE)
+    policy = Random(envs.setup, np.random.default_rng(1))
+    policy.start(3000)
+    counts = np.bincount(policy.act(envs.reset(seed=1)[0]), minlength=5)
+    assert (abs(counts - 600.0) < 4.0 * np.sqrt(600.0)).all()
 
 
 def test_bursts_move_where_they_say() -> None:

@@ -28,7 +28,9 @@ PAIRS: list[tuple[Any, Any, dict[str, Any]]] = [
     (MonitorEnv, MonitorVectorEnv, SHORT),
     (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard", "growth_s": 0.004, "start": "standstill"}),
     (MonitorEnv, MonitorVectorEnv, {**SHORT, "samples_per_step": 4, "precision": "float64"}),
+    (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard", "drive": "speed_loop"}),
     (ProbeEnv, ProbeVectorEnv, {**SHORT, "samples_per_step": 5}),
+    (ProbeEnv, ProbeVectorEnv, {**SHORT, "confirm_steps": 2, "drive": "speed_loop"}),
     (
         ProbeContinuousEnv,
         ProbeContinuousVectorEnv,

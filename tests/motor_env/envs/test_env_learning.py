@@ -1,0 +1,94 @@
+"""What makes a beginning possible for agents: confirmed declarations, a view of the posterior, the examples."""
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from motor_env.envs import MonitorVectorEnv, PosteriorView, ProbeVectorEnv, Summarised, run_episodes
+from motor_env.envs.baselines.belief import ProbeBelief
+
+OPTIONS: dict[str, Any] = {"observe": ("innovation_current", "voltage"), "horizon_s": 0.1}
+EXAMPLES = Path(__file__).parents[3] / "examples"
+
+
+def example(name: str) -> Any:
+    """The module of an example."""
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_random_agents_live_to_see_a_fault_if_declarations_are_confirmed() -> None:
+    rng = np.random.default_rng(0)
+    actions = rng.integers(0, 3, (400, 64))
+    for confirm, share in ((1, 0.0), (6, 0.04)):
+        envs = MonitorVectorEnv(64, autoreset_mode="SameStep", confirm_steps=confirm)
+        envs.reset(seed=1)
+        active = np.mean([envs.step(row)[4]["fault_active"] for row in actions])
+        assert active >= share
+        assert (active == 0.0) == (confirm == 1)
+
+
+@pytest.mark.parametrize("confirm", [1, 2])
+def test_a_posterior_view_pays_the_true_reward_on_average(confirm: int) -> None:
+    count = 2000
+    envs = ProbeVectorEnv(count, autoreset_mode="SameStep", confirm_steps=confirm, **OPTIONS)
+    view, rng = PosteriorView(envs), np.random.default_rng(0)
+    seen, _ = view.reset(seed=5)
+    assert view.single_observation_space.contains(seen[0])
+    told, true = np.zeros((2, count))
+    step, paid = envs.step, np.zeros(count)
+
+    def watched(actions: Any) -> Any:
+        answer = step(actions)
+        paid[:] = answer[1]
+        return answer
+
+    envs.step = watched  # type: ignore[method-assign]
+    alive = np.ones(count, dtype=bool)
+    for _ in range(envs.options.n_steps):
+        sure = view.belief.kinds.max(axis=1) > 0.3
+        actions = np.where(sure, 3 + view.belief.kinds.argmax(axis=1), rng.integers(0, 3, count))
+        _, reward, over, _, _ = view.step(actions)
+        told, true = told + alive * reward, true + alive * paid
+        alive &= ~over
+    assert not alive.any()
+    difference = told - true
+    assert difference.std() > 0.1
+    assert abs(difference.mean()) < 4.0 * difference.std() / count**0.5
+
+
+def test_a_view_needs_episodes_that_follow_at_once() -> None:
+    with pytest.raises(ValueError, match="autoreset_mode of the vector must be SameStep, got NextStep"):
+        PosteriorView(ProbeVectorEnv(2, **OPTIONS))
+
+
+def test_a_policy_of_summaries_sees_what_the_view_shows() -> None:
+    envs = ProbeVectorEnv(8, **OPTIONS)
+    seen: list[Any] = []
+
+    def wait(summary: Any) -> Any:
+        seen.append(summary)
+        return np.zeros(len(summary))
+
+    policy = Summarised(ProbeBelief(envs.setup), wait)
+    run_episodes(envs, policy, seed=3)
+    view = PosteriorView(ProbeVectorEnv(8, autoreset_mode="SameStep", **OPTIONS))
+    np.testing.assert_array_equal(seen[0], view.reset(seed=3)[0])
+    for shown in seen[1:]:
+        np.testing.assert_array_equal(shown, view.step(np.zeros(8, dtype=np.int64))[0])
+
+
+@pytest.mark.long
+def test_ppo_learns_in_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch")
+    ppo = example("ppo")
+    learner = ppo.Learner("monitor", 0)
+    curve = ppo.train(learner, 150_000, points=3)
+    assert curve[-1]["mean_return"] > 0.5
