@@ -4,12 +4,12 @@ python examples/ppo.py --task monitor --out out/ppo     # five training seeds; s
 python examples/ppo.py --task probe --steps 1200000 --out out/ppo
 python examples/ppo.py --task monitor --score --out examples/ppo   # scores the weights that are there
 
-A vector with autoreset SameStep needs no special case: the observation after the end of an episode is the first of the
-next one, and no value is carried over the end. A uniform first policy would end every episode after two steps. So the
-monitor asks for a declaration to be confirmed (`confirm_steps`), and the probe's agent is reluctant to declare at first.
-The agent sees the summary of a posterior, made from what the environment shows, and learns from the reward that it
-expects. It is scored by its likeliest action with the environment's own rewards, beside the best textbook policy, on the
-same episodes.
+A vector with autoreset SameStep needs no special case: the observation after the end of an episode is the first of
+the next one, and no value is carried over the end. A uniform first policy would end every episode after two steps. So
+the monitor asks for a declaration to be confirmed (`confirm_steps`), and the probe's agent is reluctant to declare at
+first. The agent sees the summary of a posterior, made from what the environment shows, and learns from the reward that
+it expects. It is scored by its likeliest action with the environment's own rewards, beside the best textbook policy, on
+the same episodes.
 """
 
 import argparse
