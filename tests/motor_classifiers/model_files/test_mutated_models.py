@@ -164,7 +164,7 @@ def forged_array(values: Any, rng: np.random.Generator) -> Any:
         return values[: len(values) // 2] if values.ndim else np.zeros(3)
     if kind == 1:
         return np.concatenate([values, values]) if values.ndim else values[None]
-    if kind == 2 and values.dtype.names is None:
+    if kind == 2 and values.dtype.kind in "fiub":
         return values.astype(rng.choice(["float32", "int64", "int32", "uint8", "float64"]))
     if kind == 3:
         return values.reshape(-1)[::-1].reshape(values.shape)
