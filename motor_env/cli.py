@@ -148,6 +148,7 @@ def diagnose(
     out: Path | None = None,
     measurement: StartMeasurement = _START,
     temperature_c: float | None = None,
+    verbose: Annotated[bool, Parameter(negative=())] = False,
     json_: Json = False,
 ) -> int:
     """Verdict on recorded starts: healthy, bearing, winding, magnet, noise, other, no_reference or unusable.
@@ -164,9 +165,10 @@ def diagnose(
         motor: Motor file (TOML), or the name of a catalogue motor.
         healthy: Recordings of the healthy motor to compare with, after the option: --healthy A.csv B.csv C.csv
         false_alarm_rate: How often a healthy recording may be called faulty.
-        out: Folder for one picture a file.
+        out: Folder for one HTML page a start: verdict, what to do first, and what it rests on.
         measurement: How it was measured.
         temperature_c: Temperature of the motor; it counts where `commission` was told one too.
+        verbose: Print how well model and filter fit, too.
         json_: Print one array with one object a start.
     """
     from motor_env.diagnosis import report, running

@@ -14,8 +14,9 @@ from motor_env.diagnosis import report
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, Diagnosis, Verdict
 from motor_env.diagnosis.diagnose import diagnose, unusable_reason
 from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference, odd_one_out
-from motor_env.diagnosis.pictures import plot_diagnosis
+from motor_env.diagnosis.page import page
 from motor_env.errors import InputError
+from motor_env.files import write_text
 from motor_env.identification.identify import Identified
 from motor_env.motor.data_sheet import MotorFile, StartReference, load_motor
 from motor_env.recordings.defects import UnusableError
@@ -24,7 +25,7 @@ from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit
 
-_LONGEST_NAME = 50  # of a picture: a file's name has 255 bytes
+_LONGEST_NAME = 50  # of a page: a file's name has 255 bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +52,11 @@ class Outcome:
             "error": self.error,
         }
 
-    def as_text(self) -> str:
+    def as_text(self, *, verbose: bool = False) -> str:
         """What a maintenance engineer reads; empty for a file that could not be read."""
-        return "" if self.diagnosis is None else report.as_text(self.diagnosis, self.periods_per_turn)
+        if self.diagnosis is None:
+            return ""
+        return report.as_text(self.diagnosis, self.periods_per_turn, verbose=verbose)
 
 
 def fit_files(
@@ -129,7 +132,7 @@ def diagnose_files(
         healthy: healthy recordings of the same motor.
         voltage_v: level of the supply, for recordings without a voltage.
         false_alarm_rate: per healthy recording.
-        out: folder for one picture a file; none are drawn without it.
+        out: folder for one HTML page a start; none are written without it.
         columns: columns named by the user.
         circuit: what is known of the measuring circuit.
         start: number of the start in files that hold several; all of them unless given.
@@ -183,7 +186,8 @@ def diagnose_files(
                 outcomes.append(_failure(part.path, error))
                 continue
             if out is not None:
-                outcomes[-1] = _drawn(outcomes[-1], picture_of(part.path, out, len(outcomes)))
+                page_path = picture_of(part.path, out, len(outcomes)).with_suffix(".html")
+                outcomes[-1] = _with_page(outcomes[-1], page_path)
     return outcomes
 
 
@@ -192,18 +196,18 @@ def _failure(path: Path, error: Exception) -> Outcome:
     return Outcome(path, None, sentence, is_bug=is_bug)
 
 
-def _drawn(outcome: Outcome, picture: Path) -> Outcome:
-    """Draw it; a verdict without its picture is better than none.
+def _with_page(outcome: Outcome, path: Path) -> Outcome:
+    """Write its page; a verdict without one is better than none.
 
     Raises:
-        InputError: the picture cannot be written.
+        InputError: the page cannot be written.
     """
     try:
         if outcome.diagnosis is not None:
-            plot_diagnosis(outcome.diagnosis, picture)
+            write_text(path, page(outcome.diagnosis, outcome.periods_per_turn))
     except InputError:
         raise
-    except Exception as error:  # noqa: BLE001  # whatever matplotlib raises
+    except Exception as error:  # noqa: BLE001  # values that cannot be drawn
         sentence, is_bug = why_not(outcome.path, error, "drawn")
         return replace(outcome, error=sentence, is_bug=is_bug)
     return outcome

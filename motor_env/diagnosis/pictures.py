@@ -11,46 +11,13 @@ from matplotlib.axes import Axes
 from scipy import stats
 
 from motor_env.console import printable
-from motor_env.diagnosis.decision import Diagnosis
-from motor_env.diagnosis.report import headline, model_words
+from motor_env.diagnosis.report import model_words
 from motor_env.identification.identify import Identified
-from motor_env.identification.residuals import absolute, started
 from motor_env.motor.data_sheet import StartReference
-from motor_env.motor.parameters import FloatArray, MotorParameters
+from motor_env.motor.parameters import FloatArray
 from motor_env.plotting import COLOUR, drawing, save, subplots
 
 _LONGEST_TITLE = 80
-
-
-def plot_diagnosis(diagnosis: Diagnosis, path: Path) -> None:
-    """Measured, fitted and expected current, residual, and the filter's innovation; nothing without a fit.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    fit, check = diagnosis.identified, diagnosis.filter_check
-    if fit is None or check is None:
-        return
-    colour = COLOUR.get(str(diagnosis.verdict), COLOUR["other"])
-    with drawing():
-        figure, (top, middle, bottom) = subplots(3, height_in=8.5, height_ratios=(2.2, 1.0, 1.0))
-        time_ms = _time_ms(fit)
-        _currents(top, middle, fit, colour)
-        reference = reference_current(diagnosis)
-        if reference is not None:
-            ink, label = COLOUR["threshold"], "expected of the reference"
-            top.plot(time_ms, reference, "--", color=ink, linewidth=1.3, label=label)
-        top.set_title(f"{_title(diagnosis.recording.path.name)}: {headline(diagnosis)}", parse_math=False)
-        top.legend(loc="upper right")
-        whitened = check.result.whitened[..., 0]
-        begin = len(time_ms) - whitened.shape[-1]
-        bottom.plot(time_ms[begin:], np.ravel(whitened), color=COLOUR["other"], linewidth=0.8)
-        for level in (-3.0, 3.0):
-            bottom.axhline(level, color=COLOUR["threshold"], linestyle="--", linewidth=1.0)
-        bottom.set_ylabel("innovation (sigma)")
-        bottom.set_xlabel("time after the start (ms)")
-        figure.align_ylabels()
-        save(figure, path)
 
 
 def plot_identified(fit: Identified, name: str, path: Path) -> None:
@@ -129,23 +96,6 @@ def _spread(axes: Axes, fits: Sequence[Identified], reference: StartReference, r
     axes.set_xlim(-room, room)
     axes.set_yticks(range(len(reference.quantities)), list(reference.quantities))
     axes.set_title(f"Interval of the next healthy start ({1.0 - rate:.0%})")
-
-
-def reference_current(diagnosis: Diagnosis) -> FloatArray | None:
-    """The current that the reference's motor would have drawn in this start; None without a reference.
-
-    K is that of the fit where the current alone is told: the current depends on K^2/J and B/J only.
-    """
-    fit, reference = diagnosis.identified, diagnosis.reference
-    if fit is None or reference is None:
-        return None
-    believed = float(np.max(fit.parameters.back_emf_constant_v_s_per_rad))
-    value = absolute(reference.values, believed)
-    ohm, constant = value["R"] + fit.start.circuit.shunt_ohm, value["K"]
-    motor = MotorParameters(ohm, value["L"], constant, constant, value["J"], value["B"])
-    states = started(fit.start, motor, fit.extension, fit.onset_s)
-    current: FloatArray = states[:, 0] + (0.0 if fit.start.alignment.rectified else fit.offset_a)
-    return current
 
 
 def _title(name: str) -> str:

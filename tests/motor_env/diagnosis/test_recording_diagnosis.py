@@ -200,7 +200,7 @@ def test_exit_status_and_json_of_the_command(tmp_path: Path, capsys: pytest.Capt
     assert answer["verdict"] == "bearing"
     assert answer["severity_interval"][0] < 0.30 < answer["severity_interval"][1]
     assert {"file", "verdict", "severity", "confidence", "parameters", "r2_current"} <= set(answer)
-    assert [p.suffix for p in tmp_path.iterdir()] == [".png"]
+    assert [p.suffix for p in tmp_path.iterdir()] == [".html"]
     assert cli.main(["diagnose", capture]) == 3
     assert cli.main(["diagnose", capture, "nosuch.csv", "--motor", motor]) == 2
     printed = capsys.readouterr()

@@ -1,0 +1,265 @@
+"""A diagnosis as one self-contained HTML page: the verdict and what to do first, then what it rests on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motor_env.console import printable
+from motor_env.diagnosis.decision import Diagnosis, Verdict
+from motor_env.diagnosis.explanations import Change
+from motor_env.diagnosis.report import as_text
+from motor_env.identification.plausibility import implausible
+from motor_env.identification.residuals import absolute, started
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import FloatArray, MotorParameters
+from motor_env.pages.html import render
+from motor_env.pages.svg import Axis, Chart, round_ticks
+
+_WIDTH = 480.0  # so narrow that its numbers can be read on a phone
+_RATIOS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0, 1.5, 0.75, 1.25, 0.8, 1.1, 0.9, 1.05, 0.95)
+"""Where a grid line may stand, the most welcome first."""
+_MOST_POINTS = 700
+_SHOWN_SHARE = 0.02  # of the recording before the start
+_QUANTITY = {
+    "R": "Winding resistance R",
+    "L": "Inductance L",
+    "K": "Constant K",
+    "K^2/J": "Pull K²/J",
+    "J": "Inertia J",
+    "B": "Friction B",
+    "B/J": "Friction B/J",
+    "speed": "Speed (ripple)",
+}
+_KIND = {
+    "bearing": "more friction",
+    "winding_contact": "more winding resistance",
+    "winding_short": "shorted turns",
+}
+_TITLE = {
+    Verdict.HEALTHY: "Healthy",
+    Verdict.BEARING: "More friction: bearing, lubricant or load",
+    Verdict.WINDING: "Winding or brushes",
+    Verdict.MAGNET: "Weak magnets",
+    Verdict.NOISE: "Noisy current",
+    Verdict.OTHER: "Something changed that is no single known fault",
+    Verdict.NO_REFERENCE: "Nothing to compare with",
+    Verdict.UNUSABLE: "This recording cannot be judged",
+}
+_FIRST = {
+    Verdict.HEALTHY: (
+        "Nothing to do. Keep this recording: more healthy starts make smaller faults visible.",
+    ),
+    Verdict.BEARING: (
+        "Switch off, lock out, and turn the shaft by hand: rough, stiff or noisy?",
+        "Uncouple the load and record another start. Still high: bearings or lubricant. Normal: the driven machine.",
+    ),
+    Verdict.WINDING: (
+        "Tighten and clean the terminals; measure the resistance with four leads at several rotor positions.",
+        "High at all positions: connections or brushes. High or low at some: commutator or winding.",
+    ),
+    Verdict.MAGNET: (
+        "Let the motor cool to the temperature of its healthy starts and record again: warm magnets are weaker.",
+        "Still low: compare the no-load speed with the data sheet; it rises as magnets weaken.",
+    ),
+    Verdict.NOISE: (
+        "Check brushes and commutator for sparks and wear, then the probe, its cable and its ground.",
+        "Record again with the probe on another supply line to tell the motor's noise from the sensor's.",
+    ),
+    Verdict.OTHER: (
+        "Check the recording first: the probe's scale, the units and the supply voltage under Read as, below.",
+        "Is it this motor, with the usual load? Record two more starts; if they agree, take it out for inspection.",
+    ),
+    Verdict.NO_REFERENCE: (
+        "Record three healthy starts and run: motor-env commission A.csv B.csv C.csv -o motor.toml",
+        "Or write the data sheet into a motor file, and run diagnose again with --motor motor.toml.",
+    ),
+    Verdict.UNUSABLE: (
+        "Record again: from before switching on until the current is steady, without clipping.",
+        "Choose the range so that the peak fills half of it, and leave some milliseconds without current before it.",
+    ),
+}
+
+
+_SHORT_FIRST = (
+    "Take the motor out of service soon: shorted turns heat up and spread.",
+    "Measure the resistance with four leads at several rotor positions: low at some confirms it. Replace or rewind.",
+)
+
+
+def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
+    """The whole page.
+
+    Args:
+        diagnosis: what was judged.
+        periods_per_turn: periods of the commutation ripple in a turn, for the lines of the experts.
+    """
+    verdict, fit = diagnosis.verdict, diagnosis.identified
+    tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
+    expected, is_short = reference_current(diagnosis), diagnosis.fault_kind is FaultKind.WINDING_SHORT
+    return render(
+        "motor_env.diagnosis",
+        "diagnosis.html.j2",
+        title="Winding: shorted turns" if is_short else _TITLE.get(verdict, str(verdict).capitalize()),
+        file=printable(diagnosis.recording.path.name),
+        tone=tone,
+        size=_size(diagnosis),
+        sure=_sure(diagnosis.confidence),
+        first=_SHORT_FIRST if is_short else _FIRST.get(verdict, ()),
+        reasons=[f"{reason[0].upper()}{reason[1:]}." for reason in diagnosis.reasons],
+        warnings=[]
+        if fit is None
+        else [f"{sentence[0].upper()}{sentence[1:]}." for sentence in implausible(fit)],
+        read=[printable(note) for note in diagnosis.recording.columns],
+        bars=_bars(diagnosis.changes) if diagnosis.changes else "",
+        current=_current(diagnosis, expected) if fit is not None else "",
+        has_expected=expected is not None,
+        residual=_residual(diagnosis, expected) if expected is not None else "",
+        smallest=[
+            (_KIND.get(kind, kind), f"{share:.0%}") for kind, share in diagnosis.smallest_changes.items()
+        ],
+        expert=printable(as_text(diagnosis, periods_per_turn, verbose=True)),
+    )
+
+
+def _size(diagnosis: Diagnosis) -> str:
+    """How far it moved, with its interval, in words; empty without a size."""
+    low, high, size = diagnosis.severity_low, diagnosis.severity_high, diagnosis.severity
+    if not size or not diagnosis.verdict.is_fault:
+        return ""
+    between = "" if low is None or high is None else f", between {low:.0%} and {high:.0%}"
+    what = {
+        FaultKind.BEARING: f"Friction up by {size:.0%}{between}",
+        FaultKind.WINDING_CONTACT: f"Winding resistance up by {size:.0%}{between}",
+        FaultKind.WINDING_SHORT: f"{size:.0%} of the turns shorted{between}",
+    }
+    return what.get(diagnosis.fault_kind, f"Size {size:.0%}{between}") if diagnosis.fault_kind else ""
+
+
+def _sure(confidence: float | None) -> str:
+    if confidence is None:
+        return ""
+    return "over 99 % sure" if confidence > 0.99 else f"{confidence:.0%} sure"
+
+
+def reference_current(diagnosis: Diagnosis) -> FloatArray | None:
+    """The current that the reference's motor would have drawn in this start; None without a reference.
+
+    K is that of the fit where the current alone is told: the current depends on K^2/J and B/J only.
+    """
+    fit, reference = diagnosis.identified, diagnosis.reference
+    if fit is None or reference is None:
+        return None
+    believed = float(np.max(fit.parameters.back_emf_constant_v_s_per_rad))
+    value = absolute(reference.values, believed)
+    ohm, constant = value["R"] + fit.start.circuit.shunt_ohm, value["K"]
+    motor = MotorParameters(ohm, value["L"], constant, constant, value["J"], value["B"])
+    states = started(fit.start, motor, fit.extension, fit.onset_s)
+    current: FloatArray = states[:, 0] + (0.0 if fit.start.alignment.rectified else fit.offset_a)
+    return current
+
+
+def _bars(changes: tuple[Change, ...]) -> str:
+    """Deviation of each quantity with its interval, in per cent on a logarithmic axis."""
+    widest = max(max(change.high, 1.0 / change.low) for change in changes)
+    edge = float(np.clip(1.1 * widest, 1.1, 8.0))
+    ticks: list[float] = []
+    for tick in _RATIOS:
+        apart = min((abs(np.log(tick / other)) for other in ticks), default=1.0)
+        if 1.0 / edge <= tick <= edge and apart > 0.36 * np.log(edge):
+            ticks.append(tick)
+    height = 34.0 * len(changes)
+    chart = Chart(
+        Axis("", 1.0 / edge, edge, ticks, lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %", is_log=True),
+        Axis("", 0.0, 1.0),
+        size=(_WIDTH, height + 30.0),
+        margins=(150.0, 64.0, 0.0, 30.0),
+        label="Deviation of each quantity from the healthy motor, with its 95 % interval",
+    )
+    chart.x_numbers(grid=True)
+    chart.upright("zero", 1.0)
+    for row, change in enumerate(changes):
+        y, style = 34.0 * row + 17.0, "moved" if change.significant else "still"
+        name = change.name.replace(" V)", ")").removesuffix("/V").replace("(J)", "J")
+        with chart.group(style, f"{change.name}: {change.ratio - 1.0:+.1%}"):
+            chart.text((0.0, y + 5.0), _QUANTITY.get(name, change.name), "name")
+            chart.line("interval", (chart.x(change.low), y), (chart.x(change.high), y))
+            chart.dot("dot", (chart.x(change.ratio), y), 6.0)
+            chart.text((_WIDTH, y + 5.0), f"{round(change.ratio - 1.0, 2) + 0.0:+.0%}", "value", "end")
+    return chart.svg()
+
+
+def _shown(diagnosis: Diagnosis) -> tuple[FloatArray, slice]:
+    """Times in ms after the start, and which samples are drawn."""
+    fit = diagnosis.identified
+    assert fit is not None  # noqa: S101  # callers have a fit
+    time_ms = 1e3 * (fit.start.time_s - fit.onset_s)
+    begin = int(np.searchsorted(time_ms, -_SHOWN_SHARE * time_ms[-1]))
+    step = max((len(time_ms) - begin) // _MOST_POINTS, 1)
+    return time_ms, slice(begin, None, step)
+
+
+def _time_axis(time_ms: FloatArray) -> Axis:
+    low, high = float(time_ms[0]), float(time_ms[-1])
+    return Axis("", low, high, round_ticks(low, high, 5), lambda value: f"{value:g} ms")
+
+
+def _current(diagnosis: Diagnosis, expected: FloatArray | None) -> str:
+    """The measured current beside the healthy motor's."""
+    fit = diagnosis.identified
+    assert fit is not None  # noqa: S101  # the caller has looked
+    time_ms, shown = _shown(diagnosis)
+    curves = [("measured", fit.start.current_a[shown])]
+    if expected is not None:
+        curves.append(("healthy", expected[shown]))
+    low, high = (
+        min(float(values.min()) for _, values in curves),
+        max(float(values.max()) for _, values in curves),
+    )
+    return _chart(time_ms[shown], curves, (low, high), "A", "Measured current and that of the healthy motor")
+
+
+def _residual(diagnosis: Diagnosis, expected: FloatArray | None) -> str:
+    """Measured less healthy current, averaged over a fiftieth of the recording, with the sensor's noise as a band."""
+    fit = diagnosis.identified
+    assert fit is not None  # noqa: S101  # the caller has looked
+    assert expected is not None  # noqa: S101  # the caller has looked
+    time_ms, shown = _shown(diagnosis)
+    beyond = fit.start.current_a - fit.start.ripple_a - expected
+    span = max(len(beyond) // 50, 1)
+    padded = np.pad(beyond, (span // 2, span - 1 - span // 2), "reflect")
+    smooth: FloatArray = np.convolve(padded, np.ones(span) / span, "valid")[shown]
+    noise = 2.0 * fit.noise_a / float(np.sqrt(span))
+    largest = max(float(np.quantile(np.abs(smooth[time_ms[shown] > 0.0]), 0.98)), 2.0 * noise)
+    unit, factor = ("A", 1.0) if largest > 1.0 else ("mA", 1e3)
+    edge = 1.2 * factor * largest
+    label = "Measured less healthy current, with the band of the sensor's noise"
+    curves = [("beyond", factor * smooth)]
+    return _chart(time_ms[shown], curves, (-edge, edge), unit, label, band=factor * noise)
+
+
+def _chart(
+    time_ms: FloatArray,
+    curves: list[tuple[str, FloatArray]],
+    limits: tuple[float, float],
+    unit: str,
+    label: str,
+    *,
+    band: float = 0.0,
+) -> str:
+    room = 0.05 * max(limits[1] - limits[0], 1e-9)
+    low, high = limits[0] - room, limits[1] + room
+    chart = Chart(
+        _time_axis(time_ms),
+        Axis("", low, high, round_ticks(low, high, 5), lambda value: f"{value:g} {unit}"),
+        size=(_WIDTH, 230.0),
+        margins=(66.0, 12.0, 8.0, 28.0),
+        label=label,
+    )
+    if band:
+        corners = chart.points([time_ms[0], time_ms[-1], time_ms[-1], time_ms[0]], [band, band, -band, -band])
+        chart.shape("polygon", "band", points=corners)
+    chart.y_numbers()
+    chart.x_numbers()
+    for style, values in curves:
+        chart.curve(style, time_ms, values)
+    return chart.svg()

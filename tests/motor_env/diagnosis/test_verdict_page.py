@@ -1,0 +1,121 @@
+"""What a technician has to find on the page without opening a fold: the verdict, its size, the next action."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_env import (
+    PAPER_MOTOR,
+    Fault,
+    Recording,
+    Scenario,
+    SensorParameters,
+    Timing,
+    diagnose,
+    load_motor,
+    simulate,
+)
+from motor_env.diagnosis.decision import Diagnosis
+from motor_env.diagnosis.page import page, reference_current
+from motor_env.motor.faults import FaultKind
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+MOTOR = load_motor(EXAMPLES / "motor.toml")
+Answers = tuple[str, str, str]
+
+
+def start(*faults: Fault, seed: int = 3) -> Recording:
+    """One start with quiet time before it."""
+    sensor = SensorParameters(current_noise_a=0.02)
+    scenario = Scenario(PAPER_MOTOR, faults, sensor=sensor, timing=Timing(duration_s=0.2, quiet_s=0.03))
+    made = simulate(scenario, seed=seed, cases=[0])
+    return Recording(
+        Path("start.csv"), made.time_s, made.measurements[0, 0], made.voltage_v[0], columns=("read so",)
+    )
+
+
+def clipped() -> Recording:
+    recording = start()
+    return replace(recording, current_a=np.minimum(recording.current_a, 2.5))
+
+
+def ten_times() -> Recording:
+    recording = start()
+    return replace(recording, current_a=10.0 * recording.current_a)
+
+
+@cache
+def judged(case: str) -> Diagnosis:
+    """The five captures of the technician's test."""
+    recordings = {
+        "healthy": start(),
+        "bearing": start(Fault(FaultKind.BEARING, 0.5)),
+        "short": start(Fault(FaultKind.WINDING_SHORT, 0.12)),
+        "clipped": clipped(),
+        "probe": ten_times(),
+    }
+    return diagnose(recordings[case], MOTOR)
+
+
+# Written before the pages were: what is wrong, how much of it, what to do next.
+ANSWERS: dict[str, Answers] = {
+    "healthy": ("Healthy", "more friction 2[0-9]%", "Nothing to do"),
+    "bearing": (
+        "More friction: bearing, lubricant or load",
+        "Friction up by (4|5)[0-9]%",
+        "turn the shaft by hand",
+    ),
+    "short": ("Winding: shorted turns", "1[0-9]% of the turns shorted", "Measure the resistance"),
+    "clipped": ("This recording cannot be judged", "clipped", "Record again"),
+    "probe": ("Something changed", "R is down by 90%", "the probe.s scale"),
+}
+
+
+@pytest.mark.parametrize("case", list(ANSWERS))
+def test_a_technician_finds_verdict_size_and_next_action(case: str) -> None:
+    html = page(judged(case))
+    assert html.count("<html") == 1
+    assert "http" not in html.replace("http-equiv", "")  # nothing is loaded from elsewhere
+    above_the_fold = re.sub(
+        r"<details.*?</details>|<style.*?</style>|<svg.*?</svg>", " ", html, flags=re.DOTALL
+    )
+    text = " ".join(re.sub(r"<[^>]+>", " ", above_the_fold).replace("&#39;", "'").split())
+    for answer in ANSWERS[case]:
+        assert re.search(answer, text), (answer, text)
+    verdict, _, action = (re.search(answer, text) for answer in ANSWERS[case])
+    assert verdict is not None
+    assert action is not None
+    assert verdict.start() < action.start() < 900  # on the first screen
+
+
+def test_numbers_of_experts_lie_behind_the_fold() -> None:
+    html = page(judged("healthy"))
+    shown, fold = html.split("<details")
+    assert "NIS" not in shown
+    assert "mean NIS" in fold
+    assert "warning" not in shown.split("<body>")[1]
+
+
+def test_the_healthy_motors_current_is_what_was_measured_when_nothing_is_wrong() -> None:
+    fit, expected = judged("healthy").identified, reference_current(judged("healthy"))
+    assert fit is not None
+    assert expected is not None
+    np.testing.assert_allclose(expected, fit.start.current_a, atol=0.2)
+    bearing = judged("bearing")
+    assert bearing.identified is not None
+    beyond = bearing.identified.start.current_a - np.asarray(reference_current(bearing))
+    assert 0.005 < beyond[-500:].mean() < 0.03  # half more friction than 26 mA
+
+
+def test_a_page_shows_hostile_names_as_text() -> None:
+    recording = replace(start(), path=Path("<script>alert(1)</script>.csv"), columns=("<b>read</b>",))
+    html = page(diagnose(recording))
+    assert "<script>" not in html
+    assert "<b>read" not in html
+    assert "Nothing to compare with" in html
