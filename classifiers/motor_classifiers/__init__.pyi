@@ -19,6 +19,9 @@ from .estimators.networks.posterior_network import (
 from .estimators.networks.resnet import (
     ResNetClassifier as ResNetClassifier,
 )
+from .estimators.networks.torch_classifier import (
+    TorchClassifier as TorchClassifier,
+)
 from .model_files.onnx_export import (
     export_onnx as export_onnx,
 )
@@ -34,6 +37,13 @@ from .prediction.opinions import (
 )
 from .scoring.evaluation import (
     evaluate_model as evaluate_model,
+)
+from .scoring.submissions import (
+    score_submission as score_submission,
+    write_submission as write_submission,
+)
+from .scoring.tasks import (
+    load_task as load_task,
 )
 from .wrappers.conformal import (
     ConformalClassifier as ConformalClassifier,

@@ -60,7 +60,7 @@ def train(
         out: New file of the model. An existing one is never overwritten.
         motor: Motor file (data sheet, identified or commissioned), or paper: its tolerances are the nuisances.
         recipe: Recipe file, or the name of a recipe: bench, bench-full, paper or field.
-        method: For a data set: a method of the benchmark, residual-qda by default.
+        method: For a data set: a method of the benchmark, residual-qda by default; or FILE.py:NAME, your own.
         voltage: Level of the supply in volt; the motor file's by default.
         sampling_rate_hz: Samples a second; by default the recipe's, or a thousand samples for a motor.
         duration_s: Time after the step; by default the recipe's, or 25 mechanical time constants of the motor.
@@ -232,6 +232,7 @@ def benchmark(
     current_noise_a: str | None = None,
     n_train: str | None = None,
     methods: str | None = None,
+    with_: Annotated[tuple[str, ...], Parameter(name="--with")] = (),
     n_test: console.Whole = 2000,
     seed: console.Whole = 0,
     duration_s: float | None = None,
@@ -258,6 +259,8 @@ def benchmark(
         current_noise_a: Standard deviation of a current sample; the recipe's by default.
         n_train: Starts to learn from, 2000 by default; the first of several is that of the sweep over rates and noises.
         methods: Names with commas between; all by default.
+        with_: A method of your own beside them: FILE.py:NAME, a function of a recipe and a seed that returns an
+            estimator, or the name of an entry point motor_classifiers.methods. May be given several times.
         n_test: Starts to be judged on.
         seed: Random seed.
         duration_s: Time recorded after the step of the supply.
@@ -289,7 +292,7 @@ def benchmark(
         n_test=n_test,
         seed=seed,
     )
-    plan = Plan(cells, tuple(methods.split(",")) if methods else tuple(METHODS), peers or shipped_peers())
+    plan = Plan(cells, (*(methods.split(",") if methods else METHODS), *with_), peers or shipped_peers())
     folder = out / "answers" if len(cells) > 1 else None
     if peers is not None and not peers.is_file():
         raise InputError(f"{peers}: no such file of answers of peers")
@@ -311,6 +314,10 @@ def benchmark(
             file=sys.stderr,
         )
     return 1 if leaks else 0
+
+
+for name in ("task", "submit", "score"):
+    app.command(f"motor_classifiers.cli.contest:{name}", name=name)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -9,9 +9,9 @@ from typing import Any
 from rich.console import Console
 
 from motor_classifiers.cli.options import numbers
-from motor_classifiers.estimators.methods import METHODS, make_method
 from motor_classifiers.estimators.networks.posterior_network import UNKNOWN_NOISE, PosteriorNetwork
-from motor_classifiers.model_files.persistence import save_model
+from motor_classifiers.estimators.own_methods import fed, find_method
+from motor_classifiers.model_files.persistence import check_saveable, save_model
 from motor_datasets.loaders import load
 from motor_env.console import progress_bar
 from motor_env.errors import InputError
@@ -27,9 +27,11 @@ from motor_env.simulation.recipes import FaultClass, Recipe, changed_recipe
 def train_on_dataset(dataset: str, method: str, seed: int, out: Path) -> dict[str, Any]:
     """Train a method of the benchmark on the training split of a data set, write it, and tell what was done."""
     cases = load(dataset, "train")
-    model = make_method(method, cases.recipe, seed)
+    chosen = find_method(method)
+    model = chosen.make(cases.recipe, seed)
+    check_saveable(model)
     with Console(stderr=True).status(f"training {method} on {len(cases)} starts"):
-        METHODS[method].train(model, cases.X, cases.class_name)
+        chosen.train(model, fed(model, cases.X), cases.class_name)
         save_model(model, cases.recipe, method, out)
     return {"method": method, "n_train": len(cases), "out": str(out)}
 

@@ -26,6 +26,7 @@ from motor_classifiers.estimators.confirmation import ThresholdConfirmationClass
 from motor_classifiers.estimators.networks.epoch_classifier import PerceptronClassifier
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.resnet import ResNetClassifier
+from motor_classifiers.estimators.own_methods import answered
 from motor_classifiers.estimators.reference_starts import RecentredStarts
 from motor_classifiers.estimators.state import State
 from motor_classifiers.model_files.containers import (
@@ -36,7 +37,7 @@ from motor_classifiers.model_files.containers import (
     read_file,
     unpacked,
 )
-from motor_classifiers.model_files.pipelines import load_pipeline, pipeline_members
+from motor_classifiers.model_files.pipelines import check_pipeline, load_pipeline, pipeline_members
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
 from motor_classifiers.wrappers.open_set import OpenSetClassifier
@@ -73,18 +74,28 @@ def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path) ->
     """Write a fitted model; the file appears whole or not at all.
 
     Args:
-        model: a method of `METHODS`, or a `ConformalClassifier` or `OpenSetClassifier` around one.
+        model: a method of `METHODS`, an estimator or pipeline of scikit-learn's steps that are safe to load, or a
+            `ConformalClassifier` or `OpenSetClassifier` around one.
         recipe: that it was trained for.
         method: name of the method.
         path: of the file.
 
     Raises:
-        TypeError: a model of another kind.
-        InputError: the file cannot be written.
+        InputError: a model of another kind, or the file cannot be written.
     """
     content = _content(model, recipe, method)
     with replacing(path) as temporary:
         temporary.write_bytes(content)
+
+
+def check_saveable(model: BaseEstimator) -> None:
+    """Check before the training that an estimator's file could be loaded again.
+
+    Raises:
+        InputError: it could not; the sentence says what could.
+    """
+    if type(model) not in _NAMES:
+        check_pipeline(model)
 
 
 def load_model(path: Path) -> Loaded:
@@ -120,10 +131,8 @@ def _content(model: BaseEstimator, recipe: Recipe, method: str) -> bytes:
         "recipe": recipe_to_dict(recipe),
         "classes": [str(name) for name in model.classes_],
     }
-    if isinstance(model, Pipeline):
-        return packed({**pipeline_members(model), _MEMBER: json.dumps(head).encode()})
     if kind is None:
-        raise TypeError(f"model must be a pipeline, a confirmation or a network, got {type(model).__name__}")
+        return packed({**pipeline_members(model), _MEMBER: json.dumps(head).encode()})
     state = model.to_state()
     arrays = {name: np.ascontiguousarray(values) for name, values in state.arrays.items()}
     head |= {"kind": kind, **state.values}
@@ -189,7 +198,7 @@ def _try_out(model: BaseEstimator, recipe: Recipe) -> None:
     )
     require(model.n_features_in_ <= MOST_FEATURES, f"a case has more than {MOST_FEATURES} values")
     with np.errstate(all="ignore"):
-        probabilities = model.predict_proba(np.zeros((1, model.n_features_in_)))
+        probabilities = answered(model, np.zeros((1, model.n_features_in_)))
     require(probabilities.shape == (1, len(model.classes_)), "it gives no probability for each class")
     require(bool(np.isfinite(probabilities).all()), "its probabilities are not finite")
     foreign = {str(name) for name in model.classes_} - set(recipe.class_names)

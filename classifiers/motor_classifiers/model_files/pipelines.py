@@ -7,7 +7,7 @@ arrays. So each step of a pipeline is of a type that is checked here, or that co
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from copy import copy
 from typing import Any
 
@@ -17,14 +17,15 @@ from sklearn.base import BaseEstimator
 from sklearn.calibration import CalibratedClassifierCV
 from sklearn.decomposition import PCA
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis, QuadraticDiscriminantAnalysis
-from sklearn.ensemble import HistGradientBoostingClassifier, RandomForestClassifier
+from sklearn.ensemble import ExtraTreesClassifier, HistGradientBoostingClassifier, RandomForestClassifier
 from sklearn.ensemble._hist_gradient_boosting.predictor import TreePredictor
 from sklearn.linear_model import LogisticRegression
 from sklearn.naive_bayes import GaussianNB
+from sklearn.neural_network import MLPClassifier
 from sklearn.pipeline import FeatureUnion, Pipeline
 from sklearn.preprocessing import MinMaxScaler, RobustScaler, StandardScaler
 from sklearn.svm import SVC
-from sklearn.tree import DecisionTreeClassifier
+from sklearn.tree import DecisionTreeClassifier, ExtraTreeClassifier
 from sklearn.tree._tree import Tree
 
 from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProjection, RuleStatistics
@@ -36,10 +37,12 @@ from motor_env.simulation.recipes import Recipe
 
 _WITH_RECIPE = (PhysicalFeatures, ResidualProjection, RecentredStarts, RuleStatistics)
 _STEPS = {
-    *_WITH_RECIPE, CalibratedClassifierCV, FeatureUnion, GaussianNB, HistGradientBoostingClassifier,
-    LinearDiscriminantAnalysis, LogisticRegression, MinMaxScaler, PCA, Pipeline, QuadraticDiscriminantAnalysis,
-    RandomForestClassifier, RobustScaler, StandardScaler, SVC,
+    *_WITH_RECIPE, CalibratedClassifierCV, ExtraTreesClassifier, FeatureUnion, GaussianNB,
+    HistGradientBoostingClassifier, LinearDiscriminantAnalysis, LogisticRegression, MinMaxScaler, MLPClassifier, PCA,
+    Pipeline, QuadraticDiscriminantAnalysis, RandomForestClassifier, RobustScaler, StandardScaler, SVC,
 }  # fmt: skip
+_TREES = (DecisionTreeClassifier, ExtraTreeClassifier)
+_FORESTS = (RandomForestClassifier, ExtraTreesClassifier)
 _SCHEMA = "schema.json"
 _OLD_MODULES = {
     "PhysicalFeatures": "motor_classifiers.features",
@@ -62,7 +65,7 @@ TRUSTED = [
 
 _ALLOWED = {
     *TRUSTED,
-    *(f"{step.__module__}.{step.__name__}" for step in (*_STEPS, DecisionTreeClassifier)),
+    *(f"{step.__module__}.{step.__name__}" for step in (*_STEPS, *_TREES)),
     *(f"builtins.{name}" for name in ("dict", "list", "str", "tuple")),
     *(
         f"numpy.{name}"
@@ -77,6 +80,7 @@ _ALLOWED = {
     "sklearn._loss.loss.HalfBinomialLoss",
     "sklearn._loss.loss.HalfMultinomialLoss",
     "sklearn.ensemble._hist_gradient_boosting.binning._BinMapper",
+    "sklearn.preprocessing._label.LabelBinarizer",
     "sklearn.preprocessing._label.LabelEncoder",
 }
 """All types that a saved pipeline is made of; skops itself would take any of scikit-learn, NumPy and SciPy."""
@@ -90,18 +94,44 @@ _LOADERS = {
 """Ways of skops to make an object; among the others are methods, operators and functions."""
 
 
-def pipeline_members(model: Pipeline) -> dict[str, bytes]:
-    """A fitted pipeline without its recipe, as the members of an archive.
+def check_pipeline(model: BaseEstimator) -> None:
+    """Check that an estimator or a pipeline, fitted or not, is made of steps that could be loaded again.
 
     Raises:
-        TypeError: a step is of a type that could not be loaded again.
+        InputError: it is not; the sentence says what would be.
+    """
+    steps = [model, *(part for part in model.get_params().values() if isinstance(part, BaseEstimator))]
+    foreign = sorted({type(step).__name__ for step in steps if type(step) not in _STEPS})
+    if foreign:
+        raise InputError(
+            f"a model with a {foreign[0]} cannot be saved: a file may hold {_names(_STEPS)} alone, because nothing else"
+            " is safe to load; use one of these, or score it unsaved by motor-classifiers benchmark --with"
+        )
+    require(
+        all(getattr(step, "n_jobs", None) is None for step in steps), "a saved model must have n_jobs=None"
+    )
+
+
+def _names(types: Iterable[type]) -> str:
+    return ", ".join(sorted(step.__name__ for step in types))
+
+
+def pipeline_members(model: BaseEstimator) -> dict[str, bytes]:
+    """A fitted pipeline, or an estimator as one, without its recipe, as the members of an archive.
+
+    Raises:
+        InputError: a step is of a type that could not be loaded again.
     """
     import skops.io
 
-    foreign = sorted({type(step).__name__ for step in _steps(model)} - {step.__name__ for step in _STEPS})
-    if foreign:
-        raise TypeError(f"a pipeline with a {foreign[0]} cannot be saved")
-    return unpacked(skops.io.dumps(with_recipe(model, None)))
+    check_pipeline(model)
+    model = model if isinstance(model, Pipeline) else Pipeline([("classify", model)])
+    members = unpacked(skops.io.dumps(with_recipe(model, None)))
+    unsafe = _foreign_types(parsed(members[_SCHEMA]))
+    require(
+        not unsafe, f"a model that holds {min(unsafe, default='')} cannot be saved: it is not safe to load"
+    )
+    return members
 
 
 def load_pipeline(members: dict[str, bytes], recipe: Recipe) -> Pipeline:
@@ -153,6 +183,9 @@ def with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
         changed.transformer_list = [(n, with_recipe(step, recipe)) for n, step in model.transformer_list]
     elif isinstance(model, _WITH_RECIPE):
         changed.recipe = recipe
+    elif isinstance(model, MLPClassifier):
+        for name in ("_random_state", "_optimizer"):  # of the training alone, and not safe to load
+            vars(changed).pop(name, None)
     return changed
 
 
@@ -185,9 +218,9 @@ def _check_step(step: BaseEstimator) -> None:
         ValueError: a tree or a support vector machine whose parts do not fit, or workers asked for.
     """
     require(getattr(step, "n_jobs", None) is None, "it asks for workers")
-    if isinstance(step, RandomForestClassifier):
+    if isinstance(step, _FORESTS):
         for grown in step.estimators_:
-            require(type(grown) is DecisionTreeClassifier, "a forest holds something else than trees")
+            require(type(grown) in _TREES, "a forest holds something else than trees")
             _check_grown(grown, step)
     elif isinstance(step, HistGradientBoostingClassifier):
         _check_boosting(step)
@@ -195,7 +228,7 @@ def _check_step(step: BaseEstimator) -> None:
         _check_vectors(step)
 
 
-def _check_grown(grown: DecisionTreeClassifier, forest: RandomForestClassifier) -> None:
+def _check_grown(grown: DecisionTreeClassifier, forest: BaseEstimator) -> None:
     tree = grown.tree_
     # Before anything else: the arrays of a tree are views of as many nodes as it says.
     require(type(tree) is Tree and tree.node_count == tree.capacity, "a tree has not the nodes that it says")

@@ -12,6 +12,7 @@ from sklearn.base import BaseEstimator
 
 from motor_classifiers.estimators.cases import values_of_start
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.own_methods import answered
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.prediction.alignment import aligned_case
 from motor_classifiers.scoring.judging import in_recipe_order
@@ -91,7 +92,7 @@ def opinions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Opinion]:
     """Opinion on each case, X of shape (n_cases, n_channels, n_timepoints)."""
     if isinstance(model, ConformalClassifier | OpenSetClassifier):
         return _around(model, opinions(model.wrapped_model, recipe, X), X)
-    probabilities = in_recipe_order(model, model.predict_proba(X), recipe)
+    probabilities = in_recipe_order(model, answered(model, X), recipe)
     verdicts = np.array([verdict_of(c.label_kind) for c in recipe.classes])
     best = probabilities.argmax(axis=1)
     mine = np.where(verdicts == verdicts[best][:, None], probabilities, 0.0)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from motor_classifiers.estimators.methods import METHODS
+from motor_classifiers.estimators.own_methods import find_method
 from motor_classifiers.report.charts import interval_chart, reliability_chart, severity_chart
 from motor_classifiers.report.examples import ALARM_RATE, examples
 from motor_classifiers.report.names import readable, short
@@ -50,7 +50,7 @@ def render_report(plan: Plan, results: Sequence[CellResult], machine: str) -> st
         best=ours[0],
         best_peer=next((method for method in ranked if method.origin), None),
         origins=sorted({method.origin for method in ranked if method.origin}),
-        titles={name: method.title for name, method in METHODS.items()} | PEERS,
+        titles=PEERS | {name: find_method(name).title for name in plan.methods},
         methods=ranked,
         limit=result.limit,
         estimated=result.limit_is_estimate,

@@ -49,7 +49,7 @@ class MethodResult(NamedTuple):
     """One method in one setting.
 
     Attributes:
-        name: of `METHODS` or `PEERS`.
+        name: of `find_method` or `PEERS`.
         judged: answer and scores.
         against_limit: compared in pairs with the limit's decisions.
         above_limit: whether it is significantly better than what is possible: then something leaks.
@@ -151,7 +151,7 @@ def _sets(result: CellResult) -> Figures:
 def _score_cell(plan: Plan, cell: Cell, store: AnswerStore) -> CellResult:
     test = cell.test()
     weights = resampling_weights(cell.n_test, cell.seed, groups=test.motor_id)
-    limit = _judged(cell.recipe, store.find(unit_of(cell, limit_of(cell))), test, weights, graded=True)
+    limit = _judged(cell.recipe, store.find(unit_of(cell, limit_of(cell))), test, weights)
     limit_right = limit.answer.decided == test.class_index
     is_estimate = cell.recipe.field is not None
     answers: dict[str, Answer] = {name: store.find(unit_of(cell, name)) for name in plan.methods}
@@ -161,17 +161,16 @@ def _score_cell(plan: Plan, cell: Cell, store: AnswerStore) -> CellResult:
         is_ours = peers is None or name not in peers.answers
         comparison = compare(answer.decided == test.class_index, limit_right, weights)
         above = is_ours and not is_estimate and comparison.p_above < SIGNIFICANCE / plan.n_comparisons
-        graded = peers is None or is_ours or name in peers.graded
-        judged = _judged(cell.recipe, answer, test, weights, graded=graded)
+        judged = _judged(cell.recipe, answer, test, weights)
         origin = "" if peers is None or is_ours else peers.origin
         results.append(MethodResult(name, judged, comparison, above, origin))
     return CellResult(cell, test.class_index, test.severity, limit, is_estimate, tuple(results), weights)
 
 
-def _judged(recipe: Recipe, answer: Answer, test: Dataset, weights: FloatArray, *, graded: bool) -> Judged:
+def _judged(recipe: Recipe, answer: Answer, test: Dataset, weights: FloatArray) -> Judged:
     return Judged(
         answer,
         scores(recipe, test.class_index, answer.decided, weights),
-        calibration_scores(answer.probabilities, test.class_index) if graded else None,
+        calibration_scores(answer.probabilities, test.class_index) if answer.is_graded else None,
         root_mean_square(answer.severity - test.severity, weights),
     )

@@ -6,6 +6,7 @@ from typing import Any
 
 from sklearn.base import BaseEstimator
 
+from motor_classifiers.estimators.own_methods import answered
 from motor_classifiers.scoring.calibration import calibration_scores
 from motor_classifiers.scoring.judging import expected_severity, in_recipe_order
 from motor_classifiers.scoring.metrics import compare, resampling_weights, root_mean_square, scores
@@ -31,7 +32,7 @@ def evaluate_model(model: BaseEstimator, recipe: Recipe, test: Dataset, seed: in
             f"the data set has the classes {', '.join(theirs.class_names)}, the model {', '.join(recipe.class_names)}"
         )
     weights = resampling_weights(len(test), seed, groups=test.motor_id)
-    probabilities = in_recipe_order(model, model.predict_proba(test.X), recipe)
+    probabilities = in_recipe_order(model, answered(model, test.X), recipe)
     limit = class_probabilities(theirs, test.X)
     right = limit.argmax(axis=1) == test.class_index
     decided = probabilities.argmax(axis=1)

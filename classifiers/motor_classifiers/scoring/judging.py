@@ -6,6 +6,7 @@ import hashlib
 import io
 import json
 import multiprocessing
+import traceback
 import zipfile
 import zlib
 from concurrent.futures import ProcessPoolExecutor
@@ -19,7 +20,8 @@ from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # comes with scikit-learn, without types
 
-from motor_classifiers.estimators.methods import METHODS, make_method
+from motor_classifiers.estimators.methods import METHODS
+from motor_classifiers.estimators.own_methods import answered, fed, find_method, source_of
 from motor_classifiers.scoring.progress import Cost, with_cost
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
@@ -129,6 +131,11 @@ class Answer(NamedTuple):
         return decided
 
     @property
+    def is_graded(self) -> bool:
+        """Whether there are probabilities, and not decisions alone."""
+        return bool(((self.probabilities > 0.0) & (self.probabilities < 1.0)).any())
+
+    @property
     def microseconds_per_transient(self) -> float:
         """Time of a start in a batch."""
         return 1e6 * self.inference.seconds / len(self.probabilities)
@@ -152,17 +159,29 @@ def expected_severity(recipe: Recipe, probabilities: FloatArray) -> FloatArray:
 def judge(name: str, cell: Cell) -> Answer:
     """Train a method and let it judge, in this process."""
     train, test = cell.train(), cell.test()
-    method, unfitted = METHODS[name], make_method(name, cell.recipe, cell.seed % 2**32)
+    method = find_method(name)
+    unfitted = method.make(cell.recipe, cell.seed % 2**32)
     if method.from_stream:
         unfitted.set_params(with_severity=False)  # only probabilities are asked for
     with threadpool_limits(1):
-        model, training = with_cost(lambda: method.train(unfitted, train.X, train.class_name))
-        raw, inference = with_cost(lambda: model.predict_proba(test.X))
+        model, training = with_cost(lambda: method.train(unfitted, fed(unfitted, train.X), train.class_name))
+        raw, inference = with_cost(lambda: answered(model, test.X))
         if inference.seconds < _LONG_ENOUGH_S:
-            again = min(with_cost(lambda: model.predict_proba(test.X))[1].seconds for _ in range(_ROUNDS - 1))
+            again = min(with_cost(lambda: answered(model, test.X))[1].seconds for _ in range(_ROUNDS - 1))
             inference = inference._replace(seconds=min(inference.seconds, again))
     probabilities = in_recipe_order(model, raw, cell.recipe)
     return Answer(probabilities, expected_severity(cell.recipe, probabilities), training, inference)
+
+
+def _judge_foreign(name: str, cell: Cell) -> Answer:
+    """The same for a method of somebody else's: whatever it raises becomes a sentence that says where."""
+    try:
+        return judge(name, cell)
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        raise ValueError(
+            f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
+        ) from error
 
 
 def judge_apart(name: str, cell: Cell) -> Answer:
@@ -177,7 +196,7 @@ def judge_apart(name: str, cell: Cell) -> Answer:
         context.set_forkserver_preload([__name__])  # imports are paid once, not for every method
     with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
         try:
-            return pool.submit(judge, name, cell).result()
+            return pool.submit(judge if name in METHODS else _judge_foreign, name, cell).result()
         except KeyboardInterrupt:
             for worker in multiprocessing.active_children():
                 worker.terminate()  # closing the pool would wait for its answer
@@ -206,8 +225,9 @@ def answer_key(name: str, cell: Cell) -> str:
         "n_test": cell.n_test,
         "seed": cell.seed,
     }
-    if name != LIMIT and not METHODS[name].from_stream:
+    if name != LIMIT and not find_method(name).from_stream:
         contents["n_train"] = cell.n_train
+        contents |= {"source": source} if (source := source_of(name)) else {}
     return digest_of(contents)
 
 

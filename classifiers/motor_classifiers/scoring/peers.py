@@ -46,12 +46,10 @@ class Peers:
 
     Attributes:
         answers: by name; a slow peer may have judged the first starts only.
-        graded: names of those that give probabilities, and not only a decision.
         origin: when, where and by which command they were measured.
     """
 
     answers: dict[str, Answer]
-    graded: frozenset[str]
     origin: str
 
 
@@ -95,7 +93,6 @@ def read_peers(path: Path, cell: Cell) -> Peers | None:
             for name, measured in facts["methods"].items()
             if len(arrays[name]) >= cell.n_test
         }
-        graded = frozenset(name for name, measured in facts["methods"].items() if measured["graded"])
         origin = f"{facts['date']}, {facts['machine']}, aeon {facts['aeon']}, {facts['command']}"
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
@@ -103,7 +100,7 @@ def read_peers(path: Path, cell: Cell) -> Peers | None:
         raise InputError(
             f"{path}: holds no answers of peers ({' '.join(str(error).split())[:100]})"
         ) from None
-    return Peers(answers, graded, origin)
+    return Peers(answers, origin)
 
 
 def _same_starts(arrays: dict[str, NDArray[Any]], cell: Cell) -> bool:

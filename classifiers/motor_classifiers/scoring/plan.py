@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from motor_classifiers.estimators.methods import ESTIMATE, METHODS
+from motor_classifiers.estimators.own_methods import find_method
 from motor_classifiers.scoring.judging import LIMIT, Answer, Cell, answer_key, load_answer, save_answer
 from motor_classifiers.scoring.trust import (
     TRUST,
@@ -38,7 +39,7 @@ class Plan:
 
     Attributes:
         cells: settings.
-        methods: names of `METHODS`.
+        methods: names of `METHODS`, of entry points, or `FILE.py:NAME` (`find_method`).
         peers: file with answers of peers; they join where its starts are those of a setting.
     """
 
@@ -48,7 +49,7 @@ class Plan:
 
     def __post_init__(self) -> None:
         for name in self.methods:
-            require(name in METHODS, f"method must be one of {', '.join(METHODS)}, got {name!r}")
+            find_method(name)
         require(len(set(self.methods)) == len(self.methods), "methods must differ")
 
     @property
@@ -146,7 +147,7 @@ def _expected_seconds(name: str, cell: Cell) -> float:
     samples = cell.recipe.timing.n_samples / 1000.0
     if name == LIMIT:
         return 0.5 + 1e-3 * cell.n_test * samples * len(cell.recipe.classes) / 5.0
-    method = METHODS[name]
+    method = find_method(name)
     if method.from_stream and cell.recipe.field is not None:
         return 20.0 * method.seconds  # whatever the rate: the motor's equations take small steps
     size = 0.5 if method.from_stream else 0.5 * (cell.n_train + cell.n_test) / 2000.0

@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from motor_classifiers.estimators.methods import METHODS
+from motor_classifiers.estimators.own_methods import find_method
 from motor_classifiers.scoring.benchmark import CellResult, Judged, MethodResult
 from motor_classifiers.scoring.metrics import Comparison, Score, Scores
 from motor_env.simulation.recipes import Recipe
@@ -105,8 +105,8 @@ def trust_document(results: Sequence[CellResult]) -> dict[str, Any]:
 
 
 def family(method: MethodResult) -> str:
-    """Family of a method: threshold, scikit-learn, torch or peer."""
-    return METHODS[method.name].family if method.name in METHODS else "peer"
+    """Family of a method: threshold, scikit-learn, torch, own or peer."""
+    return "peer" if method.origin else find_method(method.name).family
 
 
 def as_csv(rows: Sequence[dict[str, Any]]) -> str:

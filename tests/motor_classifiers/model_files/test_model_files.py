@@ -267,7 +267,7 @@ def test_a_step_of_another_type_is_neither_saved_nor_loaded(
     model = make_pipeline(StandardScaler(), DecisionTreeClassifier()).fit(
         TRAIN.X.reshape(len(TRAIN), -1), TRAIN.class_name
     )
-    with pytest.raises(TypeError, match="a pipeline with a DecisionTreeClassifier cannot be saved"):
+    with pytest.raises(InputError, match="a model with a DecisionTreeClassifier cannot be saved"):
         save_model(model, RECIPE, "tree", tmp_path / "model")
     archive = io.BytesIO(skops.io.dumps(model))
     with zipfile.ZipFile(io.BytesIO(contents["residual-qda"])) as good, zipfile.ZipFile(archive, "a") as bad:

@@ -38,7 +38,9 @@ def seed_of(random_state: int | np.random.RandomState | None) -> int:
 
 
 def initialise(network: nn.Module, generator: torch.Generator) -> None:
-    """Weights by He et al. (2015), biases zero, from the generator alone."""
+    """Weights by He et al. (2015), biases zero, from the generator alone; a module that has weights keeps them."""
+    if not any(values.is_meta for values in network.parameters()):
+        return
     network.to_empty(device="cpu")
     for layer in network.modules():
         if isinstance(layer, nn.Conv1d | nn.Linear):

@@ -1,0 +1,206 @@
+"""The leaderboard of motor-bench: `python benchmarks/leaderboard.py enter [TASK/METHOD ...]`, `page` or `freeze`.
+
+`enter` trains, answers, and scores as anybody's submission is scored; scores stay in benchmarks/leaderboard/. Without
+names it makes every entry but those of aeon, which need `make peers`. `page` writes docs/leaderboard.md. `freeze`
+writes the digests of the tasks, which must never change within a version.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import sklearn_methods
+from peers import command, environment
+from tables import marked
+
+from motor_classifiers.cli.main import main as motor_classifiers
+from motor_classifiers.estimators.methods import METHODS
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers.estimators.own_methods import fed
+from motor_classifiers.model_files.persistence import PRETRAINED, load_model
+from motor_classifiers.scoring import tasks
+from motor_classifiers.scoring.judging import TEST_FIRST_CASE, judged_starts
+from motor_classifiers.scoring.leaderboard import page, read_scores
+from motor_classifiers.scoring.peers import PEERS, export_starts
+from motor_classifiers.scoring.submissions import write_submission
+from motor_classifiers.scoring.tasks import ClassTask, StreamTask, Task, load_task
+from motor_classifiers.wrappers.open_set import FaultFamilyDetector
+from motor_datasets.arrays import Dataset
+from motor_env import Cusum, Glr, TolerantFilter
+from motor_env.detection.rules.base import Rule, first_above
+from motor_env.files import write_text
+from motor_env.motor.parameters import FloatArray
+
+FOLDER = Path(__file__).resolve().parent
+SCORES = FOLDER / "leaderboard"
+PAGE = FOLDER.parent / "docs" / "leaderboard.md"
+DIGESTS = Path(tasks.__file__).parent / "motor_bench.json"
+
+US, SKLEARN = "motor-env", "scikit-learn"
+Answer = Callable[[Task], FloatArray]
+
+_OURS = {
+    "bench": ("threshold", "rules", "physical-logistic", "raw-logistic", "residual-qda", "posterior-network"),
+    "bench-full": ("threshold", "rules", "physical-logistic", "posterior-network"),
+    "field": ("rules", "physical-logistic", "raw-logistic", "posterior-network"),
+}
+_OF_SKLEARN = {
+    "bench": ("support_vectors", "boosting", "perceptron", "neighbours", "discriminant"),
+    "bench-full": ("support_vectors", "boosting", "perceptron"),
+    "field": ("support_vectors", "boosting", "perceptron"),
+    "reference": ("support_vectors", "perceptron"),
+}
+
+
+def network_with_references(task: Task) -> FloatArray:
+    """The posterior network that takes the reference starts."""
+    network = PosteriorNetwork(task.recipe, n_references=1, with_severity=False, random_state=0).fit_stream()
+    order = [list(network.classes_).index(name) for name in task.columns]
+    answers: FloatArray = network.predict_proba(task.test().X)[:, order]
+    return answers
+
+
+def shipped_severity(task: Task) -> FloatArray:
+    """The severity that the shipped network reads off."""
+    network: PosteriorNetwork = load_model(PRETRAINED)[0]
+    return network.predict_severity(task.test().X, "bearing").mean
+
+
+def least_squares(task: Task) -> FloatArray:
+    """Partial least squares of scikit-learn."""
+    train, test = task.train(), task.test()
+    model = sklearn_methods.least_squares(task.recipe, 0)
+    answers: FloatArray = model.fit(fed(model, train.X), train.severity).predict(fed(model, test.X))
+    return answers
+
+
+def distance(task: Task) -> FloatArray:
+    """Distance from all faults of the known kinds."""
+    answers: FloatArray = -FaultFamilyDetector(task.recipe).fit(task.train().X).score_samples(task.test().X)
+    return answers
+
+
+def isolation(task: Task) -> FloatArray:
+    """Isolation forest of scikit-learn."""
+    model = sklearn_methods.isolation(task.recipe, 0)
+    answers: FloatArray = -model.fit(fed(model, task.train().X)).score_samples(fed(model, task.test().X))
+    return answers
+
+
+def alarms(rule: Rule, task: Task) -> FloatArray:
+    """Alarms of a rule behind the tolerant filter, its threshold the cheapest on the training streams."""
+    assert isinstance(task, StreamTask)
+    timing, tolerant = task.recipe.timing, TolerantFilter.from_recipe(task.recipe)
+
+    def times(statistic: FloatArray, threshold: float) -> FloatArray:
+        index = first_above(statistic, threshold)
+        return np.where(index < 0, np.nan, (index + 1 - timing.n_quiet) * timing.dt_s)
+
+    train, test = task.train_streams(), task.test()
+    statistic = rule.statistic(tolerant.white(train.X))
+    levels = np.quantile(statistic.max(axis=1), np.linspace(0.05, 0.95, 91))
+    costs = [task.costs(train.truth, times(statistic, level)[:, None]).mean() for level in levels]
+    return times(rule.statistic(tolerant.white(test.X)), float(levels[np.argmin(costs)]))
+
+
+OWN_ANSWERS: dict[str, tuple[Answer, str, str]] = {
+    "reference/posterior-network": (
+        network_with_references,
+        US,
+        "Amortised posterior, given the reference start",
+    ),
+    "severity/posterior-network": (
+        shipped_severity,
+        US,
+        "The shipped network, which does not know the noise",
+    ),
+    "severity/least_squares": (least_squares, SKLEARN, str(sklearn_methods.least_squares.__doc__)),
+    "unknown/distance": (distance, US, "Distance from the family of known faults"),
+    "unknown/isolation": (isolation, SKLEARN, str(sklearn_methods.isolation.__doc__)),
+    "stream/cusum": (partial(alarms, Cusum(0.2)), US, "CUSUM of the residual whitened for the tolerances"),
+    "stream/glr": (partial(alarms, Glr(10, 700)), US, "Generalised likelihood ratio of the same residual"),
+}
+
+
+def entries() -> list[str]:
+    """Every entry but aeon's as TASK/METHOD."""
+    pairs = [
+        (task, name) for table in (_OURS, _OF_SKLEARN) for task, names in table.items() for name in names
+    ]
+    return [*(f"{task}/{name}" for task, name in pairs), *OWN_ANSWERS]
+
+
+def enter(entry: str) -> None:
+    """Make one entry: a submission, and its score."""
+    name, method = entry.split("/")
+    with tempfile.TemporaryDirectory() as folder:
+        if entry in OWN_ANSWERS:
+            answer, authors, about = OWN_ANSWERS[entry]
+            task = load_task(name)
+            write_submission(
+                folder, task, answer(task), {"method": method, "authors": authors, "about": about}
+            )
+        elif method in PEERS:
+            _enter_peer(name, method, folder)
+        else:
+            ours = method in METHODS
+            full = method if ours else f"{FOLDER / 'sklearn_methods.py'}:{method}"
+            options = ["--method", full, "--authors", US if ours else SKLEARN, "--out", folder]
+            _run("submit", name, *options)
+        _run("score", folder, "--keep", str(SCORES))
+
+
+def _run(*arguments: str) -> None:
+    if motor_classifiers(arguments):
+        raise SystemExit(f"motor-classifiers {' '.join(arguments)} failed")
+
+
+def _enter_peer(name: str, method: str, folder: str) -> None:
+    """Let one of aeon's classifiers answer, in its own environment."""
+    task = load_task(name)
+    assert isinstance(task, ClassTask)
+    cases, answers = Path(folder) / "cases.npz", Path(folder) / "answers.npz"
+    export_starts(task.train(), _labelled_test(task), cases)
+    subprocess.run(command(cases, answers, method), env=environment(), check=True)
+    with np.load(answers) as arrays:
+        shares = arrays[method].astype(np.float64)
+    card = {"method": method, "authors": "aeon", "about": PEERS[method]}
+    write_submission(folder, task, shares / shares.sum(axis=1, keepdims=True), card)
+
+
+def _labelled_test(task: ClassTask) -> Dataset:
+    return judged_starts(task.recipe, tasks.SEED, TEST_FIRST_CASE, task.n_test)
+
+
+def whole_page() -> str:
+    """The page docs/leaderboard.md with its tables made anew."""
+    return marked(PAGE.read_text(encoding="utf-8"), {"leaderboard": page(read_scores(SCORES))})
+
+
+def main() -> None:
+    """Enter, write the page, or freeze."""
+    parser = argparse.ArgumentParser(description="The leaderboard of motor-bench.")
+    parser.add_argument("what", choices=["enter", "page", "freeze"])
+    parser.add_argument("entry", nargs="*", help="TASK/METHOD; all but aeon's by default")
+    options = parser.parse_args()
+    if options.what == "enter":
+        for entry in options.entry or entries():
+            print(entry, file=sys.stderr, flush=True)
+            enter(entry)
+    elif options.what == "freeze":
+        digests = {"small": tasks.current_digests(whole=False), "whole": tasks.current_digests(whole=True)}
+        write_text(DIGESTS, json.dumps({"version": tasks.VERSION, **digests}, indent=1) + "\n")
+    else:
+        write_text(PAGE, whole_page())
+
+
+if __name__ == "__main__":
+    main()

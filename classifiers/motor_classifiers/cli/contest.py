@@ -1,0 +1,146 @@
+"""The commands `task`, `submit` and `score` of motor-bench."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from motor_env import console
+from motor_env.errors import InputError, require_extra
+
+Json = Annotated[bool, Parameter(name="--json", negative=())]
+
+
+def _seed(sealed: Path | None) -> int:
+    """The public seed, or the one number of a file."""
+    from motor_classifiers.scoring.tasks import SEED
+
+    if sealed is None:
+        return SEED
+    try:
+        seed = int(sealed.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{sealed}: cannot be read ({(error.strerror or str(error)).lower()})") from None
+    except ValueError:
+        seed = -1
+    if not 0 <= seed < 2**64:
+        raise InputError(f"{sealed}: must hold one whole number from 0 to 2^64 - 1")
+    return seed
+
+
+def task(name: str, /, *, out: Path, sealed: Path | None = None) -> int:
+    """Write a task of motor-bench: what it asks, labelled starts to learn from, and test cases without labels.
+
+    Example: motor-classifiers task bench --out out/bench-task
+
+    Args:
+        name: bench, bench-full, field, reference, severity, unknown or stream.
+        out: Folder of task.json, train.npz and test.npz.
+        sealed: File with the secret seed of a sealed test split; for maintainers.
+    """
+    require_extra("sklearn", "classifiers")
+    import numpy as np
+
+    from motor_classifiers.scoring.tasks import load_task
+    from motor_env.files import replacing, write_text
+
+    chosen, seed = load_task(name), _seed(sealed)
+    train, test = chosen.train(), chosen.test(seed)
+    arrays: dict[str, dict[str, Any]] = {
+        "train": {"X": train.X, "class_name": train.class_name, "severity": train.severity},
+        "test": {"X": test.X},
+    }
+    for part, content in arrays.items():
+        with replacing(out / f"{part}.npz") as temporary:
+            np.savez(temporary, allow_pickle=False, **content)
+    write_text(out / "task.json", json.dumps(chosen.as_json(seed), indent=1) + "\n")
+    print(f"{chosen.title}: {len(train)} starts to learn from, {len(test.X)} cases to answer: {out}")
+    return 0
+
+
+def submit(
+    task: str,
+    /,
+    *,
+    method: str,
+    out: Path,
+    authors: str,
+    about: str | None = None,
+    link: str = "",
+    seed: console.Whole = 0,
+    sealed: Path | None = None,
+) -> int:
+    """Train a method on a task's starts and write its answers as a submission.
+
+    Example: motor-classifiers submit bench --method residual-qda --authors "Jane Doe" --out out/my-submission
+
+    Args:
+        task: A task whose answers are probabilities: bench, bench-full, field or reference.
+        method: A method of the benchmark, an entry point, or FILE.py:NAME, your own.
+        out: Folder of card.toml and answers.parquet.
+        authors: Who made the method.
+        about: What it is; the method's own words by default.
+        link: Where its code is.
+        seed: Random state of the training.
+        sealed: File with the secret seed of a sealed test split; for maintainers.
+    """
+    require_extra("sklearn", "classifiers")
+    from rich.console import Console
+
+    from motor_classifiers.estimators.own_methods import answered, fed, find_method
+    from motor_classifiers.scoring.judging import in_recipe_order
+    from motor_classifiers.scoring.submissions import write_submission
+    from motor_classifiers.scoring.tasks import ClassTask, load_task
+
+    asked, chosen, split = load_task(task), find_method(method), _seed(sealed)
+    if not isinstance(asked, ClassTask):
+        raise InputError(f"task {task} asks for no probabilities; write its answers with write_submission")
+    with Console(stderr=True).status(f"training {method}"):
+        train, test = asked.train(), asked.test(split)
+        model = chosen.make(asked.recipe, seed)
+        model = chosen.train(model, fed(model, train.X), train.class_name)
+        answers = in_recipe_order(model, answered(model, test.X), asked.recipe)
+    name = method.rpartition(":")[2]
+    card = {"method": name, "authors": authors, "about": about or chosen.title, "link": link}
+    write_submission(out, asked, answers, card, seed=split)
+    print(f"{name} on task {task}: {len(answers)} cases answered: {out}")
+    return 0
+
+
+def score(
+    submission: Path, /, *, sealed: Path | None = None, keep: Path | None = None, json_: Json = False
+) -> int:
+    """Check a submission and score it, beside the best possible on the same cases. Nothing in it is run.
+
+    Example: motor-classifiers score out/my-submission
+
+    Args:
+        submission: Folder with card.toml and answers.parquet.
+        sealed: File with the secret seed of the split that it answers; the public split by default.
+        keep: Folder in which the score stays as TASK/METHOD.json, for the leaderboard.
+        json_: Print the score as JSON.
+    """
+    require_extra("sklearn", "classifiers")
+    from motor_classifiers.scoring.leaderboard import file_of
+    from motor_classifiers.scoring.submissions import score_submission
+    from motor_env.files import write_text
+
+    scored = score_submission(submission, seed=_seed(sealed))
+    text = json.dumps(scored, indent=1) + "\n"
+    if keep is not None:
+        write_text(file_of(keep, scored), text)
+    if json_:
+        print(text, end="")
+        return 0
+    print(f"{scored['method']} on {scored['task']} {scored['version']}, {scored['n_test']} cases")
+    print(f"  {scored['metric']}: {scored['value']:.2f} ({scored['low']:.2f} to {scored['high']:.2f})")
+    if "limit" in scored:
+        low, high = scored["above_limit_low"], scored["above_limit_high"]
+        print(f"  the best possible on the same cases: {scored['limit']:.2f}")
+        print(f"  above it by {scored['above_limit']:.2f} ({low:.2f} to {high:.2f}, paired)")
+    else:
+        print("  the best possible is not known")
+    return 0

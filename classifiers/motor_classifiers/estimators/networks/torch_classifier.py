@@ -1,0 +1,71 @@
+"""Any torch module as a classifier: the wrapper for a network of one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
+from typing import Any
+
+import torch
+from sklearn.utils import Tags
+from torch import nn
+
+from motor_classifiers.estimators.cases import fitting_recipe
+from motor_classifiers.estimators.networks.epoch_classifier import EpochClassifier
+from motor_classifiers.estimators.networks.training import seed_of
+from motor_env.motor.parameters import FloatArray
+
+
+@dataclass(eq=False, repr=False)
+class TorchClassifier(EpochClassifier):
+    """A torch module of your own, trained by cross-entropy, AdamW and one cosine cycle of the learning rate.
+
+    The module gets (n_cases, n_channels, n_samples), each sample standardised by the training set, and gives a logit
+    for each class. Its layers keep torch's own initial weights, drawn from `random_state`.
+
+    Args:
+        recipe: tells the number of channels; one without it.
+        module: from the numbers of channels, samples and classes to the untrained module.
+        epochs: passes over the training cases.
+        batch_size: cases of a step.
+        learning_rate: highest rate of the cycle.
+        weight_decay: of AdamW.
+        random_state: of initial weights and order.
+
+    Attributes:
+        classes_: labels.
+        center_: mean of each time sample over the training cases, shape (n_features_in_,).
+        scale_: its standard deviation.
+        network_: the trained module.
+        n_features_in_: n_channels * n_samples.
+    """
+
+    _: KW_ONLY
+    module: Callable[[int, int, int], nn.Module] | None = None
+    _at_once = 256
+
+    def __sklearn_tags__(self) -> Tags:
+        """It takes transients with their channels, and flat ones."""
+        tags = super().__sklearn_tags__()
+        tags.input_tags.three_d_array = True
+        return tags
+
+    def _shape(self) -> tuple[int, int]:
+        if self.recipe is None:
+            return 1, self.n_features_in_
+        sensor = fitting_recipe(self.recipe, self.n_features_in_).sensor
+        return len(sensor.channels), self.n_features_in_ // len(sensor.channels)
+
+    def _inputs(self, features: FloatArray) -> FloatArray:
+        return super()._inputs(features).reshape(len(features), *self._shape())
+
+    def _network(self, n_inputs: int) -> nn.Module:
+        made: Any = self.module
+        if made is None:
+            raise ValueError(
+                "module must be a function of the numbers of channels, samples and classes, got None"
+            )
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed_of(self.random_state))
+            network: nn.Module = made(*self._shape(), len(self.classes_))
+        return network

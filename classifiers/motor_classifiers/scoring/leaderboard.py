@@ -1,0 +1,78 @@
+"""Kept scores as a page: ranks that know ties."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from motor_classifiers.scoring.metrics import resampling_weights
+from motor_classifiers.scoring.submissions import paired, unpacked_costs
+from motor_classifiers.scoring.tasks import TASKS, VERSION, Task
+
+Scored = dict[str, Any]
+"""As `score_submission` gives it."""
+
+
+def file_of(folder: Path, scored: Scored) -> Path:
+    """Where a score is kept: TASK/METHOD.json."""
+    name = re.sub(r"[^a-z0-9]+", "-", scored["method"].lower()).strip("-")
+    return folder / str(scored["task"]) / f"{name or 'unnamed'}.json"
+
+
+def read_scores(folder: Path) -> dict[str, list[Scored]]:
+    """Kept scores of the public splits by task, in the order of the tasks."""
+    scores: dict[str, list[Scored]] = {}
+    for name in TASKS:
+        found = [json.loads(path.read_bytes()) for path in sorted((folder / name).glob("*.json"))]
+        if found:
+            scores[name] = found
+    return scores
+
+
+def ranks(task: Task, scored: Sequence[Scored]) -> list[tuple[int, Scored]]:
+    """Rank and score, the best first.
+
+    A method shares the rank of the best one of its group as long as the 95 % interval of their paired difference holds
+    0; the first that does not begins the next group, at the place where it stands.
+    """
+    weights = resampling_weights(
+        task.n_test, 0, groups=task.test().motor if task.recipe.starts_per_motor > 1 else None
+    )
+    ordered = sorted(scored, key=lambda one: one["value"])
+    ranked: list[tuple[int, Scored]] = []
+    best, rank = ordered[0], 1
+    for place, one in enumerate(ordered, start=1):
+        if paired(task, unpacked_costs(one), unpacked_costs(best), weights)[1] > 0.0:
+            best, rank = one, place
+        ranked.append((rank, one))
+    return ranked
+
+
+def page(scores: dict[str, list[Scored]]) -> str:
+    """The tables in Markdown, one a task."""
+    parts = []
+    for name, scored in scores.items():
+        task = TASKS[name]
+        known = "limit" in scored[0]
+        best = f" The best possible on the same cases: {scored[0]['limit']:.2f}." if known else ""
+        head = [
+            "rank",
+            "method",
+            "by",
+            task.metric,
+            *(["above the best possible"] if known else []),
+            "what it is",
+        ]
+        parts.append(f"## {name}\n\n{task.title}. {task.n_test} cases, motor-bench {VERSION}.{best}\n")
+        parts.append(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
+        for rank, one in ranks(task, scored):
+            value = f"{one['value']:.2f} ({one['low']:.2f} to {one['high']:.2f})"
+            names = ("above_limit", "above_limit_low", "above_limit_high")
+            above = ["{:.2f} ({:.2f} to {:.2f})".format(*(one[each] for each in names))] if known else []
+            cells = [str(rank), one["method"], one["authors"], value, *above, one["about"]]
+            parts.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
+        parts.append("")
+    return "\n".join(parts).replace("-0.00", "0.00")

@@ -1,0 +1,209 @@
+"""Answers to a task as files, and their score: a TOML card and a Parquet table. Nothing in them is ever run."""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import ArrayLike
+
+from motor_classifiers.scoring.metrics import resampling_weights
+from motor_classifiers.scoring.tasks import SEED, VERSION, Task, load_task
+from motor_env.errors import InputError
+from motor_env.files import replacing, write_text
+from motor_env.motor.parameters import FloatArray
+from motor_env.motor.toml_files import from_dict, read_toml, toml_text
+
+CARD, ANSWERS = "card.toml", "answers.parquet"
+LARGEST_BYTES = 8_000_000
+"""Of a table of answers, packed and unpacked."""
+
+_LONGEST = 200  # characters of a text on the card
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """What a submission says of itself.
+
+    Attributes:
+        task: name of the task.
+        version: of motor-bench.
+        draw: name of the split that is answered (`Task.draw_id`).
+        method: name in the table.
+        authors: who made the method.
+        about: what it is, and what it learned from.
+        link: where its code is.
+    """
+
+    task: str
+    version: str
+    draw: str
+    method: str
+    authors: str
+    about: str = ""
+    link: str = ""
+
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
+
+
+def write_submission(
+    folder: Path | str, task: Task, answers: ArrayLike, card: dict[str, str], *, seed: int = SEED
+) -> None:
+    """Write answers and their card; both are checked as they are when they are scored.
+
+    Args:
+        folder: of the two files.
+        task: that is answered.
+        answers: shape (n_test, n_columns) in the order of `task.columns`, of the test cases in their order.
+        card: `method` and `authors`, perhaps `about` and `link`.
+        seed: of the split.
+
+    Raises:
+        InputError: answers that would be refused.
+    """
+    values = np.asarray(answers, dtype=np.float64).reshape(len(np.asarray(answers)), -1)
+    columns = {"case": np.arange(len(values))} | dict(zip(task.columns, values.T, strict=True))
+    full = from_dict(Card, card | {"task": task.name, "version": VERSION, "draw": task.draw_id(seed)}, "card")
+    _check_card(full, task, seed)
+    _checked(task, pa.table(columns))
+    with replacing(Path(folder) / ANSWERS) as temporary:
+        pq.write_table(pa.table(columns), temporary, compression="zstd")
+    write_text(Path(folder) / CARD, toml_text(asdict(full), {}))
+
+
+def read_submission(folder: Path | str, *, seed: int = SEED) -> tuple[Card, Task, FloatArray]:
+    """Card, task and checked answers, shape (n_test, n_columns).
+
+    Raises:
+        InputError: a file is missing, too large or damaged, for another task, version or split, or has a row too few,
+            twice, or with a value that cannot be one.
+    """
+    path = Path(folder) / CARD
+    try:
+        card = from_dict(Card, read_toml(path, "a submission needs a card"), "card")
+        task = load_task(card.task)
+        _check_card(card, task, seed)
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+    path = Path(folder) / ANSWERS
+    try:
+        return card, task, _checked(task, _table(path))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _check_card(card: Card, task: Task, seed: int) -> None:
+    if card.version != VERSION:
+        raise InputError(f"the submission is for motor-bench {card.version}, this is motor-bench {VERSION}")
+    if card.draw != task.draw_id(seed):
+        raise InputError(
+            f"the submission answers split {card.draw} of task {task.name}, this split is {task.draw_id(seed)}"
+        )
+    for name, text in asdict(card).items():
+        if len(text) > _LONGEST or not text.isprintable():
+            raise InputError(f"{name} of the card must be one line of at most {_LONGEST} characters")
+    if not card.method or not card.authors:
+        raise InputError("the card must name method and authors")
+
+
+def _table(path: Path) -> pa.Table:
+    """The table of a file that is not too large, with flat columns of numbers alone."""
+    if not path.is_file():
+        raise InputError("a submission needs a table of answers")
+    if path.stat().st_size > LARGEST_BYTES:
+        raise InputError(f"is larger than {LARGEST_BYTES / 1e6:g} MB")
+    try:
+        with pq.ParquetFile(path) as file:
+            groups = [file.metadata.row_group(n) for n in range(file.metadata.num_row_groups)]
+            if sum(group.total_byte_size for group in groups) > LARGEST_BYTES:
+                raise InputError(f"unpacks to more than {LARGEST_BYTES / 1e6:g} MB")
+            return file.read()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(f"is no Parquet file, or damaged ({' '.join(str(error).split())[:100]})") from None
+
+
+def _checked(task: Task, table: pa.Table) -> FloatArray:
+    wanted = ["case", *task.columns]
+    if sorted(table.column_names) != sorted(wanted):
+        raise InputError(
+            f"must have the columns {', '.join(wanted)}, got {', '.join(table.column_names)[:200]}"
+        )
+    for name in wanted:
+        kind = table.schema.field(name).type
+        if not (pa.types.is_integer(kind) if name == "case" else pa.types.is_floating(kind)):
+            raise InputError(f"column {name} must hold {'whole ' * (name == 'case')}numbers, got {kind}")
+    case = table["case"].to_numpy()
+    seen, count = np.unique(case[np.isfinite(case)].astype(np.int64), return_counts=True)
+    if (count > 1).any():
+        raise InputError(f"case {seen[count > 1][0]} stands in it twice")
+    missing = np.setdiff1d(np.arange(task.n_test), seen)
+    if len(missing):
+        raise InputError(
+            f"{len(missing)} of the {task.n_test} cases are missing, the first is case {missing[0]}"
+        )
+    if len(case) != task.n_test:
+        raise InputError(f"must have the cases 0 to {task.n_test - 1} and no others, got {len(case)} rows")
+    answers = np.column_stack([table[name].to_numpy().astype(np.float64) for name in task.columns])
+    answers = answers[np.argsort(case)]
+    task.check(answers)
+    return answers
+
+
+def score_submission(folder: Path | str, *, seed: int = SEED) -> dict[str, Any]:
+    """Score a submission beside the limit on the same cases.
+
+    Returns:
+        For JSON: the card's fields, `metric`, its `value` with `low` and `high` (95 %), where the best possible is
+        known `limit` and `above_limit` (the paired difference) with its `above_limit_low` and `above_limit_high`, and
+        `costs`, what the cases cost (`unpacked_costs`).
+
+    Raises:
+        InputError: the submission is refused.
+    """
+    card, task, answers = read_submission(folder, seed=seed)
+    cases = task.test(seed)
+    weights = resampling_weights(task.n_test, 0, groups=cases.motor)
+    costs = task.costs(cases.truth, answers)
+    value, low, high = interval(task.figures(costs, weights))
+    scored = {
+        **asdict(card),
+        "metric": task.metric,
+        "n_test": task.n_test,
+        "value": value,
+        "low": low,
+        "high": high,
+    }
+    best = task.limit(cases.X)
+    if best is not None:
+        best_costs = task.costs(cases.truth, best)
+        scored["limit"] = float(task.figures(best_costs, weights)[0])
+        names = ("above_limit", "above_limit_low", "above_limit_high")
+        scored |= dict(zip(names, paired(task, costs, best_costs, weights), strict=True))
+    return scored | {"costs": base64.b64encode(zlib.compress(costs.astype(np.float32).tobytes(), 9)).decode()}
+
+
+def interval(figures: FloatArray) -> tuple[float, float, float]:
+    """A figure and the ends of its 95 % interval, from its values under bootstrap weights (the first: itself)."""
+    low, high = np.quantile(figures[1:], [0.025, 0.975])
+    return float(figures[0]), float(low), float(high)
+
+
+def paired(
+    task: Task, costs: FloatArray, others: FloatArray, weights: FloatArray
+) -> tuple[float, float, float]:
+    """The metric minus another's on the same cases, with its 95 % interval."""
+    return interval(task.figures(costs, weights) - task.figures(others, weights))
+
+
+def unpacked_costs(scored: dict[str, Any]) -> FloatArray:
+    """Cost of each case of a scored submission."""
+    content = zlib.decompress(base64.b64decode(scored["costs"]))
+    return np.frombuffer(content, dtype=np.float32).astype(np.float64)

@@ -1,0 +1,36 @@
+"""A method of one's own: its row beside all others, a submission to motor-bench, and its score.
+
+`python examples/own_method.py out/own` writes all of it below that folder, in about a minute.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+from sklearn.decomposition import PCA
+from sklearn.neural_network import MLPClassifier
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from motor_classifiers import load_task, score_submission, write_submission
+from motor_env import Recipe
+
+
+def small_network(recipe: Recipe, seed: int) -> Pipeline:
+    """Twelve principal components, and a perceptron of 24."""
+    return make_pipeline(PCA(12), StandardScaler(), MLPClassifier((24,), alpha=1.0, random_state=seed))
+
+
+if __name__ == "__main__":
+    out = Path(sys.argv[1])
+    benchmark = [sys.executable, "-m", "motor_classifiers", "benchmark", "--methods", "residual-qda"]
+    own = [f"--with={__file__}:small_network", f"--out={out / 'benchmark'}", "--n-test=500"]
+    subprocess.run([*benchmark, *own], check=True)  # noqa: S603  # prints the row
+
+    task = load_task("bench")
+    train, X = task.train(), task.test().X
+    model = small_network(task.recipe, 0).fit(train.X[:, 0], train.class_name)
+    answers = model.predict_proba(X[:, 0])[:, [list(model.classes_).index(name) for name in task.columns]]
+    write_submission(out / "submission", task, answers, {"method": "small-network", "authors": "A Stranger"})
+    scored = score_submission(out / "submission")
+    print(f"{scored['value']:.2f} % wrong, {scored['above_limit']:.2f} points more than the best possible")  # noqa: T201

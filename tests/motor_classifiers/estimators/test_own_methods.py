@@ -1,0 +1,173 @@
+"""Methods of one's own: how they are found, fed, judged and saved, and what is said of those that cannot be."""
+
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sklearn.base import BaseEstimator, ClassifierMixin
+from sklearn.ensemble import ExtraTreesClassifier
+from sklearn.linear_model import RidgeClassifier
+from sklearn.neural_network import MLPClassifier
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+from torch import nn
+
+from motor_classifiers import TorchClassifier, load_model, save_model
+from motor_classifiers.cli.main import main
+from motor_classifiers.estimators import own_methods
+from motor_classifiers.estimators.own_methods import answered, fed, find_method
+from motor_classifiers.scoring.judging import Cell, answer_key, judge, judge_apart
+from motor_datasets import generate_arrays
+from motor_env.errors import InputError
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.simulate import Timing
+
+RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+TRAIN = generate_arrays(RECIPE, 1, range(150))
+SOURCE = '''
+from sklearn.ensemble import ExtraTreesClassifier
+from sklearn.neighbors import KNeighborsClassifier
+
+def trees(recipe, seed):
+    """Fifty random trees on raw samples."""
+    return ExtraTreesClassifier(50, random_state=seed)
+
+def neighbours(recipe, seed):
+    return KNeighborsClassifier()
+
+def broken(recipe, seed):
+    return 1 / 0
+'''
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    path = tmp_path / "own.py"
+    path.write_text(SOURCE, encoding="utf-8")
+    return path
+
+
+class ThreeAxes(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn carries no types
+    """Says that it wants channels apart, and remembers what it got; it only decides."""
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.three_d_array = True
+        return tags
+
+    def fit(self, X: Any, y: Any) -> "ThreeAxes":
+        self.classes_, self.shape_ = np.unique(y), X.shape
+        return self
+
+    def predict(self, X: Any) -> Any:
+        assert X.ndim == 3
+        return np.repeat(self.classes_[1], len(X))
+
+
+def test_a_function_of_a_file_is_a_method_with_its_own_answers(own: Path) -> None:
+    name = f"{own}:trees"
+    assert find_method(name).title == "Fifty random trees on raw samples."
+    cell = Cell(RECIPE, 150, 100)
+    answer = judge(name, cell)
+    assert answer.is_graded
+    assert (answer.decided == cell.test().class_index).mean() > 0.5
+    before = answer_key(name, cell)
+    own.write_text(SOURCE.replace("(50,", "(60,"), encoding="utf-8")
+    assert answer_key(name, cell) != before  # an edited method is another one
+
+
+def test_an_entry_point_is_a_method(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("stranger", "sklearn.naive_bayes:GaussianNB", own_methods.GROUP)
+    monkeypatch.setattr(own_methods, "entry_points", lambda group: [point])
+    assert find_method("stranger").family == "own"
+    with pytest.raises(InputError, match=r"FILE.py:NAME or one of threshold, .*, stranger, got 'nobody'"):
+        find_method("nobody")
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("missing.py:make", "missing.py: no such file; a method of your own is FILE.py:NAME"),
+        ("{own}:nothing", "has no function 'nothing' of a recipe and a seed"),
+        ("{bad}:make", r"cannot be run \(ModuleNotFoundError: No module named 'no_such_module'\)"),
+    ],
+)
+def test_what_is_no_method_is_a_sentence(own: Path, name: str, sentence: str) -> None:
+    bad = own.with_name("bad.py")
+    bad.write_text("import no_such_module\n", encoding="utf-8")
+    with pytest.raises(InputError, match=sentence):
+        find_method(name.format(own=own, bad=bad))
+
+
+def test_a_method_that_fails_is_named_with_its_line(own: Path) -> None:
+    with pytest.raises(InputError, match=r"ZeroDivisionError: division by zero \(.*own.py, line 13\)"):
+        judge_apart(f"{own}:broken", Cell(RECIPE, 150, 100))
+
+
+def test_flat_unless_the_estimator_says_otherwise() -> None:
+    X = TRAIN.X
+    assert fed(make_pipeline(StandardScaler(), RidgeClassifier()), X).shape == (150, 100)
+    assert fed(make_pipeline(ThreeAxes()), X).shape == X.shape
+    model = ThreeAxes().fit(X, TRAIN.class_name)
+    shares = answered(model, X)
+    assert shares.shape == (150, 5)
+    assert (shares[:, 1] == 1.0).all()
+    assert shares.sum() == 150.0
+
+
+def _module(n_channels: int, n_samples: int, n_classes: int) -> nn.Module:
+    assert (n_channels, n_samples, n_classes) == (1, 100, 5)
+    return nn.Sequential(nn.Conv1d(1, 4, 9, stride=5), nn.GELU(), nn.Flatten(), nn.Linear(4 * 19, n_classes))
+
+
+def test_a_torch_module_learns_the_same_from_the_same_seed() -> None:
+    models = [TorchClassifier(RECIPE, module=_module, epochs=30, random_state=seed) for seed in (1, 1, 2)]
+    first, again, other = (model.fit(TRAIN.X, TRAIN.class_name).predict_proba(TRAIN.X) for model in models)
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 1e-3
+    assert models[0].score(TRAIN.X, TRAIN.class_name) > 0.5
+    assert fed(models[0], TRAIN.X).ndim == 3
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        make_pipeline(StandardScaler(), MLPClassifier((8,), max_iter=40, random_state=0)),
+        MLPClassifier((8,), solver="lbfgs", max_iter=2000, random_state=0),
+        ExtraTreesClassifier(5, random_state=0),
+    ],
+    ids=["pipeline", "perceptron", "trees"],
+)
+@pytest.mark.filterwarnings("ignore:Stochastic Optimizer")
+def test_trusted_steps_are_saved_and_loaded(model: BaseEstimator, tmp_path: Path) -> None:
+    model.fit(fed(model, TRAIN.X), TRAIN.class_name)
+    save_model(model, RECIPE, "own", tmp_path / "own.model")
+    loaded, recipe, method = load_model(tmp_path / "own.model")
+    assert (recipe, method) == (RECIPE, "own")
+    np.testing.assert_array_equal(answered(loaded, TRAIN.X), answered(model, TRAIN.X))
+
+
+def test_an_untrusted_step_is_refused_before_the_training(
+    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, model = tmp_path / "data", tmp_path / "own.model"
+    from motor_datasets.cli import main as datasets
+
+    command = ["generate", "bench", "--cases", "200", "--seed", "1", "--sampling-rate-hz", "1000"]
+    assert datasets([*command, "--out", str(data)]) == 0
+    assert main(["train", str(data), "--method", f"{own}:neighbours", "--out", str(model)]) == 2
+    error = capsys.readouterr().err
+    assert (
+        "a model with a KNeighborsClassifier cannot be saved: a file may hold CalibratedClassifierCV,"
+        in error
+    )
+    assert "motor-classifiers benchmark --with" in error
+    assert not model.exists()
+    assert main(["train", str(data), "--method", f"{own}:trees", "--out", str(model)]) == 0
+    assert main(["evaluate", str(model), str(data)]) == 0
+    assert main(["predict", str(data), "--split", "test", "--model", str(model)]) == 1
+    jobs = ExtraTreesClassifier(5, n_jobs=2).fit(TRAIN.X[:, 0], TRAIN.class_name)
+    with pytest.raises(ValueError, match="n_jobs=None"):
+        save_model(jobs, RECIPE, "own", model)

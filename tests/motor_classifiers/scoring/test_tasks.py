@@ -1,0 +1,241 @@
+"""The frozen tasks: they stay what they are, answers to them are checked and scored, and ranks know ties."""
+
+import base64
+import json
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from sklearn.metrics import roc_auc_score
+
+from motor_classifiers import load_task, score_submission, write_submission
+from motor_classifiers.cli.main import main
+from motor_classifiers.scoring import submissions, tasks
+from motor_classifiers.scoring.leaderboard import page, ranks
+from motor_classifiers.scoring.metrics import resampling_weights
+from motor_classifiers.scoring.submissions import ANSWERS, CARD, paired, unpacked_costs
+from motor_classifiers.scoring.tasks import TASKS, StrangerTask, Task, current_digests, frozen_digests
+from motor_env.errors import InputError
+
+WHO = {"method": "mine", "authors": "A Stranger"}
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+    """Tasks of few cases: the counts are checked by the digests."""
+    if "whole" not in request.node.name:
+        few = {name: replace(task, n_train=120, n_test=80) for name, task in TASKS.items()}
+        monkeypatch.setattr(tasks, "TASKS", few)
+        monkeypatch.setattr("motor_classifiers.scoring.leaderboard.TASKS", few)
+
+
+def good_answers(task: Task) -> Any:
+    best = task.limit(task.test().X)
+    assert best is not None
+    return best
+
+
+def test_small_counts_of_every_task_are_frozen_whole() -> None:
+    assert current_digests(whole=False) == frozen_digests()["small"]
+    assert {name: (task.n_train, task.n_test) for name, task in TASKS.items()} == {
+        "bench": (2000, 5000), "bench-full": (2000, 5000), "field": (2000, 5000), "reference": (2000, 2000),
+        "severity": (2000, 2000), "unknown": (2000, 4000), "stream": (2000, 2000),
+    }  # fmt: skip
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_whole_tasks_are_frozen() -> None:
+    assert current_digests(whole=True) == frozen_digests()["whole"]
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_a_submission_is_scored_beside_the_best_possible(name: str, tmp_path: Path) -> None:
+    task = load_task(name)
+    cases = task.test()
+    rng = np.random.default_rng(1)
+    best = task.limit(cases.X)
+    count = len(task.columns)
+    answers = rng.dirichlet(np.ones(count), task.n_test) if count > 1 else rng.random((task.n_test, 1))
+    write_submission(tmp_path, task, answers, WHO)
+    scored = json.loads(json.dumps(score_submission(tmp_path)))
+    assert scored["low"] < scored["value"] < scored["high"]
+    np.testing.assert_allclose(unpacked_costs(scored), task.costs(cases.truth, answers), rtol=1e-6)
+    if best is None:
+        assert "limit" not in scored
+    else:
+        assert scored["above_limit"] == pytest.approx(scored["value"] - scored["limit"])
+        assert scored["above_limit_low"] > 0.0  # guesses are not by chance as good
+        write_submission(tmp_path, task, best, WHO)
+        assert score_submission(tmp_path)["above_limit"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_cost_of_strange_faults_is_the_area_under_the_curve() -> None:
+    task = load_task("unknown")
+    assert isinstance(task, StrangerTask)
+    truth = task.test().truth
+    score = np.random.default_rng(2).normal(size=len(truth)) + 0.8 * truth
+    areas = [
+        roc_auc_score(truth[rows] > 0, score[rows]) for n in (1, 2, 3) for rows in [np.isin(truth, (0, n))]
+    ]
+    assert task.costs(truth, score[:, None]).mean() == pytest.approx(1.0 - np.mean(areas), abs=1e-12)
+
+
+def test_cost_of_a_stream() -> None:
+    task = load_task("stream")
+    truth = np.array([0.2, 0.2, 0.2, np.nan, np.nan, 0.2, 0.2])
+    alarm = np.array([0.25, 0.6, np.nan, np.nan, 0.1, 0.1, 0.2])
+    np.testing.assert_allclose(task.costs(truth, alarm[:, None]), [0.25, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0])
+
+
+def _with(table: pa.Table, name: str, values: Any) -> pa.Table:
+    return table.set_column(table.column_names.index(name), name, pa.array(values))
+
+
+def _with_case(table: pa.Table, value: float) -> pa.Table:
+    """Another probability of being healthy in case 3."""
+    return _with(table, "healthy", np.where(np.arange(80) == 3, value, np.array(table["healthy"])))
+
+
+BAD_TABLES: dict[str, Callable[[pa.Table], pa.Table]] = {
+    "short": lambda table: table.slice(0, 79),
+    "twice": lambda table: _with(table, "case", np.where(np.arange(80) == 7, 6, np.arange(80))),
+    "more": lambda table: pa.concat_tables([table, _with(table.slice(0, 1), "case", [80])]),
+    "nan": lambda table: _with_case(table, np.nan),
+    "sum": lambda table: _with_case(_with_case(table, 0.5), 0.9),
+    "negative": lambda table: _with_case(table, -0.5),
+    "text": lambda table: _with(table, "healthy", [str(value) for value in table["healthy"]]),
+    "columns": lambda table: table.drop_columns(["healthy"]),
+}
+BAD_FILES: dict[str, Callable[[Path], object]] = {
+    "damaged": lambda folder: (folder / ANSWERS).write_bytes(b"PAR1 nothing"),
+    "absent": lambda folder: (folder / ANSWERS).unlink(),
+    "large": lambda folder: (folder / ANSWERS).write_bytes(b"x" * (submissions.LARGEST_BYTES + 1)),
+    "version": lambda folder: _edit_card(folder, '"1.0"', '"0.9"'),
+    "draw": lambda folder: _edit_card(folder, load_task("bench").draw_id(), "0" * 16),
+    "task": lambda folder: _edit_card(folder, '"bench"', '"wrench"'),
+    "key": lambda folder: _edit_card(folder, "about =", "run = 1\nabout ="),
+}
+
+
+def _edit_card(folder: Path, old: str, new: str) -> None:
+    (folder / CARD).write_text((folder / CARD).read_text().replace(old, new))
+
+
+def _spoil(how: str, folder: Path) -> None:
+    """Make a good submission to task bench a bad one."""
+    if how in BAD_TABLES:
+        pq.write_table(BAD_TABLES[how](pq.read_table(folder / ANSWERS)), folder / ANSWERS)
+    else:
+        BAD_FILES[how](folder)
+
+
+@pytest.mark.parametrize(
+    ("how", "sentence"),
+    [
+        ("short", "1 of the 80 cases are missing, the first is case 79"),
+        ("twice", "case 6 stands in it twice"),
+        ("more", "must have the cases 0 to 79 and no others, got 81 rows"),
+        ("nan", "case 3: healthy must be a number, got nan"),
+        ("sum", "case 3: its probabilities must sum to 1"),
+        ("negative", "case 3: healthy must be a probability from 0 to 1, got -0.5"),
+        ("text", "column healthy must hold numbers, got string"),
+        ("columns", "must have the columns case, healthy,"),
+        ("damaged", "is no Parquet file, or damaged"),
+        ("absent", "a submission needs a table of answers"),
+        ("large", "is larger than 8 MB"),
+        ("version", "the submission is for motor-bench 0.9, this is motor-bench 1.0"),
+        ("draw", "answers split 0000000000000000 of task bench"),
+        ("task", "task must be one of bench,"),
+        ("key", "unknown key 'run' in card"),
+    ],
+)
+def test_a_bad_submission_is_one_sentence(
+    how: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    task = load_task("bench")
+    write_submission(tmp_path, task, good_answers(task), WHO)
+    _spoil(how, tmp_path)
+    assert main(["score", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert error.count("\n") == 1
+
+
+def test_a_table_that_unpacks_to_too_much_is_not_read(tmp_path: Path) -> None:
+    task = load_task("bench")
+    write_submission(tmp_path, task, good_answers(task), WHO)
+    zeros = pa.table({"case": np.zeros(3_000_000, dtype=np.int64)})
+    pq.write_table(zeros, tmp_path / ANSWERS, compression="zstd", use_dictionary=False)
+    assert (tmp_path / ANSWERS).stat().st_size < submissions.LARGEST_BYTES
+    with pytest.raises(InputError, match="unpacks to more than 8 MB"):
+        score_submission(tmp_path)
+
+
+def test_a_submission_is_checked_before_it_is_written(tmp_path: Path) -> None:
+    task = load_task("bench")
+    with pytest.raises(InputError, match="sum to 1"):
+        write_submission(tmp_path, task, 0.1 * good_answers(task), WHO)
+    with pytest.raises(InputError, match="must name method and authors"):
+        write_submission(tmp_path, task, good_answers(task), {"method": "", "authors": ""})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_commands_make_answer_and_score_a_sealed_split(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seed, sealed = tmp_path / "seed", load_task("bench")
+    seed.write_text("18446744073709551615\n")
+    options = ["--sealed", str(seed)]
+    assert main(["task", "bench", "--out", str(tmp_path / "task"), *options]) == 0
+    with np.load(tmp_path / "task" / "test.npz") as arrays:
+        assert list(arrays) == ["X"]  # no truth
+        assert not np.array_equal(arrays["X"], sealed.test().X)
+    told = json.loads((tmp_path / "task" / "task.json").read_text())
+    assert "18446744073709551615" not in json.dumps(told)
+    assert told["draw"] != sealed.draw_id()
+    mine, kept = tmp_path / "mine", tmp_path / "kept"
+    command = ["submit", "bench", "--method", "residual-qda", "--authors", "me", "--out", str(mine)]
+    assert main([*command, *options]) == 0
+    assert main(["score", str(mine)]) == 2  # it answers another split
+    capsys.readouterr()
+    assert main(["score", str(mine), *options, "--keep", str(kept)]) == 0
+    assert "the best possible on the same cases" in capsys.readouterr().out
+    scored = json.loads((kept / "bench" / "residual-qda.json").read_text())
+    assert scored["value"] < 40.0
+    seed.write_text("many\n")
+    assert main(["score", str(mine), *options]) == 2
+    assert "must hold one whole number" in capsys.readouterr().err
+
+
+def _kept(name: str, costs: Any) -> dict[str, Any]:
+    packed = base64.b64encode(zlib.compress(np.asarray(costs, dtype=np.float32).tobytes())).decode()
+    value = 100.0 * float(np.mean(costs))
+    return {
+        "method": name,
+        "authors": "",
+        "about": "a|b",
+        "value": value,
+        "low": value,
+        "high": value,
+        "costs": packed,
+    }
+
+
+def test_methods_that_cannot_be_told_apart_share_a_rank() -> None:
+    task, rng = load_task("bench"), np.random.default_rng(3)
+    first = (rng.random(80) < 0.2).astype(float)
+    same = first.copy()
+    same[:1] = 1.0 - same[:1]
+    bad = np.ones(80)
+    ranked = ranks(task, [_kept("bad", bad), _kept("second", same), _kept("first", first)])
+    assert [rank for rank, _ in ranked] == [1, 1, 3]
+    assert ranked[-1][1]["method"] == "bad"
+    assert paired(task, bad, first, resampling_weights(80, 0))[1] > 0.0
+    assert "| 3 | bad |" in page({"bench": [_kept("bad", bad), _kept("first", first), _kept("second", same)]})
