@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 
 
@@ -21,8 +20,9 @@ def marked(text: str, parts: Mapping[str, str]) -> str:
         ValueError: the page has no such place.
     """
     for name, content in parts.items():
-        place = re.compile(rf"(<!-- begin {name} -->\n).*?(<!-- end {name} -->)", re.DOTALL)
-        text, count = place.subn(lambda found, new=content: f"{found[1]}\n{new.strip()}\n\n{found[2]}", text)
-        if count != 1:
-            raise ValueError(f"the page has {count} places of the name {name}")
+        begin, end = f"<!-- begin {name} -->\n", f"<!-- end {name} -->"
+        if text.count(begin) != 1 or text.count(end) != 1:
+            raise ValueError(f"the page must have one place of the name {name}")
+        before, rest = text.split(begin)
+        text = f"{before}{begin}\n{content.strip()}\n\n{end}{rest.split(end)[1]}"
     return text
