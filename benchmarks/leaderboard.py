@@ -22,16 +22,16 @@ from peers import command, environment
 from tables import marked
 
 from motor_classifiers.cli.main import main as motor_classifiers
+from motor_classifiers.contest import tasks
+from motor_classifiers.contest.leaderboard import page, read_scores
+from motor_classifiers.contest.submissions import write_submission
+from motor_classifiers.contest.tasks import ClassTask, StreamTask, Task, load_task
 from motor_classifiers.estimators.methods import METHODS
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.own_methods import fed
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_classifiers.scoring import tasks
 from motor_classifiers.scoring.judging import TEST_FIRST_CASE, judged_starts
-from motor_classifiers.scoring.leaderboard import page, read_scores
 from motor_classifiers.scoring.peers import PEERS, export_starts
-from motor_classifiers.scoring.submissions import write_submission
-from motor_classifiers.scoring.tasks import ClassTask, StreamTask, Task, load_task
 from motor_classifiers.wrappers.open_set import FaultFamilyDetector
 from motor_datasets.arrays import Dataset
 from motor_env import Cusum, Glr, TolerantFilter

@@ -1,3 +1,10 @@
+from .contest.submissions import (
+    score_submission as score_submission,
+    write_submission as write_submission,
+)
+from .contest.tasks import (
+    load_task as load_task,
+)
 from .estimators.confirmation import (
     ThresholdConfirmationClassifier as ThresholdConfirmationClassifier,
 )
@@ -37,13 +44,6 @@ from .prediction.opinions import (
 )
 from .scoring.evaluation import (
     evaluate_model as evaluate_model,
-)
-from .scoring.submissions import (
-    score_submission as score_submission,
-    write_submission as write_submission,
-)
-from .scoring.tasks import (
-    load_task as load_task,
 )
 from .wrappers.conformal import (
     ConformalClassifier as ConformalClassifier,

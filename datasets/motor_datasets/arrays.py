@@ -43,7 +43,7 @@ def parameter_names(recipe: Recipe) -> tuple[str, ...]:
     return MOTOR_PARAMETERS if recipe.field is None else MOTOR_PARAMETERS + EFFECTS + SENSOR_ERRORS
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Dataset:
     """Labelled transients.
 
@@ -76,6 +76,9 @@ class Dataset:
 
     def __len__(self) -> int:
         return len(self.X)
+
+    def __repr__(self) -> str:
+        return f"<Dataset of recipe {self.recipe.name}, seed {self.seed}: X {self.X.shape}>"
 
     @property
     def class_names(self) -> tuple[str, ...]:

@@ -1,9 +1,53 @@
-"""The card of a data set: README.md with the YAML header that Hugging Face reads."""
+"""What a data set says of itself: README.md with the YAML header that Hugging Face reads, and Croissant."""
 
 from __future__ import annotations
 
-from motor_datasets.describe import describe
+import json
+from typing import Any
+
+from motor_datasets.describe import Column, columns, describe
 from motor_datasets.manifest import Manifest
+
+LICENSE = "https://spdx.org/licenses/MIT.html"
+"""Of generated data: that of the package."""
+
+_CONTEXT: dict[str, Any] = {
+    "@language": "en",
+    "@vocab": "https://schema.org/",
+    "sc": "https://schema.org/",
+    "cr": "http://mlcommons.org/croissant/",
+    "rai": "http://mlcommons.org/croissant/RAI/",
+    "dct": "http://purl.org/dc/terms/",
+    "citeAs": "cr:citeAs",
+    "column": "cr:column",
+    "conformsTo": "dct:conformsTo",
+    "data": {"@id": "cr:data", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "examples": {"@id": "cr:examples", "@type": "@json"},
+    "extract": "cr:extract",
+    "field": "cr:field",
+    "fileObject": "cr:fileObject",
+    "fileProperty": "cr:fileProperty",
+    "fileSet": "cr:fileSet",
+    "format": "cr:format",
+    "includes": "cr:includes",
+    "isLiveDataset": "cr:isLiveDataset",
+    "jsonPath": "cr:jsonPath",
+    "key": "cr:key",
+    "md5": "cr:md5",
+    "parentField": "cr:parentField",
+    "path": "cr:path",
+    "recordSet": "cr:recordSet",
+    "references": "cr:references",
+    "regex": "cr:regex",
+    "repeated": "cr:repeated",
+    "replace": "cr:replace",
+    "separator": "cr:separator",
+    "source": "cr:source",
+    "subField": "cr:subField",
+    "transform": "cr:transform",
+}
+_TYPES = {"text": "sc:Text", "whole": "sc:Integer", "number": "sc:Float", "samples": "sc:Float"}
 
 
 def data_card(manifest: Manifest) -> str:
@@ -13,7 +57,12 @@ def data_card(manifest: Manifest) -> str:
         rows[entry.split] = rows.get(entry.split, 0) + entry.rows
     configs = "\n".join(f"  - split: {name}\n    path: data/{name}-*.parquet" for name in rows)
     counts = "\n".join(f"| {name} | {count} |" for name, count in rows.items())
+    table = "\n".join(f"| `{c.name}` | {c.kind} | {c.unit} | {c.meaning} |" for c in columns(manifest.recipe))
+    total = sum(rows.values())
     return f"""---
+license: mit
+size_categories:
+- {_size_category(total)}
 pretty_name: DC motor transients, recipe {manifest.recipe.name}
 task_categories:
 - tabular-classification
@@ -30,11 +79,18 @@ configs:
 # DC motor transients, recipe `{manifest.recipe.name}`
 
 Simulated start-up transients with their labels, seed {manifest.seed}. One row a case; samples are lists of float32 in
-`current_a` and, where measured, `speed_rad_s`. No motor stands in two splits.
+`current_a` and, where measured, `speed_rad_s`. No motor stands in two splits. {total} cases in
+{len(manifest.files)} files, {manifest.bytes / 1e6:.1f} MB. License: MIT, that of the package that made them.
 
 | split | cases |
 |---|---|
 {counts}
+
+## Columns
+
+| column | kind | unit | meaning |
+|---|---|---|---|
+{table}
 
 ## What is sampled
 
@@ -43,5 +99,68 @@ Simulated start-up transients with their labels, seed {manifest.seed}. One row a
 ```
 
 Read it with `motor_datasets.load`, pandas, polars, DuckDB, pyarrow, or `datasets.load_dataset` on this folder.
-`dataset.json` holds recipe, seed and the digest of every file; `motor-datasets verify` checks them.
+`dataset.json` holds recipe, seed and the digest of every file; `motor-datasets verify` checks them. `croissant.json`
+says the same to whoever reads Croissant.
 """
+
+
+def _size_category(count: int) -> str:
+    """As Hugging Face names it."""
+    bounds = {10**3: "n<1K", 10**4: "1K<n<10K", 10**5: "10K<n<100K", 10**6: "100K<n<1M", 10**7: "1M<n<10M"}
+    return next((name for bound, name in bounds.items() if count < bound), "n>10M")
+
+
+def croissant(manifest: Manifest) -> str:
+    """The text of `croissant.json`: every file with its digest, and one set of records a file."""
+    recipe = manifest.recipe
+    name = f"motor-{recipe.name}-{manifest.seed}"
+    files = [
+        {
+            "@type": "cr:FileObject",
+            "@id": entry.path,
+            "name": entry.path,
+            "contentUrl": entry.path,
+            "contentSize": f"{entry.bytes} B",
+            "encodingFormat": "application/x-parquet",
+            "sha256": entry.sha256,
+        }
+        for entry in manifest.files
+    ]
+    records = [
+        {
+            "@type": "cr:RecordSet",
+            "@id": entry.path.removeprefix("data/").removesuffix(".parquet"),
+            "name": entry.path.removeprefix("data/").removesuffix(".parquet"),
+            "description": f"{entry.rows} cases of split {entry.split}.",
+            "field": [_field(entry.path, column) for column in columns(recipe)],
+        }
+        for entry in manifest.files
+    ]
+    content = {
+        "@context": _CONTEXT,
+        "@type": "sc:Dataset",
+        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        "name": name,
+        "description": f"Simulated start-up transients of DC motors with faults, recipe {recipe.name}.",
+        "license": LICENSE,
+        "version": "1.0.0",
+        "citeAs": f"motor-env, recipe {recipe.name}, seed {manifest.seed}, {manifest.cases} cases",
+        "distribution": files,
+        "recordSet": records,
+    }
+    return json.dumps(content, indent=1) + "\n"
+
+
+def _field(path: str, column: Column) -> dict[str, Any]:
+    record = path.removeprefix("data/").removesuffix(".parquet")
+    unit = f", in {column.unit}" if column.unit not in ("", "1") else ""
+    source = {"fileObject": {"@id": path}, "extract": {"column": column.name}}
+    field = {
+        "@type": "cr:Field",
+        "@id": f"{record}/{column.name}",
+        "name": f"{record}/{column.name}",
+        "description": f"{column.meaning}{unit}",
+        "dataType": _TYPES[column.kind],
+        "source": source,
+    }
+    return field | ({"repeated": True} if column.kind == "samples" else {})

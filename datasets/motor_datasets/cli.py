@@ -8,12 +8,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from motor_env import __version__, console
 from motor_env.errors import InputError, require_extra
+
+if TYPE_CHECKING:
+    from motor_datasets.layout import Plan
 
 Flag = Annotated[bool, Parameter(negative=())]
 
@@ -92,6 +95,7 @@ def generate(
         "recipe": chosen.name,
         "seed": seed,
         "cases": cases,
+        "cases_of_shifts": plan.cases_of_all - cases,
         "classes": list(chosen.class_names),
         "channels": [str(channel) for channel in chosen.sensor.channels],
         "samples": chosen.timing.n_samples,
@@ -112,15 +116,21 @@ def generate(
         print(json.dumps(summary))
     elif dry_run:
         print(
-            f"would write {plan.cases_of_all} cases of {chosen.timing.n_samples} samples in {len(plan.files)} files to"
+            f"would write {_counted(plan)} of {chosen.timing.n_samples} samples in {len(plan.files)} files to"
             f" {folder}: {plan.bytes_uncompressed / 1e6:.1f} MB before compression, some {summary['seconds']} s"
         )
     else:
         print(
-            f"wrote {plan.cases_of_all} cases of {chosen.timing.n_samples} samples in {len(plan.files)} files,"
+            f"wrote {_counted(plan)} of {chosen.timing.n_samples} samples in {len(plan.files)} files,"
             f" {manifest.bytes / 1e6:.1f} MB: {folder}"
         )
     return 0
+
+
+def _counted(plan: Plan) -> str:
+    """Cases asked for, and those of the shifts beside them."""
+    shifted = plan.cases_of_all - plan.cases
+    return f"{plan.cases} cases" + (f" and {shifted} of shifts" if shifted else "")
 
 
 @app.command

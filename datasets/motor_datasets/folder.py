@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from motor_datasets.card import data_card
+from motor_datasets.card import croissant, data_card
 from motor_datasets.generate import generate_arrays
 from motor_datasets.layout import Plan, PlannedFile, make_plan
 from motor_datasets.manifest import MANIFEST, Entry, Manifest, is_whole, read_manifest, size_and_digest
@@ -121,6 +121,7 @@ def _make_files(
         raise
     manifest = Manifest(plan.recipe, plan.seed, plan.cases, tuple(entries[file.path] for file in plan.files))
     _write_text(folder / "README.md", data_card(manifest))
+    _write_text(folder / "croissant.json", croissant(manifest))
     _write_text(folder / MANIFEST, manifest.as_text())
 
 

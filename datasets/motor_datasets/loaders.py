@@ -32,7 +32,7 @@ def to_torch(dataset: Dataset) -> Any:
     return torch.utils.data.TensorDataset(
         torch.from_numpy(dataset.X),
         torch.tensor(dataset.class_index),
-        torch.tensor(dataset.severity),
+        torch.tensor(dataset.severity, dtype=torch.float32),
     )
 
 

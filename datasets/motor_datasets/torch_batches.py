@@ -33,5 +33,5 @@ class TorchBatches(torch.utils.data.IterableDataset[Any]):
             yield (
                 torch.from_numpy(batch.X),
                 torch.tensor(batch.class_index),
-                torch.tensor(batch.severity),
+                torch.tensor(batch.severity, dtype=torch.float32),
             )

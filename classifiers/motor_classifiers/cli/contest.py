@@ -16,7 +16,7 @@ Json = Annotated[bool, Parameter(name="--json", negative=())]
 
 def _seed(sealed: Path | None) -> int:
     """The public seed, or the one number of a file."""
-    from motor_classifiers.scoring.tasks import SEED
+    from motor_classifiers.contest.tasks import SEED
 
     if sealed is None:
         return SEED
@@ -44,7 +44,7 @@ def task(name: str, /, *, out: Path, sealed: Path | None = None) -> int:
     require_extra("sklearn", "classifiers")
     import numpy as np
 
-    from motor_classifiers.scoring.tasks import load_task
+    from motor_classifiers.contest.tasks import load_task
     from motor_env.files import replacing, write_text
 
     chosen, seed = load_task(name), _seed(sealed)
@@ -90,10 +90,10 @@ def submit(
     require_extra("sklearn", "classifiers")
     from rich.console import Console
 
+    from motor_classifiers.contest.submissions import write_submission
+    from motor_classifiers.contest.tasks import ClassTask, load_task
     from motor_classifiers.estimators.own_methods import answered, fed, find_method
     from motor_classifiers.scoring.judging import in_recipe_order
-    from motor_classifiers.scoring.submissions import write_submission
-    from motor_classifiers.scoring.tasks import ClassTask, load_task
 
     asked, chosen, split = load_task(task), find_method(method), _seed(sealed)
     if not isinstance(asked, ClassTask):
@@ -124,8 +124,8 @@ def score(
         json_: Print the score as JSON.
     """
     require_extra("sklearn", "classifiers")
-    from motor_classifiers.scoring.leaderboard import file_of
-    from motor_classifiers.scoring.submissions import score_submission
+    from motor_classifiers.contest.leaderboard import file_of
+    from motor_classifiers.contest.submissions import score_submission
     from motor_env.files import write_text
 
     scored = score_submission(submission, seed=_seed(sealed))

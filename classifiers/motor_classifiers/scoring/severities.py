@@ -13,7 +13,6 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass, Recipe
 
 _FIRST_CASE = 1_000_000_000
-_SMALLEST = 1e-6  # a class with a fault needs a severity; this one is healthy to rounding
 
 
 Scored = dict[str, float]

@@ -16,11 +16,11 @@ from sklearn.metrics import roc_auc_score
 
 from motor_classifiers import load_task, score_submission, write_submission
 from motor_classifiers.cli.main import main
-from motor_classifiers.scoring import submissions, tasks
-from motor_classifiers.scoring.leaderboard import page, ranks
+from motor_classifiers.contest import submissions, tasks
+from motor_classifiers.contest.leaderboard import page, ranks
+from motor_classifiers.contest.submissions import ANSWERS, CARD, paired, unpacked_costs
+from motor_classifiers.contest.tasks import TASKS, StrangerTask, Task, current_digests, frozen_digests
 from motor_classifiers.scoring.metrics import resampling_weights
-from motor_classifiers.scoring.submissions import ANSWERS, CARD, paired, unpacked_costs
-from motor_classifiers.scoring.tasks import TASKS, StrangerTask, Task, current_digests, frozen_digests
 from motor_env.errors import InputError
 
 WHO = {"method": "mine", "authors": "A Stranger"}
@@ -32,7 +32,7 @@ def small(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> No
     if "whole" not in request.node.name:
         few = {name: replace(task, n_train=120, n_test=80) for name, task in TASKS.items()}
         monkeypatch.setattr(tasks, "TASKS", few)
-        monkeypatch.setattr("motor_classifiers.scoring.leaderboard.TASKS", few)
+        monkeypatch.setattr("motor_classifiers.contest.leaderboard.TASKS", few)
 
 
 def good_answers(task: Task) -> Any:

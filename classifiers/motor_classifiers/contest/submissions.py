@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
 
+from motor_classifiers.contest.tasks import SEED, VERSION, Task, load_task
 from motor_classifiers.scoring.metrics import resampling_weights
-from motor_classifiers.scoring.tasks import SEED, VERSION, Task, load_task
 from motor_env.errors import InputError
 from motor_env.files import replacing, write_text
 from motor_env.motor.parameters import FloatArray

@@ -398,6 +398,6 @@ def current_digests(*, whole: bool) -> dict[str, dict[str, str]]:
 
 def frozen_digests() -> dict[str, Any]:
     """What they must be: of `small` counts and `whole`, written by `python benchmarks/leaderboard.py freeze`."""
-    text = (files("motor_classifiers.scoring") / "motor_bench.json").read_text(encoding="utf-8")
+    text = (files("motor_classifiers.contest") / "motor_bench.json").read_text(encoding="utf-8")
     digests: dict[str, Any] = json.loads(text)
     return digests

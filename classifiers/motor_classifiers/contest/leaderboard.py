@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from motor_classifiers.contest.submissions import paired, unpacked_costs
+from motor_classifiers.contest.tasks import TASKS, VERSION, Task
 from motor_classifiers.scoring.metrics import resampling_weights
-from motor_classifiers.scoring.submissions import paired, unpacked_costs
-from motor_classifiers.scoring.tasks import TASKS, VERSION, Task
 
 Scored = dict[str, Any]
 """As `score_submission` gives it."""

@@ -1,0 +1,166 @@
+"""Tables of README.md and docs/benchmark.md from benchmarks/results: `python benchmarks/result_tables.py` writes them.
+
+A test compares both pages with the files, so no figure in these tables is written by hand.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from tables import marked
+
+FOLDER = Path(__file__).resolve().parent
+README, BENCHMARK = FOLDER.parent / "README.md", FOLDER.parent / "docs" / "benchmark.md"
+Row = dict[str, Any]
+
+_IN_README = {
+    "Bayes limit": "*the best possible: Bayes-optimal posterior*",
+    "rules": "statistics of the decision rules and matched tests, logistic regression",
+    "physical-logistic": "fitted motor parameters and residual, logistic regression",
+    "raw-logistic": "raw waveform in 20 principal components, logistic regression",
+    "posterior-network": "amortised posterior: torch network on the recipe's endless stream",
+    "residual-qda": "filter residual along the signal's directions, quadratic discriminant",
+    "quant": "QUANT (aeon 1.6)",
+    "threshold": "Kalman filter, thresholds, M of N, bank of fault filters",
+    "minirocket": "MiniRocket (aeon 1.6)",
+}
+_SWEPT = (
+    "posterior-network",
+    "physical-logistic",
+    "rules",
+    "residual-qda",
+    "raw-logistic",
+    "residual-network",
+    "threshold",
+)
+_LIMIT = ("Bayes limit", "Bayes estimate")
+
+
+def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    names = list(head)
+    lines = [f"| {' | '.join(cells)} |" for cells in rows]
+    return "\n".join([f"| {' | '.join(names)} |", f"|{'---|' * len(names)}", *lines])
+
+
+def _points(share: float, digits: int = 2) -> str:
+    text = f"{100.0 * share:.{digits}f}"
+    return text.replace("-", "−") if float(text) else f"{0.0:.{digits}f}"
+
+
+def _quantity(value: float | None) -> str:
+    if value is None:
+        return ""
+    return "< 1" if value < 1.0 else f"{value:.0f}" if value >= 20.0 else f"{value:.1f}"
+
+
+def _ranked() -> list[Row]:
+    """Rows of the default setting: the limit, then the most accurate first."""
+    rows: list[Row] = json.loads((FOLDER / "results" / "classifiers.json").read_bytes())
+    return sorted(rows, key=lambda row: (row["family"] != "limit", -row["accuracy"]))
+
+
+def readme_table() -> str:
+    """The README's table."""
+    by_name = {row["method"]: row for row in _ranked()}
+    rows = []
+    for name in [name for name in by_name if name in _IN_README]:
+        row = by_name[name]
+        low, high = row["accuracy_low"], row["accuracy_high"]
+        accuracy = f"{_points(row['accuracy'], 1)} % ({_points(low, 1)} to {_points(high, 1)})"
+        cost = _quantity(row["microseconds_per_transient"])
+        if name in _LIMIT:
+            rows.append([_IN_README[name], f"*{accuracy}*", "", f"*{cost}*"])
+        else:
+            rows.append([_IN_README[name], accuracy, _points(row["below_bayes"]), cost])
+    return _table(
+        ["method", "accuracy (95 % interval)", "behind the best possible, in points", "µs a start"], rows
+    )
+
+
+def default_table() -> str:
+    """All methods in the default setting."""
+    rows = []
+    for row in _ranked():
+        is_limit = row["method"] in _LIMIT
+        below = [_points(row[f"below_bayes{end}"]) for end in ("", "_low", "_high")] if not is_limit else []
+        graded = row["log_loss"] is not None
+        rows.append(
+            [
+                row["method"],
+                f"{row['accuracy']:.4f} ({row['accuracy_low']:.3f} to {row['accuracy_high']:.3f})",
+                "{} ({} to {})".format(*below) if below else "",
+                *(_points(row[name], 1) for name in ("winding", "bearing", "level")),
+                *(f"{row[name]:.3f}" if graded else "" for name in ("log_loss", "ece")),
+                _quantity(row["microseconds_per_transient"]),
+                _quantity(row["inference_memory_mb"]),
+                ""
+                if is_limit
+                else f"{row['train_s']:.1f}"
+                if row["train_s"] < 20.0
+                else f"{row['train_s']:.0f}",
+                "" if is_limit else _quantity(row["train_memory_mb"]),
+            ]
+        )
+    head = "method, accuracy, below the limit, winding, bearing, level, log-loss, ECE, µs a start, MB, training s, MB"
+    return _table(head.split(", "), rows)
+
+
+def _sweep() -> dict[tuple[str, float, float, int], dict[str, float]]:
+    """Accuracy by setting (recipe, rate, noise, training starts) and method; the limit's own row is `limit`."""
+    settings: dict[tuple[str, float, float, int], dict[str, float]] = {}
+    with (FOLDER / "results" / "full.csv").open(encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            rate, noise = float(row["sampling_rate_hz"]), float(row["noise_a"])
+            one = settings.setdefault((row["recipe"], rate, noise, int(row["n_train"])), {})
+            one["limit" if row["method"] in _LIMIT else row["method"]] = float(row["accuracy"])
+    return settings
+
+
+def noise_table() -> str:
+    """Accuracy after 2,000 training starts by recipe, rate and noise."""
+    recipes = ("bench", "bench-full", "paper", "field")
+    settings = {key: one for key, one in _sweep().items() if key[3] == 2000}
+    rows = [
+        [
+            recipe,
+            f"{rate / 1e3:g} kHz",
+            f"{1e3 * noise:g} mA",
+            f"{'about ' * (recipe == 'field')}{one['limit']:.3f}",
+            *(f"{one[name]:.3f}" for name in _SWEPT),
+        ]
+        for (recipe, rate, noise, _), one in sorted(
+            settings.items(), key=lambda each: (recipes.index(each[0][0]), -each[0][1], each[0][2])
+        )
+    ]
+    return _table(["recipe", "rate", "noise", "limit", *_SWEPT], rows)
+
+
+def size_table() -> str:
+    """Accuracy at 20 mA by the number of training starts."""
+    recipes = ("bench", "bench-full", "field")
+    settings = {key: one for key, one in _sweep().items() if key[0] in recipes and key[2] == 0.02}
+    rows = [
+        [f"{recipe}, {rate / 1e3:g} kHz", str(count), *(f"{one[name]:.3f}" for name in _SWEPT[1:])]
+        for (recipe, rate, _, count), one in sorted(
+            settings.items(), key=lambda each: (recipes.index(each[0][0]), -each[0][1], each[0][3])
+        )
+    ]
+    return _table(["recipe, rate, 20 mA", "training starts", *_SWEPT[1:]], rows)
+
+
+def pages() -> dict[Path, str]:
+    """Both pages with their tables made anew."""
+    parts = {
+        README: {"results": readme_table()},
+        BENCHMARK: {"default": default_table(), "noise": noise_table(), "size": size_table()},
+    }
+    return {path: marked(path.read_text(encoding="utf-8"), tables) for path, tables in parts.items()}
+
+
+if __name__ == "__main__":
+    for page, text in pages().items():
+        page.write_text(text, encoding="utf-8")

@@ -1,0 +1,1 @@
+"""motor-bench: frozen tasks, submissions to them, their scores and ranks."""
