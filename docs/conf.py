@@ -13,12 +13,16 @@ author = "The motor-env contributors"
 copyright = f"2026, {author}"
 release = version = installed_version("motor-env")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
-source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
 exclude_patterns = ["_build"]
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
+nb_execution_mode = "force"  # the notebooks run at every build; an error ends it
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600
+nb_merge_streams = True
 autodoc_typehints_format = "short"
 maximum_signature_line_length = 80
 autodoc_member_order = "bysource"

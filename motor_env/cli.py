@@ -396,6 +396,22 @@ def warm_up() -> int:
 
 
 @app.command
+def examples(folder: Path = Path("examples")) -> int:
+    """Write the files that the documentation reads into a folder: a capture, a motor file, and scripts.
+
+    Example: motor-env examples
+
+    Args:
+        folder: Where to; files of these names that are there already are kept.
+    """
+    from motor_env.files import write_examples
+
+    for path in write_examples(folder):
+        print(path)
+    return 0
+
+
+@app.command
 def lab(*, port: console.Whole = 0, browser: bool = True) -> int:
     """A page in the browser: faults, noise and motor by sliders, residual, rule and verdict; drop a recording on it.
 

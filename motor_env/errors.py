@@ -12,6 +12,4 @@ def require_extra(module: str, extra: str) -> None:
     from importlib.util import find_spec
 
     if find_spec(module) is None:
-        raise InputError(
-            f"this command needs {module}, which is not installed: pip install 'motor-env[{extra}]'"
-        )
+        raise InputError(f"this needs {module}, which is not installed: pip install 'motor-env[{extra}]'")

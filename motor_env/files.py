@@ -45,3 +45,16 @@ def write_text(path: Path, text: str) -> None:
     """
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_examples(folder: Path) -> list[Path]:
+    """Copy the examples that come with the package (in a clone: the folder beside it); returns what was written."""
+    package = Path(__file__).parent
+    source = next(each for each in (package / "examples", package.parent / "examples") if each.is_dir())
+    written = []
+    for file in sorted(source.glob("*.*")):
+        target = folder / file.name
+        if not target.exists():
+            write_text(target, file.read_text(encoding="utf-8"))
+            written.append(target)
+    return written

@@ -12,6 +12,17 @@ Example:
     92% of 200 other motors are right
 """
 
+from typing import Any
+
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+from motor_env.errors import require_extra
+
+_load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        require_extra("sklearn", "classifiers")
+        require_extra("torch", "classifiers")
+    return _load(name)

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset, parameter_names
@@ -19,9 +17,13 @@ from motor_datasets.layout import bytes_of_case
 from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Entry, Manifest, whole_content
 from motor_datasets.remote import Folder
 from motor_datasets.splits import Split
-from motor_env.errors import InputError
+from motor_env.errors import InputError, require_extra
 from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
+
+require_extra("pyarrow", "datasets")
+import pyarrow as pa  # noqa: E402  # the sentence comes first
+import pyarrow.parquet as pq  # noqa: E402
 
 _ROW_GROUP_BYTES = 8 * 2**20
 _ALWAYS_READ_BYTES = 2**27

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from motor_env.envs.baselines.posterior_view import PosteriorView
 from motor_env.envs.vector import MotorVectorEnv
+from motor_env.errors import require_extra
 from motor_env.motor.parameters import require
+
+require_extra("stable_baselines3", "rl")
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv  # noqa: E402  # the sentence comes first
 
 
 class StableBaselinesVecEnv(VecEnv):

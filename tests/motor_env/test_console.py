@@ -99,9 +99,9 @@ def test_interrupt(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_missing_extra_names_what_to_install() -> None:
-    with pytest.raises(InputError, match=r"pip install 'motor-env\[lab\]'"):
-        require_extra("no_such_module_anywhere", "lab")
-    require_extra("numpy", "lab")
+    with pytest.raises(InputError, match=r"pip install 'motor-env\[dask\]'"):
+        require_extra("no_such_module_anywhere", "dask")
+    require_extra("numpy", "dask")
 
 
 def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
