@@ -4,6 +4,7 @@ import email
 import email.message
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -66,6 +67,17 @@ def test_wheel_holds_the_three_packages_and_nothing_beside_them(wheel: Path) -> 
         assert f"{package}/__init__.py" in names
         assert f"{package}/py.typed" in names
     assert "motor_classifiers/model_files/pretrained/paper-motor.safetensors" in names
+    assert "motor_env/examples/startup_capture.csv" in names  # for `motor-env examples`
+
+
+def test_description_for_the_package_index_has_no_link_into_the_repository(
+    metadata: email.message.Message,
+) -> None:
+    description = metadata.get_payload()
+    assert isinstance(description, str)
+    assert "Is this DC motor failing" in description
+    assert "What comes out" in description
+    assert re.findall(r"\]\((?!https?:)[^)]*\)", description) == []
 
 
 def test_folders_around_the_packages_are_no_packages() -> None:
@@ -102,9 +114,7 @@ def test_core_asks_for_no_learning_library(metadata: email.message.Message) -> N
     requirements: list[str] = metadata.get_all("Requires-Dist", [])
     core = [requirement.lower() for requirement in requirements if "extra ==" not in requirement]
     assert core
-    assert not [
-        requirement for requirement in core if requirement.startswith(("torch", "scikit-learn", "pandas"))
-    ]
+    assert not [requirement for requirement in core if requirement.startswith(("torch", "scikit-learn"))]
 
 
 def test_importing_motor_env_is_light(tmp_path: Path) -> None:
