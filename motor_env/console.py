@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -18,6 +19,9 @@ from motor_env.errors import InputError
 
 if TYPE_CHECKING:
     from rich.progress import ProgressColumn
+
+
+_CLOSED_PIPE = 128 + 13  # as a shell reports SIGPIPE, which Windows does not have
 
 
 def _whole(_: type[int], tokens: Sequence[Token]) -> int:
@@ -52,6 +56,11 @@ def run(app: App, arguments: Sequence[str] | None = None) -> int:
     try:
         _heed_termination()
         status = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:  # whoever read is gone, and the rest of it goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _CLOSED_PIPE
     except CycloptsError as error:
         message = " ".join(str(error).split())
     except (InputError, ValueError, OSError) as error:

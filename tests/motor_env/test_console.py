@@ -1,5 +1,7 @@
 """The frame of the commands: exit statuses, one sentence for bad input."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -115,3 +117,14 @@ def test_unwritable_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     (tmp_path / "file").write_text("")
     assert cli.main(["reproduce", "--out", str(tmp_path / "file" / "out")]) == ExitStatus.BAD_INPUT
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_closed_pipe_ends_quietly() -> None:
+    command = [sys.executable, "-m", "motor_datasets", "describe", "bench"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        said = process.stderr.read()
+    assert said == b""
+    assert process.returncode == 128 + 13  # SIGPIPE
