@@ -13,10 +13,20 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from motor_env.apps.lab_shelf import (
+    HEALTHY_STARTS,
+    LARGEST_UPLOAD_BYTES,
+    OWN_MOTOR,
+    Shelf,
+    check_size,
+    ending_of,
+    shown_name,
+)
 from motor_env.detection.rules import Cusum, MOfN, Rule, first_above, in_a_row
 from motor_env.diagnosis.decision import Diagnosis
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.files import diagnose_files
+from motor_env.diagnosis.page import reference_current
 from motor_env.diagnosis.report import as_json, headline
 from motor_env.errors import InputError
 from motor_env.filters.batch import run_filter
@@ -27,17 +37,17 @@ from motor_env.motor.parameters import CATALOGUE, FloatArray, SensorParameters
 from motor_env.recordings.recording import Recording
 from motor_env.simulation.simulate import Scenario, Timing, Transients, simulate, simulate_states
 
-LARGEST_UPLOAD_BYTES = 20_000_000
-FALSE_ALARM_RATE = 0.01
+ROC_STARTS = 200
+AVERAGED = 50  # samples: 5 ms
 MOST_POINTS = 1200
-TIMING = Timing(sampling_rate_hz=10_000.0, duration_s=0.1, quiet_s=0.01)
+TIMING = Timing(sampling_rate_hz=10_000.0, duration_s=0.3, quiet_s=0.1)
 
 RULES: dict[str, tuple[str, Rule]] = {
     "cusum": ("CUSUM", Cusum(shift=0.3, two_sided=True)),
     "nis": ("NIS, 3 of 5", MOfN(3, 5)),
     "row": ("NIS, 3 in a row", in_a_row(3)),
 }
-"""Rules to choose from; each alarms on 1 % of healthy starts when the motor is exactly the nominal one."""
+"""Rules to choose from; each keeps its rate of false alarms when the motor is exactly the nominal one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,16 +61,18 @@ class Settings:
         noise_ma: standard deviation of a current sample; the filter believes the same.
         resistance_percent: how far this motor's own resistance is from nominal: a tolerance, not a fault.
         friction_percent: the same for the friction.
+        false_alarm_percent: how often rule and diagnosis may call a healthy start faulty.
         rule: name of the rule, of `RULES`.
         seed: random number of the noise.
     """
 
     motor: str = "paper"
-    kind: str = HEALTHY
+    kind: str = str(FaultKind.BEARING)
     severity_percent: float = 25.0
     noise_ma: float = 20.0
     resistance_percent: float = 0.0
     friction_percent: float = 0.0
+    false_alarm_percent: float = 1.0
     rule: str = "cusum"
     seed: int = 1
     __pydantic_config__: ClassVar = {"extra": "forbid"}
@@ -86,6 +98,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "noise_ma": (1.0, 200.0),
     "resistance_percent": (-10.0, 10.0),
     "friction_percent": (-10.0, 10.0),
+    "false_alarm_percent": (0.1, 20.0),
     "seed": (0, 1_000_000),
 }
 """Smallest and largest value of every slider."""
@@ -93,14 +106,17 @@ RANGES: dict[str, tuple[float, float]] = {
 
 def start_of(settings: Settings) -> Transients:
     """The simulated start: the truth, and what the sensor saw of it."""
+    return simulate(_scenario(settings), settings.seed, [0])
+
+
+def _scenario(settings: Settings) -> Scenario:
     motor = CATALOGUE[settings.motor].scaled(
         resistance_ohm=1.0 + 0.01 * settings.resistance_percent,
         viscous_friction_n_m_s_per_rad=1.0 + 0.01 * settings.friction_percent,
     )
     kinds = () if settings.kind == HEALTHY else (FaultKind(settings.kind),)
     faults = tuple(Fault(kind, 0.01 * settings.severity_percent) for kind in kinds)
-    scenario = Scenario(motor, faults=faults, sensor=settings.sensor, timing=TIMING)
-    return simulate(scenario, settings.seed, [0])
+    return Scenario(motor, faults=faults, sensor=settings.sensor, timing=TIMING)
 
 
 def simulated(settings: Settings) -> dict[str, Any]:
@@ -113,7 +129,7 @@ def simulated(settings: Settings) -> dict[str, Any]:
     filtered = run_filter(belief, start.measurements[0], start.voltage_v[0])
     expected = simulate_states(nominal, start.voltage_v[0], TIMING.dt_s)[:, 0]
     name, rule = RULES[settings.rule]
-    threshold = _threshold(settings.rule)
+    threshold = _threshold(settings.rule, 0.01 * settings.false_alarm_percent)
     statistic = rule.statistic(filtered.whitened)
     alarm = int(first_above(statistic, threshold))
     return {
@@ -121,6 +137,8 @@ def simulated(settings: Settings) -> dict[str, Any]:
         "measured_a": _short(start.measurements[0, 0]),
         "expected_a": _short(expected),
         "residual_a": _short(filtered.innovation[:, 0]),
+        "averaged_a": _short(_averaged(start.measurements[0, 0] - expected)),
+        "averaged_band_a": 2e-3 * settings.noise_ma / AVERAGED**0.5,
         "statistic": _short(statistic),
         "threshold": threshold,
         "rule": name,
@@ -129,12 +147,44 @@ def simulated(settings: Settings) -> dict[str, Any]:
     }
 
 
-@lru_cache(maxsize=8)
-def _threshold(rule: str) -> float:
+@lru_cache(maxsize=64)
+def _threshold(rule: str, rate: float) -> float:
     wanted = RULES[rule][1].threshold_for(
-        false_alarm_probability=FALSE_ALARM_RATE, n_samples=TIMING.n_samples, n_channels=1
+        false_alarm_probability=rate, n_samples=TIMING.n_samples, n_channels=1
     )
     return float(wanted.value)
+
+
+def _averaged(values: FloatArray) -> FloatArray:
+    padded = np.pad(values, (AVERAGED // 2, AVERAGED - 1 - AVERAGED // 2), "reflect")
+    out: FloatArray = np.convolve(padded, np.ones(AVERAGED) / AVERAGED, "valid")
+    return out
+
+
+def roc(settings: Settings) -> dict[str, Any]:
+    """The rule's ROC for this fault at this noise: share of starts that alarm, healthy nominal ones and faulty ones."""
+    healthy = replace(settings, kind=HEALTHY, resistance_percent=0.0, friction_percent=0.0)
+    largest = [np.sort(_largest_statistics(one)) for one in (healthy, settings)]
+    thresholds = np.quantile(largest[0], np.linspace(0.0, 1.0, 101))
+    shares = [1.0 - np.searchsorted(values, thresholds) / ROC_STARTS for values in largest]
+    limit = _threshold(settings.rule, 0.01 * settings.false_alarm_percent)
+    return {
+        "false_alarms": _short(np.append(shares[0], 0.0)),
+        "found": _short(np.append(shares[1], float(np.mean(largest[1] > largest[0][-1])))),
+        "at": [0.01 * settings.false_alarm_percent, float(np.mean(largest[1] > limit))],
+        "starts": ROC_STARTS,
+    }
+
+
+def _largest_statistics(settings: Settings) -> FloatArray:
+    """Largest value of the rule's statistic in each of many starts, shape (n_starts,)."""
+    starts = simulate(_scenario(settings), settings.seed, range(ROC_STARTS))
+    believed = KalmanFilter.from_parameters(
+        CATALOGUE[settings.motor], settings.sensor, TIMING.dt_s, process_noise_std=(1e-9, 1e-9)
+    )
+    whitened = run_filter(believed, starts.measurements, starts.voltage_v).whitened
+    out: FloatArray = RULES[settings.rule][1].statistic(whitened).max(axis=-1)
+    return out
 
 
 def _short(values: FloatArray) -> list[float]:
@@ -149,36 +199,33 @@ def verdict(settings: Settings) -> dict[str, Any]:
     start = start_of(settings)
     seen = Recording(Path("simulated"), start.time_s, start.measurements[0, 0], start.voltage_v[0])
     motor: MotorFile = replace(load_motor(settings.motor), current_noise_a=1e-3 * settings.noise_ma)
-    return _as_document(diagnose(seen, motor))
+    return _as_document(diagnose(seen, motor, false_alarm_rate=0.01 * settings.false_alarm_percent))
 
 
 def recording_verdict(
-    name: str, content: bytes, motor: str, voltage_v: float | None = None
+    name: str, content: bytes, motor: str, voltage_v: float | None = None, *, shelf: Shelf | None = None
 ) -> dict[str, Any]:
     """Diagnosis of a dropped recording. Its bytes are data: parsed as a table, kept in a temporary folder meanwhile.
 
     Args:
         name: the file's name on the page; only its ending is used, to tell the format.
         content: its bytes.
-        motor: catalogue motor to compare with, or empty for none.
+        motor: catalogue motor to compare with, `own motor`, `healthy starts`, or empty for none.
         voltage_v: level of the supply, for recordings without a voltage.
+        shelf: own motor and healthy starts that were handed in.
 
     Raises:
         InputError: too large, unknown motor, or not readable; the sentence speaks of the page's name.
     """
-    if len(content) > LARGEST_UPLOAD_BYTES:
-        raise InputError(
-            f"a recording may have {LARGEST_UPLOAD_BYTES // 1_000_000} MB, got {len(content) / 1e6:.1f}"
-        )
-    if motor and motor not in CATALOGUE:
+    check_size(content)
+    if motor not in ("", *CATALOGUE, OWN_MOTOR, HEALTHY_STARTS):
         raise InputError(f"motor must be one of {', '.join(CATALOGUE)}, got {motor[:40]!r}")
-    shown = "".join(character for character in name if character.isprintable())[:80] or "recording"
-    suffix = Path(shown).suffix.lower()
-    ending = suffix if suffix[1:].isalnum() and len(suffix) <= 9 else ".csv"
+    known, healthy = (motor or None, []) if shelf is None else shelf.reference(motor)
+    shown = shown_name(name)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"recording{ending}"
+        path = Path(folder) / f"recording{ending_of(shown)}"
         path.write_bytes(content)
-        (outcome,) = diagnose_files([path], motor=motor or None, voltage_v=voltage_v, start=1)
+        (outcome,) = diagnose_files([path], motor=known, healthy=healthy, voltage_v=voltage_v, start=1)
         if outcome.diagnosis is None:
             raise InputError((outcome.error or "cannot be read").replace(str(path), shown))
         document = _as_document(outcome.diagnosis)
@@ -195,12 +242,14 @@ def _as_document(diagnosis: Diagnosis) -> dict[str, Any]:
     if fit is not None:
         begin = max(int(np.searchsorted(fit.start.time_s, fit.onset_s)) - 20, 0)
         step = max((len(fit.start.time_s) - begin) // MOST_POINTS, 1)
-        some = slice(begin, None, step)
+        some, expected = slice(begin, None, step), reference_current(diagnosis)
         document["curves"] = {
             "time_ms": _short(1e3 * (fit.start.time_s[some] - fit.onset_s)),
             "measured_a": _short(fit.start.current_a[some]),
             "fitted_a": _short(fit.expected[some, 0]),
             "residual_a": _short(fit.residual_a[some]),
+            "healthy_a": None if expected is None else _short(expected[some]),
+            "beyond_a": None if expected is None else _short(_averaged(fit.start.current_a - expected)[some]),
         }
     return document
 
@@ -214,5 +263,4 @@ def options() -> dict[str, Any]:
         "ranges": RANGES,
         "defaults": {field.name: field.default for field in fields(Settings)},
         "largest_upload_bytes": LARGEST_UPLOAD_BYTES,
-        "false_alarm_rate": FALSE_ALARM_RATE,
     }

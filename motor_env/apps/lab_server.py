@@ -18,6 +18,7 @@ from typing import Any
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from motor_env.apps import lab
+from motor_env.apps.lab_shelf import LARGEST_UPLOAD_BYTES, Shelf
 from motor_env.errors import InputError
 from motor_env.motor.toml_files import from_dict
 
@@ -38,6 +39,15 @@ _HEADERS = {
 
 
 class _Server(ThreadingHTTPServer):
+    def __init__(self, *arguments: Any) -> None:
+        self.shelf = Shelf()  # first: a port that is taken closes the server
+        super().__init__(*arguments)
+
+    def server_close(self) -> None:
+        """Close, and delete what was handed in."""
+        super().server_close()
+        self.shelf.clear()
+
     request_queue_size = 256  # connections that wait to be taken; the usual 5 would reset the others
 
 
@@ -65,6 +75,7 @@ _PLACES = threading.BoundedSemaphore(8)  # for the one that is at work and those
 
 
 class _Handler(BaseHTTPRequestHandler):
+    server: _Server
     server_version = "motor-env-lab"
     sys_version = ""
     timeout = 30
@@ -105,7 +116,9 @@ class _Handler(BaseHTTPRequestHandler):
         actions: dict[str, tuple[int, Callable[[bytes], dict[str, Any]]]] = {
             "/api/simulate": (_LARGEST_SETTINGS_BYTES, lambda body: lab.simulated(_settings(body))),
             "/api/verdict": (_LARGEST_SETTINGS_BYTES, lambda body: lab.verdict(_settings(body))),
-            "/api/diagnose": (lab.LARGEST_UPLOAD_BYTES, self._diagnose),
+            "/api/roc": (_LARGEST_SETTINGS_BYTES, lambda body: lab.roc(_settings(body))),
+            "/api/keep": (LARGEST_UPLOAD_BYTES, self._keep),
+            "/api/diagnose": (LARGEST_UPLOAD_BYTES, self._diagnose),
         }
         path = urlsplit(self.path).path
         if path not in actions:
@@ -135,7 +148,13 @@ class _Handler(BaseHTTPRequestHandler):
         if voltage is not None and not 0.0 < voltage < math.inf:
             raise InputError(f"voltage must be > 0, got {level[:40]!r}")
         name = unquote(query.get("name", ["recording.csv"])[0])
-        return lab.recording_verdict(name, body, query.get("motor", [""])[0], voltage)
+        wanted = query.get("motor", [""])[0]
+        return lab.recording_verdict(name, body, wanted, voltage, shelf=self.server.shelf)
+
+    def _keep(self, body: bytes) -> dict[str, Any]:
+        query = parse_qs(urlsplit(self.path).query)
+        kind, name = (query.get(key, [""])[0] for key in ("kind", "name"))
+        return self.server.shelf.keep(kind, unquote(name), body)
 
     def _length(self, largest: int) -> int:
         length = self.headers.get("Content-Length", "")

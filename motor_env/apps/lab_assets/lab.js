@@ -1,7 +1,7 @@
 "use strict";
 const $ = (id) => document.getElementById(id);
 const CHOICES = ["motor", "kind", "rule"];
-const SLIDERS = ["severity_percent", "noise_ma", "resistance_percent", "friction_percent"];
+const SLIDERS = ["severity_percent", "noise_ma", "resistance_percent", "friction_percent", "false_alarm_percent"];
 const NAMES = { healthy: "healthy", bearing: "bearing: friction up", winding_contact: "winding: resistance up",
   winding_short: "winding: shorted turns", noise: "sensor noise: variance up", magnet: "magnet: less flux" };
 let seed = 1, round = 0, timer = 0, largest = 0;
@@ -22,7 +22,7 @@ function ticks(low, high, about) {
 
 // One picture: curves over time, an optional horizontal limit, band and alarm.
 function draw(svg, time, curves, extra = {}) {
-  const width = svg.clientWidth || 800, height = svg.clientHeight || 185, left = 58, right = 86, top = 10, bottom = 26;
+  const width = svg.clientWidth || 800, height = svg.clientHeight || 185, left = 58, right = width < 520 ? 14 : 86, top = 10, bottom = 26;
   const levels = [...(extra.limit === undefined ? [] : [extra.limit]), ...(extra.band ? [extra.band, -extra.band] : []), 0];
   let low = Math.min(...levels), high = Math.max(...levels);
   for (const curve of curves) for (const y of curve.values) { if (y < low) low = y; if (y > high) high = y; }
@@ -30,23 +30,26 @@ function draw(svg, time, curves, extra = {}) {
   const t0 = time[0], t1 = time[time.length - 1];
   const X = (t) => left + (t - t0) / (t1 - t0) * (width - left - right);
   const Y = (y) => height - bottom - (y - low) / (high - low) * (height - top - bottom);
-  const parts = [];
+  const parts = [], beside = width < 520 ? { x: width - right - 4, "text-anchor": "end" } : { x: width - right + 8 };
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   if (extra.band) parts.push(node("rect", { class: "band", x: left, width: width - left - right, y: Y(extra.band), height: Y(-extra.band) - Y(extra.band) }));
   for (const y of ticks(low, high, 4)) {
     parts.push(node("line", { class: "grid", x1: left, x2: width - right, y1: Y(y), y2: Y(y) }));
     parts.push(node("text", { x: left - 7, y: Y(y) + 4, "text-anchor": "end" }, +y.toPrecision(3) + (extra.unit || "")));
   }
-  for (const t of ticks(t0, t1, 8)) parts.push(node("text", { x: X(t), y: height - 8, "text-anchor": "middle" }, `${+t.toPrecision(4)} ms`));
+  for (const t of ticks(t0, t1, Math.max(2, Math.min(8, Math.floor((width - left - right) / 80))))) {
+    parts.push(node("text", { x: X(t), y: height - 8, "text-anchor": "middle" }, `${+t.toPrecision(4)}${extra.across || " ms"}`));
+  }
   for (const curve of curves) {
     const d = curve.values.map((y, k) => `${k ? "L" : "M"}${X(time[k]).toFixed(1)} ${Y(y).toFixed(1)}`).join("");
     parts.push(node("path", { class: curve.name, d }));
-    if (curve.label) parts.push(node("text", { class: `name t-${curve.name}`, x: width - right + 8, y: curve.at ?? Y(curve.values[curve.values.length - 1]) + 4 }, curve.label));
+    if (curve.label) parts.push(node("text", { class: `name t-${curve.name}`, ...beside, y: curve.at ?? Y(curve.values[curve.values.length - 1]) + 4 }, curve.label));
   }
   if (extra.limit !== undefined) {
     parts.push(node("line", { class: "limit", x1: left, x2: width - right, y1: Y(extra.limit), y2: Y(extra.limit) }));
-    parts.push(node("text", { class: "name t-limit", x: width - right + 8, y: Y(extra.limit) + 4 }, "threshold"));
+    parts.push(node("text", { class: "name t-limit", ...beside, y: Y(extra.limit) + (width < 520 ? -6 : 4) }, "threshold"));
   }
+  if (extra.dot) parts.push(node("circle", { class: "dot", cx: X(extra.dot[0]), cy: Y(extra.dot[1]), r: 6 }));
   if (extra.alarm != null) parts.push(node("line", { class: "alarm", x1: X(extra.alarm), x2: X(extra.alarm), y1: top, y2: height - bottom }));
   svg.replaceChildren(...parts);
 }
@@ -91,9 +94,10 @@ async function show() {
     if (mine !== round) return;
     draw($("current"), seen.time_ms, [{ name: "measured", values: seen.measured_a, label: "measured", at: 30 }, { name: "expected", values: seen.expected_a, label: "healthy", at: 50 }], { unit: " A" });
     draw($("residual"), seen.time_ms, [{ name: "residual", values: seen.residual_a.map((r) => 1e3 * r) }], { band: 3e3 * seen.noise_a, unit: " mA" });
+    draw($("averaged"), seen.time_ms, [{ name: "averaged", values: seen.averaged_a.map((r) => 1e3 * r) }], { band: 1e3 * seen.averaged_band_a, unit: " mA" });
     draw($("statistic"), seen.time_ms, [{ name: "statistic", values: seen.statistic }], { limit: seen.threshold, alarm: seen.alarm_ms });
     $("rule-name").textContent = seen.rule;
-    $("statistic-name").textContent = `${seen.rule}; threshold for 1 % false alarms a start of the nominal motor`;
+    $("statistic-name").textContent = `${seen.rule}; threshold for ${settings().false_alarm_percent} % false alarms a start of the nominal motor`;
     say("alarm", seen.alarm_ms === null ? "no alarm" : `alarm after ${seen.alarm_ms.toFixed(1)} ms`, seen.alarm_ms === null ? "good" : "bad");
     $("alarm-detail").textContent = `largest statistic ${Math.max(...seen.statistic).toPrecision(3)}, threshold ${seen.threshold.toPrecision(3)}`;
     document.body.dataset.shown = String(mine);
@@ -106,9 +110,15 @@ async function judge(mine, body) {
     const told = await ask("/api/verdict", body);
     if (mine !== round) return;
     say("verdict", words(told), tone(told.verdict));
-    $("verdict-detail").textContent = sentences(told.reasons);
+    const smallest = Object.entries(told.smallest_changes || {}).map(([kind, share]) => `${NAMES[kind] || kind} ${Math.round(100 * share)} %`);
+    $("verdict-detail").textContent = sentences(told.reasons) + (smallest.length ? ` Smallest that it finds in 95 of 100: ${smallest.join(", ")}.` : "");
     $("verdict-card").classList.remove("waiting");
     document.body.dataset.judged = String(mine);
+    const roc = await ask("/api/roc", body);
+    if (mine !== round) return;
+    draw($("roc"), roc.false_alarms.map((x) => 100 * x), [{ name: "roc", values: roc.found.map((y) => 100 * y) }], { unit: " %", across: " %", dot: roc.at.map((x) => 100 * x) });
+    $("roc-name").textContent = `share of ${roc.starts} starts with this fault that ${$("rule").selectedOptions[0].text} finds; the dot is the slider's`;
+    document.body.dataset.compared = String(mine);
   } catch (error) { say("verdict", error.message, "unsure"); }
 }
 
@@ -140,12 +150,25 @@ async function take(file) {
     $("recording-reasons").textContent = sentences(told.reasons);
     if (told.curves) {
       const c = told.curves;
-      draw($("recording-current"), c.time_ms, [{ name: "measured", values: c.measured_a, label: "measured", at: 30 }, { name: "expected", values: c.fitted_a, label: "fitted", at: 50 }], { unit: " A" });
-      draw($("recording-residual"), c.time_ms, [{ name: "residual", values: c.residual_a.map((r) => 1e3 * r) }], { unit: " mA" });
+      const beside = c.healthy_a ? { values: c.healthy_a, label: "healthy" } : { values: c.fitted_a, label: "fitted" };
+      draw($("recording-current"), c.time_ms, [{ name: "measured", values: c.measured_a, label: "measured", at: 30 }, { name: "expected", at: 50, ...beside }], { unit: " A" });
+      draw($("recording-residual"), c.time_ms, [{ name: "residual", values: (c.beyond_a || c.residual_a).map((r) => 1e3 * r) }], { unit: " mA" });
     }
   } catch (error) { say("recording-verdict", error.message, "unsure"); }
   box.scrollIntoView({ block: "nearest" });
   document.body.dataset.taken = file.name;
+}
+
+async function keep(kind, files) {
+  try {
+    for (const file of files) {
+      const kept = await ask(`/api/keep?${new URLSearchParams({ kind, name: file.name })}`, file);
+      if (![...$("reference").options].some((option) => option.value === kept.reference)) $("reference").add(new Option(kept.reference, kept.reference));
+      $("reference").value = kept.reference;
+      $("kept").textContent = kind === "motor" ? `compared with ${kept.name}` : `compared with ${kept.healthy} healthy starts`;
+    }
+  } catch (error) { $("kept").textContent = error.message; }
+  document.body.dataset.kept = kind;
 }
 
 function fill(select, entries) {
@@ -168,6 +191,7 @@ async function begin() {
   drop.addEventListener("click", () => $("file").click());
   drop.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); $("file").click(); } });
   $("file").addEventListener("change", () => { if ($("file").files.length) take($("file").files[0]); $("file").value = ""; });
+  for (const [id, kind] of [["own-motor", "motor"], ["healthy-starts", "healthy"]]) $(id).addEventListener("change", () => keep(kind, $(id).files));
   for (const kind of ["dragover", "drop"]) window.addEventListener(kind, (event) => event.preventDefault());
   drop.addEventListener("dragover", () => drop.classList.add("over"));
   drop.addEventListener("dragleave", () => drop.classList.remove("over"));

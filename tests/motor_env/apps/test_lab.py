@@ -23,6 +23,7 @@ import pytest
 
 from motor_env.apps import lab
 from motor_env.apps.lab_server import address, make_server
+from motor_env.apps.lab_shelf import LARGEST_UPLOAD_BYTES
 from motor_env.cli import main
 from motor_env.errors import InputError
 from motor_env.filters.batch import run_filter
@@ -30,6 +31,10 @@ from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.parameters import CATALOGUE, SensorParameters
 from motor_env.motor.toml_files import from_dict
 
+OVERLAPS = """[...document.querySelectorAll('#results svg')].flatMap((svg) => {
+  const boxes = [...svg.querySelectorAll("text[text-anchor='middle']")].map((text) => text.getBoundingClientRect());
+  return boxes.slice(1).filter((box, k) => box.left < boxes[k].right);
+}).length"""  # numbers along the time axes that run into each other
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
@@ -43,8 +48,8 @@ def server() -> Iterator[str]:
         thread.join()
 
 
-def write_start(path: Path, kind: str, severity_percent: float = 25.0) -> Path:
-    start = lab.start_of(lab.Settings(kind=kind, severity_percent=severity_percent, noise_ma=5.0))
+def write_start(path: Path, kind: str, seed: int = 1) -> Path:
+    start = lab.start_of(lab.Settings(kind=kind, noise_ma=5.0, seed=seed))
     rows = zip(start.time_s, start.measurements[0, 0], start.voltage_v[0], strict=True)
     text = "\n".join(["time_s,current_a,voltage_v", *(f"{t:.6f},{i:.6f},{v:g}" for t, i, v in rows)])
     path.write_text(text + "\n")
@@ -70,9 +75,60 @@ def request(
 def test_healthy_starts_alarm_as_often_as_they_should() -> None:
     for rule in lab.RULES:
         alarms = sum(
-            lab.simulated(lab.Settings(rule=rule, seed=seed))["alarm_ms"] is not None for seed in range(12)
+            lab.simulated(lab.Settings(kind="healthy", rule=rule, seed=seed))["alarm_ms"] is not None
+            for seed in range(12)
         )
         assert alarms <= 2  # 1 % each: three or more in 12 have a probability of 0.02 %
+
+
+def test_rule_and_verdict_agree_at_the_first_setting() -> None:
+    for seed in range(6):
+        settings = lab.Settings(seed=seed)
+        assert lab.simulated(settings)["alarm_ms"] is not None
+        told = lab.verdict(settings)
+        assert told["verdict"] == "bearing"
+        assert told["smallest_changes"]["bearing"] < 0.25
+
+
+def test_a_bearing_fault_stands_out_of_the_averaged_residual() -> None:
+    seen = lab.simulated(lab.Settings())
+    settled = np.array(seen["averaged_a"])[-1000:]
+    assert (settled > seen["averaged_band_a"]).mean() > 0.5
+    healthy = np.array(lab.simulated(lab.Settings(kind="healthy"))["averaged_a"])[-1000:]
+    assert (np.abs(healthy) > seen["averaged_band_a"]).mean() < 0.15
+
+
+def test_roc_rises_and_holds_the_slider() -> None:
+    for rule, percent in (("nis", 10.0), ("cusum", 1.0)):
+        told = lab.roc(lab.Settings(rule=rule, false_alarm_percent=percent, severity_percent=10.0))
+        assert told["false_alarms"] == sorted(told["false_alarms"], reverse=True)
+        assert told["found"] == sorted(told["found"], reverse=True)
+        at, found = told["at"]
+        near = int(np.argmin(np.abs(np.array(told["false_alarms"]) - at)))
+        assert found == pytest.approx(
+            told["found"][near], abs=0.12
+        )  # threshold by theory, curve by 200 starts
+
+
+def test_own_motor_and_healthy_starts_are_references(server: str, tmp_path: Path) -> None:
+    recording = write_start(tmp_path / "a.csv", "healthy").read_bytes()
+    assert request(server, "POST", "/api/diagnose?name=a.csv&motor=own+motor", recording)[1]["error"] == (
+        "no own motor handed in yet"
+    )
+    for body in (b"nonsense", b"[motor]\nresistance_ohm = -1\n"):
+        status, told, _ = request(server, "POST", "/api/keep?kind=motor&name=m.toml", body)
+        assert (status, told["error"][:6]) == (400, "m.toml")
+    own = Path("examples/motor.toml").read_bytes().replace(b"2.18", b"4.36")
+    status, told, _ = request(server, "POST", "/api/keep?kind=motor&name=m.toml", own)
+    assert (status, told["reference"]) == (200, "own motor")
+    status, told, _ = request(server, "POST", "/api/diagnose?name=a.csv&motor=own+motor", recording)
+    assert (status, told["verdict"]) == (200, "other")  # half the resistance of that motor file
+    for seed in range(3):
+        start = write_start(tmp_path / "h.csv", "healthy", seed).read_bytes()
+        assert request(server, "POST", "/api/keep?kind=healthy&name=h.csv", start)[0] == 200
+    status, told, _ = request(server, "POST", "/api/diagnose?name=a.csv&motor=healthy+starts", recording)
+    assert (status, told["verdict"]) == (200, "healthy")
+    assert len(told["curves"]["healthy_a"]) == len(told["curves"]["time_ms"])
 
 
 def test_residual_is_the_filters() -> None:
@@ -136,13 +192,13 @@ def test_uploads_are_data(server: str, tmp_path: Path) -> None:
 def test_too_large_an_upload_is_refused_unread(server: str) -> None:
     connection = http.client.HTTPConnection(server.removeprefix("http://").rstrip("/"), timeout=30)
     connection.putrequest("POST", "/api/diagnose?name=x.csv")
-    connection.putheader("Content-Length", str(lab.LARGEST_UPLOAD_BYTES + 1))
+    connection.putheader("Content-Length", str(LARGEST_UPLOAD_BYTES + 1))
     connection.endheaders()
     response = connection.getresponse()
     assert (response.status, "at most 20 MB" in json.loads(response.read())["error"]) == (400, True)
     connection.close()
     with pytest.raises(InputError, match="may have 20 MB"):
-        lab.recording_verdict("x.csv", bytes(lab.LARGEST_UPLOAD_BYTES + 1), "paper")
+        lab.recording_verdict("x.csv", bytes(LARGEST_UPLOAD_BYTES + 1), "paper")
 
 
 def test_server_answers_its_own_machine_only(server: str) -> None:
@@ -392,9 +448,24 @@ def page(server: str, folder: Path) -> Iterator[Browser]:
 def test_page_in_a_browser(server: str, tmp_path: Path) -> None:
     with page(server, tmp_path / "profile") as browser:
         curve = "document.querySelector('#current path.measured').getAttribute('d')"
-        assert browser.value("document.querySelectorAll('#results svg path').length") == 4
-        browser.wait("document.body.dataset.judged !== undefined")
-        assert browser.value("document.getElementById('verdict').textContent").startswith("healthy")
+        assert browser.value("document.querySelectorAll('#results svg path').length") == 5
+        browser.wait("document.body.dataset.compared !== undefined")
+        assert browser.value("document.getElementById('verdict').textContent").startswith("bearing")
+        assert browser.value("document.getElementById('alarm').textContent").startswith("alarm after")
+        assert browser.value("document.querySelectorAll('#roc path.roc, #roc circle').length") == 2
+
+        browser.call(
+            "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True
+        )
+        browser.wait("document.getElementById('current').clientWidth < 390")
+        browser.wait("document.body.dataset.judged === document.body.dataset.shown")
+        assert browser.value(OVERLAPS) == 0
+        browser.call("Emulation.clearDeviceMetricsOverride")
+        browser.value(
+            "document.getElementById('kind').value = 'healthy';"
+            "document.getElementById('kind').dispatchEvent(new Event('change'))"
+        )
+        browser.wait("document.getElementById('verdict').textContent.startsWith('healthy')")
         assert browser.value("document.getElementById('alarm').textContent") == "no alarm"
 
         browser.value(
