@@ -169,8 +169,8 @@ def roc(settings: Settings) -> dict[str, Any]:
     shares = [1.0 - np.searchsorted(values, thresholds) / ROC_STARTS for values in largest]
     limit = _threshold(settings.rule, 0.01 * settings.false_alarm_percent)
     return {
-        "false_alarms": _short(np.append(shares[0], 0.0)),
-        "found": _short(np.append(shares[1], float(np.mean(largest[1] > largest[0][-1])))),
+        "false_alarms": _short(np.append(shares[0], 0.0)[::-1]),
+        "found": _short(np.append(shares[1], float(np.mean(largest[1] > largest[0][-1])))[::-1]),
         "at": [0.01 * settings.false_alarm_percent, float(np.mean(largest[1] > limit))],
         "starts": ROC_STARTS,
     }

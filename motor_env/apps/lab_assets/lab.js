@@ -22,7 +22,7 @@ function ticks(low, high, about) {
 
 // One picture: curves over time, an optional horizontal limit, band and alarm.
 function draw(svg, time, curves, extra = {}) {
-  const width = svg.clientWidth || 800, height = svg.clientHeight || 185, left = 58, right = width < 520 ? 14 : 86, top = 10, bottom = 26;
+  const width = svg.clientWidth || 800, height = svg.clientHeight || 185, left = 58, right = width < 520 ? 28 : 86, top = 10, bottom = 26;
   const levels = [...(extra.limit === undefined ? [] : [extra.limit]), ...(extra.band ? [extra.band, -extra.band] : []), 0];
   let low = Math.min(...levels), high = Math.max(...levels);
   for (const curve of curves) for (const y of curve.values) { if (y < low) low = y; if (y > high) high = y; }
