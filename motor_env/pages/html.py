@@ -1,15 +1,19 @@
-"""HTML pages from Jinja2 templates: text is escaped, a missing value is an error, a page needs no other file."""
+"""Text from Jinja2 templates: in HTML values are escaped, a missing value is an error, a page needs no other file."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
 
 
 def render(
-    package: str, template: str, *, filters: Mapping[str, Callable[..., str]] | None = None, **values: Any
+    package: str,
+    template: str,
+    *,
+    filters: Mapping[str, Callable[..., str]] | None = None,
+    **values: Any,
 ) -> str:
     """A page of a package's folder `templates`; it may extend `base.html.j2`, which holds colours and common style.
 
@@ -21,7 +25,7 @@ def render(
     """
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader("motor_env.pages")]),
-        autoescape=True,
+        autoescape=select_autoescape(["html.j2"]),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -1,0 +1,172 @@
+"""Numbers of a monitor as a controller computes with them: in single precision, or in fixed point.
+
+Current and speed grow by small amounts. In single precision what is lost when an amount is added is kept for the next
+one (Kahan 1965); without that the statistics drift off by more than the noise of the sum.
+
+Fixed point: a value is an integer times a unit. The unit of a state is one count of the sensor over a power of two, so
+that a reading needs one multiplication. A sum of products is made in 64 bits, rounded, and clamped.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_env.detection.rules.cusum import Cusum
+from motor_env.embedded.monitor import DEADBAND, Monitor
+from motor_env.motor.parameters import FloatArray, require
+
+Values = NDArray[Any]
+LARGEST = 1 << 29
+_FULL_SCALE = 1 << 28
+_UNIT_SIGMA = 2.0**-20
+_MANTISSA_BITS, _MOST_SHIFT = 30, 62
+
+
+class Steps(NamedTuple):
+    """What one count of a whole-number reading is worth."""
+
+    current_a: float = 1e-6
+    speed_rad_s: float = 1e-3
+    voltage_v: float = 1e-6
+
+
+_UNITS = Steps(1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Factors of a sum of products: floats, or integers whose sum is shifted right; one row a sample, shape (n, k)."""
+
+    factors: Values
+    shift: int | None = None
+
+    def total(self, sample: int, values: Sequence[Values]) -> Values:
+        """The sum, from left to right."""
+        factors = self.factors[min(sample, len(self.factors) - 1)]
+        total: Values = factors[0] * values[0]
+        for factor, value in zip(factors[1:], values[1:], strict=True):
+            total = total + factor * value
+        if self.shift is None:
+            return total
+        clamped: Values = np.clip(((total >> (self.shift - 1)) + 1) >> 1, -LARGEST, LARGEST)
+        return clamped
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """A monitor's numbers in one arithmetic.
+
+    Attributes:
+        dtype: of all numbers: float32, float64 or int64.
+        scales: factor from a reading of current, speed, voltage to its value; powers of two.
+        readings: size of one count of each reading; 1 for floats.
+        model: what current and speed grow by in a sample, from current, speed and voltage.
+        drag: what brushes and dry friction take from current and speed, and the speed below which they do not count.
+        gain: corrections of current and speed from the innovations.
+        white: the rule's input from the innovations.
+        half: half the shift of a CUSUM.
+        threshold: of the statistic.
+        ranges: largest readings of current, speed, voltage.
+        stuck_after: so many equal readings in a row are no readings.
+        two_sided: of a CUSUM; None for NIS.
+    """
+
+    dtype: type[np.generic]
+    scales: tuple[int, ...]
+    readings: Steps
+    model: tuple[Row, Row]
+    drag: tuple[Values, Values, Values]
+    gain: tuple[Row, Row]
+    white: tuple[Row, ...]
+    half: Values
+    threshold: Values
+    ranges: Values
+    stuck_after: int
+    two_sided: bool | None
+
+    @property
+    def n_channels(self) -> int:
+        """Measured channels."""
+        return int(self.gain[0].factors.shape[1])
+
+    @property
+    def has_drag(self) -> bool:
+        """Whether brushes or dry friction count."""
+        return bool(self.drag[0] or self.drag[1])
+
+
+def floating(monitor: Monitor, dtype: type[np.float32 | np.float64] = np.float32) -> Numbers:
+    """Numbers in floating point."""
+    return _numbers(
+        monitor, dtype, _UNITS, unit_sigma=1.0, row=lambda rows: Row(rows.astype(dtype)), steps=_UNITS
+    )
+
+
+def fixed_point(monitor: Monitor, steps: Steps) -> Numbers:
+    """Numbers in fixed point, for readings that are counts of `steps`.
+
+    Raises:
+        ValueError: a step is not positive, or so small or large that the range does not fit.
+    """
+    exponents = []
+    for name, step, most in zip(Steps._fields, steps, monitor.limits[:3], strict=True):
+        counts = most / step if 0.0 < step < math.inf else math.inf
+        require(2.0 <= counts <= _FULL_SCALE, f"step of {name} must suit {most:g}, got {step:g}")
+        exponents.append(math.floor(math.log2(_FULL_SCALE / counts)))
+    units = [step / 2.0**exponent for step, exponent in zip(steps, exponents, strict=True)]
+
+    def row(factors: FloatArray) -> Row:
+        largest = float(np.abs(factors).max())
+        shift = _MANTISSA_BITS - math.ceil(math.log2(largest)) if largest > 0.0 else 1
+        require(shift >= 1, f"a factor of {largest:g} is too large for fixed point")
+        shift = min(shift, _MOST_SHIFT)
+        return Row(np.rint(np.ldexp(factors, shift)).astype(np.int64), shift)
+
+    return _numbers(monitor, np.int64, units, unit_sigma=_UNIT_SIGMA, row=row, steps=steps)
+
+
+def _numbers(
+    monitor: Monitor,
+    dtype: type[np.generic],
+    units: Sequence[float],
+    *,
+    unit_sigma: float,
+    row: Callable[[FloatArray], Row],
+    steps: Steps,
+) -> Numbers:
+    def value(number: float, unit: float) -> Values:
+        scaled = number / unit
+        return np.asarray(np.rint(scaled) if dtype == np.int64 else scaled).astype(dtype)
+
+    require(
+        monitor.threshold / unit_sigma < LARGEST,
+        f"threshold must be < {LARGEST * unit_sigma:g}, got {monitor.threshold:g}",
+    )
+    states, m, limits = np.array(units[:2]), monitor.n_channels, monitor.limits
+    model = np.hstack([monitor.kalman.model.transition - np.eye(2), monitor.kalman.model.gain[:, :1]])
+    model = model * np.array(units) / states[:, None]
+    gain, white = monitor.gains()
+    gain, white = gain * states[:m] / states[:, None], white * states[:m] / unit_sigma
+    rule = monitor.rule if isinstance(monitor.rule, Cusum) else None
+    drag = [value(float(part), unit) for part, unit in zip(monitor.drag, states, strict=True)]
+    ranges = np.array(limits[:3]) / np.array(steps)
+    return Numbers(
+        dtype=dtype,
+        scales=tuple(round(step / unit) for step, unit in zip(steps, units, strict=True)),
+        readings=steps,
+        model=(row(model[:1]), row(model[1:])),
+        drag=(drag[0], drag[1], value(DEADBAND * limits.speed_rad_s / 2.0, units[1])),
+        gain=(row(gain[:, 0]), row(gain[:, 1])),
+        white=tuple(row(white[:, p]) for p in range(white.shape[1])),
+        half=value(0.0 if rule is None else 0.5 * rule.shift, unit_sigma),
+        threshold=value(monitor.threshold, unit_sigma),
+        ranges=(np.floor(ranges) if dtype == np.int64 else ranges).astype(dtype),
+        stuck_after=limits.stuck_after,
+        two_sided=None if rule is None else rule.two_sided,
+    )

@@ -1,0 +1,168 @@
+"""What runs on a controller: a filter with known gains, a rule and its threshold, a watch on the sensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from motor_env.detection.rules.cusum import Cusum
+from motor_env.detection.rules.nis import MOfN
+from motor_env.filters.kalman import KalmanFilter, Schedule, schedule
+from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.model import Input, steady_state
+from motor_env.motor.parameters import Channel, FloatArray, SensorParameters, require, require_positive
+
+STUCK_AFTER = 100
+DEADBAND = 0.01
+_HEADROOM = 2.0
+_SETTLED = 1e-6
+_LONGEST_SCHEDULE = 1 << 20
+_YEAR_S = 365.25 * 86_400.0
+
+
+class Limits(NamedTuple):
+    """Largest magnitudes that the sensors show: what lies beyond is no reading; `stuck_after` equal ones are none."""
+
+    current_a: float
+    speed_rad_s: float
+    voltage_v: float
+    stuck_after: int = STUCK_AFTER
+
+
+@dataclass(frozen=True, slots=True)
+class Monitor:
+    """A filter of one motor, a rule on its whitened innovations, and the rule's threshold.
+
+    Attributes:
+        kalman: the belief, of one motor that begins at rest; of the current, or of current and speed.
+        rule: CUSUM, or the plain NIS test.
+        threshold: the motor counts as faulty where the rule's statistic is larger.
+        limits: of the sensors.
+        brush_drop_v: voltage drop against the motion.
+        coulomb_friction_n_m: torque against the motion.
+        name: of the motor.
+    """
+
+    kalman: KalmanFilter
+    rule: Cusum | MOfN
+    threshold: float
+    limits: Limits
+    brush_drop_v: float = 0.0
+    coulomb_friction_n_m: float = 0.0
+    name: str = "motor"
+
+    def __post_init__(self) -> None:
+        single = not isinstance(self.rule, MOfN) or (self.rule.needed, self.rule.among) == (1, 1)
+        require(single, f"rule must be a Cusum or the NIS test of single samples, got {self.rule}")
+        require(self.kalman.model.transition.ndim == 2, "kalman must be the belief of one motor, got a batch")
+        require_positive("threshold", self.threshold)
+        for name, value in zip(Limits._fields, self.limits, strict=True):
+            require_positive(name, value)
+        require(
+            self.limits.stuck_after < 65_536, f"stuck_after must be < 65536, got {self.limits.stuck_after}"
+        )
+
+    @property
+    def n_channels(self) -> int:
+        """Measured channels."""
+        return len(self.kalman.observation)
+
+    @property
+    def drag(self) -> FloatArray:
+        """What brushes and dry friction take from the state in a sample, for a motion forwards, shape (2,)."""
+        inputs = np.zeros(len(Input))
+        inputs[Input.VOLTAGE], inputs[Input.LOAD_TORQUE] = self.brush_drop_v, -self.coulomb_friction_n_m
+        return np.asarray(self.kalman.model.gain @ inputs, dtype=np.float64)
+
+    def gains(self) -> tuple[FloatArray, FloatArray]:
+        """Kalman gains, and what turns innovations into the rule's input; shapes (n, 2, m) and (n, p, m).
+
+        The last of the n samples serves all later ones.
+        """
+        steps = settled(self.kalman)
+        last = steps.gain[-1]
+        off = np.abs(steps.gain - last).max(axis=(1, 2)) > _SETTLED * np.abs(last).max()
+        count = int(np.flatnonzero(off)[-1]) + 2 if off.any() else 1
+        kept = np.r_[: count - 1, -1]
+        white = np.linalg.inv(np.linalg.cholesky(steps.innovation_covariance[kept]))
+        if isinstance(self.rule, Cusum):
+            direction = np.eye(self.n_channels)[0] if self.rule.direction is None else self.rule.direction
+            white = (np.asarray(direction) / np.linalg.norm(direction) @ white)[:, None, :]
+        return steps.gain[kept], white
+
+
+def settled(kalman: KalmanFilter) -> Schedule:
+    """Gains from the begin until they no longer change."""
+    count = 256
+    steps = schedule(kalman, count)
+    while steps.held_from >= count and count < _LONGEST_SCHEDULE:
+        count *= 2
+        steps = schedule(kalman, count)
+    return steps
+
+
+def sensor_of(
+    motor: MotorFile, current_noise_a: float | None = None, speed_noise_rad_s: float | None = None
+) -> SensorParameters:
+    """The current sensor, and the speed sensor where its noise is given.
+
+    Raises:
+        ValueError: neither the motor file nor the caller says how large the noise of the current is.
+    """
+    noise_a = motor.current_noise_a if current_noise_a is None else current_noise_a
+    require(
+        noise_a is not None, "the motor file has no sensor.current_noise_a; give the noise of the current"
+    )
+    if speed_noise_rad_s is None:
+        return SensorParameters(current_noise_a=noise_a or 0.0)
+    return SensorParameters((Channel.CURRENT, Channel.SPEED), noise_a or 0.0, speed_noise_rad_s)
+
+
+def monitor_of(
+    motor: MotorFile,
+    rate_hz: float,
+    *,
+    rule: Cusum | MOfN,
+    sensor: SensorParameters,
+    voltage_v: float,
+    false_alarms_per_year: float = 1.0,
+    stuck_after: int = STUCK_AFTER,
+    scheduled: bool = False,
+) -> Monitor:
+    """Monitor of a motor that is known exactly and carries no load but its own friction.
+
+    Args:
+        motor: as its file says.
+        rate_hz: samples a second.
+        rule: CUSUM, or the plain NIS test.
+        sensor: current, or current and speed, with their noise.
+        voltage_v: level of the supply; the sensors' limits are twice of what it can cause.
+        false_alarms_per_year: of the healthy motor, wanted.
+        stuck_after: so many equal readings in a row, with voltage on, are no readings.
+        scheduled: a gain for each sample after a begin at rest, instead of the steady gain for all.
+
+    Raises:
+        ValueError: a value out of range, or fewer false alarms than the rule's equation resolves.
+    """
+    for name, value in (("rate_hz", rate_hz), ("voltage_v", voltage_v)):
+        require_positive(name, value)
+    require_positive("false_alarms_per_year", false_alarms_per_year)
+    require(sensor.channels[0] == Channel.CURRENT, "the first channel must be the current")
+    kalman = KalmanFilter.from_parameters(motor.parameters, sensor, 1.0 / rate_hz)
+    if not scheduled:
+        kalman = replace(kalman, initial_covariance=settled(kalman).covariance[-1])
+    arl0 = _YEAR_S * rate_hz / false_alarms_per_year
+    threshold = rule.threshold_for(arl0=arl0, n_channels=len(sensor.channels)).value
+    stall_a = voltage_v / float(motor.parameters.resistance_ohm)
+    _, speed = steady_state(motor.parameters, voltage_v).tolist()
+    return Monitor(
+        kalman,
+        rule,
+        threshold,
+        Limits(_HEADROOM * stall_a, _HEADROOM * speed, _HEADROOM * voltage_v, stuck_after),
+        brush_drop_v=motor.brush_drop_v,
+        coulomb_friction_n_m=motor.coulomb_friction_n_m,
+        name=motor.name,
+    )

@@ -1,0 +1,129 @@
+"""C99 source of a monitor from Jinja2 templates: library, self test, CMake and Arduino files."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from motor_env.embedded.arithmetic import LARGEST, Numbers, Steps, Values, fixed_point, floating
+from motor_env.embedded.monitor import Monitor
+from motor_env.embedded.twin import SampleVerdict, answers, readings_of
+from motor_env.errors import InputError
+from motor_env.files import write_text
+from motor_env.pages.html import render
+
+UNIT_SIGMA_TEXT = "9.5367431640625e-07f"
+_HEALTHY_CHECKS, _FAULTY_CHECKS = 8, 8
+_RESERVED = frozenset(["monitor", "sample", "number", "main", "loop", "setup"])
+
+
+class Check(NamedTuple):
+    """One sample of the self test."""
+
+    readings: Values
+    statistic: Values
+    verdict: str
+
+
+def write_library(
+    monitor: Monitor, folder: Path, *, steps: Steps | None, name: str, wanted: str
+) -> list[Path]:
+    """Write the C library of a monitor.
+
+    Args:
+        monitor: what it computes.
+        folder: where; its files are replaced.
+        steps: what one count of a reading is worth in fixed point; None for single precision.
+        name: of the library, and the first part of the names in it.
+        wanted: the rate of false alarms in words.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: the name is no lower-case C name, or a file cannot be written.
+        ValueError: the steps do not suit the ranges.
+    """
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,40}", name) or name in _RESERVED:
+        raise InputError(f"name must be a C name of lower-case letters such as motor_monitor, got {name!r}")
+    numbers = floating(monitor) if steps is None else fixed_point(monitor, steps)
+    values = _values(monitor, numbers, name, wanted)
+    files = {
+        f"src/{name}.h": "monitor.h.j2",
+        f"src/{name}.c": "monitor.c.j2",
+        "test/self_test.c": "self_test.c.j2",
+        f"examples/{name}_watch/{name}_watch.ino": "sketch.ino.j2",
+        "CMakeLists.txt": "CMakeLists.txt.j2",
+        "library.properties": "library.properties.j2",
+    }
+    for path, template in files.items():
+        text = render("motor_env.embedded", template, filters={"literal": literal}, **values)
+        write_text(folder / path, text + "\n")
+    return [folder / path for path in files]
+
+
+def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, Any]:
+    fixed = n.dtype == np.int64
+    rate_hz = 1.0 / monitor.kalman.model.dt_s
+    gains = np.concatenate([row.factors for row in (*n.gain, *n.white)], axis=1)
+    return {
+        "n": n,
+        "name": name,
+        "title": "Monitor of " + re.sub(r"[^\w .,:+-]", "_", monitor.name, flags=re.ASCII),
+        "rule": re.sub(r"[*/]", "_", repr(monitor.rule)),
+        "wanted": wanted,
+        "fixed": fixed,
+        "number": "int32_t" if fixed else "float",
+        "cusum": n.two_sided is not None,
+        "m": n.n_channels,
+        "two_channels": n.n_channels == 2,
+        "scheduled": len(gains) > 1,
+        "gains": gains,
+        "rate_hz": f"{rate_hz:.9g}",
+        "period_us": round(1e6 / rate_hz),
+        "counts": Steps(*(literal(np.float32(size)) for size in n.readings)),  # type: ignore[arg-type]
+        "statistic_count": UNIT_SIGMA_TEXT if fixed else "1.0f",
+        "largest": LARGEST,
+        "slack": 0 if fixed else "1e-3f",
+        "checks": checks(monitor, n),
+    }
+
+
+def literal(value: Any) -> str:
+    """A number as C source; single precision keeps every bit."""
+    return f"{int(value)}" if isinstance(value, np.integer) or value.dtype == np.int64 else f"{value!s}f"
+
+
+def checks(monitor: Monitor, n: Numbers) -> list[Check]:
+    """Samples of a healthy start, then of a current that is off by so much that it alarms, then one out of range."""
+    expected = _start(monitor)
+    sign = np.where(np.arange(expected.shape[1]) % 2, -0.5, 0.5)
+    noise = np.sqrt(np.diag(monitor.kalman.measurement_covariance))[:, None]
+    healthy = expected + noise * sign
+    off = 4.0
+    while True:
+        measured = healthy.copy()
+        measured[0, _HEALTHY_CHECKS:] += off * noise[0]
+        measured[0, -1] = 4.0 * monitor.limits.current_a
+        voltage = np.full(measured.shape[1], monitor.limits.voltage_v / 2.0)
+        readings = readings_of(n, measured[None], voltage)
+        answer = answers(n, readings)
+        if SampleVerdict.FAULT in answer.verdict or off > monitor.limits.current_a / noise[0]:
+            break
+        off *= 2.0
+    return [
+        Check(readings[0, :, k], answer.statistic[0, k], SampleVerdict(int(answer.verdict[0, k])).name)
+        for k in range(measured.shape[1])
+    ]
+
+
+def _start(monitor: Monitor) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """What the sensors of the believed motor read without noise after it is switched on, shape (m, n)."""
+    model, state, rows = monitor.kalman.model, np.zeros(2), []
+    for _ in range(_HEALTHY_CHECKS + _FAULTY_CHECKS):
+        state = model.transition @ state + model.gain[:, 0] * monitor.limits.voltage_v / 2.0
+        rows.append(monitor.kalman.observation @ state)
+    return np.array(rows).T
