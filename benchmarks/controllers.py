@@ -197,7 +197,7 @@ def instructions(chip: Chip, elf: Path) -> int:
 def measure(chip: Chip, arithmetic: str, *, n_channels: int = 1, rule: str = "cusum") -> Measured:
     """Sizes and instructions of one build."""
     monitor = paper_monitor(n_channels=n_channels, rule=rule)
-    steps = Steps() if arithmetic == "fixed" else None
+    steps = Steps.suited(monitor.limits) if arithmetic == "fixed" else None
     numbers = floating(monitor) if steps is None else fixed_point(monitor, steps)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

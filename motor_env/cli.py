@@ -397,9 +397,9 @@ def export_c(
     gain: Literal["steady", "scheduled"] = "steady",
     current_noise: float | None = None,
     speed_noise: float | None = None,
-    current_count: float = 1e-6,
-    speed_count: float = 1e-3,
-    voltage_count: float = 1e-6,
+    current_count: float | None = None,
+    speed_count: float | None = None,
+    voltage_count: float | None = None,
     stuck_after: console.Whole = 100,
     name: str = "motor_monitor",
 ) -> int:
@@ -419,7 +419,7 @@ def export_c(
         gain: steady, or scheduled (a gain for each sample after a begin at rest).
         current_noise: Standard deviation of a current sample in ampere; by default that of the motor file.
         speed_noise: Standard deviation of a speed sample in rad/s; speed is read where this is given.
-        current_count: What one count of a whole-number reading is worth, in ampere.
+        current_count: What one count of a whole-number reading is worth, in ampere; by default a suitable power of ten.
         speed_count: The same of the speed, in rad/s.
         voltage_count: The same of the voltage, in volt.
         stuck_after: So many equal readings in a row, while voltage is on, are a stuck sensor.
@@ -442,9 +442,11 @@ def export_c(
         stuck_after=stuck_after,
         scheduled=gain == "scheduled",
     )
-    steps = Steps(current_count, speed_count, voltage_count) if arithmetic == "fixed" else None
+    counts = Steps.suited(monitor.limits, current_count, speed_count, voltage_count)
     wanted = f"{false_alarms_per_year:g} false alarms a year"
-    for path in write_library(monitor, out, steps=steps, name=name, wanted=wanted):
+    for path in write_library(
+        monitor, out, steps=counts if arithmetic == "fixed" else None, name=name, wanted=wanted
+    ):
         print(printable(str(path)))
     return 0
 

@@ -12,13 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.detection.rules.cusum import Cusum
-from motor_env.embedded.monitor import DEADBAND, Monitor
+from motor_env.embedded.monitor import DEADBAND, Limits, Monitor
 from motor_env.motor.parameters import FloatArray, require
 
 Values = NDArray[Any]
@@ -29,11 +29,19 @@ _MANTISSA_BITS, _MOST_SHIFT = 30, 62
 
 
 class Steps(NamedTuple):
-    """What one count of a whole-number reading is worth."""
+    """What one count of a reading is worth."""
 
-    current_a: float = 1e-6
-    speed_rad_s: float = 1e-3
-    voltage_v: float = 1e-6
+    current_a: float
+    speed_rad_s: float
+    voltage_v: float
+
+    @classmethod
+    def suited(cls, limits: Limits, *given: float | None) -> Self:
+        """Those that are given, and powers of ten of which 1e7 to 1e8 make the range."""
+        tens = [10.0 ** (math.floor(math.log10(most)) - 7) for most in limits[:3]]
+        return cls(
+            *(ten if step is None else step for ten, step in zip(tens, given or 3 * [None], strict=True))
+        )
 
 
 _UNITS = Steps(1.0, 1.0, 1.0)

@@ -70,7 +70,7 @@ def test_twin_is_filter_and_rule(rule: str, n_channels: int, scheduled: bool) ->
     # A schedule ends where the gain is within 1e-6 of the steady one.
     np.testing.assert_allclose(statistic, reference, rtol=1e-9, atol=1e-6 if scheduled else 1e-9)
     alarms = RULES[rule].alarm_index(white, believed.threshold)
-    for numbers in (floating(believed), fixed_point(believed, Steps())):
+    for numbers in (floating(believed), fixed_point(believed, Steps.suited(believed.limits))):
         answer = answers(numbers, readings_of(numbers, data.measurements, data.voltage_v))
         np.testing.assert_array_equal(first(answer), alarms)
 
@@ -81,7 +81,7 @@ def test_sensor_is_watched() -> None:
     current, on = data.measurements.copy(), int(np.argmax(data.voltage_v > 0.0))
     current[0, 0, on + 300 : on + 500] = current[0, 0, on + 300]
     current[0, 0, on + 600] = 50.0
-    for numbers in (floating(believed), fixed_point(believed, Steps())):
+    for numbers in (floating(believed), fixed_point(believed, Steps.suited(believed.limits))):
         readings = readings_of(numbers, current, data.voltage_v)
         verdict = answers(numbers, readings).verdict[0]
         assert (verdict[on + 400 : on + 500] == SampleVerdict.SENSOR_STUCK).all()
@@ -105,10 +105,10 @@ def test_brushes_and_dry_friction_are_known() -> None:
         )
     current = states[None, :1, 1:] + 0.02 * rng.standard_normal(n)
     for sign in (1.0, -1.0):  # the first samples, in which the twin knows of no motion, are near to nothing
-        numbers = fixed_point(believed, Steps())
+        numbers = fixed_point(believed, Steps.suited(believed.limits))
         answer = answers(numbers, readings_of(numbers, sign * current, sign * volts))
         assert (answer.verdict == SampleVerdict.HEALTHY).all()
-    blind = fixed_point(monitor(RULES["cusum"]), Steps())
+    blind = fixed_point(monitor(RULES["cusum"]), Steps.suited(believed.limits))
     assert (answers(blind, readings_of(blind, current, volts)).verdict == SampleVerdict.FAULT).any()
 
 
@@ -136,7 +136,9 @@ def test_bad_input_is_one_sentence(
 def test_counts_of_a_converter_do() -> None:
     believed = monitor(RULES["cusum"])
     data = starts(believed, 50)
-    coarse, fine = (fixed_point(believed, steps) for steps in (Steps(4e-3, 1.0, 6e-3), Steps()))
+    coarse, fine = (
+        fixed_point(believed, steps) for steps in (Steps(4e-3, 1.0, 6e-3), Steps.suited(believed.limits))
+    )
     rounded = answers(coarse, readings_of(coarse, data.measurements, data.voltage_v))
     reference = answers(fine, readings_of(fine, data.measurements, data.voltage_v))
     assert np.mean((first(rounded) >= 0) == (first(reference) >= 0)) > 0.9
