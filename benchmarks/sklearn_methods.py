@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from sklearn.base import BaseEstimator
+from sklearn.calibration import CalibratedClassifierCV
 from sklearn.cross_decomposition import PLSRegression
 from sklearn.decomposition import PCA
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
@@ -25,7 +26,7 @@ def _components(seed: int, *steps: BaseEstimator) -> Pipeline:
 
 def support_vectors(recipe: Recipe, seed: int) -> BaseEstimator:
     """20 principal components, support vector machine."""
-    return _components(seed, SVC(C=10.0, gamma=0.003, probability=True, random_state=seed))
+    return _components(seed, CalibratedClassifierCV(SVC(C=10.0, gamma=0.003), ensemble=False))
 
 
 def boosting(recipe: Recipe, seed: int) -> BaseEstimator:
@@ -35,7 +36,7 @@ def boosting(recipe: Recipe, seed: int) -> BaseEstimator:
 
 def perceptron(recipe: Recipe, seed: int) -> BaseEstimator:
     """20 principal components, multi-layer perceptron."""
-    return _components(seed, MLPClassifier((64,), alpha=0.1, max_iter=300, random_state=seed))
+    return _components(seed, MLPClassifier((64,), alpha=0.1, early_stopping=True, random_state=seed))
 
 
 def neighbours(recipe: Recipe, seed: int) -> BaseEstimator:

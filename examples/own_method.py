@@ -18,7 +18,9 @@ from motor_env import Recipe
 
 def small_network(recipe: Recipe, seed: int) -> Pipeline:
     """Twelve principal components, and a perceptron of 24."""
-    return make_pipeline(PCA(12), StandardScaler(), MLPClassifier((24,), alpha=1.0, random_state=seed))
+    return make_pipeline(
+        PCA(12), StandardScaler(), MLPClassifier((24,), alpha=1.0, max_iter=1000, random_state=seed)
+    )
 
 
 if __name__ == "__main__":

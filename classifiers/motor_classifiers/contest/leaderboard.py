@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 from collections.abc import Sequence
@@ -51,6 +52,11 @@ def ranks(task: Task, scored: Sequence[Scored]) -> list[tuple[int, Scored]]:
     return ranked
 
 
+def _plain(text: str) -> str:
+    """A stranger's text as text: no table, no code and no HTML."""
+    return html.escape(text.replace("|", "/").replace("`", "'"), quote=False)
+
+
 def page(scores: dict[str, list[Scored]]) -> str:
     """The tables in Markdown, one a task."""
     parts = []
@@ -73,6 +79,6 @@ def page(scores: dict[str, list[Scored]]) -> str:
             names = ("above_limit", "above_limit_low", "above_limit_high")
             above = ["{:.2f} ({:.2f} to {:.2f})".format(*(one[each] for each in names))] if known else []
             cells = [str(rank), one["method"], one["authors"], value, *above, one["about"]]
-            parts.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
+            parts.append(f"| {' | '.join(_plain(cell) for cell in cells)} |")
         parts.append("")
     return "\n".join(parts).replace("-0.00", "0.00")

@@ -32,7 +32,7 @@ class Method:
 
     Attributes:
         name: as on the command line.
-        family: threshold, scikit-learn or torch.
+        family: threshold, scikit-learn, torch or own.
         title: what it is, for a person.
         make: estimator for a recipe and a random state.
         seconds: about what training and judging 2,000 starts each at 10 kHz takes on one core, for progress bars.

@@ -177,6 +177,8 @@ def _judge_foreign(name: str, cell: Cell) -> Answer:
     """The same for a method of somebody else's: whatever it raises becomes a sentence that says where."""
     try:
         return judge(name, cell)
+    except InputError:
+        raise
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         raise ValueError(

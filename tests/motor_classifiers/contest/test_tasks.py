@@ -220,7 +220,7 @@ def _kept(name: str, costs: Any) -> dict[str, Any]:
     return {
         "method": name,
         "authors": "",
-        "about": "a|b",
+        "about": "a|b<script>",
         "value": value,
         "low": value,
         "high": value,
@@ -238,4 +238,6 @@ def test_methods_that_cannot_be_told_apart_share_a_rank() -> None:
     assert [rank for rank, _ in ranked] == [1, 1, 3]
     assert ranked[-1][1]["method"] == "bad"
     assert paired(task, bad, first, resampling_weights(80, 0))[1] > 0.0
-    assert "| 3 | bad |" in page({"bench": [_kept("bad", bad), _kept("first", first), _kept("second", same)]})
+    text = page({"bench": [_kept("bad", bad), _kept("first", first), _kept("second", same)]})
+    assert "| 3 | bad |" in text
+    assert "| a/b&lt;script&gt; |" in text  # what a stranger wrote stays text

@@ -16,6 +16,7 @@ from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProj
 from motor_classifiers.estimators.networks.epoch_classifier import PerceptronClassifier
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.resnet import ResNetClassifier
+from motor_classifiers.estimators.networks.torch_classifier import TorchClassifier
 from motor_classifiers.estimators.reference_starts import RecentredStarts
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.early import EarlyClassifier
@@ -29,6 +30,7 @@ ESTIMATORS = [
     OpenSetClassifier(),
     PerceptronClassifier(epochs=15),
     ResNetClassifier(epochs=15),
+    TorchClassifier(epochs=40),
     PosteriorNetwork(steps=40, batch_size=32, n_hidden=32),
     PhysicalFeatures(),
     ResidualProjection(),

@@ -1,5 +1,6 @@
 """Methods of one's own: how they are found, fed, judged and saved, and what is said of those that cannot be."""
 
+import json
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,24 @@ def test_a_function_of_a_file_is_a_method_with_its_own_answers(own: Path) -> Non
     before = answer_key(name, cell)
     own.write_text(SOURCE.replace("(50,", "(60,"), encoding="utf-8")
     assert answer_key(name, cell) != before  # an edited method is another one
+
+
+def test_the_benchmark_takes_it_beside_others(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = [
+        "benchmark",
+        "--methods",
+        "rules",
+        "--with",
+        f"{own}:trees",
+        "--with",
+        f"{own}:broken",
+        "--dry-run",
+    ]
+    assert main([*plan, "--json"]) == 0
+    names = [unit["method"] for unit in json.loads(capsys.readouterr().out)]
+    assert names == ["limit", "rules", f"{own}:trees", f"{own}:broken", "trust"]
+    assert main([*plan, "--with", f"{own}:trees"]) == 2
+    assert "methods must differ" in capsys.readouterr().err
 
 
 def test_an_entry_point_is_a_method(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:

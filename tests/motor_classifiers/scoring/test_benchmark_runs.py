@@ -81,6 +81,13 @@ def test_benchmark_writes_a_page_that_needs_nothing_else(tmp_path: Path) -> None
         "limit", *sorted(methods, key=lambda name: -next(r["accuracy"] for r in rows if r["method"] == name))
     ]  # fmt: skip
     assert "posterior-network, which tells severities, is not among the methods" in page
+    # Two accuracies side by side cannot be compared: the tiles tell the paired difference, with its interval.
+    best = max(rows[1:], key=lambda row: row["accuracy"])
+    points = f"{-100.0 * best['below_bayes']:.2f}".replace("-", "−")
+    assert (
+        f"<b>{points} points</b><span>accuracy of {best['method']}, the best method here, minus that of the Bayes"
+        in page
+    )
 
 
 @pytest.mark.usefixtures("at_once")

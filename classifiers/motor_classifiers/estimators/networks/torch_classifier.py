@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
-from typing import Any
 
 import torch
 from sklearn.utils import Tags
@@ -25,7 +24,7 @@ class TorchClassifier(EpochClassifier):
 
     Args:
         recipe: tells the number of channels; one without it.
-        module: from the numbers of channels, samples and classes to the untrained module.
+        module: from the numbers of channels, samples and classes to the untrained module; one linear layer without it.
         epochs: passes over the training cases.
         batch_size: cases of a step.
         learning_rate: highest rate of the cycle.
@@ -60,12 +59,10 @@ class TorchClassifier(EpochClassifier):
         return super()._inputs(features).reshape(len(features), *self._shape())
 
     def _network(self, n_inputs: int) -> nn.Module:
-        made: Any = self.module
-        if made is None:
-            raise ValueError(
-                "module must be a function of the numbers of channels, samples and classes, got None"
-            )
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed_of(self.random_state))
-            network: nn.Module = made(*self._shape(), len(self.classes_))
-        return network
+            return (self.module or _linear)(*self._shape(), len(self.classes_))
+
+
+def _linear(n_channels: int, n_samples: int, n_classes: int) -> nn.Module:
+    return nn.Sequential(nn.Flatten(), nn.Linear(n_channels * n_samples, n_classes))
