@@ -91,7 +91,7 @@ def describe(recipe: Recipe) -> str:
         ]
         lines.append(f"  {fault_class.name}: {100 * share:.3g} %" + "".join(f", {text}" for text in ranges))
     lines.append(
-        f"starts of each motor: {recipe.starts_per_motor}, of which the first {recipe.healthy_starts} are healthy"
+        f"starts of each motor: {recipe.starts_per_motor}; healthy reference starts among them: {recipe.healthy_starts}"
     )
     lines.append(
         f"samples: {timing.n_samples} at {timing.sampling_rate_hz:g} Hz, {timing.quiet_s:g} s before the step"

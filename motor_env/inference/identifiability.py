@@ -24,9 +24,8 @@ from motor_env.simulation.simulate import Timing
 
 MOTOR_QUANTITIES = tuple(name for name in QUANTITIES if name != "supply")
 
-_UNSEEN = (
-    0.01  # d' of a change by a factor of e: a direction seen less than this is known to no factor of 1e43
-)
+# d' of a change by a factor of e: a direction below it counts as unidentifiable.
+_UNSEEN = 0.01
 _CORRELATED = 0.9
 
 

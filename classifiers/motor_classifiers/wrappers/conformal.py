@@ -108,7 +108,7 @@ class Coverage(NamedTuple):
         overall: share of the sets that hold the true class.
         by_class: the same of the cases of each class, nan where there are none, shape (n_classes,).
         mean_size: mean number of classes in a set.
-        empty: share of the sets without a class: the case is stranger than nearly all calibration cases.
+        empty: share of the sets without a class: each class has a conformal p-value of at most 1 - coverage.
         single: share of the sets with one class.
     """
 
