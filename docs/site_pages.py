@@ -139,7 +139,8 @@ def environment_page(spec: EnvSpec) -> str:
     said = sections(inspect.getdoc(type(env)) or "")
     name, family = spec.id.split("/")[1], type(env).__name__.removesuffix("Env")
     options, recipe = env.options, env.options.recipe
-    scores = rows_of(rf"^{family}-v0, `{recipe.name}`:\n\n((?:\|.*\n)+)")
+    plain = set(spec.kwargs) <= {"recipe"}  # the tables are of tasks that differ in nothing else
+    scores = plain and rows_of(rf"^{family}-v0, `{recipe.name}`:\n\n((?:\|.*\n)+)")
     speed = rows_of(rf"^(\| {name}[, ].*\n(?:\| \|.*\n)*)")
     parts = [
         f"# {name}",
