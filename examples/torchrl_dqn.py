@@ -1,6 +1,6 @@
 """DQN by the parts of TorchRL on Probe-v0 (needs torchrl).
 
-python examples/torchrl_dqn.py --steps 30000
+python examples/torchrl_dqn.py --steps 10000
 """
 
 import argparse
@@ -37,7 +37,7 @@ class Greedy(Policy):
 def main() -> None:
     """Train and score."""
     parser = argparse.ArgumentParser(description="Train a DQN of TorchRL on Probe-v0.")
-    parser.add_argument("--steps", type=int, default=30_000)
+    parser.add_argument("--steps", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     torch.set_num_threads(1)

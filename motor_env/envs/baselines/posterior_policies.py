@@ -92,6 +92,7 @@ class BayesPolicy(ThresholdPolicy):
 
     Attributes:
         quiet: posterior probability that nothing has happened yet, shape (count,).
+        classes: that the fault of a class is there, shape (count, n_classes).
         kinds: of each kind of fault, shape (count, n_kinds).
     """
 
@@ -137,7 +138,8 @@ class BayesPolicy(ThresholdPolicy):
         faulty = self._mass * self._class_prior
         quiet = (self._healthy_prior + (1.0 - self._healthy_prior) * self._unborn) / self._unit
         total = quiet + faulty.sum(axis=1)
-        self.quiet, self.kinds = quiet / total, (faulty @ self._kind_of) / total[:, None]
+        self.quiet, self.classes = quiet / total, faulty / total[:, None]
+        self.kinds = self.classes @ self._kind_of
         options = self.setup.options
         value, silence = worth(options, self.quiet, self.kinds)
         if self._sample >= options.n_samples - 1:

@@ -7,7 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motor_env.envs import MonitorVectorEnv, PosteriorView, ProbeVectorEnv, Summarised, run_episodes
+from motor_env.envs import (
+    BayesPolicy,
+    MonitorVectorEnv,
+    PosteriorView,
+    ProbeVectorEnv,
+    Summarised,
+    run_episodes,
+)
 from motor_env.envs.baselines.belief import ProbeBelief
 
 OPTIONS: dict[str, Any] = {"observe": ("innovation_current", "voltage"), "horizon_s": 0.1}
@@ -85,6 +92,17 @@ def test_a_policy_of_summaries_sees_what_the_view_shows() -> None:
         np.testing.assert_array_equal(shown, view.step(np.zeros(8, dtype=np.int64))[0])
 
 
+@pytest.mark.parametrize("task", ["monitor", "probe"])
+def test_the_weights_that_are_kept_are_as_good_as_was_written_down(task: str) -> None:
+    ppo = pytest.importorskip("torch") and example("ppo")
+    envs = ppo.make(task, 300)
+    learner = ppo.Learner(task, 0)
+    learner.actor.load_state_dict(ppo.load_file(EXAMPLES / "ppo" / f"{task}-0.safetensors"))
+    returns = run_episodes(envs, learner.policy(envs), 1).returns
+    written = ppo.json.loads((EXAMPLES / "ppo" / f"{task}.json").read_text())["agents"]["0"]["return"][0]
+    assert abs(returns.mean() - written) < 4.0 * returns.std() / 300**0.5
+
+
 @pytest.mark.long
 def test_ppo_learns_in_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch")
@@ -92,3 +110,20 @@ def test_ppo_learns_in_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     learner = ppo.Learner("monitor", 0)
     curve = ppo.train(learner, 150_000, points=3)
     assert curve[-1]["mean_return"] > 0.5
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_a_bracket_scores_the_posterior_as_the_environment_does() -> None:
+    pytest.importorskip("torch")
+    bracket = example("bracket")
+    paths = bracket.collect("medium", 100, seed=3)
+    surprise = paths.surprise.sum(axis=1)
+    assert (abs(surprise.mean(axis=0)) < 4.0 * surprise.std(axis=0) / 10.0).all()
+    envs = MonitorVectorEnv(100, recipe="medium", observe=("measured_current",))
+    true = run_episodes(envs, BayesPolicy(envs.setup, 0.9), seed=3).returns
+    difference = bracket.one_threshold(paths, np.zeros_like(paths.stop), 0.9) - true
+    assert abs(difference.mean()) < 4.0 * difference.std() / 10.0
+    network = bracket.fit(paths, 20)
+    price = bracket.price_of(network, paths)
+    assert (paths.stop - price).max(axis=1).std() < paths.stop.max(axis=1).std()
