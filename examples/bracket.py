@@ -1,6 +1,6 @@
 """Between which two figures the best return on a monitor lies whose motor is known (needs torch).
 
-python examples/bracket.py --recipe small        # two minutes of one core
+python examples/bracket.py --recipe small        # a minute or two of one core
 
 Above: an agent that knows the future of its own posterior, but pays for it. The price is a martingale, which costs an
 agent without such knowledge nothing on average, so that the mean of the best moment bounds every policy (Rogers 2002;

@@ -16,7 +16,7 @@ for _id, _class, _options, _best in (
     ("Monitor", "monitor:Monitor", {}, 0.889),
     ("MonitorEasy", "monitor:Monitor", {"recipe": "easy"}, 0.989),
     ("MonitorHard", "monitor:Monitor", {"recipe": "hard"}, 0.526),
-    ("MonitorSmall", "monitor:Monitor", {"recipe": "small"}, 0.497),
+    ("MonitorSmall", "monitor:Monitor", {"recipe": "small"}, 0.514),
     ("MonitorSpeedLoop", "monitor:Monitor", {"drive": "speed_loop"}, 0.714),
     ("Probe", "probe:Probe", {}, 0.867),
     ("ProbeMedium", "probe:Probe", {"recipe": "medium"}, 0.928),
