@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from operation_simulator import LOADS, PROFILES, VOLTAGE_NOISE, Motor, draw_motor, simulate
+from operation_simulator import KNEE, LOADS, PROFILES, VOLTAGE_NOISE, Motor, draw_motor, simulate
 
 from motor_env.filters.joint import joint_filter
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, SensorParameters
@@ -39,6 +39,7 @@ def truth(motor: Motor, load: str, samples: int, dt_s: float, *, has_speed: bool
     values[[k.R, k.L, k.K, k.J]] = motor.ohm, motor.henry, motor.constant, motor.inertia
     values[[k.B, k.COULOMB, k.DROP]] = motor.viscous, motor.coulomb, motor.drop
     values[[k.HEATING, k.COOLING]] = motor.heat, motor.cool
+    values[[k.KNEE, k.STRIBECK]] = KNEE * motor.stall_a, motor.stribeck
     values[k.LOAD] = rated if load == "constant" else 0.0
     values[k.SQUARE] = rated / motor.speed**2 if load == "square" else 0.0
     values[k.WALK] = rated / math.sqrt(samples * dt_s) if load == "walk" else 0.0

@@ -31,6 +31,7 @@ PROFILES = (
 )
 LOADS = ("none", "constant", "square", "walk")
 FINEST_HZ = 50_000.0
+KNEE = 0.004  # of the stall current, at which the brush drop sets in
 VOLTAGE_NOISE = 5e-4  # of the supply, as much as hides the steps of the converter
 
 
@@ -154,6 +155,8 @@ def wanted(
     open_ = np.zeros(n)
     command, unit, length = rng.uniform(0.4, 1.0, blocks), motor.volts, hold
     match profile:
+        case "start":
+            command, length = (np.arange(n) >= n // 10).astype(float), 1
         case "steps":
             command = rng.uniform(0.2, 1.0, blocks) * (rng.random(blocks) < 0.7)
         case "reversals":
@@ -190,14 +193,27 @@ def simulate(
     dt_s: float | None = None,
     bits: int = 12,
     warm_k: float = 0.0,
+    torque_n_m: float | None = None,
 ) -> Recording:
-    """One recording of a motor at work; warm_k is how much warmer than usual the whole motor is."""
+    """One recording of a motor at work.
+
+    Args:
+        motor: simulated.
+        profile: of PROFILES, or a start.
+        rng: of motor, drive and sensors.
+        load: of LOADS.
+        samples: number.
+        dt_s: sampling interval; drawn if None.
+        bits: of the converters.
+        warm_k: how much warmer than usual the whole motor is.
+        torque_n_m: of the load, at the speed without load; 15 % of the stall torque if None.
+    """
     dt = dt_s or motor.mechanical_s / 10.0 ** rng.uniform(0.6, 1.6)
     if warm_k:
         motor = warmed(motor, warm_k)
     fine = math.ceil(dt * max(FINEST_HZ, 30.0 * motor.ohm / motor.henry))
     command, mode, open_ = wanted(profile, motor, samples, dt, rng)
-    rated = motor.constant * motor.stall_a * 0.15
+    rated = motor.constant * motor.stall_a * 0.15 if torque_n_m is None else torque_n_m
     torque = np.zeros(samples)
     if load == "constant":
         torque += rated
@@ -205,7 +221,7 @@ def simulate(
         torque = rated * np.cumsum(rng.standard_normal(samples)) / math.sqrt(samples)
     constants = np.array(
         [motor.ohm, motor.henry, motor.constant, motor.inertia, motor.viscous, motor.coulomb, motor.stribeck,
-         motor.drop, motor.ripple, motor.heat, motor.cool, 0.004 * motor.stall_a, 0.002 * motor.speed]
+         motor.drop, motor.ripple, motor.heat, motor.cool, KNEE * motor.stall_a, 0.002 * motor.speed]
     )  # fmt: skip
     gain = 0.5 * motor.volts / motor.speed * 6.0 if mode == 1 else 0.5 * motor.ohm
     gains = np.array([gain, gain * min(dt / motor.mechanical_s, 0.3)])

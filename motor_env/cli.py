@@ -227,7 +227,8 @@ def trend(
 
     Args:
         paths: A table of estimates (CSV or JSON), or a folder of recordings whose names hold a date.
-        limit: Limits as factors on the mean of the first estimates, QUANTITY=FACTOR[,FACTOR]; 0.75,1.25 by default.
+        limit: Limits as factors on the mean of the first estimates, QUANTITY=FACTOR[,FACTOR]; by default
+            0.75,1.25, and none of L.
         level: Probability that the interval of the remaining life holds.
         voltage: Level of the supply in volt, for recordings without a voltage.
         date: name (2026-01-31, 2026-01-31T11-00-14, Jan-31-2026_11-00-14), or modified: the file's own date.

@@ -30,6 +30,7 @@ from motor_env.diagnosis.explanations import (
 )
 from motor_env.diagnosis.filter_check import FilterCheck
 from motor_env.diagnosis.healthy_motor import Reference, white_error
+from motor_env.diagnosis.loaded import LOADS, directions
 from motor_env.identification.identify import Identified
 from motor_env.motor.faults import FaultKind, motor_kinds
 from motor_env.motor.parameters import FloatArray
@@ -129,10 +130,15 @@ def decide(
     def suffices(fault: Explanation) -> bool:
         return fault.z > limit and fault.p_left_over > rate
 
-    best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
-    if best is not None and probability[best.kind] >= probability["other"]:
-        return _with_fault(healthy, best, float(stats.t.isf(0.025, freedom)), probability)
+    half = float(stats.t.isf(0.025, freedom))
     if is_alarm:
+        for load in (None, *LOADS):
+            if load is not None:
+                faults = explain(difference, None, directions(fit, [fault.kind for fault in faults], load))
+                probability = probabilities(difference, faults)
+            best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
+            if best is not None and probability[best.kind] >= probability["other"]:
+                return _with_fault(healthy, best, half, probability, load)
         named = {fault.kind for fault in faults}
         unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
         alike = map(_alike_reason, filter(suffices, explain(difference, unnamed)))
@@ -160,7 +166,11 @@ def warmth_reason(log_ratios: FloatArray, same_warmth: FloatArray, reference: Re
 
 
 def _with_fault(
-    healthy: Diagnosis, fault: Explanation, quantile: float, probability: dict[str, float]
+    healthy: Diagnosis,
+    fault: Explanation,
+    quantile: float,
+    probability: dict[str, float],
+    load: str | None,
 ) -> Diagnosis:
     """The diagnosis of a known fault; the interval of its severity reaches `quantile` standard deviations."""
     verdict, half = Verdict(fault.kind.verdict), quantile * fault.step_sd
@@ -170,6 +180,7 @@ def _with_fault(
         reasons=(
             fault.kind.finding,
             "compared with " + ("nothing" if healthy.reference is None else healthy.reference.source),
+            *(() if load is None else (f"the changes fit it if the drag is mostly {LOADS[load]}",)),
         ),
         severity=fault.severity,
         severity_low=severity_of(fault.kind, fault.step - half),

@@ -8,6 +8,7 @@ quantiles are Student's and Fisher's.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,6 +89,7 @@ class Explanation:
         step: of the logarithms along the fault's direction.
         step_sd: its standard deviation.
         p_left_over: probability of a rest at least as large as the one that it leaves unexplained.
+        direction: how the quantities move with one unit of the step, shape (n,).
     """
 
     kind: FaultKind
@@ -95,6 +97,7 @@ class Explanation:
     step: float
     step_sd: float
     p_left_over: float
+    direction: FloatArray
 
     @property
     def severity(self) -> float:
@@ -112,17 +115,27 @@ def significance_limit(rate: float, exponents: FloatArray, degrees_of_freedom: f
     return float(stats.t.isf(alarm_share(rate, exponents), degrees_of_freedom))
 
 
-def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) -> list[Explanation]:
-    """Each of some faults as an explanation; by default of those that the quantities can name."""
+def explain(
+    difference: Difference,
+    kinds: tuple[FaultKind, ...] | None = None,
+    directions: Mapping[FaultKind, FloatArray] | None = None,
+) -> list[Explanation]:
+    """Each of some faults as an explanation; by default of those that the quantities can name.
+
+    Args:
+        difference: to explain.
+        kinds: of faults.
+        directions: of the kinds, where they are not those of the textbook motor.
+    """
     inverse, dimensions = difference.inverse, len(difference.log_ratios)
     explanations = []
     for kind in quantities.nameable_kinds(difference.exponents) if kinds is None else kinds:
-        direction = quantities.visible_direction(kind, difference.exponents)
+        direction = (directions or {}).get(kind, quantities.visible_direction(kind, difference.exponents))
         information = float(direction @ inverse @ direction)
         step = float(direction @ inverse @ difference.log_ratios) / information
         z = step * math.sqrt(information)
         rest = difference.p_value(difference.squared_distance - z * z, dimensions - 1)
-        explanations.append(Explanation(kind, z, step, 1.0 / math.sqrt(information), rest))
+        explanations.append(Explanation(kind, z, step, 1.0 / math.sqrt(information), rest, direction))
     return explanations
 
 
@@ -173,11 +186,10 @@ def probabilities(difference: Difference, faults: list[Explanation]) -> dict[str
     healthy = stats.multivariate_t(loc=np.zeros(n), shape=covariance, df=freedom)
     logs: dict[str, float] = {"healthy": float(healthy.logpdf(log_ratios))}
     for fault in faults:
-        direction = quantities.visible_direction(fault.kind, difference.exponents)
         steps = max(fault.step, 0.0) + fault.step_sd * _STEP_NODES
         steps = steps[steps >= 0.0]
         prior = stats.halfcauchy.logpdf(steps, scale=_SEVERITY_PRIOR)
-        along = healthy.logpdf(log_ratios - steps[:, None] * direction)
+        along = healthy.logpdf(log_ratios - steps[:, None] * fault.direction)
         width = math.log(fault.step_sd * (_STEP_NODES[1] - _STEP_NODES[0]))
         logs[fault.kind] = width + float(np.logaddexp.reduce(along + prior))
     anything = stats.multivariate_t(

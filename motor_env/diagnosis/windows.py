@@ -123,7 +123,7 @@ def judge_windows(recording: Recording, reference: WindowReference, rate: float)
 def _judged(part: Recording, reference: WindowReference, rate: float) -> WindowVerdict:
     warmth = reference.temperature_k * quantities.warmth_direction(_EXPONENTS)
     try:
-        logs, error = _window(from_recordings([part]), np.asarray(reference.physical), reference)
+        logs, error = _window(from_recordings([part]), _values(reference), reference)
     except UnusableError:
         return WindowVerdict(float(part.time_s[0]), "unusable", ())
     ratios, freedom = logs - np.log(reference.values), reference.degrees_of_freedom
@@ -159,6 +159,13 @@ def _rms(recording: Recording) -> float:
         if recording.voltage_v is not None
         else math.nan
     )
+
+
+def _values(reference: WindowReference) -> FloatArray:
+    """Physical values of a motor file, which may be older than the last of them."""
+    values = np.zeros(kernel.N_VALUES)
+    values[: len(reference.physical)] = reference.physical
+    return values
 
 
 def _known(joint: Operation) -> FloatArray:

@@ -34,6 +34,7 @@ class Extension:
         sensor_lag_s: time constant of the current sensor.
         speed_lag_s: time constant of the speed sensor.
         dead_zone_a: currents below it are hidden by the current sensor.
+        fan_n_m_s2_per_rad2: load torque over the square of the speed.
     """
 
     coulomb_friction_n_m: float = 0.0
@@ -43,15 +44,26 @@ class Extension:
     sensor_lag_s: float = 0.0
     speed_lag_s: float = 0.0
     dead_zone_a: float = 0.0
+    fan_n_m_s2_per_rad2: float = 0.0
 
 
 @njit(cache=True)
 def _step(
-    a: FloatArray, b: FloatArray, current: float, speed: float, voltage: float, drop: float, coulomb: float
+    a: FloatArray,
+    b: FloatArray,
+    current: float,
+    speed: float,
+    voltage: float,
+    drop: float,
+    coulomb: float,
+    fan: float,
 ) -> tuple[float, float]:
     """One interval; drop and friction are implicit: they brake to zero and never beyond it."""
     free_current = a[0, 0] * current + a[0, 1] * speed + b[0, 0] * voltage
     free_speed = a[1, 0] * current + a[1, 1] * speed + b[1, 0] * voltage
+    if fan > 0.0:
+        free_current += b[0, 1] * fan * speed * abs(speed)
+        free_speed += b[1, 1] * fan * speed * abs(speed)
     new_current = free_current
     if drop > 0.0:
         largest = b[0, 0] * drop
@@ -77,6 +89,7 @@ def _run(
     speed: float,
     drop: float,
     coulomb: float,
+    fan: float,
     out: FloatArray,
 ) -> None:
     for k in range(voltage.shape[0]):
@@ -84,9 +97,9 @@ def _run(
             out[k, 0], out[k, 1] = current, speed
             continue
         if k == begin:
-            current, speed = _step(first_a, first_b, current, speed, voltage[k], drop, coulomb)
+            current, speed = _step(first_a, first_b, current, speed, voltage[k], drop, coulomb, fan)
         else:
-            current, speed = _step(a, b, current, speed, voltage[k], drop, coulomb)
+            current, speed = _step(a, b, current, speed, voltage[k], drop, coulomb, fan)
         out[k, 0], out[k, 1] = current, speed
 
 
@@ -213,6 +226,7 @@ def _integrate(
         state[1],
         extension.brush_drop_v,
         extension.coulomb_friction_n_m,
+        extension.fan_n_m_s2_per_rad2,
         out,
     )
     if extension.sensor_lag_s > 0.0:

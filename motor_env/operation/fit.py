@@ -13,11 +13,12 @@ from motor_env.operation import kernel
 from motor_env.operation.beginnings import beginnings
 from motor_env.operation.problem import Problem, Solution
 from motor_env.operation.record import HOLDS, Record
-from motor_env.operation.terms import Term, terms
+from motor_env.operation.terms import SHAPES, Term, terms
 from motor_env.recordings.defects import UnusableError
 
 STRONG_EVIDENCE = 6.0
 _FIRST_NOISE_V = 0.02
+_FIRST_SHAPE = 0.1  # of what is believed
 _TRIED = 2
 _FEW = 6
 _RIVAL = 0.1  # of the number of readings
@@ -32,7 +33,16 @@ def fit(record: Record) -> Solution:
         UnusableError: no regression finds a motor in the record.
     """
     rivals = [_chosen(first, every) for first, every in _first(record)]
-    return min(rivals, key=lambda one: one.penalised())
+    return _shaped(min(rivals, key=lambda one: one.penalised()))
+
+
+def _shaped(best: Solution) -> Solution:
+    """The fit with the shapes of its brush drop and of its dry friction, whose size is believed beforehand."""
+    every = terms(best.problem.record, best.problem.known)
+    added = [every[shape] for shape, of in SHAPES.items() if of in best.names]
+    problem = best.problem.with_terms(added)
+    theta, misfit = problem.solve(np.append(best.theta, [_FIRST_SHAPE * term.prior_sd for term in added]))
+    return Solution(problem, theta, misfit) if misfit <= best.misfit + len(added) else best
 
 
 def _chosen(first: Solution, every: dict[str, Term]) -> Solution:

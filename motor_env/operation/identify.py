@@ -13,7 +13,7 @@ from motor_env.operation import kernel
 from motor_env.operation.fit import fit
 from motor_env.operation.problem import Solution
 from motor_env.operation.record import MOST, Record, from_recordings
-from motor_env.operation.terms import NOISES, terms
+from motor_env.operation.terms import NOISES, SHAPES, terms
 from motor_env.operation.uncertainty import covariance, motor_places
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
@@ -26,6 +26,7 @@ _UNITS_FULL = {
     "R": "ohm", "L": "H", "K": "V s/rad", "J": "kg m2", "B": "N m s/rad", "coulomb": "N m", "brush_drop": "V",
     "load_constant": "N m", "load_square": "N m s2/rad2", "offset_current": "A", "offset_speed": "rad/s",
     "heating": "K/J", "cooling": "1/s", "current_lag": "s", "speed_lag": "s", "delay": "samples", "drag": "N m",
+    "brush_knee": "A", "stribeck": "of coulomb",
 }  # fmt: skip
 _UNITS_CURRENT = _UNITS_FULL | {
     "J": "A s/V", "B": "A/V", "coulomb": "A", "load_constant": "A", "load_square": "A/V2", "drag": "A",
@@ -88,9 +89,11 @@ class Operation:
 
     @property
     def model(self) -> tuple[str, ...]:
-        """Names of the terms that are no noises, a slowly varying load among them."""
+        """Names of the terms that are no noises, a slowly varying load among them; shapes where they are told."""
         walks = ["load_walk"] if "load_walk" in self.solution.names else []
-        return (*(name for name in self.solution.names if name not in NOISES), *walks)
+        told = {one.name for one in self.quantities}
+        left_out = {*NOISES, *(name for name in SHAPES if name not in told)}
+        return (*(name for name in self.solution.names if name not in left_out), *walks)
 
     def quantity(self, name: str) -> Quantity:
         """One of them by its name."""
@@ -173,6 +176,8 @@ def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
             relative = sd * term.unit / max(abs(value), 1e-300)
         told = bool(relative < _UNTOLD)
         name = term.name
+        if name in SHAPES and not told:
+            continue
         found.append(Quantity(names.get(name, name), value, low, high, units[name], told, relative))
     drag = _drag(solution, spread, names.get("drag", "drag"), units["drag"])
     return [*found, drag] if drag else found

@@ -23,13 +23,16 @@ from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, M
 """Places of the noise: standard deviations of a sample of current, speed and voltage; of the load in a second."""
 DRAG = 20
 """Place of a factor on the friction, where it is fitted as a whole; 0 for none."""
-N_VALUES = 21
+(KNEE, STRIBECK) = range(21, 23)
+"""Places of the current at whose size the brush drop sets in, and of the share that dry friction is larger at rest."""
+N_VALUES = 23
 BEGIN, OPEN = 1.0, 2.0
 """Marks of a sample: the first of a recording; an open circuit."""
 _PARTS = 16
 _COLDEST_K, _GRID_K, _GRID = -20.0, 10.0, 22
 _WILD = 6.0
-_U0, _SLOPE, _TORQUE = 2, 3, 4
+_SATURATED = 5.0  # knees: beyond them the brush drop hardly changes
+_SLOW = 0.02  # of the largest speed: where dry friction is larger
 
 
 @njit(cache=True)
@@ -87,6 +90,12 @@ def _at(table: FloatArray, warm_k: float, out: FloatArray) -> None:
 
 
 @njit(cache=True)
+def _dry(p: FloatArray, dry: float, w: float, slow: float) -> float:
+    """Dry friction at a speed (Stribeck 1902)."""
+    return dry * (1.0 + p[STRIBECK] * math.exp(-((w / slow) ** 2))) if p[STRIBECK] > 0.0 else dry
+
+
+@njit(cache=True)
 def _smooth_step(
     m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray
 ) -> bool:
@@ -96,14 +105,18 @@ def _smooth_step(
     if w == 0.0 and dry > 0.0:
         return False
     before = u[0] - carrying * p[DROP]
-    torque = dry * turning + u[2] + p[SQUARE] * w * abs(w)
+    if p[KNEE] > 0.0:
+        before = u[0] - p[DROP] * i / math.hypot(i, p[KNEE])
+    torque = _dry(p, dry, w, u[3]) * turning + u[2] + p[SQUARE] * w * abs(w)
     new_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * (u[1] - u[0])
     new_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * (u[1] - u[0])
     after = new_w + m[1, 4] * torque
     torque += 0.5 * p[SQUARE] * (after * abs(after) - w * abs(w))
     new_i += m[0, 4] * torque
     new_w += m[1, 4] * torque
-    if (dry > 0.0 and new_w * turning <= 0.0) or (p[DROP] > 0.0 and new_i * carrying <= 0.0):
+    if (dry > 0.0 and new_w * turning <= 0.0) or (
+        p[DROP] > 0.0 and min(new_i * carrying, abs(i)) <= _SATURATED * p[KNEE]
+    ):
         return False
     for r in range(2):
         f[r, 0], f[r, 1] = m[r, 0], m[r, 1] + m[r, 4] * 2.0 * p[SQUARE] * abs(w)
@@ -127,6 +140,20 @@ def _opposed(before: float, free: float, reach: float) -> float:
 
 
 @njit(cache=True)
+def _kneed(free: float, reach: float, knee: float) -> float:
+    """Solution i of i + reach i / hypot(i, knee) = free, by Newton's method, which stays on one side of it."""
+    size = abs(free)
+    i = max(size - reach, 0.0)
+    for _ in range(20):
+        root = math.hypot(i, knee)
+        step = (size - i - reach * i / root) / (1.0 + reach * knee * knee / root**3)
+        i += step
+        if step < 1e-9 * size:
+            break
+    return math.copysign(i, free)
+
+
+@njit(cache=True)
 def _braked_step(
     m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray
 ) -> None:
@@ -141,11 +168,14 @@ def _braked_step(
         free_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * rise + m[1, 4] * torque
         new_i = free_i
         if p[DROP] > 0.0:
-            new_i = _opposed(i, free_i, m[0, 2] * p[DROP])
+            reach, knee = m[0, 2] * p[DROP], p[KNEE]
+            new_i = _opposed(i, free_i, reach)
+            if knee > 0.0 and min(abs(i), abs(new_i)) < _SATURATED * knee:
+                new_i = _kneed(free_i, reach, knee)
             free_w -= m[1, 2] * (free_i - new_i) / m[0, 2]
         new_w = free_w
         if dry > 0.0:
-            new_w = _opposed(w, free_w, -m[1, 4] * dry)
+            new_w = _opposed(w, free_w, -m[1, 4] * _dry(p, dry, w, u[3]))
             new_i += m[0, 4] * (free_w - new_w) / -m[1, 4]
         for c in range(4):
             top, bottom = f[0, c], f[1, c]
@@ -302,11 +332,12 @@ def predict(
     n = 5 if p[LAG_I] > 0.0 or p[LAG_W] > 0.0 else (3 if p[WALK] > 0.0 else 2)
     lags = np.stack((_lag(p[LAG_I], dt_s), _lag(p[LAG_W], dt_s)))
     whole, parts = _table(p, dt_s), _table(p, dt_s / _PARTS)
-    m, x, cov, f, u = np.empty((2, 5)), np.zeros(5), np.zeros((n, n)), np.zeros((2, 4)), np.zeros(3)
+    m, x, cov, f, u = np.empty((2, 5)), np.zeros(5), np.zeros((n, n)), np.zeros((2, 4)), np.zeros(4)
     full, half_way, row = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
     logs, warm_k = 0.0, 0.0
     place_i, place_w = (3, 4) if n == 5 else (0, 1)
     reach = np.max(np.abs(voltage)) + 1e-9
+    u[3] = _SLOW * reach / p[K]
     for k in range(voltage.shape[0]):
         shown_i, shown_w = readings[k, 0] - p[OFFSET_I], readings[k, 1] - p[OFFSET_W]
         if marks[k] == BEGIN:

@@ -16,11 +16,13 @@ from motor_env.errors import InputError
 from motor_env.identification.identify import Identified, identify
 from motor_env.prognosis.estimates import SECONDS_PER_DAY, Series, build_series, date_of, read_estimates
 from motor_env.prognosis.page import leading, status
-from motor_env.prognosis.trend import DEFAULT_LIMITS, Trend, judge
+from motor_env.prognosis.trend import Trend, judge
 from motor_env.prognosis.wear import RemainingLife
 from motor_env.recordings.recording import read_recording
 from motor_env.recordings.start import prepare
 
+TEMPERATURE = "temperature_c"
+"""Column of a table of estimates that is no quantity: they are compared at one temperature."""
 DateSource = Literal["name", "modified"]
 """Where the date of a recording comes from: its name, or the file's own date."""
 
@@ -135,10 +137,12 @@ def trends_of(
     if reference_count < 1:
         raise InputError(f"reference-count must be >= 1, got {reference_count}")
     series, notes = load_series(paths, voltage_v=voltage_v, date=date, progress=progress)
+    temperature = next((one for one in series if one.name == TEMPERATURE), None)
+    series = [one for one in series if one is not temperature]
     names = {one.name for one in series}
     if unknown := [name for name in limits if name not in names]:
         raise InputError(f"--limit names {unknown[0]!r}; the quantities are {', '.join(sorted(names))}")
-    trends = [judge(one, limits.get(one.name, DEFAULT_LIMITS), level, reference_count) for one in series]
+    trends = [judge(one, limits.get(one.name), level, reference_count, temperature) for one in series]
     return trends, [printable(note) for note in notes]
 
 
@@ -164,8 +168,9 @@ def as_json(trend: Trend) -> dict[str, Any]:
                 "probability_reached": forecast.life.probability_reached,
                 "drift_per_time_unit": forecast.wear.mean_drift * trend.reference,
                 "remaining_life": _life(forecast.life)
-                if forecast is chosen and not forecast.reached
+                if forecast is chosen and not forecast.reached and not forecast.withheld
                 else None,
+                "withheld": forecast.withheld or None,
             }
             for forecast in trend.forecasts
         ],

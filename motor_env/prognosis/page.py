@@ -11,16 +11,16 @@ import numpy as np
 from motor_env.motor.parameters import FloatArray
 from motor_env.pages.html import render
 from motor_env.pages.svg import Axis, Chart, round_ticks
-from motor_env.prognosis.trend import Forecast, Trend, describe
+from motor_env.prognosis.trend import Forecast, Trend, forecast_words
 
 _Z90 = 1.6448536269514722
 
-_STATE = {"reached": "limit reached", "trending": "trending", "unknown": "too few", "steady": "no trend"}
+_STATE = {"reached": "limit reached", "trending": "trending", "unknown": "not judged", "steady": "no trend"}
 """Each status in words, in the order of the page."""
 
 
 def status(trend: Trend) -> str:
-    """`reached`, `trending`, `steady`, or `unknown` with too few estimates."""
+    """`reached`, `trending`, `steady`, or `unknown` with too few estimates or no limit."""
     if any(forecast.reached for forecast in trend.forecasts):
         return "reached"
     if any(forecast.trends for forecast in trend.forecasts):
@@ -48,7 +48,7 @@ def _row(trend: Trend) -> dict[str, str]:
         "name": series.name,
         "status": status(trend),
         "state": _STATE[status(trend)],
-        "life": "–" if chosen is None or chosen.reached else describe(chosen.life, series.unit),
+        "life": "–" if chosen is None or chosen.reached else forecast_words(chosen, series.unit),
         "sentence": trend.sentence,
         "basis": f"{len(series.time)} estimates{when}; mean of the first {trend.reference:.4g}",
         "chart": _chart(trend, chosen),
@@ -113,7 +113,7 @@ def _time_axis(trend: Trend, low: float, high: float) -> Axis:
 
 def _forecast(chosen: Forecast | None, span: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times after the last estimate, the mean level expected then and its standard deviation."""
-    if chosen is None or chosen.reached:
+    if chosen is None or chosen.reached or chosen.withheld:
         return np.zeros(1), np.empty(0), np.empty(0)
     span = max(span, 1e-9)
     end = next(value for value in (chosen.life.high, chosen.life.median, span) if math.isfinite(value))

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import timedelta
 
 import numpy as np
 
 from motor_env.errors import InputError
 from motor_env.prognosis.estimates import Series
+from motor_env.prognosis.laws import at_one_temperature, earliest, last_jump, since, withheld
 from motor_env.prognosis.wear import TREND_PROBABILITY, Degradation, RemainingLife
 from motor_env.prognosis.wear_fit import FEWEST_ESTIMATES, degradation
 
@@ -30,7 +32,8 @@ class Forecast:
         reached: whether the last level lies beyond it, with a probability of at least one half.
         trends: whether there is a drift towards it (posterior probability at least 95 %).
         wear: the fitted degradation of estimate / reference.
-        life: remaining life; it means something only where `trends`.
+        life: remaining life; it means something only where `trends` and nothing is withheld.
+        withheld: why no remaining life is told, in words; empty where it is.
     """
 
     limit: float
@@ -39,6 +42,7 @@ class Forecast:
     trends: bool
     wear: Degradation
     life: RemainingLife
+    withheld: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,38 +62,68 @@ class Trend:
     sentence: str
 
 
+def default_limits(name: str) -> tuple[float, ...]:
+    """Limits of a quantity for which none is given: none of L, which no fault moves alone and few starts tell."""
+    return () if name.startswith("L") else DEFAULT_LIMITS
+
+
 def judge(
-    series: Series, factors: Sequence[float] = DEFAULT_LIMITS, level: float = 0.9, reference_count: int = 3
+    series: Series,
+    factors: Sequence[float] | None = None,
+    level: float = 0.9,
+    reference_count: int = 3,
+    temperature: Series | None = None,
 ) -> Trend:
     """Judge one quantity against limits.
 
     Args:
         series: its estimates.
-        factors: limits as factors on the reference, each different from 1.
+        factors: limits as factors on the reference, each different from 1; `default_limits` if None.
         level: probability that the interval of the remaining life is to hold.
         reference_count: number of first estimates whose mean is the reference.
+        temperature: in degrees Celsius, where recorded.
 
     Raises:
         InputError: the reference is 0.
     """
-    first = slice(0, min(reference_count, len(series.time)))
-    reference = float(np.mean(series.estimate[first]))
+    if temperature is not None:
+        series = at_one_temperature(series, temperature)
+    reference = float(np.mean(series.estimate[:reference_count]))
     if reference == 0.0:
         raise InputError(f"{series.name}: the first estimates are 0; limits are relative to them")
-    if len(series.time) < FEWEST_ESTIMATES:
-        sentence = (
-            f"too few estimates for a trend: {len(series.time)}, at least {FEWEST_ESTIMATES} are needed"
+    relative = replace(
+        series,
+        estimate=series.estimate / reference,
+        standard_error=series.standard_error / abs(reference),
+    )
+    jump, restart = last_jump(relative), ""
+    if jump is not None:
+        relative = since(relative, jump[0])
+        restart = (
+            f"a jump of {_percent(jump[1])} at {_moment(relative)} (a repair or a step), judged since then: "
         )
-        return Trend(series, reference, (), sentence)
-    relative, error = series.estimate / reference, series.standard_error / abs(reference)
+    if len(relative.time) < FEWEST_ESTIMATES:
+        found = f"{len(relative.time)}, at least {FEWEST_ESTIMATES} are needed"
+        return Trend(series, reference, (), f"{restart}too few estimates for a trend: {found}")
     forecasts = []
-    for factor in factors:
-        wear = degradation(series.time, relative, error, factor)
+    for factor in default_limits(series.name) if factors is None else factors:
+        sign = math.copysign(1.0, factor - 1.0)
+        wear = degradation(relative.time, relative.estimate, relative.standard_error, factor, sign=sign)
         life = wear.remaining_life(level)
         reached = life.probability_reached >= 0.5
         trends = wear.probability_trend >= TREND_PROBABILITY
-        forecasts.append(Forecast(factor * reference, factor, reached, trends, wear, life))
-    return Trend(series, reference, tuple(forecasts), _sentence(series, forecasts))
+        if trends and not reached:
+            life = life._replace(low=min(life.low, earliest(relative, wear)))
+        reason = withheld(relative, wear, knows_temperature=temperature is not None) if trends else ""
+        forecasts.append(Forecast(factor * reference, factor, reached, trends, wear, life, reason))
+    return Trend(series, reference, tuple(forecasts), restart + _sentence(series, forecasts))
+
+
+def _moment(series: Series) -> str:
+    """Date or time of the first estimate, in words."""
+    if series.start is not None:
+        return f"{series.start + timedelta(days=float(series.time[0])):%Y-%m-%d}"
+    return f"{series.time[0]:.4g} {series.unit}"
 
 
 def _sentence(series: Series, forecasts: Sequence[Forecast]) -> str:
@@ -103,13 +137,22 @@ def _sentence(series: Series, forecasts: Sequence[Forecast]) -> str:
             return (
                 f"trends to the limit at {_percent(forecast.factor - 1.0)}, by "
                 f"{_percent(forecast.wear.mean_drift, digits=2)} of the reference a {series.unit.removesuffix('s')}: "
-                f"{describe(forecast.life, series.unit)}"
+                f"{forecast_words(forecast, series.unit)}"
             )
+    if not forecasts:
+        return f"no limit is given, so nothing is judged: last change {_percent(change)}"
     likely = max(forecast.wear.probability_trend for forecast in forecasts)
     return (
         f"no trend: last change {_percent(change)}; probability of a drift to a limit "
         f"{100.0 * likely:.0f} %, below {100.0 * TREND_PROBABILITY:.0f} %; no remaining life is given"
     )
+
+
+def forecast_words(forecast: Forecast, unit: str) -> str:
+    """The remaining life in words, or why none is told."""
+    if forecast.withheld:
+        return f"no remaining life is told, for {forecast.withheld}"
+    return describe(forecast.life, unit)
 
 
 def describe(life: RemainingLife, unit: str) -> str:

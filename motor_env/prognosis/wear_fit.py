@@ -74,14 +74,22 @@ class _Grid(NamedTuple):
     log_prior: FloatArray
 
 
-def degradation(time: ArrayLike, estimate: ArrayLike, standard_error: ArrayLike, limit: float) -> Degradation:
+def degradation(
+    time: ArrayLike,
+    estimate: ArrayLike,
+    standard_error: ArrayLike,
+    limit: float,
+    *,
+    sign: float | None = None,
+) -> Degradation:
     """Fit the wear model to a sequence of estimates.
 
     Args:
         time: rising, any unit, shape (n,).
         estimate: shape (n,).
         standard_error: >= 0, shape (n,).
-        limit: level whose first passage counts; it lies above if it is above the first estimates.
+        limit: level whose first passage counts.
+        sign: +1 if the limit lies above, -1 below; if None as it lies to the first estimates.
 
     Raises:
         ValueError: fewer than five estimates, shapes that differ, a value that is not finite, times that do not rise,
@@ -91,7 +99,8 @@ def degradation(time: ArrayLike, estimate: ArrayLike, standard_error: ArrayLike,
     beginning = float(np.mean(values[: max(3, len(values) // 10)]))
     distance = abs(limit - beginning)
     require(distance > 0.0 and math.isfinite(limit), f"limit must differ from the first level, got {limit:g}")
-    sign = 1.0 if limit > beginning else -1.0
+    if sign is None:
+        sign = 1.0 if limit > beginning else -1.0
     grid = _grid(times, _typical_error(values, errors), distance)
     n = len(grid.onset)
     log_likelihood, moments = np.empty(n), np.empty((n, 5))

@@ -1,5 +1,7 @@
 """The compiled filter of a motor at work against a stiff solver, and at standstill."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -96,3 +98,9 @@ def test_a_speed_that_falls_without_current_is_an_open_circuit() -> None:
     found = open_circuit(0.03 * speed, np.stack([current, speed], axis=1))
     assert not found[:100].any()
     assert found[105:195].all()
+
+
+def test_the_knee_of_the_brush_drop_solves_its_equation() -> None:
+    for free in (-3.0, -0.02, 0.0, 1e-4, 0.5, 20.0):
+        i = kernel._kneed(free, 1.5, 0.03)
+        assert i + 1.5 * i / math.hypot(i, 0.03) == pytest.approx(free, abs=1e-9)

@@ -319,3 +319,37 @@ def test_estimates_are_checked() -> None:
         degradation([0.0, 1.0], [1.0, 1.0], [0.1, 0.1], 1.5)
     with pytest.raises(ValueError, match="must rise"):
         degradation([0.0, 1.0, 1.0, 2.0, 3.0], np.ones(5), np.ones(5), 1.5)
+
+
+def history(values: np.ndarray, name: str = "friction", error: float = 0.004) -> Series:
+    noisy = values + error * np.random.default_rng(3).standard_normal(len(values))
+    return Series(name, np.arange(float(len(values))), noisy, np.full(len(values), error))
+
+
+def test_a_repair_is_told_and_the_trend_begins_there() -> None:
+    day = np.arange(40.0)
+    found = judge(history(1.0 + 0.006 * np.where(day < 15.0, day, day - 15.0)), (1.25,))
+    assert "a jump of -9 % at 15 starts" in found.sentence.replace("days", "starts")
+    life = found.forecasts[0].life
+    assert life.low < 15.0 + 0.25 / 0.006 - 39.0 < life.high
+
+
+def test_a_life_allows_for_wear_that_accelerates() -> None:
+    day = np.arange(45.0)
+    found = judge(history(1.0 + 0.002 * np.expm1(day / 12.0)), (1.25,)).forecasts[0]
+    left = 12.0 * math.log(126.0) - 44.0
+    assert found.trends
+    assert found.withheld or found.life.low <= left <= found.life.high
+
+
+def test_no_life_where_another_temperature_would_explain_the_drift() -> None:
+    day = np.arange(60.0)
+    warm = history(np.exp(0.00393 * 0.3 * day), "R")
+    assert "a change of the temperature" in judge(warm, (1.25,)).sentence
+    kelvin = Series("temperature_c", day, 20.0 + 0.3 * day, np.full(60, 0.1))
+    assert "no trend" in judge(warm, (1.25,), temperature=kelvin).sentence
+
+
+def test_inductance_has_no_limit_unless_one_is_given() -> None:
+    assert "no limit is given" in judge(history(1.0 + 0.02 * np.arange(30.0), "L")).sentence
+    assert judge(history(1.0 + 0.02 * np.arange(30.0), "L"), (1.25,)).forecasts[0].reached

@@ -1,0 +1,124 @@
+"""Stated lives under laws of wear that the model has and lacks: a table of docs/trend.md.
+
+python benchmarks/trend_laws.py --histories 100
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+from cyclopts import run
+from tables import print_table
+
+from motor_env.motor.parameters import COPPER_PER_KELVIN, FloatArray
+from motor_env.prognosis.estimates import Series
+from motor_env.prognosis.trend import judge
+
+LIMIT, DAYS, ERROR = 1.25, 400, 0.005
+Law = Callable[[np.random.Generator, FloatArray], FloatArray]
+
+
+def drift(rng: np.random.Generator, day: FloatArray) -> FloatArray:
+    """A straight line and a random walk."""
+    walk = 0.003 * np.cumsum(rng.standard_normal(len(day)))
+    return np.asarray(1.0 + 10.0 ** rng.uniform(-3.0, -2.0) * day + walk)
+
+
+def random_walk(rng: np.random.Generator, day: FloatArray) -> FloatArray:
+    """Chance alone."""
+    return np.asarray(1.0 + 0.01 * np.cumsum(rng.standard_normal(len(day))))
+
+
+def accelerating(rng: np.random.Generator, day: FloatArray) -> FloatArray:
+    """Exponential growth."""
+    return np.asarray(1.0 + 0.002 * np.expm1(day / rng.uniform(8.0, 20.0)))
+
+
+def steps(rng: np.random.Generator, day: FloatArray) -> FloatArray:
+    """Small jumps at random times."""
+    jumps = (rng.random(len(day)) < 0.03) * rng.uniform(0.03, 0.10, len(day))
+    return np.asarray(1.0 + np.cumsum(jumps))
+
+
+def repair(rng: np.random.Generator, day: FloatArray) -> FloatArray:
+    """A drift from a repair on that undid the one before."""
+    rate, when = 10.0 ** rng.uniform(-2.5, -2.0), rng.uniform(8.0, 12.0)
+    return np.asarray(1.0 + rate * np.where(day < when, day, day - when))
+
+
+def season(rng: np.random.Generator, day: FloatArray) -> FloatArray:
+    """Copper through the year, 12 K up and down; the motor never wears."""
+    return np.asarray(np.exp(COPPER_PER_KELVIN * 12.0 * np.sin(2.0 * math.pi * (day / 365.0 + rng.random()))))
+
+
+LAWS: dict[str, Law] = {
+    "drift": drift,
+    "random walk": random_walk,
+    "accelerating": accelerating,
+    "steps": steps,
+    "repair": repair,
+    "season": season,
+}
+
+
+def history(law: Law, rng: np.random.Generator) -> tuple[str, bool, bool]:
+    """What is said of one history, whether the stated interval holds the life, and whether a jump is told."""
+    truth = law(rng, np.arange(float(DAYS)))
+    last = int(rng.integers(15, 61))
+    beyond = np.flatnonzero(truth >= LIMIT)
+    if len(beyond) and beyond[0] <= last:
+        return "failed before", False, False
+    life = float(beyond[0] - last) if len(beyond) else math.inf
+    seen = truth[:last] + ERROR * rng.standard_normal(last)
+    name = (
+        "R" if law is season else "friction"
+    )  # the one that moves with the temperature, which is not recorded
+    found = judge(Series(name, np.arange(float(last)), seen, np.full(last, ERROR)), (LIMIT,))
+    if not found.forecasts:
+        return "too few", False, "jump" in found.sentence
+    forecast = found.forecasts[0]
+    told = "reached" if forecast.reached else "no trend"
+    if forecast.trends and not forecast.reached:
+        told = "withheld" if forecast.withheld else "life"
+    holds = forecast.life.low <= life + 1.0 and life <= forecast.life.high
+    return told, holds, "jump" in found.sentence
+
+
+def main(*, histories: int = 100, seed: int = 5) -> None:
+    """Print the table.
+
+    Args:
+        histories: of each law.
+        seed: of all that is drawn.
+    """
+
+    def rows() -> list[tuple[str, ...]]:
+        out = []
+        for number, (name, law) in enumerate(LAWS.items()):
+            counts, held, jumps = Counter[str](), 0, 0
+            for k in range(histories):
+                told, holds, jump = history(law, np.random.default_rng([seed, number, k]))
+                counts[told] += 1
+                held += told == "life" and holds
+                jumps += jump
+            words = ("no trend", "withheld", "too few", "reached", "failed before")
+            out.append((name, str(counts["life"]), str(held), *(str(counts[w]) for w in words), str(jumps)))
+        return out
+
+    header = (
+        "law",
+        "lives stated",
+        "hold",
+        "no trend",
+        "withheld",
+        "too few",
+        "reached",
+        "failed before",
+        "jump told",
+    )
+    print_table(f"{histories} histories a law, 90 % intervals", header, rows())
+
+
+if __name__ == "__main__":
+    run(main)
