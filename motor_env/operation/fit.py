@@ -19,6 +19,7 @@ from motor_env.recordings.defects import UnusableError
 STRONG_EVIDENCE = 6.0
 _FIRST_NOISE_V = 0.02
 _FIRST_SHAPE = 0.1  # of what is believed
+_CALM = {"offset_current": 0.0, "offset_speed": 0.0, "noise_voltage": -1.0, "load_walk": -4.0}
 _TRIED = 2
 _FEW = 6
 _RIVAL = 0.1  # of the number of readings
@@ -37,12 +38,18 @@ def fit(record: Record) -> Solution:
 
 
 def _shaped(best: Solution) -> Solution:
-    """The fit with the shapes of its brush drop and of its dry friction, whose size is believed beforehand."""
+    """The fit with the shapes of its brush drop and of its dry friction, whose size is believed beforehand.
+
+    It also begins again from a calm motor, without offsets: noise and a wandering load may have carried a fit away.
+    """
     every = terms(best.problem.record, best.problem.known)
     added = [every[shape] for shape, of in SHAPES.items() if of in best.names]
     problem = best.problem.with_terms(added)
-    theta, misfit = problem.solve(np.append(best.theta, [_FIRST_SHAPE * term.prior_sd for term in added]))
-    return Solution(problem, theta, misfit) if misfit <= best.misfit + len(added) else best
+    begin = np.append(best.theta, [_FIRST_SHAPE * term.prior_sd for term in added])
+    calm = np.array([_CALM.get(name, one) for name, one in zip(problem.names, begin, strict=True)])
+    tried = [Solution(problem, *problem.solve(theta)) for theta in (begin, calm)]
+    found = min(tried, key=lambda one: one.misfit)
+    return found if found.misfit <= best.misfit + len(added) else best
 
 
 def _chosen(first: Solution, every: dict[str, Term]) -> Solution:

@@ -96,6 +96,14 @@ def _dry(p: FloatArray, dry: float, w: float, slow: float) -> float:
 
 
 @njit(cache=True)
+def _mean_square(before: float, after: float) -> float:
+    """Mean of w |w| while w goes in a straight line."""
+    if abs(after - before) <= 1e-6 * (abs(after) + abs(before)):
+        return before * abs(before)
+    return (abs(after) ** 3 - abs(before) ** 3) / (3.0 * (after - before))
+
+
+@njit(cache=True)
 def _smooth_step(
     m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray
 ) -> bool:
@@ -107,11 +115,13 @@ def _smooth_step(
     before = u[0] - carrying * p[DROP]
     if p[KNEE] > 0.0:
         before = u[0] - p[DROP] * i / math.hypot(i, p[KNEE])
-    torque = _dry(p, dry, w, u[3]) * turning + u[2] + p[SQUARE] * w * abs(w)
+    load = _dry(p, dry, w, u[3]) * turning + u[2]
+    torque = load + p[SQUARE] * w * abs(w)
     new_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * (u[1] - u[0])
     new_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * (u[1] - u[0])
-    after = new_w + m[1, 4] * torque
-    torque += 0.5 * p[SQUARE] * (after * abs(after) - w * abs(w))
+    if p[SQUARE] > 0.0:
+        for _ in range(2):
+            torque = load + p[SQUARE] * _mean_square(w, new_w + m[1, 4] * torque)
     new_i += m[0, 4] * torque
     new_w += m[1, 4] * torque
     if (dry > 0.0 and new_w * turning <= 0.0) or (

@@ -15,7 +15,7 @@ from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.recordings.recording import Recording
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml").parameters
-TIME_S: FloatArray = np.arange(1200) * 1e-4 - 0.02
+TIME_S: FloatArray = np.linspace(-0.02, 0.0999, 1200)
 SPEED = float(12.0 / MOTOR.back_emf_constant_v_s_per_rad)
 TORQUE = float(0.12 * MOTOR.torque_constant_n_m_per_a * 12.0 / MOTOR.resistance_ohm)
 LOADS = {
