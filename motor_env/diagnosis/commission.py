@@ -17,6 +17,7 @@ from motor_env.diagnosis.files import fit_files
 from motor_env.diagnosis.healthy_motor import learn_reference, reference_from_starts
 from motor_env.diagnosis.report import (
     UNITS,
+    WHOLE_DRAG,
     extensions_json,
     model_words,
     quality,
@@ -242,7 +243,7 @@ def commissioned_text(result: Commissioned, rate: float) -> str:
             for name, value, h in zip(reference.quantities, reference.values, half, strict=True)
         ),
         f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}",
-        f"  smallest change that is found in 95 of 100 cases: {smallest}",
+        f"  smallest change that is found in 95 of 100 cases: {smallest} ({WHOLE_DRAG})",
         f"  a motor that is warmer or colder by {reference.temperature_k:.0f} K (1 sd) is healthy too: {_WARMTH}",
         _SPREAD,
         *lines_of(result.motor.assumed),

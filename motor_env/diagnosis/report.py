@@ -14,6 +14,7 @@ from motor_env.identification.identify import Identified
 from motor_env.identification.plausibility import implausible
 from motor_env.motor.parameters import RAD_S_PER_RPM
 
+WHOLE_DRAG = "bearing: of the whole drag, any load included"
 UNITS = {
     "R": "ohm",
     "L": "H",
@@ -199,7 +200,7 @@ def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None, *, verb
 def smallest_words(diagnosis: Diagnosis) -> str:
     """What this comparison would have found."""
     smallest = ", ".join(f"{kind} {severity:.0%}" for kind, severity in diagnosis.smallest_changes.items())
-    return f"smallest change that this comparison finds in 95 of 100 cases: {smallest}"
+    return f"smallest change that this comparison finds in 95 of 100 cases: {smallest} ({WHOLE_DRAG})"
 
 
 def expert_lines(diagnosis: Diagnosis) -> list[str]:
