@@ -98,7 +98,7 @@ constraints: $(PINS_READY) ## pin all dependencies anew: constraints.txt and ben
 	rm -f constraints.txt.bak benchmarks/constraints.txt.bak
 
 clean: ## remove caches and built files; out/ and the environments stay
-	rm -rf build dist docs/_build .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache .coverage htmlcov
+	rm -rf build dist docs/_build docs/api docs/environments .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache .coverage htmlcov
 	find . -path './.venv*' -prune -o -name __pycache__ -type d -exec rm -rf {} +
 
 distclean: clean ## the same and the environments

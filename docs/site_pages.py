@@ -146,6 +146,8 @@ def environment_page(spec: EnvSpec) -> str:
         f"# {name}",
         f"{said.pop('')}",
         f'```python\nenv = gym.make("motor_env:{spec.id}")\n```',
+        spec.kwargs
+        and f"This id is the class `{family}Env` with {', '.join(f'`{k}={v!r}`' for k, v in spec.kwargs.items())}.",
         f"![Screen of {name}: current, speed, residual and evidence over an episode with a fault]({name}.png)",
         f"*An episode with a fault: {options.n_steps} steps of {1000 * options.dt_s * options.samples_per_step:g} ms.*",
         f"Motors and faults are drawn from the recipe `{recipe.name}`. Classes by weight:",
@@ -183,7 +185,8 @@ def directive(package: ModuleType, name: str, home: str) -> str:
     thing = getattr(package, name)
     if isinstance(thing, type):
         hidden = ", ".join(getattr(thing, "_fields", ()))
-        extra = f"\n   :exclude-members: {hidden}" if hidden else ""
+        inherits = thing.__bases__ != (object,) and not hidden
+        extra = f"\n   :exclude-members: {hidden}" if hidden else "\n   :show-inheritance:" * inherits
         return f".. autoclass:: {package.__name__}.{name}\n   :members:{extra}\n"
     if callable(thing):
         return f".. autofunction:: {package.__name__}.{name}\n"
