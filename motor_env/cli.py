@@ -384,6 +384,34 @@ def commission(
     return 0
 
 
+@app.command
+def watch(
+    motor: Path,
+    log: Path | None = None,
+    *,
+    false_alarms_per_year: float = 1.0,
+    state: Path | None = None,
+    follow: bool = False,
+) -> int:
+    """Watch a motor at work: lines of CSV come in, a verdict on each window goes out as it ends.
+
+    Example: motor-env watch out/motor.toml log.csv --follow --state out/watch.json
+
+    On a terminal one line is kept up to date; otherwise each event is a line of JSON. Exit status when the lines end:
+    0 all healthy, 1 any fault, 3 no fault but a window that cannot be judged.
+
+    Args:
+        motor: Motor file that `commission --window` wrote.
+        log: File with the columns time, voltage, current and speed; standard input without it.
+        false_alarms_per_year: Of a healthy motor that always runs.
+        state: File that keeps what was seen, so that a new start goes on where the last window ended.
+        follow: Wait for lines that are appended to the log.
+    """
+    from motor_env.diagnosis import live
+
+    return live.run(motor, log, false_alarms_per_year=false_alarms_per_year, state=state, follow=follow)
+
+
 @app.command(name="export-c")
 def export_c(
     motor: str,

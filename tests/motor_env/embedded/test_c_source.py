@@ -36,7 +36,7 @@ from motor_env.embedded.twin import Answers, SampleVerdict, answers, readings_of
 from motor_env.errors import InputError
 from motor_env.motor.parameters import Channel
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]
 SANITIZERS = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 RUN = """
