@@ -47,7 +47,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         counts: Counter[str] = Counter()
         for _ in range(options.windows // A_LOG // 2):
             state = State()
-            list(Watch(reference, a_year, state).lines(log(A_LOG + 1, float(rng.normal(0.0, 10.0)))))
+            list(
+                Watch(reference, state, false_alarms_per_year=a_year).lines(
+                    log(A_LOG + 1, float(rng.normal(0.0, 10.0)))
+                )
+            )
             counts += state.counts
         hours = (
             sum(n for what, n in counts.items() if what.startswith("window")) * reference.window_s / 3600.0

@@ -31,7 +31,7 @@ def run(
     seen = State.load(state)
     if log is None:
         seen.offset = 0
-    watch = Watch(reference, false_alarms_per_year, seen)
+    watch = Watch(reference, seen, false_alarms_per_year=false_alarms_per_year)
     lines: Iterable[bytes | None] = sys.stdin.buffer if log is None else _growing(log, seen.offset, follow)
     for event in _shown(watch.lines(lines), seen):
         if state is not None and event.kind == "window":

@@ -102,11 +102,11 @@ class Watch:
 
     Args:
         reference: what windows of the healthy motor have taught.
-        false_alarms_per_year: of a healthy motor that always runs; each window has its share.
         state: what has been seen so far.
+        false_alarms_per_year: of a healthy motor that always runs; each window has its share.
     """
 
-    def __init__(self, reference: WindowReference, false_alarms_per_year: float, state: State) -> None:
+    def __init__(self, reference: WindowReference, state: State, *, false_alarms_per_year: float) -> None:
         if not 0.0 < false_alarms_per_year < math.inf:
             raise InputError(f"false-alarms-per-year must be > 0, got {false_alarms_per_year:g}")
         self.reference, self.state = reference, state

@@ -30,7 +30,9 @@ REFERENCE = WindowReference(
 
 
 def kinds(lines: list[bytes | None], state: State | None = None) -> list[str]:
-    return [event.kind for event in Watch(REFERENCE, 1.0, state or State()).lines(lines)]
+    return [
+        event.kind for event in Watch(REFERENCE, state or State(), false_alarms_per_year=1.0).lines(lines)
+    ]
 
 
 def samples(count: int, first_ms: int = 0) -> list[bytes | None]:
@@ -56,7 +58,7 @@ def test_malformed_lines_cost_no_sample_beside_them() -> None:
     lines: list[bytes | None] = [HEADER]
     for line in samples(1_000):
         lines += [line, b"1;2;3\n"]
-    watch = Watch(REFERENCE, 1.0, State())
+    watch = Watch(REFERENCE, State(), false_alarms_per_year=1.0)
     assert sum(event.kind == "malformed" for event in watch.lines(lines)) == 1_000
     assert len(watch._window) == 1_000
 
@@ -65,7 +67,7 @@ def test_bad_input_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="speed is missing"):
         kinds([b"time_s,voltage_v,current_a\n"])
     with pytest.raises(InputError, match="false-alarms-per-year must be > 0"):
-        Watch(REFERENCE, 0.0, State())
+        Watch(REFERENCE, State(), false_alarms_per_year=0.0)
     (tmp_path / "state.json").write_text("{}", encoding="utf-8")
     with pytest.raises(InputError, match="is no state of watch"):
         State.load(tmp_path / "state.json")
