@@ -35,7 +35,7 @@ SENSOR = SensorParameters(
 
 def write(path: Path, seed: int, faults: tuple[Fault, ...] = (), *, columns: int = 4) -> str:
     """One start as CSV, with voltage and speed, or without."""
-    scenario = Scenario(PAPER_MOTOR, faults, sensor=SENSOR, timing=Timing(duration_s=0.2, quiet_s=0.02))
+    scenario = Scenario(PAPER_MOTOR, faults, sensor=SENSOR, timing=Timing(duration_s=0.1, quiet_s=0.02))
     start = simulate(scenario, seed=seed, cases=[0])
     rows = np.column_stack(
         [start.time_s, start.measurements[0, 0], start.voltage_v[0], start.measurements[0, 1]]
@@ -52,9 +52,13 @@ def commissioned(folder: Path, *options: str, columns: int = 3) -> Path:
     return folder / "m.toml"
 
 
-def test_a_guessed_constant_is_marked_warned_of_and_refused_where_speeds_are_seen(tmp_path: Path) -> None:
-    path = commissioned(tmp_path)
-    motor = load_motor(path)
+@pytest.fixture(scope="module")
+def current_only(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return commissioned(tmp_path_factory.mktemp("current"))
+
+
+def test_a_guessed_constant_is_marked_warned_of_and_refused_where_speeds_are_seen(current_only: Path) -> None:
+    path, motor = current_only, load_motor(current_only)
     assert "a guess, 1/100 of the voltage" in motor.assumed["torque_constant_n_m_per_a"]
     assert motor.parameters.torque_constant_n_m_per_a == pytest.approx(0.12)
     with pytest.warns(UserWarning, match="Currents are right, speeds and torques are not"):
@@ -66,9 +70,8 @@ def test_a_guessed_constant_is_marked_warned_of_and_refused_where_speeds_are_see
         with_motor(replace(recipe, sensor=SENSOR), path)
 
 
-def test_files_of_before_tell_it_by_their_quantities(tmp_path: Path) -> None:
-    path = commissioned(tmp_path)
-    text = path.read_text()
+def test_files_of_before_tell_it_by_their_quantities(current_only: Path, tmp_path: Path) -> None:
+    path, text = tmp_path / "m.toml", current_only.read_text()
     begin, end = text.index("[assumed]"), text.index("[reference]")
     path.write_text(text[:begin] + text[end:])
     assert "torque_constant_n_m_per_a" in load_motor(path).assumed
@@ -85,6 +88,7 @@ def test_a_constant_that_the_user_knows_makes_all_known(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.long
 def test_without_a_voltage_nothing_can_be_simulated(tmp_path: Path) -> None:
     motor = load_motor(commissioned(tmp_path, columns=2))
     with pytest.raises(ValueError, match="its voltage is unknown"):
