@@ -48,16 +48,13 @@ def task(name: str, /, *, out: Path, sealed: Path | None = None) -> int:
     from motor_env.files import replacing, write_text
 
     chosen, seed = load_task(name), _seed(sealed)
-    train, test = chosen.train(), chosen.test(seed)
-    arrays: dict[str, dict[str, Any]] = {
-        "train": {"X": train.X, "class_name": train.class_name, "severity": train.severity},
-        "test": {"X": test.X},
-    }
+    train, test = chosen.learned(), chosen.test(seed)
+    arrays: dict[str, dict[str, Any]] = {"train": train, "test": {"X": test.X}}
     for part, content in arrays.items():
         with replacing(out / f"{part}.npz") as temporary:
             np.savez(temporary, allow_pickle=False, **content)
     write_text(out / "task.json", json.dumps(chosen.as_json(seed), indent=1) + "\n")
-    print(f"{chosen.title}: {len(train)} starts to learn from, {len(test.X)} cases to answer: {out}")
+    print(f"{chosen.title}: {chosen.n_train} starts to learn from, {len(test.X)} cases to answer: {out}")
     return 0
 
 

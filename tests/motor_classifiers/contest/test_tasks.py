@@ -89,6 +89,11 @@ def test_cost_of_strange_faults_is_the_area_under_the_curve() -> None:
 
 def test_cost_of_a_stream() -> None:
     task = load_task("stream")
+    learned = task.learned()
+    onset, X = learned["onset_s"], learned["X"]
+    assert X.shape == (120, 1, 700)
+    assert 0.3 < np.isnan(onset).mean() < 0.7  # half of the motors stay healthy
+    assert set(np.round(onset[~np.isnan(onset)], 9)) <= set(np.round(np.linspace(0.15, 0.45, 31), 9))
     truth = np.array([0.2, 0.2, 0.2, np.nan, np.nan, 0.2, 0.2])
     alarm = np.array([0.25, 0.6, np.nan, np.nan, 0.1, 0.1, 0.2])
     np.testing.assert_allclose(task.costs(truth, alarm[:, None]), [0.25, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0])
