@@ -132,7 +132,8 @@ def decide(
 
     half = float(stats.t.isf(0.025, freedom))
     if is_alarm:
-        for load in (None, *LOADS):
+        # A load is thought of where nothing explains the start without one.
+        for load in (None, *(() if any(map(suffices, faults)) else LOADS)):
             if load is not None:
                 faults = explain(difference, None, directions(fit, [fault.kind for fault in faults], load))
                 probability = probabilities(difference, faults)

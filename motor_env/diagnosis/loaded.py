@@ -23,22 +23,29 @@ LOADS = {"constant": "a constant load", "fan": "a load that grows with the squar
 _OF_THE_DRAG = 0.95  # the load's share: the rest stays viscous
 _STEP = 0.01
 _ROUNDS = 4
+_FARTHEST = 3.0  # logarithm of a factor on a parameter
+_LEAST = 1e-3  # length of a direction; a fault that shows has about 1
 _FRICTION = quantities.PARAMETERS.index("B")
 
 
 def directions(fit: Identified, kinds: Iterable[FaultKind], load: str) -> dict[FaultKind, FloatArray]:
     """How the logarithms of a start's quantities move with one unit of each fault's logarithm, under one of LOADS.
 
-    A faulty bearing adds a friction torque that does not depend on the speed, as a share of the whole drag.
+    A faulty bearing adds a friction torque that does not depend on the speed, as a share of the whole drag. None are
+    returned where no motor with that load looks like this start, and none that would not show.
     """
     free = [n for n, name in enumerate(quantities.PARAMETERS[:-1]) if name != "K" or _has_speed(fit)]
     textbook = _run(fit, np.zeros(5))
     columns = [(_run(fit, _STEP * np.eye(5)[n]) - textbook) / _STEP for n in free]
-    later = _run(fit, np.zeros(5), late_s=_STEP * fit.start.dt_s) - textbook
-    inverse = np.linalg.pinv(np.stack([*columns, later], axis=1), rcond=1e-10)[:-1]
+    later = (_run(fit, np.zeros(5), late_s=_STEP * fit.start.dt_s) - textbook) / _STEP
+    slopes = np.stack([*columns, later], axis=1)
+    # What the start hardly tells, such as L at a slow rate, stays: each logarithm, and a sample of delay, by 1 (1 sd).
+    inverse = np.linalg.solve(slopes.T @ slopes + np.eye(slopes.shape[1]), slopes.T)[:-1]
     motor = np.zeros(5)
     for _ in range(_ROUNDS):
         motor[free] -= inverse @ (_run(fit, motor, load) - textbook)
+        if not np.abs(motor).max() < _FARTHEST:
+            return {}
     healthy = _run(fit, motor, load)
     found = {}
     for kind in kinds:
@@ -46,7 +53,9 @@ def directions(fit: Identified, kinds: Iterable[FaultKind], load: str) -> dict[F
         added = np.expm1(step[_FRICTION])
         step[_FRICTION] = 0.0
         moved = inverse @ (_run(fit, motor + step, load, added=float(added)) - healthy) / _STEP
-        found[kind] = np.asarray(fit.exponents[:, free] @ moved, dtype=np.float64)
+        direction: FloatArray = fit.exponents[:, free] @ moved
+        if np.linalg.norm(direction) > _LEAST:
+            found[kind] = direction
     return found
 
 

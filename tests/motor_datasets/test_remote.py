@@ -103,8 +103,8 @@ def test_the_manifest_is_put_last(url: str, monkeypatch: pytest.MonkeyPatch) -> 
     generate_dataset(SHORT, 30, 1, url)
     names = [path.partition("/set/")[2] for path in put]
     assert names[0] == "unfinished.json"
-    assert names[-2:] == ["README.md", "dataset.json"]
-    assert len(set(names)) == 6
+    assert names[-3:] == ["README.md", "croissant.json", "dataset.json"]
+    assert len(set(names)) == 7
     assert "unfinished.json" not in objects_of(url)
 
 
