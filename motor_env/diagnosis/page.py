@@ -252,7 +252,7 @@ def _chart(
         _time_axis(time_ms),
         Axis("", low, high, round_ticks(low, high, 5), lambda value: f"{value:g} {unit}"),
         size=(_WIDTH, 230.0),
-        margins=(66.0, 12.0, 8.0, 28.0),
+        margins=(66.0, 32.0, 8.0, 28.0),
         label=label,
     )
     if band:
