@@ -208,7 +208,7 @@ def rules(white: NDArray[Any]) -> Items:
         found["run_length"] = rule.average_run_length(3.0, 0.5)
         for title, wish in wanted.items():
             try:
-                found[title] = rule.threshold_for(**wish, runs=1000)  # type: ignore[arg-type]
+                found[title] = rule.threshold_for(**wish, runs=1000)  # type: ignore[arg-type]  # rates by name
                 found[f"alarms_{title}"] = rule.alarm_index(white, found[title])
             except ValueError as error:
                 found[title] = str(error)

@@ -53,11 +53,11 @@ def _from_file(name: str) -> Make:
         raise InputError(f"{file}: no such file; a method of your own is FILE.py:NAME")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None  # noqa: S101  # the name ends in .py
-    assert spec.loader is not None  # noqa: S101
+    assert spec.loader is not None  # noqa: S101  # the same
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except Exception as error:  # whatever the user's own file raises is the user's to read
         raise InputError(f"{file}: cannot be run ({type(error).__name__}: {error})") from error
     make: Make | None = getattr(module, function, None)
     if not callable(make):

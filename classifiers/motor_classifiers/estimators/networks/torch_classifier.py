@@ -59,6 +59,7 @@ class TorchClassifier(EpochClassifier):
         return super()._inputs(features).reshape(len(features), *self._shape())
 
     def _network(self, n_inputs: int) -> nn.Module:
+        # Layers of strangers draw from the global generator: it is put back afterwards.
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed_of(self.random_state))
             return (self.module or _linear)(*self._shape(), len(self.classes_))
