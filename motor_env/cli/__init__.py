@@ -1,0 +1,35 @@
+"""The command `motor-env`: parse, call, print. Each command loads what it needs when it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cyclopts import App
+
+from motor_env import __version__, console
+from motor_env.cli import monitors, motors, programs, verdicts
+
+app = App(
+    name="motor-env",
+    help="A DC motor that may be failing: simulate, diagnose, reproduce the paper.",
+    version=__version__,
+)
+for _command in (
+    verdicts.diagnose,
+    verdicts.trend,
+    motors.identify,
+    motors.commission,
+    motors.coastdown,
+    monitors.watch,
+    monitors.export_c,
+    programs.reproduce,
+    programs.lab,
+    programs.examples,
+    programs.warm_up,
+):
+    app.command(_command)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run `motor-env` and return its exit status."""
+    return console.run(app, arguments)

@@ -1,0 +1,103 @@
+"""Commands for a motor at work: `watch` here, `export-c` on its own controller."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from motor_env import console
+from motor_env.console import printable
+
+
+def watch(
+    motor: Path,
+    log: Path | None = None,
+    *,
+    false_alarms_per_year: float = 1.0,
+    state: Path | None = None,
+    follow: bool = False,
+) -> int:
+    """Watch a motor at work: lines of CSV come in, a verdict on each window goes out as it ends.
+
+    Example: motor-env watch out/motor.toml log.csv --follow --state out/watch.json
+
+    On a terminal one line is kept up to date; otherwise each event is a line of JSON. Exit status when the lines end:
+    0 all healthy, 1 any fault, 3 no fault but a window that cannot be judged.
+
+    Args:
+        motor: Motor file that `commission --window` wrote.
+        log: File with the columns time, voltage, current and speed; standard input without it.
+        false_alarms_per_year: Of a healthy motor that always runs.
+        state: File that keeps what was seen, so that a new start goes on where the last window ended.
+        follow: Wait for lines that are appended to the log.
+    """
+    from motor_env.diagnosis import live
+
+    return live.run(motor, log, false_alarms_per_year=false_alarms_per_year, state=state, follow=follow)
+
+
+def export_c(
+    motor: str,
+    *,
+    out: Path,
+    rate_hz: float,
+    voltage: float | None = None,
+    rule: Literal["cusum", "nis"] = "cusum",
+    shift: float = 0.5,
+    false_alarms_per_year: float = 1.0,
+    arithmetic: Literal["fixed", "float"] = "fixed",
+    gain: Literal["steady", "scheduled"] = "steady",
+    current_noise: float | None = None,
+    speed_noise: float | None = None,
+    current_count: float | None = None,
+    speed_count: float | None = None,
+    voltage_count: float | None = None,
+    stuck_after: console.Whole = 100,
+    name: str = "motor_monitor",
+) -> int:
+    """Filter, rule and threshold for one motor as a C99 library for its controller, with CMake and Arduino files.
+
+    Example: motor-env export-c examples/motor.toml --rate-hz 1000 --out out/motor_monitor
+
+    Args:
+        motor: Motor file (TOML), or the name of a catalogue motor.
+        out: Folder of the library.
+        rate_hz: Samples a second.
+        voltage: Level of the supply in volt; by default the motor's nominal voltage.
+        rule: cusum (a lasting shift, up or down), or nis (the size of single samples).
+        shift: Shift that the cusum looks for, in standard deviations of a sample.
+        false_alarms_per_year: Of this motor, healthy, exactly known and without load.
+        arithmetic: fixed (whole numbers, for chips without a floating-point unit), or float.
+        gain: steady, or scheduled (a gain for each sample after a begin at rest).
+        current_noise: Standard deviation of a current sample in ampere; by default that of the motor file.
+        speed_noise: Standard deviation of a speed sample in rad/s; speed is read where this is given.
+        current_count: What one count of a whole-number reading is worth, in ampere; by default a suitable power of ten.
+        speed_count: The same of the speed, in rad/s.
+        voltage_count: The same of the voltage, in volt.
+        stuck_after: So many equal readings in a row, while voltage is on, are a stuck sensor.
+        name: Of the library, and the first part of the names in it.
+    """
+    from motor_env.detection.rules import Cusum, nis_rule
+    from motor_env.embedded.arithmetic import Steps
+    from motor_env.embedded.monitor import monitor_of, sensor_of
+    from motor_env.embedded.source import write_library
+    from motor_env.motor.data_sheet import load_motor
+
+    known = load_motor(motor)
+    monitor = monitor_of(
+        known,
+        rate_hz,
+        rule=nis_rule() if rule == "nis" else Cusum(shift, two_sided=True),
+        sensor=sensor_of(known, current_noise, speed_noise),
+        voltage_v=voltage if voltage is not None else known.nominal_voltage_v or 0.0,
+        false_alarms_per_year=false_alarms_per_year,
+        stuck_after=stuck_after,
+        scheduled=gain == "scheduled",
+    )
+    counts = Steps.suited(monitor.limits, current_count, speed_count, voltage_count)
+    wanted = f"{false_alarms_per_year:g} false alarms a year"
+    for path in write_library(
+        monitor, out, steps=counts if arithmetic == "fixed" else None, name=name, wanted=wanted
+    ):
+        print(printable(str(path)))
+    return 0

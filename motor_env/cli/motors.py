@@ -1,0 +1,162 @@
+"""Commands that learn a motor from its recordings: `identify`, `commission` and `coastdown`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from motor_env.cli.options import MEASUREMENT, START, Json, Measurement, StartMeasurement, positive, show
+from motor_env.console import printable
+from motor_env.errors import InputError
+
+
+def identify(
+    files: list[Path],
+    *,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    out: Path | None = None,
+    measurement: StartMeasurement = START,
+    torque_constant: float | None = None,
+    name: str = "identified motor",
+    regime: str = "auto",
+    json_: Json = False,
+) -> int:
+    """Parameters of a motor from recorded starts or from logs of it at work, and the model that the evidence prefers.
+
+    Example: motor-env identify examples/startup_capture.csv -o out/motor.toml
+
+    Logs of a motor at work (reversals, several levels, fast switching) are identified jointly. Exit status 3: no
+    motor explains them.
+
+    Args:
+        files: Recordings of one motor.
+        output: Motor file to write (TOML).
+        out: Folder for one picture a start.
+        measurement: How it was measured.
+        torque_constant: In N m/A, where known and the speed was not recorded: the current alone does not tell it.
+        name: Name of the motor in that file.
+        regime: start, operation, or auto: decided by what the voltage does.
+        json_: Print one array with one object a start, and one for all logs of a motor at work.
+    """
+    from motor_env.diagnosis import commission as steps
+    from motor_env.motor.data_sheet import save_motor
+    from motor_env.operation import logs
+
+    periods, options = measurement.ripple_periods_per_turn, measurement.options
+    constant = positive("torque-constant", torque_constant)
+    works, starts = logs.sorted_files(files, options["columns"], regime=regime, start=measurement.start)
+    if works:
+        work = logs.identify_logs(works, voltage_v=options["voltage_v"], circuit=options["circuit"])
+        if output is not None:
+            save_motor(work.motor(name), output)
+        if out is not None:
+            work.plot(out)
+    fits = [pair for path in starts for pair in steps.identify_file(path, **options, constant=constant)]
+    if output is not None and fits:
+        save_motor(steps.to_motor([fit for _, fit in fits], name, constant=constant), output)
+    if out is not None:
+        from motor_env.diagnosis.files import picture_of
+        from motor_env.diagnosis.pictures import plot_identified
+
+        for number, (recording, fit) in enumerate(fits, 1):
+            plot_identified(fit, recording.path.name, picture_of(recording.path, out, number))
+    show(
+        json_,
+        lambda: [steps.identified_json(*one, periods) for one in fits] + (work.as_json() if works else []),
+        lambda: "\n".join(
+            [steps.identified_text(*one, periods) for one in fits] + (work.as_text() if works else [])
+        ),
+    )
+    measurement.keep()
+    return work.exit_status() if works else 0
+
+
+def commission(
+    files: list[Path],
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    false_alarm_rate: float = 0.01,
+    out: Path | None = None,
+    measurement: Measurement = MEASUREMENT,
+    temperature_c: float | None = None,
+    window: float | None = None,
+    torque_constant: float | None = None,
+    name: str = "commissioned motor",
+) -> int:
+    """Learn a motor from three or more healthy starts, for `motor-env diagnose --motor`.
+
+    Example: motor-env commission healthy_1.csv healthy_2.csv healthy_3.csv -o out/motor.toml
+
+    Args:
+        files: Recordings of healthy starts of one motor; a file may hold several.
+        output: Motor file to write (TOML).
+        false_alarm_rate: For the intervals that are printed.
+        out: Folder for the picture: starts, fits, residuals and the spread of each quantity.
+        measurement: How they were measured.
+        temperature_c: Temperature of the motor at these starts, where known.
+        window: Length in seconds of the windows into which logs of the motor at work are cut, instead of starts.
+        torque_constant: In N m/A, where known and the speed was not recorded: the current alone does not tell it.
+        name: Name of the motor in that file.
+    """
+    from motor_env.diagnosis import commission as steps, running
+    from motor_env.motor.data_sheet import save_motor
+
+    if not 0.0 < false_alarm_rate < 0.5:
+        raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
+    if window is not None:
+        options = measurement.for_windows(
+            temperature_c=temperature_c, out=out, torque_constant=torque_constant
+        )
+        known = running.commission_running(files, window, name, **options)
+        save_motor(known, output)
+        if known.operation is not None:
+            print(running.commissioned_text(known.operation, false_alarm_rate))
+        print(f"written: {output}")
+        measurement.keep()
+        return 0
+    result = steps.commission(
+        files,
+        name,
+        false_alarm_rate=false_alarm_rate,
+        temperature_c=temperature_c,
+        **measurement.options,
+        constant=positive("torque-constant", torque_constant),
+    )
+    save_motor(result.motor, output)
+    if out is not None and result.motor.reference is not None:
+        from motor_env.diagnosis.pictures import plot_commissioned
+
+        picture = out / f"{output.stem}.png"
+        plot_commissioned(result.fits, result.motor.reference, result.smallest, false_alarm_rate, picture)
+    print(steps.commissioned_text(result, false_alarm_rate))
+    print(printable(f"written: {output}"))
+    measurement.keep()
+    return 0
+
+
+def coastdown(file: Path, *, json_: Json = False) -> int:
+    """Viscous and Coulomb friction from a coast-down: the speed of a motor whose voltage was taken away.
+
+    Example: motor-env coastdown coastdown.csv
+
+    Args:
+        file: Recording with time, current and speed.
+        json_: Print one object.
+    """
+    from motor_env.identification.coastdown import fit_coastdown
+    from motor_env.recordings.defects import UnusableError
+    from motor_env.recordings.recording import read_recording
+
+    recording = read_recording(file)
+    try:
+        friction = fit_coastdown(recording)
+    except UnusableError as error:
+        raise InputError(f"{file}: {error}") from None
+    viscous, coulomb = f"B/J {friction.viscous_per_s:.4g} 1/s", f"Tc/J {friction.coulomb_rad_s2:.4g} rad/s2"
+    alone = f"with viscous friction alone {friction.r2_viscous:.4f}; evidence {friction.evidence:.0f}"
+    text = f"{file}: {viscous}, Coulomb friction {coulomb}\n  R2 {friction.r2:.4f}; {alone}"
+    show(json_, lambda: asdict(friction), lambda: text)
+    return 0

@@ -1,0 +1,106 @@
+"""Options that several commands share, and how they print a result."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from motor_env import console
+from motor_env.console import printable
+from motor_env.errors import InputError
+
+if TYPE_CHECKING:
+    from motor_env.recordings.profiles import Profile
+
+Json = Annotated[bool, Parameter(name="--json", negative=())]
+
+
+def show(as_json: bool, objects: Callable[[], Any], text: Callable[[], str]) -> None:
+    """Print a result: as JSON where that is asked for, else as text."""
+    print(json.dumps(objects(), indent=1) if as_json else printable(text()))
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """What the user says of a recording.
+
+    Attributes:
+        voltage: Level of the supply in volt, for recordings without a voltage.
+        column: A column that its header does not tell, its unit or its scale (may be repeated): current=CH2:mA,
+            "current=CH2*10-0.05" for 10 A/V and an offset of -0.05 A, voltage=none.
+        sampling_rate: Samples a second, for files without a time.
+        shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
+        sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
+        start: Which start, counted from 1, where a file holds several; all of them without it.
+        profile: File of --save-profile; what is said here as well counts more.
+        save_profile: File (TOML) to keep these choices in for the next time.
+    """
+
+    voltage: float | None = None
+    column: list[str] | None = None
+    sampling_rate: float | None = None
+    shunt_ohm: float | None = None
+    sensor_lag: float | None = None
+    start: console.Whole | None = None
+    profile: Path | None = None
+    save_profile: Path | None = None
+
+    @property
+    def chosen(self) -> Profile:
+        """The choices, with those of the profile."""
+        from motor_env.recordings import profiles
+
+        names = ("voltage", "sampling_rate", "shunt_ohm", "sensor_lag")
+        given = {name: getattr(self, name) for name in names} | {"column": self.column or ()}
+        own = profiles.profile_from(given)
+        return own if self.profile is None else own.over(profiles.load_profile(self.profile))
+
+    def keep(self) -> None:
+        """Save them where that is asked for."""
+        from motor_env.recordings.profiles import save_profile
+
+        if self.save_profile is not None:
+            save_profile(self.chosen, self.save_profile)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The same as the functions behind the commands take it."""
+        return self.chosen.options | {"start": self.start}
+
+    def for_windows(self, **others: object) -> dict[str, Any]:
+        """The same for windows of a motor at work; options that belong to starts are refused, not ignored."""
+        others |= {"start": self.start, "sensor_lag": self.chosen.sensor_lag or None}
+        for name, value in others.items():
+            if value is not None:
+                raise InputError(
+                    f"--{name.replace('_', '-')} belongs to starts, not to windows of a motor at work"
+                )
+        return {name: value for name, value in self.options.items() if name != "start"}
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class StartMeasurement(Measurement):
+    """The same, and what is known of its commutation ripple.
+
+    Attributes:
+        ripple_periods_per_turn: Periods of the current's commutation ripple in a turn, for the true speed, K, J and B.
+    """
+
+    ripple_periods_per_turn: float | None = None
+
+
+def positive(option: str, value: float | None) -> float | None:
+    """Return an option's value, refused where it is not > 0."""
+    if value is not None and not 0.0 < value < float("inf"):
+        raise InputError(f"{option} must be > 0, got {value:g}")
+    return value
+
+
+MEASUREMENT, START = Measurement(), StartMeasurement()

@@ -1,0 +1,83 @@
+"""Commands that need no recording: the paper, the lab, the examples, and compiling ahead."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from motor_env import console
+from motor_env.cli.options import Json, show
+
+
+def reproduce(
+    *,
+    out: Path,
+    image_format: str = "svg",
+    json_: Json = False,
+) -> int:
+    """Write the source paper's figures, its numbers beside ours, and where it is wrong.
+
+    Example: motor-env reproduce --out out/paper
+
+    Args:
+        out: Folder for index.html, paper.md, reproduce.json and images/. One with files of others is refused.
+        image_format: svg or png.
+        json_: Print what stands in reproduce.json.
+    """
+    from motor_env.apps import reproduce as paper
+
+    with console.working("computing the paper's numbers") as say:
+        result = paper.reproduce(
+            out, image_format=image_format, progress=lambda figure: say(f"drawing {figure.name}")
+        )
+    counts = f"{len(result['figures'])} figures and {len(result['numbers'])} numbers"
+    show(json_, lambda: result, lambda: f"{counts}: {out / 'index.html'}")
+    return 0
+
+
+def lab(*, port: console.Whole = 0, browser: bool = True) -> int:
+    """A page in the browser: faults, noise and motor by sliders, residual, rule and verdict; drop a recording on it.
+
+    Example: motor-env lab
+
+    It runs on this machine only (127.0.0.1), needs no network, and ends with Ctrl-C.
+
+    Args:
+        port: Port to listen on; 0 takes a free one.
+        browser: Open the page.
+    """
+    import webbrowser
+
+    from motor_env.apps import lab_server
+
+    with lab_server.make_server(port) as server:
+        print(f"{lab_server.address(server)}  (Ctrl-C ends it)", flush=True)
+        if browser:
+            webbrowser.open(lab_server.address(server))
+        server.serve_forever()
+    return 0
+
+
+def examples(folder: Path = Path("examples")) -> int:
+    """Write the files that the documentation reads into a folder: a capture, a motor file, and scripts.
+
+    Example: motor-env examples
+
+    Args:
+        folder: Where to; files of these names that are there already are kept.
+    """
+    from motor_env.files import write_examples
+
+    for path in write_examples(folder):
+        print(path)
+    return 0
+
+
+def warm_up() -> int:
+    """Compile the environments for this machine, so that no program has to wait for it later.
+
+    Example: motor-env warm-up
+    """
+    from motor_env.envs.compiling import warm_up as compile_steps
+
+    print(f"the environments are compiled ({compile_steps():.1f} s)")
+    return 0

@@ -1,0 +1,131 @@
+"""Commands that judge recordings: `diagnose` and `trend`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from motor_env import console
+from motor_env.cli.options import START, Json, StartMeasurement, show
+from motor_env.console import printable
+
+
+def diagnose(
+    files: list[Path],
+    *,
+    motor: str | None = None,
+    healthy: Annotated[list[Path] | None, Parameter(consume_multiple=True, negative=())] = None,
+    false_alarm_rate: float = 0.01,
+    out: Path | None = None,
+    measurement: StartMeasurement = START,
+    temperature_c: float | None = None,
+    verbose: Annotated[bool, Parameter(negative=())] = False,
+    json_: Json = False,
+) -> int:
+    """Verdict on recorded starts: healthy, bearing, winding, magnet, noise, other, no_reference or unusable.
+
+    Example: motor-env diagnose examples/startup_capture.csv --motor examples/motor.toml
+
+    A motor that was commissioned with --window is judged by windows of its logs.
+
+    Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
+
+    Args:
+        files: Recordings (CSV and other text, .mat, .npy, .npz, .parquet) with time, current, and voltage, speed
+            where measured; e.g. columns time_s, current_a, voltage_v, speed_rad_s.
+        motor: Motor file (TOML), or the name of a catalogue motor.
+        healthy: Recordings of the healthy motor to compare with, after the option: --healthy A.csv B.csv C.csv
+        false_alarm_rate: How often a healthy recording may be called faulty.
+        out: Folder for one HTML page a start: verdict, what to do first, and what it rests on.
+        measurement: How it was measured.
+        temperature_c: Temperature of the motor; it counts where `commission` was told one too.
+        verbose: Print how well model and filter fit, too.
+        json_: Print one array with one object a start.
+    """
+    from motor_env.diagnosis import report, running
+    from motor_env.diagnosis.files import diagnose_files
+    from motor_env.motor.data_sheet import load_motor
+
+    known = None if motor is None else load_motor(motor)
+    if known is not None and known.operation is not None:
+        options = measurement.for_windows(temperature_c=temperature_c, healthy=healthy)
+        records = running.diagnose_running(files, known, false_alarm_rate, out, **options)
+        show(json_, lambda: [r.as_json() for r in records], lambda: "\n".join(r.as_text() for r in records))
+        measurement.keep()
+        return running.exit_status(records)
+    with console.working("reading") as say:
+        outcomes = diagnose_files(
+            files,
+            motor=motor,
+            healthy=healthy or (),
+            false_alarm_rate=false_alarm_rate,
+            out=out,
+            periods_per_turn=measurement.ripple_periods_per_turn,
+            temperature_c=temperature_c,
+            **measurement.options,
+            progress=lambda path: say(f"diagnosing {path}"),
+        )
+    for outcome in outcomes:
+        if outcome.error is not None:
+            print(f"motor-env: {printable(outcome.error)}", file=sys.stderr)
+    judged = [outcome for outcome in outcomes if outcome.diagnosis is not None]
+    if json_ or judged:
+        show(json_, lambda: [o.as_json() for o in outcomes], lambda: "\n".join(o.as_text() for o in judged))
+    measurement.keep()
+    if any(outcome.is_bug for outcome in outcomes):
+        return int(console.ExitStatus.BUG)
+    diagnoses = [outcome.diagnosis for outcome in outcomes if outcome.diagnosis is not None]
+    return report.exit_status(diagnoses, unreadable=len(diagnoses) < len(outcomes))
+
+
+def trend(
+    paths: list[Path],
+    *,
+    limit: Annotated[list[str] | None, Parameter(negative=())] = None,
+    level: float = 0.9,
+    voltage: float | None = None,
+    date: Literal["name", "modified"] = "name",
+    reference_count: console.Whole = 3,
+    out: Path = Path("out/trend.html"),
+    json_: Json = False,
+) -> int:
+    """Trends of a motor's quantities over its starts, and the time to a limit where there is a trend.
+
+    Example: motor-env trend recordings/ --limit B/J=1.5 --limit R=0.9,1.1
+
+    Exit status: 0 no trend, 1 a limit is reached or trended to, 2 input that cannot be used.
+
+    Args:
+        paths: A table of estimates (CSV or JSON), or a folder of recordings whose names hold a date.
+        limit: Limits as factors on the mean of the first estimates, QUANTITY=FACTOR[,FACTOR]; by default
+            0.75,1.25, and none of L.
+        level: Probability that the interval of the remaining life holds.
+        voltage: Level of the supply in volt, for recordings without a voltage.
+        date: name (2026-01-31, 2026-01-31T11-00-14, Jan-31-2026_11-00-14), or modified: the file's own date.
+        reference_count: Number of first estimates whose mean is the reference.
+        out: The page, one self-contained HTML file.
+        json_: Print one array with one object a quantity.
+    """
+    from motor_env.files import write_text
+    from motor_env.prognosis import files as trends
+    from motor_env.prognosis.page import page, status
+    from motor_env.prognosis.trend import parse_limits
+
+    with console.working("reading") as say:
+        judged, notes = trends.trends_of(
+            paths,
+            parse_limits(limit or ()),
+            level=level,
+            voltage_v=voltage,
+            date=date,
+            reference_count=reference_count,
+            progress=lambda path: say(f"fitting {path}"),
+        )
+    write_text(out, page(judged, notes))
+    for note in notes:
+        print(f"motor-env: {note}", file=sys.stderr)
+    show(json_, lambda: list(map(trends.as_json, judged)), lambda: f"{trends.as_text(judged)}\n{out}")
+    return int(any(status(one) in ("reached", "trending") for one in judged))
