@@ -8,7 +8,17 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from motor_env.cli.options import MEASUREMENT, START, Json, Measurement, StartMeasurement, positive, show
+from motor_env.cli.options import (
+    MEASUREMENT,
+    READING,
+    START,
+    Json,
+    Measurement,
+    Reading,
+    StartMeasurement,
+    positive,
+    show,
+)
 from motor_env.console import printable
 from motor_env.errors import InputError
 
@@ -137,20 +147,21 @@ def commission(
     return 0
 
 
-def coastdown(file: Path, *, json_: Json = False) -> int:
+def coastdown(file: Path, *, reading: Reading = READING, json_: Json = False) -> int:
     """Viscous and Coulomb friction from a coast-down: the speed of a motor whose voltage was taken away.
 
     Example: motor-env coastdown coastdown.csv
 
     Args:
         file: Recording with time, current and speed.
+        reading: How the file is read.
         json_: Print one object.
     """
     from motor_env.identification.coastdown import fit_coastdown
     from motor_env.recordings.defects import UnusableError
     from motor_env.recordings.recording import read_recording
 
-    recording = read_recording(file)
+    recording = read_recording(file, reading.chosen.options["columns"])
     try:
         friction = fit_coastdown(recording)
     except UnusableError as error:
@@ -159,4 +170,5 @@ def coastdown(file: Path, *, json_: Json = False) -> int:
     alone = f"with viscous friction alone {friction.r2_viscous:.4f}; evidence {friction.evidence:.0f}"
     text = f"{file}: {viscous}, Coulomb friction {coulomb}\n  R2 {friction.r2:.4f}; {alone}"
     show(json_, lambda: asdict(friction), lambda: text)
+    reading.keep()
     return 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,27 +27,19 @@ def show(as_json: bool, objects: Callable[[], Any], text: Callable[[], str]) -> 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
-class Measurement:
-    """What the user says of a recording.
+class Reading:
+    """How the files are read.
 
     Attributes:
-        voltage: Level of the supply in volt, for recordings without a voltage.
         column: A column that its header does not tell, its unit or its scale (may be repeated): current=CH2:mA,
             "current=CH2*10-0.05" for 10 A/V and an offset of -0.05 A, voltage=none.
         sampling_rate: Samples a second, for files without a time.
-        shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
-        sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
-        start: Which start, counted from 1, where a file holds several; all of them without it.
         profile: File of --save-profile; what is said here as well counts more.
         save_profile: File (TOML) to keep these choices in for the next time.
     """
 
-    voltage: float | None = None
-    column: list[str] | None = None
+    column: Annotated[list[str] | None, Parameter(negative=())] = None
     sampling_rate: float | None = None
-    shunt_ohm: float | None = None
-    sensor_lag: float | None = None
-    start: console.Whole | None = None
     profile: Path | None = None
     save_profile: Path | None = None
 
@@ -56,9 +48,12 @@ class Measurement:
         """The choices, with those of the profile."""
         from motor_env.recordings import profiles
 
-        names = ("voltage", "sampling_rate", "shunt_ohm", "sensor_lag")
-        given = {name: getattr(self, name) for name in names} | {"column": self.column or ()}
-        own = profiles.profile_from(given)
+        given = {
+            field.name: getattr(self, field.name)
+            for field in fields(profiles.Profile)
+            if hasattr(self, field.name)
+        }
+        own = profiles.profile_from(given | {"column": self.column or ()})
         return own if self.profile is None else own.over(profiles.load_profile(self.profile))
 
     def keep(self) -> None:
@@ -67,6 +62,24 @@ class Measurement:
 
         if self.save_profile is not None:
             save_profile(self.chosen, self.save_profile)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Measurement(Reading):
+    """The same, and how the motor was measured.
+
+    Attributes:
+        voltage: Level of the supply in volt, for recordings without a voltage.
+        shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
+        sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
+        start: Which start, counted from 1, where a file holds several; all of them without it.
+    """
+
+    voltage: float | None = None
+    shunt_ohm: float | None = None
+    sensor_lag: float | None = None
+    start: console.Whole | None = None
 
     @property
     def options(self) -> dict[str, Any]:
@@ -103,4 +116,4 @@ def positive(option: str, value: float | None) -> float | None:
     return value
 
 
-MEASUREMENT, START = Measurement(), StartMeasurement()
+READING, MEASUREMENT, START = Reading(), Measurement(), StartMeasurement()

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from motor_env import console
-from motor_env.cli.options import START, Json, StartMeasurement, show
+from motor_env.cli.options import READING, START, Json, Reading, StartMeasurement, show
 from motor_env.console import printable
 
 
@@ -87,6 +87,7 @@ def trend(
     limit: Annotated[list[str] | None, Parameter(negative=())] = None,
     level: float = 0.9,
     voltage: float | None = None,
+    reading: Reading = READING,
     date: Literal["name", "modified"] = "name",
     reference_count: console.Whole = 3,
     out: Path = Path("out/trend.html"),
@@ -104,6 +105,7 @@ def trend(
             0.75,1.25, and none of L.
         level: Probability that the interval of the remaining life holds.
         voltage: Level of the supply in volt, for recordings without a voltage.
+        reading: How the recordings are read.
         date: name (2026-01-31, 2026-01-31T11-00-14, Jan-31-2026_11-00-14), or modified: the file's own date.
         reference_count: Number of first estimates whose mean is the reference.
         out: The page, one self-contained HTML file.
@@ -114,12 +116,14 @@ def trend(
     from motor_env.prognosis.page import page, status
     from motor_env.prognosis.trend import parse_limits
 
+    chosen = reading.chosen
     with console.working("reading") as say:
         judged, notes = trends.trends_of(
             paths,
             parse_limits(limit or ()),
             level=level,
-            voltage_v=voltage,
+            voltage_v=voltage if voltage is not None else chosen.voltage,
+            columns=chosen.options["columns"],
             date=date,
             reference_count=reference_count,
             progress=lambda path: say(f"fitting {path}"),
@@ -128,4 +132,5 @@ def trend(
     for note in notes:
         print(f"motor-env: {note}", file=sys.stderr)
     show(json_, lambda: list(map(trends.as_json, judged)), lambda: f"{trends.as_text(judged)}\n{out}")
+    reading.keep()
     return int(any(status(one) in ("reached", "trending") for one in judged))

@@ -18,7 +18,8 @@ from motor_env.prognosis.estimates import SECONDS_PER_DAY, Series, build_series,
 from motor_env.prognosis.page import leading, status
 from motor_env.prognosis.trend import Trend, judge
 from motor_env.prognosis.wear import RemainingLife
-from motor_env.recordings.recording import read_recording
+from motor_env.recordings.headers import ColumnChoice
+from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.start import prepare
 
 TEMPERATURE = "temperature_c"
@@ -31,6 +32,7 @@ def load_series(
     paths: Sequence[Path],
     *,
     voltage_v: float | None = None,
+    columns: Sequence[ColumnChoice] = (),
     date: DateSource = "name",
     progress: Callable[[Path], None] = lambda path: None,
 ) -> tuple[list[Series], list[str]]:
@@ -53,7 +55,7 @@ def load_series(
     for path in paths:
         files += sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
     files = [file for file in files if not file.name.startswith(".")]
-    return _from_recordings(files, voltage_v, date, progress)
+    return _from_recordings(files, voltage_v, columns, date, progress)
 
 
 def _is_table(path: Path) -> bool:
@@ -66,7 +68,11 @@ def _is_table(path: Path) -> bool:
 
 
 def _from_recordings(
-    files: Sequence[Path], voltage_v: float | None, date: DateSource, progress: Callable[[Path], None]
+    files: Sequence[Path],
+    voltage_v: float | None,
+    columns: Sequence[ColumnChoice],
+    date: DateSource,
+    progress: Callable[[Path], None],
 ) -> tuple[list[Series], list[str]]:
     notes: list[str] = []
     dated: list[tuple[float, Path]] = []
@@ -78,7 +84,8 @@ def _from_recordings(
             notes.append(f"{file.name}: its name holds no date such as 2026-01-31 (or use --date modified)")
         else:
             dated.append((when.timestamp() / SECONDS_PER_DAY, file))
-    fits = _fits(sorted(dated), voltage_v, notes, progress)
+    readable = _read(sorted(dated), columns, notes)
+    fits = _fits(readable, voltage_v, notes, progress)
     if not fits:
         raise InputError(
             f"no recording can be used; the first reason: {notes[0] if notes else 'there are none'}"
@@ -90,19 +97,25 @@ def _from_recordings(
     return build_series(estimates, "days", dated=True), notes
 
 
+def _read(
+    dated: Sequence[tuple[float, Path]], columns: Sequence[ColumnChoice], notes: list[str]
+) -> list[tuple[float, Recording]]:
+    recordings = []
+    for when, file in dated:
+        try:
+            recordings.append((when, read_recording(file, columns)))
+        except (ValueError, ArithmeticError, LookupError) as error:
+            notes.append(why_not(file, error, "read")[0])
+    return recordings
+
+
 def _fits(
-    dated: Sequence[tuple[float, Path]],
+    recordings: Sequence[tuple[float, Recording]],
     voltage_v: float | None,
     notes: list[str],
     progress: Callable[[Path], None],
 ) -> list[tuple[float, Identified]]:
     """Fit every recording with one model, the one that the first three prefer: a change of model would be a jump."""
-    recordings = []
-    for when, file in dated:
-        try:
-            recordings.append((when, read_recording(file)))
-        except (ValueError, ArithmeticError, LookupError) as error:
-            notes.append(why_not(file, error, "read")[0])
     model: tuple[str, ...] | None = None
     fits = []
     for number, (when, recording) in enumerate(recordings):
@@ -123,6 +136,7 @@ def trends_of(
     *,
     level: float = 0.9,
     voltage_v: float | None = None,
+    columns: Sequence[ColumnChoice] = (),
     date: DateSource = "name",
     reference_count: int = 3,
     progress: Callable[[Path], None] = lambda path: None,
@@ -136,7 +150,7 @@ def trends_of(
         raise InputError(f"level must lie between 0 and 1, got {level:g}")
     if reference_count < 1:
         raise InputError(f"reference-count must be >= 1, got {reference_count}")
-    series, notes = load_series(paths, voltage_v=voltage_v, date=date, progress=progress)
+    series, notes = load_series(paths, voltage_v=voltage_v, columns=columns, date=date, progress=progress)
     temperature = next((one for one in series if one.name == TEMPERATURE), None)
     series = [one for one in series if one is not temperature]
     names = {one.name for one in series}

@@ -194,11 +194,14 @@ def test_a_folder_of_dated_recordings_becomes_a_trend(
         )
         start = simulate(scenario, 2, [day])
         rows = zip(start.time_s, start.measurements[0, 0], start.voltage_v[0], strict=True)
-        text = "\n".join(["time_s,current_a,voltage_v", *(f"{t:.6f},{i:.6f},{v:g}" for t, i, v in rows)])
+        text = "\n".join(["time_s,CH1,voltage_v", *(f"{t:.6f},{i:.6f},{v:g}" for t, i, v in rows)])
         (tmp_path / f"2026-05-{day + 1:02d}T08-00-00.csv").write_text(text + "\n")
     (tmp_path / "notes.csv").write_text("time_s,current_a\n")
     status = main(
-        ["trend", str(tmp_path), "--limit", "B/J=1.5", "--out", str(tmp_path / "out" / "t.html"), "--json"]
+        [
+            *("trend", str(tmp_path), "--limit", "B/J=1.5", "--column", "current=CH1:A"),
+            *("--out", str(tmp_path / "out" / "t.html"), "--json"),
+        ]
     )
     captured = capsys.readouterr()
     found = {entry["quantity"]: entry for entry in json.loads(captured.out)}
