@@ -81,12 +81,17 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         self.setup: Setup = make_setup(options)
         self.observation_space = observation_space(self.setup)
         self.action_space = self._actions()
-        bank = self.setup.numbers.bank
+        numbers = self.setup.numbers
         if render_mode is not None:  # the picture shows the evidence of all kinds
-            bank = make_bank(options, self.setup.belief.model, self.setup.rest)
+            bank, constants = (
+                make_bank(options, self.setup.belief.model, self.setup.rest),
+                numbers.constants.copy(),
+            )
+            constants[kernel.FULL] = 1.0
+            numbers = numbers._replace(bank=bank, constants=constants)
         lanes = empty_lanes(1, 1, options.precision)
         self._state, self._words, self._marks, _, self._drawn = lanes
-        self._arrays = (*pack_task(self.setup.numbers._replace(bank=bank)), *lanes)
+        self._arrays = (*pack_task(numbers), *lanes)
         self._parts = np.empty((4, 1))
         self._seed: int | None = None
         self._truth: Info = {}

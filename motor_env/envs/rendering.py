@@ -17,7 +17,7 @@ from motor_env.envs.setup import Setup, bank_kinds
 from motor_env.motor.parameters import FloatArray
 
 Frame = NDArray[np.uint8]
-WIDTH, HEIGHT = 800, 560
+WIDTH, HEIGHT = 640, 448  # a film encoder's time grows with the pixels
 BACKGROUND, GRID, INK, DIM = (9, 14, 18), (27, 38, 44), (214, 226, 230), (120, 138, 146)
 TRACE = {
     "current": (70, 220, 150),
@@ -34,7 +34,7 @@ TRACE = {
     "onset": (255, 80, 120),
 }
 LEFT, RIGHT, TOP, GAP = 92, 20, 46, 16
-PANEL_HEIGHTS = (130, 76, 130, 96)
+PANEL_HEIGHTS = (98, 60, 98, 68)
 
 
 def _colour(verdict: str) -> str:
@@ -43,8 +43,8 @@ def _colour(verdict: str) -> str:
 
 
 @cache
-def text_image(text: str, size_px: int = 13) -> FloatArray:
-    """Coverage of a line of text, 0 to 1, shape (height, width)."""
+def text_image(text: str, colour: tuple[int, int, int], size_px: int) -> tuple[int, Frame]:
+    """A line of text on the background, shape (height, width, 3), cut to its ink; how far down that begins."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -61,19 +61,19 @@ def text_image(text: str, size_px: int = 13) -> FloatArray:
     canvas.draw()  # type: ignore[no-untyped-call]  # matplotlib's
     pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]  # matplotlib's
     shade = 1.0 - pixels[..., 0] / 255.0
-    used = np.flatnonzero(shade.any(axis=0))
-    image: FloatArray = shade[:, : (used[-1] + 2 if len(used) else 1)]
-    return image
+    rows, columns = (np.flatnonzero(shade.any(axis=axis)) for axis in (1, 0))
+    shade = shade[rows[0] : rows[-1] + 1, : columns[-1] + 1, None]
+    return int(rows[0]), (np.multiply(BACKGROUND, 1.0 - shade) + colour * shade).astype(np.uint8)
 
 
 def write(
     frame: Frame, text: str, at: tuple[int, int], colour: tuple[int, int, int], *, size_px: int = 13
 ) -> None:
     """Write a line of text with its upper left corner at (x, y)."""
-    x, y = at
-    image = text_image(text, size_px)[: frame.shape[0] - y, : frame.shape[1] - x, None]
+    below, image = text_image(text, colour, size_px)
+    x, y = at[0], at[1] + below
     part = frame[y : y + image.shape[0], x : x + image.shape[1]]
-    part[:] = (part * (1.0 - image) + np.array(colour) * image).astype(np.uint8)
+    part[:] = image[: part.shape[0], : part.shape[1]]
 
 
 def write_figures(
@@ -163,17 +163,18 @@ class Scope:
         if self._frame is None:
             self._frame, self._drawn = self._empty_screen(), 0
         frame, first = self._frame, self._drawn
-        self._traces(frame, first)
-        self._drawn = self._filled
-        frame[: TOP - 6] = BACKGROUND
+        if self._filled > first:
+            self._traces(frame, first)
+            self._drawn = self._filled
+        frame[: TOP - 6] = self._blank
         self._head(frame)
         if self.onset_step is not None and self.onset_step <= self.step:
             self._mark_onset(frame)
         return frame.copy()
 
     def _empty_screen(self) -> Frame:
-        frame = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
-        frame[:] = BACKGROUND
+        frame = np.full((HEIGHT, WIDTH, 3), BACKGROUND, dtype=np.uint8)
+        self._blank = frame[: TOP - 6].copy()
         (rest_current, rest_speed), (reach, swing) = self._rest, self._reach
         self._panel(frame, 0, "current", "A", (rest_current - reach, rest_current + reach))
         self._panel(frame, 1, "speed (filter)", "rad/s", (rest_speed - swing, rest_speed + swing))
@@ -243,11 +244,11 @@ class Scope:
         options = self.setup.options
         time_ms = 1e3 * self.step * options.samples_per_step * options.dt_s
         write(frame, "motor under watch", (6, 8), INK, size_px=16)
-        write_figures(frame, f"{time_ms:7.1f} ms", (190, 8), INK, size_px=16)
+        write_figures(frame, f"{time_ms:7.1f} ms", (160, 8), INK, size_px=16)
         if self._voltage is not None:
-            write_figures(frame, f"{self._voltage:+7.2f} V", (330, 8), TRACE["speed"], size_px=16)
+            write_figures(frame, f"{self._voltage:+7.2f} V", (275, 8), TRACE["speed"], size_px=16)
         if self.verdict:
-            write(frame, self.verdict, (470, 8), TRACE["current" if self.good else "threshold"], size_px=16)
+            write(frame, self.verdict, (405, 8), TRACE["current" if self.good else "threshold"], size_px=16)
 
 
 class Window:

@@ -136,3 +136,14 @@ def test_every_frame_of_a_probe_has_what_the_screen_promises() -> None:
     for _ in range(5):
         env.step(1)
     assert (env.render() != first).any(axis=-1).sum() > 300
+
+
+def test_a_picture_shows_the_evidence_and_changes_nothing() -> None:
+    shown, plain = (gym.make(IDS[0], render_mode=mode, recipe="easy") for mode in ("rgb_array", None))
+    seed = next(k for k in range(20) if plain.reset(seed=k)[1]["onset_sample"] in range(1000))
+    shown.reset(seed=seed)
+    plain.reset(seed=seed)
+    for _ in range(1100):
+        assert np.array_equal(shown.step(0)[0], plain.step(0)[0])
+    evidence = shown.unwrapped._scope._columns[5:7]  # type: ignore[attr-defined]
+    assert np.nanmax(evidence) > 12.0
