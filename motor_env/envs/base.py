@@ -23,11 +23,12 @@ from motor_env.envs.lanes import (
     SEED_HIGH,
     SEED_LOW,
     SEVERITY,
+    WordArray,
     empty_lanes,
     pack_task,
 )
 from motor_env.envs.options import MonitorOptions, with_changes
-from motor_env.envs.rendering import Scope, Window
+from motor_env.envs.rendering import Frame, Scope, Window
 from motor_env.envs.setup import Setup, make_bank, make_setup
 from motor_env.motor.model import State
 from motor_env.motor.parameters import require
@@ -57,54 +58,33 @@ def reward_parts(options: MonitorOptions) -> tuple[str, ...]:
     return parts if options.moves_voltage else parts[:2]
 
 
-class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
-    """A motor under the filter; the subclasses say what can be done with it.
+class StreamEnv(gym.Env[Observation, ActType], Generic[ActType]):
+    """An environment that runs a stream of episodes: the seed and the index of the stream say which.
 
     Args:
-        options: the task; the defaults of `options_type` unless given.
         render_mode: see the metadata.
-        changes: single options by name, on top.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012  # gymnasium's way
-    options_type: type[MonitorOptions] = MonitorOptions
+    _words: WordArray
 
-    def __init__(
-        self, options: MonitorOptions | None = None, *, render_mode: str | None = None, **changes: Any
-    ) -> None:
+    def __init__(self, render_mode: str | None) -> None:
         require(
             render_mode is None or render_mode in RENDER_MODES,
             f"render_mode must be None or one of {', '.join(RENDER_MODES)}, got {render_mode!r}",
         )
         self.render_mode = render_mode
-        self.options = options = with_changes(options or self.options_type(), changes)
-        self.setup: Setup = make_setup(options)
-        self.observation_space = observation_space(self.setup)
-        self.action_space = self._actions()
-        numbers = self.setup.numbers
-        if render_mode is not None:  # the picture shows the evidence of all kinds
-            bank, constants = (
-                make_bank(options, self.setup.belief.model, self.setup.rest),
-                numbers.constants.copy(),
-            )
-            constants[kernel.FULL] = 1.0
-            numbers = numbers._replace(bank=bank, constants=constants)
-        lanes = empty_lanes(1, 1, options.precision)
-        self._state, self._words, self._marks, _, self._drawn = lanes
-        self._arrays = (*pack_task(numbers), *lanes)
-        self._parts = np.empty((4, 1))
         self._seed: int | None = None
-        self._truth: Info = {}
-        self._offsets_v: list[float] = self.setup.offsets_v.tolist()
-        self._declarations: list[int] = self.setup.declarations.astype(int).tolist()
-        self._scope = Scope(self.setup) if render_mode is not None else None
         self._window: Any = None
         self._over = True
-        self._moves_voltage = options.moves_voltage
-        self._samples, self._n_observed = options.samples_per_step, len(self.setup.chosen)
 
-    def _actions(self) -> spaces.Space[Any]:
-        return discrete_actions(self.setup)
+    def _begin(self) -> tuple[Observation, Info]:
+        """Begin the next episode of the stream."""
+        raise NotImplementedError
+
+    def _frame(self) -> Frame:
+        """The screen, shape (height, width, 3)."""
+        raise NotImplementedError
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -128,6 +108,73 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
             self._words[SEED_LOW], self._words[SEED_HIGH] = self._seed & 0xFFFFFFFF, self._seed >> 32
             self._words[CASE_LOW], self._words[CASE_HIGH] = BEFORE_FIRST, int(index or 0)
         return self._begin()
+
+    def render(self) -> Any:
+        """The screen as an array of shape (height, width, 3), or None where it went to the window.
+
+        Raises:
+            DependencyNotInstalled: a window is wanted and pygame is not there.
+        """
+        if self.render_mode is None:
+            gym.logger.warn(
+                "render() without a render_mode: give gym.make a render_mode, for example rgb_array"
+            )
+            return None
+        frame = self._frame()
+        if self.render_mode == "rgb_array":
+            return frame
+        if self._window is None:
+            self._window = Window(frame.shape[1], frame.shape[0], frames_per_s=self.metadata["render_fps"])
+        self._window.show(frame)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+
+class MotorEnv(StreamEnv[ActType]):
+    """A motor under the filter; the subclasses say what can be done with it.
+
+    Args:
+        options: the task; the defaults of `options_type` unless given.
+        render_mode: see the metadata.
+        changes: single options by name, on top.
+    """
+
+    options_type: type[MonitorOptions] = MonitorOptions
+
+    def __init__(
+        self, options: MonitorOptions | None = None, *, render_mode: str | None = None, **changes: Any
+    ) -> None:
+        super().__init__(render_mode)
+        self.options = options = with_changes(options or self.options_type(), changes)
+        self.setup: Setup = make_setup(options)
+        self.observation_space = observation_space(self.setup)
+        self.action_space = self._actions()
+        numbers = self.setup.numbers
+        if render_mode is not None:  # the picture shows the evidence of all kinds
+            bank, constants = (
+                make_bank(options, self.setup.belief.model, self.setup.rest),
+                numbers.constants.copy(),
+            )
+            constants[kernel.FULL] = 1.0
+            numbers = numbers._replace(bank=bank, constants=constants)
+        lanes = empty_lanes(1, 1, options.precision)
+        self._state, self._words, self._marks, _, self._drawn = lanes
+        self._arrays = (*pack_task(numbers), *lanes)
+        self._parts = np.empty((4, 1))
+        self._truth: Info = {}
+        self._offsets_v: list[float] = self.setup.offsets_v.tolist()
+        self._declarations: list[int] = self.setup.declarations.astype(int).tolist()
+        self._scope = Scope(self.setup) if render_mode is not None else None
+        self._moves_voltage = options.moves_voltage
+        self._samples, self._n_observed = options.samples_per_step, len(self.setup.chosen)
+
+    def _actions(self) -> spaces.Space[Any]:
+        return discrete_actions(self.setup)
 
     def _begin(self) -> tuple[Observation, Info]:
         self._marks[ROW] = ROWS
@@ -199,30 +246,9 @@ class MotorEnv(gym.Env[Observation, ActType], Generic[ActType]):
         if self.render_mode == "human" and scope.step % scope.per_column == 0:
             self.render()
 
-    def render(self) -> Any:
-        """The screen as an array of shape (height, width, 3), or None where it went to the window.
-
-        Raises:
-            DependencyNotInstalled: a window is wanted and pygame is not there.
-        """
-        if self._scope is None:
-            gym.logger.warn(
-                "render() without a render_mode: give gym.make a render_mode, for example rgb_array"
-            )
-            return None
-        frame = self._scope.draw()
-        if self.render_mode == "rgb_array":
-            return frame
-        if self._window is None:
-            self._window = Window(frame.shape[1], frame.shape[0], frames_per_s=self.metadata["render_fps"])
-        self._window.show(frame)
-        return None
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
+    def _frame(self) -> Frame:
+        assert self._scope is not None  # noqa: S101  # there is one with every render mode
+        return self._scope.draw()
 
 
 class DiscreteMotorEnv(MotorEnv[Any]):

@@ -27,6 +27,7 @@ from motor_env.envs.lanes import (
     SEED_LOW,
     TERMINATED,
     TRUNCATED,
+    WordArray,
     empty_lanes,
     pack_task,
 )
@@ -38,71 +39,49 @@ BoolArray = NDArray[np.bool_]
 Step = tuple[Observation, FloatArray, BoolArray, BoolArray, Info]
 
 
-class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
-    """The compiled step over many lanes. The subclasses lay their actions into the lanes.
+class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
+    """Sub-environments that each run a stream of episodes of their own.
 
     The trajectory of sub-environment n depends on (options, seed, n) and the actions alone: not on the number of
     sub-environments, nor on what the others do. A single environment reset with that seed and `{"index": n}` runs
     the same. With a list of seeds, sub-environment n runs the stream (seeds[n], 0).
 
-    Arrays that a step returns are new at each call; the observation is Fortran-ordered.
-
     Args:
         num_envs: number of sub-environments.
-        options: the task; the defaults of `options_type` unless given.
         autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
-        render_mode: None, or rgb_array.
-        changes: single options by name, on top.
+        render_mode: None; a vector draws no pictures.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium's way
-
-    options_type: type[MonitorOptions] = MonitorOptions
+    _words: WordArray
+    _flags: BoolArray
 
     def __init__(
-        self,
-        num_envs: int = 1,
-        options: MonitorOptions | None = None,
-        *,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
-        **changes: Any,
+        self, num_envs: int, autoreset_mode: AutoresetMode | str, render_mode: str | None = None
     ) -> None:
         require(num_envs >= 1, f"num_envs must be >= 1, got {num_envs}")
         require(render_mode is None, f"render_mode of a vector must be None, got {render_mode!r}")
         self.num_envs = num_envs
-        self.options = with_changes(options or self.options_type(), changes)
-        self.setup: Setup = make_setup(self.options)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.single_action_space = self._actions()
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.single_observation_space = observation_space(self.setup)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._allocate()
-
-    def _actions(self) -> spaces.Space[Any]:
-        return discrete_actions(self.setup)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Label kind of every class: what the info's `class_index` points at."""
-        return self.setup.labels
-
-    @property
-    def right_declaration(self) -> NDArray[np.int64]:
-        """Number of the kind that is right for every class, 0 for healthy, as `setup.declarations` counts them."""
-        return self.setup.right_declarations
-
-    def _allocate(self) -> None:
-        blocks = -(-self.num_envs // LANES)
-        lanes = empty_lanes(blocks, blocks * LANES, self.options.precision)
-        _, self._words, self._marks, self._flags, _ = lanes
-        self._arrays = (*pack_task(self.setup.numbers), *lanes)
         self._seeded = False
-        self._part_names = reward_parts(self.options)
-        self._n_offsets = len(self.setup.offsets_v) - len(self.setup.kinds)
-        self._timing = (self.options.samples_per_step, self.autoreset_mode is AutoresetMode.NEXT_STEP)
+
+    def _set_spaces(self, observations: spaces.Space[Observation], actions: spaces.Space[Any]) -> None:
+        self.single_observation_space, self.single_action_space = observations, actions
+        self.observation_space = batch_space(observations, self.num_envs)
+        self.action_space = batch_space(actions, self.num_envs)
+
+    def _begin(self, mask: BoolArray) -> None:
+        """Begin the next episode of the sub-environments in the mask."""
+        raise NotImplementedError
+
+    def _observed(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
+        """Observation and info as the lanes stand."""
+        raise NotImplementedError
+
+    def _step(self, actions: Any) -> tuple[Step, int]:
+        """A step of every sub-environment, and how many episodes it ended."""
+        raise NotImplementedError
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -122,36 +101,8 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         require(not chosen, f"reset knows the option reset_mask, got {', '.join(map(repr, chosen))}")
         super().reset(seed=seed if isinstance(seed, int | np.integer) else None)
         self._take_seeds(seed, mask)
-        if mask.all():
-            self._marks[ROW] = ROWS
-        stepping.begin_lanes(mask, *self._arrays)
+        self._begin(mask)
         return self._observed(mask)
-
-    def _observed(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
-        """Observation and info as the lanes stand."""
-        observation, _ = self._empty()
-        stepping.observe(observation, *self._arrays)
-        flags = self._flags[:, : self.num_envs].copy()
-        if known is not None:
-            flags[KNOWN] = known
-        return observation.T[: self.num_envs], self._info(flags)
-
-    def _empty(self) -> tuple[NDArray[np.float32], FloatArray]:
-        """Fresh arrays for observation and reward of all lanes, those that fill the last block too."""
-        lanes = self._flags.shape[1]
-        return np.empty((len(self.setup.chosen), lanes), dtype=np.float32), np.empty(lanes)
-
-    def _info(self, flags: BoolArray) -> Info:
-        """The truth, for those who score; what decides must not read it."""
-        known, truth = flags[KNOWN], self._marks[: RUNNING_ONSET + 1, : self.num_envs].copy()
-        return {
-            "class_index": truth[0],
-            "_class_index": known,
-            "onset_sample": truth[1],
-            "_onset_sample": known,
-            "fault_active": flags[FAULT_ACTIVE],
-            "_fault_active": known,
-        }
 
     def _checked_mask(self, mask: Any) -> BoolArray:
         if mask is None:
@@ -186,9 +137,6 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         words[SEED_LOW, given], words[SEED_HIGH, given] = seeds[given] & 0xFFFFFFFF, seeds[given] >> 32
         words[CASE_LOW, given], words[CASE_HIGH, given] = BEFORE_FIRST, index[given]
 
-    def _step_lanes(self, actions: Any, *outputs: NDArray[Any]) -> int:
-        raise NotImplementedError
-
     def step(self, actions: Any) -> Step:
         """A step of every sub-environment.
 
@@ -198,25 +146,18 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         """
         if not self._seeded:
             raise gym.error.ResetNeeded("call reset() before step()")
-        mode = self.autoreset_mode
-        if mode is AutoresetMode.DISABLED and self._flags[TERMINATED].any():
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._flags[TERMINATED].any():
             raise gym.error.ResetNeeded("autoreset is disabled: reset the sub-environments that are over")
-        lanes, reward = self._empty()
-        parts = np.empty((len(self._part_names), len(reward)))
-        n_over = self._step_lanes(actions, lanes, reward, parts)
-        flags = self._flags[:, : self.num_envs].copy()
-        observation, info, terminated = lanes.T[: self.num_envs], self._info(flags), flags[TERMINATED]
-        for name, part in zip(self._part_names, parts, strict=True):
-            info[name], info[f"_{name}"] = part[: self.num_envs], flags[KNOWN]
-        if n_over > 0 and mode is AutoresetMode.SAME_STEP:
+        (observation, reward, terminated, truncated, info), n_over = self._step(actions)
+        if n_over > 0 and self.autoreset_mode is AutoresetMode.SAME_STEP:
             observation, info = self._reset_same_step(observation, info, terminated)
-        return observation, reward[: self.num_envs], terminated, flags[TRUNCATED], info
+        return observation, reward, terminated, truncated, info
 
     def _reset_same_step(
         self, last: Observation, last_info: Info, over: BoolArray
     ) -> tuple[Observation, Info]:
         """Begin the next episodes at once; the last observations and infos go into the info, in gymnasium's form."""
-        stepping.begin_lanes(over, *self._arrays)
+        self._begin(over)
         final = np.full(self.num_envs, None, dtype=object)
         ended = np.flatnonzero(over)
         for n, row in zip(ended.tolist(), last[ended], strict=True):
@@ -227,6 +168,102 @@ class MotorVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         info.update(final_obs=final, _final_obs=over.copy(), final_info={**last_info, **masks})
         info["_final_info"] = over.copy()
         return observation, info
+
+
+class MotorVectorEnv(StreamVectorEnv):
+    """The compiled step over many lanes. The subclasses lay their actions into the lanes.
+
+    Arrays that a step returns are new at each call; the observation is Fortran-ordered.
+
+    Args:
+        num_envs: number of sub-environments.
+        options: the task; the defaults of `options_type` unless given.
+        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
+        render_mode: None; a vector draws no pictures.
+        changes: single options by name, on top.
+    """
+
+    options_type: type[MonitorOptions] = MonitorOptions
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        options: MonitorOptions | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **changes: Any,
+    ) -> None:
+        super().__init__(num_envs, autoreset_mode, render_mode)
+        self.options = with_changes(options or self.options_type(), changes)
+        self.setup: Setup = make_setup(self.options)
+        self._set_spaces(observation_space(self.setup), self._actions())
+        self._allocate()
+
+    def _actions(self) -> spaces.Space[Any]:
+        return discrete_actions(self.setup)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Label kind of every class: what the info's `class_index` points at."""
+        return self.setup.labels
+
+    @property
+    def right_declaration(self) -> NDArray[np.int64]:
+        """Number of the kind that is right for every class, 0 for healthy, as `setup.declarations` counts them."""
+        return self.setup.right_declarations
+
+    def _allocate(self) -> None:
+        blocks = -(-self.num_envs // LANES)
+        lanes = empty_lanes(blocks, blocks * LANES, self.options.precision)
+        _, self._words, self._marks, self._flags, _ = lanes
+        self._arrays = (*pack_task(self.setup.numbers), *lanes)
+        self._part_names = reward_parts(self.options)
+        self._n_offsets = len(self.setup.offsets_v) - len(self.setup.kinds)
+        self._timing = (self.options.samples_per_step, self.autoreset_mode is AutoresetMode.NEXT_STEP)
+
+    def _begin(self, mask: BoolArray) -> None:
+        if mask.all():
+            self._marks[ROW] = ROWS
+        stepping.begin_lanes(mask, *self._arrays)
+
+    def _observed(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
+        observation, _ = self._empty()
+        stepping.observe(observation, *self._arrays)
+        flags = self._flags[:, : self.num_envs].copy()
+        if known is not None:
+            flags[KNOWN] = known
+        return observation.T[: self.num_envs], self._info(flags)
+
+    def _empty(self) -> tuple[NDArray[np.float32], FloatArray]:
+        """Fresh arrays for observation and reward of all lanes, those that fill the last block too."""
+        lanes = self._flags.shape[1]
+        return np.empty((len(self.setup.chosen), lanes), dtype=np.float32), np.empty(lanes)
+
+    def _info(self, flags: BoolArray) -> Info:
+        """The truth, for those who score; what decides must not read it."""
+        known, truth = flags[KNOWN], self._marks[: RUNNING_ONSET + 1, : self.num_envs].copy()
+        return {
+            "class_index": truth[0],
+            "_class_index": known,
+            "onset_sample": truth[1],
+            "_onset_sample": known,
+            "fault_active": flags[FAULT_ACTIVE],
+            "_fault_active": known,
+        }
+
+    def _step_lanes(self, actions: Any, *outputs: NDArray[Any]) -> int:
+        raise NotImplementedError
+
+    def _step(self, actions: Any) -> tuple[Step, int]:
+        lanes, reward = self._empty()
+        parts = np.empty((len(self._part_names), len(reward)))
+        n_over = self._step_lanes(actions, lanes, reward, parts)
+        flags = self._flags[:, : self.num_envs].copy()
+        observation, info = lanes.T[: self.num_envs], self._info(flags)
+        for name, part in zip(self._part_names, parts, strict=True):
+            info[name], info[f"_{name}"] = part[: self.num_envs], flags[KNOWN]
+        return (observation, reward[: self.num_envs], flags[TERMINATED], flags[TRUNCATED], info), n_over
 
 
 class DiscreteVectorEnv(MotorVectorEnv):
