@@ -33,6 +33,7 @@ napoleon_attr_annotations = False  # the signature has the types
 default_role = "py:obj"  # `KalmanFilter` in a docstring leads there
 
 html_theme = "furo"
+pygments_dark_style = "github-dark"
 html_title = f"motor-env {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
@@ -47,10 +48,17 @@ def as_rst(app, what, name, obj, options, lines):  # noqa: ANN001, ANN201
             lines[n] = re.sub(r"(?<![`\w])(\w+)_(?=[:,. ;)]|$)", r"\1\\_", line).replace("|", r"\|")
 
 
+def whole_sentence(app, what, name, obj, options, lines):  # noqa: ANN001, ANN201
+    """Napoleon takes the words before a colon in the first line of a property for its type."""
+    if what == "property" and lines and lines[-1].startswith(":type: "):
+        lines[0] = f"{lines.pop().removeprefix(':type: ')}: {lines[0]}"
+
+
 def left_out(app, what, name, obj, skip, options):  # noqa: ANN001, ANN201, D103
     return True if re.fullmatch("set_.*_request", name) else None  # scikit-learn's own
 
 
 def setup(app):  # noqa: ANN001, ANN201, D103
     app.connect("autodoc-process-docstring", as_rst, priority=400)  # before napoleon
+    app.connect("autodoc-process-docstring", whole_sentence, priority=600)  # after it
     app.connect("autodoc-skip-member", left_out)

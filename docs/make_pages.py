@@ -1,72 +1,16 @@
-"""Writes what the documentation derives from the code: api.md, and the picture of the rooms and their imports.
+"""Draws the picture of the rooms and their imports on the page of the design.
 
-Run it as `python docs/make_pages.py` after a change of what is public or of who imports whom. A test compares api.md.
+Run it as `python docs/make_pages.py` after a change of who imports whom.
 """
 
-import ast
-import itertools
 import tomllib
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 
 import grimp
 
 from motor_env.plotting import COLOUR, INK, QUIET, drawing, save, subplots
 
 DOCS = Path(__file__).parent
-PACKAGES = ("motor_env", "motor_env.envs", "motor_datasets", "motor_classifiers")
-HEAD = """# Public names
-
-What a user imports. Everything is loaded when it is first used; what is not listed here is private and may change.
-The site has a page for each group, with an example and every argument; `help(motor_env.filters)` shows the same.
-The lists are the files `__init__.pyi` of the packages; `python docs/make_pages.py` writes this page from them.
-"""
-
-
-def stub_of(package: ModuleType) -> Path:
-    """The file that lists a package's public names."""
-    return Path(str(package.__file__)).with_suffix(".pyi")
-
-
-def homes(stub: Path) -> dict[str, str]:
-    """Public names and the modules, relative to the package, that define them."""
-    tree = ast.parse(stub.read_text(encoding="utf-8"))
-    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
-    return {alias.name: str(node.module) for node in imports for alias in node.names}
-
-
-def summary(package: ModuleType, name: str, home: str) -> str:
-    """First sentence of what a name's docstring says; a constant's docstring is the string below it."""
-    thing = getattr(package, name)
-    text = (
-        thing.__doc__
-        if callable(thing)
-        else constant_docstring(import_module(f"{package.__name__}.{home}"), name)
-    )
-    return " ".join((text or "").strip().split("\n\n")[0].split()).replace("|", "\\|")
-
-
-def constant_docstring(module: ModuleType, name: str) -> str:
-    """The string that stands below an assignment."""
-    body = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8")).body
-    for node, after in itertools.pairwise(body):
-        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
-        named = any(isinstance(target, ast.Name) and target.id == name for target in targets)
-        if named and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
-            return str(after.value.value)
-    return ""
-
-
-def api_page() -> str:
-    """The page that lists every public name."""
-    parts = [HEAD]
-    for package in map(import_module, PACKAGES):
-        rows = sorted(homes(stub_of(package)).items(), key=lambda item: (item[1], item[0].lower()))
-        lines = [f"| `{name}` | {summary(package, name, home)} | `{home}` |" for name, home in rows]
-        table = ["| name | what it is | module |", "|---|---|---|", *lines]
-        parts.append(f"## `{package.__name__}`\n\n" + "\n".join(table) + "\n")
-    return "\n".join(parts)
 
 
 def layers() -> list[list[str]]:
@@ -123,5 +67,4 @@ def draw_rooms(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    (DOCS / "api.md").write_text(api_page(), encoding="utf-8")
     draw_rooms(DOCS / "images" / "rooms.svg")

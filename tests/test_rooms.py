@@ -22,9 +22,9 @@ MODULES = sorted(file for package in PACKAGES for file in package.rglob("*.py"))
 COMPILED = ("njit", "vectorize", "compiled", "inlined")
 
 
-def make_pages() -> ModuleType:
-    """The script docs/make_pages.py as a module."""
-    spec = importlib.util.spec_from_file_location("make_pages", ROOT / "docs" / "make_pages.py")
+def site_pages() -> ModuleType:
+    """The script docs/site_pages.py as a module."""
+    spec = importlib.util.spec_from_file_location("site_pages", ROOT / "docs" / "site_pages.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -93,19 +93,14 @@ def test_no_eight_lines_stand_twice() -> None:
     assert [where for where in places.values() if len(where) > 1] == []
 
 
-@pytest.mark.parametrize("name", make_pages().PACKAGES)
+@pytest.mark.parametrize("name", site_pages().PACKAGES)
 def test_public_names_exist_and_say_what_they_are(name: str) -> None:
-    pages, package = make_pages(), importlib.import_module(name)
+    pages, package = site_pages(), importlib.import_module(name)
     listed = pages.homes(pages.stub_of(package))
     assert sorted(listed) == sorted(package.__all__)
     assert [each for each, home in listed.items() if not pages.summary(package, each, home)] == []
     with pytest.raises(AttributeError):
         _ = package.no_such_name
-
-
-def test_page_of_public_names_is_up_to_date() -> None:
-    """`python docs/make_pages.py` writes it."""
-    assert (ROOT / "docs" / "api.md").read_text(encoding="utf-8") == make_pages().api_page()
 
 
 def test_every_public_name_can_be_imported_alone() -> None:

@@ -1,4 +1,4 @@
-"""An oscilloscope for one episode: current, speed, residual with its threshold, belief, and the onset marked.
+"""An oscilloscope for one episode: current, speed, residual with its threshold, evidence, and the onset marked.
 
 Drawn with numpy alone, so that a frame takes a few milliseconds; text is drawn once by matplotlib and kept.
 """
@@ -182,7 +182,7 @@ class Scope:
         dashes = np.where(np.arange(self.width) % 9 < 4, 3.0, np.nan)
         for level in (-dashes, dashes):
             self._trace(frame, 2, level, (-6.0, 6.0), "threshold")
-        self._panel(frame, 3, "belief", "nats", (0.0, 12.0))
+        self._panel(frame, 3, "evidence", "nats", (0.0, 12.0))
         for place, (name, colour) in enumerate((("measured", "current"), ("filter", "estimate"))):
             write(frame, name, (6, self._box(0)[0] + 32 + 15 * place), TRACE[colour], size_px=11)
         for place, kind in enumerate(dict.fromkeys(self._kinds)):
