@@ -19,7 +19,6 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 import motor_env
-from motor_env.envs import baseline_features
 
 DOCS = Path(__file__).parent
 PACKAGES = ("motor_env", "motor_env.envs", "motor_datasets", "motor_classifiers")
@@ -120,9 +119,7 @@ def reward_table(options: Any) -> str:
 
 def picture(spec: EnvSpec, path: Path) -> None:
     """The screen at the end of an episode with a fault; where the voltage can be moved, it is moved now and then."""
-    task = gym.make(spec.id).unwrapped
-    observe = baseline_features(task.options.recipe)  # the evidence is drawn where it is observed
-    env = gym.make(spec.id, render_mode="rgb_array", observe=observe)
+    env = gym.make(spec.id, render_mode="rgb_array")
     _, info = env.reset(seed=1)
     while info["onset_sample"] < 0:
         _, info = env.reset()
@@ -154,6 +151,7 @@ def environment_page(spec: EnvSpec) -> str:
     plain = set(spec.kwargs) <= {"recipe"}  # the tables are of tasks that differ in nothing else
     scores = plain and rows_of(rf"^{family}-v0, `{recipe.name}`:\n\n((?:\|.*\n)+)")
     speed = rows_of(rf"^(\| {name}[, ].*\n(?:\| \|.*\n)*)")
+    step_ms = 1000 * options.dt_s * options.samples_per_step
     parts = [
         f"# {name}",
         f"{said.pop('')}",
@@ -161,7 +159,7 @@ def environment_page(spec: EnvSpec) -> str:
         spec.kwargs
         and f"This id is the class `{family}Env` with {', '.join(f'`{k}={v!r}`' for k, v in spec.kwargs.items())}.",
         f"![Screen of {name}: current, speed, residual and evidence over an episode with a fault]({name}.png)",
-        f"*An episode with a fault: {options.n_steps} steps of {1000 * options.dt_s * options.samples_per_step:g} ms, in which nobody declares it.*",
+        f"*An episode with a fault: {options.n_steps} steps of {step_ms:g} ms. Nobody declares it.*",
         f"Motors and faults are drawn from the recipe `{recipe.name}`. Classes by weight:",
         table(
             ["kind", "severity", "weight"],
