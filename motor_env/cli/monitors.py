@@ -6,34 +6,53 @@ from pathlib import Path
 from typing import Literal
 
 from motor_env import console
+from motor_env.cli.options import Duration
 from motor_env.console import printable
 
 
 def watch(
     motor: Path,
-    log: Path | None = None,
+    source: str | None = None,
     *,
     false_alarms_per_year: float = 1.0,
     state: Path | None = None,
     follow: bool = False,
+    learn: Duration | None = None,
+    window: Duration | None = None,
+    columns: str | None = None,
+    baud: console.Whole = 1_000_000,
 ) -> int:
     """Watch a motor at work: lines of CSV come in, a verdict on each window goes out as it ends.
 
     Example: motor-env watch out/motor.toml log.csv --follow --state out/watch.json
 
-    On a terminal one line is kept up to date; otherwise each event is a line of JSON. Exit status when the lines end:
-    0 all healthy, 1 any fault, 3 no fault but a window that cannot be judged.
+    On a terminal a screen is kept up to date; otherwise each event is a line of JSON. Exit status when the lines end or
+    with Ctrl-C: 0 all healthy, 1 any fault, 3 no fault but a window that cannot be judged, or none that was.
 
     Args:
-        motor: Motor file that `commission --window` wrote.
-        log: File with the columns time, voltage, current and speed; standard input without it.
+        motor: Motor file that `commission --window` wrote, or that --learn writes.
+        source: A file, serial:/dev/ttyACM0, mqtt://host/topic; standard input without it.
         false_alarms_per_year: Of a healthy motor that always runs.
         state: File that keeps what was seen, so that a new start goes on where the last window ended.
-        follow: Wait for lines that are appended to the log.
+        follow: Wait for lines that are appended to the file.
+        learn: Where there is no motor file yet: so long the motor is healthy, and is learned from, such as 10min.
+        window: Length of a window for --learn, such as 20s; a twentieth of it by default.
+        columns: Names of the columns, such as time_s,voltage_v,current_a,speed_rad_s, where no line says them.
+        baud: Of the serial port.
     """
-    from motor_env.diagnosis import live
+    from motor_env.live import command
 
-    return live.run(motor, log, false_alarms_per_year=false_alarms_per_year, state=state, follow=follow)
+    return command.run(
+        motor,
+        source,
+        false_alarms_per_year=false_alarms_per_year,
+        state=state,
+        follow=follow,
+        baud=baud,
+        columns=columns,
+        learn_s=learn,
+        window_s=window,
+    )
 
 
 def export_c(

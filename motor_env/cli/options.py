@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
 
 from motor_env import console
 from motor_env.console import printable
@@ -17,6 +17,22 @@ from motor_env.errors import InputError
 if TYPE_CHECKING:
     from motor_env.recordings.profiles import Profile
 
+
+def _seconds(_: type[float], tokens: Sequence[Token]) -> float:
+    import pandas as pd
+
+    text = tokens[0].value
+    try:
+        return float(text)
+    except ValueError:
+        try:
+            return pd.Timedelta(text).total_seconds()
+        except ValueError:
+            raise ValueError(f"must be a time such as 20s or 10min, got {text!r}") from None
+
+
+Duration = Annotated[float, Parameter(converter=_seconds)]
+"""Seconds, or a time with its unit."""
 Json = Annotated[bool, Parameter(name="--json", negative=())]
 
 

@@ -132,6 +132,11 @@ def commission_running(
         reference = learn_windows(recordings, window_s)
     except UnusableError as error:
         raise InputError(f"the logs cannot be used: {error}") from None
+    return commissioned(reference, name)
+
+
+def commissioned(reference: WindowReference, name: str) -> MotorFile:
+    """The motor that windows have taught."""
     return replace(motor_of(reference.physical, name, "commissioned"), operation=reference)
 
 

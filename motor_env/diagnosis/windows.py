@@ -2,14 +2,15 @@
 
 All windows are fitted with the terms that the healthy ones were identified with jointly. What windows of one motor
 share is held there: brush drop, inductance, and how the drag divides into viscous and dry friction, so that regimes
-agree. What may change is R, K, J and the whole drag.
+agree. What may change is R, K, J and the whole drag. Where the healthy windows tell friction from a load, as those that
+reverse do, a load that varies slowly is unknown in each window; elsewhere it is part of the drag.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,17 +29,21 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
 from motor_env.operation.identify import Operation, identify_operation
 from motor_env.operation.problem import Problem, Solution
-from motor_env.operation.record import Record, from_recordings
+from motor_env.operation.record import MOST, Record, block_means, from_recordings
 from motor_env.operation.terms import NOISES, terms
 from motor_env.operation.uncertainty import covariance, motor_places
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, cut
 
 FEWEST_WINDOWS = 4
+MOST_SAMPLES = 6_000
 SPREAD_PRIOR, PRIOR_WEIGHT = 0.01, 4.0
 NAMES = ("R", "K", "J", "B")
 _FREE = ("R", "K", "J", "coulomb", "load_constant", "load_square", "offset_current", "offset_speed", *NOISES)
+_LOAD = ("load_constant", "load_walk")
+_TOLD = 0.1  # standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart
 _REGIME = 2.0
+_NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
 _EXPONENTS = np.array([[1.0 if name == other else 0.0 for other in quantities.PARAMETERS] for name in NAMES])
 
 
@@ -51,17 +56,22 @@ class WindowVerdict:
     changes: tuple[Change, ...]
 
 
-def cut(recording: Recording, window_s: float) -> Iterator[Recording]:
+def averaged(recording: Recording, window_s: float) -> Recording:
+    """The recording; of windows with more than MOST_SAMPLES, neighbours are averaged."""
+    factor = math.ceil(window_s / recording.dt_s / MOST_SAMPLES - 1e-6)
+    if factor <= 1:
+        return recording
+    columns = (recording.time_s, recording.current_a, *_needed(recording))
+    time_s, current_a, voltage_v, speed_rad_s = (block_means(column, factor) for column in columns)
+    return Recording(recording.path, time_s, current_a, voltage_v, speed_rad_s)
+
+
+def _windows(recording: Recording, window_s: float) -> list[Recording]:
     """Windows of a recording of equal length, a rest at the end left out."""
+    recording = averaged(recording, window_s)
     length = round(window_s / recording.dt_s)
-    for first in range(0, len(recording.time_s) - length + 1, length):
-        some = slice(first, first + length)
-        arrays = {
-            f.name: getattr(recording, f.name)[some]
-            for f in fields(recording)
-            if isinstance(getattr(recording, f.name), np.ndarray)
-        }
-        yield replace(recording, **arrays)
+    count = len(recording.time_s) // length
+    return [cut(recording, slice(n * length, (n + 1) * length)) for n in range(count)]
 
 
 def learn_windows(recordings: Sequence[Recording], window_s: float) -> WindowReference:
@@ -72,14 +82,22 @@ def learn_windows(recordings: Sequence[Recording], window_s: float) -> WindowRef
     Raises:
         UnusableError: no current and speed, too few windows, or no motor explains them.
     """
-    parts = [part for recording in recordings for part in cut(recording, window_s)]
+    parts = [part for recording in recordings for part in _windows(recording, window_s)]
     if len(parts) < FEWEST_WINDOWS:
         raise UnusableError(f"{len(parts)} windows of {window_s:g} s; at least {FEWEST_WINDOWS} are needed")
-    joint = identify_operation(recordings)
+    samples = sum(len(recording.time_s) for recording in recordings)
+    every = math.ceil(sum(len(part.time_s) for part in parts) / MOST)
+    joint = identify_operation(recordings if samples <= MOST else parts[::every])
     if not joint.record.seen.all():
-        raise UnusableError("windows of a running motor are judged only where current and speed tell of it")
-    known = _known(joint)
-    fits = [_window(from_recordings([part]), known, joint) for part in parts]
+        raise UnusableError(_NEEDED)
+    known, wanted, hold = _known(joint), joint.solution.names, joint.record.hold
+    records = [replace(from_recordings([part]), hold=hold) for part in parts]
+    with_load = tuple(dict.fromkeys((*wanted, *_LOAD)))
+    fits = [_window(record, known, with_load) for record in records]
+    if math.sqrt(np.median([error[-1, -1] for _, error in fits])) < _TOLD:
+        wanted = with_load
+    elif wanted != with_load:
+        fits = [_window(record, known, wanted) for record in records]
     logs, errors = np.array([fit[0] for fit in fits]), np.mean([fit[1] for fit in fits], axis=0)
     n, centre = len(fits), logs.mean(axis=0)
     scatter = (logs - centre).T @ (logs - centre)
@@ -92,10 +110,10 @@ def learn_windows(recordings: Sequence[Recording], window_s: float) -> WindowRef
         degrees_of_freedom=freedom,
         values=np.exp(centre),
         log_covariance=(scatter + PRIOR_WEIGHT * prior) / freedom * (1.0 + 1.0 / n),
-        terms=joint.solution.names,
+        terms=wanted,
         physical=known,
-        hold=joint.record.hold,
-        dt_s=joint.record.dt_s,
+        hold=hold,
+        dt_s=parts[0].dt_s,
         rms_volts=(min(volts), max(volts)),
     )
 
@@ -106,7 +124,7 @@ def judge_windows(recording: Recording, reference: WindowReference, rate: float)
     Raises:
         UnusableError: the record is outside the commissioned regime, or shorter than a window.
     """
-    parts = list(cut(recording, reference.window_s))
+    parts = _windows(recording, reference.window_s)
     if not parts:
         raise UnusableError(f"the record is shorter than a window of {reference.window_s:g} s")
     low, high = reference.rms_volts
@@ -115,7 +133,7 @@ def judge_windows(recording: Recording, reference: WindowReference, rate: float)
         raise UnusableError(
             f"outside the commissioned regime: {volts:.3g} V effective, commissioned {low:.3g} to {high:.3g} V"
         )
-    if not 1.0 / _REGIME <= recording.dt_s / reference.dt_s <= _REGIME:
+    if not 1.0 / _REGIME <= parts[0].dt_s / reference.dt_s <= _REGIME:
         raise UnusableError("outside the commissioned regime: another sampling interval")
     return [_judged(part, reference, rate / len(parts)) for part in parts]
 
@@ -123,7 +141,8 @@ def judge_windows(recording: Recording, reference: WindowReference, rate: float)
 def _judged(part: Recording, reference: WindowReference, rate: float) -> WindowVerdict:
     warmth = reference.temperature_k * quantities.warmth_direction(_EXPONENTS)
     try:
-        logs, error = _window(from_recordings([part]), _values(reference), reference)
+        record = replace(from_recordings([part]), hold=reference.hold)
+        logs, error = _window(record, _values(reference), reference.terms)
     except UnusableError:
         return WindowVerdict(float(part.time_s[0]), "unusable", ())
     ratios, freedom = logs - np.log(reference.values), reference.degrees_of_freedom
@@ -153,12 +172,15 @@ def _beyond(healthy: FloatArray, error: FloatArray) -> FloatArray:
     return out
 
 
+def _needed(recording: Recording) -> tuple[FloatArray, FloatArray]:
+    """Voltage and speed."""
+    if recording.voltage_v is None or recording.speed_rad_s is None:
+        raise UnusableError(_NEEDED)
+    return recording.voltage_v, recording.speed_rad_s
+
+
 def _rms(recording: Recording) -> float:
-    return (
-        float(np.sqrt(np.mean(np.square(recording.voltage_v))))
-        if recording.voltage_v is not None
-        else math.nan
-    )
+    return float(np.sqrt(np.mean(np.square(_needed(recording)[0]))))
 
 
 def _values(reference: WindowReference) -> FloatArray:
@@ -175,16 +197,12 @@ def _known(joint: Operation) -> FloatArray:
     return known
 
 
-def _window(
-    record: Record, known: FloatArray, joint: Operation | WindowReference
-) -> tuple[FloatArray, FloatArray]:
+def _window(record: Record, known: FloatArray, wanted: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     """Logarithms of R, K, J and the drag of one window, with their covariance.
 
-    The drag is a factor on the whole friction of the joint fit.
+    The drag is a factor f on the whole friction of the joint fit. Its error is that of a sum, so that of log f is taken
+    over the way from 1 to f: the slope at f would count an error upwards for more than one downwards.
     """
-    hold = joint.record.hold if isinstance(joint, Operation) else joint.hold
-    wanted = joint.solution.names if isinstance(joint, Operation) else joint.terms
-    record = replace(record, hold=hold)
     every = terms(record, known)
     every["drag"] = replace(every["coulomb"], name="drag", place=kernel.DRAG, unit=1.0, low=0.05, high=20.0)
     names = [name for name in _FREE if name in wanted and name != "coulomb"]
@@ -197,7 +215,8 @@ def _window(
     places = [rows.index(name) for name in ("R", "K", "J", "drag")]
     values = problem.values(theta)
     factor = theta[problem.names.index("drag")]
-    slope = np.diag([1.0, 1.0, 1.0, 1.0 / factor])
+    way = math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
+    slope = np.diag([1.0, 1.0, 1.0, way])
     logs = np.log([values[kernel.R], values[kernel.K], values[kernel.J], factor])
     return logs, slope @ spread[np.ix_(places, places)] @ slope
 

@@ -1,0 +1,273 @@
+"""False alarms and delays of the C code of `export-c`, compiled with gcc, on simulated hours of a known motor.
+
+    python benchmarks/watch_c.py --hours 2000 --out benchmarks/results/watch_c.json
+
+The textbook motor with ten times its inertia, current at 100 Hz, a random duty cycle; every alarm begins the sum anew.
+A delay is compared with the CUSUM of the likelihood ratio of two Kalman filters, which knows kind and size of the
+fault; its threshold is found by simulation for the same number of false alarms.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import json
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from controllers import tool
+from numba import njit
+from numpy.typing import NDArray
+from watch import RATES, VOLTS, Floats, duty, heavy, moved, wandering, warmed
+
+from motor_env import Cusum, Fault, FaultKind, KalmanFilter, MotorFile, SensorParameters
+from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
+from motor_env.embedded.monitor import Monitor, monitor_of, settled
+from motor_env.embedded.source import write_library
+from motor_env.embedded.twin import readings_of
+from motor_env.motor.faults import apply_fault
+from motor_env.motor.model import discretize
+from motor_env.motor.parameters import MotorParameters
+
+RATE_HZ, INERTIA = 100.0, 10.0
+SENSOR = SensorParameters(current_noise_a=0.02)
+CASES, BLOCK_S = 10, 600.0
+FAULTS = (
+    (FaultKind.BEARING, 0.25),
+    (FaultKind.BEARING, 0.5),
+    (FaultKind.BEARING, 1.0),
+    (FaultKind.WINDING_CONTACT, 0.05),
+    (FaultKind.WINDING_CONTACT, 0.1),
+    (FaultKind.WINDING_CONTACT, 0.25),
+)
+HOLDS = (5, 16)  # samples
+SHIFTS = (0.15, 0.5, 1.5)
+DELAYS, HEALTHY_S = 200, 10.0
+RUN = """
+#include "m.h"
+long size(void) { return (long)sizeof(m); }
+void begin(m *monitor) { m_init(monitor); }
+long run(m *monitor, long count, const m_sample *samples, long *first)
+{
+    long k, alarms = 0;
+    *first = -1;
+    for (k = 0; k < count; ++k) {
+        if (m_step(monitor, samples[k]) == M_FAULT) {
+            if (alarms++ == 0) { *first = k; }
+            monitor->up = monitor->down = 0;
+        }
+    }
+    return alarms;
+}
+"""
+
+
+class Compiled:
+    """The exported library of a monitor, compiled."""
+
+    def __init__(self, monitor: Monitor, folder: Path, *, arithmetic: str) -> None:
+        steps = Steps.suited(monitor.limits) if arithmetic == "fixed" else None
+        self.numbers: Numbers = floating(monitor) if steps is None else fixed_point(monitor, steps)
+        write_library(monitor, folder, steps=steps, name="m", wanted="see the benchmark")
+        (folder / "run.c").write_text(RUN, encoding="utf-8")
+        library = folder / "run.so"
+        sources = [folder / "run.c", folder / "src" / "m.c"]
+        options: list[str | Path] = ["-O2", "-ffp-contract=off", "-shared", "-fPIC", "-I", folder / "src", "-o", library]
+        subprocess.run([tool("gcc"), *sources, *options], check=True)
+        self.library = ctypes.CDLL(str(library))
+        self.library.run.restype = self.library.size.restype = ctypes.c_long
+
+    def begun(self) -> ctypes.Array[ctypes.c_char]:
+        """A monitor at its begin."""
+        monitor = ctypes.create_string_buffer(self.library.size())
+        self.library.begin(monitor)
+        return monitor
+
+    def run(
+        self, monitor: ctypes.Array[ctypes.c_char], current_a: Floats, voltage_v: Floats
+    ) -> tuple[int, int]:
+        """Number of alarms, and the sample of the first or -1."""
+        readings = readings_of(self.numbers, current_a[None, None], voltage_v)[0].T
+        dtype = np.int32 if readings.dtype == np.int64 else np.float32
+        samples: NDArray[Any] = np.ascontiguousarray(readings, dtype=dtype)
+        first = ctypes.c_long()
+        alarms = self.library.run(
+            monitor, ctypes.c_long(len(samples)), ctypes.c_void_p(samples.ctypes.data), ctypes.byref(first)
+        )
+        return int(alarms), first.value
+
+
+def exported(folder: Path, arithmetic: str, a_year: float, shift: float = 0.5) -> Compiled:
+    """The C code of the motor for a number of false alarms a year."""
+    folder.mkdir()
+    monitor = monitor_of(
+        MotorFile("textbook", "data_sheet", heavy(INERTIA)),
+        RATE_HZ,
+        rule=Cusum(shift, two_sided=True),
+        sensor=SENSOR,
+        voltage_v=VOLTS,
+        false_alarms_per_year=a_year,
+    )
+    return Compiled(monitor, folder, arithmetic=arithmetic)
+
+
+def current(
+    motor: MotorParameters, rng: np.random.Generator, volts: Floats, x: Floats, load: Floats | None = None
+) -> Floats:
+    """What the sensor shows of a motor; `x` is left as its last state."""
+    model = discretize(motor, 1.0 / RATE_HZ)
+    torque = np.zeros(len(volts)) if load is None else load
+    states = moved(model.transition, model.gain, np.stack([volts, torque], axis=1), x)
+    shown: Floats = states[:, 0] + SENSOR.current_noise_a * rng.standard_normal(len(volts))
+    return shown
+
+
+def false_alarms(
+    codes: dict[str, Compiled], hours: float, rng: np.random.Generator, *, varying: bool
+) -> dict[str, int]:
+    """Alarms of healthy motors by code; `varying`: with a random load and temperature that the filter does not know."""
+    block, counts = int(BLOCK_S * RATE_HZ), dict.fromkeys(codes, 0)
+    blocks = round(hours * 3600.0 / BLOCK_S / CASES)
+    for _ in range(CASES):
+        x, monitors = np.zeros(2), {name: code.begun() for name, code in codes.items()}
+        for _ in range(blocks):
+            volts, motor, load = duty(rng, block, HOLDS), heavy(INERTIA), None
+            if varying:
+                motor = warmed(motor, 10.0 * rng.standard_normal())
+                load = wandering(rng.standard_normal(block), 3e-3, BLOCK_S * RATE_HZ)
+            shown = current(motor, rng, volts, x, load)
+            for name, code in codes.items():
+                counts[name] += code.run(monitors[name], shown, volts)[0]
+    return counts
+
+
+class Belief(NamedTuple):
+    """A Kalman filter with its last gain."""
+
+    transition: Floats
+    gain: Floats
+    correction: Floats
+    variance: float
+
+    @classmethod
+    def of_motor(cls, motor: MotorParameters) -> Belief:
+        """From a motor."""
+        kalman = KalmanFilter.from_parameters(motor, SENSOR, 1.0 / RATE_HZ)
+        steps = settled(kalman)
+        correction = np.ascontiguousarray(steps.gain[-1, :, 0])
+        return cls(
+            kalman.model.transition,
+            kalman.model.gain,
+            correction,
+            float(steps.innovation_covariance[-1, 0, 0]),
+        )
+
+
+@njit(cache=True)
+def likelihood_ratios(z: Floats, volts: Floats, healthy: Belief, faulty: Belief) -> Floats:
+    """Logarithm of the likelihood ratio of each sample."""
+    out, states = np.empty(len(z)), np.zeros((2, 2))
+    for k in range(len(z)):
+        logs = np.zeros(2)
+        for n in range(2):
+            belief = healthy if n == 0 else faulty
+            a, g, x = belief.transition, belief.gain, states[n]
+            i = a[0, 0] * x[0] + a[0, 1] * x[1] + g[0, 0] * volts[k]
+            w = a[1, 0] * x[0] + a[1, 1] * x[1] + g[1, 0] * volts[k]
+            error = z[k] - i
+            logs[n] = -0.5 * (error * error / belief.variance + np.log(belief.variance))
+            x[0], x[1] = i + belief.correction[0] * error, w + belief.correction[1] * error
+        out[k] = logs[1] - logs[0]
+    return out
+
+
+@njit(cache=True)
+def alarms_of(ratios: Floats, threshold: float) -> tuple[int, int]:
+    """Alarms of a CUSUM that begins anew after each, and the sample of the first or -1."""
+    total, count, first = 0.0, 0, -1
+    for k in range(len(ratios)):
+        total = max(0.0, total + ratios[k])
+        if total > threshold:
+            first = k if count == 0 else first
+            count += 1
+            total = 0.0
+    return count, first
+
+
+def best_threshold(ratios: Floats, wanted: int) -> float:
+    """Threshold at which healthy samples alarm so often, by bisection."""
+    low, high = 0.0, 40.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if alarms_of(ratios, middle)[0] > wanted else (low, middle)
+    return high
+
+
+def delays(
+    codes: dict[float, Compiled], hours: float, rng: np.random.Generator, *, least: float
+) -> list[dict[str, Any]]:
+    """Median delays in seconds of codes for one false alarm an hour by their shift, and of the best CUSUM."""
+    healthy, rows = Belief.of_motor(heavy(INERTIA)), []
+    volts = duty(rng, int(hours * 3600.0 * RATE_HZ), HOLDS, least=least)
+    shown = current(heavy(INERTIA), rng, volts, np.zeros(2))
+    onset, n = int(HEALTHY_S * RATE_HZ), int(BLOCK_S * RATE_HZ)
+    for kind, severity in FAULTS:
+        faulty = apply_fault(heavy(INERTIA), Fault(kind, severity))
+        belief = Belief.of_motor(faulty)
+        threshold = best_threshold(likelihood_ratios(shown, volts, healthy, belief), round(hours))
+        found: list[list[float]] = []
+        for _ in range(DELAYS):
+            now, x = duty(rng, n, HOLDS, least=least), np.zeros(2)
+            before = current(heavy(INERTIA), rng, now[:onset], x)
+            z = np.concatenate([before, current(faulty, rng, now[onset:], x)])
+            first = [alarms_of(likelihood_ratios(z, now, healthy, belief)[onset:], threshold)[1]]
+            for code in codes.values():
+                monitor = code.begun()
+                code.run(monitor, before, now[:onset])
+                first.append(code.run(monitor, z[onset:], now[onset:])[1])
+            found.append([(k + 1) / RATE_HZ if k >= 0 else np.inf for k in first])
+        medians = np.median(found, axis=0).tolist()
+        best_s, *ours_s = [value if np.isfinite(value) else None for value in medians]  # JSON has no infinity
+        by_shift = dict(zip(map(str, codes), ours_s, strict=True))
+        rows.append({"fault": str(kind), "severity": severity, "best_s": best_s, "delay_s": by_shift})
+    return rows
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write what was counted."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--hours", type=float, default=50.0)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args(arguments)
+    rng = np.random.default_rng([77, 19])
+    with tempfile.TemporaryDirectory() as name:
+        codes = {
+            f"{arithmetic}, one a {rate}": exported(Path(name) / f"{arithmetic}-{rate}", arithmetic, a_year)
+            for arithmetic in ("fixed", "float")
+            for rate, a_year in RATES.items()
+        }
+        varying_hours = options.hours / 10.0
+        shifts = {
+            shift: exported(Path(name) / f"shift-{shift}", "fixed", RATES["hour"], shift) for shift in SHIFTS
+        }
+        found = {
+            "hours": options.hours,
+            "alarms": false_alarms(codes, options.hours, rng, varying=False),
+            "varying_hours": varying_hours,
+            "alarms_varying": false_alarms(codes, varying_hours, rng, varying=True),
+            "delays_one_direction": delays(shifts, min(options.hours, 200.0), rng, least=0.1),
+            "delays_both_directions": delays(shifts, min(options.hours, 200.0), rng, least=-1.0),
+        }
+    print(json.dumps(found))
+    if options.out is not None:
+        options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""A motor watched while it works: where its lines come from, what is said of them."""

@@ -1,0 +1,244 @@
+"""A motor at work watched sample by sample: windows of a stream are judged as windows of a log are.
+
+Lines come in, events go out: one for each window (healthy, or what moved), and one at once for what is wrong with the
+stream: a line that is no sample, a gap, a jump of time, a stuck sensor, silence. Those begin a new window.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from array import array
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motor_env.diagnosis.windows import (
+    FEWEST_WINDOWS,
+    WindowVerdict,
+    averaged,
+    judge_windows,
+    learn_windows,
+)
+from motor_env.errors import InputError
+from motor_env.live.sources import NEW_FILE, Notice, Piece
+from motor_env.live.state import State
+from motor_env.motor.data_sheet import WindowReference
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.headers import understand
+from motor_env.recordings.recording import Recording, evened
+
+YEAR_S = 365.25 * 86_400.0
+STUCK_AFTER = 200
+_GAP_STEPS = 20.0
+_QUANTITIES = ("time", "voltage", "current", "speed")
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What is said: a verdict on a window, or what is wrong with the stream.
+
+    Attributes:
+        time_s: end of the window, or when it was seen.
+        kind: window, learning, learned, not_learned, another_motor, malformed, gap, time_jump, stuck_sensor, silence,
+            unplugged or new_file.
+        text: verdict of a window; else what was seen.
+        ratios: quantities of the window over the healthy ones.
+        reason: why a window is unusable.
+    """
+
+    time_s: float
+    kind: str
+    text: str
+    ratios: dict[str, float] = field(default_factory=dict)
+    reason: str = ""
+
+    @property
+    def name(self) -> str:
+        """By which it is counted."""
+        return f"window {self.text}" if self.kind == "window" else self.kind
+
+    def as_json(self) -> str:
+        """One line."""
+        words = (
+            {"verdict": self.text, "reason": self.reason} if self.kind == "window" else {"reason": self.text}
+        )
+        said: dict[str, Any] = {"time_s": self.time_s, "event": self.kind, **words, "ratios": self.ratios}
+        return json.dumps({name: value for name, value in said.items() if value not in ("", {})})
+
+
+@dataclass
+class Lesson:
+    """Windows of a healthy motor, until there are enough to learn from.
+
+    Attributes:
+        window_s: length of a window.
+        learn_s: how long the windows must be together.
+        recordings: the windows so far.
+    """
+
+    window_s: float
+    learn_s: float
+    recordings: list[Recording] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if not 0.0 < FEWEST_WINDOWS * self.window_s <= self.learn_s < math.inf:
+            raise InputError(
+                f"learn must be at least {FEWEST_WINDOWS} windows of {self.window_s:g} s, got {self.learn_s:g} s"
+            )
+
+    @property
+    def dt_s(self) -> float:
+        """Sampling interval; infinite until it is known."""
+        return self.recordings[0].dt_s if self.recordings else math.inf
+
+    def add(self, recording: Recording) -> bool:
+        """Take one more window; whether they are enough."""
+        self.recordings.append(averaged(recording, self.window_s))
+        return len(self.recordings) * self.window_s >= self.learn_s * (1.0 - 1e-9)
+
+    def __str__(self) -> str:
+        return f"{len(self.recordings) * self.window_s:g} of {self.learn_s:g} s"
+
+
+class Watch:
+    """Takes lines, gives events.
+
+    Args:
+        reference: what windows of the healthy motor have taught, or what is to be learned from the stream.
+        state: what has been seen so far.
+        false_alarms_per_year: of a healthy motor that always runs; each window has its share.
+    """
+
+    def __init__(
+        self, reference: WindowReference | Lesson, state: State, *, false_alarms_per_year: float
+    ) -> None:
+        if not 0.0 < false_alarms_per_year < math.inf:
+            raise InputError(f"false-alarms-per-year must be > 0, got {false_alarms_per_year:g}")
+        self.reference, self.state = reference, state
+        self.rate = min(false_alarms_per_year * reference.window_s / YEAR_S, 0.5)
+        self._columns: list[tuple[int, float]] = []
+        self._window = array("d")
+        self._last: list[float] | None = None
+        self._same = 0
+        if state.header:
+            self._read_header(state.header)
+
+    def events(self, lines: Iterable[Piece]) -> Iterator[Event]:
+        """Events of lines and of what their source says."""
+        for line in lines:
+            if isinstance(line, Notice):
+                if line.kind == NEW_FILE:
+                    self.state.offset = 0
+                events: Iterable[Event] = [self._broken(line.kind, line.text)]
+                self._last = None
+            else:
+                self.state.offset += len(line)
+                events = self._line(line.decode("utf-8", "replace").strip())
+            for event in events:
+                self.state.counts[event.name] += 1
+                yield event
+        if not self._columns and self.state.counts["malformed"]:
+            raise InputError("no line names the columns time, voltage, current and speed")
+
+    def _line(self, text: str) -> Iterable[Event]:
+        words = text.split(",")
+        try:
+            sample = [float(words[k]) * factor for k, factor in self._columns]
+        except (ValueError, IndexError):
+            sample = []
+        if sample and math.isfinite(sum(sample)):
+            return self._sample(sample)
+        # A device that begins anew says its header again.
+        if not text or text[0] == "#" or self._read_header(text):
+            return ()
+        return [Event(self._time_s, "malformed", text[:60])]
+
+    def _sample(self, sample: list[float]) -> Iterable[Event]:
+        last, self._last = self._last, sample
+        events = []
+        if last is not None:
+            step = sample[0] - last[0]
+            if step <= 0.0:
+                events = [self._broken("time_jump", f"{-step:.6g} s back")]
+            elif step > _GAP_STEPS * self.reference.dt_s:
+                events = [self._broken("gap", f"{step:.6g} s without a sample")]
+            self._same = self._same + 1 if last[2] == sample[2] and sample[1] else 0
+            if self._same > STUCK_AFTER:
+                return ()
+            if self._same == STUCK_AFTER:
+                return [self._broken("stuck_sensor", f"{STUCK_AFTER} times the current {sample[2]:.6g} A")]
+        self._window.extend(sample)
+        if sample[0] - self._window[0] >= self.reference.window_s:
+            columns, self._window = np.array(self._window).reshape(-1, len(_QUANTITIES)).T, array("d")
+            events.append(self._ended(dict(zip(_QUANTITIES, columns, strict=True))))
+        return events
+
+    def _ended(self, columns: dict[str, FloatArray]) -> Event:
+        time_s = columns.pop("time")
+        for name in ("current", "speed"):
+            if columns["voltage"].any() and not np.ptp(columns[name]):
+                return Event(
+                    self._time_s, "stuck_sensor", f"the {name} of a whole window is {columns[name][0]:.6g}"
+                )
+        even, values, _ = evened(time_s, columns)
+        recording = Recording(Path("stream"), even, values["current"], values["voltage"], values["speed"])
+        if isinstance(self.reference, Lesson):
+            return self._taught(recording, self.reference)
+        try:
+            return self._judged(judge_windows(recording, self.reference, self.rate)[0])
+        except UnusableError as error:
+            return Event(self._time_s, "window", "unusable", reason=str(error))
+
+    def _taught(self, recording: Recording, lesson: Lesson) -> Event:
+        if not lesson.add(recording):
+            return Event(self._time_s, "learning", str(lesson))
+        try:
+            self.reference = learn_windows(lesson.recordings, lesson.window_s)
+        except UnusableError as error:
+            lesson.recordings.clear()
+            return Event(self._time_s, "not_learned", str(error))
+        return Event(self._time_s, "learned", str(lesson))
+
+    def _judged(self, window: WindowVerdict) -> Event:
+        moved = {change.name for change in window.changes if change.significant}
+        ratios = {change.name: change.ratio for change in window.changes}
+        if window.verdict == "other" and {"K", "J"} <= moved:  # no wear moves both
+            return Event(
+                self._time_s, "another_motor", "constants and inertia are those of another motor", ratios
+            )
+        reason = "" if ratios else "no motor explains it"
+        return Event(self._time_s, "window", window.verdict, ratios, reason)
+
+    def _broken(self, kind: str, text: str) -> Event:
+        self._window = array("d")
+        return Event(self._time_s, kind, text)
+
+    @property
+    def _time_s(self) -> float:
+        return self._last[0] if self._last is not None else 0.0
+
+    def _read_header(self, text: str) -> bool:
+        """Whether a line names the columns; then they are those from now on.
+
+        Raises:
+            InputError: it is the first that does, and one is missing.
+        """
+        found: dict[str, tuple[int, float]] = {}
+        for k, word in enumerate(text.split(",")):
+            meaning = understand(word)
+            if meaning.quantity in _QUANTITIES:
+                found.setdefault(meaning.quantity, (k, meaning.factor))
+        missing = [quantity for quantity in _QUANTITIES if quantity not in found]
+        if missing and found and not self._columns:
+            raise InputError(
+                f"the first line must name the columns; {missing[0]} is missing in {text[:80]!r}"
+            )
+        if not missing:
+            self._columns = [found[quantity] for quantity in _QUANTITIES]
+            self.state.header = text
+        return not missing

@@ -1,0 +1,163 @@
+"""Watching a stream: what is said of its lines, and of windows of a motor at work."""
+
+import itertools
+import json
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from operation_simulator import draw_motor, simulate
+
+from motor_env.cli import main
+from motor_env.errors import InputError
+from motor_env.live.sources import SILENCE, Piece
+from motor_env.live.state import State
+from motor_env.live.watch import STUCK_AFTER, Lesson, Watch
+from motor_env.motor.data_sheet import WindowReference
+from motor_env.recordings.recording import Recording
+
+HEADER = b"t_ms,voltage_v,current_ma,speed_rad_s\n"
+REFERENCE = WindowReference(
+    windows=10,
+    window_s=1e6,
+    degrees_of_freedom=13.0,
+    values=np.ones(4),
+    log_covariance=np.eye(4) * 1e-4,
+    terms=(),
+    physical=np.zeros(1),
+    hold="held",
+    dt_s=1e-3,
+    rms_volts=(11.0, 13.0),
+)
+
+
+def kinds(lines: list[Piece], state: State | None = None) -> list[str]:
+    return [
+        event.kind for event in Watch(REFERENCE, state or State(), false_alarms_per_year=1.0).events(lines)
+    ]
+
+
+def samples(count: int, first_ms: int = 0) -> list[Piece]:
+    return [f"{k},12,{100 + k % 7},500\n".encode() for k in range(first_ms, first_ms + count)]
+
+
+def test_what_is_wrong_with_a_stream_is_said_at_once() -> None:
+    good: list[Piece] = [HEADER, *samples(50)]
+    assert kinds(good) == []
+    assert kinds([*good, b"x,y\n", b"60,nan,1,1\n", b"\xff\xfe\n", b"# a remark\n", HEADER]) == 3 * [
+        "malformed"
+    ]
+    assert kinds([*good, *samples(50, 500)]) == ["gap"]
+    assert kinds([*good, *samples(50, 10)]) == ["time_jump"]
+    assert kinds([*good, SILENCE, *samples(50, 5_000)]) == ["silence"]
+    stuck: list[Piece] = [f"{k},12,100,500\n".encode() for k in range(50, 100 + STUCK_AFTER)]
+    assert kinds([*good, *stuck]) == ["stuck_sensor"]
+    still: list[Piece] = [f"{k},0,0,0\n".encode() for k in range(50, 100 + STUCK_AFTER)]
+    assert kinds([*good, *still]) == []
+
+
+def test_malformed_lines_cost_no_sample_beside_them() -> None:
+    lines: list[Piece] = [HEADER]
+    for line in samples(1_000):
+        lines += [line, b"1;2;3\n"]
+    watch = Watch(REFERENCE, State(), false_alarms_per_year=1.0)
+    assert sum(event.kind == "malformed" for event in watch.events(lines)) == 1_000
+    assert len(watch._window) == 4 * 1_000
+
+
+def test_bad_input_is_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="speed is missing"):
+        kinds([b"time_s,voltage_v,current_a\n"])
+    with pytest.raises(InputError, match="false-alarms-per-year must be > 0"):
+        Watch(REFERENCE, State(), false_alarms_per_year=0.0)
+    (tmp_path / "state.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(InputError, match="is no state of watch"):
+        State.load(tmp_path / "state.json")
+
+
+def test_a_speed_that_stands_still_is_no_verdict_on_the_motor() -> None:
+    watch = Watch(replace(REFERENCE, window_s=0.1), State(), false_alarms_per_year=1.0)
+    lines: list[Piece] = [HEADER, *samples(102)]
+    [event] = watch.events(lines)
+    assert (event.kind, event.text) == ("stuck_sensor", "the speed of a whole window is 500")
+
+
+def test_columns_may_come_late_or_from_the_user() -> None:
+    assert kinds([b"0.1,500\n", HEADER, *samples(50)]) == ["malformed"]
+    assert kinds(samples(50), State(header=HEADER.decode().strip())) == []
+    with pytest.raises(InputError, match="no line names the columns"):
+        kinds(samples(3))
+
+
+def test_a_lesson_is_long_enough() -> None:
+    with pytest.raises(InputError, match="learn must be at least 4 windows of 20 s, got 60 s"):
+        Lesson(window_s=20.0, learn_s=60.0)
+
+
+def text(recording: Recording, begin_s: float = 0.0) -> str:
+    columns = [recording.time_s + begin_s, recording.voltage_v, recording.current_a, recording.speed_rad_s]
+    return "".join(",".join(map(repr, map(float, row))) + "\n" for row in zip(*columns, strict=True))
+
+
+def watched(command: list[str]) -> Iterator[dict[str, Any]]:
+    """Events of a command that is killed with kill -9 as soon as no more of them are wanted."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "motor_env", "watch", *command], stdout=subprocess.PIPE, text=True
+    ) as running:
+        assert running.stdout is not None
+        try:
+            yield from map(json.loads, running.stdout)
+        finally:
+            running.kill()
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_it_learns_by_itself_and_goes_on_after_it_was_killed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng([77, 2])
+    motor = draw_motor(rng)
+    dt_s = motor.mechanical_s / 10.0
+    toml, log = str(tmp_path / "motor.toml"), tmp_path / "log.csv"
+    command = [toml, str(log), "--state", str(tmp_path / "state.json"), "--window", f"{300 * dt_s}"]
+    command += ["--learn", f"{2400 * dt_s}"]
+    healthy = simulate(motor, "reversals", rng, samples=3700, dt_s=dt_s)
+    log.write_text("time_s,voltage_v,current_a,speed_rad_s\n" + text(healthy), encoding="utf-8")
+    told = list(itertools.islice(watched([*command, "--follow"]), 10))
+    assert [event["event"] for event in told] == [*7 * ["learning"], "learned", "window", "window"]
+    assert [event.get("verdict") for event in told[8:]] == ["healthy", "healthy"]
+
+    worn = replace(motor, ohm=1.25 * motor.ohm)
+    other = replace(motor, constant=0.7 * motor.constant, inertia=2.0 * motor.inertia, ohm=0.8 * motor.ohm)
+    with log.open("a", encoding="utf-8") as file:
+        for begin_s, one in ((1e3, worn), (2e3, other)):
+            file.write(text(simulate(one, "reversals", rng, samples=1000, dt_s=dt_s), begin_s))
+    assert main(["watch", *command]) == 1
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    names = [event.get("verdict", event["event"]) for event in told]
+    assert names[names.index("gap") :] == ["gap", *3 * ["winding_contact"], "gap", *3 * ["another_motor"]]
+    counts = json.loads((tmp_path / "state.json").read_text(encoding="utf-8"))["counts"]
+    assert (counts["learned"], counts["window healthy"]) == (1, 4)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_memory_stays_flat() -> None:
+    """30 days at a sample every 2 s, by windows of 12 h that no motor explains."""
+    state = State()
+    watch = Watch(replace(REFERENCE, window_s=43_200.0, dt_s=2.0), state, false_alarms_per_year=1.0)
+    lines = (
+        f"{2000 * k},{12 * (k % 3 > 0)},{k * 7919 % 101},{500 + k % 5}\n".encode() for k in range(1_300_000)
+    )
+    tracemalloc.start()
+    grown = [tracemalloc.get_traced_memory()[0] for _ in watch.events(itertools.chain([HEADER], lines))]
+    tracemalloc.stop()
+    assert len(grown) > 50
+    assert max(grown[10:]) - grown[9] < 100_000
