@@ -76,7 +76,16 @@ class Compiled:
         (folder / "run.c").write_text(RUN, encoding="utf-8")
         library = folder / "run.so"
         sources = [folder / "run.c", folder / "src" / "m.c"]
-        options: list[str | Path] = ["-O2", "-ffp-contract=off", "-shared", "-fPIC", "-I", folder / "src", "-o", library]
+        options: list[str | Path] = [
+            "-O2",
+            "-ffp-contract=off",
+            "-shared",
+            "-fPIC",
+            "-I",
+            folder / "src",
+            "-o",
+            library,
+        ]
         subprocess.run([tool("gcc"), *sources, *options], check=True)
         self.library = ctypes.CDLL(str(library))
         self.library.run.restype = self.library.size.restype = ctypes.c_long
