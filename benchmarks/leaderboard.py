@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import sklearn_methods
+from networks import network_of
 from peers import command, environment
 from tables import marked
 
@@ -48,9 +49,9 @@ US, SKLEARN = "motor-env", "scikit-learn"
 Answer = Callable[[Task], FloatArray]
 
 _OURS = {
-    "bench": ("threshold", "rules", "physical-logistic", "raw-logistic", "residual-qda", "posterior-network"),
-    "bench-full": ("threshold", "rules", "physical-logistic", "posterior-network"),
-    "field": ("rules", "physical-logistic", "raw-logistic", "posterior-network"),
+    "bench": ("threshold", "rules", "physical-logistic", "raw-logistic", "residual-qda"),
+    "bench-full": ("threshold", "rules", "physical-logistic"),
+    "field": ("rules", "physical-logistic", "raw-logistic"),
 }
 _OF_SKLEARN = {
     "bench": ("support_vectors", "boosting", "perceptron", "neighbours", "discriminant"),
@@ -60,11 +61,11 @@ _OF_SKLEARN = {
 }
 
 
-def network_with_references(task: Task) -> FloatArray:
-    """The posterior network that takes the reference starts."""
-    network = PosteriorNetwork(task.recipe, n_references=1, with_severity=False, random_state=0).fit_stream()
-    order = [list(network.classes_).index(name) for name in task.columns]
-    answers: FloatArray = network.predict_proba(task.test().X)[:, order]
+def network(task: Task) -> FloatArray:
+    """The posterior network of the task's recipe, which may take reference starts."""
+    model = network_of(task.recipe, getattr(task, "n_references", 0))
+    order = [list(model.classes_).index(name) for name in task.columns]
+    answers: FloatArray = model.predict_proba(task.test().X)[:, order]
     return answers
 
 
@@ -112,11 +113,15 @@ def alarms(rule: Rule, task: Task) -> FloatArray:
 
 
 OWN_ANSWERS: dict[str, tuple[Answer, str, str]] = {
-    "reference/posterior-network": (
-        network_with_references,
-        US,
-        "Amortised posterior, given the reference start",
-    ),
+    **{
+        f"{task}/posterior-network": (
+            network,
+            US,
+            "Amortised posterior: network on the recipe's endless stream",
+        )
+        for task in ("bench", "bench-full", "field")
+    },
+    "reference/posterior-network": (network, US, "Amortised posterior, given the reference start"),
     "severity/posterior-network": (
         shipped_severity,
         US,

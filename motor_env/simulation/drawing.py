@@ -115,19 +115,35 @@ def _draw_field(
     recipe: Recipe, seed: int, cases: NDArray[np.int64], severities: dict[FaultKind, FloatArray]
 ) -> tuple[Effects | None, SensorChain | None]:
     """What surrounds each case, everything of shape (n_cases,); None where the recipe says nothing of it."""
-    field, nominal = recipe.field, recipe.motor
+    field = recipe.field
     if field is None:
         return None, None
-    bearing = np.zeros(len(cases))
-    for kind, severity in severities.items():
-        if kind.verdict == FaultKind.BEARING.verdict:
-            bearing = bearing + severity
     low, high = np.array([getattr(field, name) for name in PRIORS]).T
     by_motor = uniforms(seed, Stream.FIELD_MOTOR, recipe.motor_id(cases), len(PRIORS))
     by_start = uniforms(seed, Stream.FIELD_START, cases, len(PRIORS))
     is_motor = np.array([name in PER_MOTOR for name in PRIORS])
     drawn = low + (high - low) * np.where(is_motor, by_motor, by_start)
-    v = dict(zip(PRIORS, drawn.T, strict=True))
+    return surroundings(recipe, drawn, severities)
+
+
+def surroundings(
+    recipe: Recipe, values: FloatArray, severities: dict[FaultKind, FloatArray]
+) -> tuple[Effects, SensorChain]:
+    """Effects and sensor of cases in the field.
+
+    Args:
+        recipe: one with a table `field`.
+        values: of `PRIORS` in their order, shape (n_cases, 13).
+        severities: of the faults, each of shape (n_cases,).
+    """
+    field, nominal = recipe.field, recipe.motor
+    if field is None:
+        raise ValueError(f"recipe {recipe.name} must have a table field")
+    v = dict(zip(PRIORS, values.T, strict=True))
+    bearing = np.zeros(len(values))
+    for kind, severity in severities.items():
+        if kind.verdict == FaultKind.BEARING.verdict:
+            bearing = bearing + severity
     no_load_speed = recipe.supply.voltage_v / nominal.back_emf_constant_v_s_per_rad
     torque = nominal.viscous_friction_n_m_s_per_rad * no_load_speed
     effects = Effects(

@@ -1,0 +1,293 @@
+"""The posterior over the classes of a recipe with a table `field`, which has no closed form: sampled.
+
+Around the best fit a start is nearly linear in its nuisances. Their posterior is then a normal distribution cut to the
+box of the uniform priors, and easy to draw from. Each draw is simulated exactly, and its weight puts right what the
+linear motor has wrong. Adaptive multiple importance sampling (Cornuet et al. 2012) moves the distribution until the
+weights are even; the mean weight is the evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq, least_squares
+from scipy.special import logsumexp, ndtr
+
+from motor_env.inference.posterior import variance_factor
+from motor_env.inference.truncated_normal import TruncatedNormal
+from motor_env.motor.faults import Fault
+from motor_env.motor.parameters import Channel, FloatArray, SupplyParameters
+from motor_env.simulation.disturbances import PRIORS
+from motor_env.simulation.drawing import apply_factors, surroundings
+from motor_env.simulation.fast_path import measure
+from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
+from motor_env.simulation.simulate import Scenario
+
+_DRAWS, _MOST_ROUNDS = 128, 16
+_ENOUGH = 100.0  # effective draws with which sampling ends
+_FEW = 20.0  # effective draws below which an evidence is not believed
+_HOPELESS = 16.0  # log ratio of two best fits beyond which a class is not sampled
+_NEGLIGIBLE = 8.0  # the same of evidences, beyond which it is not sampled again
+_INSIDE = 0.02  # distance from the box at which a fit begins
+_LARGEST_NORMAL = 6.77  # of the streams of random numbers
+_PACE = 0.01  # of differences, relative to the box
+_DAMPING = 0.02  # of the regression, relative to the scatter of the draws
+_SMALLEST = 1e-300
+_LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+@dataclass(frozen=True, slots=True)
+class ClassModel:
+    """One class of a recipe: what is read, as a function of its nuisances.
+
+    The coordinates are the standard normal ones of `FACTORS`; then, uniform in 0 .. 1, the `PRIORS` of a recipe with a
+    table `field`, and the severities that have a range.
+    """
+
+    recipe: Recipe
+    fault_class: FaultClass
+
+    @property
+    def n_uniform(self) -> int:
+        """Number of uniform coordinates."""
+        ranged = [part for part in self.fault_class.parts if part.severity_to is not None]
+        return len(ranged) + (0 if self.recipe.field is None else len(PRIORS))
+
+    @property
+    def box(self) -> FloatArray:
+        """Lower and upper ends of the coordinates, shape (2, size)."""
+        normal, uniform = np.full(len(FACTORS), _LARGEST_NORMAL), np.ones(self.n_uniform)
+        return np.array([[*-normal, *(0.0 * uniform)], [*normal, *uniform]])
+
+    @property
+    def prior(self) -> FloatArray:
+        """Means and precisions of the normal prior that stands for the uniform one in the linear motor, (2, size)."""
+        return np.concatenate(
+            [np.tile([[0.0], [1.0]], len(FACTORS)), np.tile([[0.5], [1.0]], self.n_uniform)], axis=1
+        )
+
+    @property
+    def steps(self) -> FloatArray:
+        """Step of the converter for each value, 0 where there is none, shape (n_channels * n_samples,)."""
+        channels, field = self.recipe.sensor.channels, self.recipe.field
+        step = (
+            2.0 * field.sensor_range_a / 2.0**field.adc_bits if field is not None and field.adc_bits else 0.0
+        )
+        each = [step * (channel is Channel.CURRENT) for channel in channels]
+        return np.repeat(each, self.recipe.timing.n_samples)
+
+    @property
+    def noise(self) -> FloatArray:
+        """Standard deviation of the noise of each value, without the converter's."""
+        std = np.sqrt(variance_factor(self.fault_class)) * self.recipe.sensor.noise_std
+        return np.repeat(std, self.recipe.timing.n_samples)
+
+    def readings(self, values: FloatArray) -> FloatArray:
+        """Readings without noise and converter, shape (n, n_channels * n_samples), at coordinates (n, size)."""
+        recipe, n = self.recipe, len(values)
+        factors = 1.0 + recipe.spread.std * values[:, : len(FACTORS)]
+        severities, column = {}, values.shape[1]
+        for part in self.fault_class.parts:
+            if part.kind is not None:
+                severities[part.kind] = np.full(n, part.severity)
+                if part.severity_to is not None:
+                    column -= 1
+                    severities[part.kind] += (part.severity_to - part.severity) * values[:, column]
+        scenario = Scenario(
+            parameters=apply_factors(recipe.motor, factors),
+            faults=tuple(Fault(kind, severity) for kind, severity in severities.items()),
+            supply=SupplyParameters(recipe.supply.voltage_v * factors[:, FACTORS.index("supply")]),
+            sensor=recipe.sensor.with_noise(0.0),
+            timing=recipe.timing,
+        )
+        effects = chain = None
+        if recipe.field is not None:
+            low, high = np.array([getattr(recipe.field, name) for name in PRIORS]).T
+            drawn = low + (high - low) * values[:, len(FACTORS) : len(FACTORS) + len(PRIORS)]
+            effects, chain = surroundings(recipe, drawn, severities)
+            chain = replace(chain, adc_bits=0, range_a=0.0, missing_fraction=0.0)
+        exact = measure(scenario, 0, np.arange(n), effects=effects, chain=chain, nominal=recipe.motor)
+        return exact.reshape(n, -1).astype(np.float64)
+
+    def log_joint(self, measured: FloatArray, readings: FloatArray, values: FloatArray) -> FloatArray:
+        """Log density of what was measured and of the coordinates in their box, shape (n,); nan: not measured."""
+        noise, half = self.noise, 0.5 * self.steps
+        error = (measured - readings) / noise
+        normal = -0.5 * (np.square(error) + _LOG_2PI) - np.log(noise)
+        shares = ndtr(error + half / noise) - ndtr(error - half / noise)
+        logs = np.where(half > 0.0, np.log(np.maximum(shares, _SMALLEST)), normal)
+        prior = -0.5 * (np.square(values[:, : len(FACTORS)]) + _LOG_2PI).sum(axis=1)
+        joint: FloatArray = np.nansum(logs, axis=1) + prior
+        return joint
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """Readings near a point as a linear function of the coordinates, in units of the noise.
+
+    Attributes:
+        at: coordinates, shape (size,).
+        left: measured less read there, shape (n_values,); 0 where nothing was measured.
+        slopes: shape (n_values, size).
+    """
+
+    at: FloatArray
+    left: FloatArray
+    slopes: FloatArray
+
+    def posterior(self, model: ClassModel) -> TruncatedNormal:
+        """Of the coordinates, were the motor linear and the noise normal."""
+        mean, precision = model.prior
+        information = self.slopes.T @ self.slopes + np.diag(precision)
+        pull = self.slopes.T @ self.left + precision * (mean - self.at)
+        return TruncatedNormal.cut(self.at + np.linalg.solve(information, pull), information, *model.box)
+
+    def objective(self, model: ClassModel) -> float:
+        """Minus the log density of what was measured and of the coordinates, had the converter normal errors."""
+        mean, precision = model.prior
+        far = np.square(self.left).sum() + (precision * np.square(self.at - mean)).sum()
+        return float(0.5 * far + np.log(model.noise).sum())
+
+
+class Evidence(NamedTuple):
+    """Of one class.
+
+    Attributes:
+        log_value: log of the probability density of what was measured; -inf where no fit comes near the best class's.
+        effective: effective number of draws (Kish 1965) behind it.
+    """
+
+    log_value: float
+    effective: float
+
+
+def best_fit(model: ClassModel, measured: FloatArray, begin: FloatArray) -> Linear:
+    """The motor made linear around the most probable coordinates of a start, shape (n_values,); nan: not measured.
+
+    Found by damped least squares from `begin`, shape (size,).
+    """
+    mean, precision = model.prior
+    low, high = model.box
+    noise = np.hypot(model.noise, model.steps / np.sqrt(12.0))
+    pace, root = _PACE * (high - low), np.sqrt(precision)
+
+    @lru_cache(maxsize=1)  # the residual and its slopes are asked for one after the other
+    def near(point: bytes) -> tuple[FloatArray, FloatArray]:
+        at = np.frombuffer(point)
+        signed = np.where(at + pace > high, -pace, pace)
+        read = model.readings(np.vstack([at, at + np.diag(signed)]))
+        change = (read[1:] - read[0]).T / (noise[:, None] * signed)
+        change[np.isnan(measured)] = 0.0
+        left = np.nan_to_num((measured - read[0]) / noise)
+        return np.concatenate([left, root * (mean - at)]), -np.vstack([change, np.diag(root)])
+
+    def residual(at: FloatArray) -> FloatArray:
+        return near(at.tobytes())[0]
+
+    def slopes(at: FloatArray) -> FloatArray:
+        return near(at.tobytes())[1]
+
+    found = least_squares(residual, begin, jac=slopes, bounds=(low, high), x_scale="jac", ftol=1e-2)
+    n_values = len(measured)
+    return Linear(found.x, residual(found.x)[:n_values], -slopes(found.x)[:n_values])
+
+
+def _effective(log_weights: FloatArray) -> float:
+    return float(np.exp(2.0 * logsumexp(log_weights) - logsumexp(2.0 * log_weights)))
+
+
+def _tempered(log_weights: FloatArray, wanted: float) -> FloatArray:
+    """Weights, summing to 1, flattened by a power until so many of them count."""
+    power = 1.0
+    if _effective(log_weights) < wanted:
+        power = brentq(lambda p: _effective(p * log_weights) - wanted, 0.0, 1.0, xtol=1e-3)
+    weights: FloatArray = np.exp(power * log_weights - logsumexp(power * log_weights))
+    return weights
+
+
+def _regressed(linear: Linear, values: FloatArray, left: FloatArray, weights: FloatArray) -> Linear:
+    """The linear motor that fits exact draws best: what was left over in them, shape (n, n_values), by weights."""
+    centre = weights @ values
+    apart = values - centre
+    weighted = apart.T * weights
+    scatter = weighted @ apart
+    mean_left = weights @ left
+    curved = left - mean_left + apart @ linear.slopes.T
+    change = np.linalg.solve(scatter + _DAMPING * np.diag(np.diag(scatter)), weighted @ curved)
+    return Linear(centre, mean_left, linear.slopes - change.T)
+
+
+def sampled_evidence(
+    model: ClassModel,
+    measured: FloatArray,
+    linear: Linear,
+    rng: np.random.Generator,
+    floor: float = -np.inf,
+) -> Evidence:
+    """Evidence of one class by adaptive multiple importance sampling (Cornuet et al. 2012).
+
+    Args:
+        model: the class.
+        measured: one start, shape (n_values,); nan: not measured.
+        linear: of `best_fit`.
+        rng: of the draws.
+        floor: log evidence below which one round is enough.
+    """
+    noise = np.hypot(model.noise, model.steps / np.sqrt(12.0))
+    proposals = [linear.posterior(model)]
+    values, joint = np.empty((0, len(linear.at))), np.empty(0)
+    left = np.empty((0, len(measured)))
+    while True:
+        fresh = proposals[-1].draw(rng, _DRAWS)
+        read = model.readings(fresh)
+        values = np.vstack([values, fresh])
+        left = np.vstack([left, np.nan_to_num((measured - read) / noise)])
+        joint = np.concatenate([joint, model.log_joint(measured, read, fresh)])
+        densities = [proposal.log_density(values) for proposal in proposals]
+        log_weights = joint - logsumexp(densities, axis=0) + np.log(len(proposals))
+        found = Evidence(float(logsumexp(log_weights) - np.log(len(values))), _effective(log_weights))
+        done = found.effective >= _ENOUGH or (found.effective >= _FEW and found.log_value < floor)
+        if done or len(proposals) == _MOST_ROUNDS:
+            return found
+        weights = _tempered(log_weights, 0.5 * _DRAWS)
+        linear = _regressed(linear, values, left, weights)
+        proposals.append(linear.posterior(model))
+
+
+def sampled_probabilities(
+    recipe: Recipe, start: ArrayLike, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Posterior of each class given one start, and the effective draws behind it, both of shape (n_classes,).
+
+    Classes whose best fit is far from the best of all get the probability 0, and no draws.
+
+    Args:
+        recipe: what the start was drawn from; a table `field` is allowed.
+        start: measurements, shape (n_channels, n_samples); nan: not measured.
+        rng: of the draws, and of the order in which one class's best fit begins at that of another.
+    """
+    measured = np.asarray(start, dtype=np.float64).reshape(-1)
+    models = [ClassModel(recipe, fault_class) for fault_class in recipe.classes]
+    fits: dict[int, Linear] = {}
+    begin = models[0].prior[0]
+    for index in rng.permutation(len(models)):
+        model = models[index]
+        centre = model.prior[0]
+        fits[index] = best_fit(model, measured, begin if len(begin) == len(centre) else centre)
+        begin = np.clip(fits[index].at, *(model.box + np.array([[_INSIDE], [-_INSIDE]])))
+    objective = {index: fit.objective(models[index]) for index, fit in fits.items()}
+    nearest = min(objective.values())
+    joint, effective = np.full(len(models), -np.inf), np.zeros(len(models))
+    for index in sorted(objective, key=objective.__getitem__):
+        if objective[index] < nearest + _HOPELESS:
+            floor = float(joint.max()) - _NEGLIGIBLE
+            joint[index], effective[index] = sampled_evidence(
+                models[index], measured, fits[index], rng, floor
+            )
+    with np.errstate(divide="ignore"):  # a class that is never drawn
+        joint = joint + np.log(recipe.class_probabilities)
+    return np.exp(joint - logsumexp(joint)), effective
