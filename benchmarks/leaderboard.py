@@ -25,8 +25,10 @@ from tables import marked
 from motor_classifiers.cli.main import main as motor_classifiers
 from motor_classifiers.contest import tasks
 from motor_classifiers.contest.leaderboard import page, read_scores
+from motor_classifiers.contest.questions import ClassTask, StreamTask
 from motor_classifiers.contest.submissions import write_submission
-from motor_classifiers.contest.tasks import ClassTask, StreamTask, Task, load_task
+from motor_classifiers.contest.task import SEED, VERSION, Task
+from motor_classifiers.contest.tasks import load_task
 from motor_classifiers.estimators.methods import METHODS
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.own_methods import fed
@@ -182,7 +184,7 @@ def _enter_peer(name: str, method: str, folder: str) -> None:
 
 
 def _labelled_test(task: ClassTask) -> Dataset:
-    return judged_starts(task.recipe, tasks.SEED, TEST_FIRST_CASE, task.n_test)
+    return judged_starts(task.recipe, SEED, TEST_FIRST_CASE, task.n_test)
 
 
 def whole_page() -> str:
@@ -202,7 +204,7 @@ def main() -> None:
             enter(entry)
     elif options.what == "freeze":
         digests = {"small": tasks.current_digests(whole=False), "whole": tasks.current_digests(whole=True)}
-        write_text(DIGESTS, json.dumps({"version": tasks.VERSION, **digests}, indent=1) + "\n")
+        write_text(DIGESTS, json.dumps({"version": VERSION, **digests}, indent=1) + "\n")
     else:
         write_text(PAGE, whole_page())
 

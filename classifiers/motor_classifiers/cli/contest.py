@@ -1,4 +1,4 @@
-"""The commands `task`, `submit` and `score` of motor-bench."""
+"""The commands `task`, `submit`, `score` and `score-recordings` of motor-bench."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Json = Annotated[bool, Parameter(name="--json", negative=())]
 
 def _seed(sealed: Path | None) -> int:
     """The public seed, or the one number of a file."""
-    from motor_classifiers.contest.tasks import SEED
+    from motor_classifiers.contest.task import SEED
 
     if sealed is None:
         return SEED
@@ -87,8 +87,9 @@ def submit(
     require_extra("sklearn", "classifiers")
     from rich.console import Console
 
+    from motor_classifiers.contest.questions import ClassTask
     from motor_classifiers.contest.submissions import write_submission
-    from motor_classifiers.contest.tasks import ClassTask, load_task
+    from motor_classifiers.contest.tasks import load_task
     from motor_classifiers.estimators.own_methods import answered, fed, find_method
     from motor_classifiers.scoring.judging import in_recipe_order
 
@@ -140,4 +141,30 @@ def score(
         print(f"  above it by {scored['above_limit']:.2f} ({low:.2f} to {high:.2f}, paired)")
     else:
         print("  the best possible is not known")
+    return 0
+
+
+def score_recordings(truth: Path, said: Path, /, *, json_: Json = False) -> int:
+    """Score verdicts on recordings of your own: the share of wrong ones, its interval over motors.
+
+    Example: motor-classifiers score-recordings truth.csv said.json
+
+    Args:
+        truth: CSV with the columns file, motor and verdict.
+        said: JSON of motor-classifiers predict --json, of motor-env diagnose --json, or of a method of your own.
+        json_: Print the scores as JSON.
+    """
+    require_extra("sklearn", "classifiers")
+    from motor_classifiers.contest.recordings import score_recordings as scored_of
+
+    scored = scored_of(truth, said)
+    if json_:
+        print(json.dumps(scored, indent=1))
+        return 0
+    for one in scored:
+        wrong, low, high, silent = (100.0 * one[name] for name in ("wrong", "low", "high", "silent"))
+        counts = f"{one['n_recordings']} recordings of {one['n_motors']} motors"
+        print(
+            f"{one['method']}, {counts}: wrong {wrong:.1f} % ({low:.1f} to {high:.1f}), no verdict {silent:.1f} %"
+        )
     return 0

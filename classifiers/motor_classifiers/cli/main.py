@@ -316,8 +316,8 @@ def benchmark(
     return 1 if leaks else 0
 
 
-for name in ("task", "submit", "score"):
-    app.command(f"motor_classifiers.cli.contest:{name}", name=name)
+for name in ("task", "submit", "score", "score-recordings"):
+    app.command(f"motor_classifiers.cli.contest:{name.replace('-', '_')}", name=name)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from motor_classifiers.contest.submissions import paired, unpacked_costs
-from motor_classifiers.contest.tasks import TASKS, VERSION, Task
+from motor_classifiers.contest.task import VERSION, Task
+from motor_classifiers.contest.tasks import TASKS
 from motor_classifiers.scoring.metrics import resampling_weights
 
 Scored = dict[str, Any]

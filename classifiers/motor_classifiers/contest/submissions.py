@@ -13,7 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
 
-from motor_classifiers.contest.tasks import SEED, VERSION, Task, load_task
+from motor_classifiers.contest.task import SEED, VERSION, Task
+from motor_classifiers.contest.tasks import load_task
 from motor_classifiers.scoring.metrics import resampling_weights
 from motor_env.errors import InputError
 from motor_env.files import replacing, write_text

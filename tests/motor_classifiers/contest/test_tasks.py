@@ -18,8 +18,10 @@ from motor_classifiers import load_task, score_submission, write_submission
 from motor_classifiers.cli.main import main
 from motor_classifiers.contest import submissions, tasks
 from motor_classifiers.contest.leaderboard import page, ranks
+from motor_classifiers.contest.questions import StrangerTask
 from motor_classifiers.contest.submissions import ANSWERS, CARD, paired, unpacked_costs
-from motor_classifiers.contest.tasks import TASKS, StrangerTask, Task, current_digests, frozen_digests
+from motor_classifiers.contest.task import Task
+from motor_classifiers.contest.tasks import TASKS, current_digests, frozen_digests
 from motor_classifiers.scoring.metrics import resampling_weights
 from motor_env.errors import InputError
 

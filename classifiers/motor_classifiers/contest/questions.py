@@ -1,0 +1,223 @@
+"""What tasks ask: classes, severities, strangeness, the time of an alarm; each with its cases and its costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_classifiers.contest.task import SEED, Cases, Task
+from motor_classifiers.estimators.reference_starts import referenced_probabilities, referenced_starts
+from motor_classifiers.scoring.judging import TEST_FIRST_CASE, TRAIN_FIRST_CASE, judged_starts
+from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, foreign_starts
+from motor_datasets.arrays import Dataset
+from motor_env.errors import InputError
+from motor_env.inference.posterior import class_probabilities
+from motor_env.inference.severity import SeverityPrior, severity_posterior
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.drawing import draw
+from motor_env.simulation.random_streams import Stream, uniforms
+from motor_env.simulation.simulate import simulate
+
+_TOLERANCE = 1e-3  # of a sum of probabilities
+
+
+@dataclass(frozen=True, slots=True)
+class ClassTask(Task):
+    """Name the class; the answer is a probability of each, the decision the largest."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """One column a class."""
+        return self.recipe.class_names
+
+    def test(self, seed: int = SEED) -> Cases:
+        """Starts of other motors than those of the training."""
+        starts = judged_starts(self.recipe, seed, TEST_FIRST_CASE, self.n_test)
+        return Cases(starts.X, starts.class_index, starts.motor_id)
+
+    def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
+        """1 for a wrong decision."""
+        wrong: FloatArray = (answers.argmax(axis=1) != truth).astype(np.float64)
+        return wrong
+
+    def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
+        """The exact posterior where the likelihood has a closed form."""
+        return None if self.recipe.field is not None else class_probabilities(self.recipe, X)
+
+    def check(self, answers: FloatArray) -> None:
+        """Probabilities lie in 0 .. 1 and sum to 1 within a thousandth."""
+        Task.check(self, answers)
+        outside = np.argwhere((answers < 0.0) | (answers > 1.0))
+        if len(outside):
+            case, column = outside[0]
+            value = answers[case, column]
+            raise InputError(
+                f"case {case}: {self.columns[column]} must be a probability from 0 to 1, got {value:g}"
+            )
+        total = answers.sum(axis=1)
+        wrong = np.flatnonzero(np.abs(total - 1.0) > _TOLERANCE)
+        if len(wrong):
+            raise InputError(f"case {wrong[0]}: its probabilities must sum to 1, got {total[wrong[0]]:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceTask(ClassTask):
+    """The same with healthy starts of the same motor as further channels."""
+
+    n_references: int = 1
+
+    def train(self) -> Dataset:
+        """Starts with their references."""
+        return referenced_starts(self.recipe, SEED, np.arange(self.n_train), self.n_references)
+
+    def test(self, seed: int = SEED) -> Cases:
+        """Starts of other motors, with their references."""
+        motors = np.arange(self.n_test) + TEST_FIRST_CASE // 10
+        starts = referenced_starts(self.recipe, seed, motors, self.n_references)
+        return Cases(starts.X, starts.class_index)
+
+    def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
+        """The exact posterior given the references."""
+        return referenced_probabilities(self.recipe, X)
+
+
+@dataclass(frozen=True, slots=True)
+class SeverityTask(Task):
+    """Tell the severity of a fault whose kind is known; the answer is a number, 0.01 for a point."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """One estimate."""
+        return ("severity",)
+
+    def test(self, seed: int = SEED) -> Cases:
+        """Starts of other motors, severities uniform."""
+        starts = judged_starts(self.recipe, seed, TEST_FIRST_CASE, self.n_test)
+        return Cases(starts.X, starts.severity)
+
+    def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
+        """Squared error in points."""
+        squares: FloatArray = np.square(100.0 * (answers[:, 0] - truth))
+        return squares
+
+    def figures(self, costs: FloatArray, weights: FloatArray) -> FloatArray:
+        """Root of the mean squared error, in points."""
+        roots: FloatArray = np.sqrt(0.01 * Task.figures(self, costs, weights))
+        return roots
+
+    def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
+        """The posterior mean."""
+        (fault,) = self.recipe.classes
+        assert fault.kind is not None  # noqa: S101  # a task of one kind
+        prior = SeverityPrior(fault.kind, fault.severity, fault.largest_severity)
+        return severity_posterior(self.recipe, prior, X).mean[:, None]
+
+
+@dataclass(frozen=True, slots=True)
+class StrangerTask(Task):
+    """Say how strange a start is: motors of the known classes against faults that nobody was trained on.
+
+    The metric is 1 minus the area under the ROC curve, averaged over the unknown faults. The cost of a case is its part
+    of that area's linearisation (DeLong et al. 1988): the mean is the metric, and the scatter that of the area.
+    """
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """One score, the larger the stranger."""
+        return ("strangeness",)
+
+    def test(self, seed: int = SEED) -> Cases:
+        """As many starts of the known classes as of each unknown fault, in an order of the seed's own."""
+        per_kind = self.n_test // (1 + len(UNKNOWN_FAULTS))
+        numbers = np.arange(per_kind) + TEST_FIRST_CASE
+        known = judged_starts(self.recipe, seed, TEST_FIRST_CASE, per_kind).X
+        foreign = [foreign_starts(self.recipe, fault, seed, numbers) for fault in UNKNOWN_FAULTS]
+        order = np.random.default_rng(seed).permutation(per_kind * (1 + len(foreign)))
+        kinds = np.repeat(np.arange(1 + len(foreign)), per_kind)
+        return Cases(np.concatenate([known, *foreign])[order], kinds[order])
+
+    def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
+        """Each case's part of 1 minus the area."""
+        score, n_faults = answers[:, 0], len(UNKNOWN_FAULTS)
+        is_known = truth == 0
+        known = score[is_known]
+        lost_known, deviation, missing = np.zeros(len(known)), np.zeros(len(truth)), 0.0
+        for fault in range(1, n_faults + 1):
+            foreign = score[truth == fault]
+            lost = 1.0 - _share_below(np.sort(known), foreign)
+            missing += float(lost.mean()) / n_faults
+            lost_known += _share_below(np.sort(foreign), known) / n_faults
+            deviation[truth == fault] = (lost - lost.mean()) / n_faults
+        deviation[is_known] = lost_known - missing
+        return missing + (1 + n_faults) * deviation
+
+
+def _share_below(others: FloatArray, score: FloatArray) -> FloatArray:
+    """Share of sorted others below each score, ties half."""
+    below = np.searchsorted(others, score, "left") + np.searchsorted(others, score, "right")
+    share: FloatArray = below / (2.0 * len(others))
+    return share
+
+
+@dataclass(frozen=True, slots=True)
+class StreamTask(Task):
+    """Sound an alarm soon after a fault sets in: half of the motors stay healthy; the answer is a time, nan for none.
+
+    A false alarm costs 1, a miss costs 1, and a delay its share of `longest_delay_s`.
+    """
+
+    longest_delay_s: float = 0.2
+    onsets_s: tuple[float, float, int] = (0.15, 0.45, 31)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Time of the alarm after the step of the supply."""
+        return ("alarm_s",)
+
+    def test(self, seed: int = SEED) -> Cases:
+        """Starts that go on; where the class is a fault, it sets in at one of the onsets."""
+        return self._drawn(seed, TEST_FIRST_CASE, self.n_test)
+
+    def train_streams(self) -> Cases:
+        """The same of other motors, to choose thresholds on."""
+        return self._drawn(SEED, TRAIN_FIRST_CASE, self.n_train)
+
+    def learned(self) -> dict[str, NDArray[Any]]:
+        """Streams, and when their faults set in."""
+        X, onset_s, _ = self.train_streams()
+        return {"X": X, "onset_s": onset_s}
+
+    def _drawn(self, seed: int, first: int, count: int) -> Cases:
+        numbers = np.arange(count) + first
+        grid = np.linspace(*self.onsets_s)
+        chosen = (uniforms(seed, Stream.ONSET, numbers, 1)[:, 0] * len(grid)).astype(np.int64)
+        X = np.zeros((count, len(self.recipe.sensor.channels), self.recipe.timing.n_samples), np.float32)
+        healthy = np.zeros(count, dtype=bool)
+        for n, onset in enumerate(grid):
+            mine = np.flatnonzero(chosen == n)
+            if len(mine):
+                drawn = draw(self.recipe, seed, numbers[mine])
+                late = tuple(replace(fault, onset_s=float(onset)) for fault in drawn.scenario.faults)
+                X[mine] = simulate(replace(drawn.scenario, faults=late), seed, numbers[mine]).measurements
+                healthy[mine] = drawn.class_index == 0
+        return Cases(X, np.where(healthy, np.nan, grid[chosen]))
+
+    def check(self, answers: FloatArray) -> None:
+        """A time is nan or not negative."""
+        wrong = np.flatnonzero(answers[:, 0] < 0.0)
+        if len(wrong):
+            raise InputError(f"case {wrong[0]}: alarm_s must be >= 0 or nan, got {answers[wrong[0], 0]:g}")
+
+    def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
+        """1 for a false alarm or a miss, else the delay."""
+        alarm = np.where(np.isnan(answers[:, 0]), np.inf, answers[:, 0])
+        onset = np.where(np.isnan(truth), np.inf, truth)
+        late = np.where(np.isfinite(alarm) & np.isfinite(onset), alarm, 0.0) - np.where(
+            np.isfinite(onset), onset, 0.0
+        )
+        delay = np.clip(late / self.longest_delay_s, 0.0, 1.0)
+        wrong = (alarm < onset) | (np.isinf(alarm) & np.isfinite(onset))
+        return np.where(wrong, 1.0, np.where(np.isinf(onset), 0.0, delay))
