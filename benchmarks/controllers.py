@@ -1,6 +1,6 @@
 """Size and instructions a sample of `motor-env export-c` on two chips: cross-compiled with GCC, counted in QEMU.
 
-    python benchmarks/controllers.py
+    python benchmarks/controllers.py && python benchmarks/result_tables.py
 
 Needs arm-none-eabi-gcc (with newlib) and qemu-system-arm: the Debian packages gcc-arm-none-eabi,
 libnewlib-arm-none-eabi, qemu-system-arm.
@@ -9,6 +9,7 @@ libnewlib-arm-none-eabi, qemu-system-arm.
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import shutil
 import subprocess
@@ -213,15 +214,17 @@ def measure(chip: Chip, arithmetic: str, *, n_channels: int = 1, rule: str = "cu
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the table."""
-    argparse.ArgumentParser(description=__doc__).parse_args(arguments)
-    print("| chip | arithmetic | rule | channels | flash | with self test | RAM | instructions a sample |")
-    print("|---|---|---|---|---|---|---|---|")
-    for chip in CHIPS:
-        for arithmetic in ("fixed", "float"):
-            for rule, n_channels in (("cusum", 1), ("cusum", 2), ("nis", 1)):
-                row = measure(chip, arithmetic, n_channels=n_channels, rule=rule)
-                print("| " + " | ".join(f"{v:.0f}" if isinstance(v, float) else str(v) for v in row) + " |")
+    """Write the sizes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "controllers.json")
+    options = parser.parse_args(arguments)
+    rows = [
+        measure(chip, arithmetic, n_channels=n_channels, rule=rule)._asdict()
+        for chip in CHIPS
+        for arithmetic in ("fixed", "float")
+        for rule, n_channels in (("cusum", 1), ("cusum", 2), ("nis", 1), ("nis", 2))
+    ]
+    options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

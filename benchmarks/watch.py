@@ -24,10 +24,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from motor_env import PAPER_MOTOR
+from motor_env import PAPER_MOTOR, Fault, FaultKind
 from motor_env.diagnosis import windows
 from motor_env.live.state import State
 from motor_env.live.watch import YEAR_S, Lesson, Watch
+from motor_env.motor.data_sheet import WindowReference
+from motor_env.motor.faults import apply_faults
 from motor_env.motor.model import discretize
 from motor_env.motor.parameters import (
     COPPER_PER_KELVIN,
@@ -43,6 +45,14 @@ VOLTS, NOISE_A, NOISE_RAD_S = 12.0, 0.02, 1.0
 LOAD_N_M, LOAD_S = 3e-3, 3600.0  # standard deviation and memory of the load: a tenth of the rated torque
 WARM_K, WARM_S = 10.0, 7200.0
 WINDOW_S, LEARN_S = 600.0, 5 * 3600.0
+FAULTS = (
+    (FaultKind.BEARING, 0.25),
+    (FaultKind.BEARING, 0.5),
+    (FaultKind.BEARING, 1.0),
+    (FaultKind.WINDING_CONTACT, 0.1),
+    (FaultKind.WINDING_CONTACT, 0.25),
+)
+RUNS, MOST_WINDOWS = 5, 12
 RATES = {"hour": YEAR_S / 3600.0, "day": YEAR_S / 86_400.0}
 
 
@@ -104,9 +114,7 @@ def duty(rng: np.random.Generator, samples: int, holds: tuple[int, int], *, leas
     return levels
 
 
-def work(
-    rng: np.random.Generator, hours: float, fault: Callable[[MotorParameters], MotorParameters]
-) -> Iterator[Floats]:
+def work(rng: np.random.Generator, hours: float, *faults: Fault) -> Iterator[Floats]:
     """Time, voltage, current, speed at 1 Hz, a window at a time; shape (n, 4)."""
     samples, n = int(hours * 3600.0), int(WINDOW_S)
     load = wandering(rng.standard_normal(samples), LOAD_N_M, LOAD_S)
@@ -114,7 +122,7 @@ def work(
     volts, x = duty(rng, samples, (6, 16)), np.zeros(2)
     for k, kelvin in enumerate(warm_k):
         part = slice(k * n, (k + 1) * n)
-        model = discretize(fault(warmed(heavy(), kelvin)), 1.0)
+        model = discretize(apply_faults(warmed(heavy(), kelvin), faults), 1.0)
         states = moved(model.transition, model.gain, np.stack([volts[part], load[part]], axis=1), x)
         noise = rng.standard_normal((n, 2)) * (NOISE_A, NOISE_RAD_S)
         yield np.column_stack([np.arange(part.start, part.stop) + 1.0, volts[part], states + noise])
@@ -146,7 +154,7 @@ def watched(hours: float, seed: int) -> dict[str, Any]:
     """Events of healthy work by the rate that was asked for, and what it cost."""
     rng = np.random.default_rng([77, seed])
     begin_s = time.process_time()
-    stream = lines(work(rng, hours + LEARN_S / 3600.0, lambda motor: motor))
+    stream = lines(work(rng, hours + LEARN_S / 3600.0))
     first = Watch(Lesson(WINDOW_S, LEARN_S), State(), false_alarms_per_year=1.0)
     learned = next(event for event in first.events(stream) if event.kind == "learned")
     learned_s, peak_kb = time.process_time() - begin_s, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -160,15 +168,35 @@ def watched(hours: float, seed: int) -> dict[str, Any]:
         for line in stream:
             for name, watch in each.items():
                 counts[name].update(event.name for event in watch.events([line]))
+    watching_s = time.process_time() - begin_s - learned_s
+    grown_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak_kb
     judged = sum(n for what, n in counts["day"].items() if what.startswith("window"))
     return {
         "seed": seed,
         "hours": judged * WINDOW_S / 3600.0,
         "learned_at_s": learned.time_s,
         "events": {name: dict(count) for name, count in counts.items()},
-        "cpu_s": {"learning": learned_s, "watching": time.process_time() - begin_s - learned_s},
-        "memory_grew_kb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak_kb,
+        "faults": detected(first.reference, rng),
+        "cpu_s": {"learning": learned_s, "watching": watching_s},
+        "memory_grew_kb": grown_kb,
     }
+
+
+def detected(reference: WindowReference | Lesson, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Windows until the first alarm after a fault, at one false alarm an hour, under varying load and temperature."""
+    rows = []
+    for kind, severity in FAULTS:
+        firsts: list[tuple[int, str]] = []
+        for _ in range(RUNS):
+            watch = Watch(reference, State(), false_alarms_per_year=RATES["hour"])
+            stream = watch.events(lines(work(rng, MOST_WINDOWS / 6.0, Fault(kind, severity))))
+            numbered = ((n, event.text) for n, event in enumerate(stream, 1) if event.text != "healthy")
+            firsts.append(next(numbered, (MOST_WINDOWS, "none")))
+        counts, names = zip(*firsts, strict=True)
+        rows.append(
+            {"fault": str(kind), "severity": severity, "windows": counts, "named": dict(Counter(names))}
+        )
+    return rows
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -1,0 +1,89 @@
+"""20 kHz from a pipe: the share of one core that `motor-env watch` needs; `pytest -m long -s` prints it."""
+
+import resource
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_env import PAPER_MOTOR, MotorFile, save_motor
+from motor_env.motor.data_sheet import WindowReference
+from motor_env.motor.model import discretize
+from motor_env.operation import kernel
+from motor_env.operation.terms import NOISES
+
+RATE_HZ, WINDOW_S, STREAM_S = 20_000, 20.0, 60.1
+
+
+def reference() -> WindowReference:
+    """As the textbook motor would have taught it."""
+    motor = PAPER_MOTOR
+    physical = np.zeros(kernel.N_VALUES)
+    physical[[kernel.R, kernel.L, kernel.K, kernel.J, kernel.B]] = (
+        motor.resistance_ohm,
+        motor.inductance_h,
+        motor.torque_constant_n_m_per_a,
+        motor.inertia_kg_m2,
+        motor.viscous_friction_n_m_s_per_rad,
+    )
+    physical[[kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V]] = 0.003, 0.2, 0.01
+    physical[[kernel.COULOMB, kernel.DROP]] = (
+        1e-6,
+        1e-3,
+    )  # so that a sample in which the motor turns costs its events
+    averaged = 67  # 400,000 samples of a window as at most 6,000
+    return WindowReference(
+        windows=10,
+        window_s=WINDOW_S,
+        degrees_of_freedom=13.0,
+        values=np.array([*physical[[kernel.R, kernel.K, kernel.J]], 1.0]),
+        log_covariance=np.eye(4) * 1e-3,
+        terms=("R", "K", "J", "coulomb", "load_constant", "offset_current", "offset_speed", *NOISES),
+        physical=physical,
+        hold="straight",
+        dt_s=averaged / RATE_HZ,
+        rms_volts=(5.0, 9.0),
+    )
+
+
+def stream() -> bytes:
+    """What a device prints of the motor under a voltage that changes every 0.1 s."""
+    model, n, rng = discretize(PAPER_MOTOR, 1.0 / RATE_HZ), int(STREAM_S * RATE_HZ), np.random.default_rng(1)
+    volts = np.repeat(rng.uniform(-12.0, 12.0, n // 2_000 + 1), 2_000)[:n]
+    states = []
+    (a, b), (c, d) = model.transition.tolist()
+    (g, _), (h, _) = model.gain.tolist()
+    i = w = 0.0
+    for v in volts.tolist():
+        i, w = a * i + b * w + g * v, c * i + d * w + h * v
+        states.append((i, w))
+    x = np.array(states) + rng.standard_normal((n, 2)) * (0.02, 1.0)
+    rows = zip((np.arange(n) / RATE_HZ).tolist(), volts.tolist(), *x.T.tolist(), strict=True)
+    return b"time_s,voltage_v,current_a,speed_rad_s\n" + b"".join(
+        b"%.5f,%.4g,%.4g,%.5g\n" % row for row in rows
+    )
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_20_khz_needs_less_than_half_a_core(tmp_path: Path) -> None:
+    toml = tmp_path / "motor.toml"
+    save_motor(replace(MotorFile("textbook", "commissioned", PAPER_MOTOR), operation=reference()), toml)
+    lines = stream()
+
+    def cpu_s(data: bytes) -> tuple[float, str]:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        command = [sys.executable, "-m", "motor_env", "watch", str(toml)]
+        done = subprocess.run(command, input=data, capture_output=True, check=False)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, done.stdout.decode()
+
+    begin_s, _ = cpu_s(lines[:200])
+    whole_s, told = cpu_s(lines)
+    share = (whole_s - begin_s) / STREAM_S
+    sys.stdout.write(f"begin {begin_s:.1f} s of CPU, then {share:.2f} of a core\n{told}")
+    assert told.count('"healthy"') == 3
+    assert share < 0.5
