@@ -117,7 +117,7 @@ def reference_from_motor(
 def reference_from_starts(
     starts: StartReference, names: tuple[str, ...], motor: str, temperature_c: float | None = None
 ) -> Reference | None:
-    """Reference from healthy starts of a motor; None where they do not tell these quantities.
+    """Reference from healthy starts of a motor; None where these quantities do not follow from them.
 
     Where both temperatures are known the healthy motor is taken at this one, with what is left unknown of it.
     """

@@ -7,7 +7,7 @@ from motor_env.envs.vector import DiscreteVectorEnv
 
 
 class MonitorEnv(DiscreteMotorEnv):
-    """A DC motor runs under the eye of a Kalman filter that believes it healthy. Say what fails, and when.
+    """A DC motor runs, watched by a Kalman filter of the healthy motor. Say what fails, and when.
 
     ## Description
     The motor begins at its operating point. At an unknown time a fault of an unknown kind sets in, or none does. The
@@ -18,11 +18,9 @@ class MonitorEnv(DiscreteMotorEnv):
     bearing, winding, noise. With the default recipe: 1 bearing, 2 winding.
 
     ## Observation space
-    `Box`, float32, finite, clipped at the space's bounds: the named features of `motor_env.envs.kernel.FEATURES`, for
-    current alone: measured current, estimated current and speed, whitened innovation, its exponentially weighted means
-    over 1 and 10 ms (scaled to a standard deviation of 1), the same of its excess of power over 10 ms, voltage, time
-    as a share of the horizon. Current is in units of the stall current, speed of the ideal no-load speed, voltage
-    of the supply's.
+    `Box`, float32, finite, clipped at the space's bounds; `observe` chooses the numbers. Means are exponentially
+    weighted and scaled to a standard deviation of 1. Current is in units of the stall current, speed of the ideal
+    no-load speed, voltage of the supply's.
 
     ## Reward
     See `MonitorOptions`: delay costs 5 a second; right kind +1, silence to the end without a fault +1, false alarm -1,

@@ -25,7 +25,7 @@ absorbs a fault (with Q = diag(1e-4, 0.1) the innovation hardly shows a bearing 
 
 @dataclass(frozen=True, slots=True)
 class KalmanFilter:
-    """What the filter believes: a motor's model, sensor, noise and starting point.
+    """What the filter assumes: a motor's model, sensor, noise and starting point.
 
     Attributes:
         model: discrete model of the healthy motor; or of a batch of motors, one for each case.

@@ -156,7 +156,7 @@ class Excess(NamedTuple):
 
 
 def excess_over_limit(probabilities: FloatArray, class_index: ArrayLike, predicted: ArrayLike) -> Excess:
-    """Compare a classifier with the limit in pairs, case by case (McNemar 1947).
+    """Compare a classifier with the limit, case by case (McNemar 1947).
 
     Args:
         probabilities: posterior probabilities of the cases, shape (n_cases, n_classes).

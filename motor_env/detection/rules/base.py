@@ -25,7 +25,7 @@ _RUNS = 2_000
 
 
 class Rule(Statistic):
-    """A decision rule on whitened innovations, which are white and standard normal while the belief holds.
+    """A decision rule on whitened innovations, which are white and standard normal while the motor is healthy.
 
     That they are: Kailath 1968; that faults show in them: Mehra & Peschon 1971.
 
