@@ -1,4 +1,4 @@
-"""Print the tables of docs/limits.md: `python benchmarks/limits.py [CASES]`, 20,000 cases and some ten minutes."""
+"""Make the tables of docs/limits.md: `python benchmarks/limits.py [CASES]`, 20,000 cases and some ten minutes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from accuracy_limits import class_limits, severity_limit
-from tables import print_table
+from tables import keep_table
 
 from motor_env.inference.identifiability import Experiment, cramer_rao_bound
 from motor_env.inference.severity import SeverityPrior
@@ -121,18 +121,19 @@ def bounds() -> Iterable[Iterable[str]]:
 
 
 def main() -> None:
-    """Print all tables."""
+    """Make all tables."""
     n_cases = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
-    print_table("Bounds", ("noise", "R", "B"), bounds())
-    print_table("Accuracy", ("rate", "noise", "limit", "hits"), accuracy(n_cases))
-    print_table("Variants", ("setting", "limit"), variants(n_cases))
-    print_table("Early verdicts", ("seen", "limit"), early(n_cases))
-    print_table(
-        "Severity",
+    keep_table("limits", "bounds", ("noise", "R", "B"), bounds())
+    keep_table("limits", "accuracy", ("rate", "noise", "limit", "hits"), accuracy(n_cases))
+    keep_table("limits", "variants", ("setting", "limit"), variants(n_cases))
+    keep_table("limits", "early", ("seen", "limit"), early(n_cases))
+    keep_table(
+        "limits",
+        "severity",
         ("kind", "rate", "noise", "expected", "measured", "coverage"),
         severity(max(n_cases // 10, 100)),
     )
-    print_table("Matched tests", ("recipe", "fault", "sides", "false alarms", "power"), power(n_cases))
+    keep_table("limits", "tests", ("recipe", "fault", "sides", "false alarms", "power"), power(n_cases))
 
 
 if __name__ == "__main__":

@@ -1,20 +1,20 @@
-"""Tables of README.md and docs/benchmark.md from benchmarks/results: `python benchmarks/result_tables.py` writes them.
+"""Tables of README.md and docs from benchmarks/results: `python benchmarks/result_tables.py` writes them.
 
-A test compares both pages with the files, so no figure in these tables is written by hand.
+A test compares the pages with the files, so no figure in these tables is written by hand.
 """
 
 from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from tables import marked
+from tables import KEPT, kept_tables, marked, table
+from trust_tables import trust_tables
 
 FOLDER = Path(__file__).resolve().parent
-README, BENCHMARK = FOLDER.parent / "README.md", FOLDER.parent / "docs" / "benchmark.md"
+README, DOCS = FOLDER.parent / "README.md", FOLDER.parent / "docs"
 Row = dict[str, Any]
 
 _IN_README = {
@@ -38,12 +38,6 @@ _SWEPT = (
     "threshold",
 )
 _LIMIT = ("Bayes limit", "Bayes estimate")
-
-
-def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    names = list(head)
-    lines = [f"| {' | '.join(cells)} |" for cells in rows]
-    return "\n".join([f"| {' | '.join(names)} |", f"|{'---|' * len(names)}", *lines])
 
 
 def _points(share: float, digits: int = 2) -> str:
@@ -76,7 +70,7 @@ def readme_table() -> str:
             rows.append([_IN_README[name], f"*{accuracy}*", "", f"*{cost}*"])
         else:
             rows.append([_IN_README[name], accuracy, _points(row["below_bayes"]), cost])
-    return _table(
+    return table(
         ["method", "accuracy (95 % interval)", "behind the best possible, in points", "µs a start"], rows
     )
 
@@ -106,7 +100,7 @@ def default_table() -> str:
             ]
         )
     head = "method, accuracy, below the limit, winding, bearing, level, log-loss, ECE, µs a start, MB, training s, MB"
-    return _table(head.split(", "), rows)
+    return table(head.split(", "), rows)
 
 
 def _sweep() -> dict[tuple[str, float, float, int], dict[str, float]]:
@@ -136,7 +130,7 @@ def noise_table() -> str:
             settings.items(), key=lambda each: (recipes.index(each[0][0]), -each[0][1], each[0][2])
         )
     ]
-    return _table(["recipe", "rate", "noise", "limit", *_SWEPT], rows)
+    return table(["recipe", "rate", "noise", "limit", *_SWEPT], rows)
 
 
 def size_table() -> str:
@@ -149,15 +143,26 @@ def size_table() -> str:
             settings.items(), key=lambda each: (recipes.index(each[0][0]), -each[0][1], each[0][3])
         )
     ]
-    return _table(["recipe, rate, 20 mA", "training starts", *_SWEPT[1:]], rows)
+    return table(["recipe, rate, 20 mA", "training starts", *_SWEPT[1:]], rows)
 
 
 def pages() -> dict[Path, str]:
-    """Both pages with their tables made anew."""
+    """The pages with their tables made anew."""
     parts = {
         README: {"results": readme_table()},
-        BENCHMARK: {"default": default_table(), "noise": noise_table(), "size": size_table()},
+        DOCS / "benchmark.md": {
+            "default": default_table(),
+            "noise": noise_table(),
+            "size": size_table(),
+        },
     }
+    for path in sorted(KEPT.glob("*.json")):
+        tables = kept_tables(path.stem)
+        parts[DOCS / f"{path.stem}.md"] = {
+            name: table(one["header"], one["rows"]) for name, one in tables.items()
+        }
+    trust = json.loads((FOLDER / "results" / "trust.json").read_bytes())
+    parts.setdefault(DOCS / "trust.md", {}).update(trust_tables(trust))
     return {path: marked(path.read_text(encoding="utf-8"), tables) for path, tables in parts.items()}
 
 

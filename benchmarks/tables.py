@@ -1,8 +1,15 @@
-"""Tables of the benchmarks, in Markdown, row by row as they come."""
+"""Tables of the benchmarks in Markdown: printed row by row, and kept for the pages of the documentation."""
 
 from __future__ import annotations
 
+import json
+import shlex
+import sys
 from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+KEPT = Path(__file__).resolve().parent / "results" / "tables"
 
 
 def print_table(title: str, header: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
@@ -11,6 +18,38 @@ def print_table(title: str, header: Iterable[str], rows: Iterable[Iterable[str]]
     print(f"\n## {title}\n\n| {' | '.join(names)} |\n|{'---|' * len(names)}")
     for row in rows:
         print(f"| {' | '.join(row)} |", flush=True)
+
+
+def table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A table in Markdown."""
+    names = list(header)
+    lines = [f"| {' | '.join(cells)} |" for cells in rows]
+    return "\n".join([f"| {' | '.join(names)} |", f"|{'---|' * len(names)}", *lines])
+
+
+def kept_tables(page: str) -> dict[str, dict[str, Any]]:
+    """Tables of docs/PAGE.md by the name of their place, each with header, rows, and the command that made it."""
+    path = KEPT / f"{page}.json"
+    tables: dict[str, dict[str, Any]] = json.loads(path.read_bytes()) if path.is_file() else {}
+    return tables
+
+
+def keep_table(page: str, name: str, header: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
+    """Print a table and keep it; `python benchmarks/result_tables.py` writes it into docs/PAGE.md."""
+    names, seen = list(header), []
+
+    def each() -> Iterable[Iterable[str]]:
+        for row in rows:
+            seen.append(list(row))
+            yield seen[-1]
+
+    print_table(name, names, each())
+    command = shlex.join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
+    tables = kept_tables(page) | {name: {"command": command, "header": names, "rows": seen}}
+    KEPT.mkdir(exist_ok=True)
+    (KEPT / f"{page}.json").write_text(
+        json.dumps(tables, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
+    )
 
 
 def marked(text: str, parts: Mapping[str, str]) -> str:

@@ -1,47 +1,36 @@
-"""Print the tables of docs/trust.md, and draw its charts: `python benchmarks/trust.py [SECTION...]`.
-
-Sections: calibration, conformal, other, early, shifts; all by default, some twenty minutes on one idle core.
-"""
+"""Tables and charts of docs/trust.md that the benchmark does not make: `python benchmarks/trust.py [PART...]`."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import argparse
+import json
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from functools import cache, partial
-from itertools import chain
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from shifts import shift_scores, textbook_shifts
 from sklearn.base import BaseEstimator
-from tables import print_table
+from tables import keep_table
+from trust_tables import percent
 
 from motor_classifiers.estimators.methods import METHODS, make_method
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
-from motor_classifiers.estimators.networks.severity_density import severity_recipe
 from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.trust import network_for
 from motor_classifiers.scoring.unknown_faults import (
     DISTANCE,
     FALSE_ALARM_RATES,
-    UNKNOWN_FAULTS,
-    ForeignFault,
-    foreign_scores,
 )
 from motor_classifiers.scoring.verdict_times import (
     FIXED_TIME,
     STOPPING_RULE,
     VerdictTime,
-    accuracy_by_moment,
-    moments,
-    probabilities_by_moment,
-    race,
-    stopping_rows,
 )
-from motor_classifiers.wrappers.conformal import ConformalIntervals, ConformalSets, measured_coverage
+from motor_classifiers.wrappers.conformal import ConformalSets
 from motor_classifiers.wrappers.fault_family import family_fit
 from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClassifier
 from motor_datasets.arrays import Dataset
@@ -57,6 +46,7 @@ from motor_env.simulation.simulate import Timing
 SEED = 0
 TRAIN, CALIBRATE, TEST = 0, 500_000, 1_000_000  # first cases
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
+KEPT = Path(__file__).parent / "results" / "trust.json"
 
 
 def bench(rate_hz: float, name: str = "bench") -> Recipe:
@@ -90,23 +80,8 @@ def ordered(model: Any, X: Any, recipe: Recipe) -> FloatArray:
     return in_recipe_order(model, model.predict_proba(X), recipe)
 
 
-def percent(*shares: float, digits: int = 1) -> str:
-    """Shares in per cent, with commas between; the unit where it is one."""
-    text = ", ".join(f"{100.0 * share:.{digits}f}" for share in shares)
-    return f"{text} %" if len(shares) == 1 else text
-
-
-def interval(value: float, low: float, high: float) -> str:
-    """A share and its interval, in per cent."""
-    return f"{100.0 * value:.2f} % ({100.0 * low:.2f} to {100.0 * high:.2f})"
-
-
-Table = tuple[str, tuple[str, ...], Iterable[Iterable[str]]]
-"""Title, names of the columns, rows."""
-
-
-def calibration(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
-    """Calibration beside the limit's, and a reliability diagram of each setting."""
+def draw_reliability(n_cases: int) -> None:
+    """A reliability diagram of each setting."""
     for setting, recipe in SETTINGS.items():
         test = cases(recipe, TEST, n_cases)
         probabilities = {
@@ -115,85 +90,7 @@ def calibration(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
             "residual-qda, 2,000 starts": ordered(trained("residual-qda", recipe, 2000), test.X, recipe),
         }
         scores = {name: calibration_scores(p, test.class_index) for name, p in probabilities.items()}
-        rate_khz = recipe.timing.sampling_rate_hz / 1e3
-        plot_reliability(scores, IMAGES / f"reliability-{rate_khz:g}khz.svg")
-        best = scores["limit"]
-        for name, got in scores.items():
-            yield (
-                setting, name, f"{got.accuracy:.4f}", f"{got.ece:.4f}",
-                f"{got.ece - best.ece:+.4f}", f"{got.brier:.4f}", f"{got.log_loss:.4f}",
-                f"{100.0 * (got.log_loss / best.log_loss - 1.0):+.2f} %",
-            )  # fmt: skip
-
-
-def conformal_sets(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
-    """Coverage of sets, marginal and label-conditional."""
-    for setting, recipe in SETTINGS.items():
-        known, test = cases(recipe, CALIBRATE, n_cases), cases(recipe, TEST, n_cases)
-        models = {"posterior network": network(recipe), "residual-qda": trained("residual-qda", recipe, 2000)}
-        for name, model in models.items():
-            held_out, new = ordered(model, known.X, recipe), ordered(model, test.X, recipe)
-            for each in (False, True):
-                sets = ConformalSets.calibrate(held_out, known.class_index, label_conditional=each).sets(new)
-                got = measured_coverage(sets, test.class_index)
-                yield (
-                    setting, name, "in each class" if each else "overall",
-                    percent(got.overall), percent(*got.by_class), f"{got.mean_size:.2f}", percent(got.empty),
-                )  # fmt: skip
-
-
-def conformal_intervals(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
-    """Coverage of 90 % intervals of severity, the network's own and conformal ones."""
-    for setting, recipe in SETTINGS.items():
-        drawn = severity_recipe(recipe)
-        for fault_class in drawn.classes:
-            kind = str(fault_class.kind)
-            one = replace(drawn, classes=(fault_class,))
-            known, test = cases(one, CALIBRATE, n_cases), cases(one, TEST, n_cases)
-            before, own = (
-                np.column_stack(network(recipe).predict_severity(part.X, kind)[2:]) for part in (known, test)
-            )
-            widened = ConformalIntervals.calibrate(before, known.severity).widen(own)
-            shares = (
-                ((low <= test.severity) & (test.severity <= high)).mean() for low, high in (own.T, widened.T)
-            )
-            widths = (np.diff(intervals).mean() for intervals in (own, widened))
-            yield (
-                setting, kind,
-                *(percent(share) for share in shares), *(f"{100.0 * width:.2f}" for width in widths),
-            )  # fmt: skip
-
-
-FOREIGN = (
-    *UNKNOWN_FAULTS,
-    ForeignFault("resistance -15 %", resistance=0.85),
-    ForeignFault("inertia -25 %", inertia=0.75),
-    ForeignFault("supply +10 %", supply=1.1),
-    ForeignFault("friction -40 %", friction=0.6),
-)
-
-
-def other(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
-    """Foreign faults told by distance and by confidence; the threshold is set on other motors."""
-    for name, rate_hz in (("bench", 1_000.0), ("bench-full", 1_000.0), ("bench", 10_000.0)):
-        recipe = bench(rate_hz, name=name)
-        count = n_cases if (name, rate_hz) == ("bench", 1_000.0) else n_cases // 2
-        confidences: dict[str, Callable[[Any], FloatArray]] = {"limit": partial(class_probabilities, recipe)}
-        if name == "bench":
-            confidences["network"] = network(recipe).predict_proba
-        got = foreign_scores(
-            recipe, confidences, FOREIGN, seed=SEED, first_case=TEST,
-            n_threshold=count // 2, n_known=count, n_foreign=count // 4,
-        )  # fmt: skip
-        for fault in got["faults"]:
-            areas = [fault["auroc"].get(by) for by in (DISTANCE, "limit", "network")]
-            yield (
-                name, f"{rate_hz / 1e3:g} kHz", fault["fault"],
-                *("" if area is None else f"{area:.4f}" for area in areas),
-                percent(fault["called_other"]), percent(got["false_alarms"], digits=2),
-            )  # fmt: skip
-        if (name, rate_hz) == ("bench", 1_000.0):
-            plot_roc(got["faults"][: len(UNKNOWN_FAULTS)], "limit", IMAGES / "other-roc.svg")
+        plot_reliability(scores, IMAGES / f"reliability-{setting.split()[0]}khz.svg")
 
 
 def plot_roc(faults: list[dict[str, Any]], classifier: str, path: Path) -> None:
@@ -222,7 +119,7 @@ def plot_roc(faults: list[dict[str, Any]], classifier: str, path: Path) -> None:
         save(figure, path)
 
 
-def out_of_range(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
+def out_of_range(n_cases: int) -> Iterable[Iterable[str]]:
     """Severities beyond the trained ones, through the wrapper around the discriminant analysis."""
     for setting, recipe in SETTINGS.items():
         count = n_cases // 8
@@ -246,46 +143,6 @@ def out_of_range(n_cases: int = 20_000) -> Iterable[Iterable[str]]:
                 *(percent(told.mean()) for told in (is_kind, said.out_of_range, said.is_other)),
                 f"{100.0 * nearest.mean():.1f} ± {100.0 * nearest.std():.1f}",
             )  # fmt: skip
-
-
-def early(n_cases: int = 3000) -> Iterator[Table]:
-    """Accuracy by what was seen, the stopping rule, and the sequential rules on the same axis."""
-    recipe = bench(10_000.0)
-    seen = moments(recipe.timing)
-    test, train = cases(recipe, TEST, n_cases), cases(recipe, TRAIN, 5_000)
-    probabilities = probabilities_by_moment(recipe, SEED, train, test)
-    accuracy = {name: accuracy_by_moment(told, test.class_index) for name, told in probabilities.items()}
-    yield (
-        "Accuracy by what was seen",
-        ("seen", *accuracy),
-        (
-            (f"{1e3 * t:g} ms", *(f"{shares[n]:.4f}" for shares in accuracy.values()))
-            for n, t in enumerate(seen.time_s)
-        ),
-    )
-    yield (
-        "Stopping rule",
-        ("stated error", "probabilities of", "error of those that stopped", "stopped", "mean time", "accuracy of all"),
-        (
-            (
-                percent(row["stated"], digits=0), row["probabilities_of"],
-                interval(row["error"], row["error_low"], row["error_high"]),
-                percent(row["stopped"]), f"{1e3 * row['mean_time_s']:.1f} ms", f"{row['accuracy']:.4f}",
-            )
-            for row in stopping_rows(probabilities, test.class_index, seen.time_s)
-        ),
-    )  # fmt: skip
-    bearing = FaultClass(FaultKind.BEARING, 0.25)
-    curves = race(recipe, bearing, seed=SEED, first_case=TEST, n_cases=n_cases, n_healthy=10_000)
-    yield (
-        "Bearing +25 % or none: mean time on faulty motors and share of wrong verdicts",
-        ("method", "time: errors"),
-        (
-            (name, ", ".join(f"{1e3 * point.time_s:.0f} ms: {percent(point.wrong)}" for point in points))
-            for name, points in curves.items()
-        ),
-    )
-    plot_race(curves)
 
 
 def plot_race(curves: Mapping[str, tuple[VerdictTime, ...]]) -> None:
@@ -316,7 +173,7 @@ def plot_race(curves: Mapping[str, tuple[VerdictTime, ...]]) -> None:
         save(figure, IMAGES / "early-verdicts.svg")
 
 
-def shifts(n_cases: int = 2000) -> Iterable[Iterable[str]]:
+def shifts(n_cases: int) -> Iterable[Iterable[str]]:
     """Models under other conditions than in training."""
     field = replace(named_recipe("field"), starts_per_motor=1, healthy_starts=0)
     alone = replace(field, timing=replace(field.timing, sampling_rate_hz=1_000.0))
@@ -354,48 +211,33 @@ def shifts(n_cases: int = 2000) -> Iterable[Iterable[str]]:
                 )  # fmt: skip
 
 
-SECTIONS: dict[str, Callable[[], Iterator[Table]]] = {
-    "calibration": lambda: iter([(
-        "Calibration",
-        ("setting", "method", "accuracy", "ECE", "over limit's", "Brier", "log-loss", "over limit's"),
-        calibration(),
-    )]),
-    "conformal": lambda: iter([(
-        "Conformal sets, 90 %",
-        ("setting", "method", "promised", "coverage", "by class", "mean size", "empty"),
-        conformal_sets(),
-    ), (
-        "Intervals of severity, 90 %, width in points",
-        ("setting", "kind", "network's coverage", "conformal", "network's width", "conformal"),
-        conformal_intervals(),
-    )]),
-    "other": lambda: iter([(
-        "Foreign faults",
-        ("recipe", "rate", "fault", "AUROC of distance", "of the limit's confidence", "of the network's",
-         "called other", "false alarms"),
-        other(),
-    ), (
-        "Out of range",
-        ("setting", "fault", "kind right", "out of range", "other", "severity"),
-        out_of_range(),
-    )]),
-    "early": early,
-    "shifts": lambda: iter([(
-        "Shifts",
-        ("recipe", "method", "conditions", "accuracy", "limit", "ECE", "coverage", "set size", "other"),
-        shifts(),
-    )]),
-}  # fmt: skip
+def draw_kept() -> None:
+    """Charts of the figures that the benchmark has kept."""
+    figures = json.loads(KEPT.read_bytes())
+    plot_roc(figures["unknown"]["settings"][-1]["faults"], "limit", IMAGES / "other-roc.svg")
+    curves = figures["race"]["curves"].items()
+    plot_race({name: tuple(VerdictTime(**point) for point in points) for name, points in curves})
+
+
+OF_RANGE = ("setting", "fault", "kind right", "out of range", "other", "severity")
+OF_SHIFTS = ("recipe", "method", "conditions", "accuracy", "limit", "ECE", "coverage", "set size", "other")
 
 
 def main() -> None:
-    """Print the sections asked for."""
-    asked = sys.argv[1:] or list(SECTIONS)
-    unknown = [name for name in asked if name not in SECTIONS]
-    if unknown:
-        sys.exit(f"section must be one of {', '.join(SECTIONS)}, got {unknown[0]!r}")
-    for title, names, rows in chain.from_iterable(SECTIONS[name]() for name in asked):
-        print_table(title, names, rows)
+    """Make the parts asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("part", nargs="*", help="range, shifts, reliability or kept; all by default")
+    parser.add_argument("--cases", type=int, default=20_000, help="starts of the largest tables")
+    options = parser.parse_args()
+    n, asked = options.cases, options.part or ["range", "shifts", "reliability", "kept"]
+    if "range" in asked:
+        keep_table("trust", "range", OF_RANGE, out_of_range(n))
+    if "shifts" in asked:
+        keep_table("trust", "shifts", OF_SHIFTS, shifts(n // 10))
+    if "reliability" in asked:
+        draw_reliability(n)
+    if "kept" in asked:
+        draw_kept()
 
 
 if __name__ == "__main__":
