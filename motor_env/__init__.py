@@ -21,6 +21,8 @@ for _id, _class, _options, _best in (
     ("Probe", "probe:Probe", {}, 0.867),
     ("ProbeMedium", "probe:Probe", {"recipe": "medium"}, 0.928),
     ("ProbeContinuous", "probe:ProbeContinuous", {}, 0.867),
+    ("Maintain", "maintain.environment:Maintain", {}, -2.3),
+    ("MaintainUnknownRate", "maintain.environment:Maintain", {"rate_spread": 0.5}, -2.0),
 ):
     register(
         id=f"motor_env/{_id}-v0",

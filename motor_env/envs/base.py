@@ -251,6 +251,21 @@ class MotorEnv(StreamEnv[ActType]):
         return self._scope.draw()
 
 
+def whole_action(action: Any, count: int) -> int:
+    """An action of a discrete space as a number.
+
+    Raises:
+        ValueError: there is no such action.
+    """
+    try:
+        which = operator.index(action)
+    except TypeError:  # 1.9 and "1" are not 1
+        which = -1
+    if not 0 <= which < count:
+        raise ValueError(f"action must be a whole number in 0 .. {count - 1}, got {action!r}")
+    return which
+
+
 class DiscreteMotorEnv(MotorEnv[Any]):
     """A motor with a list of actions: apply a voltage, or declare a kind."""
 
@@ -260,12 +275,5 @@ class DiscreteMotorEnv(MotorEnv[Any]):
         Raises:
             ValueError: there is no such action.
         """
-        try:
-            which = operator.index(action)
-        except TypeError:  # 1.9 and "1" are not 1
-            which = -1
-        if not 0 <= which < len(self._offsets_v):
-            raise ValueError(
-                f"action must be a whole number in 0 .. {len(self._offsets_v) - 1}, got {action!r}"
-            )
+        which = whole_action(action, len(self._offsets_v))
         return self._advance(self._offsets_v[which], self._declarations[which])

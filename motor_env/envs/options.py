@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from motor_env.motor.parameters import (
     require_positive,
 )
 from motor_env.simulation.recipes import Recipe
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 MAX_SAMPLES = 10_000_000
 LARGEST_REWARD, LARGEST_V = 1e9, 1e6  # beyond, sums of rewards and states lose their digits or overflow
@@ -233,7 +236,7 @@ def _stall_torque(motor: MotorParameters, voltage_v: float | FloatArray) -> floa
     return float(np.mean(motor.torque_constant_n_m_per_a * voltage_v / motor.resistance_ohm))
 
 
-Options = TypeVar("Options", bound=MonitorOptions)
+Options = TypeVar("Options", bound="DataclassInstance")
 
 
 def with_changes(options: Options, changes: dict[str, Any]) -> Options:

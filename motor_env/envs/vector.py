@@ -266,16 +266,23 @@ class MotorVectorEnv(StreamVectorEnv):
         return (observation, reward[: self.num_envs], flags[TERMINATED], flags[TRUNCATED], info), n_over
 
 
+def whole_actions(actions: Any, num_envs: int) -> NDArray[np.int64]:
+    """Actions of a discrete space as an array.
+
+    Raises:
+        ValueError: no integers, or of another shape.
+    """
+    array = np.asarray(actions)
+    if array.shape != (num_envs,) or array.dtype.kind not in "iu":
+        raise ValueError(f"actions must be integers of shape ({num_envs},), got {array.dtype} {array.shape}")
+    return np.ascontiguousarray(array, dtype=np.int64)
+
+
 class DiscreteVectorEnv(MotorVectorEnv):
     """Sub-environments with a list of actions."""
 
     def _step_lanes(self, actions: Any, *outputs: NDArray[Any]) -> int:
-        array = np.asarray(actions)
-        if array.shape != (self.num_envs,) or array.dtype.kind not in "iu":
-            raise ValueError(
-                f"actions must be integers of shape ({self.num_envs},), got {array.dtype} {array.shape}"
-            )
-        array = np.ascontiguousarray(array, dtype=np.int64)
+        array = whole_actions(actions, self.num_envs)
         n_over: int = stepping.step_discrete(
             array, self.setup.offsets_v, self._n_offsets, *self._timing, *outputs, *self._arrays
         )

@@ -1,0 +1,226 @@
+"""The maintenance task: one motor, or many in one compiled step."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from motor_env.envs.base import Info, Observation, StreamEnv, whole_action
+from motor_env.envs.lanes import BEFORE_FIRST, CASE_LOW, KNOWN, TERMINATED, BoolArray, MarkArray, WordArray
+from motor_env.envs.maintain import kernel
+from motor_env.envs.maintain.kernel import FEATURES, PARTS
+from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
+from motor_env.envs.maintain.picture import Logbook
+from motor_env.envs.options import with_changes
+from motor_env.envs.rendering import Frame
+from motor_env.envs.vector import Step, StreamVectorEnv, whole_actions
+from motor_env.motor.parameters import FloatArray
+
+_ACTIONS = kernel.REPLACE + 1
+
+
+class Motors:
+    """The state of n motors, and the steps over all of them.
+
+    Args:
+        options: the task.
+        count: number of motors.
+    """
+
+    words: WordArray
+    flags: BoolArray
+
+    def __init__(self, options: MaintainOptions, count: int) -> None:
+        self.options = options
+        self.tables: Tables = make_tables(options)
+        self.words = np.zeros((4, count), dtype=np.uint32)
+        self.words[CASE_LOW] = BEFORE_FIRST
+        self.marks: MarkArray = np.zeros((kernel.FAILED + 1, count), dtype=np.int32)
+        self.flags = np.zeros((KNOWN + 1, count), dtype=np.bool_)
+        self.flags[KNOWN] = True
+        self.belief: FloatArray = np.zeros((count, len(self.tables.rates), LEVELS))
+        self._shares = self.tables.rates / options.drift_per_day
+        costs = (options.failure_cost, options.inspection_cost, options.replacement_cost)
+        table = self.tables
+        self._numbers = (options.days, np.array(costs), options.estimate_std / (options.limit / LEVELS))
+        self._tables = (table.weights, table.wear, table.lowest, table.estimate)
+        self._state = (
+            self.words,
+            self.marks,
+            self.flags,
+            self.belief,
+            np.empty(LEVELS + table.wear.shape[1]),
+        )
+
+    def observation_space(self) -> spaces.Space[Observation]:
+        """Box of the features."""
+        high = np.array([1.5, 1.0, 1.0, 1.0, np.exp(4.0), 1.0, 1.0], dtype=np.float32)
+        low = np.zeros(len(FEATURES), dtype=np.float32)
+        low[FEATURES.index("estimate")] = -0.5
+        return cast("spaces.Space[Observation]", spaces.Box(low, high, dtype=np.float32))
+
+    def begin(self, mask: BoolArray) -> None:
+        """Begin the next episode of the motors in the mask."""
+        kernel.begin(mask, self.tables.weights, *self._state[:-1])
+
+    def observe(self) -> Observation:
+        """Observations, shape (n_motors, n_features)."""
+        out = np.empty((len(FEATURES), self.marks.shape[1]), dtype=np.float32)
+        kernel.observe(self.options.days, self._shares, self.tables.failing, self.marks, self.belief, out)
+        return out.T
+
+    def step(self, actions: NDArray[np.int64], *, restart: bool) -> tuple[FloatArray, int]:
+        """A day of each motor: the parts of its reward, shape (3, n_motors), and how many episodes it ended."""
+        parts = np.empty((len(PARTS), len(actions)))
+        n_over: int = kernel.step(actions, restart, *self._numbers, *self._tables, *self._state, parts)
+        return parts, n_over
+
+    def truth(self) -> Info:
+        """Severity, drift a day and failure of each motor, for those who score."""
+        return {
+            "severity": self.marks[kernel.LEVEL] * (self.options.limit / LEVELS),
+            "drift_per_day": self.tables.rates[self.marks[kernel.RATE]],
+            "failed": self.marks[kernel.FAILED] > 0,
+        }
+
+
+class MaintainEnv(StreamEnv[Any]):
+    """A bearing wears from start to start. Run the motor, inspect its bearing, or replace it in time.
+
+    ## Description
+    The motor starts once a day. The severity of its bearing fault (extra friction) grows by a Wiener process with
+    drift, and each start's current tells it with an error. At the limit the bearing fails in service. A new bearing
+    has severity 0, and with `rate_spread` a rate of wear of its own.
+
+    ## Action space
+    `Discrete(3)`: 0 runs the motor for a day, 1 inspects the bearing (the motor stands still for the day, and its
+    severity is known after it), 2 replaces the bearing and runs.
+
+    ## Observation space
+    `Box`, float32, shape (7,). `estimate`: severity by the last start or inspection; `mean` and `std`: mean and
+    standard deviation of the severity, given all that was seen; `risk`: probability that the bearing fails today;
+    `rate`: mean rate of wear, given all that was seen; `age`: days since the bearing was new; `days_left`. Severities
+    are shares of the limit, times of the episode, the rate of `drift_per_day`.
+
+    ## Reward
+    Minus the day's cost, in planned replacements: see `MaintainOptions`. A failure costs 5, a planned replacement 1, an
+    inspection 0.1.
+
+    ## End of an episode
+    After `days` days, as `terminated`. `truncated` is always False: what is left of a bearing then has no value.
+
+    ## Info
+    The truth, for those who score: `severity`, `drift_per_day`, `failed`. And what the reward is made of:
+    `reward_failure`, `reward_replacement`, `reward_inspection`.
+
+    Args:
+        options: the task; `MaintainOptions()` unless given.
+        render_mode: see the metadata.
+        changes: single options by name, on top.
+    """
+
+    metadata: dict[str, Any] = {**StreamEnv.metadata, "render_fps": 10}  # noqa: RUF012  # gymnasium's way
+
+    def __init__(
+        self, options: MaintainOptions | None = None, *, render_mode: str | None = None, **changes: Any
+    ) -> None:
+        super().__init__(render_mode)
+        self.options = with_changes(options or MaintainOptions(), changes)
+        self.motors = Motors(self.options, 1)
+        self._words = self.motors.words
+        self.observation_space = self.motors.observation_space()
+        self.action_space = spaces.Discrete(_ACTIONS)
+        self._action = np.zeros(1, dtype=np.int64)
+        self._logbook = None if render_mode is None else Logbook(self.options)
+
+    def _begin(self) -> tuple[Observation, Info]:
+        self.motors.begin(np.ones(1, dtype=np.bool_))
+        self._over = False
+        observation = self.motors.observe()[0]
+        if self._logbook is not None:
+            self._logbook.clear()
+            self._show(observation, kernel.RUN)
+        return observation, self._truth()
+
+    def _truth(self) -> Info:
+        return {name: value.item() for name, value in self.motors.truth().items()}
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
+        """One day.
+
+        Raises:
+            ValueError: there is no such action.
+        """
+        if self._over:
+            raise gym.error.ResetNeeded("call reset() before step(): the episode is over")
+        self._action[0] = whole_action(action, _ACTIONS)
+        parts, n_over = self.motors.step(self._action, restart=False)
+        self._over = n_over > 0
+        observation = self.motors.observe()[0]
+        if self._logbook is not None:
+            self._show(observation, int(self._action[0]))
+        info = self._truth() | dict(zip(PARTS, parts[:, 0].tolist(), strict=True))
+        return observation, float(parts.sum()), self._over, False, info
+
+    def _show(self, observation: Observation, action: int) -> None:
+        assert self._logbook is not None  # noqa: S101  # the caller looked
+        self._logbook.add(observation, action, **self._truth())
+        if self.render_mode == "human":
+            self.render()
+
+    def _frame(self) -> Frame:
+        assert self._logbook is not None  # noqa: S101  # there is one with every render mode
+        return self._logbook.draw()
+
+
+class MaintainVectorEnv(StreamVectorEnv):
+    """Many of `MaintainEnv` at once: sub-environment n runs the stream of episodes (seed, n).
+
+    Args:
+        num_envs: number of sub-environments.
+        options: the task; `MaintainOptions()` unless given.
+        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
+        render_mode: None; a vector draws no pictures.
+        changes: single options by name, on top.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        options: MaintainOptions | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **changes: Any,
+    ) -> None:
+        super().__init__(num_envs, autoreset_mode, render_mode)
+        self.options = with_changes(options or MaintainOptions(), changes)
+        self.motors = Motors(self.options, num_envs)
+        self._words, self._flags = self.motors.words, self.motors.flags
+        self._set_spaces(self.motors.observation_space(), spaces.Discrete(_ACTIONS))
+
+    def _begin(self, mask: BoolArray) -> None:
+        self.motors.begin(mask)
+
+    def _observed(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
+        everywhere = self._flags[KNOWN].copy() if known is None else known
+        info: Info = {}
+        for name, value in self.motors.truth().items():
+            info[name], info[f"_{name}"] = value, everywhere
+        return self.motors.observe(), info
+
+    def _step(self, actions: Any) -> tuple[Step, int]:
+        array = whole_actions(actions, self.num_envs)
+        parts, n_over = self.motors.step(array, restart=self.autoreset_mode is AutoresetMode.NEXT_STEP)
+        if n_over < 0:
+            raise ValueError(f"actions must be in 0 .. {_ACTIONS - 1}, got {array.min()} .. {array.max()}")
+        observation, info = self._observed()
+        for name, part in zip(PARTS, parts, strict=True):
+            info[name], info[f"_{name}"] = part, self._flags[KNOWN].copy()
+        over = self._flags[TERMINATED].copy()
+        return (observation, parts.sum(axis=0), over, np.zeros(self.num_envs, dtype=np.bool_), info), n_over

@@ -1,0 +1,199 @@
+"""Policies for the maintenance task, the plan that is best for its belief, and what no policy can exceed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_env.envs.baselines.policies import Actions, Observations, Policy
+from motor_env.envs.maintain.environment import MaintainVectorEnv
+from motor_env.envs.maintain.kernel import FEATURES, INSPECT, REPLACE, RUN
+from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
+from motor_env.motor.parameters import FloatArray
+
+_STDS = np.array(
+    [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0]
+)  # of the plan's grid, in levels
+
+
+def _feature(observations: Observations, name: str) -> FloatArray:
+    return observations[:, FEATURES.index(name)].astype(np.float64)
+
+
+@dataclass
+class ReplaceFrom(Policy):
+    """Replaces the bearing once a feature reaches a threshold.
+
+    Attributes:
+        feature: `age` (a calendar), `mean` (the severity), or `risk` (the remaining life is likely below a day).
+        threshold: infinite: runs to failure.
+    """
+
+    feature: str
+    threshold: float
+
+    def act(self, observations: Observations) -> Actions:
+        """Replace, or run."""
+        return np.where(_feature(observations, self.feature) >= self.threshold, REPLACE, RUN)
+
+
+class Planned(Policy):
+    """The best plan by dynamic programming over mean and standard deviation of the belief (Bellman 1957).
+
+    A bearing's rate of wear counts as known while it runs; its mean is looked up between the rates of the task.
+
+    Args:
+        options: of the environment.
+    """
+
+    def __init__(self, options: MaintainOptions) -> None:
+        self.options = options
+        tables = make_tables(options)
+        self._pace = tables.rates / options.drift_per_day
+        self._values = _plan(options, tables)
+
+    def act(self, observations: Observations) -> Actions:
+        """The action that is worth the most; ties go to running."""
+        left = np.round(_feature(observations, "days_left") * self.options.days).astype(int)
+        pace = _feature(observations, "rate")
+        above = np.clip(np.searchsorted(self._pace, pace), min(1, len(self._pace) - 1), len(self._pace) - 1)
+        below = np.maximum(above - 1, 0)
+        gap = np.where(above > below, self._pace[above] - self._pace[below], 1.0)
+        share = np.clip((pace - self._pace[below]) / gap, 0.0, 1.0)
+        place = _places(_feature(observations, "mean") * LEVELS, _feature(observations, "std") * LEVELS)
+        worth = [
+            (1.0 - share) * _between(self._values[left, action, below], place)
+            + share * _between(self._values[left, action, above], place)
+            for action in (RUN, INSPECT, REPLACE)
+        ]
+        return np.argmax(worth, axis=0)
+
+
+def _places(
+    mean: FloatArray, std: FloatArray
+) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.int64], FloatArray]:
+    """Where mean and standard deviation lie between the points of the plan's grid."""
+    row = np.clip(mean, 0.0, LEVELS - 1.001).astype(int)
+    column = np.clip(np.searchsorted(_STDS, std, side="right") - 1, 0, len(_STDS) - 2)
+    share = (std - _STDS[column]) / np.diff(_STDS)[column]
+    return row, np.clip(mean - row, 0.0, 1.0), column, np.clip(share, 0.0, 1.0)
+
+
+def _between(
+    values: FloatArray, place: tuple[NDArray[np.int64], FloatArray, NDArray[np.int64], FloatArray]
+) -> FloatArray:
+    """Linear interpolation in grids of shape (..., LEVELS, n_stds), one for each place or one for all."""
+    row, down, column, across = place
+    flat = values.reshape(-1, LEVELS, len(_STDS))
+    which = np.arange(len(row)) if len(flat) > 1 else 0
+    upper = (1.0 - across) * flat[which, row, column] + across * flat[which, row, column + 1]
+    lower = (1.0 - across) * flat[which, row + 1, column] + across * flat[which, row + 1, column + 1]
+    return (1.0 - down) * upper + down * lower
+
+
+def _gaussians() -> FloatArray:
+    """Beliefs over the levels with (nearly) the means and standard deviations of the grid, (n_points, LEVELS)."""
+    level, beliefs = np.arange(LEVELS), []
+    for mean in range(LEVELS):
+        for std in np.maximum(_STDS, 1e-3):
+            centre = float(mean)
+            for _ in range(20):  # what lies outside moves the mean: aim beside it
+                off = (level - centre) / max(std, 0.3 * (std >= 0.3) + 1e-3)
+                belief = np.exp(-0.5 * (np.square(off) - np.square(off).min()))
+                belief /= belief.sum()
+                centre = float(np.clip(centre + mean - belief @ level, -30.0, LEVELS + 30.0))
+            beliefs.append(belief)
+    return np.array(beliefs)
+
+
+def _transitions(tables: Tables) -> FloatArray:
+    """Probability of each level after a day without failure, given level and rate, (n_rates, LEVELS, LEVELS)."""
+    n_growths = tables.wear.shape[1]
+    chain = np.zeros((len(tables.rates), LEVELS, LEVELS))
+    for growth in range(n_growths):
+        after = np.arange(LEVELS) + tables.lowest + growth
+        stays = after < LEVELS
+        np.add.at(
+            chain,
+            (slice(None), np.flatnonzero(stays), np.maximum(after[stays], 0)),
+            tables.wear[:, growth, None],
+        )
+    return chain
+
+
+def _plan(options: MaintainOptions, tables: Tables) -> FloatArray:
+    """Worth of each action with so many days left, (days + 1, 3, n_rates, LEVELS * n_stds)."""
+    level, beliefs = np.arange(LEVELS), _gaussians()
+    chances, places = [], []
+    for chain in _transitions(tables):
+        joint = (beliefs @ chain)[
+            :, None, :
+        ] * tables.estimate  # of estimate and level, (n_points, n_estimates, LEVELS)
+        chance = joint.sum(axis=2)
+        posterior = joint / np.maximum(chance, 1e-300)[:, :, None]
+        mean = posterior @ level
+        std = np.sqrt(np.maximum(posterior @ np.square(level) - mean * mean, 0.0))
+        chances.append(chance)
+        places.append(_places(mean.ravel(), std.ravel()))
+    exact = _places(level.astype(float), np.zeros(LEVELS))
+    worth = np.zeros((options.days + 1, 3, len(tables.rates), len(beliefs)))
+    for left in range(1, options.days + 1):
+        value = worth[left - 1].max(axis=0)
+        new = float(tables.weights @ value[:, 0])
+        for rate, (chance, place) in enumerate(zip(chances, places, strict=True)):
+            going_on = (chance * _between(value[rate], place).reshape(chance.shape)).sum(axis=1)
+            failing = beliefs @ tables.failing[rate]
+            worth[left, RUN, rate] = going_on + failing * (new - options.failure_cost)
+            worth[left, INSPECT, rate] = beliefs @ _between(value[rate], exact) - options.inspection_cost
+        worth[left, REPLACE] = tables.weights @ worth[left, RUN, :, 0] - options.replacement_cost
+    return worth
+
+
+def upper_bound(options: MaintainOptions) -> float:
+    """A return that no policy exceeds in the mean: the fast informed bound (Hauskrecht 2000).
+
+    It is the return of an agent that is told yesterday's level and the rate, but not what today brought.
+    """
+    tables = make_tables(options)
+    chain, weights = _transitions(tables), tables.weights
+    worth = np.zeros((3, len(weights), LEVELS))
+
+    def told(rate: int) -> FloatArray:
+        """For each level before: of each estimate and next action the expected worth, (LEVELS, n_estimates, 3)."""
+        after = tables.estimate[:, :, None] * worth[:, rate].T  # (n_estimates, LEVELS, 3)
+        return np.einsum("xz,eza->xea", chain[rate], after, optimize=True)
+
+    for _ in range(options.days):
+        new = float((weights @ worth[:, :, 0].T).max())
+        ahead = np.array([told(rate) for rate in range(len(weights))])
+        fails = tables.failing * (new - options.failure_cost)
+        run = ahead.max(axis=3).sum(axis=2) + fails
+        replaced = np.tensordot(weights, ahead[:, 0], axes=1).max(axis=1).sum() + float(weights @ fails[:, 0])
+        inspect = worth.max(axis=0) - options.inspection_cost
+        worth = np.stack([run, inspect, np.full_like(run, replaced - options.replacement_cost)])
+    return float((weights @ worth[:, :, 0].T).max())
+
+
+def clairvoyant_value(options: MaintainOptions) -> float:
+    """Mean return of whoever sees level and rate every morning: dynamic programming without a belief."""
+    tables = make_tables(options)
+    chain, weights = _transitions(tables), tables.weights
+    value = np.zeros((len(weights), LEVELS))
+    for _ in range(options.days):
+        new = float(weights @ value[:, 0])
+        run = np.einsum("rxz,rz->rx", chain, value) + tables.failing * (new - options.failure_cost)
+        value = np.maximum(run, float(weights @ run[:, 0]) - options.replacement_cost)
+    return float(weights @ value[:, 0])
+
+
+def returns_of(envs: MaintainVectorEnv, policy: Policy, seed: int) -> FloatArray:
+    """Return of one episode of each sub-environment."""
+    observations, _ = envs.reset(seed=seed)
+    policy.start(envs.num_envs)
+    returns = np.zeros(envs.num_envs)
+    for _ in range(envs.options.days):
+        observations, rewards, _, _, _ = envs.step(policy.act(observations))
+        returns += rewards
+    return returns
