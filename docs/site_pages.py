@@ -19,6 +19,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 import motor_env
+from motor_env.envs import MonitorOptions
 
 DOCS = Path(__file__).parent
 PACKAGES = ("motor_env", "motor_env.envs", "motor_datasets", "motor_classifiers")
@@ -70,20 +71,23 @@ def options_table(options: Any) -> str:
     for cls in reversed(type(options).__mro__):
         said |= {name: text for name, text in attributes(cls).items() if not text.startswith("see `")}
     values = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
-    values["recipe"] = values["recipe"].name
+    if "recipe" in values:
+        values["recipe"] = values["recipe"].name
     return table(
         ["option", "value here", "what it is"], [[f"`{n}`", f"`{v}`", said[n]] for n, v in values.items()]
     )
 
 
 def observation_table(env: Any) -> str:
-    """Every number of an observation."""
-    space, names = env.observation_space, env.setup.observed
+    """Every number of an observation; what it is, where the docstring does not say it name by name."""
+    space, names = env.observation_space, env.observed
     rows = [
-        [n, f"`{name}`", FEATURES[name.split("_")[0]], f"{space.low[n]:.4g}", f"{space.high[n]:.4g}"]
+        [n, f"`{name}`", FEATURES.get(name.split("_")[0], ""), f"{space.low[n]:.4g}", f"{space.high[n]:.4g}"]
         for n, name in enumerate(names)
     ]
-    return table(["", "name", "what it is", "least", "most"], rows)
+    said = any(row[2] for row in rows)
+    head = ["", "name", "what it is", "least", "most"]
+    return table(*([head, rows] if said else [head[:2] + head[3:], [row[:2] + row[3:] for row in rows]]))
 
 
 def action_table(env: Any) -> str:
@@ -117,48 +121,50 @@ def reward_table(options: Any) -> str:
     return table(["event", "reward"], [[event, f"{reward:+g}"] for event, reward in events])
 
 
+def probing(env: Any, step: int, _: Any) -> Any:
+    """Moves the voltage now and then, where it can be moved."""
+    moved = env.options.moves_voltage and step % 15 < 2
+    if isinstance(env.action_space, gym.spaces.Discrete):
+        return 1 + step % 2 if moved else 0
+    return np.where(np.arange(env.action_space.shape[0]) == 0, moved * 0.5, 0.0)
+
+
+def replacing(env: Any, step: int, observation: Any) -> int:
+    """Inspects once, and replaces the bearing when it may fail."""
+    return 2 if observation[env.observed.index("risk")] > 0.01 else int(step == 20)
+
+
+ACTS = {"MaintainEnv": replacing}
+"""What is done in the picture of an environment."""
+
+
 def picture(spec: EnvSpec, path: Path) -> None:
-    """The screen at the end of an episode with a fault; where the voltage can be moved, it is moved now and then."""
+    """The screen at the end of an episode, with a fault where there may be none."""
     env = gym.make(spec.id, render_mode="rgb_array")
-    _, info = env.reset(seed=1)
-    while info["onset_sample"] < 0:
-        _, info = env.reset()
+    observation, info = env.reset(seed=1)
+    while info.get("onset_sample", 0) < 0:
+        observation, info = env.reset()
+    play = ACTS.get(type(env.unwrapped).__name__, probing)
     step, over = 0, False
     while not over:
-        moved = env.unwrapped.options.moves_voltage and step % 15 < 2
-        if isinstance(env.action_space, gym.spaces.Discrete):
-            action: Any = 1 + step % 2 if moved else 0
-        else:
-            action = np.where(np.arange(env.action_space.shape[0]) == 0, moved * 0.5, 0.0)
-        _, _, over, _, _ = env.step(action)
+        observation, _, over, _, _ = env.step(play(env.unwrapped, step, observation))
         step += 1
     matplotlib.image.imsave(path, env.render())
     env.close()
 
 
 def rows_of(pattern: str) -> str:
-    """Rows of a table on the page of all environments, or nothing."""
-    found = re.search(pattern, (DOCS / "environments.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    """Rows of a table on the pages of all environments, or nothing."""
+    text = "".join((DOCS / f"{page}.md").read_text(encoding="utf-8") for page in ("environments", "decisions"))
+    found = re.search(pattern, text, flags=re.MULTILINE)
     return found[1] if found else ""
 
 
-def environment_page(spec: EnvSpec) -> str:
-    """The specification of one id: what its class's docstring says, and its numbers."""
-    env = gym.make(spec.id).unwrapped
-    said = sections(inspect.getdoc(type(env)) or "")
-    name, family = spec.id.split("/")[1], type(env).__name__.removesuffix("Env")
+def motor_parts(env: Any) -> list[str]:
+    """What is drawn in an environment around one running motor."""
     options, recipe = env.options, env.options.recipe
-    plain = set(spec.kwargs) <= {"recipe"}  # the tables are of tasks that differ in nothing else
-    scores = plain and rows_of(rf"^{family}-v0, `{recipe.name}`:\n\n((?:\|.*\n)+)")
-    speed = rows_of(rf"^(\| {name}[, ].*\n(?:\| \|.*\n)*)")
     step_ms = 1000 * options.dt_s * options.samples_per_step
-    parts = [
-        f"# {name}",
-        f"{said.pop('')}",
-        f'```python\nenv = gym.make("motor_env:{spec.id}")\n```',
-        spec.kwargs
-        and f"This id is the class `{family}Env` with {', '.join(f'`{k}={v!r}`' for k, v in spec.kwargs.items())}.",
-        f"![Screen of {name}: current, speed, residual and evidence over an episode with a fault]({name}.png)",
+    return [
         f"*An episode with a fault: {options.n_steps} steps of {step_ms:g} ms. Nobody declares it.*",
         f"Motors and faults are drawn from the recipe `{recipe.name}`. Classes by weight:",
         table(
@@ -166,11 +172,31 @@ def environment_page(spec: EnvSpec) -> str:
             [[each.kind or "healthy", f"{each.severity:.1%}", f"{each.weight:g}"] for each in recipe.classes],
         ),
     ]
-    tables = {
-        "Action space": action_table(env),
-        "Observation space": observation_table(env),
-        "Reward": reward_table(options),
-    }
+
+
+def environment_page(spec: EnvSpec) -> str:
+    """The specification of one id: what its class's docstring says, and its numbers."""
+    env = gym.make(spec.id).unwrapped
+    said = sections(inspect.getdoc(type(env)) or "")
+    name, family = spec.id.split("/")[1], type(env).__name__.removesuffix("Env")
+    watched = isinstance(env.options, MonitorOptions)
+    task = f"{family}-v0, `{env.options.recipe.name}`" if watched else name
+    plain = set(spec.kwargs) <= {"recipe"} or not watched  # the tables are of tasks that differ in nothing else
+    scores = plain and rows_of(rf"^{task}:\n\n(?:<!--.*\n\n)?((?:\|.*\n)+)")
+    speed = rows_of(rf"^(\| {name}[, ].*\n(?:\| \|.*\n)*)")
+    page = "environments" if watched else "decisions"
+    parts = [
+        f"# {name}",
+        f"{said.pop('')}",
+        f'```python\nenv = gym.make("motor_env:{spec.id}")\n```',
+        spec.kwargs
+        and f"This id is the class `{family}Env` with {', '.join(f'`{k}={v!r}`' for k, v in spec.kwargs.items())}.",
+        f"![Screen of {name} at the end of an episode]({name}.png)",
+        *(motor_parts(env) if watched else []),
+    ]
+    tables = {"Observation space": observation_table(env)}
+    if watched:
+        tables |= {"Action space": action_table(env), "Reward": reward_table(env.options)}
     for heading in dict.fromkeys([*said, *tables]):
         parts += [f"## {heading}", said.get(heading, ""), tables.get(heading, "")]
     if speed:
@@ -178,11 +204,11 @@ def environment_page(spec: EnvSpec) -> str:
         speed = f"Steps per second of processor time beside CartPole, by how often an episode ends:\n\n{head}\n{speed}"
     parts += [
         "## Options",
-        "Any of them by name: `gym.make(..., horizon_s=0.3)`; all are checked, and a wrong value is named.",
-        options_table(options),
+        "Any of them by name in `gym.make`; all are checked, and a wrong value is named.",
+        options_table(env.options),
         "## Scores",
         f"The best return known, which is the `reward_threshold` of the id, is {spec.reward_threshold:+.3f}.",
-        scores and "How they were tuned and scored: [environments](../environments.md).",
+        scores and f"How they were tuned and scored: [{page}](../{page}.md).",
         scores,
         speed and "## Speed",
         speed,

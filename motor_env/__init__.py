@@ -11,7 +11,7 @@ __version__ = "0.1.0"
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-# Id, module and class, options, return of the best policy known (docs/environments.md).
+# Id, module and class, options, return of the best policy known (docs/environments.md, docs/decisions.md).
 for _id, _class, _options, _best in (
     ("Monitor", "monitor:Monitor", {}, 0.889),
     ("MonitorEasy", "monitor:Monitor", {"recipe": "easy"}, 0.989),
@@ -21,8 +21,8 @@ for _id, _class, _options, _best in (
     ("Probe", "probe:Probe", {}, 0.867),
     ("ProbeMedium", "probe:Probe", {"recipe": "medium"}, 0.928),
     ("ProbeContinuous", "probe:ProbeContinuous", {}, 0.867),
-    ("Maintain", "maintain.environment:Maintain", {}, -2.3),
-    ("MaintainUnknownRate", "maintain.environment:Maintain", {"rate_spread": 0.5}, -2.0),
+    ("Maintain", "maintain.environment:Maintain", {}, -2.292),
+    ("MaintainUnknownRate", "maintain.environment:Maintain", {"rate_spread": 0.5}, -1.933),
 ):
     register(
         id=f"motor_env/{_id}-v0",

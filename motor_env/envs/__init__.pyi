@@ -38,6 +38,19 @@ from .baselines.probing import (
     RatioTest as RatioTest,
     WorthTest as WorthTest,
 )
+from .maintain.environment import (
+    MaintainEnv as MaintainEnv,
+    MaintainVectorEnv as MaintainVectorEnv,
+)
+from .maintain.options import (
+    MaintainOptions as MaintainOptions,
+)
+from .maintain.policies import (
+    PlannedUpkeep as PlannedUpkeep,
+    ReplaceFrom as ReplaceFrom,
+    maintenance_bound as maintenance_bound,
+    returns_of as returns_of,
+)
 from .monitor import (
     MonitorEnv as MonitorEnv,
     MonitorVectorEnv as MonitorVectorEnv,

@@ -63,9 +63,13 @@ class StreamEnv(gym.Env[Observation, ActType], Generic[ActType]):
 
     Args:
         render_mode: see the metadata.
+
+    Attributes:
+        observed: names of the numbers of an observation.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012  # gymnasium's way
+    observed: tuple[str, ...]
     _words: WordArray
 
     def __init__(self, render_mode: str | None) -> None:
@@ -152,6 +156,7 @@ class MotorEnv(StreamEnv[ActType]):
         super().__init__(render_mode)
         self.options = options = with_changes(options or self.options_type(), changes)
         self.setup: Setup = make_setup(options)
+        self.observed = self.setup.observed
         self.observation_space = observation_space(self.setup)
         self.action_space = self._actions()
         numbers = self.setup.numbers

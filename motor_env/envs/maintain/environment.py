@@ -124,6 +124,7 @@ class MaintainEnv(StreamEnv[Any]):
         changes: single options by name, on top.
     """
 
+    observed = FEATURES
     metadata: dict[str, Any] = {**StreamEnv.metadata, "render_fps": 10}  # noqa: RUF012  # gymnasium's way
 
     def __init__(

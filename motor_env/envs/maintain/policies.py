@@ -39,7 +39,7 @@ class ReplaceFrom(Policy):
         return np.where(_feature(observations, self.feature) >= self.threshold, REPLACE, RUN)
 
 
-class Planned(Policy):
+class PlannedUpkeep(Policy):
     """The best plan by dynamic programming over mean and standard deviation of the belief (Bellman 1957).
 
     A bearing's rate of wear counts as known while it runs; its mean is looked up between the rates of the task.
@@ -68,7 +68,8 @@ class Planned(Policy):
             + share * _between(self._values[left, action, above], place)
             for action in (RUN, INSPECT, REPLACE)
         ]
-        return np.argmax(worth, axis=0)
+        best: Actions = np.argmax(worth, axis=0)
+        return best
 
 
 def _places(
@@ -90,7 +91,8 @@ def _between(
     which = np.arange(len(row)) if len(flat) > 1 else 0
     upper = (1.0 - across) * flat[which, row, column] + across * flat[which, row, column + 1]
     lower = (1.0 - across) * flat[which, row + 1, column] + across * flat[which, row + 1, column + 1]
-    return (1.0 - down) * upper + down * lower
+    answer: FloatArray = (1.0 - down) * upper + down * lower
+    return answer
 
 
 def _gaussians() -> FloatArray:
@@ -110,16 +112,11 @@ def _gaussians() -> FloatArray:
 
 def _transitions(tables: Tables) -> FloatArray:
     """Probability of each level after a day without failure, given level and rate, (n_rates, LEVELS, LEVELS)."""
-    n_growths = tables.wear.shape[1]
     chain = np.zeros((len(tables.rates), LEVELS, LEVELS))
-    for growth in range(n_growths):
-        after = np.arange(LEVELS) + tables.lowest + growth
-        stays = after < LEVELS
-        np.add.at(
-            chain,
-            (slice(None), np.flatnonzero(stays), np.maximum(after[stays], 0)),
-            tables.wear[:, growth, None],
-        )
+    for level in range(LEVELS):
+        for growth, probability in enumerate(tables.wear.T, level + tables.lowest):
+            if growth < LEVELS:
+                chain[:, level, max(growth, 0)] += probability
     return chain
 
 
@@ -151,7 +148,7 @@ def _plan(options: MaintainOptions, tables: Tables) -> FloatArray:
     return worth
 
 
-def upper_bound(options: MaintainOptions) -> float:
+def maintenance_bound(options: MaintainOptions) -> float:
     """A return that no policy exceeds in the mean: the fast informed bound (Hauskrecht 2000).
 
     It is the return of an agent that is told yesterday's level and the rate, but not what today brought.
@@ -163,7 +160,8 @@ def upper_bound(options: MaintainOptions) -> float:
     def told(rate: int) -> FloatArray:
         """For each level before: of each estimate and next action the expected worth, (LEVELS, n_estimates, 3)."""
         after = tables.estimate[:, :, None] * worth[:, rate].T  # (n_estimates, LEVELS, 3)
-        return np.einsum("xz,eza->xea", chain[rate], after, optimize=True)
+        expected: FloatArray = np.einsum("xz,eza->xea", chain[rate], after, optimize=True)
+        return expected
 
     for _ in range(options.days):
         new = float((weights @ worth[:, :, 0].T).max())
