@@ -155,7 +155,9 @@ def picture(spec: EnvSpec, path: Path) -> None:
 
 def rows_of(pattern: str) -> str:
     """Rows of a table on the pages of all environments, or nothing."""
-    text = "".join((DOCS / f"{page}.md").read_text(encoding="utf-8") for page in ("environments", "decisions"))
+    text = "".join(
+        (DOCS / f"{page}.md").read_text(encoding="utf-8") for page in ("environments", "decisions")
+    )
     found = re.search(pattern, text, flags=re.MULTILINE)
     return found[1] if found else ""
 
@@ -181,7 +183,9 @@ def environment_page(spec: EnvSpec) -> str:
     name, family = spec.id.split("/")[1], type(env).__name__.removesuffix("Env")
     watched = isinstance(env.options, MonitorOptions)
     task = f"{family}-v0, `{env.options.recipe.name}`" if watched else name
-    plain = set(spec.kwargs) <= {"recipe"} or not watched  # the tables are of tasks that differ in nothing else
+    plain = (
+        set(spec.kwargs) <= {"recipe"} or not watched
+    )  # the tables are of tasks that differ in nothing else
     scores = plain and rows_of(rf"^{task}:\n\n(?:<!--.*\n\n)?((?:\|.*\n)+)")
     speed = rows_of(rf"^(\| {name}[, ].*\n(?:\| \|.*\n)*)")
     page = "environments" if watched else "decisions"

@@ -57,7 +57,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
     _flags: BoolArray
 
     def __init__(
-        self, num_envs: int, autoreset_mode: AutoresetMode | str, render_mode: str | None = None
+        self, num_envs: int, *, autoreset_mode: AutoresetMode | str, render_mode: str | None = None
     ) -> None:
         require(num_envs >= 1, f"num_envs must be >= 1, got {num_envs}")
         require(render_mode is None, f"render_mode of a vector must be None, got {render_mode!r}")
@@ -194,7 +194,7 @@ class MotorVectorEnv(StreamVectorEnv):
         render_mode: str | None = None,
         **changes: Any,
     ) -> None:
-        super().__init__(num_envs, autoreset_mode, render_mode)
+        super().__init__(num_envs, autoreset_mode=autoreset_mode, render_mode=render_mode)
         self.options = with_changes(options or self.options_type(), changes)
         self.setup: Setup = make_setup(self.options)
         self._set_spaces(observation_space(self.setup), self._actions())

@@ -59,7 +59,8 @@ class Motors:
 
     def observation_space(self) -> spaces.Space[Observation]:
         """Box of the features."""
-        high = np.array([1.5, 1.0, 1.0, 1.0, np.exp(4.0), 1.0, 1.0], dtype=np.float32)
+        fastest = np.nextafter(np.float32(self._shares.max()), np.float32(np.inf))
+        high = np.array([1.5, 1.0, 1.0, 1.0, fastest, 1.0, 1.0], dtype=np.float32)
         low = np.zeros(len(FEATURES), dtype=np.float32)
         low[FEATURES.index("estimate")] = -0.5
         return cast("spaces.Space[Observation]", spaces.Box(low, high, dtype=np.float32))
@@ -199,7 +200,7 @@ class MaintainVectorEnv(StreamVectorEnv):
         render_mode: str | None = None,
         **changes: Any,
     ) -> None:
-        super().__init__(num_envs, autoreset_mode, render_mode)
+        super().__init__(num_envs, autoreset_mode=autoreset_mode, render_mode=render_mode)
         self.options = with_changes(options or MaintainOptions(), changes)
         self.motors = Motors(self.options, num_envs)
         self._words, self._flags = self.motors.words, self.motors.flags

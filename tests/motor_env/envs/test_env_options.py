@@ -239,7 +239,7 @@ def test_wrappers_and_frames() -> None:
     assert info["episode"]["l"] == 10
     frame = env.render()
     assert isinstance(frame, np.ndarray)
-    assert frame.shape == (560, 800, 3)
+    assert frame.shape == (448, 640, 3)
     assert frame.dtype == np.uint8
     assert len(np.unique(frame.reshape(-1, 3), axis=0)) > 20  # traces, text, grid: not one colour
 

@@ -246,9 +246,8 @@ def test_make_and_make_vec(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(gym.make(name).unwrapped, skip_render_check=find_spec("pygame") is None)
-        envs = gym.make_vec(name, num_envs=3, horizon_s=0.1)
+        envs = gym.make_vec(name, num_envs=3)
         assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-        assert cast("MonitorVectorEnv", envs.unwrapped).options.horizon_s == 0.1
         observations, _ = envs.reset(seed=0)
         assert envs.observation_space.contains(np.ascontiguousarray(observations))
         for _ in range(5):

@@ -3,6 +3,7 @@
 import json
 
 import maintain
+
 import motor_env
 
 
