@@ -3,7 +3,7 @@
 import warnings
 from dataclasses import replace
 from importlib.util import find_spec
-from typing import Any, cast
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
