@@ -21,6 +21,9 @@ for _id, _class, _options, _best in (
     ("Probe", "probe:Probe", {}, 0.867),
     ("ProbeMedium", "probe:Probe", {"recipe": "medium"}, 0.928),
     ("ProbeContinuous", "probe:ProbeContinuous", {}, 0.867),
+    ("Drive", "drive.env:Drive", {}, -1.5),
+    ("DriveHeavy", "drive.env:Drive", {"load_torque_n_m": 12e-3}, -2.0),
+    ("DriveBearing", "drive.env:Drive", {"weights": (1.0, 2.0, 0.0)}, -1.5),
     ("Maintain", "maintain.environment:Maintain", {}, -2.292),
     ("MaintainUnknownRate", "maintain.environment:Maintain", {"rate_spread": 0.5}, -1.933),
 ):

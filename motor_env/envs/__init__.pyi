@@ -38,6 +38,23 @@ from .baselines.probing import (
     RatioTest as RatioTest,
     WorthTest as WorthTest,
 )
+from .drive.env import (
+    DriveEnv as DriveEnv,
+    DriveVectorEnv as DriveVectorEnv,
+)
+from .drive.evaluation import (
+    Clairvoyant as Clairvoyant,
+    Drives as Drives,
+    clairvoyant_returns as clairvoyant_returns,
+    drive_episodes as drive_episodes,
+)
+from .drive.options import (
+    DriveOptions as DriveOptions,
+)
+from .drive.policies import (
+    PI as PI,
+    Lqg as Lqg,
+)
 from .maintain.environment import (
     MaintainEnv as MaintainEnv,
     MaintainVectorEnv as MaintainVectorEnv,

@@ -56,6 +56,7 @@ def warm_up() -> float:
     for name in (
         "motor_env/Probe-v0",
         "motor_env/ProbeContinuous-v0",
+        "motor_env/Drive-v0",
     ):  # Monitor-v0 runs the code of Probe-v0
         for env in (gym.make(name), gym.make_vec(name, num_envs=2)):
             env.reset(seed=0)

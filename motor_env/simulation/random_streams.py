@@ -59,6 +59,7 @@ class Stream(IntEnum):
     SEVERITY = 12
     MISSING = 13
     CALIBRATION = 14
+    PROFILE = 15
 
 
 @njit(cache=True, inline="always")  # a call would keep the loop around it from vectorising

@@ -1,0 +1,208 @@
+"""`motor_env/Drive-v0`: follow a speed with a motor that may be failing; limp or stop in time."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from motor_env.envs.base import EVERYWHERE, Info, Observation, StreamEnv
+from motor_env.envs.drive import kernel
+from motor_env.envs.drive.options import LABELS, DriveOptions
+from motor_env.envs.drive.screen import DriveScreen
+from motor_env.envs.drive.setup import DriveSetup, empty_lanes, make_setup
+from motor_env.envs.lanes import FAULT_ACTIVE, KNOWN, TERMINATED, TRUNCATED, BoolArray
+from motor_env.envs.options import with_changes
+from motor_env.envs.rendering import Frame
+from motor_env.envs.vector import Step, StreamVectorEnv
+from motor_env.motor.parameters import FloatArray
+
+REWARDS = tuple(f"reward_{part}" for part in kernel.PARTS)
+
+
+def _spaces(setup: DriveSetup) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
+    low, high = setup.view[1:].astype(np.float32)
+    observations = cast("spaces.Space[Observation]", spaces.Box(low, high, dtype=np.float32))
+    return observations, spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
+
+
+def _checked(action: Any, shape: tuple[int, ...]) -> FloatArray:
+    given = np.ascontiguousarray(action, dtype=np.float64)
+    if given.shape != shape or not np.isfinite(given).all():
+        raise ValueError(f"action must be finite and have shape {shape}, got {action!r}")
+    return given
+
+
+class DriveEnv(StreamEnv[Any]):
+    """A DC motor drives a machine along a speed profile, and may be failing. Follow the profile; limp or stop in time.
+
+    ## Description
+    Plateaus and ramps of speed are asked for. The load is a constant, a part with the square of the speed, and a part
+    that nobody knows and that moves slowly. At an unknown time a bearing or a winding contact begins to fail, or
+    neither does. Its severity grows exponentially at an unknown rate; that of a bearing grows faster under load and
+    speed. A bad winding heats up. A motor whose severity or temperature is too large fails.
+
+    ## Action space
+    `Box(-1, 1, (2,))`. The first entry is the voltage in units of the supply's limit. The second is a decision: at most
+    0 runs the motor, up to 0.5 limps (the profile shrinks to half, within 0.3 s, as long as that is chosen), above 0.5
+    stops the motor for good. Values outside are clipped.
+
+    ## Observation space
+    `Box`, float32, finite, clipped at the space's bounds: what the sensors read, the load that the filter of the
+    healthy motor estimates, its whitened innovations and their weighted means over 0.3 s, the voltage of the last step,
+    the temperature that a healthy winding would have, the scale of the profile, time as a share of the horizon, and the
+    scaled profile at the end of the next step and 0.05, 0.1 and 0.2 s ahead.
+
+    ## Reward
+    The squared error of the speed in units of the top speed costs 100 a second, a kelvin of heat beyond 60 K costs 0.02
+    a second, a bearing worn from new to failure costs 1. Limping costs 0.25 a second. A stopped motor costs 1 for each
+    second left, a failed one 6 more. See `DriveOptions`.
+
+    ## End of an episode
+    Stopping, a failure, or the horizon (800 steps of 10 ms), all as `terminated`. `truncated` is always False.
+
+    ## Info
+    The truth, for those who score: `label`, `class_index`, `onset_step` (-1: no fault), `fault_active`, `severity`,
+    `temperature_k`. And what the reward is made of: `reward_tracking`, `reward_heat`, `reward_wear`, `reward_limp`,
+    `reward_stop`, `reward_failure`.
+
+    Args:
+        options: the task; `DriveOptions()` unless given.
+        render_mode: see the metadata.
+        changes: single options by name, on top.
+    """
+
+    def __init__(
+        self, options: DriveOptions | None = None, *, render_mode: str | None = None, **changes: Any
+    ) -> None:
+        super().__init__(render_mode)
+        self.options = with_changes(options or DriveOptions(), changes)
+        self.setup = make_setup(self.options)
+        self.observation_space, self.action_space = _spaces(self.setup)
+        lanes = empty_lanes(self.setup, 1)
+        self._state, self._words, self._flags, self._profile = lanes
+        self._arrays = (self.setup.numbers, self.setup.ahead, *lanes)
+        self._parts, self._reward = np.zeros((len(kernel.PARTS), 1)), np.zeros(1)
+        self._screen = DriveScreen(self.setup) if render_mode is not None else None
+
+    def _begin(self) -> tuple[Observation, Info]:
+        kernel.begin(EVERYWHERE, *self._arrays)
+        observation = np.empty((1, len(self.setup.observed)), dtype=np.float32)
+        kernel.observe(self._state, self.setup.view, observation)
+        self._over = False
+        if self._screen is not None:
+            self._screen.begin(self._profile[0])
+        return observation[0], self._info()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
+        """Apply a voltage for a step, or stop the motor, which ends the episode.
+
+        Raises:
+            ValueError: the action has another shape, or a value that is not finite.
+            ResetNeeded: the episode is over.
+        """
+        if self._over:
+            raise gym.error.ResetNeeded("call reset() before step(): the episode is over")
+        given = _checked(action, (2,)).reshape(1, 2)
+        observation = np.empty((1, len(self.setup.observed)), dtype=np.float32)
+        self._over = bool(
+            kernel.step(given, False, self.setup.view, observation, self._reward, self._parts, *self._arrays)
+        )
+        info = self._info() | dict(zip(REWARDS, self._parts[:, 0].tolist(), strict=True))
+        if self._screen is not None:
+            self._screen.add(self._state[0])
+            if self.render_mode == "human":
+                self.render()
+        return observation[0], self._reward.item(), self._over, False, info
+
+    def _info(self) -> Info:
+        row = self._state[0].tolist()
+        return {
+            "label": LABELS[int(row[kernel.KIND])],
+            "class_index": int(row[kernel.KIND]),
+            "onset_step": int(row[kernel.ONSET]),
+            "fault_active": self._flags.item(FAULT_ACTIVE, 0),
+            "severity": row[kernel.SEVERITY],
+            "temperature_k": row[kernel.TEMPERATURE],
+        }
+
+    def _frame(self) -> Frame:
+        assert self._screen is not None  # noqa: S101  # there is one with every render mode
+        return self._screen.draw()
+
+
+class DriveVectorEnv(StreamVectorEnv):
+    """Many of `DriveEnv` at once: sub-environment n runs the stream of episodes (seed, n).
+
+    Args:
+        num_envs: number of sub-environments.
+        options: the task; `DriveOptions()` unless given.
+        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
+        render_mode: None; a vector draws no pictures.
+        changes: single options by name, on top.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        options: DriveOptions | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **changes: Any,
+    ) -> None:
+        super().__init__(num_envs, autoreset_mode, render_mode)
+        self.options = with_changes(options or DriveOptions(), changes)
+        self.setup = make_setup(self.options)
+        self._set_spaces(*_spaces(self.setup))
+        lanes = empty_lanes(self.setup, num_envs)
+        self._state, self._words, self._flags, _ = lanes
+        self._arrays = (self.setup.numbers, self.setup.ahead, *lanes)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Label kind of every class: what the info's `class_index` points at."""
+        return LABELS
+
+    @property
+    def truth(self) -> FloatArray:
+        """The lanes' fields as they stand, for what is told the truth, shape (fields, num_envs)."""
+        fields: FloatArray = self._state.T
+        return fields
+
+    def _begin(self, mask: BoolArray) -> None:
+        kernel.begin(mask, *self._arrays)
+
+    def _observed(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
+        observation = self._empty()
+        kernel.observe(self._state, self.setup.view, observation)
+        return observation, self._info(self._flags[KNOWN] if known is None else known)
+
+    def _empty(self) -> NDArray[np.float32]:
+        return np.empty((self.num_envs, len(self.setup.observed)), dtype=np.float32)
+
+    def _info(self, known: BoolArray) -> Info:
+        info: Info = {
+            "class_index": self._state[:, kernel.KIND].astype(np.int64),
+            "onset_step": self._state[:, kernel.ONSET].astype(np.int64),
+            "fault_active": self._flags[FAULT_ACTIVE].copy(),
+            "severity": self._state[:, kernel.SEVERITY].copy(),
+            "temperature_k": self._state[:, kernel.TEMPERATURE].copy(),
+        }
+        return info | {f"_{name}": known.copy() for name in info}
+
+    def _step(self, actions: Any) -> tuple[Step, int]:
+        given = _checked(actions, (self.num_envs, 2))
+        observation, reward = self._empty(), np.empty(self.num_envs)
+        parts = np.empty((len(kernel.PARTS), self.num_envs))
+        begins = self.autoreset_mode is AutoresetMode.NEXT_STEP
+        n_over = kernel.step(given, begins, self.setup.view, observation, reward, parts, *self._arrays)
+        info = self._info(self._flags[KNOWN])
+        for name, part in zip(REWARDS, parts, strict=True):
+            info[name], info[f"_{name}"] = part, self._flags[KNOWN].copy()
+        over, never = self._flags[[TERMINATED, TRUNCATED]]
+        return (observation, reward, over, never, info), n_over

@@ -1,0 +1,277 @@
+"""Controllers for the drive: PI, LQG with integral action, and the same reconfigured by a bank of filters.
+
+They see what an agent sees, for many sub-environments at once: `start(count)`, then `act(observations)` each step.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
+from scipy.special import softmax
+
+from motor_env.envs.drive import kernel
+from motor_env.envs.drive.options import LABELS, DriveOptions
+from motor_env.envs.drive.setup import DriveSetup, drive_filter, faulty
+from motor_env.envs.lanes import BoolArray
+from motor_env.envs.setup import converged_gain
+from motor_env.motor.model import Input, discretize
+from motor_env.motor.parameters import FloatArray, MotorParameters
+
+RUN, LIMP, STOP = -1.0, 0.25, 1.0
+"""Second entry of an action."""
+Observations = NDArray[np.float32]
+
+
+class DrivePolicy(Protocol):
+    """What drives many motors at once."""
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+
+    def act(self, observations: Observations) -> FloatArray:
+        """Actions, shape (count, 2), from observations of shape (count, n_observed)."""
+
+
+def _named(setup: DriveSetup, observations: Observations) -> dict[str, FloatArray]:
+    """The observed numbers by name, in SI units."""
+    values = (observations * setup.view[0]).T
+    return dict(zip(setup.observed, values, strict=True))
+
+
+class PI:
+    """A PI controller of the measured speed, with its integral held where the voltage is at its limit.
+
+    Args:
+        setup: of the environment.
+        gain: in V s/rad.
+        reset_s: time constant of its integral.
+    """
+
+    def __init__(self, setup: DriveSetup, gain: float = 0.06, reset_s: float = 0.03) -> None:
+        self.setup, self.gain, self.reset_s = setup, gain, reset_s
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        self._integral = np.full(count, np.nan)
+
+    def act(self, observations: Observations) -> FloatArray:
+        """Voltage that takes the speed to the profile."""
+        options, seen = self.setup.options, _named(self.setup, observations)
+        error = seen["profile_1"] - seen["measured_speed"]
+        self._integral = np.where(np.isnan(self._integral), seen["voltage"], self._integral)
+        moved = self._integral + self.gain * options.period_s / self.reset_s * error
+        volts = self.gain * error + moved
+        free = np.abs(volts) < options.voltage_limit_v
+        self._integral = np.where(free, moved, self._integral)
+        return np.stack([volts / options.voltage_limit_v, np.full(len(volts), RUN)], axis=1)
+
+
+class Bank(NamedTuple):
+    """Motors that are thought possible, the healthy one first, with a filter and a controller for each.
+
+    Attributes:
+        kind: index of its label, shape (h,).
+        severity: shape (h,).
+        ohm: resistance, shape (h,).
+        drag: friction, shape (h,).
+        transition: of current and speed, shape (h, 2, 2).
+        by_volt: gain of the voltage, shape (h, 2).
+        by_load: gain of the load torque, shape (h, 2).
+        gain: of the filter, whose states are current, speed, unknown load, shape (h, 3, 2).
+        whitening: of its innovation, shape (h, 2, 2).
+        feedback: voltage for current, speed and integral of the speed's error, shape (h, 3).
+        moves: probability of going from one to another in a step, shape (h, h).
+    """
+
+    kind: NDArray[np.int64]
+    severity: FloatArray
+    ohm: FloatArray
+    drag: FloatArray
+    transition: FloatArray
+    by_volt: FloatArray
+    by_load: FloatArray
+    gain: FloatArray
+    whitening: FloatArray
+    feedback: FloatArray
+    moves: FloatArray
+
+
+SPEED_WEIGHT, INTEGRAL_WEIGHT = 1.0, 3000.0  # on squared rad/s and rad beside squared volt
+LEAST = 1e-12  # probability that a motor of the bank never falls below
+
+
+def _feedback(options: DriveOptions, motor: MotorParameters) -> tuple[FloatArray, ...]:
+    """Model of a driven motor, gain and whitening of its filter, and its linear-quadratic gain with integral action."""
+    belief, model = drive_filter(options, motor), discretize(motor, options.period_s)
+    gain, covariance = converged_gain(belief)
+    a, b = np.eye(3), np.zeros((3, 1))
+    a[:2, :2], b[:2, 0] = belief.model.transition[:2, :2], belief.model.gain[:, Input.VOLTAGE]
+    a[2, 1] = options.period_s
+    price = np.diag([0.0, SPEED_WEIGHT, INTEGRAL_WEIGHT])
+    cost = solve_discrete_are(a, b, price, np.eye(1))
+    feedback = np.linalg.solve(np.eye(1) + b.T @ cost @ b, b.T @ cost @ a)[0]
+    return model.transition, model.gain, gain, np.linalg.inv(np.linalg.cholesky(covariance)), feedback
+
+
+def make_bank(options: DriveOptions, levels: int) -> Bank:
+    """The healthy motor, and each kind of fault at so many severities from onset to failure."""
+    spread = np.array(options.failure_severity) / np.array(options.onset_severity)
+    share = (np.arange(levels) + 0.5) / max(levels, 1)
+    severity = np.concatenate(
+        [[0.0], *(s * r**share for s, r in zip(options.onset_severity, spread, strict=True))]
+    )
+    kind = np.repeat([0, 1, 2], [1, levels, levels])
+    motors = [faulty(options, LABELS[k], s) for k, s in zip(kind, severity, strict=True)]
+    parts = [np.stack(part) for part in zip(*(_feedback(options, motor) for motor in motors), strict=True)]
+    moves = np.eye(len(kind))
+    step, (slow, fast) = options.period_s, options.growth_per_s
+    for k, ratio in enumerate(spread[: 2 if levels else 0]):
+        first = 1 + k * levels
+        moves[0, first] = step / (options.mean_onset_s + step) * options.weights[1 + k] / sum(options.weights)
+        for m in range(first, first + levels - 1):
+            moves[m, m + 1] = step * np.sqrt(slow * fast) * levels / np.log(ratio)
+    np.fill_diagonal(moves, 0.0)
+    np.fill_diagonal(moves, 1.0 - moves.sum(axis=1))
+    transition, gains, gain, whitening, feedback = parts
+    return Bank(
+        kind=kind,
+        severity=severity,
+        ohm=np.array([float(np.asarray(motor.resistance_ohm)) for motor in motors]),
+        drag=np.array([float(np.asarray(motor.viscous_friction_n_m_s_per_rad)) for motor in motors]),
+        transition=transition,
+        by_volt=gains[:, :, Input.VOLTAGE],
+        by_load=gains[:, :, Input.LOAD_TORQUE],
+        gain=gain,
+        whitening=whitening,
+        feedback=feedback,
+        moves=moves,
+    )
+
+
+class Lqg:
+    """LQG with integral action on the motors of a bank: each has its filter, and all share in the voltage.
+
+    With the healthy motor alone it is the fixed LQG, which never limps or stops. With a bank the probability of each
+    motor follows from its filter's innovations; the voltage is the mean of theirs, and the decision goes by the
+    posterior: limp where a bad bearing is probable or the winding is hot, stop just before a failure.
+
+    Args:
+        setup: of the environment.
+        levels: severities of each kind in the bank; 0: the healthy motor alone.
+        reconfigures: whether the posterior shapes the voltage.
+        decides: whether it limps and stops.
+        limp_above: probability of a bad bearing above which it limps.
+        stop_above: expected severity of bearing and winding, as shares of those at failure, above which it stops. The
+            second holds for the temperature, too.
+    """
+
+    def __init__(
+        self,
+        setup: DriveSetup,
+        levels: int = 0,
+        *,
+        reconfigures: bool = True,
+        decides: bool = True,
+        limp_above: float = 0.7,
+        stop_above: tuple[float, float] = (0.87, 0.75),
+    ) -> None:
+        self.setup, self.bank = setup, make_bank(setup.options, levels)
+        self.reconfigures, self.decides = reconfigures, decides and levels > 0
+        self.limp_above, self.stop_above = limp_above, stop_above
+        self._share = np.zeros((len(self.bank.kind), 2))
+        for k, failure in enumerate(setup.options.failure_severity):
+            self._share[:, k] = np.where(self.bank.kind == k + 1, self.bank.severity / failure, 0.0)
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        size = len(self.bank.kind)
+        self._state = np.zeros((count, size, 3))
+        self._integral, self._temperature = np.zeros((2, count))
+        self.probability = np.eye(1, size).repeat(count, axis=0)
+        self._first = True
+
+    def act(self, observations: Observations) -> FloatArray:
+        """Voltage and decision from the posterior after the last measurement."""
+        options, seen = self.setup.options, _named(self.setup, observations)
+        self._follow(seen)
+        weights = self.probability if self.reconfigures else np.eye(1, len(self.bank.kind))
+        volts = np.clip(
+            (self._volts(seen) * weights).sum(axis=1), -options.voltage_limit_v, options.voltage_limit_v
+        )
+        return np.stack([volts / options.voltage_limit_v, self._decision()], axis=1)
+
+    def _torque(self, speed: FloatArray, unknown: FloatArray) -> FloatArray:
+        options = self.setup.options
+        torque: FloatArray = options.load_torque_n_m + options.fan_n_m_s2 * speed * np.abs(speed) + unknown
+        return torque
+
+    def _follow(self, seen: dict[str, FloatArray]) -> None:
+        """Let each filter follow, and weigh it by how well it had expected the measurement (Magill 1965)."""
+        bank, options, measured = (
+            self.bank,
+            self.setup.options,
+            np.stack([seen["measured_current"], seen["measured_speed"]], axis=-1),
+        )
+        if self._first:
+            self._state[:, :, :2], self._first = measured[:, None], False
+            self._current = seen["measured_current"]
+            return
+        torque = self._torque(self._state[..., 1], self._state[..., 2])
+        expected = np.einsum("hij,nhj->nhi", bank.transition, self._state[..., :2])
+        expected += bank.by_volt * seen["voltage"][:, None, None] + bank.by_load * torque[..., None]
+        innovation = measured[:, None] - expected
+        self._state[..., :2] = expected
+        self._state[..., 2] *= options.load_memory
+        self._state += np.einsum("hij,nhj->nhi", bank.gain, innovation)
+        white = np.einsum("hij,nhj->nhi", bank.whitening, innovation)
+        fit = np.log(np.linalg.det(bank.whitening)) - 0.5 * np.square(white).sum(axis=-1)
+        self.probability = softmax(fit + np.log(self.probability @ bank.moves + LEAST), axis=1)
+        numbers, current = self.setup.numbers, seen["measured_current"]
+        ohm = self.probability @ (bank.ohm / bank.ohm[0])
+        heat = 0.5 * (current**2 + self._current**2) * options.thermal_resistance_k_per_w * bank.ohm[0] * ohm
+        self._temperature += numbers[kernel.COOLING] * (heat - self._temperature)
+        self._current = current
+
+    def _volts(self, seen: dict[str, FloatArray]) -> FloatArray:
+        """Voltage of each motor's controller: what the profile needs, and a feedback; shape (count, h)."""
+        bank, options, motor = self.bank, self.setup.options, self.setup.options.driven
+        now, then = seen["profile_0"][:, None], seen["profile_1"][:, None]
+        off = self._state[..., 1] - now
+        middle = 0.5 * (now + then)
+        inertia, torque_constant, back_emf = (
+            float(np.asarray(each))
+            for each in (
+                motor.inertia_kg_m2,
+                motor.torque_constant_n_m_per_a,
+                motor.back_emf_constant_v_s_per_rad,
+            )
+        )
+        torque = self._torque(middle, self._state[..., 2]) + bank.drag * middle
+        torque = torque + inertia * (then - now) / options.period_s
+        current = torque / torque_constant
+        wanted = bank.ohm * current + back_emf * middle
+        errors = np.stack(
+            [self._state[..., 0] - current, off, np.broadcast_to(self._integral[:, None], off.shape)], axis=-1
+        )
+        volts: FloatArray = wanted - (bank.feedback * errors).sum(axis=-1)
+        missed = seen["measured_speed"] - seen["profile_0"]
+        room = np.abs(wanted[:, 0]) < options.voltage_limit_v
+        self._integral += np.where(room, options.period_s * missed, 0.0)
+        return volts
+
+    def _decision(self) -> FloatArray:
+        """Run; limp where a bad bearing is probable or the winding is warm; stop before a failure."""
+        if not self.decides:
+            return np.full(len(self._integral), RUN)
+        options, worn = self.setup.options, self.probability @ self._share
+        bearing = self.probability[:, self.bank.kind == 1].sum(axis=1)
+        limps = (bearing > self.limp_above) | (self._temperature > options.warm_k)
+        burnt = self._temperature / options.burn_k
+        stops = (worn > self.stop_above).any(axis=1) | (burnt > self.stop_above[1])
+        return self._decided(limps, stops)
+
+    def _decided(self, limps: BoolArray, stops: BoolArray) -> FloatArray:
+        return np.where(stops, STOP, np.where(limps, LIMP, RUN))

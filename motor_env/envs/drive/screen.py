@@ -1,0 +1,100 @@
+"""The drive's screen: speed and profile, current and voltage, temperature, severity, over the whole episode."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motor_env.envs.drive import kernel
+from motor_env.envs.drive.options import LABELS
+from motor_env.envs.drive.setup import DriveSetup
+from motor_env.envs.rendering import (
+    BACKGROUND,
+    DIM,
+    GRID,
+    HEIGHT,
+    INK,
+    LEFT,
+    RIGHT,
+    TOP,
+    TRACE,
+    WIDTH,
+    Frame,
+    draw_trace,
+    write,
+    write_figures,
+)
+from motor_env.motor.parameters import FloatArray
+
+GAP = 18
+SHOWN = (kernel.SPEED, kernel.CURRENT, kernel.VOLTAGE, kernel.TEMPERATURE, kernel.SEVERITY, kernel.SCALE)
+
+
+class DriveScreen:
+    """Remembers an episode and draws it; it shows the truth, which the agent does not see.
+
+    Args:
+        setup: of the environment.
+    """
+
+    def __init__(self, setup: DriveSetup) -> None:
+        self.setup = setup
+
+    def begin(self, profile: FloatArray) -> None:
+        """A new episode with that profile."""
+        self._profile = profile[1 : self.setup.options.n_steps + 1].copy()
+        self._rows: list[FloatArray] = []
+        self._last = np.zeros(kernel.PROFILE)
+
+    def add(self, state: FloatArray) -> None:
+        """The state of the lane after a step."""
+        self._rows.append(state[list(SHOWN)])
+        self._last = state.copy()
+
+    def draw(self) -> Frame:
+        """The screen, shape (HEIGHT, WIDTH, 3)."""
+        options, frame = self.setup.options, np.full((HEIGHT, WIDTH, 3), BACKGROUND, dtype=np.uint8)
+        speed, current, voltage, heat, severity, scale = np.array(self._rows).reshape(-1, len(SHOWN)).T
+        asked = self._profile.copy()
+        asked[: len(scale)] *= scale
+        kind = int(self._last[kernel.KIND])
+        failure = options.failure_severity[max(kind - 1, 0)]
+        panels = (
+            ("speed", "rad/s", options.top_speed_rad_s, ((asked, "estimate"), (speed, "speed"))),
+            ("voltage", "V", options.voltage_limit_v, ((voltage, "residual"),)),
+            ("current", "A", options.current_limit_a, ((current, "current"),)),
+            (
+                "winding",
+                "K",
+                options.burn_k,
+                ((np.full(len(asked), options.warm_k), "threshold"), (heat, "winding")),
+            ),
+            ("severity", "", failure, ((severity, "bearing" if kind == kernel.BEARING else "winding"),)),
+        )
+        height = (HEIGHT - TOP - 30) // len(panels) - GAP
+        for place, (name, unit, most, traces) in enumerate(panels):
+            top = TOP + place * (height + GAP)
+            panel = frame[top : top + height, LEFT : WIDTH - RIGHT]
+            panel[:: height // 2] = GRID
+            write(frame, name, (6, top), INK, size_px=12)
+            write_figures(frame, f"{most:.3g} {unit}", (6, top + 16), DIM, size_px=11)
+            for values, colour in traces:
+                draw_trace(panel, self._columns(values, panel.shape[1]), (0.0, 1.1 * most), TRACE[colour])
+        self._head(frame, LABELS[kind])
+        return frame
+
+    def _columns(self, values: FloatArray, width: int) -> FloatArray:
+        """One value a column of the screen, as far as there are values."""
+        at = np.arange(width) * self.setup.options.n_steps // width
+        return values[at[at < len(values)]]
+
+    def _head(self, frame: Frame, label: str) -> None:
+        options, steps = self.setup.options, len(self._rows)
+        write(frame, "drive", (6, 8), INK, size_px=16)
+        write_figures(frame, f"{steps * options.period_s:6.2f} s", (80, 8), INK, size_px=16)
+        if self._last[kernel.SCALE] < 1.0 and steps:
+            write(frame, "limps", (200, 8), TRACE["residual"], size_px=16)
+        if self._last[kernel.SEVERITY] > 0.0:
+            write(frame, label.replace("_", " "), (300, 8), TRACE["threshold"], size_px=16)
+            x = LEFT + int(self._last[kernel.ONSET]) * (WIDTH - LEFT - RIGHT) // options.n_steps
+            frame[TOP : HEIGHT - 30 : 3, x : x + 2] = TRACE["onset"]
+        write(frame, f"0 to {options.horizon_s:g} s", (WIDTH - RIGHT - 80, HEIGHT - 24), DIM, size_px=12)
