@@ -19,7 +19,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 import motor_env
-from motor_env.envs import MonitorOptions
+from motor_env.envs import Lqg, MonitorOptions
 
 DOCS = Path(__file__).parent
 PACKAGES = ("motor_env", "motor_env.envs", "motor_datasets", "motor_classifiers")
@@ -34,6 +34,17 @@ FEATURES = {
     "time": "share of the horizon that has passed",
     "evidence": "evidence for this kind of fault: its log-likelihood ratio since it was last zero, a tenth of it",
 }
+WORDS = {
+    "DriveEnv": FEATURES
+    | {
+        "slow": "weighted mean of the innovation over the last 0.3 s, scaled to a standard deviation of 1",
+        "estimated_load": "load beyond the known one, as the filter of the healthy motor estimates it",
+        "estimated_temperature": "rise of temperature that a healthy winding would have, as a share of the limit",
+        "scale": "share of the profile that is asked for now",
+        "profile": "scaled profile so many steps ahead, in units of the top speed",
+    }
+}
+"""Where the numbers of an environment mean something else."""
 
 
 API_HEAD = """# All public names
@@ -81,8 +92,10 @@ def options_table(options: Any) -> str:
 def observation_table(env: Any) -> str:
     """Every number of an observation; what it is, where the docstring does not say it name by name."""
     space, names = env.observation_space, env.observed
+    words = WORDS.get(type(env).__name__, FEATURES)
+    texts = [words.get(name, words.get(name.split("_")[0], "")) for name in names]
     rows = [
-        [n, f"`{name}`", FEATURES.get(name.split("_")[0], ""), f"{space.low[n]:.4g}", f"{space.high[n]:.4g}"]
+        [n, f"`{name}`", texts[n], f"{space.low[n]:.4g}", f"{space.high[n]:.4g}"]
         for n, name in enumerate(names)
     ]
     said = any(row[2] for row in rows)
@@ -134,7 +147,15 @@ def replacing(env: Any, step: int, observation: Any) -> int:
     return 2 if observation[env.observed.index("risk")] > 0.01 else int(step == 20)
 
 
-ACTS = {"MaintainEnv": replacing}
+def driving(env: Any, step: int, observation: Any) -> Any:
+    """Drives with a bank of filters, which is kept in the environment."""
+    if step == 0:
+        env.driver = Lqg(env.setup, levels=8)
+        env.driver.start(1)
+    return env.driver.act(observation[None])[0]
+
+
+ACTS = {"MaintainEnv": replacing, "DriveEnv": driving}
 """What is done in the picture of an environment."""
 
 
@@ -142,7 +163,7 @@ def picture(spec: EnvSpec, path: Path) -> None:
     """The screen at the end of an episode, with a fault where there may be none."""
     env = gym.make(spec.id, render_mode="rgb_array")
     observation, info = env.reset(seed=1)
-    while info.get("onset_sample", 0) < 0:
+    while info.get("onset_sample", info.get("onset_step", 0)) < 0:
         observation, info = env.reset()
     play = ACTS.get(type(env.unwrapped).__name__, probing)
     step, over = 0, False

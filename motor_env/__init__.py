@@ -11,6 +11,7 @@ __version__ = "0.1.0"
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
+# Id, module and class, options, return of the best policy known (docs/environments.md).
 # Id, module and class, options, return of the best policy known (docs/environments.md, docs/decisions.md).
 for _id, _class, _options, _best in (
     ("Monitor", "monitor:Monitor", {}, 0.889),
@@ -21,9 +22,9 @@ for _id, _class, _options, _best in (
     ("Probe", "probe:Probe", {}, 0.867),
     ("ProbeMedium", "probe:Probe", {"recipe": "medium"}, 0.928),
     ("ProbeContinuous", "probe:ProbeContinuous", {}, 0.867),
-    ("Drive", "drive.env:Drive", {}, -1.5),
-    ("DriveHeavy", "drive.env:Drive", {"load_torque_n_m": 12e-3}, -2.0),
-    ("DriveBearing", "drive.env:Drive", {"weights": (1.0, 2.0, 0.0)}, -1.5),
+    ("Drive", "drive.env:Drive", {}, -1.76),
+    ("DriveHeavy", "drive.env:Drive", {"load_torque_n_m": 12e-3}, -1.88),
+    ("DriveBearing", "drive.env:Drive", {"weights": (1.0, 2.0, 0.0)}, -1.70),
     ("Maintain", "maintain.environment:Maintain", {}, -2.292),
     ("MaintainUnknownRate", "maintain.environment:Maintain", {"rate_spread": 0.5}, -1.933),
 ):

@@ -55,11 +55,11 @@ class DriveEnv(StreamEnv[Any]):
     `Box`, float32, finite, clipped at the space's bounds: what the sensors read, the load that the filter of the
     healthy motor estimates, its whitened innovations and their weighted means over 0.3 s, the voltage of the last step,
     the temperature that a healthy winding would have, the scale of the profile, time as a share of the horizon, and the
-    scaled profile at the end of the next step and 0.05, 0.1 and 0.2 s ahead.
+    scaled profile now, at the end of the next step, and 0.05, 0.1 and 0.2 s ahead.
 
     ## Reward
-    The squared error of the speed in units of the top speed costs 100 a second, a kelvin of heat beyond 60 K costs 0.02
-    a second, a bearing worn from new to failure costs 1. Limping costs 0.25 a second. A stopped motor costs 1 for each
+    The squared error of the speed in units of the top speed costs 300 a second. A kelvin of heat beyond 70 K costs 0.05
+    a second. A bearing worn from new to failure costs 1. Limping costs 0.2 a second. A stopped motor costs 1 for each
     second left, a failed one 6 more. See `DriveOptions`.
 
     ## End of an episode
@@ -82,6 +82,7 @@ class DriveEnv(StreamEnv[Any]):
         super().__init__(render_mode)
         self.options = with_changes(options or DriveOptions(), changes)
         self.setup = make_setup(self.options)
+        self.observed = self.setup.observed
         self.observation_space, self.action_space = _spaces(self.setup)
         lanes = empty_lanes(self.setup, 1)
         self._state, self._words, self._flags, self._profile = lanes

@@ -14,7 +14,7 @@ from motor_env.envs.drive.policies import DrivePolicy, Lqg
 from motor_env.motor.parameters import FloatArray
 
 LIMP_FROM = (0.0, 0.2, 0.35, 0.5, 0.7, np.inf)
-STOP_FROM = (0.0, 0.97, np.inf)
+STOP_FROM = (0.97, np.inf)
 
 
 class Drives(NamedTuple):
@@ -55,7 +55,7 @@ class Clairvoyant(Lqg):
         stop_from: the same from which it stops.
     """
 
-    def __init__(self, envs: DriveVectorEnv, limp_from: float, stop_from: float) -> None:
+    def __init__(self, envs: DriveVectorEnv, *, limp_from: float, stop_from: float) -> None:
         super().__init__(envs.setup, levels=6)
         self._truth, self._limp_from, self._stop_from = envs.truth, limp_from, stop_from
 
@@ -80,7 +80,7 @@ def clairvoyant_returns(envs: DriveVectorEnv, seed: int) -> FloatArray:
 
     No rule of that family, which knows fault and onset, does better. Of all that a controller could do it is no bound.
     """
-    rules = [Clairvoyant(envs, limp, stop) for limp in LIMP_FROM for stop in STOP_FROM]
+    rules = [Clairvoyant(envs, limp_from=limp, stop_from=stop) for limp in LIMP_FROM for stop in STOP_FROM]
     best: FloatArray = np.max([drive_episodes(envs, rule, seed).returns for rule in rules], axis=0)
     return best
 

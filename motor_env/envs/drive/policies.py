@@ -50,7 +50,7 @@ class PI:
         reset_s: time constant of its integral.
     """
 
-    def __init__(self, setup: DriveSetup, gain: float = 0.06, reset_s: float = 0.03) -> None:
+    def __init__(self, setup: DriveSetup, *, gain: float = 0.06, reset_s: float = 0.03) -> None:
         self.setup, self.gain, self.reset_s = setup, gain, reset_s
 
     def start(self, count: int) -> None:
@@ -171,8 +171,8 @@ class Lqg:
     def __init__(
         self,
         setup: DriveSetup,
-        levels: int = 0,
         *,
+        levels: int = 0,
         reconfigures: bool = True,
         decides: bool = True,
         limp_above: float = 0.7,

@@ -203,7 +203,7 @@ def test_bad_actions_get_their_sentence() -> None:
 
 def test_detection_is_worth_something(monkeypatch: pytest.MonkeyPatch) -> None:
     envs = DriveVectorEnv(40)
-    fixed, bank = (drive_episodes(envs, Lqg(envs.setup, levels), seed=9) for levels in (0, 8))
+    fixed, bank = (drive_episodes(envs, Lqg(envs.setup, levels=levels), seed=9) for levels in (0, 8))
     ahead = bank.returns - fixed.returns
     assert ahead.mean() > 1.0 + 1.96 * ahead.std() / np.sqrt(40)
     np.testing.assert_array_equal(fixed.class_index, bank.class_index)
