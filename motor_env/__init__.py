@@ -11,7 +11,7 @@ __version__ = "0.1.0"
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-# Id, module and class, options, return of the best policy known (docs/environments.md).
+# Id, module and class, options, return of the best policy known (docs/environments.md, docs/decisions.md).
 # Id, module and class, options, return of the best policy known (docs/environments.md, docs/decisions.md).
 for _id, _class, _options, _best in (
     ("Monitor", "monitor:Monitor", {}, 0.889),

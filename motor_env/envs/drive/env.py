@@ -156,7 +156,7 @@ class DriveVectorEnv(StreamVectorEnv):
         render_mode: str | None = None,
         **changes: Any,
     ) -> None:
-        super().__init__(num_envs, autoreset_mode, render_mode)
+        super().__init__(num_envs, autoreset_mode=autoreset_mode, render_mode=render_mode)
         self.options = with_changes(options or DriveOptions(), changes)
         self.setup = make_setup(self.options)
         self._set_spaces(*_spaces(self.setup))
