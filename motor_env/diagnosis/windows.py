@@ -86,8 +86,11 @@ def learn_windows(recordings: Sequence[Recording], window_s: float) -> WindowRef
     if len(parts) < FEWEST_WINDOWS:
         raise UnusableError(f"{len(parts)} windows of {window_s:g} s; at least {FEWEST_WINDOWS} are needed")
     samples = sum(len(recording.time_s) for recording in recordings)
-    every = math.ceil(sum(len(part.time_s) for part in parts) / MOST)
-    joint = identify_operation(recordings if samples <= MOST else parts[::every])
+    chosen = recordings
+    if samples > MOST:
+        every = math.ceil(sum(len(part.time_s) for part in parts) / MOST)
+        chosen = parts[:: min(every, len(parts) // FEWEST_WINDOWS)]
+    joint = identify_operation(chosen, most=max(MOST, sum(len(one.time_s) for one in chosen)))
     if not joint.record.seen.all():
         raise UnusableError(_NEEDED)
     known, wanted, hold = _known(joint), joint.solution.names, joint.record.hold

@@ -29,9 +29,13 @@ def beginnings(record: Record) -> list[FloatArray]:
         if len(record.voltage_v) < 12 * window:
             break
         if record.seen.all():
-            found.append(_both(record, window))
+            found += [_both(record, window, loaded=loaded) for loaded in (False, True)]
         elif record.seen[0]:
-            found += [_current(record, window, share) for share in _RESISTANCES]
+            found += [
+                _current(record, window, share, loaded=loaded)
+                for share in _RESISTANCES
+                for loaded in (False, True)
+            ]
         else:
             found.append(_speed(record, window))
     return [values for values in found if values is not None]
@@ -66,6 +70,16 @@ def _solve(columns: list[FloatArray], target: FloatArray) -> FloatArray:
     return solution
 
 
+def _torques(
+    columns: list[FloatArray], torque: FloatArray, *, loaded: bool
+) -> tuple[float, float, float, float]:
+    """Inertia, viscous and dry friction, and a constant load of either sign where there may be one."""
+    one = np.ones(len(torque))
+    found = _solve([*columns, one, -one] if loaded else columns, torque).tolist()
+    load = found[3] - found[4] if loaded else 0.0
+    return found[0], found[1], found[2], load
+
+
 def _values(record: Record, **given: float) -> FloatArray:
     """Physical values with noises, from what a regression told."""
     values = np.zeros(N_VALUES)
@@ -88,7 +102,7 @@ def _held(record: Record, column: FloatArray, window: int) -> FloatArray:
     return np.asarray(means[_whole(starts, window, record.begins)], dtype=np.float64)
 
 
-def _both(record: Record, window: int) -> FloatArray | None:
+def _both(record: Record, window: int, *, loaded: bool) -> FloatArray | None:
     """Current and speed: V = R i + L di/dt + K w + drop, K i = J dw/dt + B w + Tc sign(w)."""
     i, w = record.readings[:, 0], record.readings[:, 1]
     means = {name: _windows(column, window, record.begins) for name, column in (("i", i), ("w", w))}
@@ -99,13 +113,13 @@ def _both(record: Record, window: int) -> FloatArray | None:
     r, inductance, k = _solve([means["i"], slope_i, means["w"]], volts)
     if k <= 0.0 or r <= 0.0:
         return None
-    inertia, drag, dry = _solve([slope_w, means["w"], direction], k * means["i"])
+    inertia, drag, dry, load = _torques([slope_w, means["w"], direction], k * means["i"], loaded=loaded)
     if inertia <= 0.0:
         return None
-    return _values(record, R=r, L=inductance, K=k, J=inertia, B=drag, COULOMB=dry)
+    return _values(record, R=r, L=inductance, K=k, J=inertia, B=drag, COULOMB=dry, LOAD=load)
 
 
-def _current(record: Record, window: int, share: float) -> FloatArray | None:
+def _current(record: Record, window: int, share: float, *, loaded: bool) -> FloatArray | None:
     """Current alone, with K = 1: the speed is what is left of the voltage."""
     i = record.readings[:, 0]
     volts, amps, _ = record.peaks
@@ -113,10 +127,10 @@ def _current(record: Record, window: int, share: float) -> FloatArray | None:
     v, mean_i = _held(record, record.voltage_v, window), _windows(i, window, record.begins)
     w = v - r * mean_i
     slope = (w[2:] - w[:-2]) / (2.0 * max(window // 2, 1) * record.dt_s)
-    inertia, drag, dry = _solve([slope, w[1:-1], _sign(w)[1:-1]], mean_i[1:-1])
+    inertia, drag, dry, load = _torques([slope, w[1:-1], _sign(w)[1:-1]], mean_i[1:-1], loaded=loaded)
     if inertia <= 0.0:
         return None
-    return _values(record, R=r, K=1.0, J=inertia, B=drag, COULOMB=dry)
+    return _values(record, R=r, K=1.0, J=inertia, B=drag, COULOMB=dry, LOAD=load)
 
 
 def _speed(record: Record, window: int) -> FloatArray | None:

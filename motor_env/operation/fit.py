@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from motor_env.operation.terms import SHAPES, Term, terms
 from motor_env.recordings.defects import UnusableError
 
 STRONG_EVIDENCE = 6.0
+CHOSEN_ON = 4_000
+"""Samples on which the model of a record twice as long is chosen."""
 _FIRST_NOISE_V = 0.02
 _FIRST_SHAPE = 0.1  # of what is believed
 _CALM = {"offset_current": 0.0, "offset_speed": 0.0, "noise_voltage": -1.0, "load_walk": -4.0}
@@ -33,23 +36,71 @@ def fit(record: Record) -> Solution:
     Raises:
         UnusableError: no regression finds a motor in the record.
     """
+    if len(record.voltage_v) > 2 * CHOSEN_ON:
+        return _refined(fit(record.sample(CHOSEN_ON)), record)
     rivals = [_chosen(first, every) for first, every in _first(record)]
-    return _shaped(min(rivals, key=lambda one: one.penalised()))
+    best = min(rivals, key=lambda one: one.penalised())
+    others = sorted(_behaviours(best, record), key=lambda one: one.penalised())
+    if others and (other := _solved(others[0], [])).penalised() < best.penalised():
+        best = _chosen(other, terms(other.problem.record, other.problem.known))
+    return _shaped(best)
+
+
+def _refined(best: Solution, record: Record) -> Solution:
+    """The fit of a part of a long record, fitted to all of it, with the terms that this tells in addition."""
+    hold = best.problem.record.hold
+    record = replace(
+        record if (best.problem.record.marks == kernel.OPEN).any() else record.closed(), hold=hold
+    )
+    problem = replace(best.problem, record=record)
+    return _grown(Solution(problem, *problem.solve(best.theta, most=_FEW)), terms(record, problem.known))
+
+
+def _behaviours(best: Solution, record: Record) -> list[Solution]:
+    """The fit without a delay, for every other behaviour of voltage and circuit: its beginning may have missed it."""
+    free = tuple(term for term in best.problem.free if term.name != "delay")
+    theta = np.array([one for name, one in zip(best.names, best.theta, strict=True) if name != "delay"])
+    found = []
+    for behaved in _records(record):
+        is_same = behaved.hold == best.problem.record.hold and "delay" not in best.names
+        if not (is_same and np.array_equal(behaved.marks, best.problem.record.marks)):
+            problem = replace(best.problem, record=behaved, free=free)
+            found.append(Solution(problem, *problem.solve(theta, most=_FEW)))
+    return found
+
+
+def _records(record: Record) -> list[Record]:
+    """The record with every behaviour of the voltage that may be true, and without open circuits."""
+    circuits = [record, record.closed()] if (record.marks == kernel.OPEN).any() else [record]
+    holds = HOLDS if record.averaged == 1 else (record.hold,)
+    return [replace(circuit, hold=hold) for hold, circuit in product(holds, circuits)]
 
 
 def _shaped(best: Solution) -> Solution:
     """The fit with the shapes of its brush drop and of its dry friction, whose size is believed beforehand.
 
-    It also begins again from a calm motor, without offsets: noise and a wandering load may have carried a fit away.
+    It also begins again from a calm motor, without offsets: noise and a wandering load may have carried a fit away. And
+    where dry friction and a constant load may stand for each other, from less and from more of it.
     """
     every = terms(best.problem.record, best.problem.known)
     added = [every[shape] for shape, of in SHAPES.items() if of in best.names]
     problem = best.problem.with_terms(added)
     begin = np.append(best.theta, [_FIRST_SHAPE * term.prior_sd for term in added])
     calm = np.array([_CALM.get(name, one) for name, one in zip(problem.names, begin, strict=True)])
-    tried = [Solution(problem, *problem.solve(theta)) for theta in (begin, calm)]
+    begins = [begin, calm]
+    if {"coulomb", "load_constant"} <= set(best.names):
+        dry, load = problem.names.index("coulomb"), problem.names.index("load_constant")
+        turns = math.copysign(1.0, float(best.free()[0][:, 3].mean()))
+        for more in (-begin[dry], abs(begin[load])):
+            moved = begin.copy()
+            moved[dry] += more
+            moved[load] -= turns * more
+            begins.append(moved)
+    tried = [Solution(problem, *problem.solve(theta)) for theta in begins]
     found = min(tried, key=lambda one: one.misfit)
-    return found if found.misfit <= best.misfit + len(added) else best
+    if found.misfit > best.misfit + len(added):
+        return best
+    return replace(found, rivals=tuple((one.theta, one.misfit) for one in tried if one is not found))
 
 
 def _chosen(first: Solution, every: dict[str, Term]) -> Solution:
@@ -112,23 +163,15 @@ def _base(record: Record) -> list[str]:
 
 def _first(record: Record) -> list[tuple[Solution, dict[str, Term]]]:
     """Fits of the first terms, one for each behaviour of the voltage that may be true, with all terms."""
-    starts = []
-    for hold in HOLDS if record.averaged == 1 else (record.hold,):
-        held = replace(record, hold=hold)
-        for values in beginnings(held):
-            problem, theta = _begin(held, values)
-            starts.append((problem.misfit(float(np.sum(problem.residuals(theta) ** 2))), problem, theta))
-    if not starts:
-        raise UnusableError("no motor is found in the record: voltage, current and speed do not go together")
-    starts.sort(key=lambda one: one[0])
     fits = []
-    for hold in HOLDS:
-        tried = [
-            Solution(problem, *problem.solve(theta, most=_FEW))
-            for _, problem, theta in [one for one in starts if one[1].record.hold == hold][:_TRIED]
-        ]
+    for behaved in _records(record):
+        begun = [_begin(behaved, values) for values in beginnings(behaved)]
+        begun.sort(key=lambda one: float(np.sum(one[0].residuals(one[1]) ** 2)))
+        tried = [Solution(problem, *problem.solve(theta, most=_FEW)) for problem, theta in begun[:_TRIED]]
         if tried:
             fits.append(_solved(min(tried, key=lambda one: one.misfit), []))
+    if not fits:
+        raise UnusableError("no motor is found in the record: voltage, current and speed do not go together")
     best = min(one.misfit for one in fits)
     rivals = [one for one in fits if one.misfit - best < _RIVAL * one.problem.count]
     return [(one, terms(one.problem.record, one.problem.known)) for one in rivals]

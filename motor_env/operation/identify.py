@@ -231,4 +231,8 @@ def _notes(record: Record, solution: Solution, quantities: tuple[Quantity, ...])
         sentences.append(f"not determined by this record: {', '.join(untold)}")
     if record.averaged > 1:
         sentences.append(f"{record.averaged} neighbouring samples were averaged into one")
+    if record.share < 1.0:
+        sentences.append(
+            f"{record.share:.0%} of the record were used, the stretches in which its voltage moves most"
+        )
     return sentences

@@ -202,10 +202,14 @@ def _coasting_step(x: FloatArray, p: FloatArray, dry: float, load: float, dt_s: 
     f[:] = 0.0
     decay = math.exp(-p[B] * dt_s / p[J])
     reach = (1.0 - decay) / p[B] if p[B] * dt_s > 1e-9 * p[J] else dt_s / p[J]
-    free = decay * x[1] - reach * (load + p[SQUARE] * x[1] * abs(x[1]))
-    x[0], x[1] = 0.0, math.copysign(max(abs(free) - reach * dry, 0.0), free)
+    before, square = x[1], p[SQUARE] * x[1] * abs(x[1])
+    for _ in range(2 if p[SQUARE] > 0.0 else 1):
+        free = decay * before - reach * (load + square)
+        x[1] = math.copysign(max(abs(free) - reach * dry, 0.0), free)
+        square = p[SQUARE] * _mean_square(before, x[1])
+    x[0] = 0.0
     if x[1] != 0.0:
-        f[1, 1], f[1, 2] = decay, -reach
+        f[1, 1], f[1, 2] = decay - reach * 2.0 * p[SQUARE] * abs(before), -reach
 
 
 @njit(cache=True)

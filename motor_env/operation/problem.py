@@ -126,11 +126,19 @@ def _moved(theta: FloatArray, n: int, step: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """A problem with its best unknowns."""
+    """A problem with its best unknowns.
+
+    Attributes:
+        problem: what was solved.
+        theta: the best unknowns.
+        misfit: theirs.
+        rivals: unknowns and misfits of other optima.
+    """
 
     problem: Problem
     theta: FloatArray
     misfit: float
+    rivals: tuple[tuple[FloatArray, float], ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -5,25 +5,29 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation.kernel import BEGIN, DELAY, OPEN, predict
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, cut
 from motor_env.recordings.start import Circuit
 
 Hold = Literal["held", "straight", "late"]
 HOLDS: tuple[Hold, ...] = ("held", "straight", "late")
 """The voltage of a sample lasts until the next; runs in a straight line to it; or has lasted since the one before."""
 FEWEST = 40
-MOST = 60_000
+MOST = 10_000
+_LOOKED_AT, _LOST, _STRETCHES = 1_000_000, 0.02, 10
 _SAME_DT = 0.02
-_FEWEST_OPEN = 8
-_COASTS = 0.1
+_FEWEST_OPEN, _NO_CURRENT = 6, 0.95  # samples, and the share of them without current
+_COASTS, _SLOWS, _ZERO = 0.02, 0.1, 0.003  # of the largest voltage, speed, current
+_BESIDE_JUMP, _JUMP, _JUMP_NOISE = 5, 2.5, 6.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,7 @@ class Record:
         marks: `kernel.BEGIN` at the first sample of each recording, `kernel.OPEN` where the circuit is open; (n,).
         hold: what the voltage does between two samples.
         averaged: number of samples whose mean is one sample here.
+        share: of the recordings that is here, its liveliest stretches.
     """
 
     dt_s: float
@@ -47,6 +52,7 @@ class Record:
     marks: FloatArray
     hold: Hold = "held"
     averaged: int = 1
+    share: float = 1.0
 
     @property
     def begins(self) -> FloatArray:
@@ -86,6 +92,18 @@ class Record:
         logs = predict(values, self.dt_s, voltage, self.readings, self.seen, self.marks, learn, out)
         return out, logs
 
+    def closed(self) -> Record:
+        """The same without open circuits."""
+        return replace(self, marks=np.where(self.marks == OPEN, 0.0, self.marks))
+
+    def sample(self, count: int) -> Record:
+        """So many of its samples: stretches of equal length, evenly spread."""
+        begins = np.arange(_STRETCHES) * (len(self.voltage_v) // _STRETCHES)
+        some = (begins[:, None] + np.arange(count // _STRETCHES)).ravel()
+        marks = self.marks[some]
+        marks[:: count // _STRETCHES] = BEGIN
+        return replace(self, voltage_v=self.voltage_v[some], readings=self.readings[some], marks=marks)
+
     def only(self, *, current: bool, speed: bool) -> Record:
         """The same with some of the channels."""
         return replace(self, seen=self.seen * np.array([current, speed], dtype=np.float64))
@@ -111,13 +129,20 @@ def from_recordings(
     Raises:
         UnusableError: no voltage, neither current nor speed, other columns or sampling from one to the next.
     """
-    parts = [_columns(at_terminals(recording, voltage_v)) for recording in recordings]
     steps = np.array([recording.dt_s for recording in recordings])
     if np.ptp(steps) > _SAME_DT * steps.mean():
         raise UnusableError("the recordings differ in their sampling interval: identify them one by one")
-    if len({(part[1] is None, part[2] is None) for part in parts}) > 1:
+    whole = [at_terminals(recording, voltage_v) for recording in recordings]
+    if len({_seen(recording) for recording in whole}) > 1:
         raise UnusableError("the recordings hold different columns: identify them one by one")
-    factor = max(math.ceil(sum(len(part[0]) for part in parts) / most), 1)
+    wanted = max(math.ceil(sum(len(recording.time_s) for recording in whole) / most), 1)
+    factor = min(_averageable(whole[0], wanted), wanted)
+    share = 1.0
+    if factor < wanted:
+        share = most * factor / sum(len(recording.time_s) for recording in whole)
+        count = math.ceil(_STRETCHES / len(whole))
+        whole = [part for recording in whole for part in liveliest(recording, share, count)]
+    parts = [_columns(recording) for recording in whole]
     columns: list[list[FloatArray]] = [[], [], [], []]
     for part in parts:
         voltage = block_means(part[0], factor)
@@ -132,31 +157,55 @@ def from_recordings(
         raise UnusableError(f"only {len(volts)} samples; at least {FEWEST} are needed")
     readings = np.ascontiguousarray(np.stack([current, speed], axis=1))
     if seen[0]:
-        begins = np.where(open_circuit(volts, readings) & (begins == 0.0), OPEN, begins)
+        begins = np.where(open_circuit(volts, readings, begins) & (begins == 0.0), OPEN, begins)
     return Record(
         dt_s=float(steps.mean()) * factor,
         voltage_v=volts,
         readings=readings,
         seen=seen,
         marks=begins,
-        hold="held" if factor == 1 else "straight",
-        averaged=factor,
+        hold="held" if factor * recordings[0].averaged == 1 else "straight",
+        averaged=factor * recordings[0].averaged,
+        share=share,
     )
 
 
-def open_circuit(voltage_v: FloatArray, readings: FloatArray) -> NDArray[np.bool_]:
-    """Where a motor coasts with an open circuit: no current for a while, though speed or voltage fall, shape (n,)."""
-    current, moving = readings[:, 0], readings[:, 1] if readings[:, 1].any() else voltage_v
-    slack = 0.01 * float(np.quantile(np.abs(current), 0.99)) + 3.0 * noise_of(current)
-    none = np.concatenate([[False], np.abs(current) < slack, [False]])
-    edges = np.flatnonzero(np.diff(none.astype(int)))
+def open_circuit(voltage_v: FloatArray, readings: FloatArray, begins: FloatArray) -> NDArray[np.bool_]:
+    """Where a motor coasts with an open circuit, shape (n,).
+
+    The voltage jumps where the circuit opens and where it closes. Between there is no current, and the voltage at the
+    terminals moves with the speed; or the speed moves although the voltage is recorded as none.
+    """
+    current, peak = readings[:, 0], float(np.quantile(np.abs(voltage_v), 0.999))
+    noise, largest = noise_of(current), float(np.quantile(np.abs(current), 0.99))
+    none = np.abs(current) < 3.0 * noise + 0.01 * largest
+    edges = np.union1d(np.flatnonzero(_jumps(voltage_v) | (begins > 0.0)), [0, len(current)])
     out = np.zeros(len(current), dtype=np.bool_)
-    least = _COASTS * float(np.quantile(np.abs(moving), 0.99))
-    for first, end in zip(edges[::2], edges[1::2], strict=True):
-        falls = abs(moving[first]) - abs(moving[end - 1]) > least
-        if end - first >= _FEWEST_OPEN and falls and abs(float(current[first:end].mean())) < 0.5 * slack:
+    fastest = float(np.quantile(np.abs(readings[:, 1]), 0.99)) + 1e-12
+    for first, end in pairwise(edges.tolist()):
+        n, shown = end - first, current[first:end]
+        if n < _FEWEST_OPEN or float(np.mean(none[first:end])) < _NO_CURRENT:
+            continue
+        is_none = abs(float(shown.mean())) < 3.5 * noise / math.sqrt(n) + _ZERO * largest
+        is_noise = float(shown.std()) < noise * (1.0 + 3.0 / math.sqrt(n))
+        volts, speed = voltage_v[first:end], readings[first:end, 1]
+        is_off = float(np.abs(volts).max()) < _COASTS * peak
+        falls = np.ptp(speed) > _SLOWS * fastest if is_off else np.ptp(volts) > _COASTS * peak
+        if is_none and is_noise and falls:
             out[first:end] = True
+            if end < len(current) and begins[end] == 0.0:
+                out[end] = none[end]  # the current has not risen yet where the circuit has just closed
     return out
+
+
+def _jumps(voltage_v: FloatArray) -> NDArray[np.bool_]:
+    """Samples at which the voltage has moved much more than it does before and after, shape (n,)."""
+    moved = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
+    beside = _BESIDE_JUMP
+    medians = np.median(sliding_window_view(np.pad(moved, beside, mode="edge"), beside), axis=1)
+    usual = np.maximum(medians[: len(moved)], medians[-len(moved) :])
+    found: NDArray[np.bool_] = (moved > _JUMP * usual) & (moved > _JUMP_NOISE * noise_of(voltage_v))
+    return found
 
 
 def noise_of(column: FloatArray) -> float:
@@ -178,6 +227,40 @@ def block_means(values: FloatArray, factor: int) -> FloatArray:
     return means
 
 
+def _averageable(recording: Recording, wanted: int) -> int:
+    """Number of neighbours whose means keep nearly all that the current, beyond its noise, or the speed tells."""
+    column = (
+        recording.current_a if _seen(recording)[0] or recording.speed_rad_s is None else recording.speed_rad_s
+    )
+    column, factor = column[:_LOOKED_AT], 1
+    noise, variance = noise_of(column) ** 2, float(np.var(column))
+    while factor < wanted:
+        kept = float(np.var(block_means(column, 2 * factor))) + noise * (1.0 - 0.5 / factor)
+        if kept < (1.0 - _LOST) * variance:
+            break
+        factor *= 2
+    return factor
+
+
+def liveliest(recording: Recording, share: float, count: int = _STRETCHES) -> list[Recording]:
+    """A share of a recording: of each of some equal parts the stretch in which the voltage moves most."""
+    n = len(recording.time_s)
+    volts = recording.current_a if recording.voltage_v is None else recording.voltage_v
+    moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(volts)))])
+    part, length, found = n // count, int(share * n / count), []
+    for first in range(0, part * count, part):
+        ends = moved[first + length : first + part] - moved[first : first + part - length]
+        begin = first + int(np.argmax(ends))
+        found.append(cut(recording, slice(begin, begin + length)))
+    return found
+
+
+def _seen(recording: Recording) -> tuple[bool, bool]:
+    """Whether current and speed were recorded: a channel that never moves counts as not recorded."""
+    speed = recording.speed_rad_s
+    return float(np.ptp(recording.current_a)) > 0.0, speed is not None and float(np.ptp(speed)) > 0.0
+
+
 def at_terminals(
     recording: Recording, voltage_v: float | None = None, circuit: Circuit | None = None
 ) -> Recording:
@@ -191,16 +274,12 @@ def at_terminals(
 
 
 def _columns(recording: Recording) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
-    """Voltage, current, speed; a channel that never moves counts as not recorded."""
-    voltage = recording.voltage_v
+    """Voltage, current, speed."""
+    voltage, (has_current, has_speed) = recording.voltage_v, _seen(recording)
     if voltage is None:
         raise UnusableError("a motor at work can be identified only where the voltage was recorded")
-    if float(np.ptp(voltage)) == 0.0 and float(np.ptp(recording.current_a)) == 0.0:
+    if float(np.ptp(voltage)) == 0.0 and not has_current:
         raise UnusableError("neither voltage nor current ever changes")
-    current = recording.current_a if float(np.ptp(recording.current_a)) > 0.0 else None
-    speed = recording.speed_rad_s
-    if speed is not None and float(np.ptp(speed)) == 0.0:
-        speed = None
-    if current is None and speed is None:
+    if not has_current and not has_speed:
         raise UnusableError("neither the current nor the speed ever changes")
-    return voltage, current, speed
+    return voltage, recording.current_a if has_current else None, recording.speed_rad_s if has_speed else None

@@ -28,6 +28,7 @@ class Term:
         low, high: bounds in that unit.
         is_log: whether the unknown is the logarithm of the value over its unit.
         prior_sd: standard deviation about 0 that is believed beforehand, in the unit; infinite for none.
+        usual: size that the term usually has where a motor has it, in the unit.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Term:
     high: float
     is_log: bool = False
     prior_sd: float = math.inf
+    usual: float = 1.0
 
     def value(self, theta: float) -> float:
         """SI value of the unknown."""
@@ -61,8 +63,8 @@ def terms(record: Record, start: FloatArray) -> dict[str, Term]:
         Term("brush_drop", kernel.DROP, volts, 0.0, 0.4, prior_sd=0.1),
         Term("brush_knee", kernel.KNEE, amps, 0.0, 0.05, prior_sd=_KNEE_PRIOR),
         Term("stribeck", kernel.STRIBECK, 1.0, 0.0, 2.0, prior_sd=_STRIBECK_PRIOR),
-        Term("load_constant", kernel.LOAD, torque, -2.0, 2.0, prior_sd=0.3),
-        Term("load_square", kernel.SQUARE, torque / speed**2, 0.0, 20.0),
+        Term("load_constant", kernel.LOAD, torque, -2.0, 2.0, prior_sd=0.3, usual=0.3),
+        Term("load_square", kernel.SQUARE, torque / speed**2, 0.0, 20.0, usual=0.3),
         Term("offset_current", kernel.OFFSET_I, amps, -0.2, 0.2, prior_sd=_OFFSET_PRIOR),
         Term("offset_speed", kernel.OFFSET_W, speed, -0.1, 0.1, prior_sd=_OFFSET_PRIOR),
         Term("heating", kernel.HEATING, 10.0 / (power * record.duration_s), 0.0, 20.0),

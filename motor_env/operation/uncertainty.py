@@ -46,8 +46,9 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
     """Covariance of the unknowns that are no noises, with what correlated residuals and the choice of terms add.
 
     The scores' autocovariance (Bartlett window; Newey & West 1987) widens, and never narrows, what white residuals
-    tell. A term that was left out counts with its posterior probability (Hoeting et al. 1999): it would have moved the
-    others by so much, and would have left them so much less certain.
+    tell. A term that was left out counts with its posterior probability (Hoeting et al. 1999), its size believed to be
+    as usual: it would have moved the others by so much, and would have left them so much less certain. Other optima
+    count with theirs.
     """
     problem, places = best.problem, motor_places(best.problem)
     base, jacobian = problem.residuals(best.theta), secants(problem, best.theta)
@@ -55,10 +56,15 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
     bread = _inverse(jacobian.T @ jacobian)
     ratio = _widening(problem, best.theta, jacobian, bread) / math.sqrt(variance)
     total = bread * variance * np.outer(ratio, ratio)
-    for test in score_tests(best, every).values():
-        odds = math.exp(min(0.5 * (test.chi_square - math.log(problem.count)), 50.0))
+    for name, test in score_tests(best, every).items():
+        occam = test.sd / math.hypot(test.sd, every[name].usual)
+        odds = occam * math.exp(min(0.5 * test.chi_square, 50.0))
         weight, moves = odds / (1.0 + odds), test.moves[places]
         total += weight * (test.value**2 + test.sd**2) * np.outer(moves, moves)
+    ahead = np.exp([0.5 * (best.misfit - misfit) for _, misfit in best.rivals])
+    for share, (theta, _) in zip(ahead / (1.0 + ahead.sum()), best.rivals, strict=True):
+        moved = (theta - best.theta)[places]
+        total += share * np.outer(moved, moved)
     return total
 
 

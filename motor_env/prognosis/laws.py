@@ -18,7 +18,7 @@ _JUMP = 6.0
 _MAD = 1.4826
 _UNKNOWN_TEMPERATURE_K = 30.0
 """Where no temperature is recorded a motor may be colder at one end by so much than at the other."""
-_CHANGED = 2.0  # standard deviations
+_CLEAR, _CHANGED = 3.0, 2.0  # standard deviations
 _EXCLUDED = 2.7  # rise of the chi-square with one degree of freedom
 _FEWEST_STEPS = 8
 _KNOWN = {
@@ -92,6 +92,8 @@ def withheld(series: Series, wear: Degradation, *, knows_temperature: bool) -> s
     change = abs(float(wear.weights @ wear.level) * wear.sign - float(series.estimate[:_FEWEST].mean()))
     if change < warmth:
         return f"a change of the temperature by {_UNKNOWN_TEMPERATURE_K:.0f} K would explain it"
+    if abs(wear.mean_drift) < _CLEAR * wear.drift_std:
+        return "chance alone may have moved it so far: the drift is below three of its standard deviations"
     z = _drift_change(series, wear)
     if abs(z) > _CHANGED:
         return f"the drift {'accelerates' if z > 0.0 else 'slows down'}: no law is known for it"

@@ -20,8 +20,25 @@ import numpy as np
 from motor_env.errors import InputError, require_extra
 from motor_env.recordings import array_parser
 
+BINARY = (".mat", ".npy", ".npz", ".parquet", ".pq")
+_PARQUET = (".parquet", ".pq")
 _SECONDS = 30.0
 _SINGLE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
+
+
+def is_parquet(path: Path) -> bool:
+    """Whether a file is Parquet by its ending: of any length, for it is read in pieces."""
+    return path.suffix.lower() in _PARQUET
+
+
+def read_parquet(path: Path) -> tuple[dict[str, Any], int]:
+    """Columns of a Parquet file by name, and how many of its rows are averaged to one.
+
+    Raises:
+        InputError: it is not what its ending says, or unpacks to more than can be read.
+    """
+    require_extra("pyarrow", "datasets")
+    return _parsed_elsewhere(path, b"", "Parquet", str(path))
 
 
 def read_arrays(path: Path, content: bytes) -> dict[str, Any] | None:
@@ -34,20 +51,17 @@ def read_arrays(path: Path, content: bytes) -> dict[str, Any] | None:
         case ".mat":
             if content[:19] == b"MATLAB 7.3 MAT-file":
                 raise _unreadable(path, "MATLAB", "it is of version 7.3; save it with -v7")
-            return _parsed_elsewhere(path, content, "MATLAB")
+            return _parsed_elsewhere(path, content, "MATLAB")[0]
         case ".npy" | ".npz":
             return _numpy(path, content)
-        case ".parquet" | ".pq":
-            require_extra("pyarrow", "datasets")
-            return _parsed_elsewhere(path, content, "Parquet")
     return None
 
 
-def _parsed_elsewhere(path: Path, content: bytes, kind: str) -> dict[str, Any]:
+def _parsed_elsewhere(path: Path, content: bytes, kind: str, *more: str) -> tuple[dict[str, Any], int]:
     # -P: modules of this folder must not hide others of the same name.
-    command = [sys.executable, "-P", array_parser.__file__, kind]
+    command = [sys.executable, "-P", array_parser.__file__, kind, *more]
     try:
-        done = subprocess.run(  # noqa: S603  # our own interpreter and file; the content comes by its input
+        done = subprocess.run(  # noqa: S603  # our own interpreter and file; what it parses is data
             command,
             input=content,
             capture_output=True,
@@ -61,13 +75,14 @@ def _parsed_elsewhere(path: Path, content: bytes, kind: str) -> dict[str, Any]:
         crash = f"its parser crashed with status {done.returncode}"
         words = done.stderr.decode(errors="replace").strip().splitlines() if done.returncode == 1 else []
         raise _unreadable(path, kind, words[-1] if words else crash)
-    head, _, data = done.stdout.partition(b"\n")
-    arrays, begin = {}, 0
-    for name, shape in json.loads(head):
+    end = done.stdout.index(b"\n") + 1
+    averaged, shapes = json.loads(done.stdout[:end])
+    arrays, begin = {}, end
+    for name, shape in shapes:
         size = int(np.prod(shape))
-        arrays[name] = np.frombuffer(data, np.float64, size, begin).reshape(shape)
+        arrays[name] = np.frombuffer(done.stdout[begin : begin + 8 * size], np.float64).reshape(shape)
         begin += 8 * size
-    return arrays
+    return arrays, averaged
 
 
 def _numpy(path: Path, content: bytes) -> dict[str, Any]:

@@ -1,6 +1,7 @@
-"""Parses one MATLAB or Parquet file from standard input, in a process of its own.
+"""Parses one MATLAB file from standard input, or one Parquet file by its path, in a process of its own.
 
-What comes out: a line of JSON with name and shape of each array of numbers, then their values as bytes of float64.
+What comes out: a line of JSON with how many rows are one, and name and shape of each array of numbers, then their
+values as bytes of float64.
 A file that cannot be parsed ends it with status 1 and a sentence on standard error.
 
 This file is run as a script: it imports nothing of the package.
@@ -17,17 +18,20 @@ from typing import Any, cast
 import numpy as np
 
 MOST_NUMBERS = 50_000_000
+_MOST_READ = 1_000_000_000  # of a Parquet file, in pieces
+_MOST_ROWS = 4_000_000  # of a long log, beyond which neighbours are averaged
+_BATCH_ROWS = 250_000
 _MEMORY_BYTES = 1_600_000_000
 
 
-def check_count(numbers: int) -> None:
+def check_count(numbers: int, most: int = MOST_NUMBERS) -> None:
     """Refuse more numbers than a recording holds.
 
     Raises:
         ValueError: they are more.
     """
-    if numbers > MOST_NUMBERS:
-        raise ValueError(f"it unpacks to {numbers:,} numbers; at most {MOST_NUMBERS:,} are read")
+    if numbers > most:
+        raise ValueError(f"it unpacks to {numbers:,} numbers; at most {most:,} are read")
 
 
 def parse_matlab(content: bytes) -> dict[str, Any]:
@@ -57,20 +61,29 @@ def _named(variables: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, A
             yield prefix + name, value
 
 
-def parse_parquet(content: bytes) -> dict[str, Any]:
-    """Columns of numbers of a Parquet file."""
+def parse_parquet(path: str) -> tuple[dict[str, Any], int]:
+    """Columns of numbers of a Parquet file, and how many of its rows are averaged to one."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    with pq.ParquetFile(pa.BufferReader(content)) as file:
+    with pq.ParquetFile(path) as file:
         fields = [
             field.name
             for field in file.schema_arrow
             if pa.types.is_floating(field.type) or pa.types.is_integer(field.type)
         ]
-        check_count(file.metadata.num_rows * len(fields))
-        table = file.read(columns=fields, use_threads=False)
-    return {name: table.column(name).to_numpy() for name in table.column_names}
+        count, factor = file.metadata.num_rows, max(-(-file.metadata.num_rows // _MOST_ROWS), 1)
+        check_count(count * len(fields), _MOST_READ)
+        parts: dict[str, list[Any]] = {name: [] for name in fields}
+        rest = {name: np.empty(0) for name in fields}
+        for batch in file.iter_batches(_BATCH_ROWS, columns=fields, use_threads=False):
+            for name in fields:
+                values = batch.column(name).to_numpy(zero_copy_only=False)
+                values = np.concatenate([rest[name], values.astype(np.float64)])
+                whole = len(values) // factor * factor
+                parts[name].append(values[:whole].reshape(-1, factor).mean(axis=1))
+                rest[name] = values[whole:]
+    return {name: np.concatenate(values) for name, values in parts.items() if values}, factor
 
 
 def main() -> int:
@@ -81,18 +94,19 @@ def main() -> int:
         pass
     else:
         resource.setrlimit(resource.RLIMIT_DATA, (_MEMORY_BYTES, resource.getrlimit(resource.RLIMIT_DATA)[1]))
-    parse = {"MATLAB": parse_matlab, "Parquet": parse_parquet}[sys.argv[1]]
     try:
+        if sys.argv[1] == "Parquet":
+            arrays, averaged = parse_parquet(sys.argv[2])
+        else:
+            arrays, averaged = parse_matlab(sys.stdin.buffer.read()), 1
         found = {
-            name: array.astype(np.float64)
-            for name, array in parse(sys.stdin.buffer.read()).items()
-            if array.dtype.kind in "fiub"
+            name: array.astype(np.float64) for name, array in arrays.items() if array.dtype.kind in "fiub"
         }
         check_count(sum(array.size for array in found.values()))
     except Exception as error:  # noqa: BLE001  # a damaged file makes a parser raise anything
         sys.stderr.write(str(error) or type(error).__name__)
         return 1
-    head = json.dumps([(name, array.shape) for name, array in found.items()])
+    head = json.dumps([averaged, [(name, array.shape) for name, array in found.items()]])
     sys.stdout.buffer.write(head.encode() + b"\n")
     for array in found.values():
         sys.stdout.buffer.write(np.ascontiguousarray(array).tobytes())

@@ -155,8 +155,9 @@ def _column(path: Path, table: Table, meaning: Meaning, k: int, quantity: str) -
 
 
 def _holds_counts(table: Table, k: int) -> bool:
-    values = table.values[:, k]
-    return bool(np.all(values == np.round(values))) and len(np.unique(values)) > _MANY_WHOLE
+    values = table.values[:, k] * table.averaged  # sums of whole numbers are whole
+    is_whole = np.abs(values - np.round(values)) <= 1e-6 * (table.averaged > 1)
+    return bool(np.all(is_whole)) and len(np.unique(values)) > _MANY_WHOLE
 
 
 def _origin(table: Table, meaning: Meaning, k: int) -> str:
@@ -180,8 +181,9 @@ def _example(quantity: str, name: str) -> str:
 
 
 def _even(table: Table, begin_s: float, interval_s: float, reason: str) -> Column:
-    values: FloatArray = begin_s + interval_s * np.arange(len(table.values), dtype=np.float64)
-    return Column(values, f"{1.0 / interval_s:.6g} samples a second, {reason}")
+    places = np.arange(len(table.values), dtype=np.float64)
+    middles: FloatArray = (places + 0.5) * table.averaged - 0.5  # of what was averaged
+    return Column(begin_s + interval_s * middles, f"{1.0 / interval_s:.6g} samples a second, {reason}")
 
 
 def _counted(path: Path, table: Table, counter: int | None) -> Column:
@@ -199,15 +201,16 @@ def _counted(path: Path, table: Table, counter: int | None) -> Column:
         )
     begin_s = table.begin_s
     if counter is not None:
-        begin_s += table.interval_s * table.values[0, counter]
+        begin_s += table.interval_s * (table.values[0, counter] - 0.5 * (table.averaged - 1))
         steps = np.diff(table.values[:, counter])
-        if not (steps == 1.0).all():
-            bad = int(np.argmax(steps != 1.0)) + 1
+        is_off = np.abs(steps - table.averaged) > 1e-6 * table.averaged
+        if is_off.any():
+            bad = int(np.argmax(is_off)) + 1
             raise InputError(
                 f"{path}, {table.where} {table.lines[bad]}: the column {_name(table, counter)} must count by one,"
                 f" got {table.values[bad, counter]:g} after {table.values[bad - 1, counter]:g}"
             )
-    elif table.samples is not None and table.samples != len(table.values):
+    elif table.samples is not None and table.samples // table.averaged != len(table.values):
         raise InputError(
             f"{path}: holds {len(table.values)} rows and says that there are {table.samples}; no column tells which"
         )

@@ -39,6 +39,7 @@ class Recording:
         speed_rad_s: shape (n_samples,), or None where it was not recorded.
         duty: duty cycle of the supply, shape (n_samples,), or None: a voltage of unknown scale.
         columns: how the columns were understood, for the user.
+        averaged: number of samples of the file whose mean is one sample here.
     """
 
     path: Path
@@ -48,6 +49,7 @@ class Recording:
     speed_rad_s: FloatArray | None = None
     duty: FloatArray | None = None
     columns: tuple[str, ...] = ()
+    averaged: int = 1
 
     @property
     def dt_s(self) -> float:
@@ -78,6 +80,8 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
     columns = recognise(path, table, choices)
     notes = [f"{quantity} is {column.origin}" for quantity, column in columns.items()]
     values = {quantity: column.values for quantity, column in columns.items()}
+    if table.averaged > 1:
+        notes.append(f"{table.averaged} neighbouring samples are averaged into one")
     return _recording(path, table, values, (*notes, *table.remarks))
 
 
@@ -116,6 +120,7 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
         speed_rad_s=columns.get("speed"),
         duty=columns.get("duty"),
         columns=notes,
+        averaged=table.averaged,
     )
 
 

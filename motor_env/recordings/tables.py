@@ -11,13 +11,16 @@ import numpy as np
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.array_files import read_arrays
+from motor_env.recordings.array_files import BINARY, is_parquet, read_arrays, read_parquet
 from motor_env.recordings.headers import understand
 from motor_env.recordings.text.block import MOST_COLUMNS, block_of_numbers
 from motor_env.recordings.text.cells import TextTable, cells
+from motor_env.recordings.text.pieces import large_block
 from motor_env.recordings.text.settings import Table
 
 LARGEST_FILE_BYTES = 200_000_000
+LARGEST_WHOLE_BYTES = 50_000_000
+"""Of text; longer ones are read in pieces."""
 _LARGEST_TEXT_BYTES = 20_000_000  # of what is kept cell by cell
 _CONTROL = bytes(code for code in range(32) if code not in (9, 10, 11, 12, 13))
 _CONTROL_SHARE = 0.01  # more control characters than that are no text
@@ -34,12 +37,17 @@ def read_table(path: Path, wanted: Sequence[str] = ()) -> Table:
     Raises:
         InputError: the file is missing, empty, too large or of no kind that can be read; a cell is no finite number.
     """
+    size = _size(path)
+    if is_parquet(path) and size:
+        return _columns(path, *read_parquet(path), wanted)
+    if path.suffix.lower() not in BINARY and size > LARGEST_WHOLE_BYTES:
+        return large_block(path)
     content = _content(path)
     arrays = read_arrays(path, content)
     if arrays is None:
         text = _decoded(path, content)
         return block_of_numbers(path, text.splitlines(), text.endswith(("\n", "\r")))
-    return _columns(path, arrays, wanted)
+    return _columns(path, arrays, 1, wanted)
 
 
 def read_text_table(path: Path) -> TextTable:
@@ -58,6 +66,11 @@ def read_text(path: Path) -> str:
         InputError: the file is missing, empty or too large, or no text.
     """
     return _decoded(path, _content(path, _LARGEST_TEXT_BYTES))
+
+
+def _size(path: Path) -> int:
+    """Bytes of a regular file; 0 of anything else, which is told when it is opened."""
+    return path.stat().st_size if path.is_file() else 0
 
 
 def _content(path: Path, largest: int = LARGEST_FILE_BYTES) -> bytes:
@@ -100,7 +113,7 @@ def _decoded(path: Path, content: bytes) -> str:
     raise InputError(f"{path}: is not text, and its ending is none of .mat, .npy, .npz, .parquet")
 
 
-def _columns(path: Path, arrays: dict[str, Any], wanted: Sequence[str]) -> Table:
+def _columns(path: Path, arrays: dict[str, Any], averaged: int, wanted: Sequence[str]) -> Table:
     """Table of the arrays of one length, that of a wanted one or the most frequent, and of the columns of a matrix.
 
     Raises:
@@ -137,9 +150,10 @@ def _columns(path: Path, arrays: dict[str, Any], wanted: Sequence[str]) -> Table
         row, column = bad[0]
         name = list(flat)[column]
         raise InputError(
-            f"{path}, row {row + 1}: the column {name} must hold finite numbers, got {values[row, column]}"
+            f"{path}, row {row * averaged + 1}: the column {name} must hold finite numbers, got {values[row, column]}"
         )
     names = tuple("" if "#" in name else name for name in flat)
     units, numbers = ("",) * len(names), tuple(range(1, len(names) + 1))
     remarks = (f"left out, for their lengths: {', '.join(others)}",) if others else ()
-    return Table(names, values, range(1, length + 1), units, numbers, where="row", remarks=remarks)
+    at = range(1, length * averaged + 1, averaged)
+    return Table(names, values, at, units, numbers, where="row", remarks=remarks, averaged=averaged)

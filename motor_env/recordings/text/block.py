@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,7 @@ MOST_COLUMNS = 1_000
 _LONGEST_PREAMBLE = 10_000  # lines
 _FEWEST = 20
 _SPLIT_DECIMAL = re.compile(r"^0\d+$")  # 1,05 between commas
+CUT_OFF = "the last line is cut off and left out"
 _ARROW = " -> "  # between the clock of Arduino's serial monitor and what was printed
 
 
@@ -48,16 +49,53 @@ def block_of_numbers(path: Path, lines: list[str], has_end: bool = True) -> Tabl
     Raises:
         InputError: there is none, or a cell in it is no number.
     """
+    block, form = form_of(path, lines, has_end)
+    begin = block.table.lines[block.first]
+    if form.arrow:
+        lines = [line.replace(_ARROW, form.arrow, 1) for line in lines]
+    body = lines[begin - 1 :]
+    values = parsed(block, "\n".join(body).encode(), len(body))
+    at: Sequence[int] = range(begin, begin + len(body))
+    if values is None:
+        values, at = parsed_cell_by_cell(block, body, form.names, begin)
+    return form.table(block, values, at)
+
+
+class Form(NamedTuple):
+    """How a block of numbers stands in its file: names and units of its columns, what was found out about its form.
+
+    `arrow` is the delimiter that stands for the arrow after the clock of Arduino's serial monitor; empty without one.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    remarks: tuple[str, ...]
+    arrow: str
+
+    def table(self, block: Block, values: FloatArray, at: Sequence[int], averaged: int = 1) -> Table:
+        """The table of these values."""
+        numbers = tuple(k + 1 for k in block.columns)
+        table = Table(self.names, values, at, self.units, numbers, remarks=self.remarks, averaged=averaged)
+        return with_settings(table, block)
+
+
+def form_of(path: Path, lines: list[str], has_end: bool = True) -> tuple[Block, Form]:
+    """Where the numbers stand in lines, and how; a last line that is cut off, and blank ones, are taken away.
+
+    Raises:
+        InputError: there are none.
+    """
     while lines and not lines[-1].strip():
         lines.pop()
     remarks = []
     near_end = lines[-LOOK_AHEAD:-1]
     if not has_end and near_end and len(lines[-1]) < min(len(line) for line in near_end):
         lines.pop()
-        remarks.append("the last line is cut off and left out")
+        remarks.append(CUT_OFF)
+    arrow = ""
     if near_end and all(_ARROW in line for line in near_end):
-        mark = delimiter_of([line.partition(_ARROW)[2] for line in near_end])
-        lines = [line.replace(_ARROW, mark, 1) for line in lines]
+        arrow = delimiter_of([line.partition(_ARROW)[2] for line in near_end])
+        lines = [line.replace(_ARROW, arrow, 1) for line in lines]
     block = _block(path, lines)
     names, units = _header(block)
     begin = block.table.lines[block.first]
@@ -66,13 +104,7 @@ def block_of_numbers(path: Path, lines: list[str], has_end: bool = True) -> Tabl
     remarks += ["decimal comma"] * table.decimal_comma
     remarks += [f"numbers begin in line {begin}"] * (begin > 2)
     remarks += _lost(block)
-    body = lines[begin - 1 :]
-    values = _parsed(block, body)
-    at: Sequence[int] = range(begin, begin + len(body))
-    if values is None:
-        values, at = _parsed_cell_by_cell(block, body, names)
-    numbers = tuple(k + 1 for k in block.columns)
-    return with_settings(Table(names, values, at, units, numbers, remarks=tuple(remarks)), block)
+    return block, Form(names, units, tuple(remarks), arrow)
 
 
 def _block(path: Path, lines: list[str]) -> Block:
@@ -157,14 +189,14 @@ def _lost(block: Block) -> Iterator[str]:
             yield f"column {k + 1} ({cell.strip()}) holds no numbers and is left out"
 
 
-def _parsed(block: Block, body: list[str]) -> FloatArray | None:
-    """Plain rows by pandas' parser, shape (n_rows, n_columns); None where it stumbles over one."""
+def parsed(block: Block, body: bytes, rows: int) -> FloatArray | None:
+    """Plain rows by pandas' parser, shape (rows, n_columns); None where it stumbles over one."""
     import pandas as pd
 
     delimiter = block.table.delimiter
     try:
         frame = pd.read_csv(
-            io.BytesIO("\n".join(body).encode()),
+            io.BytesIO(body),
             header=None,
             sep=r"\s+" if delimiter == " " else delimiter,
             dtype={k: str if k in block.clocks else np.float64 for k in block.columns},
@@ -180,16 +212,19 @@ def _parsed(block: Block, body: list[str]) -> FloatArray | None:
         return None
     # A number behind the last column is one cell too many, or the mark of a decimal.
     is_beyond = bool((frame.iloc[:, block.width :] != "").to_numpy().any())
-    if len(values) != len(body) or not np.isfinite(values).all() or is_beyond:
+    if len(values) != rows or not np.isfinite(values).all() or is_beyond:
         return None
     return np.ascontiguousarray(values)
 
 
-def _parsed_cell_by_cell(
-    block: Block, body: list[str], names: Sequence[str]
+def parsed_cell_by_cell(
+    block: Block, body: list[str], names: Sequence[str], begin: int
 ) -> tuple[FloatArray, Sequence[int]]:
-    """The same slowly, with blank lines and quotes, and a sentence that tells the cell which is no number."""
-    table, begin = block.table, block.table.lines[block.first]
+    """The same slowly, with blank lines and quotes, and a sentence that tells the cell which is no number.
+
+    The first of these lines is number `begin` of the file.
+    """
+    table = block.table
     numbers: list[int] = []
     columns: list[list[Any]] = [[] for _ in block.columns]
     for n, row in rows_of(table.path, body, table.delimiter):

@@ -34,6 +34,7 @@ class Table:
         begin_s: time of the first sample, as the settings above the numbers say.
         interval_s: time between two samples, as the settings say; None where they do not.
         samples: number of samples, as the settings say; None where they do not.
+        averaged: number of rows of the file whose mean is one row here.
     """
 
     names: tuple[str, ...]
@@ -46,6 +47,7 @@ class Table:
     begin_s: float = 0.0
     interval_s: float | None = None
     samples: int | None = None
+    averaged: int = 1
 
 
 @dataclass(frozen=True, slots=True)

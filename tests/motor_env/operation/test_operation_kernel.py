@@ -91,13 +91,26 @@ def test_warmth_follows_the_heat_of_the_winding() -> None:
     assert warm == pytest.approx(5.0 * 2.0 * 0.01 / 0.5 * (1.0 - np.exp(-0.5 * n * DT_S)), rel=0.01)
 
 
-def test_a_speed_that_falls_without_current_is_an_open_circuit() -> None:
+@pytest.mark.parametrize("is_logged_as_none", [False, True])
+def test_a_speed_that_falls_without_current_is_an_open_circuit(is_logged_as_none: bool) -> None:
     rng = np.random.default_rng(2)
-    speed = np.concatenate([np.full(100, 200.0), 200.0 * np.exp(-np.arange(100) / 60.0)])
-    current = np.concatenate([np.full(100, 0.5), np.zeros(100)]) + 1e-3 * rng.standard_normal(200)
-    found = open_circuit(0.03 * speed, np.stack([current, speed], axis=1))
-    assert not found[:100].any()
-    assert found[105:195].all()
+    speed = np.concatenate([np.full(100, 200.0), 200.0 * np.exp(-np.arange(100) / 60.0), np.full(20, 200.0)])
+    current = np.repeat([0.5, 0.0, 0.5], [100, 100, 20])
+    voltage = 0.03 * speed + 2.0 * current
+    if is_logged_as_none:
+        voltage[100:200] = 0.0
+    readings = np.stack([current + 1e-3 * rng.standard_normal(220), speed], axis=1)
+    found = open_circuit(voltage + 1e-3 * rng.standard_normal(220), readings, np.eye(1, 220)[0])
+    assert np.flatnonzero(found).tolist() == list(range(100, 200))
+
+
+def test_a_motor_that_idles_at_a_small_current_is_no_open_circuit() -> None:
+    rng = np.random.default_rng(3)
+    voltage = np.repeat([12.0, 6.0, 12.0], 100) + 5e-3 * rng.standard_normal(300)
+    current = np.repeat([0.02, 0.01, 0.02], 100) + 0.02 * rng.standard_normal(300)
+    current[[100, 101, 200, 201]] = [-3.0, -1.0, 3.0, 1.0]
+    readings = np.stack([current, 30.0 * voltage], axis=1)
+    assert not open_circuit(voltage, readings, np.eye(1, 300)[0]).any()
 
 
 def test_the_knee_of_the_brush_drop_solves_its_equation() -> None:

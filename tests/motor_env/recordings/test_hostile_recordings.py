@@ -252,14 +252,6 @@ def large_matrix(path: Path) -> None:
     savemat(path, {"zeros": zeros}, do_compression=True)
 
 
-def large_parquet(path: Path) -> None:
-    pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
-    part = pa.table({"time_s": np.zeros(5_000_000)})
-    with parquet.ParquetWriter(path, part.schema) as writer:
-        for _ in range(11):
-            writer.write_table(part)
-
-
 def large_archive(path: Path) -> None:
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
@@ -279,7 +271,6 @@ def written(values: FloatArray, current: FloatArray) -> Callable[[Path], None]:
         ("a.npz", lzma_archive, "is not a NumPy file"),
         ("a.npz", large_archive, "unpacks to"),
         ("a.mat", large_matrix, "unpacks to"),
-        ("a.parquet", large_parquet, "unpacks to"),
         ("a.csv", os.mkfifo, "is no regular file"),
         ("a.csv", Path.mkdir, "is no regular file"),
         ("a.npz", written(TIME * 1e-310, CURRENT), "are no recording of a motor"),
@@ -319,7 +310,7 @@ def test_plain_rows_are_parsed_at_once_and_like_cell_by_cell(
     plain.write_bytes(bytes_of("csv"))
     slow.write_text(plain.read_text().replace("\n", "\n \n"))
     expected = read_recording(slow)
-    monkeypatch.setattr(block, "_parsed_cell_by_cell", None)
+    monkeypatch.setattr(block, "parsed_cell_by_cell", None)
     found = read_recording(plain)
     np.testing.assert_array_equal(found.current_a, expected.current_a)
     np.testing.assert_array_equal(found.current_a, CURRENT)
