@@ -189,7 +189,9 @@ def _labelled_test(task: ClassTask) -> Dataset:
 
 def whole_page() -> str:
     """The page docs/leaderboard.md with its tables made anew."""
-    return marked(PAGE.read_text(encoding="utf-8"), {"leaderboard": page(read_scores(SCORES))})
+    low, high = json.loads((FOLDER / "results" / "field_limit.json").read_bytes())["bracket"]
+    brackets = {"field": (100.0 * (1.0 - high), 100.0 * (1.0 - low))}
+    return marked(PAGE.read_text(encoding="utf-8"), {"leaderboard": page(read_scores(SCORES), brackets)})
 
 
 def main() -> None:

@@ -146,6 +146,26 @@ def size_table() -> str:
     return table(["recipe, rate, 20 mA", "training starts", *_SWEPT[1:]], rows)
 
 
+def field_table() -> str:
+    """The best possible accuracy on `field`."""
+    got: Row = json.loads((FOLDER / "results" / "field_limit.json").read_bytes())
+    first, second = got["expected_accuracy_of_runs"]
+    rows = {
+        "the best possible accuracy, between": " and ".join(_points(end) for end in got["bracket"]),
+        f"mean largest probability, {got['n_starts']} starts": _points(got["expected_accuracy"]),
+        "right decisions on them": _points(got["right"]),
+        f"mean largest probability, the first {got['n_twice']}, two runs": f"{_points(first)}, {_points(second)}",
+        "the same decision in both runs": _points(got["same_decision"]),
+        f"posterior network, {got['n_of_network']} other starts": _points(got["network_accuracy"])
+        + f" ± {_points(got['network_accuracy_error'])}",
+        "the network is behind, between": " and ".join(
+            f"{_points(behind)} ± {_points(error)}"
+            for behind, error in zip(got["network_behind"], got["network_behind_error"], strict=True)
+        ),
+    }
+    return table(["figure", "%, or points; ± one standard error"], rows.items())
+
+
 def pages() -> dict[Path, str]:
     """The pages with their tables made anew."""
     parts = {
@@ -163,6 +183,7 @@ def pages() -> dict[Path, str]:
         }
     trust = json.loads((FOLDER / "results" / "trust.json").read_bytes())
     parts.setdefault(DOCS / "trust.md", {}).update(trust_tables(trust))
+    parts.setdefault(DOCS / "limits.md", {})["field"] = field_table()
     return {path: marked(path.read_text(encoding="utf-8"), tables) for path, tables in parts.items()}
 
 
