@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from peers import PYTHON, command, environment
+from tables import keep_table
 
 from motor_classifiers.estimators.cases import with_channels
 from motor_classifiers.estimators.methods import ESTIMATE, METHODS, make_method
@@ -89,8 +90,8 @@ def against_limit(decided: IntArray, best: IntArray, truth: IntArray) -> str:
     return f"{right.mean():.4f} ({difference.mean():+.2f} ± {error:.2f})"
 
 
-def table(names: list[str], rate_hz: float, n_train: int, n_test: int) -> str:
-    """One rate's table: methods down, reference starts across."""
+def keep(names: list[str], rate_hz: float, n_train: int, n_test: int) -> None:
+    """Make one rate's table: methods down, reference starts across."""
     recipe = named_recipe("bench", sensor=SensorParameters(current_noise_a=0.02), timing=Timing(rate_hz, 0.1))
     rows: dict[str, list[str]] = {"expected of the limit": [], "limit": []}
     for column, k in enumerate(COUNTS):
@@ -105,12 +106,12 @@ def table(names: list[str], rate_hz: float, n_train: int, n_test: int) -> str:
             print(f"{rate_hz:g} Hz, k = {k}, {name}: {cell}", file=sys.stderr, flush=True)
             row = rows.setdefault(name, [])
             row += [""] * (column - len(row)) + [cell]
-    heading = f"| {rate_hz / 1e3:g} kHz | {' | '.join(f'k = {k}' for k in COUNTS)} |\n|{'---|' * (1 + len(COUNTS))}\n"
-    return heading + "\n".join(f"| {name} | {' | '.join(cells)} |" for name, cells in rows.items())
+    header = (f"{rate_hz / 1e3:g} kHz", *(f"k = {k}" for k in COUNTS))
+    keep_table("references", f"{rate_hz:g}-hz", header, ([name, *cells] for name, cells in rows.items()))
 
 
 def main() -> None:
-    """Print a table for each rate."""
+    """Make a table for each rate."""
     parser = argparse.ArgumentParser(description="Every method given k healthy starts of the same motor.")
     parser.add_argument("--rate-hz", type=float, action="append", help="10000 and 1000 by default")
     parser.add_argument(
@@ -120,7 +121,7 @@ def main() -> None:
     parser.add_argument("--n-test", type=int, default=10_000)
     options = parser.parse_args()
     for rate_hz in options.rate_hz or (10_000.0, 1_000.0):
-        print(f"\n{table(options.method or [], rate_hz, options.n_train, options.n_test)}", flush=True)
+        keep(options.method or [], rate_hz, options.n_train, options.n_test)
 
 
 if __name__ == "__main__":
