@@ -16,6 +16,7 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.operation.kernel import BEGIN, DELAY, OPEN, predict
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut
+from motor_env.recordings.regime import refuse_aliased
 from motor_env.recordings.start import Circuit
 
 Hold = Literal["held", "straight", "late"]
@@ -282,4 +283,6 @@ def _columns(recording: Recording) -> tuple[FloatArray, FloatArray | None, Float
         raise UnusableError("neither voltage nor current ever changes")
     if not has_current and not has_speed:
         raise UnusableError("neither the current nor the speed ever changes")
+    if has_current:
+        refuse_aliased(voltage, recording.current_a)
     return voltage, recording.current_a if has_current else None, recording.speed_rad_s if has_speed else None

@@ -18,6 +18,8 @@ _BETWEEN_SHARE = 0.1
 _FEWEST_CHANGES = 3
 _MOST_SWITCHES = 5
 _PAUSE_S = 0.1
+_FEWEST_JUMPS, _KNOWN = 50, 0.25  # jumps of the voltage, and their correlation with the current's
+_LEVEL, _OFF_LEVEL = 0.05, 0.02  # of the way between two levels; share of the samples that may lie off them
 
 
 def work_seen(recording: Recording) -> str | None:
@@ -55,6 +57,30 @@ def refuse_work(recording: Recording) -> None:
         raise UnusableError(
             f"a log of a motor at work ({reason}), and no start: learn its motor from healthy logs with"
             " `motor-env commission --window SECONDS`"
+        )
+
+
+def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
+    """Refuse a raw pulse-width modulation that was sampled more slowly than it switches: its mean is not in the record.
+
+    Its voltage jumps between two levels; the current knows nothing of the jumps, neither at once nor until the next.
+
+    Raises:
+        UnusableError: it is one.
+    """
+    low, high = np.quantile(voltage_v, (0.02, 0.98))
+    off = np.minimum(np.abs(voltage_v - low), np.abs(voltage_v - high))
+    jumps = np.flatnonzero(np.diff((voltage_v > 0.5 * (low + high)).astype(np.int8))) + 1
+    jumps = jumps[(jumps > 1) & (jumps < len(voltage_v) - 2)]
+    if len(jumps) < _FEWEST_JUMPS or float(np.mean(off > _LEVEL * (high - low))) > _OFF_LEVEL:
+        return
+    signs = np.sign(voltage_v[jumps] - voltage_v[jumps - 1])[:-1]
+    following = [current_a[jumps + later] - current_a[jumps + later - 1] for later in (0, 1, 2)]
+    rises = [*(each[:-1] for each in following), np.diff(current_a[jumps])]
+    if max(abs(float(np.corrcoef(signs, each)[0, 1])) for each in rises if np.ptp(each) > 0.0) < _KNOWN:
+        raise UnusableError(
+            "the voltage is a raw pulse-width modulation, sampled more slowly than it switches, so that its mean is"
+            " unknown: record it behind a low-pass filter, or the duty cycle times the supply"
         )
 
 

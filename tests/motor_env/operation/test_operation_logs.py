@@ -10,8 +10,9 @@ import pytest
 from motor_env.cli import main
 from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
-from motor_env.recordings.regime import work_seen
+from motor_env.recordings.regime import refuse_aliased, work_seen
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 from operation_simulator import draw_motor, simulate
@@ -82,3 +83,18 @@ def test_noise_is_unusable_with_a_status(tmp_path: Path, capsys: pytest.CaptureF
     log = write(tmp_path / "noise.csv", Recording(Path("x"), time, values[0], values[1], values[2]))
     assert main(["identify", str(log)]) == 3
     assert "unusable" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("every", "is_refused"), [(1, False), (23, True)])
+def test_pulses_sampled_more_slowly_than_they_switch_are_refused(every: int, is_refused: bool) -> None:
+    rng, n = np.random.default_rng(6), 60_000
+    voltage = np.where(np.arange(n) % 10 < 6, 12.0, 0.0)  # ten samples a period, or a period of 23/10
+    current = np.zeros(n)
+    for k in range(1, n):
+        current[k] = 0.998 * current[k - 1] + 0.002 * voltage[k - 1]
+    shown = (current + 0.05 * rng.standard_normal(n))[::every]
+    if not is_refused:
+        refuse_aliased(voltage[::every], shown)
+        return
+    with pytest.raises(UnusableError, match="sampled more slowly than it switches"):
+        refuse_aliased(voltage[::every], shown)
