@@ -85,16 +85,17 @@ def test_noise_is_unusable_with_a_status(tmp_path: Path, capsys: pytest.CaptureF
     assert "unusable" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("every", "is_refused"), [(1, False), (23, True)])
-def test_pulses_sampled_more_slowly_than_they_switch_are_refused(every: int, is_refused: bool) -> None:
+def pulses(share: float, every: int) -> tuple[FloatArray, FloatArray]:
+    """Voltage and current of 60 % duty, ten steps a period, of which one in some is recorded."""
     rng, n = np.random.default_rng(6), 60_000
-    voltage = np.where(np.arange(n) % 10 < 6, 12.0, 0.0)  # ten samples a period, or a period of 23/10
+    voltage = np.where(np.arange(n) % 10 < 6, 12.0, 0.0)
     current = np.zeros(n)
     for k in range(1, n):
-        current[k] = 0.998 * current[k - 1] + 0.002 * voltage[k - 1]
-    shown = (current + 0.05 * rng.standard_normal(n))[::every]
-    if not is_refused:
-        refuse_aliased(voltage[::every], shown)
-        return
+        current[k] = (1.0 - share) * current[k - 1] + share * voltage[k - 1]
+    return voltage[::every], (current + 0.05 * rng.standard_normal(n))[::every]
+
+
+def test_pulses_sampled_more_slowly_than_they_switch_are_refused() -> None:
     with pytest.raises(UnusableError, match="sampled more slowly than it switches"):
-        refuse_aliased(voltage[::every], shown)
+        refuse_aliased(*pulses(0.0005, every=23))
+    refuse_aliased(*pulses(0.05, every=1))
