@@ -25,7 +25,7 @@ _FIRST_SHAPE = 0.1  # of what is believed
 _CALM = {"offset_current": 0.0, "offset_speed": 0.0, "noise_voltage": -1.0, "load_walk": -4.0}
 _TRIED = 2
 _FEW = 6
-_RIVAL = 0.1  # of the number of readings
+_RIVAL, _HOPELESS = 0.1, 0.3  # of the number of readings
 _CLEARLY = math.log(2.0)
 _CANDIDATES = ("load_constant", "load_square", "heating", "current_lag", "speed_lag", "delay")
 
@@ -163,15 +163,16 @@ def _base(record: Record) -> list[str]:
 
 def _first(record: Record) -> list[tuple[Solution, dict[str, Term]]]:
     """Fits of the first terms, one for each behaviour of the voltage that may be true, with all terms."""
-    fits = []
+    few = []
     for behaved in _records(record):
         begun = [_begin(behaved, values) for values in beginnings(behaved)]
         begun.sort(key=lambda one: float(np.sum(one[0].residuals(one[1]) ** 2)))
         tried = [Solution(problem, *problem.solve(theta, most=_FEW)) for problem, theta in begun[:_TRIED]]
-        if tried:
-            fits.append(_solved(min(tried, key=lambda one: one.misfit), []))
-    if not fits:
+        few += sorted(tried, key=lambda one: one.misfit)[:1]
+    if not few:
         raise UnusableError("no motor is found in the record: voltage, current and speed do not go together")
+    ahead = min(one.misfit for one in few)
+    fits = [_solved(one, []) for one in few if one.misfit - ahead < _HOPELESS * one.problem.count]
     best = min(one.misfit for one in fits)
     rivals = [one for one in fits if one.misfit - best < _RIVAL * one.problem.count]
     return [(one, terms(one.problem.record, one.problem.known)) for one in rivals]

@@ -100,7 +100,7 @@ class Problem:
             bounds=(low, high),
             x_scale="jac",
             max_nfev=most,
-            ftol=1e-9,
+            ftol=1e-7,
         )
         return np.asarray(found.x, dtype=np.float64), self.misfit(2.0 * found.cost)
 
