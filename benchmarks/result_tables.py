@@ -10,6 +10,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import watch_tables
 from tables import KEPT, kept_tables, marked, table
 from trust_tables import trust_tables
 
@@ -184,6 +185,7 @@ def pages() -> dict[Path, str]:
     trust = json.loads((FOLDER / "results" / "trust.json").read_bytes())
     parts.setdefault(DOCS / "trust.md", {}).update(trust_tables(trust))
     parts.setdefault(DOCS / "limits.md", {})["field"] = field_table()
+    parts[DOCS / "howto" / "embedded.md"] = watch_tables.parts()
     return {path: marked(path.read_text(encoding="utf-8"), tables) for path, tables in parts.items()}
 
 

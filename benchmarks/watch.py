@@ -1,6 +1,8 @@
 """False alarms of `motor-env watch` and of the C code of `export-c` on simulated healthy work.
 
-    python benchmarks/watch.py --hours 500 --seed 1 --out benchmarks/results/watch-1.json
+    python benchmarks/watch.py --hours 500 --seed 1 --out benchmarks/results/watch.json
+
+A run of another seed, with a commissioning of its own, is added to what the file holds.
 
 The textbook motor with a heavy flywheel: random duty cycle, load and temperature, which change slowly. Watched at 1 Hz
 by windows of 10 min after a commissioning of 5 h of the same work. What comes is the text that a device would print.
@@ -211,7 +213,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     found = watched(options.hours, options.seed)
     print(json.dumps(found))
     if options.out is not None:
-        options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        others = json.loads(options.out.read_bytes()) if options.out.exists() else []
+        runs = [*(run for run in others if run["seed"] != options.seed), found]
+        options.out.write_text(json.dumps(runs, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

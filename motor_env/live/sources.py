@@ -112,7 +112,8 @@ def _serial(port: str, baud: int) -> Iterator[Piece]:
     try:
         device = serial.serial_for_url(port, baud, timeout=_PAUSE_S)
     except (serial.SerialException, ValueError) as error:
-        raise InputError(f"serial port {port}: {error}") from None
+        reason = os.strerror(error.errno).lower() if isinstance(error, OSError) and error.errno else error
+        raise InputError(f"serial port {port}: {reason}") from None
     waiting: queue.Queue[Piece | None] = queue.Queue(_MOST_WAITING)
 
     def read() -> None:

@@ -1,0 +1,79 @@
+"""Tables of docs/howto/embedded.md from benchmarks/results: watch.json, watch_c.json and controllers.json."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from scipy.stats import poisson
+from tables import table
+
+RESULTS = Path(__file__).resolve().parent / "results"
+PER_HOUR = {"hour": 1.0, "day": 1.0 / 24.0}
+_NO_ALARM = ("window healthy", "window unusable")
+
+
+def _read(name: str) -> Any:
+    return json.loads((RESULTS / name).read_bytes())
+
+
+def _row(what: str, rate: str, hours: float, alarms: int) -> list[str]:
+    due = hours * PER_HOUR[rate]
+    low, high = (int(poisson.ppf(share, due)) for share in (0.01, 0.99))
+    return [what, f"one a {rate}", f"{hours:.0f}", f"{due:.0f}", f"{low} to {high}", str(alarms)]
+
+
+def false_alarms() -> str:
+    """Alarms of healthy motors beside the number that was asked for."""
+    runs, code = _read("watch.json"), _read("watch_c.json")
+    hours, rows = sum(run["hours"] for run in runs), []
+    for rate in PER_HOUR:
+        counts: Counter[str] = sum((Counter(run["events"][rate]) for run in runs), Counter())
+        alarms = sum(n for name, n in counts.items() if name.startswith("window") and name not in _NO_ALARM)
+        rows.append(_row("`watch`; load and temperature vary", rate, hours, alarms))
+    for name, alarms in code["alarms"].items():
+        arithmetic, rate = name.split(", one a ")
+        rows.append(_row(f"C, {arithmetic}; known motor, no load", rate, code["hours"], alarms))
+    return table(["monitor", "asked for", "hours", "alarms due", "1 to 99 % of Poisson's", "alarms"], rows)
+
+
+def delays() -> str:
+    """Delays of the C code beside those of the CUSUM that knows the fault."""
+    code, rows = _read("watch_c.json"), []
+    for duty in ("one direction", "both directions"):
+        for row in code[f"delays_{duty.replace(' ', '_')}"]:
+            shown = ["never" if s is None else f"{s:.3g}" for s in (row["best_s"], *row["delay_s"].values())]
+            rows.append([duty, f"{row['fault']} +{row['severity']:.0%}", *shown])
+    shifts = [f"`--shift {shift}`" for shift in code["delays_one_direction"][0]["delay_s"]]
+    return table(["duty cycle", "fault", "the best CUSUM", *shifts], rows)
+
+
+def windows() -> str:
+    """Windows that `watch` needs for a fault, and what it calls it."""
+    runs, rows = _read("watch.json"), []
+    for group in zip(*(run["faults"] for run in runs), strict=True):
+        needed = [count for row in group for count in row["windows"]]
+        named: Counter[str] = sum((Counter(row["named"]) for row in group), Counter())
+        words = ", ".join(f"{n} `{name}`" for name, n in named.most_common())
+        fault = f"{group[0]['fault']} +{group[0]['severity']:.0%}"
+        rows.append([fault, f"{median(needed):g}", str(max(needed)), words])
+    return table(["fault", "windows to the first alarm (median)", "largest", "called"], rows)
+
+
+def sizes() -> str:
+    """Bytes and instructions of the C code."""
+    rows = _read("controllers.json")
+    names = {"n_channels": "channels", "flash_with_self_test": "with self test", "ram": "RAM"}
+    header = [names.get(name, name) for name in rows[0]]
+    header[-1] = "instructions a sample"
+    return table(
+        header, [[f"{v:.0f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
+    )
+
+
+def parts() -> dict[str, str]:
+    """The page's tables by their marks."""
+    return {"false alarms": false_alarms(), "delays": delays(), "windows": windows(), "sizes": sizes()}
