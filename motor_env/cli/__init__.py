@@ -25,6 +25,7 @@ for _command in (
     programs.reproduce,
     programs.lab,
     programs.examples,
+    programs.offline,
     programs.warm_up,
 ):
     app.command(_command)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from motor_env import console
 from motor_env.cli.options import Json, show
@@ -80,4 +81,32 @@ def warm_up() -> int:
     from motor_env.envs.compiling import warm_up as compile_steps
 
     print(f"the environments are compiled ({compile_steps():.1f} s)")
+    return 0
+
+
+def offline(
+    task: str,
+    *,
+    out: Path,
+    behaviour: Literal["random", "rule", "best", "mixed"] = "mixed",
+    episodes: console.Whole = 300,
+    seed: console.Whole = 0,
+) -> int:
+    """Write what a known policy does in an environment, as a Minari data set for learning offline.
+
+    Example: motor-env offline Maintain-v0 --behaviour mixed --out out/minari
+
+    Args:
+        task: Environment, such as Monitor-v0, Probe-v0 or Maintain-v0.
+        out: Folder of the data sets, Minari's MINARI_DATASETS_PATH.
+        behaviour: Who acts: random, a textbook rule, the best policy known, or a third of the episodes each.
+        episodes: How many.
+        seed: Of the episodes.
+    """
+    from motor_env.envs.offline.behaviours import Behaviour
+    from motor_env.envs.offline.recording import record
+
+    with console.working("recording episodes"):
+        name = record(task, Behaviour(behaviour), out, episodes=episodes, seed=seed)
+    print(f"written: {name} in {out}; MINARI_DATASETS_PATH={out} lets minari find it")
     return 0

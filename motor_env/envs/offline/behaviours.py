@@ -1,0 +1,75 @@
+"""The policies whose episodes are recorded, from random actions to the best that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from motor_env.detection.rules import Cusum
+from motor_env.envs.baselines.policies import Actions, Observations, Policy, RulePolicy, baseline_features
+from motor_env.envs.baselines.posterior_policies import BayesPolicy
+from motor_env.envs.baselines.probing import Bursts, OnDemand, OpenLoop, WorthTest
+from motor_env.envs.maintain.policies import PlannedUpkeep, ReplaceFrom
+
+
+class Behaviour(StrEnum):
+    """Who acted."""
+
+    RANDOM = "random"
+    RULE = "rule"
+    BEST = "best"
+    MIXED = "mixed"
+
+
+class Uniform(Policy):
+    """Every action is as likely as any other.
+
+    Args:
+        space: of the actions of one sub-environment.
+        seed: of its random numbers.
+    """
+
+    def __init__(self, space: Any, seed: int) -> None:
+        self._rng, self._space = np.random.default_rng(seed), space
+
+    def act(self, observations: Observations) -> Actions:
+        """Any action."""
+        return self._rng.integers(0, self._space.n, self.count)
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """How the policies of one id are made, from its vector environment.
+
+    Attributes:
+        rule: a textbook rule, tuned.
+        best: the best policy known, up to what is learned.
+        options: what the environment must observe for them.
+    """
+
+    rule: Callable[[Any], Policy]
+    best: Callable[[Any], Policy]
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _bursts(envs: Any) -> Policy:
+    return OpenLoop(WorthTest(envs.setup, 0.93), Bursts(20, 10, 2).actions(envs.options.n_steps))
+
+
+TASKS = {
+    "Monitor-v0": Task(
+        lambda envs: RulePolicy(envs.setup, Cusum(0.25, two_sided=True), threshold=30.0),
+        lambda envs: BayesPolicy(envs.setup, 0.9609),
+        {"observe": baseline_features("medium")},
+    ),
+    "Probe-v0": Task(_bursts, lambda envs: OnDemand(WorthTest(envs.setup, 0.97), 0.08)),
+    "Maintain-v0": Task(lambda envs: ReplaceFrom("mean", 0.84), lambda envs: PlannedUpkeep(envs.options)),
+    "MaintainUnknownRate-v0": Task(
+        lambda envs: ReplaceFrom("mean", 0.84), lambda envs: PlannedUpkeep(envs.options)
+    ),
+}
+"""Thresholds as examples/baselines.py and benchmarks/maintain.py tune them."""
