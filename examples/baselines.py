@@ -7,7 +7,7 @@ python examples/baselines.py --task all --episodes 1000
 import argparse
 import json
 from collections.abc import Callable, Iterator, Sequence
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +25,8 @@ from motor_env.envs.baselines.policies import (
     baseline_features,
 )
 from motor_env.envs.baselines.posterior_policies import BayesPolicy
-from motor_env.envs.baselines.probing import Bursts, OnDemand, OpenLoop, RatioTest, WorthTest
+from motor_env.envs.baselines.probing import Bursts, LookAhead, OnDemand, OpenLoop, RatioTest, WorthTest
+from motor_env.envs.baselines.tolerances import TolerancePolicy
 from motor_env.envs.monitor import MonitorVectorEnv
 from motor_env.envs.options import Drive
 from motor_env.envs.probe import ProbeVectorEnv
@@ -54,6 +55,14 @@ class Design(NamedTuple):
     build: Callable[[Setup], ThresholdPolicy]
     thresholds: FloatArray
     level_v: float = 1.0
+
+
+class Entry(NamedTuple):
+    """A policy, the ways to build it, and where it is tuned if not where it acts."""
+
+    name: str
+    designs: Sequence[Design]
+    where: "Bench | None" = None
 
 
 class Tuned(NamedTuple):
@@ -117,6 +126,11 @@ def on_demand(above: float, level_v: float) -> Design:
     """The posterior asks for the probe."""
     label = f"{level_v:g} V above {above:g}"
     return Design(label, lambda setup: OnDemand(WorthTest(setup, 0.0), above), WORTHS, level_v)
+
+
+def look_ahead(bonus: float) -> Design:
+    """The worth of every offset is computed beforehand."""
+    return Design(f"1 V, bonus {bonus:g}", lambda setup: LookAhead(WorthTest(setup, 0.0), bonus), WORTHS)
 
 
 class Bench:
@@ -184,42 +198,43 @@ class Bench:
         policy = design.build(self.vector(self.episodes, design.level_v).setup)
         return self.row(name, design.label, threshold, self.evaluate(policy, threshold, design.level_v))
 
-    def passive_rows(self) -> Iterator[dict[str, Any]]:
+    def passive(self) -> Iterator[Entry]:
         """Policies that do not move the voltage."""
         for name, designs in passive(self.envs.setup):
-            yield self.tuned_row(name, designs)
+            yield Entry(name, designs)
             if self.drive is Drive.SPEED_LOOP and name in RETUNED:
-                yield self.tuned_row(
-                    f"{name}, solved open loop", designs, Bench("Monitor-v0/medium", self.episodes)
-                )
-        if self.recipe.spread.std.any() or self.drive is Drive.SPEED_LOOP:
-            return  # no posterior: the motor is not known, or not what the controller does
-        test = WorthTest if self.environment == "Probe-v0" else BayesPolicy
-        yield self.tuned_row("Bayes posterior", [Design("", lambda setup: test(setup, 0.0), WORTHS)])
+                yield Entry(f"{name}, solved open loop", designs, Bench("Monitor-v0/medium", self.episodes))
+        if self.drive is Drive.SPEED_LOOP:
+            return  # no posterior: nobody is told what the controller does
+        posterior = TolerancePolicy if self.recipe.name == "hard" else BayesPolicy
+        test = WorthTest if self.environment == "Probe-v0" else posterior
+        yield Entry("Bayes posterior", [Design("", lambda setup: test(setup, 0.0), WORTHS)])
 
-    def probing_rows(self) -> Iterator[dict[str, Any]]:
+    def probing(self) -> Iterator[Entry]:
         """Policies that move the voltage: all bursts on few episodes at 1 V, the best of them at all levels on many."""
+        yield Entry("look ahead", [look_ahead(bonus) for bonus in (0.0006, 0.001, 0.0015, 0.003)])
+        levels = (0.7, 1.0, 1.4)
+        yield Entry("on demand", [on_demand(p, level) for p in (0.03, 0.045, 0.06, 0.08) for level in levels])
         tried = bursts(self.envs.options.n_steps)
         first = self.tune([open_loop(WorthTest, probe, WORTHS, 1.0) for probe in tried], self.episodes // 2)
         labels = {open_loop(WorthTest, probe, WORTHS, 1.0).label: probe for probe in tried}
         short = [labels[tuned.design.label] for tuned in first[:SHORTLIST]]
-        levels = (0.7, 1.0, 1.4)
         for name, test, thresholds in (
             ("open loop, matched GLR", RatioTest, RATIOS),
             ("open loop, Bayes posterior", WorthTest, WORTHS),
         ):
-            yield self.tuned_row(
+            yield Entry(
                 name, [open_loop(test, probe, thresholds, level) for probe in short for level in levels]
             )
-        yield self.tuned_row(
-            "on demand", [on_demand(p, level) for p in (0.03, 0.045, 0.06, 0.08) for level in levels]
-        )
 
-    def rows(self) -> Iterator[dict[str, Any]]:
-        """All lines of the task's table."""
-        yield from self.passive_rows()
-        if self.environment == "Probe-v0":
-            yield from self.probing_rows()
+    def rows(self, only: str | None) -> Iterator[dict[str, Any]]:
+        """All lines of the task's table, or that of one policy."""
+        probing = self.probing() if self.environment == "Probe-v0" else iter(())
+        for entry in chain(self.passive(), probing):
+            if only in (None, entry.name):
+                yield self.tuned_row(*entry)
+            if only == entry.name:
+                return
 
 
 def main() -> None:
@@ -227,7 +242,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Score the baselines of the environments.")
     parser.add_argument("--task", default="Monitor-v0/medium", choices=[*TASK_NAMES, "all"])
     parser.add_argument("--episodes", type=int, default=1000, help="of each of the five evaluation seeds")
-    parser.add_argument("--bound", action="store_true", help="add an upper bound where it is known (minutes)")
+    parser.add_argument("--policy", help="of this name alone, for example 'look ahead'")
+    parser.add_argument("--bound", action="store_true", help="add an upper bound where it is known")
     parser.add_argument("--out", type=Path, default=Path("out/baselines.json"))
     given = parser.parse_args()
     rows: list[dict[str, Any]] = []
@@ -237,8 +253,8 @@ def main() -> None:
             "median delay | probing | too late |\n|---|---|---|---|---|---|---|---|---|---|"
         )
         bench = Bench(task, given.episodes)
-        rows.extend(bench.rows())
-        if given.bound and not bench.recipe.spread.std.any():
+        rows.extend(bench.rows(given.policy))
+        if given.bound and bench.drive is Drive.OPEN_LOOP:
             bound = upper_bound(bench.envs.options)
             rows.append({"task": task, "policy": "upper bound", "mean_return": bound})
             print(f"| upper bound | | | {bound:+.3f} | | | | | | |")  # noqa: T201

@@ -11,17 +11,17 @@ __version__ = "0.1.0"
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-# Id, module and class, options, return of the best policy known (docs/environments.md, docs/decisions.md).
-# Id, module and class, options, return of the best policy known (docs/environments.md, docs/decisions.md).
+# Id, module and class, options, return of the best policy known (docs/environments.md, docs/decisions.md); on a
+# monitor it decides after each sample.
 for _id, _class, _options, _best in (
     ("Monitor", "monitor:Monitor", {}, 0.889),
     ("MonitorEasy", "monitor:Monitor", {"recipe": "easy"}, 0.989),
-    ("MonitorHard", "monitor:Monitor", {"recipe": "hard"}, 0.526),
+    ("MonitorHard", "monitor:Monitor", {"recipe": "hard"}, 0.744),
     ("MonitorSmall", "monitor:Monitor", {"recipe": "small"}, 0.514),
     ("MonitorSpeedLoop", "monitor:Monitor", {"drive": "speed_loop"}, 0.714),
-    ("Probe", "probe:Probe", {}, 0.867),
-    ("ProbeMedium", "probe:Probe", {"recipe": "medium"}, 0.928),
-    ("ProbeContinuous", "probe:ProbeContinuous", {}, 0.867),
+    ("Probe", "probe:Probe", {}, 0.892),
+    ("ProbeMedium", "probe:Probe", {"recipe": "medium"}, 0.933),
+    ("ProbeContinuous", "probe:ProbeContinuous", {}, 0.892),
     ("Drive", "drive.env:Drive", {}, -1.76),
     ("DriveHeavy", "drive.env:Drive", {"load_torque_n_m": 12e-3}, -1.88),
     ("DriveBearing", "drive.env:Drive", {"weights": (1.0, 2.0, 0.0)}, -1.70),

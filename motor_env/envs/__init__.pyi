@@ -33,10 +33,14 @@ from .baselines.posterior_view import (
 )
 from .baselines.probing import (
     Bursts as Bursts,
+    LookAhead as LookAhead,
     OnDemand as OnDemand,
     OpenLoop as OpenLoop,
     RatioTest as RatioTest,
     WorthTest as WorthTest,
+)
+from .baselines.tolerances import (
+    TolerancePolicy as TolerancePolicy,
 )
 from .drive.env import (
     DriveEnv as DriveEnv,

@@ -227,6 +227,16 @@ class ProbeBelief:
         self.ratios = (best[:, :, None] * self._of_kind).max(axis=1)
 
     @property
+    def coming(self) -> FloatArray:
+        """Probability that nothing has happened yet, but a fault of a class will, shape (count, n_classes)."""
+        begun = np.maximum(self.steps * self.setup.options.samples_per_step - self._earliest, 0)
+        unborn = np.exp(self._log_prior) * self._stay ** begun[:, None]
+        coming: FloatArray = (
+            self.quiet[:, None] * unborn / (self._healthy + unborn.sum(axis=1, keepdims=True))
+        )
+        return coming
+
+    @property
     def speed_offset_v(self) -> FloatArray:
         """What the speed of a healthy motor has left its rest by, as the voltage that it balances, shape (count,)."""
         constant = float(np.asarray(self.setup.options.task.motor.back_emf_constant_v_s_per_rad))
@@ -244,9 +254,7 @@ class ProbeBelief:
         verdict = right * options.correct_reward - (faulty - right) * options.wrong_kind_cost
         verdict -= self.quiet * options.false_alarm_cost
         per_step = options.samples_per_step
-        begun = np.maximum(self.steps * per_step - self._earliest, 0)
-        unborn = (1.0 - self._healthy) * self._stay**begun
-        comes = self.quiet * unborn / (self._healthy + unborn)
+        comes = self.coming.sum(axis=1)
         comes *= np.where(self.steps * per_step >= self._earliest, 1.0 - self._stay**per_step, 0.0)
         delay = options.delay_cost_per_s * (faulty + 0.5 * comes)  # one that comes does so in mid-step
         price = delay + options.probe_cost_per_v2_s * setup.offsets_v[actions] ** 2

@@ -4,18 +4,19 @@ import importlib.util
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.special import expit
 
 from motor_env.detection.rules import Cusum
 from motor_env.envs import kernel
 from motor_env.envs.baselines import bounds
 from motor_env.envs.baselines.belief import ProbeBelief
-from motor_env.envs.baselines.evaluation import run_episodes, score, sweep
+from motor_env.envs.baselines.evaluation import interval, run_episodes, score, sweep
+from motor_env.envs.baselines.looks import PROBABILITY, look_matrix
 from motor_env.envs.baselines.policies import (
     BankPolicy,
     Never,
@@ -26,13 +27,15 @@ from motor_env.envs.baselines.policies import (
     column,
 )
 from motor_env.envs.baselines.posterior_policies import BayesPolicy
-from motor_env.envs.baselines.probing import Bursts, OnDemand, OpenLoop, RatioTest, WorthTest
+from motor_env.envs.baselines.probing import Bursts, LookAhead, OnDemand, OpenLoop, RatioTest, WorthTest
+from motor_env.envs.baselines.tolerances import TolerancePolicy, level_std
 from motor_env.envs.monitor import MonitorVectorEnv
 from motor_env.envs.probe import ProbeOptions, ProbeVectorEnv
 from motor_env.envs.setup import converged_gain, make_setup
-from motor_env.envs.tasks import EASY, MEDIUM, SMALL
-from motor_env.motor.faults import apply_faults
+from motor_env.envs.tasks import EASY, HARD, MEDIUM, SMALL
+from motor_env.motor.faults import FaultKind, apply_faults
 from motor_env.motor.model import discretize
+from motor_env.simulation.recipes import FaultClass
 
 MONITOR: dict[str, Any] = {"recipe": "easy", "horizon_s": 0.05, "observe": baseline_features(EASY)}
 PROBE: dict[str, Any] = {"recipe": "small", "horizon_s": 0.1}
@@ -194,6 +197,41 @@ def test_a_matched_probe_sees_what_a_waiting_rule_does_not() -> None:
     assert probing.probing.mean() > 0.1 > waiting.probing.mean() == 0.0
 
 
+def test_without_tolerances_their_posterior_is_the_exact_one() -> None:
+    envs = MonitorVectorEnv(50, recipe="medium", horizon_s=0.05, observe=baseline_features(MEDIUM))
+    policies = BayesPolicy(envs.setup, 0.0), TolerancePolicy(envs.setup, 0.0)
+    observations, _ = envs.reset(seed=4)
+    apart = []
+    for policy in policies:
+        policy.start(50)
+    for _ in range(envs.options.n_steps):
+        for policy in policies:
+            policy.judge(observations)
+        apart.append(np.abs(policies[0].quiet - policies[1].quiet))
+        observations = envs.step(np.zeros(50, dtype=np.int64))[0]
+    assert np.mean(apart) < 0.01  # it counts onsets in blocks of five samples
+
+
+def test_the_level_of_a_tolerant_motor_is_as_it_is_drawn() -> None:
+    recipe = replace(HARD, spread=replace(HARD.spread, constants=0.02), classes=HARD.classes[:2])
+    envs = MonitorVectorEnv(1500, recipe=recipe, observe=("measured_current",), earliest_onset_s=0.1)
+    envs.reset(seed=1)
+    samples = [envs.step(np.zeros(1500, dtype=np.int64))[0][:, 0] for _ in range(400)]
+    level = np.mean(samples, axis=0) / envs.setup.view[0, 0] / recipe.sensor.current_noise_a
+    assert level.std() == pytest.approx(np.hypot(level_std(envs.options), 1.0 / 20.0), rel=0.06)
+
+
+def test_the_posterior_of_tolerances_beats_the_rules_on_hard_motors() -> None:
+    envs = MonitorVectorEnv(150, recipe="hard", observe=baseline_features(HARD))
+    posterior = sweep(envs, TolerancePolicy(envs.setup, 0.0), [0.96], 7)[0].returns
+    rule = sweep(envs, RulePolicy(envs.setup, Cusum(0.48, two_sided=True), threshold=0.0), [28.5], 7)[
+        0
+    ].returns
+    ahead, half_width = interval(posterior - rule)
+    assert ahead - half_width > 0.03
+    assert posterior.mean() < bounds.upper_bound(envs.options)
+
+
 def test_no_policy_is_above_the_bound() -> None:
     envs = MonitorVectorEnv(400, recipe="medium", horizon_s=0.05, observe=baseline_features(MEDIUM))
     thresholds = (0.5, 0.8, 0.9, 0.95, 0.98)
@@ -219,19 +257,25 @@ def test_posterior_stays_finite_when_a_fault_is_far_beyond_doubt() -> None:
 
 
 def test_a_look_keeps_probabilities_and_at_last_tells_all() -> None:
-    p = expit(bounds.LOG_ODDS)
-    out = np.empty_like(p)
+    p = PROBABILITY
     for information in (1e-3, 0.3, 4.0):
-        bounds.expected(p, information, out)
-        np.testing.assert_allclose(out, p, atol=2e-3)
-    better = np.maximum(p, 1.0 - p)
-    bounds.expected(better, 400.0, out)
-    np.testing.assert_allclose(out, 1.0, atol=1e-6)
-    previous = better
+        np.testing.assert_allclose(look_matrix(information) @ p, p, atol=2e-3)
+    previous = better = np.maximum(p, 1.0 - p)
+    np.testing.assert_allclose(look_matrix(400.0) @ better, 1.0, atol=1e-6)
     for information in (0.1, 1.0, 10.0):
-        bounds.expected(better, information, out)
-        assert (out >= previous - 1e-4).all()
-        previous = out.copy()
+        value = look_matrix(information) @ better
+        assert (value >= previous - 1e-4).all()
+        previous = value
+
+
+def test_what_a_policy_gets_that_knows_the_class_is_just_below_its_bound() -> None:
+    classes = (FaultClass(weight=1.0), FaultClass(FaultKind.WINDING_CONTACT, 0.02))
+    envs = ProbeVectorEnv(1000, **PROBE | {"recipe": replace(SMALL, classes=classes), "mean_onset_s": 0.03})
+    policy = LookAhead(WorthTest(envs.setup, 0.95), 0.0)
+    mean, half_width = interval(run_episodes(envs, policy, 3).returns)
+    asks = OnDemand(WorthTest(envs.setup, 0.95), 0.08)
+    assert mean > run_episodes(envs, asks, 3).returns.mean()
+    assert mean - half_width < bounds.upper_bound(envs.options) < mean + half_width + 0.03
 
 
 @pytest.mark.long
