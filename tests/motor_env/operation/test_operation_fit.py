@@ -57,7 +57,8 @@ def test_two_recordings_tell_more_than_one() -> None:
     first = simulate(motor, "reversals", rng, samples=800, dt_s=motor.mechanical_s / 10.0)
     second = simulate(motor, "prbs", rng, samples=800, dt_s=motor.mechanical_s / 10.0)
     one, both = identify_operation([first]), identify_operation([first, second])
-    assert both.quantity("R").log_sd < one.quantity("R").log_sd
+    for name in ("J", "K", "B"):
+        assert both.quantity(name).log_sd < one.quantity(name).log_sd
     assert both.quantity("R").value == pytest.approx(motor.ohm, rel=0.03)
 
 
