@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
 
 from motor_env.detection.rules import Cusum
-from motor_env.envs.baselines.policies import Actions, Observations, Policy, RulePolicy, baseline_features
+from motor_env.envs.baselines.policies import Observations, RulePolicy, baseline_features
 from motor_env.envs.baselines.posterior_policies import BayesPolicy
 from motor_env.envs.baselines.probing import Bursts, OnDemand, OpenLoop, WorthTest
+from motor_env.envs.drive.policies import Lqg
 from motor_env.envs.maintain.policies import PlannedUpkeep, ReplaceFrom
 
 
@@ -25,7 +28,17 @@ class Behaviour(StrEnum):
     MIXED = "mixed"
 
 
-class Uniform(Policy):
+class Player(Protocol):
+    """What acts in many sub-environments at once."""
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+
+    def act(self, observations: Observations) -> NDArray[Any]:
+        """One action for each."""
+
+
+class Uniform:
     """Every action is as likely as any other.
 
     Args:
@@ -36,9 +49,15 @@ class Uniform(Policy):
     def __init__(self, space: Any, seed: int) -> None:
         self._rng, self._space = np.random.default_rng(seed), space
 
-    def act(self, observations: Observations) -> Actions:
+    def start(self, count: int) -> None:
+        """So many sub-environments begin."""
+        self._count = count
+
+    def act(self, observations: Observations) -> NDArray[Any]:
         """Any action."""
-        return self._rng.integers(0, self._space.n, self.count)
+        if isinstance(self._space, spaces.Box):
+            return self._rng.uniform(self._space.low, self._space.high, (self._count, *self._space.shape))
+        return self._rng.integers(0, self._space.n, self._count)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +70,12 @@ class Task:
         options: what the environment must observe for them.
     """
 
-    rule: Callable[[Any], Policy]
-    best: Callable[[Any], Policy]
+    rule: Callable[[Any], Player]
+    best: Callable[[Any], Player]
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _bursts(envs: Any) -> Policy:
+def _bursts(envs: Any) -> Player:
     return OpenLoop(WorthTest(envs.setup, 0.93), Bursts(20, 10, 2).actions(envs.options.n_steps))
 
 
@@ -71,5 +90,6 @@ TASKS = {
     "MaintainUnknownRate-v0": Task(
         lambda envs: ReplaceFrom("mean", 0.84), lambda envs: PlannedUpkeep(envs.options)
     ),
+    "Drive-v0": Task(lambda envs: Lqg(envs.setup), lambda envs: Lqg(envs.setup, levels=4)),
 }
 """Thresholds as examples/baselines.py and benchmarks/maintain.py tune them."""

@@ -13,8 +13,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.envs.baselines.policies import Policy
-from motor_env.envs.offline.behaviours import TASKS, Behaviour, Uniform
+from motor_env.envs.offline.behaviours import TASKS, Behaviour, Player, Uniform
 from motor_env.errors import InputError, require_extra
 from motor_env.motor.parameters import FloatArray
 
@@ -40,7 +39,7 @@ class Episode(NamedTuple):
     stream: int
 
 
-def play(envs: Any, policy: Policy, seed: int) -> list[Episode]:
+def play(envs: Any, policy: Player, seed: int) -> list[Episode]:
     """One episode of each sub-environment."""
     observation, _ = envs.reset(seed=seed)
     policy.start(envs.num_envs)
@@ -48,10 +47,10 @@ def play(envs: Any, policy: Policy, seed: int) -> list[Episode]:
     length = np.zeros(envs.num_envs, dtype=np.int64)
     running = np.ones(envs.num_envs, dtype=np.bool_)
     while running.any():
-        actions = policy.act(observation)
+        actions = policy.act(observation).astype(envs.single_action_space.dtype)
         observation, rewards, terminated, _, _ = envs.step(actions)
         seen.append(np.array(observation))
-        done.append(np.array(actions))
+        done.append(actions)
         paid.append(rewards)
         length += running
         running &= ~terminated
@@ -79,7 +78,7 @@ def episodes_of(task: str, behaviour: Behaviour, count: int, seed: int) -> list[
         ).unwrapped
         stream = (seed << 20) + begin
         if behaviour is Behaviour.RANDOM:
-            policy: Policy = Uniform(envs.single_action_space, stream)
+            policy: Player = Uniform(envs.single_action_space, stream)
         else:
             policy = (known.rule if behaviour is Behaviour.RULE else known.best)(envs)
         found += play(envs, policy, stream)
