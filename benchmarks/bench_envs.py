@@ -25,7 +25,7 @@ ROWS = 500
 DECLARES = {"waits": 0.001, "6 % ends": 0.064, "random": None}
 """Probability that an agent declares something; None: every action is as likely as any other."""
 BASE, HARD = "motor_env/Monitor-v0", "motor_env/Monitor-v0:hard"
-PROBE, CARTPOLE = "motor_env/Probe-v0", "CartPole-v1"
+PROBE, DRIVE, CARTPOLE = "motor_env/Probe-v0", "motor_env/Drive-v0", "CartPole-v1"
 
 
 class Row(NamedTuple):
@@ -51,6 +51,9 @@ TABLE = (
     Row(BASE, "random", 1, 0.7),
     Row(BASE, "waits", 1, 15.0, peer="gem"),
     Row(PROBE, "waits", 1, 0.5, title="Probe-v0 (20 samples a step)"),
+    Row(DRIVE, "waits", 4096, 0.12, title="Drive-v0"),
+    Row(DRIVE, "6 % ends", 4096, 0.08, title="Drive-v0"),
+    Row(DRIVE, "waits", 1, 0.6, title="Drive-v0"),
 )
 
 
@@ -73,11 +76,15 @@ def make_of(name: str) -> tuple[str, dict[str, Any]]:
     return name, {"recipe": recipe} if recipe else {}
 
 
-def actions_of(env: Any, policy: str, shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """What the policy does in so many steps; the peers have random actions always."""
+def actions_of(env: Any, policy: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    """What the policy does in so many steps; the peers have random actions always. A drive stops instead."""
     rng = np.random.default_rng(0)
     space = getattr(env, "single_action_space", env.action_space)
     probability, setup = DECLARES.get(policy), getattr(env.unwrapped, "setup", None)
+    if isinstance(space, gym.spaces.Box):
+        drives = rng.uniform(0.3, 0.7, (*shape, 2))
+        drives[..., 1] = np.where(rng.random(shape) < (probability or 0.0), 1.0, -1.0)
+        return drives
     if probability is None or setup is None:
         return rng.integers(0, space.n, shape)
     declares = rng.integers(space.n - len(setup.kinds), space.n, shape)
@@ -103,7 +110,8 @@ def single_rate(name: str, policy: str) -> float:
     else:
         name, options = make_of(name)
         env = gym.make(name, **options)
-        actions = actions_of(env, policy, (5 * ROWS,)).tolist()
+        chosen = actions_of(env, policy, (5 * ROWS,))
+        actions = list(chosen) if chosen.ndim > 1 else chosen.tolist()
     env.reset(seed=0)
     n = len(actions)
 

@@ -18,16 +18,16 @@ from motor_env.envs.drive.evaluation import Drives, joined_drives
 
 LEVELS = 8
 TUNING_SEED, SEEDS, EPISODES = 1, (11, 12, 13, 14, 15), 200
-PI_GRID = {"gain": (0.03, 0.05, 0.07, 0.09), "reset_s": (0.01, 0.02, 0.04)}
+PI_GRID = {"gain": (0.02, 0.03, 0.05, 0.07), "reset_s": (0.005, 0.01, 0.02)}
 BANK_GRID = {
-    "limp_above": (0.5, 0.7, 0.9),
+    "limp_above": (0.3, 0.5, 0.7, 0.9),
     "stop_above": ((0.8, 0.75), (0.87, 0.75), (2.0, 0.75), (0.87, 0.65)),
 }
 
 
 def make(task: str, count: int) -> DriveVectorEnv:
     """So many of the task."""
-    spec = gym.spec(f"motor_env:motor_env/{task}")
+    spec = gym.spec(f"motor_env/{task}")
     return DriveVectorEnv(count, **spec.kwargs)
 
 
@@ -47,7 +47,7 @@ def row(name: str, runs: Drives) -> str:
         f"{runs.returns[runs.class_index == k].mean():.2f}" if (runs.class_index == k).any() else ""
         for k in range(3)
     ]
-    parts = [f"{-part:.3f}" for part in runs.parts.mean(axis=1)]
+    parts = [f"{abs(part):.3f}" for part in runs.parts.mean(axis=1)]
     failed = f"{(runs.parts[-1] < 0.0).mean():.1%}"
     return "| " + " | ".join([name, f"{mean:+.3f} ± {half:.3f}", *by_class, *parts, failed]) + " |"
 

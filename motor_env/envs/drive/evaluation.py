@@ -62,10 +62,9 @@ class Clairvoyant(Lqg):
     def _follow(self, seen: dict[str, FloatArray]) -> None:
         super()._follow(seen)
         kind, severity = self._truth[kernel.KIND], self._truth[kernel.SEVERITY]
-        kind = np.where(severity > 0.0, kind, 0.0)
-        far = np.abs(np.log((self.bank.severity + 1e-9) / (severity[:, None] + 1e-9)))
-        nearest = np.argmin(np.where(self.bank.kind == kind[:, None], far, np.inf), axis=1)
-        self.probability = np.eye(len(self.bank.kind))[nearest]
+        far = np.abs(np.log((self.bank.severity[:, None] + 1e-9) / (severity + 1e-9)))
+        other = self.bank.kind[:, None] != np.where(severity > 0.0, kind, 0.0)
+        self.probability = np.eye(len(self.bank.kind))[:, np.argmin(np.where(other, np.inf, far), axis=0)]
 
     def _decision(self) -> FloatArray:
         options = self.setup.options

@@ -130,6 +130,8 @@ def _begin_lane(
 @inlined
 def motor_matrices(p: FloatArray, kind: int, severity: float) -> tuple[float, ...]:
     """The driven motor with its fault: transition row by row, gain of the voltage, gain of the load torque."""
+    if severity == 0.0:
+        return p[F00], p[F01], p[F10], p[F11], p[G0], p[G1], p[E0], p[E1]
     ohm = p[R] * (1.0 + severity if kind == WINDING else 1.0)
     drag = p[B] * (1.0 + severity if kind == BEARING else 1.0)
     dt = p[DT]

@@ -15,7 +15,6 @@ from scipy.special import softmax
 from motor_env.envs.drive import kernel
 from motor_env.envs.drive.options import LABELS, DriveOptions
 from motor_env.envs.drive.setup import DriveSetup, drive_filter, faulty
-from motor_env.envs.lanes import BoolArray
 from motor_env.envs.setup import converged_gain
 from motor_env.motor.model import Input, discretize
 from motor_env.motor.parameters import FloatArray, MotorParameters
@@ -55,13 +54,13 @@ class PI:
 
     def start(self, count: int) -> None:
         """Forget everything; so many sub-environments begin."""
-        self._integral = np.full(count, np.nan)
+        self._integral = np.zeros(count)
 
     def act(self, observations: Observations) -> FloatArray:
         """Voltage that takes the speed to the profile."""
         options, seen = self.setup.options, _named(self.setup, observations)
         error = seen["profile_1"] - seen["measured_speed"]
-        self._integral = np.where(np.isnan(self._integral), seen["voltage"], self._integral)
+        self._integral = np.where(seen["time"] == 0.0, seen["voltage"], self._integral)
         moved = self._integral + self.gain * options.period_s / self.reset_s * error
         volts = self.gain * error + moved
         free = np.abs(volts) < options.voltage_limit_v
@@ -181,27 +180,26 @@ class Lqg:
         self.setup, self.bank = setup, make_bank(setup.options, levels)
         self.reconfigures, self.decides = reconfigures, decides and levels > 0
         self.limp_above, self.stop_above = limp_above, stop_above
-        self._share = np.zeros((len(self.bank.kind), 2))
+        self._motor = setup.options.driven
+        self._fit = np.log(np.linalg.det(self.bank.whitening))[:, None]
+        self._share = np.zeros((2, len(self.bank.kind)))
         for k, failure in enumerate(setup.options.failure_severity):
-            self._share[:, k] = np.where(self.bank.kind == k + 1, self.bank.severity / failure, 0.0)
+            self._share[k] = np.where(self.bank.kind == k + 1, self.bank.severity / failure, 0.0)
 
     def start(self, count: int) -> None:
         """Forget everything; so many sub-environments begin."""
         size = len(self.bank.kind)
-        self._state = np.zeros((count, size, 3))
-        self._integral, self._temperature = np.zeros((2, count))
-        self.probability = np.eye(1, size).repeat(count, axis=0)
-        self._first = True
+        self._state = np.zeros((size, 3, count))
+        self._integral, self._temperature, self._current = np.zeros((3, count))
+        self.probability = np.zeros((size, count))
 
     def act(self, observations: Observations) -> FloatArray:
         """Voltage and decision from the posterior after the last measurement."""
-        options, seen = self.setup.options, _named(self.setup, observations)
+        limit, seen = self.setup.options.voltage_limit_v, _named(self.setup, observations)
         self._follow(seen)
-        weights = self.probability if self.reconfigures else np.eye(1, len(self.bank.kind))
-        volts = np.clip(
-            (self._volts(seen) * weights).sum(axis=1), -options.voltage_limit_v, options.voltage_limit_v
-        )
-        return np.stack([volts / options.voltage_limit_v, self._decision()], axis=1)
+        volts = self._volts(seen)
+        mean = (volts * self.probability).sum(axis=0) if self.reconfigures else volts[0]
+        return np.stack([np.clip(mean / limit, -1.0, 1.0), self._decision()], axis=1)
 
     def _torque(self, speed: FloatArray, unknown: FloatArray) -> FloatArray:
         options = self.setup.options
@@ -210,68 +208,60 @@ class Lqg:
 
     def _follow(self, seen: dict[str, FloatArray]) -> None:
         """Let each filter follow, and weigh it by how well it had expected the measurement (Magill 1965)."""
-        bank, options, measured = (
-            self.bank,
-            self.setup.options,
-            np.stack([seen["measured_current"], seen["measured_speed"]], axis=-1),
-        )
-        if self._first:
-            self._state[:, :, :2], self._first = measured[:, None], False
-            self._current = seen["measured_current"]
-            return
-        torque = self._torque(self._state[..., 1], self._state[..., 2])
-        expected = np.einsum("hij,nhj->nhi", bank.transition, self._state[..., :2])
-        expected += bank.by_volt * seen["voltage"][:, None, None] + bank.by_load * torque[..., None]
-        innovation = measured[:, None] - expected
-        self._state[..., :2] = expected
-        self._state[..., 2] *= options.load_memory
-        self._state += np.einsum("hij,nhj->nhi", bank.gain, innovation)
-        white = np.einsum("hij,nhj->nhi", bank.whitening, innovation)
-        fit = np.log(np.linalg.det(bank.whitening)) - 0.5 * np.square(white).sum(axis=-1)
-        self.probability = softmax(fit + np.log(self.probability @ bank.moves + LEAST), axis=1)
-        numbers, current = self.setup.numbers, seen["measured_current"]
-        ohm = self.probability @ (bank.ohm / bank.ohm[0])
-        heat = 0.5 * (current**2 + self._current**2) * options.thermal_resistance_k_per_w * bank.ohm[0] * ohm
-        self._temperature += numbers[kernel.COOLING] * (heat - self._temperature)
+        bank, options, state = self.bank, self.setup.options, self._state
+        measured = np.stack([seen["measured_current"], seen["measured_speed"]])
+        torque = self._torque(state[:, 1], state[:, 2])
+        expected = bank.transition @ state[:, :2] + bank.by_load[:, :, None] * torque[:, None]
+        expected += bank.by_volt[:, :, None] * seen["voltage"]
+        innovation = measured - expected
+        state[:, :2] = expected
+        state[:, 2] *= options.load_memory
+        state += bank.gain @ innovation
+        fit = self._fit - 0.5 * np.square(bank.whitening @ innovation).sum(axis=1)
+        self.probability = softmax(fit + np.log(bank.moves.T @ self.probability + LEAST), axis=0)
+        self._heat(measured[0])
+        self._begin(seen["time"] == 0.0, measured)
+
+    def _heat(self, current: FloatArray) -> None:
+        """Temperature of the winding whose resistance is the expected one."""
+        loss_w = 0.5 * (current**2 + self._current**2) * (self.bank.ohm @ self.probability)
+        rise = loss_w * self.setup.options.thermal_resistance_k_per_w - self._temperature
+        self._temperature += self.setup.numbers[kernel.COOLING] * rise
         self._current = current
 
+    def _begin(self, new: NDArray[np.bool_], measured: FloatArray) -> None:
+        """Where an episode begins, the motor is healthy and in the state that is measured."""
+        self._state[:, :, new], self.probability[:, new] = 0.0, np.eye(len(self.bank.kind), 1)
+        self._state[:, :2, new] = measured[:, new]
+        self._integral[new], self._temperature[new] = 0.0, 0.0
+
     def _volts(self, seen: dict[str, FloatArray]) -> FloatArray:
-        """Voltage of each motor's controller: what the profile needs, and a feedback; shape (count, h)."""
-        bank, options, motor = self.bank, self.setup.options, self.setup.options.driven
-        now, then = seen["profile_0"][:, None], seen["profile_1"][:, None]
-        off = self._state[..., 1] - now
+        """Voltage of each motor's controller: what the profile needs, and a feedback; shape (h, count)."""
+        bank, options, motor = self.bank, self.setup.options, self._motor
+        now, then = seen["profile_0"], seen["profile_1"]
         middle = 0.5 * (now + then)
-        inertia, torque_constant, back_emf = (
-            float(np.asarray(each))
-            for each in (
-                motor.inertia_kg_m2,
-                motor.torque_constant_n_m_per_a,
-                motor.back_emf_constant_v_s_per_rad,
-            )
+        torque = self._torque(middle, self._state[:, 2]) + bank.drag[:, None] * middle
+        torque += motor.inertia_kg_m2 * (then - now) / options.period_s
+        current = torque / motor.torque_constant_n_m_per_a
+        wanted = bank.ohm[:, None] * current + motor.back_emf_constant_v_s_per_rad * middle
+        errors = (self._state[:, 0] - current, self._state[:, 1] - now, self._integral)
+        volts: FloatArray = wanted - sum(
+            gain[:, None] * error for gain, error in zip(bank.feedback.T, errors, strict=True)
         )
-        torque = self._torque(middle, self._state[..., 2]) + bank.drag * middle
-        torque = torque + inertia * (then - now) / options.period_s
-        current = torque / torque_constant
-        wanted = bank.ohm * current + back_emf * middle
-        errors = np.stack(
-            [self._state[..., 0] - current, off, np.broadcast_to(self._integral[:, None], off.shape)], axis=-1
-        )
-        volts: FloatArray = wanted - (bank.feedback * errors).sum(axis=-1)
-        missed = seen["measured_speed"] - seen["profile_0"]
-        room = np.abs(wanted[:, 0]) < options.voltage_limit_v
-        self._integral += np.where(room, options.period_s * missed, 0.0)
+        room = np.abs(wanted[0]) < options.voltage_limit_v
+        self._integral += np.where(room, options.period_s * (seen["measured_speed"] - now), 0.0)
         return volts
 
     def _decision(self) -> FloatArray:
         """Run; limp where a bad bearing is probable or the winding is warm; stop before a failure."""
         if not self.decides:
             return np.full(len(self._integral), RUN)
-        options, worn = self.setup.options, self.probability @ self._share
-        bearing = self.probability[:, self.bank.kind == 1].sum(axis=1)
+        options, worn = self.setup.options, self._share @ self.probability
+        bearing = self.probability[self.bank.kind == 1].sum(axis=0)
         limps = (bearing > self.limp_above) | (self._temperature > options.warm_k)
         burnt = self._temperature / options.burn_k
-        stops = (worn > self.stop_above).any(axis=1) | (burnt > self.stop_above[1])
+        stops = (self.stop_above < worn.T).any(axis=1) | (burnt > self.stop_above[1])
         return self._decided(limps, stops)
 
-    def _decided(self, limps: BoolArray, stops: BoolArray) -> FloatArray:
+    def _decided(self, limps: NDArray[np.bool_], stops: NDArray[np.bool_]) -> FloatArray:
         return np.where(stops, STOP, np.where(limps, LIMP, RUN))
