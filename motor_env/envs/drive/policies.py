@@ -164,7 +164,7 @@ class Lqg:
         decides: whether it limps and stops.
         limp_above: probability of a bad bearing above which it limps.
         stop_above: expected severity of bearing and winding, as shares of those at failure, above which it stops. The
-            second holds for the temperature, too.
+            second holds for the temperature, too. A share above 1 never stops it.
     """
 
     def __init__(
@@ -174,8 +174,8 @@ class Lqg:
         levels: int = 0,
         reconfigures: bool = True,
         decides: bool = True,
-        limp_above: float = 0.7,
-        stop_above: tuple[float, float] = (0.87, 0.75),
+        limp_above: float = 0.5,
+        stop_above: tuple[float, float] = (2.0, 0.75),
     ) -> None:
         self.setup, self.bank = setup, make_bank(setup.options, levels)
         self.reconfigures, self.decides = reconfigures, decides and levels > 0
