@@ -22,9 +22,9 @@ for _id, _class, _options, _best in (
     ("Probe", "probe:Probe", {}, 0.892),
     ("ProbeMedium", "probe:Probe", {"recipe": "medium"}, 0.933),
     ("ProbeContinuous", "probe:ProbeContinuous", {}, 0.892),
-    ("Drive", "drive.env:Drive", {}, -1.76),
-    ("DriveHeavy", "drive.env:Drive", {"load_torque_n_m": 12e-3}, -1.88),
-    ("DriveBearing", "drive.env:Drive", {"weights": (1.0, 2.0, 0.0)}, -1.70),
+    ("Drive", "drive.env:Drive", {}, -1.563),
+    ("DriveHeavy", "drive.env:Drive", {"load_torque_n_m": 12e-3}, -1.734),
+    ("DriveBearing", "drive.env:Drive", {"weights": (1.0, 2.0, 0.0)}, -1.521),
     ("Maintain", "maintain.environment:Maintain", {}, -2.292),
     ("MaintainUnknownRate", "maintain.environment:Maintain", {"rate_spread": 0.5}, -1.933),
 ):
