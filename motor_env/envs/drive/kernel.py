@@ -9,6 +9,8 @@ beginning of a step. A test compares it with that function. All random numbers a
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,6 +56,39 @@ _CLASS, _ONSET, _SEVERITY = np.uint32(Stream.CLASS), np.uint32(Stream.ONSET), np
 _PROFILE = np.uint32(Stream.PROFILE)
 
 
+class Lanes(NamedTuple):
+    """The task, and everything that changes.
+
+    Attributes:
+        numbers: constants, shape (N_CONSTANTS,).
+        ahead: steps ahead at which the profile is observed.
+        state: shape (n_lanes, n_fields).
+        words: of what the random numbers depend on, shape (4, n_lanes).
+        flags: shape (4, n_lanes).
+        profile: speeds, shape (n_lanes, n_steps and what is seen beyond).
+    """
+
+    numbers: FloatArray
+    ahead: NDArray[np.int64]
+    state: FloatArray
+    words: WordArray
+    flags: BoolArray
+    profile: FloatArray
+
+
+@inlined
+def _unpack(
+    numbers: FloatArray,
+    ahead: NDArray[np.int64],
+    state: FloatArray,
+    words: WordArray,
+    flags: BoolArray,
+    profile: FloatArray,
+) -> Lanes:
+    """The arrays with which a compiled function is called, by name: a named tuple costs ten times as much a call."""
+    return Lanes(numbers, ahead, state, words, flags, profile)
+
+
 @inlined
 def _uniforms(stream: np.uint32, group: int, words: WordArray, n: int) -> tuple[float, ...]:
     """Four uniform numbers in (0, 1) of the episode that lane n runs."""
@@ -97,16 +132,9 @@ def _observe_profile(s: FloatArray, p: FloatArray, profile: FloatArray, ahead: N
 
 
 @inlined
-def _begin_lane(
-    s: FloatArray,
-    n: int,
-    p: FloatArray,
-    ahead: NDArray[np.int64],
-    words: WordArray,
-    flags: BoolArray,
-    profile: FloatArray,
-) -> None:
+def _begin_lane(n: int, lanes: Lanes) -> None:
     """Draw the next episode of lane n; the motor begins where it holds the begin of the profile."""
+    s, p, words, profile = lanes.state[n], lanes.numbers, lanes.words, lanes.profile[n]
     words[CASE_LOW, n] += np.uint32(1)
     s[:] = 0.0
     _draw_profile(p, words, n, profile)
@@ -123,8 +151,8 @@ def _begin_lane(
     s[CURRENT] = s[ESTIMATED_CURRENT] = s[MEASURED_CURRENT] = current
     s[SPEED] = s[ESTIMATED_SPEED] = s[MEASURED_SPEED] = speed
     s[VOLTAGE], s[SCALE] = p[R] * current + p[KE] * speed, 1.0
-    _observe_profile(s, p, profile, ahead)
-    flags[TERMINATED, n], flags[FAULT_ACTIVE, n] = False, False
+    _observe_profile(s, p, profile, lanes.ahead)
+    lanes.flags[TERMINATED, n], lanes.flags[FAULT_ACTIVE, n] = False, False
 
 
 @inlined
@@ -196,18 +224,9 @@ def _filter(s: FloatArray, p: FloatArray, noise: tuple[np.float32, ...]) -> None
 
 
 @inlined
-def _step_lane(
-    s: FloatArray,
-    n: int,
-    action: FloatArray,
-    p: FloatArray,
-    ahead: NDArray[np.int64],
-    words: WordArray,
-    flags: BoolArray,
-    profile: FloatArray,
-    parts: FloatArray,
-) -> None:
+def _step_lane(n: int, action: FloatArray, lanes: Lanes, parts: FloatArray) -> None:
     """A step of lane n in the middle of an episode: its costs go into the column n of the parts."""
+    s, p, flags, profile = lanes.state[n], lanes.numbers, lanes.flags, lanes.profile[n]
     for m in range(len(PARTS)):
         parts[m, n] = 0.0
     left_s = (p[HORIZON] - s[STEP]) * p[DT]
@@ -217,7 +236,7 @@ def _step_lane(
         return
     aim = p[LIMP_SHARE] if action[1] > 0.0 else 1.0
     s[SCALE] += min(max(aim - s[SCALE], -p[LIMP_STEP]), p[LIMP_STEP])
-    noise = four_normals(int(s[STEP]), words, n)
+    noise = four_normals(int(s[STEP]), lanes.words, n)
     torque = p[BASE_LOAD] + p[FAN] * s[SPEED] * abs(s[SPEED]) + s[LOAD]
     worn = _grow_fault(s, p, torque)
     flags[FAULT_ACTIVE, n] = s[SEVERITY] > 0.0
@@ -236,23 +255,16 @@ def _step_lane(
         flags[TERMINATED, n] = True
     elif s[STEP] >= p[HORIZON]:
         flags[TERMINATED, n] = True
-    _observe_profile(s, p, profile, ahead)
+    _observe_profile(s, p, profile, lanes.ahead)
 
 
 @compiled
-def begin(
-    mask: BoolArray,
-    p: FloatArray,
-    ahead: NDArray[np.int64],
-    state: FloatArray,
-    words: WordArray,
-    flags: BoolArray,
-    profile: FloatArray,
-) -> None:
-    """Let the lanes of the mask begin their next episodes."""
+def begin(mask: BoolArray, *arrays: Any) -> None:
+    """Let the lanes of the mask begin their next episodes; `arrays` are those of `Lanes`."""
+    lanes = _unpack(*arrays)
     for n in range(len(mask)):
         if mask[n]:
-            _begin_lane(state[n], n, p, ahead, words, flags, profile[n])
+            _begin_lane(n, lanes)
 
 
 @compiled
@@ -272,25 +284,20 @@ def step(
     observation: Float32Array,
     reward: FloatArray,
     parts: FloatArray,
-    p: FloatArray,
-    ahead: NDArray[np.int64],
-    state: FloatArray,
-    words: WordArray,
-    flags: BoolArray,
-    profile: FloatArray,
+    *arrays: Any,
 ) -> int:
     """A step of all lanes; where an episode is over and `begins`, its successor begins instead. How many are over."""
-    n_over = 0
-    for n in range(len(state)):
-        if begins and flags[TERMINATED, n]:
-            _begin_lane(state[n], n, p, ahead, words, flags, profile[n])
+    lanes, n_over = _unpack(*arrays), 0
+    for n in range(len(reward)):
+        if begins and lanes.flags[TERMINATED, n]:
+            _begin_lane(n, lanes)
             parts[:, n] = 0.0
         else:
-            _step_lane(state[n], n, actions[n], p, ahead, words, flags, profile[n], parts)
-            n_over += flags[TERMINATED, n]
+            _step_lane(n, actions[n], lanes, parts)
+            n_over += lanes.flags[TERMINATED, n]
         total = 0.0
         for m in range(len(PARTS)):
             total += parts[m, n]
         reward[n] = total
-    observe(state, view, observation)
+    observe(lanes.state, view, observation)
     return n_over
