@@ -85,6 +85,8 @@ def advantages(rewards: Tensor, over: Tensor, values: Tensor) -> Tensor:
 class Learner:
     """Actor, critic, and what they learn from."""
 
+    entropy = ENTROPY
+
     def __init__(self, task: str, seed: int) -> None:
         torch.manual_seed(seed)
         self.task = task
@@ -133,7 +135,7 @@ class Learner:
                 gained = (gained - gained.mean()) / (gained.std() + 1e-8)
                 worse = torch.minimum(ratio * gained, ratio.clamp(1.0 - CLIP, 1.0 + CLIP) * gained)
                 error = (self.critic(seen)[:, 0] - returns).square()
-                loss = (0.5 * error - worse - ENTROPY * left * choice.entropy()).mean()
+                loss = (0.5 * error - worse - self.entropy * left * choice.entropy()).mean()
                 self.optimizer.zero_grad()
                 loss.backward()  # type: ignore[no-untyped-call]  # torch's
                 nn.utils.clip_grad_norm_(self.parameters, 0.5)

@@ -103,6 +103,24 @@ def test_the_weights_that_are_kept_are_as_good_as_was_written_down(task: str) ->
     assert abs(returns.mean() - written) < 4.0 * returns.std() / 300**0.5
 
 
+@pytest.mark.parametrize("task", ["drive", "maintain"])
+def test_decisions_that_were_learned_are_as_good_as_was_written_down(
+    task: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("torch")
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    ppo = example("decisions_ppo")
+    chosen = ppo.TASKS[task]._replace(episodes=50)
+    monkeypatch.setitem(ppo.TASKS, task, chosen)
+    weights = ppo.load_file(EXAMPLES / "ppo" / f"{task}.safetensors")
+    own = {name.partition(".")[2]: each for name, each in weights.items() if name.startswith("0.")}
+    learner = ppo.Decider(chosen, 0)
+    learner.actor.load_state_dict(own)
+    written = ppo.json.loads((EXAMPLES / "ppo" / f"{task}.json").read_text())["agents"]["0"]["return"][0]
+    returns = chosen.returns(learner.choose, 21)
+    assert abs(returns.mean() - written) < 4.0 * returns.std() / 50**0.5
+
+
 @pytest.mark.long
 def test_ppo_learns_in_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch")
