@@ -25,7 +25,8 @@ ROWS = 500
 DECLARES = {"waits": 0.001, "6 % ends": 0.064, "random": None}
 """Probability that an agent declares something; None: every action is as likely as any other."""
 BASE, HARD = "motor_env/Monitor-v0", "motor_env/Monitor-v0:hard"
-PROBE, DRIVE, CARTPOLE = "motor_env/Probe-v0", "motor_env/Drive-v0", "CartPole-v1"
+PROBE, DRIVE, MAINTAIN = "motor_env/Probe-v0", "motor_env/Drive-v0", "motor_env/Maintain-v0"
+CARTPOLE = "CartPole-v1"
 
 
 class Row(NamedTuple):
@@ -54,6 +55,9 @@ TABLE = (
     Row(DRIVE, "waits", 4096, 0.2, title="Drive-v0"),
     Row(DRIVE, "6 % ends", 4096, 0.12, title="Drive-v0"),
     Row(DRIVE, "waits", 1, 0.6, title="Drive-v0"),
+    Row(MAINTAIN, "waits", 4096, 0.08, title="Maintain-v0"),
+    Row(MAINTAIN, "random", 4096, 0.1, title="Maintain-v0"),
+    Row(MAINTAIN, "waits", 1, 0.4, title="Maintain-v0"),
 )
 
 
@@ -77,7 +81,10 @@ def make_of(name: str) -> tuple[str, dict[str, Any]]:
 
 
 def actions_of(env: Any, policy: str, shape: tuple[int, ...]) -> NDArray[Any]:
-    """What the policy does in so many steps; the peers have random actions always. A drive stops instead."""
+    """What the policy does in so many steps; the peers have random actions always.
+
+    A drive stops instead of declaring something; a bearing is replaced.
+    """
     rng = np.random.default_rng(0)
     space = getattr(env, "single_action_space", env.action_space)
     probability, setup = DECLARES.get(policy), getattr(env.unwrapped, "setup", None)
@@ -85,6 +92,8 @@ def actions_of(env: Any, policy: str, shape: tuple[int, ...]) -> NDArray[Any]:
         drives = rng.uniform(0.3, 0.7, (*shape, 2))
         drives[..., 1] = np.where(rng.random(shape) < (probability or 0.0), 1.0, -1.0)
         return drives
+    if probability is not None and getattr(env.spec, "id", "") == MAINTAIN:
+        return np.where(rng.random(shape) < probability, 2, 0)
     if probability is None or setup is None:
         return rng.integers(0, space.n, shape)
     declares = rng.integers(space.n - len(setup.kinds), space.n, shape)
