@@ -208,7 +208,7 @@ def environment_page(spec: EnvSpec) -> str:
         set(spec.kwargs) <= {"recipe"} or not watched
     )  # the tables are of tasks that differ in nothing else
     scores = plain and rows_of(rf"^{task}:\n\n(?:<!--.*\n\n)?((?:\|.*\n)+)")
-    speed = rows_of(rf"^(\| {name}[, ].*\n(?:\| \|.*\n)*)")
+    speed = rows_of(rf"^(\| {name}, (?:vector|single).*\n(?:\| \|.*\n)*)")
     page = "environments" if watched else "decisions"
     parts = [
         f"# {name}",

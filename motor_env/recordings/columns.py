@@ -231,7 +231,7 @@ def _no_current(path: Path, table: Table, meanings: Sequence[Meaning], taken: se
         if _holds_counts(table, free[-1]):
             hint = f'--column "current={name}*0.0132-6.76" with the scale and the offset of the converter\'s counts'
         elif unit_quantity(meanings[free[-1]].unit) is None:
-            hint = f'--column "current={name}:A", or {hint}'
+            hint = f'--column "current={name}:A" (or :mA), or {hint}'
     return f"{_where(path, table)}: the column current_a is missing, {_found(table)}; name it: {hint}"
 
 

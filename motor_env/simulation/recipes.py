@@ -63,6 +63,10 @@ FACTORS = tuple(f.name for f in fields(Spread))
 """Order of the nuisance factors in every array."""
 
 
+LARGEST_SEVERITY = 10.0
+"""Beyond that, percents were meant."""
+
+
 @dataclass(frozen=True, slots=True)
 class FaultClass:
     """A class to be told: a fault kind at a level of severity, or healthy (kind None, severity 0).
@@ -75,7 +79,8 @@ class FaultClass:
         also: faults that come with it (joint faults); their weights are ignored.
 
     Raises:
-        ValueError: a healthy class with a severity, a fault without one, or a weight that is negative.
+        ValueError: a healthy class with a severity, a fault without one or beyond `LARGEST_SEVERITY`, or a
+            weight that is negative.
     """
 
     kind: FaultKind | None = None
@@ -95,6 +100,11 @@ class FaultClass:
             is_range = self.severity_to is not None
             require_positive(f"severity of {self.kind}", self.severity, zero_allowed=is_range)
             self.kind.require_severity(self.largest_severity)
+            require(
+                self.largest_severity <= LARGEST_SEVERITY,
+                f"severity of {self.kind} must be a share of at most {LARGEST_SEVERITY:g} (0.15 is 15 %), "
+                f"got {self.largest_severity:g}",
+            )
         if self.severity_to is not None:
             require(
                 self.severity_to > self.severity,

@@ -90,6 +90,8 @@ def test_refusals() -> None:
         named_recipe("benchh")
     with pytest.raises(ValueError, match=r"severity of healthy must be 0, got 0\.1"):
         FaultClass(None, 0.1)
+    with pytest.raises(ValueError, match=r"severity of bearing must be a share .* got 15"):
+        FaultClass(FaultKind.BEARING, 15.0)
     with pytest.raises(ValueError, match="severity of bearing must be finite and > 0, got 0"):
         FaultClass(FaultKind.BEARING)
     with pytest.raises(ValueError, match=r"spread of friction must be <= 0\.14, got 0\.2"):
