@@ -85,7 +85,12 @@ class Rule(Statistic):
         return exact or simulated_threshold(self, request, runs=runs, n_channels=n_channels, seed=seed)
 
     def alarm_index(self, whitened: ArrayLike, threshold: float | Threshold) -> NDArray[np.int64]:
-        """First sample at which the statistic is above the threshold, -1 where there is none; shape (...)."""
+        """First sample at which the statistic is above the threshold, -1 where there is none; shape (...).
+
+        Args:
+            whitened: innovations in standard deviations, shape (..., n_samples, n_channels): the channel comes last.
+            threshold: of the statistic.
+        """
         limit = threshold.value if isinstance(threshold, Threshold) else threshold
         return first_above(self.statistic(whitened), limit)
 

@@ -40,7 +40,7 @@ def test_a_data_set_is_read_and_its_environment_repeats_it(
 
 
 def test_better_policies_are_paid_better() -> None:
-    for task in TASKS:
+    for task in ("Probe-v0", "Drive-v0", "Maintain-v0"):
         mean = {
             each: np.mean([one.rewards.sum() for one in episodes_of(task, each, 60, 1)]) for each in Behaviour
         }
