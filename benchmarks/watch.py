@@ -166,7 +166,8 @@ def watched(hours: float, seed: int) -> dict[str, Any]:
         name: Watch(first.reference, state[name], false_alarms_per_year=a_year)
         for name, a_year in RATES.items()
     }
-    with mock.patch.object(windows, "_window", fitted_once(windows._window)):  # noqa: SLF001
+    # Both rates judge the same windows: the fit, which is the work, is made once for them.
+    with mock.patch.object(windows, "_window", fitted_once(windows._window)):  # noqa: SLF001  # see above
         for line in stream:
             for name, watch in each.items():
                 counts[name].update(event.name for event in watch.events([line]))

@@ -167,7 +167,7 @@ def begin(
 @compiled
 def step(
     actions: NDArray[np.int64],
-    restart: bool,  # a kernel: positions alone
+    restart: bool,
     days: int,
     costs: FloatArray,
     estimate_levels: float,
