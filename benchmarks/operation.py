@@ -1,33 +1,45 @@
 """Motors at work: errors against the Cramer-Rao bound and coverage of the intervals, beside least squares and an EKF.
 
-python benchmarks/operation.py --records 1000 --workers 2
+python benchmarks/operation.py --records 1000 --workers 2 --rows out/operation.jsonl
 
-Every record has its own motor, profile and load, from the independent simulator in operation_simulator.py. A quantity
-counts where the bound says that the record tells it to better than a half of its value. The ratio is the median of
-|error| over that of a normal error with the bound's standard deviation.
+A run that was stopped goes on where it was. Every record has its own motor, profile and load, from the independent
+simulator in operation_simulator.py. A quantity counts where the bound says that the record tells it to better than a
+half of its value. The ratio is the median of |error| over that of a normal error with the bound's standard deviation.
 """
 
-import argparse
+import json
 import math
+import sys
+import tempfile
 from collections import defaultdict
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cyclopts import run
 from operation_simulator import KNEE, LOADS, PROFILES, VOLTAGE_NOISE, Motor, draw_motor, simulate
+from tables import keep_table
 
 from motor_env.filters.joint import joint_filter
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, SensorParameters
 from motor_env.operation import kernel
-from motor_env.operation.beginnings import beginnings
+from motor_env.operation.fit import begins
 from motor_env.operation.identify import Operation, identify_operation
 from motor_env.operation.terms import NOISES, terms
 from motor_env.operation.uncertainty import information_covariance, motor_places
 from motor_env.recordings.defects import UnusableError
 
 QUANTITIES = ("R", "L", "K", "J", "B", "coulomb", "brush_drop", "load_constant", "load_square")
+HEADER = (
+    "quantities",
+    "error over the bound",
+    "95 % intervals that hold",
+    "least squares",
+    "extended Kalman filter",
+)
 TOLD = 0.5
 NORMAL_MEDIAN = 0.6745
 
@@ -87,7 +99,8 @@ def one(job: tuple[int, int, bool]) -> dict[str, Any]:
     problem, theta = found.solution.problem, found.solution.theta
     spread = np.sqrt(np.diag(found.covariance))
     rows = {problem.names[n]: (theta[n], spread[r]) for r, n in enumerate(motor_places(problem))}
-    least = beginnings(found.record)[0]
+    regressed, begin = begins(found.record)[0]
+    least = regressed.values(begin)
     ekf = extended(recording, motor, rng) if with_ekf and has_speed else None
     for name, (at, sd) in bound(found, true).items():
         if name not in QUANTITIES or name in NOISES:
@@ -95,7 +108,11 @@ def one(job: tuple[int, int, bool]) -> dict[str, Any]:
         term = next(t for t in problem.free if t.name == name)
         told = sd < TOLD if term.is_log else sd < TOLD * abs(at)
         estimate, own = rows[name]
-        row[name] = {"told": told, "error": abs(estimate - at) / sd, "held": abs(estimate - at) <= 1.96 * own}
+        row[name] = {
+            "told": bool(told),
+            "error": float(abs(estimate - at) / sd),
+            "held": bool(abs(estimate - at) <= 1.96 * own),
+        }
         for method, values in (("ls", least), ("ekf", ekf)):
             value = None if values is None else float(values[term.place])
             if value and true[term.place] > 0.0:
@@ -104,7 +121,7 @@ def one(job: tuple[int, int, bool]) -> dict[str, Any]:
                     if term.is_log
                     else (value - true[term.place]) / term.unit
                 )
-                row[name][method] = abs(unit) / sd
+                row[name][method] = float(abs(unit) / sd)
     return row
 
 
@@ -138,55 +155,49 @@ def extended(recording: Any, motor: Motor, rng: np.random.Generator) -> FloatArr
     return values
 
 
-def table(rows: list[dict[str, Any]], key: str) -> None:
-    """Print medians and coverage by a key."""
+def cells_by(rows: list[dict[str, Any]], key: str) -> Iterator[list[str]]:
+    """Medians and coverage by a key, and over all; rows of a table."""
     groups: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
     for row in rows:
         for name in QUANTITIES:
             if name in row and row[name]["told"]:
                 groups[name if key == "quantity" else row[key]].append(row[name])
-                groups["all"].append(row[name])
-    print(
-        f"\n| {key} | told | ratio to the bound | intervals that hold | least squares | EKF |",
-        "|---|---|---|---|---|---|",
-        sep="\n",
-    )
-    for name, cells in groups.items():
-        ratio = np.median([cell["error"] for cell in cells]) / NORMAL_MEDIAN
+    order = {"profile": PROFILES, "load": LOADS, "quantity": QUANTITIES}[key]
+    named = [(name, groups[name]) for name in order if name in groups]
+    for name, cells in [*named, ("all", [cell for _, group in named for cell in group])]:
+        ratios = ([cell[m] for cell in cells if m in cell] for m in ("error", "ls", "ekf"))
+        medians = [f"{np.median(one) / NORMAL_MEDIAN:.2f}" if one else "-" for one in ratios]
         held = np.mean([cell["held"] for cell in cells])
-        others = [
-            f"{np.median(values) / NORMAL_MEDIAN:.1f}" if values else "-"
-            for values in ([cell[m] for cell in cells if m in cell] for m in ("ls", "ekf"))
-        ]
-        print(f"| {name} | {len(cells)} | {ratio:.2f} | {held:.1%} | {' | '.join(others)} |")
+        yield [name, str(len(cells)), medians[0], f"{held:.1%}", *medians[1:]]
 
 
-def main() -> None:
-    """Run the records and print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--records", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--ekf", type=int, default=50, help="an EKF on the first so many records")
-    parser.add_argument("--verbose", action="store_true")
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args()
-    jobs = [(options.seed, number, number < options.ekf) for number in range(options.records)]
-    with ProcessPoolExecutor(options.workers) as pool:
-        rows = []
+def main(
+    *, records: int = 100, seed: int = 0, workers: int = 1, ekf: int = 50, rows: Path | None = None
+) -> None:
+    """Fit the records and keep the tables of docs/operation.md.
+
+    Args:
+        records: number of random motors.
+        seed: of them.
+        workers: processes.
+        ekf: an EKF on the first so many records.
+        rows: file of a JSON line a record; those that it holds are not fitted again.
+    """
+    rows = rows or Path(tempfile.mkdtemp()) / "rows.jsonl"
+    rows.parent.mkdir(parents=True, exist_ok=True)
+    known = [json.loads(line) for line in rows.read_text().splitlines()] if rows.exists() else []
+    done = {row["number"] for row in known}
+    jobs = [(seed, number, number < ekf) for number in range(records) if number not in done]
+    with ProcessPoolExecutor(workers) as pool, rows.open("a", encoding="utf-8") as file:
         for row in pool.map(one, jobs, chunksize=2):
-            rows.append(row)
-            if options.verbose:
-                print(row, flush=True)
-    failed = [row for row in rows if "error" in row]
-    print(f"{len(rows)} records, {len(failed)} not fitted")
-    for row in failed:
-        print(f"  {row}")
+            known.append(row)
+            print(json.dumps(row), file=file, flush=True)
+            print(f"\r{len(known)} of {records}", end="", file=sys.stderr, flush=True)
+    failed = [row for row in known if "error" in row]
+    print(f"\n{len(known)} records, {len(failed)} not fitted", *failed, sep="\n  ")
     for key in ("profile", "load", "quantity"):
-        table(rows, key)
+        keep_table("operation", key, [key, *HEADER], cells_by(known, key))
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

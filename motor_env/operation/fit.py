@@ -165,9 +165,8 @@ def _first(record: Record) -> list[tuple[Solution, dict[str, Term]]]:
     """Fits of the first terms, one for each behaviour of the voltage that may be true, with all terms."""
     few = []
     for behaved in _records(record):
-        begun = [_begin(behaved, values) for values in beginnings(behaved)]
-        begun.sort(key=lambda one: float(np.sum(one[0].residuals(one[1]) ** 2)))
-        tried = [Solution(problem, *problem.solve(theta, most=_FEW)) for problem, theta in begun[:_TRIED]]
+        begun = begins(behaved)[:_TRIED]
+        tried = [Solution(problem, *problem.solve(theta, most=_FEW)) for problem, theta in begun]
         few += sorted(tried, key=lambda one: one.misfit)[:1]
     if not few:
         raise UnusableError("no motor is found in the record: voltage, current and speed do not go together")
@@ -176,6 +175,12 @@ def _first(record: Record) -> list[tuple[Solution, dict[str, Term]]]:
     best = min(one.misfit for one in fits)
     rivals = [one for one in fits if one.misfit - best < _RIVAL * one.problem.count]
     return [(one, terms(one.problem.record, one.problem.known)) for one in rivals]
+
+
+def begins(record: Record) -> list[tuple[Problem, FloatArray]]:
+    """What regressions find, with the smallest prediction errors first: problems with unknowns to begin from."""
+    begun = [_begin(record, values) for values in beginnings(record)]
+    return sorted(begun, key=lambda one: float(np.sum(one[0].residuals(one[1]) ** 2)))
 
 
 def _begin(record: Record, values: FloatArray) -> tuple[Problem, FloatArray]:
