@@ -34,6 +34,7 @@ class RunningRecord:
 
     path: Path
     windows: tuple[WindowVerdict, ...]
+    of: int = 0
     trouble: str = ""
     unreadable: bool = False
     is_bug: bool = False
@@ -52,6 +53,10 @@ class RunningRecord:
     def as_text(self) -> str:
         """A line for the record and one for each window."""
         lines = [f"{self.path}: {self.verdict}" + (f" ({self.trouble})" if self.trouble else "")]
+        if len(self.windows) < self.of:
+            lines.append(
+                f"  {len(self.windows)} of {self.of} windows are judged: some evenly spread, and the oddest"
+            )
         for window in self.windows:
             moved = ", ".join(f"{_SHOWN[c.name]} {c.ratio - 1.0:+.1%}" for c in window.changes)
             lines.append(f"  from {window.begin_s:.6g} s: {window.verdict}; {moved}")
@@ -63,6 +68,7 @@ class RunningRecord:
             "file": str(self.path),
             "verdict": self.verdict,
             "reason": self.trouble or None,
+            "windows_of_record": self.of,
             "windows": [
                 {
                     "begin_s": window.begin_s,
@@ -173,12 +179,14 @@ def diagnose_running(
             if motor.operation is None:
                 raise InputError(f"{path}: the motor was not commissioned with --window")
             recording = at_terminals(read_recording(path, columns), voltage_v, circuit)
-            record = RunningRecord(path, tuple(judge_windows(recording, motor.operation, rate)))
+            windows = tuple(judge_windows(recording, motor.operation, rate))
+            duration_s = len(recording.time_s) * recording.dt_s
+            record = RunningRecord(path, windows, int(duration_s / motor.operation.window_s + 1e-6))
         except UnusableError as error:
-            record = RunningRecord(path, (), str(error))
+            record = RunningRecord(path, (), trouble=str(error))
         except Exception as error:  # noqa: BLE001  # whatever it is, it is said, and the others keep their verdicts
             sentence, is_bug = why_not(path, error)
-            record = RunningRecord(path, (), sentence, unreadable=True, is_bug=is_bug)
+            record = RunningRecord(path, (), trouble=sentence, unreadable=True, is_bug=is_bug)
         if out is not None:
             record.plot(picture_of(path, out, number))
         records.append(record)

@@ -33,9 +33,12 @@ _COLDEST_K, _GRID_K, _GRID = -20.0, 10.0, 22
 _WILD = 6.0
 _SATURATED = 5.0  # knees: beyond them the brush drop hardly changes
 _SLOW = 0.02  # of the largest speed: where dry friction is larger
+_inlined = njit(
+    cache=True, error_model="numpy", forceinline=True
+)  # a call with arrays costs as much as a step
 
 
-@njit(cache=True)
+@_inlined
 def _exponential(matrix: FloatArray) -> FloatArray:
     """Matrix exponential by scaling, Taylor and squaring."""
     norm = np.max(np.sum(np.abs(matrix), axis=1))
@@ -51,7 +54,7 @@ def _exponential(matrix: FloatArray) -> FloatArray:
     return total
 
 
-@njit(cache=True)
+@_inlined
 def _discretized(p: FloatArray, warm_k: float, dt_s: float) -> FloatArray:
     """Rows current and speed; columns current, speed, voltage before, its rise over the interval, torque."""
     resistance = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k)
@@ -65,7 +68,7 @@ def _discretized(p: FloatArray, warm_k: float, dt_s: float) -> FloatArray:
     return rows
 
 
-@njit(cache=True)
+@_inlined
 def _table(p: FloatArray, dt_s: float) -> FloatArray:
     """Discrete models over the winding's temperature; one alone where nothing warms."""
     count = _GRID if p[HEATING] > 0.0 else 1
@@ -75,7 +78,7 @@ def _table(p: FloatArray, dt_s: float) -> FloatArray:
     return out
 
 
-@njit(cache=True)
+@_inlined
 def _at(table: FloatArray, warm_k: float, out: FloatArray) -> None:
     """The discrete model at one temperature, between two of the table."""
     if table.shape[0] == 1:
@@ -89,13 +92,13 @@ def _at(table: FloatArray, warm_k: float, out: FloatArray) -> None:
             out[r, c] = (1.0 - share) * table[low, r, c] + share * table[low + 1, r, c]
 
 
-@njit(cache=True)
+@_inlined
 def _dry(p: FloatArray, dry: float, w: float, slow: float) -> float:
     """Dry friction at a speed (Stribeck 1902)."""
     return dry * (1.0 + p[STRIBECK] * math.exp(-((w / slow) ** 2))) if p[STRIBECK] > 0.0 else dry
 
 
-@njit(cache=True)
+@_inlined
 def _mean_square(before: float, after: float) -> float:
     """Mean of w |w| while w goes in a straight line."""
     if abs(after - before) <= 1e-6 * (abs(after) + abs(before)):
@@ -103,7 +106,7 @@ def _mean_square(before: float, after: float) -> float:
     return (abs(after) ** 3 - abs(before) ** 3) / (3.0 * (after - before))
 
 
-@njit(cache=True)
+@_inlined
 def _smooth_step(
     m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray
 ) -> bool:
@@ -135,7 +138,7 @@ def _smooth_step(
     return True
 
 
-@njit(cache=True)
+@_inlined
 def _opposed(before: float, free: float, reach: float) -> float:
     """Value after an interval, given that without the opposing input, which changes it by `reach` and turns at zero."""
     sign = math.copysign(1.0, before if before != 0.0 else free)
@@ -149,7 +152,7 @@ def _opposed(before: float, free: float, reach: float) -> float:
     return 0.0 if turned * sign > 0.0 else turned
 
 
-@njit(cache=True)
+@_inlined
 def _kneed(free: float, reach: float, knee: float) -> float:
     """Solution i of i + reach i / hypot(i, knee) = free, by Newton's method, which stays on one side of it."""
     size = abs(free)
@@ -163,7 +166,7 @@ def _kneed(free: float, reach: float, knee: float) -> float:
     return math.copysign(i, free)
 
 
-@njit(cache=True)
+@_inlined
 def _braked_step(
     m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray
 ) -> None:
@@ -196,7 +199,7 @@ def _braked_step(
         x[0], x[1] = new_i, new_w
 
 
-@njit(cache=True)
+@_inlined
 def _coasting_step(x: FloatArray, p: FloatArray, dry: float, load: float, dt_s: float, f: FloatArray) -> None:
     """One interval with an open circuit: no current, the speed falls by friction and load."""
     f[:] = 0.0
@@ -212,7 +215,7 @@ def _coasting_step(x: FloatArray, p: FloatArray, dry: float, load: float, dt_s: 
         f[1, 1], f[1, 2] = decay - reach * 2.0 * p[SQUARE] * abs(before), -reach
 
 
-@njit(cache=True)
+@_inlined
 def _lag(lag_s: float, dt_s: float) -> FloatArray:
     """Weights of the shown value before, the true one before and the true one now; exact for a straight line."""
     if lag_s <= 0.0:
@@ -222,55 +225,53 @@ def _lag(lag_s: float, dt_s: float) -> FloatArray:
     return np.array([decay, mean - decay, 1.0 - mean])
 
 
-@njit(cache=True)
-def _spread(
-    cov: FloatArray,
-    f: FloatArray,
-    p: FloatArray,
-    dt_s: float,
-    lags: FloatArray,
-    full: FloatArray,
-    half_way: FloatArray,
-) -> None:
-    """Covariance after an interval, in place: P = F P F' + Q; the last two are room to work in."""
-    n = cov.shape[0]
+@_inlined
+def _spread(cov: FloatArray, f: FloatArray, p: FloatArray, dt_s: float, lags: FloatArray) -> None:
+    """Covariance after an interval, in place: P = F P F' + Q. The lower triangle is left as it was."""
+    a, b, c, d, e, h = f[0, 0], f[0, 1], f[0, 2], f[1, 0], f[1, 1], f[1, 2]
     noise_i, noise_w = p[NOISE_V] * f[0, 3], p[NOISE_V] * f[1, 3]
-    if n == 2:
-        a, b, c, d = f[0, 0], f[0, 1], f[1, 0], f[1, 1]
-        ii, iw, ww = cov[0, 0], cov[0, 1], cov[1, 1]
+    ii, iw, ww = cov[0, 0], cov[0, 1], cov[1, 1]
+    if cov.shape[0] == 2:
         cov[0, 0] = a * a * ii + 2.0 * a * b * iw + b * b * ww + noise_i * noise_i
-        cov[0, 1] = a * c * ii + (a * d + b * c) * iw + b * d * ww + noise_i * noise_w
-        cov[1, 1] = c * c * ii + 2.0 * c * d * iw + d * d * ww + noise_w * noise_w
-        cov[1, 0] = cov[0, 1]
+        cov[0, 1] = a * d * ii + (a * e + b * d) * iw + b * e * ww + noise_i * noise_w
+        cov[1, 1] = d * d * ii + 2.0 * d * e * iw + e * e * ww + noise_w * noise_w
         return
-    full[:] = 0.0
-    for r in range(2):
-        full[r, 0], full[r, 1], full[r, 2] = f[r, 0], f[r, 1], f[r, 2]
-    full[2, 2] = 1.0
-    noise = (noise_i, noise_w, 0.0)
-    for r in range(3, n):
-        for c in range(3):
-            full[r, c] = lags[r - 3, 2] * full[r - 3, c]
-        full[r, r - 3] += lags[r - 3, 1]
-        full[r, r] += lags[r - 3, 0]
-    for r in range(n):
-        for c in range(n):
-            total = 0.0
-            for s in range(n):
-                total += full[r, s] * cov[s, c]
-            half_way[r, c] = total
-    for r in range(n):
-        size = noise[r] if r < 3 else lags[r - 3, 2] * noise[r - 3]
-        for c in range(n):
-            other = noise[c] if c < 3 else lags[c - 3, 2] * noise[c - 3]
-            total = size * other
-            for s in range(n):
-                total += half_way[r, s] * full[c, s]
-            cov[r, c] = total
-    cov[2, 2] += p[WALK] ** 2 * dt_s
+    il, wl, ll = cov[0, 2], cov[1, 2], cov[2, 2]
+    # Of the new current and speed with the old current, speed and load.
+    i_i, i_w, i_l = a * ii + b * iw + c * il, a * iw + b * ww + c * wl, a * il + b * wl + c * ll
+    w_i, w_w, w_l = d * ii + e * iw + h * il, d * iw + e * ww + h * wl, d * il + e * wl + h * ll
+    cov[0, 0] = a * i_i + b * i_w + c * i_l + noise_i * noise_i
+    cov[0, 1] = d * i_i + e * i_w + h * i_l + noise_i * noise_w
+    cov[1, 1] = d * w_i + e * w_w + h * w_l + noise_w * noise_w
+    cov[0, 2], cov[1, 2], cov[2, 2] = i_l, w_l, ll + p[WALK] ** 2 * dt_s
+    if cov.shape[0] == 3:
+        return
+    # What is shown: z' = y + now x', y = kept z + before x, for the current (s) and the speed (t).
+    s_kept, s_before, s_now = lags[0, 0], lags[0, 1], lags[0, 2]
+    t_kept, t_before, t_now = lags[1, 0], lags[1, 1], lags[1, 2]
+    si, sw, sl = (
+        s_kept * cov[0, 3] + s_before * ii,
+        s_kept * cov[1, 3] + s_before * iw,
+        s_kept * cov[2, 3] + s_before * il,
+    )
+    ti, tw, tl = (
+        t_kept * cov[0, 4] + t_before * iw,
+        t_kept * cov[1, 4] + t_before * ww,
+        t_kept * cov[2, 4] + t_before * wl,
+    )
+    ss = s_kept * (s_kept * cov[3, 3] + s_before * cov[0, 3]) + s_before * si
+    st = t_kept * (s_kept * cov[3, 4] + s_before * cov[0, 4]) + t_before * sw
+    tt = t_kept * (t_kept * cov[4, 4] + t_before * cov[1, 4]) + t_before * tw
+    s_i, s_w = a * si + b * sw + c * sl, d * si + e * sw + h * sl
+    t_i, t_w = a * ti + b * tw + c * tl, d * ti + e * tw + h * tl
+    cov[0, 3], cov[1, 3], cov[2, 3] = s_i + s_now * cov[0, 0], s_w + s_now * cov[0, 1], sl + s_now * i_l
+    cov[0, 4], cov[1, 4], cov[2, 4] = t_i + t_now * cov[0, 1], t_w + t_now * cov[1, 1], tl + t_now * w_l
+    cov[3, 3] = ss + 2.0 * s_now * s_i + s_now * s_now * cov[0, 0]
+    cov[3, 4] = st + t_now * s_w + s_now * t_i + s_now * t_now * cov[0, 1]
+    cov[4, 4] = tt + 2.0 * t_now * t_w + t_now * t_now * cov[1, 1]
 
 
-@njit(cache=True)
+@_inlined
 def _update(
     x: FloatArray, cov: FloatArray, place: int, shown: float, noise: float, learn: bool, row: FloatArray
 ) -> tuple[float, float]:
@@ -281,15 +282,16 @@ def _update(
     if learn:
         weight = min(1.0, _WILD / max(abs(white), 1e-12)) * error / variance
         for r in range(n):
-            row[r] = cov[place, r]
+            row[r] = cov[min(r, place), max(r, place)]
         for r in range(n):
             x[r] += weight * row[r]
-            for c in range(n):
-                cov[r, c] -= row[r] * row[c] / variance
+            share = row[r] / variance
+            for c in range(r, n):
+                cov[r, c] -= share * row[c]
     return white, math.log(variance)
 
 
-@njit(cache=True)
+@_inlined
 def _begin(
     p: FloatArray,
     x: FloatArray,
@@ -311,13 +313,13 @@ def _begin(
     cov[:] = 0.0
     cov[0, 0], cov[1, 1] = sd_i**2, sd_w**2
     if n == 5:
-        cov[3, 3] = cov[0, 3] = cov[3, 0] = sd_i**2
-        cov[4, 4] = cov[1, 4] = cov[4, 1] = sd_w**2
+        cov[3, 3] = cov[0, 3] = sd_i**2
+        cov[4, 4] = cov[1, 4] = sd_w**2
     if n > 2 and p[WALK] > 0.0:
         cov[2, 2] = (p[K] * 0.1 * reach / p[R]) ** 2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def predict(
     p: FloatArray,
     dt_s: float,
@@ -347,7 +349,7 @@ def predict(
     lags = np.stack((_lag(p[LAG_I], dt_s), _lag(p[LAG_W], dt_s)))
     whole, parts = _table(p, dt_s), _table(p, dt_s / _PARTS)
     m, x, cov, f, u = np.empty((2, 5)), np.zeros(5), np.zeros((n, n)), np.zeros((2, 4)), np.zeros(4)
-    full, half_way, row = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    row = np.zeros(n)
     logs, warm_k = 0.0, 0.0
     place_i, place_w = (3, 4) if n == 5 else (0, 1)
     reach = np.max(np.abs(voltage)) + 1e-9
@@ -378,7 +380,7 @@ def predict(
         x[3] = lags[0, 0] * x[3] + lags[0, 1] * i + lags[0, 2] * x[0]
         x[4] = lags[1, 0] * x[4] + lags[1, 1] * w + lags[1, 2] * x[1]
         if learn:
-            _spread(cov, f, p, dt_s, lags, full, half_way)
+            _spread(cov, f, p, dt_s, lags)
         out[k, 0] = out[k, 1] = 0.0
         out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
         if seen[0] > 0.0:

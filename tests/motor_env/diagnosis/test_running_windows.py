@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 
 from motor_env.cli import main
-from motor_env.diagnosis import running
+from motor_env.diagnosis import running, windows
 from motor_env.diagnosis.windows import WindowVerdict
 from motor_env.errors import InputError
 from motor_env.recordings.recording import Recording
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 from operation_simulator import Motor, draw_motor, simulate
+
+COLUMNS = ("current_a", "voltage_v", "speed_rad_s")
 
 
 def write(path: Path, recording: Recording) -> str:
@@ -32,7 +34,7 @@ def write(path: Path, recording: Recording) -> str:
 
 @pytest.mark.long
 def test_faults_show_in_windows_and_warmth_does_not(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng = np.random.default_rng([77, 2])
     motor = draw_motor(rng)
@@ -62,6 +64,13 @@ def test_faults_show_in_windows_and_warmth_does_not(
     verdicts = [record["verdict"] for record in json.loads(capsys.readouterr().out)]
     assert verdicts == ["healthy", "healthy", "winding_contact", "bearing", "magnet", "unusable"]
     assert (tmp_path / "003-contact-csv.png").exists()
+    monkeypatch.setattr(windows, "MOST_JUDGED", 4)
+    parts = [simulate(one, "reversals", rng, samples=1500, dt_s=dt_s) for one in (motor, friction, motor)]
+    columns = [np.concatenate([getattr(one, name) for one in parts]) for name in COLUMNS]
+    long = write(tmp_path / "long.csv", Recording(Path("long"), np.arange(4500) * dt_s, *columns))
+    assert main(["diagnose", long, "--motor", toml, "--json"]) == 1
+    (record,) = json.loads(capsys.readouterr().out)
+    assert (record["verdict"], len(record["windows"]), record["windows_of_record"]) == ("bearing", 4, 15)
 
 
 def test_one_bad_log_costs_no_other_its_verdict(
@@ -80,11 +89,12 @@ def test_one_bad_log_costs_no_other_its_verdict(
 
     monkeypatch.setattr(running, "read_recording", reading)
     monkeypatch.setattr(running, "judge_windows", lambda *_: [WindowVerdict(0.0, "healthy", ())])
-    motor = SimpleNamespace(operation=object())
+    motor = SimpleNamespace(operation=SimpleNamespace(window_s=10.0))
     records = running.diagnose_running(
         [tmp_path / f"{n}.csv" for n in range(4)], cast("Any", motor), 0.01, None
     )
     assert [record.verdict for record in records] == ["unusable", "unusable", "healthy", "unusable"]
+    assert "1 of 3 windows are judged" in records[2].as_text()
     assert [record.is_bug for record in records] == [False, True, False, False]
     assert running.exit_status(records) == 70
     assert "Traceback" in capsys.readouterr().err
