@@ -67,7 +67,10 @@ def test_faults_show_in_windows_and_warmth_does_not(
     monkeypatch.setattr(windows, "MOST_JUDGED", 4)
     parts = [simulate(one, "reversals", rng, samples=1500, dt_s=dt_s) for one in (motor, friction, motor)]
     columns = [np.concatenate([getattr(one, name) for one in parts]) for name in COLUMNS]
-    long = write(tmp_path / "long.csv", Recording(Path("long"), np.arange(4500) * dt_s, *columns))
+    long = write(
+        tmp_path / "long.csv",
+        Recording(Path("long"), dt_s * np.arange(4500.0), columns[0], columns[1], columns[2]),
+    )
     assert main(["diagnose", long, "--motor", toml, "--json"]) == 1
     (record,) = json.loads(capsys.readouterr().out)
     assert (record["verdict"], len(record["windows"]), record["windows_of_record"]) == ("bearing", 4, 15)
