@@ -258,6 +258,32 @@ def sampled_evidence(
         proposals.append(linear.posterior(model))
 
 
+def _best_fits(models: list[ClassModel], measured: FloatArray, order: list[int]) -> dict[int, Linear]:
+    """Best fits of the classes, each begun at that of the one before; those far off again, from the best of all."""
+
+    def begun(index: int, near: Linear | None) -> Linear:
+        model = models[index]
+        begin = model.prior[0]
+        if near is not None and len(near.at) == len(begin):
+            begin = np.clip(near.at, *(model.box + np.array([[_INSIDE], [-_INSIDE]])))
+        return best_fit(model, measured, begin)
+
+    def objective(index: int) -> float:
+        return fits[index].objective(models[index])
+
+    fits: dict[int, Linear] = {}
+    near = None
+    for index in order:
+        near = fits[index] = begun(index, near)
+    best = min(fits, key=objective)
+    for index in order:
+        if objective(index) > objective(best) + _HOPELESS:
+            again = begun(index, fits[best])
+            if again.objective(models[index]) < objective(index):
+                fits[index] = again
+    return fits
+
+
 def sampled_probabilities(
     recipe: Recipe, start: ArrayLike, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
@@ -272,13 +298,7 @@ def sampled_probabilities(
     """
     measured = np.asarray(start, dtype=np.float64).reshape(-1)
     models = [ClassModel(recipe, fault_class) for fault_class in recipe.classes]
-    fits: dict[int, Linear] = {}
-    begin = models[0].prior[0]
-    for index in rng.permutation(len(models)):
-        model = models[index]
-        centre = model.prior[0]
-        fits[index] = best_fit(model, measured, begin if len(begin) == len(centre) else centre)
-        begin = np.clip(fits[index].at, *(model.box + np.array([[_INSIDE], [-_INSIDE]])))
+    fits = _best_fits(models, measured, rng.permutation(len(models)).tolist())
     objective = {index: fit.objective(models[index]) for index, fit in fits.items()}
     nearest = min(objective.values())
     joint, effective = np.full(len(models), -np.inf), np.zeros(len(models))

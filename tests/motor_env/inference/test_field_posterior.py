@@ -93,3 +93,12 @@ def test_shares_of_the_converter_sum_to_one() -> None:
     ]
     prior = model.log_joint(np.full(read.size, np.nan), read, values)
     assert np.exp(np.concatenate(logs) - prior).sum() == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_class_whose_first_fit_is_far_away_is_not_given_up() -> None:
+    """Begun at the nominal motor, the fit of its true class, winding_contact_10, ends 16 below the best."""
+    recipe = replace(named_recipe("field"), starts_per_motor=1, healthy_starts=0)
+    (start,) = measure_draw(draw(recipe, 41, [1828]), recipe, 41)
+    probabilities, effective = sampled_probabilities(recipe, start, np.random.default_rng([41, 0, 1828]))
+    assert probabilities[3] == pytest.approx(0.5, abs=0.1)
+    assert effective[3] > 50.0
