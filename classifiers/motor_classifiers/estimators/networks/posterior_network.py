@@ -76,7 +76,7 @@ class PosteriorNetwork(LogitClassifier):
     Args:
         recipe: the motor, its nuisances, faults and sensor; without one, `fit` takes the directions from its cases.
         n_components: directions of the signal that the network sees; None for all along which the starts of the recipe
-            differ by a quarter of the noise or more, at least 10 and at most 32.
+            differ by a tenth of the noise or more, at least 10 and at most 32.
         n_hidden: width of a hidden layer.
         n_layers: hidden layers.
         steps: batches seen by each of the two networks.

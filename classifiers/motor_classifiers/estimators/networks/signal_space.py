@@ -27,7 +27,7 @@ from motor_env.simulation.recipes import FaultClass, Recipe, Spread
 
 _FAMILY_SEED = 0xFA317  # of the starts that span the family; no data set is drawn with it
 _FAMILY_SIZE = 2000
-_VISIBLE = 0.25  # root mean square along a direction, in units of the noise
+_VISIBLE = 0.1  # root mean square along a direction, in units of the noise
 _FEWEST, _MOST = 10, 32  # more directions teach a network little, and slow it
 _QUIETEST = 0.5  # noise variance; a sensor quieter than any in training is taken for one of the quietest
 _SMALLEST_NOISE = 1e-6  # of the cases' own scatter, where nothing is left outside their directions
@@ -80,7 +80,9 @@ class SignalSpace(nn.Module):
         cls, recipe: Recipe, n_components: int | None, *, sees_noise: bool, n_references: int = 0
     ) -> SignalSpace:
         """Directions, means and variances of noise-free starts of a recipe, each with so many reference starts."""
-        silent = replace(recipe, sensor=recipe.sensor.with_noise(0.0))
+        # The steps of a converter, without noise, would pass for hundreds of directions.
+        field = None if recipe.field is None else replace(recipe.field, adc_bits=0)
+        silent = replace(recipe, sensor=recipe.sensor.with_noise(0.0), field=field)
         sound = replace(silent, spread=Spread(), classes=(FaultClass(),), healthy_starts=0, field=None)
         nominal = generate_arrays(sound, _FAMILY_SEED, 1).X.reshape(-1).astype(np.float64)
         draw = partial(referenced_starts, n_references=n_references) if n_references else generate_arrays
