@@ -1,13 +1,13 @@
 """The best possible accuracy on `field`: `python benchmarks/field_limit.py [--minutes 11]`, again until it is done.
 
 It samples the posterior of 2,000 starts (`sampled_probabilities`), and again, independently, of the first 1,000: 50
-starts a file below out/field_limit, and what is there is not done again. After the given minutes the figures of what
-is there go to benchmarks/results/field_limit.json.
+starts a file below out/field_limit, and what is there is not done again. After the given minutes it ends; the figures
+of all go to benchmarks/results/field_limit.json. `--recipe operation` does the same for motors at work.
 
 A posterior that is a little wrong decides a little worse, and its largest probability is a little too large. So the
 largest probability bounds the best accuracy from above, and one run's decisions judged by the other run's probabilities
-bound it from below. The posterior network is the control variate: both bounds are its accuracy on many starts, and what
-the decisions gain over its own on the sampled ones.
+bound it from below. A trained method, for `field` the posterior network, is the control variate: both bounds are its
+accuracy on many starts, and what the decisions gain over its own on the sampled ones.
 """
 
 from __future__ import annotations
@@ -16,42 +16,53 @@ import argparse
 import json
 import time
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from networks import network_of
 
+from motor_classifiers.estimators.methods import make_method
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.files import replacing, write_text
 from motor_env.inference.field_posterior import sampled_probabilities
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import Recipe
 
 FOLDER = Path(__file__).resolve().parent
-KEPT = FOLDER.parent / "out" / "field_limit"
-RESULT = FOLDER / "results" / "field_limit.json"
-
 SEED, CHUNK = 41, 50
 N_STARTS, N_TWICE = 2000, 1000
 N_OF_NETWORK, AT_ONCE = 100_000, 5_000
-RECIPE = replace(named_recipe("field"), starts_per_motor=1, healthy_starts=0, shifts=())
+N_TRAIN, CONTROL = 20_000, "physical-logistic"
 Z_95 = 1.96
 ARRAYS = ("probabilities", "effective")
 
 
-def chunks(run: int) -> list[tuple[int, int, Path]]:
+def single(name: str) -> Recipe:
+    """The recipe with one start of each motor."""
+    return replace(named_recipe(name), starts_per_motor=1, healthy_starts=0, shifts=())
+
+
+def kept(name: str) -> Path:
+    """Folder of what was sampled."""
+    return FOLDER.parent / "out" / f"{name}_limit"
+
+
+def chunks(name: str, run: int) -> list[tuple[int, int, Path]]:
     """Run, first start and file of each chunk of a run."""
-    return [(run, first, KEPT / f"{run}-{first}.npz") for first in range(0, (N_STARTS, N_TWICE)[run], CHUNK)]
+    count = (N_STARTS, N_TWICE)[run]
+    return [(run, first, kept(name) / f"{run}-{first}.npz") for first in range(0, count, CHUNK)]
 
 
-def sample(run: int, first: int, path: Path) -> None:
+def sample(recipe: Recipe, run: int, first: int, path: Path) -> None:
     """Posteriors of a chunk."""
-    starts = generate_arrays(RECIPE, SEED, range(first, first + CHUNK))
+    starts = generate_arrays(recipe, SEED, range(first, first + CHUNK))
     began = time.process_time()
     sampled = [
-        sampled_probabilities(RECIPE, start, np.random.default_rng([SEED, run, first + n]))
+        sampled_probabilities(recipe, start, np.random.default_rng([SEED, run, first + n]))
         for n, start in enumerate(starts.X)
     ]
     seconds = time.process_time() - began
@@ -65,47 +76,59 @@ def mean_and_error(values: FloatArray) -> tuple[float, float]:
     return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
 
 
+@cache
+def control(name: str) -> Any:
+    """The control variate: the posterior network of a field, fitted parameters and logistic regression at work."""
+    if named_recipe(name).duty is None:
+        return network_of(named_recipe(name))
+    train = generate_arrays(single(name), SEED + 1, N_TRAIN)
+    return make_method(CONTROL, single(name), 0).fit(train.X, train.class_name)
+
+
 def decisions(starts: Dataset) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """What the network decides, as indices of the recipe's classes."""
-    network = network_of(named_recipe("field"))
-    order = [list(network.classes_).index(name) for name in RECIPE.class_names]
-    decided: np.ndarray[Any, np.dtype[np.int64]] = network.predict_proba(starts.X)[:, order].argmax(axis=1)
+    """What the control variate decides, as indices of the recipe's classes."""
+    model = control(starts.recipe.name)
+    order = [list(model.classes_).index(name) for name in starts.class_names]
+    decided: np.ndarray[Any, np.dtype[np.int64]] = model.predict_proba(starts.X)[:, order].argmax(axis=1)
     return decided
 
 
-def accuracy_of_network() -> tuple[float, float]:
+def accuracy_of_network(name: str) -> tuple[float, float]:
     """On many starts that are not those of the sampled posterior, and its standard error."""
-    path = KEPT / "network.npz"
+    path = kept(name) / "network.npz"
     if not path.is_file():
         right = []
         for first in range(N_STARTS, N_STARTS + N_OF_NETWORK, AT_ONCE):
-            starts = generate_arrays(RECIPE, SEED, range(first, first + AT_ONCE))
+            starts = generate_arrays(single(name), SEED, range(first, first + AT_ONCE))
             right.append(decisions(starts) == starts.class_index)
         with replacing(path) as temporary:
             np.savez(temporary, right=np.concatenate(right))
     return mean_and_error(np.load(path)["right"].astype(np.float64))
 
 
-def stored(run: int) -> tuple[FloatArray, FloatArray, float]:
+def stored(name: str, run: int) -> tuple[FloatArray, FloatArray, float]:
     """Posteriors of a run as far as they go, the effective draws behind them, and the processor seconds."""
     parts = []
-    for _, _, path in chunks(run):
+    for _, _, path in chunks(name, run):
         if not path.is_file():
             break
         parts.append(dict(np.load(path)))
-    probabilities, effective = (np.concatenate([part[name] for part in parts]) for name in ARRAYS)
+    probabilities, effective = (np.concatenate([part[array] for part in parts]) for array in ARRAYS)
     return probabilities, effective, sum(float(part["seconds"]) for part in parts)
 
 
-def figures(once: FloatArray, again: FloatArray, network: tuple[float, float]) -> dict[str, Any]:
+def figures(
+    once: FloatArray, again: FloatArray, network: tuple[float, float], name: str = "field"
+) -> dict[str, Any]:
     """All figures.
 
     Args:
         once: posteriors of all starts, shape (n_starts, n_classes).
         again: of the first ones, sampled again.
-        network: its accuracy, and the standard error.
+        network: accuracy of the control variate, and the standard error.
+        name: of the recipe.
     """
-    starts = generate_arrays(RECIPE, SEED, range(len(once)))
+    starts = generate_arrays(single(name), SEED, range(len(once)))
     of_network, rows = decisions(starts), np.arange(len(again))
     pair = np.stack([once[: len(again)], again])
     decided, largest = pair.argmax(axis=2), pair.max(axis=2)
@@ -140,24 +163,31 @@ def figures(once: FloatArray, again: FloatArray, network: tuple[float, float]) -
 
 def main() -> None:
     """Sample what is missing, as long as there is time, and write the figures."""
-    parser = argparse.ArgumentParser(description="The best possible accuracy on the recipe field.")
+    parser = argparse.ArgumentParser(
+        description="The best possible accuracy on a recipe without a closed form."
+    )
     parser.add_argument("--minutes", type=float, default=float("inf"), help="of processor time, about")
+    parser.add_argument("--recipe", choices=["field", "operation"], default="field")
     options = parser.parse_args()
-    for run, first, path in sorted([*chunks(0), *chunks(1)], key=lambda each: each[1] * (1 + each[0])):
-        if not path.is_file() and time.process_time() < 60.0 * options.minutes:
-            sample(run, first, path)
-    once, effective_once, seconds_once = stored(0)
-    again, effective_again, seconds_again = stored(1)
+    name = options.recipe
+    parts = sorted([*chunks(name, 0), *chunks(name, 1)], key=lambda each: each[1] * (1 + each[0]))
+    for run, first, path in parts:
+        if not path.is_file():
+            if time.process_time() > 60.0 * options.minutes:
+                raise SystemExit("not done: run it again")
+            sample(single(name), run, first, path)
+    once, effective_once, seconds_once = stored(name, 0)
+    again, effective_again, seconds_again = stored(name, 1)
     effective = np.concatenate([effective_once[once > 0.01], effective_again[again > 0.01]])
     result = {
-        "command": "python benchmarks/field_limit.py",
-        "recipe": "field",
+        "command": f"python benchmarks/field_limit.py{'' if name == 'field' else f' --recipe {name}'}",
+        "recipe": name,
         "seed": SEED,
-        **figures(once, again, accuracy_of_network()),
+        **figures(once, again, accuracy_of_network(name), name),
         "effective_draws": {f"{q:g} %": float(np.quantile(effective, 0.01 * q)) for q in (0, 1, 10, 50)},
         "seconds_per_start": (seconds_once + seconds_again) / (len(once) + len(again)),
     }
-    write_text(RESULT, json.dumps(result, indent=1) + "\n")
+    write_text(FOLDER / "results" / f"{name}_limit.json", json.dumps(result, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.motor.parameters import Channel, FloatArray
+from motor_env.simulation.duty import VOLTAGE
 from motor_env.simulation.recipes import Recipe
 
 MOTOR_PARAMETERS = (
@@ -35,12 +36,18 @@ EFFECTS = (
 )
 LABELS = ("case_id", "motor_id", "split", "class_name", "class_index", "kind", "severity")
 SENSOR_ERRORS = ("gain", "offset_a")
-COLUMN_OF_CHANNEL = {Channel.CURRENT: "current_a", Channel.SPEED: "speed_rad_s"}
+LOADS = ("load_rise_n_m", "fan_n_m_s2")
+COLUMN_OF_CHANNEL: dict[str, str] = {
+    Channel.CURRENT: "current_a",
+    Channel.SPEED: "speed_rad_s",
+    VOLTAGE: "applied_voltage_v",
+}
 
 
 def parameter_names(recipe: Recipe) -> tuple[str, ...]:
     """Names of the sampled physical parameters, each a label of a case."""
-    return MOTOR_PARAMETERS if recipe.field is None else MOTOR_PARAMETERS + EFFECTS + SENSOR_ERRORS
+    loads = () if recipe.duty is None else LOADS
+    return MOTOR_PARAMETERS if recipe.field is None else MOTOR_PARAMETERS + EFFECTS + SENSOR_ERRORS + loads
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -48,7 +55,7 @@ class Dataset:
     """Labelled transients.
 
     Attributes:
-        X: measurements, float32, shape (n_cases, n_channels, n_timepoints); channels in the order of the sensor.
+        X: measurements, float32, shape (n_cases, n_channels, n_timepoints); channels in the order of `recipe.channels`.
         class_name: label, shape (n_cases,).
         class_index: index into `class_names`, shape (n_cases,).
         kind: healthy or the fault's kind, shape (n_cases,).

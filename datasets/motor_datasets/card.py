@@ -59,6 +59,7 @@ def data_card(manifest: Manifest) -> str:
     counts = "\n".join(f"| {name} | {count} |" for name, count in rows.items())
     table = "\n".join(f"| `{c.name}` | {c.kind} | {c.unit} | {c.meaning} |" for c in columns(manifest.recipe))
     total = sum(rows.values())
+    channels = ", ".join(f"`{c.name}`" for c in columns(manifest.recipe) if c.kind == "samples")
     return f"""---
 license: mit
 size_categories:
@@ -78,8 +79,8 @@ configs:
 
 # DC motor transients, recipe `{manifest.recipe.name}`
 
-Simulated start-up transients with their labels, seed {manifest.seed}. One row a case; samples are lists of float32 in
-`current_a` and, where measured, `speed_rad_s`. No motor stands in two splits. {total} cases in
+Simulated {_subject(manifest)} with their labels, seed {manifest.seed}. One row a case; samples are lists of float32 in
+{channels}. No motor stands in two splits. {total} cases in
 {len(manifest.files)} files, {manifest.bytes / 1e6:.1f} MB. License: MIT, that of the package that made them.
 
 | split | cases |
@@ -102,6 +103,10 @@ Read it with `motor_datasets.load`, pandas, polars, DuckDB, pyarrow, or `dataset
 `dataset.json` holds recipe, seed and the digest of every file; `motor-datasets verify` checks them. `croissant.json`
 says the same to whoever reads Croissant.
 """
+
+
+def _subject(manifest: Manifest) -> str:
+    return "start-up transients" if manifest.recipe.duty is None else "records of motors at work"
 
 
 def _size_category(count: int) -> str:
@@ -141,7 +146,7 @@ def croissant(manifest: Manifest) -> str:
         "@type": "sc:Dataset",
         "conformsTo": "http://mlcommons.org/croissant/1.0",
         "name": name,
-        "description": f"Simulated start-up transients of DC motors with faults, recipe {recipe.name}.",
+        "description": f"Simulated {_subject(manifest)} of DC motors with faults, recipe {recipe.name}.",
         "license": LICENSE,
         "version": "1.0.0",
         "citeAs": f"motor-env, recipe {recipe.name}, seed {manifest.seed}, {manifest.cases} cases",

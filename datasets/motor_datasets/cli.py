@@ -44,13 +44,14 @@ def generate(
     json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
     dry_run: Flag = False,
 ) -> int:
-    """Write labelled start-up transients to a new folder. The same seed gives the same bytes.
+    """Write labelled transients to a new folder. The same seed gives the same bytes.
 
     Example: motor-datasets generate bench --cases 4000 --seed 1 --out out/bench
 
     Args:
         recipe: What is sampled: paper (noise only), bench (tolerances), bench-full (all fault kinds), field (dry
-            friction, temperature, supply, load, sensor errors), or a recipe TOML.
+            friction, temperature, supply, load, sensor errors), operation (motors at work: another voltage, which is a
+            channel, and load in each case), or a recipe TOML.
         cases: Number of transients.
         seed: Random seed, 0 .. 2^64 - 1.
         out: New folder, or a URL such as s3://bucket/prefix. An existing one is never overwritten.
@@ -97,7 +98,7 @@ def generate(
         "cases": cases,
         "cases_of_shifts": plan.cases_of_all - cases,
         "classes": list(chosen.class_names),
-        "channels": [str(channel) for channel in chosen.sensor.channels],
+        "channels": [str(channel) for channel in chosen.channels],
         "samples": chosen.timing.n_samples,
         "files": len(plan.files),
         "bytes_uncompressed": plan.bytes_uncompressed,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from motor_datasets.arrays import COLUMN_OF_CHANNEL, parameter_names
-from motor_env.simulation.disturbances import PER_MOTOR, PRIORS
+from motor_env.simulation.disturbances import PER_MOTOR
 from motor_env.simulation.recipes import FACTORS, Recipe
 
 
@@ -57,15 +57,21 @@ _MEANINGS = {
     "delay_s": ("s", "delay of the supply's step after time 0"),
     "gain": ("1", "factor of the current sensor"),
     "offset_a": ("A", "offset of the current sensor"),
+    "load_rise_n_m": ("N m", "what the load gains from begin to end"),
+    "fan_n_m_s2": ("N m s²", "load over the square of the speed"),
 }
-_CHANNELS = {"current_a": ("A", "measured current"), "speed_rad_s": ("rad/s", "measured speed")}
+_CHANNELS = {
+    "current_a": ("A", "measured current"),
+    "speed_rad_s": ("rad/s", "measured speed"),
+    "applied_voltage_v": ("V", "applied voltage, held over each sampling interval"),
+}
 
 
 def columns(recipe: Recipe) -> tuple[Column, ...]:
     """The columns of a recipe's data set, in their order."""
     timing = recipe.timing
     every = f", {timing.n_samples} samples at {timing.sampling_rate_hz:g} Hz"
-    channels = [COLUMN_OF_CHANNEL[channel] for channel in recipe.sensor.channels]
+    channels = [COLUMN_OF_CHANNEL[channel] for channel in recipe.channels]
     return (
         *_LABELS,
         *(Column(name, "number", *_MEANINGS[name]) for name in parameter_names(recipe)),
@@ -78,7 +84,12 @@ def describe(recipe: Recipe) -> str:
     timing, sensor = recipe.timing, recipe.sensor
     lines = [f"recipe {recipe.name}", "motor"]
     lines += [f"  {f.name} = {getattr(recipe.motor, f.name):g}" for f in fields(recipe.motor)]
-    lines.append(f"supply: step to {recipe.supply.voltage_v:g} V")
+    duty, level = recipe.duty, f"{recipe.supply.voltage_v:g} V"
+    if duty is None:
+        lines.append(f"supply: step to {level}")
+    else:
+        lines.append(f"supply: up to {level}, each of these profiles as often: {', '.join(duty.profiles)}")
+        lines.append("  hold_s: {:g} to {:g}, log-uniform, each start".format(*duty.hold_s))
     lines.append("relative standard deviations (supply: each start; the others: each motor)")
     lines += [f"  {name}: {100.0 * getattr(recipe.spread, name):g} %" for name in FACTORS]
     lines.append("classes")
@@ -97,13 +108,12 @@ def describe(recipe: Recipe) -> str:
         f"samples: {timing.n_samples} at {timing.sampling_rate_hz:g} Hz, {timing.quiet_s:g} s before the step"
         f" and {timing.duration_s:g} s after it"
     )
-    lines.append(f"channels: {', '.join(sensor.channels)}; current noise {sensor.current_noise_a:g} A")
+    lines.append(f"channels: {', '.join(recipe.channels)}; current noise {sensor.current_noise_a:g} A")
     if "speed" in sensor.channels:
         lines.append(f"speed noise {sensor.speed_noise_rad_s:g} rad/s")
     if recipe.field is not None:
         lines.append("field (uniform; torques relative to the viscous torque at no-load speed)")
-        for name in PRIORS:
-            low, high = getattr(recipe.field, name)
+        for name, (low, high) in recipe.priors.items():
             lines.append(f"  {name}: {low:g} to {high:g}, each {'motor' if name in PER_MOTOR else 'start'}")
         for name in ("ripple_hz", "sensor_lag_s", "sensor_range_a", "adc_bits", "missing_fraction"):
             lines.append(f"  {name} = {getattr(recipe.field, name):g}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_datasets.arrays import EFFECTS, SENSOR_ERRORS, Dataset
+from motor_datasets.arrays import EFFECTS, LOADS, SENSOR_ERRORS, Dataset
 from motor_datasets.splits import split_of
 from motor_env.motor.parameters import require
 from motor_env.simulation.drawing import Draw, draw, measure_draw
@@ -32,7 +32,7 @@ def generate_arrays(recipe: Recipe, seed: int, cases: int | ArrayLike) -> Datase
         numbers = np.atleast_1d(np.asarray(cases, dtype=np.int64))
         require(numbers.size >= 1, "cases must name at least one case, got none")
     drawn = draw(recipe, seed, numbers)
-    X = np.empty((len(numbers), len(recipe.sensor.channels), recipe.timing.n_samples), dtype=np.float32)
+    X = np.empty((len(numbers), len(recipe.channels), recipe.timing.n_samples), dtype=np.float32)
     for begin in range(0, len(numbers), _CASES_AT_ONCE):
         part = slice(begin, begin + _CASES_AT_ONCE)
         measure_draw(draw(recipe, seed, numbers[part]), recipe, seed, X[part])
@@ -47,6 +47,8 @@ def _labelled(X: NDArray[np.float32], drawn: Draw, recipe: Recipe, seed: int) ->
     if drawn.effects is not None:
         values.update({name: getattr(drawn.effects, name) for name in EFFECTS})
         values.update({name: getattr(drawn.chain, name) for name in SENSOR_ERRORS})
+    if drawn.driving is not None:
+        values.update({name: getattr(drawn.driving, name) for name in LOADS})
     return Dataset(
         X=X,
         class_name=np.array(recipe.class_names)[index],

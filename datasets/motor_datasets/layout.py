@@ -62,7 +62,7 @@ class Plan:
 def bytes_of_case(recipe: Recipe) -> int:
     """Bytes of one case before compression."""
     labels = 8 * (len(parameter_names(recipe)) + 4)
-    return 4 * len(recipe.sensor.channels) * recipe.timing.n_samples + labels
+    return 4 * len(recipe.channels) * recipe.timing.n_samples + labels
 
 
 def make_plan(recipe: Recipe, cases: int, seed: int) -> Plan:

@@ -51,6 +51,6 @@ def to_pandas(dataset: Dataset) -> pd.DataFrame:
     import pandas as pd
 
     columns: dict[str, Any] = {name: getattr(dataset, name) for name in LABELS} | dict(dataset.parameters)
-    for n, channel in enumerate(dataset.recipe.sensor.channels):
+    for n, channel in enumerate(dataset.recipe.channels):
         columns[COLUMN_OF_CHANNEL[channel]] = list(dataset.X[:, n])
     return pd.DataFrame(columns)

@@ -45,7 +45,7 @@ def _schema(recipe: Recipe, seed: int) -> pa.Schema:
         **dict.fromkeys(parameter_names(recipe), pa.float64()),
         **{
             COLUMN_OF_CHANNEL[channel]: pa.list_(sample, recipe.timing.n_samples)
-            for channel in recipe.sensor.channels
+            for channel in recipe.channels
         },
     }
     metadata = {
@@ -59,7 +59,7 @@ def to_table(dataset: Dataset) -> pa.Table:
     schema = _schema(dataset.recipe, dataset.seed)
     columns: dict[str, Any] = {name: getattr(dataset, name) for name in LABELS} | dict(dataset.parameters)
     arrays = []
-    samples = {COLUMN_OF_CHANNEL[channel]: n for n, channel in enumerate(dataset.recipe.sensor.channels)}
+    samples = {COLUMN_OF_CHANNEL[channel]: n for n, channel in enumerate(dataset.recipe.channels)}
     for field in schema:
         if field.name in samples:
             flat = pa.array(np.ascontiguousarray(dataset.X[:, samples[field.name]]).reshape(-1))
@@ -114,13 +114,13 @@ def read_files(folder: Folder, manifest: Manifest, split: str | None = None) -> 
     schema = _schema(recipe, manifest.seed)
     tables = [_read_table(folder, entry, schema, row_bytes) for entry in entries]
     rows = sum(len(table) for table in tables)
-    X = np.empty((rows, len(recipe.sensor.channels), recipe.timing.n_samples), dtype=np.float32)
+    X = np.empty((rows, len(recipe.channels), recipe.timing.n_samples), dtype=np.float32)
     labels = pa.concat_tables(
-        table.drop_columns([COLUMN_OF_CHANNEL[c] for c in recipe.sensor.channels]) for table in tables
+        table.drop_columns([COLUMN_OF_CHANNEL[c] for c in recipe.channels]) for table in tables
     )
     row = 0
     for table in tables:
-        for n, channel in enumerate(recipe.sensor.channels):
+        for n, channel in enumerate(recipe.channels):
             column = table.column(COLUMN_OF_CHANNEL[channel]).combine_chunks()
             X[row : row + len(table), n] = column.flatten().to_numpy().reshape(len(table), -1)
         row += len(table)

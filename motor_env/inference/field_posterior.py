@@ -21,8 +21,7 @@ from motor_env.inference.posterior import variance_factor
 from motor_env.inference.truncated_normal import TruncatedNormal
 from motor_env.motor.faults import Fault
 from motor_env.motor.parameters import Channel, FloatArray, SupplyParameters
-from motor_env.simulation.disturbances import PRIORS
-from motor_env.simulation.drawing import apply_factors, surroundings
+from motor_env.simulation.drawing import apply_factors, driven, surroundings
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 from motor_env.simulation.simulate import Scenario
@@ -44,18 +43,31 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 class ClassModel:
     """One class of a recipe: what is read, as a function of its nuisances.
 
-    The coordinates are the standard normal ones of `FACTORS`; then, uniform in 0 .. 1, the `PRIORS` of a recipe with a
-    table `field`, and the severities that have a range.
+    The coordinates are the standard normal ones of `FACTORS`; then, uniform in 0 .. 1, the recipe's priors that have a
+    range, and the severities that have one.
+
+    Attributes:
+        recipe: what motors are drawn from.
+        fault_class: the class.
+        voltage_v: what was applied to a motor at work, shape (n_samples,), or (n, n_samples) for as many coordinates;
+            None for starts.
     """
 
     recipe: Recipe
     fault_class: FaultClass
+    voltage_v: FloatArray | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each coordinate is, severities by their kind."""
+        uncertain = [name for name, (low, high) in self.recipe.priors.items() if low < high]
+        ranged = [str(part.kind) for part in self.fault_class.parts if part.severity_to is not None]
+        return (*FACTORS, *uncertain, *ranged[::-1])
 
     @property
     def n_uniform(self) -> int:
         """Number of uniform coordinates."""
-        ranged = [part for part in self.fault_class.parts if part.severity_to is not None]
-        return len(ranged) + (0 if self.recipe.field is None else len(PRIORS))
+        return len(self.names) - len(FACTORS)
 
     @property
     def box(self) -> FloatArray:
@@ -104,14 +116,19 @@ class ClassModel:
             sensor=recipe.sensor.with_noise(0.0),
             timing=recipe.timing,
         )
-        effects = chain = None
+        effects = chain = driving = None
         if recipe.field is not None:
-            low, high = np.array([getattr(recipe.field, name) for name in PRIORS]).T
-            drawn = low + (high - low) * values[:, len(FACTORS) : len(FACTORS) + len(PRIORS)]
+            low, high = np.array(list(recipe.priors.values())).T
+            drawn, free = np.tile(low, (n, 1)), low < high
+            drawn[:, free] += (high - low)[free] * values[:, len(FACTORS) : len(FACTORS) + free.sum()]
             effects, chain = surroundings(recipe, drawn, severities)
             chain = replace(chain, adc_bits=0, range_a=0.0, missing_fraction=0.0)
-        exact = measure(scenario, 0, np.arange(n), effects=effects, chain=chain, nominal=recipe.motor)
-        return exact.reshape(n, -1).astype(np.float64)
+            if self.voltage_v is not None:
+                driving = driven(recipe, drawn, np.atleast_2d(self.voltage_v))
+        exact = measure(
+            scenario, 0, np.arange(n), effects=effects, chain=chain, nominal=recipe.motor, driving=driving
+        )
+        return exact[:, : len(recipe.sensor.channels)].reshape(n, -1).astype(np.float64)
 
     def log_joint(self, measured: FloatArray, readings: FloatArray, values: FloatArray) -> FloatArray:
         """Log density of what was measured and of the coordinates in their box, shape (n,); nan: not measured."""
@@ -293,11 +310,14 @@ def sampled_probabilities(
 
     Args:
         recipe: what the start was drawn from; a table `field` is allowed.
-        start: measurements, shape (n_channels, n_samples); nan: not measured.
+        start: measurements, shape (n_channels, n_samples); nan: not measured. Of a motor at work the last channel is
+            the applied voltage, which is known: speed loops that see what was measured tell no more by it.
         rng: of the draws, and of the order in which one class's best fit begins at that of another.
     """
-    measured = np.asarray(start, dtype=np.float64).reshape(-1)
-    models = [ClassModel(recipe, fault_class) for fault_class in recipe.classes]
+    whole = np.asarray(start, dtype=np.float64).reshape(len(recipe.channels), -1)
+    measured = whole[: len(recipe.sensor.channels)].reshape(-1)
+    voltage = None if recipe.duty is None else whole[-1]
+    models = [ClassModel(recipe, fault_class, voltage) for fault_class in recipe.classes]
     fits = _best_fits(models, measured, rng.permutation(len(models)).tolist())
     objective = {index: fit.objective(models[index]) for index, fit in fits.items()}
     nearest = min(objective.values())

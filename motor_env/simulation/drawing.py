@@ -15,7 +15,9 @@ from motor_env.motor.parameters import (
     MotorParameters,
     SupplyParameters,
 )
-from motor_env.simulation.disturbances import PER_MOTOR, PRIORS
+from motor_env.simulation.disturbances import PER_MOTOR
+from motor_env.simulation.driven import Driving
+from motor_env.simulation.duty import N_UNIFORMS
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.nonlinear import Effects
 from motor_env.simulation.random_streams import Stream, normals, uniforms
@@ -36,6 +38,7 @@ class Draw(NamedTuple):
         severity: sum over the faults of the case, 0 for healthy, shape (n_cases,).
         effects: departures from the textbook motor; None for none.
         chain: errors of the current sensor; None for none.
+        driving: voltage and load of motors at work; None for starts.
     """
 
     cases: NDArray[np.int64]
@@ -46,6 +49,7 @@ class Draw(NamedTuple):
     severity: FloatArray
     effects: Effects | None = None
     chain: SensorChain | None = None
+    driving: Driving | None = None
 
 
 def draw(recipe: Recipe, seed: int, cases: ArrayLike) -> Draw:
@@ -74,8 +78,17 @@ def draw(recipe: Recipe, seed: int, cases: ArrayLike) -> Draw:
     first = np.zeros(len(numbers))
     for kind, severity in severities.items():
         first += severity * np.array([c.kind == kind for c in recipe.classes])[class_index]
-    effects, chain = _draw_field(recipe, seed, numbers, severities)
-    return Draw(numbers, class_index, factors, scenario, motor_id, first, effects, chain)
+    drawn = Draw(numbers, class_index, factors, scenario, motor_id, first)
+    if recipe.field is None:
+        return drawn
+    priors = _draw_priors(recipe, seed, numbers)
+    effects, chain = surroundings(recipe, priors, severities)
+    drawn = drawn._replace(effects=effects, chain=chain)
+    if recipe.duty is None:
+        return drawn
+    share, is_loop = recipe.duty.profile(uniforms(seed, Stream.DUTY, numbers, N_UNIFORMS), recipe.timing)
+    level = np.asarray(scenario.supply.voltage_v)
+    return drawn._replace(driving=driven(recipe, priors, share * level[:, None], is_loop, level))
 
 
 def _draw_classes(
@@ -111,19 +124,14 @@ def _draw_severities(
     return severities
 
 
-def _draw_field(
-    recipe: Recipe, seed: int, cases: NDArray[np.int64], severities: dict[FaultKind, FloatArray]
-) -> tuple[Effects | None, SensorChain | None]:
-    """What surrounds each case, everything of shape (n_cases,); None where the recipe says nothing of it."""
-    field = recipe.field
-    if field is None:
-        return None, None
-    low, high = np.array([getattr(field, name) for name in PRIORS]).T
-    by_motor = uniforms(seed, Stream.FIELD_MOTOR, recipe.motor_id(cases), len(PRIORS))
-    by_start = uniforms(seed, Stream.FIELD_START, cases, len(PRIORS))
-    is_motor = np.array([name in PER_MOTOR for name in PRIORS])
-    drawn = low + (high - low) * np.where(is_motor, by_motor, by_start)
-    return surroundings(recipe, drawn, severities)
+def _draw_priors(recipe: Recipe, seed: int, cases: NDArray[np.int64]) -> FloatArray:
+    """Values of the recipe's priors, shape (n_cases, n_priors)."""
+    low, high = np.array(list(recipe.priors.values())).T
+    by_motor = uniforms(seed, Stream.FIELD_MOTOR, recipe.motor_id(cases), len(low))
+    by_start = uniforms(seed, Stream.FIELD_START, cases, len(low))
+    is_motor = np.array([name in PER_MOTOR for name in recipe.priors])
+    drawn: FloatArray = low + (high - low) * np.where(is_motor, by_motor, by_start)
+    return drawn
 
 
 def surroundings(
@@ -133,19 +141,18 @@ def surroundings(
 
     Args:
         recipe: one with a table `field`.
-        values: of `PRIORS` in their order, shape (n_cases, 13).
+        values: of the recipe's priors in their order, shape (n_cases, n_priors).
         severities: of the faults, each of shape (n_cases,).
     """
-    field, nominal = recipe.field, recipe.motor
+    field = recipe.field
     if field is None:
         raise ValueError(f"recipe {recipe.name} must have a table field")
-    v = dict(zip(PRIORS, values.T, strict=True))
+    v = dict(zip(recipe.priors, values.T, strict=True))
     bearing = np.zeros(len(values))
     for kind, severity in severities.items():
         if kind.verdict == FaultKind.BEARING.verdict:
             bearing = bearing + severity
-    no_load_speed = recipe.supply.voltage_v / nominal.back_emf_constant_v_s_per_rad
-    torque = nominal.viscous_friction_n_m_s_per_rad * no_load_speed
+    torque = _torque(recipe)
     effects = Effects(
         coulomb_friction_n_m=v["coulomb_ratio"] * torque * (1.0 + bearing),
         stribeck_friction_n_m=v["stribeck_ratio"] * torque,
@@ -156,6 +163,42 @@ def surroundings(
         **{f.name: v[f.name] for f in fields(Effects) if f.name in v},
     )
     return effects, field.sensor_chain(v["sensor_gain"], v["sensor_offset_a"])
+
+
+def _torque(recipe: Recipe) -> float:
+    """Nominal viscous torque at no-load speed."""
+    return float(recipe.motor.viscous_friction_n_m_s_per_rad * _no_load_speed(recipe))
+
+
+def _no_load_speed(recipe: Recipe) -> float:
+    return float(recipe.supply.voltage_v / recipe.motor.back_emf_constant_v_s_per_rad)
+
+
+def driven(
+    recipe: Recipe,
+    values: FloatArray,
+    voltage_v: FloatArray,
+    is_loop: NDArray[np.bool_] | None = None,
+    limit_v: FloatArray | None = None,
+) -> Driving:
+    """What drives and loads motors at work.
+
+    Args:
+        recipe: one with a table `duty`.
+        values: of the recipe's priors in their order, shape (n_cases, n_priors).
+        voltage_v: applied voltage, or the wanted back-EMF of a speed loop, shape (n_cases or 1, n_samples).
+        is_loop: which cases have a speed loop; none by default.
+        limit_v: largest voltage of each loop.
+    """
+    v, torque, zeros = dict(zip(recipe.priors, values.T, strict=True)), _torque(recipe), np.zeros(len(values))
+    return Driving(
+        voltage_v=np.ascontiguousarray(voltage_v),
+        is_loop=zeros > 0.0 if is_loop is None else is_loop,
+        resistance_ohm=float(recipe.motor.resistance_ohm),
+        limit_v=zeros if limit_v is None else limit_v,
+        load_rise_n_m=torque * (v["load_end_ratio"] - v["load_ratio"]),
+        fan_n_m_s2=torque * v["fan_ratio"] / _no_load_speed(recipe) ** 2,
+    )
 
 
 def measure_draw(
@@ -169,6 +212,7 @@ def measure_draw(
         effects=drawn.effects,
         chain=drawn.chain,
         nominal=recipe.motor,
+        driving=drawn.driving,
         out=out,
     )
 

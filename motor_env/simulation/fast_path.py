@@ -6,6 +6,8 @@ readings alone, the same to float32, some ten times as fast.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -13,8 +15,9 @@ from motor_env.motor.compiled import njit
 from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_factor
 from motor_env.motor.model import State, discretize, steady_state
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, require
+from motor_env.simulation.driven import Driving, integrate_driven
 from motor_env.simulation.nonlinear import Effects, integrate, substeps
-from motor_env.simulation.random_streams import Stream, uniforms
+from motor_env.simulation.random_streams import Stream, normals, uniforms, whole_blocks
 from motor_env.simulation.sensor import SensorChain, read_sensors
 from motor_env.simulation.simulate import Scenario, scenario_states
 
@@ -69,6 +72,7 @@ def measure(
     effects: Effects | None = None,
     chain: SensorChain | None = None,
     nominal: MotorParameters | None = None,
+    driving: Driving | None = None,
     out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """Readings of the sensors; row n depends on its scenario and on (seed, case n) alone.
@@ -80,10 +84,11 @@ def measure(
         effects: departures from the textbook motor; then the faults must have been there always.
         chain: errors of the current sensor.
         nominal: decides the integration step where there are effects; the scenario's motor where it is one.
+        driving: what drives and loads a motor at work, together with effects; the scenario's supply is not used.
         out: filled where given.
 
     Returns:
-        Shape (n_cases, n_channels, n_samples), float32.
+        Shape (n_cases, n_channels, n_samples), float32; the applied voltage is one channel more where there is driving.
 
     Raises:
         ValueError: the batch is not n_cases long, or effects are asked together with an onset or process noise.
@@ -92,22 +97,21 @@ def measure(
     require(0 <= seed < 2**64, f"seed must be in 0 .. 2^64 - 1, got {seed}")
     n_cases = numbers.size
     if out is None:
-        out = np.empty((n_cases, len(sensor.channels), timing.n_samples), dtype=np.float32)
+        n_channels = len(sensor.channels) + (driving is not None)
+        out = np.empty((n_cases, n_channels, timing.n_samples), dtype=np.float32)
     is_current = np.array([channel is Channel.CURRENT for channel in sensor.channels])
     constant = all(fault.is_constant for fault in scenario.faults) and not any(scenario.process_noise_std)
     if effects is not None:
         require(constant, "effects need faults without an onset, and no process noise")
         motor = scenario.parameters if nominal is None else nominal
-        integrate(
-            apply_faults(scenario.parameters, scenario.faults),
-            effects,
-            scenario.supply.voltage_v,
-            dt_s=timing.dt_s,
-            steps=substeps(motor, timing.dt_s, float(np.max(effects.ripple_hz))),
-            n_quiet=timing.n_quiet,
-            is_current=is_current,
-            out=out,
-        )
+        faulty = apply_faults(scenario.parameters, scenario.faults)
+        steps = substeps(motor, timing.dt_s, float(np.max(effects.ripple_hz)))
+        common: dict[str, Any] = {"dt_s": timing.dt_s, "steps": steps, "is_current": is_current, "out": out}
+        if driving is None:
+            integrate(faulty, effects, scenario.supply.voltage_v, n_quiet=timing.n_quiet, **common)
+        else:
+            noise_a = _noise_of_loop(scenario, driving, seed, numbers)
+            integrate_driven(faulty, effects, driving, noise_a=noise_a, **common)
     elif constant:
         parameters = apply_faults(scenario.parameters, scenario.faults)
         transition = discretize(parameters, timing.dt_s).transition.reshape(-1, 2, 2)
@@ -122,11 +126,27 @@ def measure(
         "the simulated current or speed left the range of numbers: a value of the recipe is too large or too small",
     )
     rows = _NO_CHAIN if chain is None else chain.rows(n_cases, timing.dt_s)
-    read_sensors(out, is_current, rows, _noise_std(scenario), np.uint64(seed), numbers.astype(np.uint64))
+    read = out if driving is None else np.ascontiguousarray(out[:, :-1])
+    read_sensors(read, is_current, rows, _noise_std(scenario), np.uint64(seed), numbers.astype(np.uint64))
+    if driving is not None:
+        out[:, :-1] = read
     if chain is not None and chain.missing_fraction > 0.0:
         lost = uniforms(seed, Stream.MISSING, numbers, timing.n_samples) < chain.missing_fraction
-        out[np.broadcast_to(lost[:, None], out.shape)] = np.nan
+        read = out[:, : len(is_current)]
+        read[np.broadcast_to(lost[:, None], read.shape)] = np.nan
     return out
+
+
+def _noise_of_loop(scenario: Scenario, driving: Driving, seed: int, cases: NDArray[np.int64]) -> FloatArray:
+    """Noise of the current that `read_sensors` adds afterwards, shape (n_cases, n_samples); no rows without a loop."""
+    n_samples, channels = scenario.timing.n_samples, scenario.sensor.channels
+    if not driving.is_loop.any():
+        return np.empty((0, n_samples))
+    require(Channel.CURRENT in channels, "a speed loop needs the current among the channels")
+    place, stride = channels.index(Channel.CURRENT), whole_blocks(n_samples)
+    z = normals(seed, Stream.MEASUREMENT, cases, (place + 1) * stride)[:, place * stride :]
+    noise: FloatArray = z[:, :n_samples] * _noise_std(scenario)[:, place]
+    return noise
 
 
 def _noise_std(scenario: Scenario) -> NDArray[np.float32]:

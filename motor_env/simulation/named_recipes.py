@@ -1,4 +1,4 @@
-"""The recipes that have a name: of the paper, of the bench, and of the field."""
+"""The recipes that have a name: of the paper, of the bench, of the field, and of a motor at work."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from motor_env.motor.parameters import (
     SensorParameters,
 )
 from motor_env.simulation.disturbances import Field
+from motor_env.simulation.duty import Duty
 from motor_env.simulation.recipes import PAPER_CLASSES, FaultClass, Recipe, Shift, Spread
 from motor_env.simulation.simulate import Timing
 
@@ -64,6 +65,19 @@ _FIELD_SHIFTS = (
     ),
 )
 
+WORK = Field(
+    coulomb_ratio=(0.3, 0.4),
+    brush_drop_v=(0.0, 0.1),
+    temperature_rise_k=(-5.0, 15.0),
+    load_ratio=(0.0, 1.0),
+)
+"""What surrounds a motor at work whose drive knows the voltage that it applies (docs/datasets.md)."""
+
+_WORK_SHIFTS = (
+    Shift("hotter", field=replace(WORK, temperature_rise_k=(25.0, 45.0))),
+    Shift("loaded", field=replace(WORK, load_ratio=(1.5, 2.0))),
+)
+
 RECIPES: dict[str, Recipe] = {
     "paper": Recipe(name="paper"),
     "bench": Recipe(name="bench", spread=BENCH_SPREAD),
@@ -80,9 +94,21 @@ RECIPES: dict[str, Recipe] = {
         healthy_starts=3,
         shifts=_FIELD_SHIFTS,
     ),
+    "operation": Recipe(
+        name="operation",
+        # The paper's motor with the choke of its drive and the inertia of its load.
+        motor=PAPER_MOTOR.scaled(viscous_friction_n_m_s_per_rad=0.65, inductance_h=10.0, inertia_kg_m2=4.0),
+        spread=BENCH_SPREAD,
+        timing=Timing(1_000.0, 0.5),
+        sensor=SensorParameters(current_noise_a=0.002),
+        field=WORK,
+        duty=Duty(load_end_ratio=(0.0, 1.0), fan_ratio=(0.0, 0.2)),
+        shifts=_WORK_SHIFTS,
+    ),
 }
 """Named recipes. `paper`: noise only. `bench`: every motor and every start differs by its tolerances. `bench-full`: the
-same with all fault kinds. `field`: temperature, supply, load, sensor errors, dry friction, brushes, trigger jitter."""
+same with all fault kinds. `field`: temperature, supply, load, sensor errors, dry friction, brushes, trigger jitter.
+`operation`: motors that run, with a voltage and a load of its own in each case."""
 
 
 def named_recipe(name: str, **changes: object) -> Recipe:

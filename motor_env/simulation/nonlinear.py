@@ -35,7 +35,7 @@ from motor_env.motor.parameters import (
     require_positive,
 )
 
-_LANES = 8
+LANES = 8
 _STEPS_PER_TIME_CONSTANT = (
     4.3  # at 10 kHz four steps a sample for the paper's motor; the error is in docs/datasets.md
 )
@@ -96,12 +96,12 @@ class Effects:
 
 
 (
-    _R, _INVERSE_L, _KB, _KT, _INVERSE_J, _B, _DRY, _STRIBECK, _INVERSE_WS, _BRUSH, _SOURCE_R, _RAMP_RATE, _RIPPLE,
-    _RIPPLE_RAD_S, _COMMUTATION, _COMMUTATION_TURN, _BEARING, _BEARING_TURN, _DELAY, _INVERSE_C, _LEAK, _VOLTAGE,
-    _NO_RAMP, _CURRENT, _SPEED, _ANGLE, _HEAT, _TIME, _STEP,
+    _R, _INVERSE_L, _KB, _KT, _INVERSE_J, _B, DRY, _STRIBECK, _INVERSE_WS, _BRUSH, _SOURCE_R, _RAMP_RATE, _RIPPLE,
+    _RIPPLE_RAD_S, _COMMUTATION, _COMMUTATION_TURN, _BEARING, _BEARING_TURN, _DELAY, _INVERSE_C, _LEAK, VOLTAGE,
+    _NO_RAMP, CURRENT, SPEED, _ANGLE, _HEAT, _TIME, STEP,
 ) = range(29)  # fmt: skip
 """Rows of the table of a group of cases: constants of the right-hand side, then the states, the time and the step."""
-_N_CONSTANTS, _N_ROWS = _CURRENT, _STEP + 1
+_N_CONSTANTS, _N_ROWS = CURRENT, STEP + 1
 
 _ROUND = 6755399441055744.0  # 1.5 x 2^52: adding and subtracting it rounds to the nearest integer
 _TURNS_PER_RAD, _RAD_PER_TURN = 0.5 / math.pi, 2.0 * math.pi
@@ -160,12 +160,12 @@ def parameter_rows(
         voltage_v,
         (ramp == 0.0).astype(np.float64),
     ]
-    width = _LANES * -(-n_cases // _LANES)
+    width = LANES * -(-n_cases // LANES)
     rows = np.zeros((_N_ROWS, width))
     for row, value in zip(rows, values, strict=False):
         row[:n_cases] = value
         row[n_cases:] = row[0]
-    return np.ascontiguousarray(rows.reshape(_N_ROWS, -1, _LANES).swapaxes(0, 1))
+    return np.ascontiguousarray(rows.reshape(_N_ROWS, -1, LANES).swapaxes(0, 1))
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -190,37 +190,35 @@ def _derivative(
     p: FloatArray, n: int, t: float, current: float, speed: float, angle: float, heat: float
 ) -> tuple[float, float, float, float]:
     """Right-hand side of lane n at time t since its step; p is one group of `parameter_rows`, flat."""
-    resistance = p[n + _LANES * _R] * (1.0 + COPPER_PER_KELVIN * heat)
-    r = t * p[n + _LANES * _RAMP_RATE] + p[n + _LANES * _NO_RAMP]
+    resistance = p[n + LANES * _R] * (1.0 + COPPER_PER_KELVIN * heat)
+    r = t * p[n + LANES * _RAMP_RATE] + p[n + LANES * _NO_RAMP]
     r = r if r < 1.0 else 1.0
-    ripple = p[n + _LANES * _RIPPLE] * _cosine(p[n + _LANES * _RIPPLE_RAD_S] * t)
-    supply = (p[n + _LANES * _VOLTAGE] + ripple) * r * r * (3.0 - 2.0 * r)
-    brush = (
-        p[n + _LANES * _BRUSH] * current / np.sqrt(current * current + _BRUSH_CURRENT_A * _BRUSH_CURRENT_A)
-    )
-    drop = (resistance + p[n + _LANES * _SOURCE_R]) * current + p[n + _LANES * _KB] * speed + brush
-    current_rate = (supply - drop) * p[n + _LANES * _INVERSE_L]
-    ratio = speed * p[n + _LANES * _INVERSE_WS]
+    ripple = p[n + LANES * _RIPPLE] * _cosine(p[n + LANES * _RIPPLE_RAD_S] * t)
+    supply = (p[n + LANES * VOLTAGE] + ripple) * r * r * (3.0 - 2.0 * r)
+    brush = p[n + LANES * _BRUSH] * current / np.sqrt(current * current + _BRUSH_CURRENT_A * _BRUSH_CURRENT_A)
+    drop = (resistance + p[n + LANES * _SOURCE_R]) * current + p[n + LANES * _KB] * speed + brush
+    current_rate = (supply - drop) * p[n + LANES * _INVERSE_L]
+    ratio = speed * p[n + LANES * _INVERSE_WS]
     smooth_sign = speed / np.sqrt(speed * speed + _STICTION_SPEED_RAD_S * _STICTION_SPEED_RAD_S)
-    stribeck = p[n + _LANES * _STRIBECK] / (1.0 + ratio * ratio)
-    bearing = p[n + _LANES * _BEARING] * _cosine(p[n + _LANES * _BEARING_TURN] * angle)
-    against = p[n + _LANES * _B] * speed + (p[n + _LANES * _DRY] + stribeck + bearing) * smooth_sign
-    commutation = 1.0 + p[n + _LANES * _COMMUTATION] * _cosine(p[n + _LANES * _COMMUTATION_TURN] * angle)
-    speed_rate = (p[n + _LANES * _KT] * commutation * current - against) * p[n + _LANES * _INVERSE_J]
-    heat_rate = (current * current * resistance - heat * p[n + _LANES * _LEAK]) * p[n + _LANES * _INVERSE_C]
+    stribeck = p[n + LANES * _STRIBECK] / (1.0 + ratio * ratio)
+    bearing = p[n + LANES * _BEARING] * _cosine(p[n + LANES * _BEARING_TURN] * angle)
+    against = p[n + LANES * _B] * speed + (p[n + LANES * DRY] + stribeck + bearing) * smooth_sign
+    commutation = 1.0 + p[n + LANES * _COMMUTATION] * _cosine(p[n + LANES * _COMMUTATION_TURN] * angle)
+    speed_rate = (p[n + LANES * _KT] * commutation * current - against) * p[n + LANES * _INVERSE_J]
+    heat_rate = (current * current * resistance - heat * p[n + LANES * _LEAK]) * p[n + LANES * _INVERSE_C]
     return current_rate, speed_rate, speed, heat_rate
 
 
 @njit(cache=True, error_model="numpy")  # a check for division by 0 would keep the loop from vectorising
-def _step_lanes(p: FloatArray) -> None:
+def step_lanes(p: FloatArray) -> None:
     """One step of the classical Runge-Kutta method (Kutta 1901) for a group of cases, a flat table of `_N_ROWS` rows.
 
     One flat array and constant offsets: the compiler sees that nothing overlaps, and runs the lanes side by side.
     """
-    for lane in range(_LANES):
-        i, w = p[lane + _LANES * _CURRENT], p[lane + _LANES * _SPEED]
-        a, q = p[lane + _LANES * _ANGLE], p[lane + _LANES * _HEAT]
-        time, step = p[lane + _LANES * _TIME], p[lane + _LANES * _STEP]
+    for lane in range(LANES):
+        i, w = p[lane + LANES * CURRENT], p[lane + LANES * SPEED]
+        a, q = p[lane + LANES * _ANGLE], p[lane + LANES * _HEAT]
+        time, step = p[lane + LANES * _TIME], p[lane + LANES * STEP]
         half = 0.5 * step
         i1, w1, a1, q1 = _derivative(p, lane, time, i, w, a, q)
         i2, w2, a2, q2 = _derivative(
@@ -233,11 +231,11 @@ def _step_lanes(p: FloatArray) -> None:
             p, lane, time + step, i + step * i3, w + step * w3, a + step * a3, q + step * q3
         )
         sixth = step / 6.0
-        p[lane + _LANES * _CURRENT] = i + sixth * (i1 + 2.0 * (i2 + i3) + i4)
-        p[lane + _LANES * _SPEED] = w + sixth * (w1 + 2.0 * (w2 + w3) + w4)
-        p[lane + _LANES * _ANGLE] = a + sixth * (a1 + 2.0 * (a2 + a3) + a4)
-        p[lane + _LANES * _HEAT] = q + sixth * (q1 + 2.0 * (q2 + q3) + q4)
-        p[lane + _LANES * _TIME] = time + step
+        p[lane + LANES * CURRENT] = i + sixth * (i1 + 2.0 * (i2 + i3) + i4)
+        p[lane + LANES * SPEED] = w + sixth * (w1 + 2.0 * (w2 + w3) + w4)
+        p[lane + LANES * _ANGLE] = a + sixth * (a1 + 2.0 * (a2 + a3) + a4)
+        p[lane + LANES * _HEAT] = q + sixth * (q1 + 2.0 * (q2 + q3) + q4)
+        p[lane + LANES * _TIME] = time + step
 
 
 @njit(cache=True, error_model="numpy")  # a check for division by 0 would keep the loop from vectorising
@@ -250,18 +248,18 @@ def _integrate(
     out: NDArray[np.float32],
 ) -> None:
     n_cases, n_channels, n_samples = out.shape
-    for first in range(0, n_cases, _LANES):
-        p = rows[first // _LANES].ravel()
+    for first in range(0, n_cases, LANES):
+        p = rows[first // LANES].ravel()
         for k in range(n_samples):
             if k >= n_quiet:
-                for lane in range(_LANES):  # the first interval is shorter by the delay of the step
-                    delay = p[lane + _LANES * _DELAY] if k == n_quiet else 0.0
-                    p[lane + _LANES * _STEP] = (dt_s - delay) / steps
+                for lane in range(LANES):  # the first interval is shorter by the delay of the step
+                    delay = p[lane + LANES * _DELAY] if k == n_quiet else 0.0
+                    p[lane + LANES * STEP] = (dt_s - delay) / steps
                 for _ in range(steps):
-                    _step_lanes(p)
-            for lane in range(min(_LANES, n_cases - first)):
+                    step_lanes(p)
+            for lane in range(min(LANES, n_cases - first)):
                 for c in range(n_channels):
-                    out[first + lane, c, k] = p[lane + 8 * (_CURRENT if is_current[c] else _SPEED)]
+                    out[first + lane, c, k] = p[lane + 8 * (CURRENT if is_current[c] else SPEED)]
 
 
 def integrate(

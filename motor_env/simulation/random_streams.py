@@ -60,6 +60,7 @@ class Stream(IntEnum):
     MISSING = 13
     CALIBRATION = 14
     PROFILE = 15
+    DUTY = 16
 
 
 @njit(cache=True, inline="always")  # a call would keep the loop around it from vectorising

@@ -20,6 +20,8 @@ from motor_env.simulation.recipes import Recipe
 def recipe_to_dict(recipe: Recipe) -> dict[str, Any]:
     """The recipe in strings, numbers, lists and dictionaries."""
     content: dict[str, Any] = json.loads(json.dumps(asdict(recipe)))
+    if recipe.duty is None:
+        del content["duty"]  # as in every file of a release that knew no duty
     return content
 
 

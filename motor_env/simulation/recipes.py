@@ -19,7 +19,8 @@ from motor_env.motor.parameters import (
     require_plausible,
     require_positive,
 )
-from motor_env.simulation.disturbances import Field
+from motor_env.simulation.disturbances import PRIORS, Field, Range
+from motor_env.simulation.duty import DUTY_PRIORS, VOLTAGE, Duty
 from motor_env.simulation.nonlinear import substeps
 from motor_env.simulation.simulate import Timing
 
@@ -185,6 +186,7 @@ class Recipe:
         sensor: channels and noise.
         timing: time axis.
         field: departures from the textbook motor and errors of the sensor; None for the textbook motor.
+        duty: voltage profiles and loads of a motor at work, beside a field; None for starts at a step of the supply.
         starts_per_motor: starts of each motor; its parameters and fault stay, supply and temperature change.
         healthy_starts: how many of them, the first, are healthy (commissioning).
         shifts: tests under other conditions.
@@ -198,6 +200,7 @@ class Recipe:
     sensor: SensorParameters = dataclass_field(default_factory=SensorParameters)
     timing: Timing = dataclass_field(default_factory=Timing)
     field: Field | None = None
+    duty: Duty | None = None
     starts_per_motor: int = 1
     healthy_starts: int = 0
     shifts: tuple[Shift, ...] = ()
@@ -234,6 +237,14 @@ class Recipe:
         for surroundings in (self.field, *(shift.field for shift in self.shifts)):
             if surroundings is not None:
                 substeps(self.motor, self.timing.dt_s, surroundings.ripple_hz)
+                idle = (surroundings.ramp_s, surroundings.trigger_jitter) == ((0.0, 0.0), (0.0, 0.0))
+                require(
+                    self.duty is None or idle, "ramp_s and trigger_jitter of a recipe with a duty must be 0"
+                )
+        require(
+            self.duty is None or (self.field is not None and self.timing.n_quiet == 0),
+            "a duty needs a table field beside it, and quiet_s = 0",
+        )
 
     @property
     def kinds(self) -> tuple[FaultKind, ...]:
@@ -255,9 +266,32 @@ class Recipe:
         return probabilities
 
     @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels of a case: those of the sensor, and the applied voltage of a motor at work."""
+        return (*self.sensor.channels, VOLTAGE) if self.duty is not None else self.sensor.channels
+
+    @property
+    def priors(self) -> dict[str, Range]:
+        """Uniform priors of its tables field and duty, in the order in which they are drawn."""
+        named = ((self.field, PRIORS), (self.duty, DUTY_PRIORS))
+        return {name: getattr(part, name) for part, names in named if part is not None for name in names}
+
+    @property
     def nominal_voltage_v(self) -> FloatArray:
-        """Step of the nominal supply at time 0, shape (n_samples,)."""
+        """Step of the nominal supply at time 0, shape (n_samples,).
+
+        Raises:
+            ValueError: a motor at work, which has another voltage in each case.
+        """
+        self.require_step()
         return self.timing.step(float(np.asarray(self.supply.voltage_v)))
+
+    def require_step(self) -> None:
+        """Raise `ValueError` for a motor at work, which has no step of the supply."""
+        require(
+            self.duty is None,
+            f"recipe {self.name} has a voltage of its own in each case, and no step of the supply, which this needs",
+        )
 
     def shifted(self, name: str) -> Recipe:
         """The recipe under the conditions of one of its shifts.

@@ -37,7 +37,7 @@ def task(name: str, /, *, out: Path, sealed: Path | None = None) -> int:
     Example: motor-classifiers task bench --out out/bench-task
 
     Args:
-        name: bench, bench-full, field, reference, severity, unknown or stream.
+        name: bench, bench-full, field, operation, reference, severity, unknown or stream.
         out: Folder of task.json, train.npz and test.npz.
         sealed: File with the secret seed of a sealed test split; for maintainers.
     """
@@ -75,7 +75,7 @@ def submit(
     Example: motor-classifiers submit bench --method residual-qda --authors "Jane Doe" --out out/my-submission
 
     Args:
-        task: A task whose answers are probabilities: bench, bench-full, field or reference.
+        task: A task whose answers are probabilities: bench, bench-full, field, operation or reference.
         method: A method of the benchmark, an entry point, or FILE.py:NAME, your own.
         out: Folder of card.toml and answers.parquet.
         authors: Who made the method.

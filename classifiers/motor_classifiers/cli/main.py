@@ -254,11 +254,12 @@ def benchmark(
     Args:
         out: Folder for report.html, results.json and .csv, trust.json, recipes.json; answers of a sweep stay below it.
         full: Sweep over all recipes, 1 and 10 kHz, 5, 20 and 100 mA, 200 to 8000 training starts: hours.
-        recipe: What motors are drawn from: bench, bench-full, paper or field; several with commas. Default bench.
+        recipe: What motors are drawn from: bench, bench-full, paper, field or operation; several with commas.
+            Default bench.
         sampling_rate_hz: Samples a second; the recipe's by default.
         current_noise_a: Standard deviation of a current sample; the recipe's by default.
         n_train: Starts to learn from, 2000 by default; the first of several is that of the sweep over rates and noises.
-        methods: Names with commas between; all by default.
+        methods: Names with commas between; by default all, or all that take motors at work.
         with_: A method of your own beside them: FILE.py:NAME, a function of a recipe and a seed that returns an
             estimator, or the name of an entry point motor_classifiers.methods. May be given several times.
         n_test: Starts to be judged on.
@@ -273,7 +274,7 @@ def benchmark(
     _require_extras()
     from motor_classifiers.cli.options import numbers, require_writable, whole_numbers
     from motor_classifiers.cli.sweep import FULL_SWEEP, plan_lines, run_with_progress, table_lines
-    from motor_classifiers.estimators.methods import METHODS
+    from motor_classifiers.estimators.methods import AT_WORK, METHODS
     from motor_classifiers.report.page import write_results
     from motor_classifiers.scoring.peers import shipped_peers
     from motor_classifiers.scoring.plan import AnswerStore, Plan, make_cells
@@ -292,7 +293,11 @@ def benchmark(
         n_test=n_test,
         seed=seed,
     )
-    plan = Plan(cells, (*(methods.split(",") if methods else METHODS), *with_), peers or shipped_peers())
+    at_work = any(cell.recipe.duty is not None for cell in cells)
+    usual_methods = AT_WORK if at_work else tuple(METHODS)
+    plan = Plan(
+        cells, (*(methods.split(",") if methods else usual_methods), *with_), peers or shipped_peers()
+    )
     folder = out / "answers" if len(cells) > 1 else None
     if peers is not None and not peers.is_file():
         raise InputError(f"{peers}: no such file of answers of peers")

@@ -74,7 +74,7 @@ def fitting_recipe(recipe: Recipe | None, n_features: int) -> Recipe:
         return replace(bench, timing=Timing(rate, n_features / rate))
     require(
         n_features == values_of_start(recipe),
-        f"X must have {len(recipe.sensor.channels)} x {recipe.timing.n_samples} values a case as recipe "
+        f"X must have {len(recipe.channels)} x {recipe.timing.n_samples} values a case as recipe "
         f"{recipe.name} says, got {n_features}",
     )
     return recipe
@@ -82,7 +82,7 @@ def fitting_recipe(recipe: Recipe | None, n_features: int) -> Recipe:
 
 def with_channels(flat: FloatArray, recipe: Recipe) -> FloatArray:
     """Flattened cases as (n_cases, n_channels, n_timepoints)."""
-    return flat.reshape(len(flat), len(recipe.sensor.channels), -1)
+    return flat.reshape(len(flat), len(recipe.channels), -1)
 
 
 def measured_cases(estimator: Any, X: Any) -> tuple[Recipe, FloatArray]:
@@ -95,7 +95,7 @@ def measured_cases(estimator: Any, X: Any) -> tuple[Recipe, FloatArray]:
 
 def values_of_start(recipe: Recipe) -> int:
     """How many numbers one start of the recipe is: n_channels * n_samples."""
-    return len(recipe.sensor.channels) * recipe.timing.n_samples
+    return len(recipe.channels) * recipe.timing.n_samples
 
 
 def check_classes(recipe: Recipe, names: NDArray[np.str_]) -> None:

@@ -22,6 +22,7 @@ from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.inference.features import FEATURE_NAMES, physical_features
 from motor_env.inference.whitening import MatchedTest
+from motor_env.inference.work_features import work_feature_names, work_features
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.drawing import draw
 from motor_env.simulation.recipes import Recipe
@@ -161,7 +162,7 @@ class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Base
 class PhysicalFeatures(TransformerMixin, BaseEstimator):
     """Most probable parameters of each transient, their errors, and what the fit leaves over.
 
-    The columns are named in `motor_env.inference.features.FEATURE_NAMES`.
+    The columns are named in `motor_env.inference.features.FEATURE_NAMES`; of motors at work by `work_feature_names`.
 
     Args:
         recipe: nominal motor, tolerances, supply, sensor and timing; without one, the paper's motor at 10 kHz.
@@ -180,12 +181,15 @@ class PhysicalFeatures(TransformerMixin, BaseEstimator):
 
     def transform(self, X: Any) -> FloatArray:
         """Features of each case, shape (n_cases, n_features)."""
-        return physical_features(*measured_cases(self, X))
+        recipe, measured = measured_cases(self, X)
+        return physical_features(recipe, measured) if recipe.duty is None else work_features(recipe, measured)
 
     def get_feature_names_out(self, input_features: Any = None) -> Any:
         """Names of the columns."""
         check_is_fitted(self, "n_features_in_")
-        return np.array(FEATURE_NAMES, dtype=object)
+        if self.recipe is None or self.recipe.duty is None:
+            return np.array(FEATURE_NAMES, dtype=object)
+        return np.array(work_feature_names(self.recipe), dtype=object)
 
 
 @dataclass(eq=False, repr=False)

@@ -74,7 +74,9 @@ def _method(name: str, family: str, title: str, seconds: float, **options: bool)
     return listed
 
 
-def _physical_and_residual(recipe: Recipe) -> FeatureUnion:
+def _physical_and_residual(recipe: Recipe) -> BaseEstimator:
+    if recipe.duty is not None:
+        return PhysicalFeatures(recipe)
     return FeatureUnion([("physical", PhysicalFeatures(recipe)), ("residual", ResidualProjection(recipe, 6))])
 
 
@@ -184,6 +186,18 @@ def _posterior(recipe: Recipe, seed: int) -> BaseEstimator:
 )
 def _resnet(recipe: Recipe, seed: int) -> BaseEstimator:
     return ResNetClassifier(recipe, random_state=seed)
+
+
+AT_WORK = (
+    "physical-lda",
+    "physical-logistic",
+    "physical-svm",
+    "physical-boosting",
+    "physical-forest",
+    "raw-logistic",
+    "residual-network",
+)
+"""Methods that take motors at work, too; the others need the step of a start."""
 
 
 def make_method(name: str, recipe: Recipe, random_state: int) -> BaseEstimator:

@@ -32,9 +32,9 @@ def running_mean(values: FloatArray, count: int) -> FloatArray:
 
 
 def examples(result: CellResult, best: MethodResult) -> list[dict[str, Any]]:
-    """The first test start of each class, drawn anew; empty where no current is measured."""
+    """The first test start of each class, drawn anew; empty without a current or a step of the supply."""
     recipe = result.cell.recipe
-    if Channel.CURRENT not in recipe.sensor.channels:
+    if Channel.CURRENT not in recipe.sensor.channels or recipe.duty is not None:
         return []
     column = recipe.sensor.channels.index(Channel.CURRENT)
     time_ms = 1e3 * recipe.timing.time_s

@@ -8,12 +8,11 @@ from sklearn.base import BaseEstimator
 
 from motor_classifiers.estimators.own_methods import answered
 from motor_classifiers.scoring.calibration import calibration_scores
-from motor_classifiers.scoring.judging import expected_severity, in_recipe_order
+from motor_classifiers.scoring.judging import best_probabilities, expected_severity, in_recipe_order
 from motor_classifiers.scoring.metrics import compare, resampling_weights, root_mean_square, scores
 from motor_classifiers.scoring.results import SCORES, comparison_fields, score_fields
 from motor_datasets.arrays import Dataset
 from motor_env.errors import InputError
-from motor_env.inference.posterior import class_probabilities
 from motor_env.simulation.recipes import Recipe
 
 
@@ -25,7 +24,7 @@ def evaluate_model(model: BaseEstimator, recipe: Recipe, test: Dataset, seed: in
             does not know.
     """
     theirs = test.recipe
-    if (theirs.timing, theirs.sensor.channels) != (recipe.timing, recipe.sensor.channels):
+    if (theirs.timing, theirs.channels) != (recipe.timing, recipe.channels):
         raise InputError("the data set has another time axis or other channels than the model was trained on")
     if theirs.class_names != recipe.class_names:
         raise InputError(
@@ -33,7 +32,7 @@ def evaluate_model(model: BaseEstimator, recipe: Recipe, test: Dataset, seed: in
         )
     weights = resampling_weights(len(test), seed, groups=test.motor_id)
     probabilities = in_recipe_order(model, answered(model, test.X), recipe)
-    limit = class_probabilities(theirs, test.X)
+    limit = best_probabilities(theirs, test.X)
     right = limit.argmax(axis=1) == test.class_index
     decided = probabilities.argmax(axis=1)
     calibration = calibration_scores(probabilities, test.class_index)

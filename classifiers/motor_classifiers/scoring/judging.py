@@ -29,6 +29,7 @@ from motor_env import __version__
 from motor_env.errors import InputError
 from motor_env.files import replacing
 from motor_env.inference.posterior import class_probabilities
+from motor_env.inference.work_features import work_probabilities
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.processes import end_with_parent
 from motor_env.simulation.recipe_files import recipe_to_dict
@@ -210,12 +211,22 @@ def judge_apart(name: str, cell: Cell) -> Answer:
     raise InputError(f"{name} on {cell.title}: {reason}")
 
 
+def best_probabilities(recipe: Recipe, X: NDArray[np.float32]) -> FloatArray:
+    """Bayes-optimal probabilities; where the likelihood has no closed form, of the motor without its field.
+
+    Of motors at work the posterior of the motor that is linear around its fit.
+    """
+    if recipe.duty is None:
+        return class_probabilities(recipe, X)
+    return work_probabilities(recipe, X.astype(np.float64))
+
+
 def posterior(cell: Cell) -> Answer:
-    """Bayes-optimal probabilities of the test starts; nothing is trained."""
+    """Bayes-optimal probabilities of the test starts, or their estimate; nothing is trained."""
     test = cell.test()
     with threadpool_limits(1):
-        class_probabilities(cell.recipe, test.X[:8])  # compiles, or loads what was compiled
-        probabilities, inference = with_cost(lambda: class_probabilities(cell.recipe, test.X))
+        best_probabilities(cell.recipe, test.X[:8])  # compiles, or loads what was compiled
+        probabilities, inference = with_cost(lambda: best_probabilities(cell.recipe, test.X))
     return Answer(probabilities, expected_severity(cell.recipe, probabilities), Cost(0.0, 0.0), inference)
 
 

@@ -127,8 +127,8 @@ def units(plan: Plan) -> tuple[Unit, ...]:
 
 
 def limit_of(cell: Cell) -> str:
-    """What stands for the limit: the exact posterior, or the method that estimates it."""
-    return LIMIT if cell.recipe.field is None else ESTIMATE
+    """What stands for the limit: the exact posterior, its estimate at work, or the method that estimates it."""
+    return LIMIT if cell.recipe.field is None or cell.recipe.duty is not None else ESTIMATE
 
 
 def unit_of(cell: Cell, name: str) -> Unit:

@@ -144,7 +144,7 @@ class EarlyClassifier(MetaEstimatorMixin, ProbabilityClassifier):
         flat, labels = labelled_cases(self, X, y)
         base = unfitted(self.estimator)
         recipe = next((v for v in base.get_params().values() if isinstance(v, Recipe)), None)
-        self.n_channels_ = 1 if recipe is None else len(recipe.sensor.channels)
+        self.n_channels_ = 1 if recipe is None else len(recipe.channels)
         n_samples = flat.shape[1] // self.n_channels_
         chosen = self.samples or tuple(max(1, round(share * n_samples)) for share in _SHARES)
         self.samples_ = np.unique(chosen)

@@ -46,8 +46,8 @@ def good_answers(task: Task) -> Any:
 def test_small_counts_of_every_task_are_frozen_whole() -> None:
     assert current_digests(whole=False) == frozen_digests()["small"]
     assert {name: (task.n_train, task.n_test) for name, task in TASKS.items()} == {
-        "bench": (2000, 5000), "bench-full": (2000, 5000), "field": (2000, 5000), "reference": (2000, 2000),
-        "severity": (2000, 2000), "unknown": (2000, 4000), "stream": (2000, 2000),
+        "bench": (2000, 5000), "bench-full": (2000, 5000), "field": (2000, 5000), "operation": (2000, 5000),
+        "reference": (2000, 2000), "severity": (2000, 2000), "unknown": (2000, 4000), "stream": (2000, 2000),
     }  # fmt: skip
 
 

@@ -86,7 +86,7 @@ class ResNetClassifier(EpochClassifier):
     def _n_channels(self) -> int:
         if self.recipe is None:
             return 1
-        return len(fitting_recipe(self.recipe, self.n_features_in_).sensor.channels)
+        return len(fitting_recipe(self.recipe, self.n_features_in_).channels)
 
     def _inputs(self, features: FloatArray) -> FloatArray:
         return super()._inputs(features).reshape(len(features), self._n_channels(), -1)

@@ -79,7 +79,12 @@ class SignalSpace(nn.Module):
     def from_recipe(
         cls, recipe: Recipe, n_components: int | None, *, sees_noise: bool, n_references: int = 0
     ) -> SignalSpace:
-        """Directions, means and variances of noise-free starts of a recipe, each with so many reference starts."""
+        """Directions, means and variances of noise-free starts of a recipe, each with so many reference starts.
+
+        Raises:
+            ValueError: a recipe of motors at work.
+        """
+        recipe.require_step()
         # The steps of a converter, without noise, would pass for hundreds of directions.
         field = None if recipe.field is None else replace(recipe.field, adc_bits=0)
         silent = replace(recipe, sensor=recipe.sensor.with_noise(0.0), field=field)

@@ -52,8 +52,8 @@ class TorchClassifier(EpochClassifier):
     def _shape(self) -> tuple[int, int]:
         if self.recipe is None:
             return 1, self.n_features_in_
-        sensor = fitting_recipe(self.recipe, self.n_features_in_).sensor
-        return len(sensor.channels), self.n_features_in_ // len(sensor.channels)
+        channels = fitting_recipe(self.recipe, self.n_features_in_).channels
+        return len(channels), self.n_features_in_ // len(channels)
 
     def _inputs(self, features: FloatArray) -> FloatArray:
         return super()._inputs(features).reshape(len(features), *self._shape())

@@ -1,0 +1,112 @@
+"""Integration of motors at work: a voltage and a load that change from sample to sample, and a speed loop."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_env.motor.compiled import njit
+from motor_env.motor.parameters import FloatArray, MotorParameters
+from motor_env.simulation.nonlinear import (
+    CURRENT,
+    DRY,
+    LANES,
+    SPEED,
+    STEP,
+    VOLTAGE,
+    Effects,
+    parameter_rows,
+    step_lanes,
+)
+
+LOOP_GAIN, LOOP_INTEGRAL = 0.5, 0.05
+"""Gains of the speed loop on a back-EMF in volts, and of its sum over the samples."""
+
+
+class Driving(NamedTuple):
+    """What drives and loads drawn cases.
+
+    Attributes:
+        voltage_v: applied voltage, or the back-EMF that a speed loop wants, shape (n_cases or 1, n_samples).
+        is_loop: whether a loop makes the voltage of it, shape (n_cases,).
+        resistance_ohm: that the loop believes in.
+        limit_v: largest voltage that the loop can apply, shape (n_cases,).
+        load_rise_n_m: what the load gains over the record, shape (n_cases,).
+        fan_n_m_s2: load over the square of the speed, shape (n_cases,).
+    """
+
+    voltage_v: FloatArray
+    is_loop: NDArray[np.bool_]
+    resistance_ohm: float
+    limit_v: FloatArray
+    load_rise_n_m: FloatArray
+    fan_n_m_s2: FloatArray
+
+
+@njit(cache=True, error_model="numpy")
+def _integrate_driven(
+    rows: FloatArray,
+    step_s: float,
+    steps: int,
+    driving: Driving,
+    noise: FloatArray,
+    is_current: NDArray[np.bool_],
+    out: NDArray[np.float32],
+) -> None:
+    """Voltage and load are held over each sample, the voltage is the last channel of `out`."""
+    wanted, limit = driving.voltage_v, driving.limit_v
+    n_cases, last, n_samples = out.shape[0], out.shape[1] - 1, out.shape[2]
+    for first in range(0, n_cases, LANES):
+        p = rows[first // LANES].ravel()
+        lanes = min(LANES, n_cases - first)
+        still, integral = p[LANES * DRY : LANES * (DRY + 1)].copy(), np.zeros(LANES)
+        p[LANES * STEP : LANES * (STEP + 1)] = step_s
+        for k in range(n_samples):
+            for lane in range(lanes):
+                n, current, speed = first + lane, p[lane + LANES * CURRENT], p[lane + LANES * SPEED]
+                volts = wanted[n if wanted.shape[0] > 1 else 0, k]
+                if driving.is_loop[n] and k > 0:
+                    error = volts - (
+                        out[n, last, k - 1] - driving.resistance_ohm * (current + noise[n, k - 1])
+                    )
+                    integral[lane] = min(max(integral[lane] + LOOP_INTEGRAL * error, -limit[n]), limit[n])
+                    volts = min(max(volts + LOOP_GAIN * error + integral[lane], -limit[n]), limit[n])
+                out[n, last, k] = volts
+                p[lane + LANES * VOLTAGE] = out[n, last, k]  # what is applied is what is recorded
+                share = (k + 0.5) / n_samples
+                load = share * driving.load_rise_n_m[n] + driving.fan_n_m_s2[n] * speed * speed
+                p[lane + LANES * DRY] = still[lane] + load
+            for _ in range(steps):
+                step_lanes(p)
+            for lane in range(lanes):
+                for c in range(last):
+                    out[first + lane, c, k] = p[lane + LANES * (CURRENT if is_current[c] else SPEED)]
+
+
+def integrate_driven(
+    parameters: MotorParameters,
+    effects: Effects,
+    driving: Driving,
+    *,
+    dt_s: float,
+    steps: int,
+    noise_a: FloatArray,
+    is_current: NDArray[np.bool_],
+    out: NDArray[np.float32],
+) -> None:
+    """True current and speed at the end of each sampling interval, and the voltage that was applied in it.
+
+    Args:
+        parameters: the motor with its faults, one or a batch.
+        effects: the departures from the textbook motor; of the supply its resistance and ripple alone.
+        driving: voltage and load.
+        dt_s: sampling interval.
+        steps: Runge-Kutta steps in one sample (`substeps`).
+        noise_a: noise of the current that a speed loop sees, shape (n_cases, n_samples); no rows without a loop.
+        is_current: whether a channel is the current (or the speed), shape (n_channels,).
+        out: filled, shape (n_cases, n_channels + 1, n_samples).
+    """
+    rows = parameter_rows(parameters, effects, 0.0, len(out))
+    _integrate_driven(rows, dt_s / steps, steps, driving, noise_a, is_current, out)
