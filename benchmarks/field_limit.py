@@ -1,6 +1,6 @@
 """The best possible accuracy on `field`: `python benchmarks/field_limit.py [--minutes 11]`, again until it is done.
 
-It samples the posterior of 2,000 starts (`sampled_probabilities`), and again, independently, of the first 1,000: 50
+It samples the posterior of starts (`sampled_probabilities`), and again, independently, of the first half (`COUNTS`): 50
 starts a file below out/field_limit, and what is there is not done again. After the given minutes it ends; the figures
 of all go to benchmarks/results/field_limit.json. `--recipe operation` does the same for motors at work.
 
@@ -18,7 +18,7 @@ import time
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from networks import network_of
@@ -33,10 +33,20 @@ from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import Recipe
 
 FOLDER = Path(__file__).resolve().parent
-SEED, CHUNK = 41, 50
-N_STARTS, N_TWICE = 2000, 1000
-N_OF_NETWORK, AT_ONCE = 100_000, 5_000
-N_TRAIN, CONTROL = 20_000, "physical-logistic"
+SEED, CHUNK, AT_ONCE = 41, 50, 2_000
+CONTROL = "physical-logistic"
+
+
+class Counts(NamedTuple):
+    """Starts whose posterior is sampled, and again; starts on which the control variate is judged, and learned."""
+
+    starts: int
+    twice: int
+    judged: int
+    learned: int = 0
+
+
+COUNTS = {"field": Counts(2000, 1000, 100_000), "operation": Counts(1500, 750, 40_000, 4_000)}
 Z_95 = 1.96
 ARRAYS = ("probabilities", "effective")
 
@@ -53,7 +63,7 @@ def kept(name: str) -> Path:
 
 def chunks(name: str, run: int) -> list[tuple[int, int, Path]]:
     """Run, first start and file of each chunk of a run."""
-    count = (N_STARTS, N_TWICE)[run]
+    count = COUNTS[name][run]
     return [(run, first, kept(name) / f"{run}-{first}.npz") for first in range(0, count, CHUNK)]
 
 
@@ -81,7 +91,7 @@ def control(name: str) -> Any:
     """The control variate: the posterior network of a field, fitted parameters and logistic regression at work."""
     if named_recipe(name).duty is None:
         return network_of(named_recipe(name))
-    train = generate_arrays(single(name), SEED + 1, N_TRAIN)
+    train = generate_arrays(single(name), SEED + 1, COUNTS[name].learned)
     return make_method(CONTROL, single(name), 0).fit(train.X, train.class_name)
 
 
@@ -98,7 +108,8 @@ def accuracy_of_network(name: str) -> tuple[float, float]:
     path = kept(name) / "network.npz"
     if not path.is_file():
         right = []
-        for first in range(N_STARTS, N_STARTS + N_OF_NETWORK, AT_ONCE):
+        sampled, count = COUNTS[name].starts, COUNTS[name].judged
+        for first in range(sampled, sampled + count, AT_ONCE):
             starts = generate_arrays(single(name), SEED, range(first, first + AT_ONCE))
             right.append(decisions(starts) == starts.class_index)
         with replacing(path) as temporary:
@@ -148,7 +159,7 @@ def figures(
         "bracket": [low, high],
         "network_accuracy": accuracy,
         "network_accuracy_error": error,
-        "n_of_network": N_OF_NETWORK,
+        "n_of_network": COUNTS[name].judged,
         "network_behind": behind,
         "network_behind_error": errors,
         "expected_accuracy": float(once.max(axis=1).mean()),
@@ -167,7 +178,7 @@ def main() -> None:
         description="The best possible accuracy on a recipe without a closed form."
     )
     parser.add_argument("--minutes", type=float, default=float("inf"), help="of processor time, about")
-    parser.add_argument("--recipe", choices=["field", "operation"], default="field")
+    parser.add_argument("--recipe", choices=list(COUNTS), default="field")
     options = parser.parse_args()
     name = options.recipe
     parts = sorted([*chunks(name, 0), *chunks(name, 1)], key=lambda each: each[1] * (1 + each[0]))
@@ -182,6 +193,8 @@ def main() -> None:
     result = {
         "command": f"python benchmarks/field_limit.py{'' if name == 'field' else f' --recipe {name}'}",
         "recipe": name,
+        "control": "posterior-network" if COUNTS[name].learned == 0 else CONTROL,
+        "learned": COUNTS[name].learned,
         "seed": SEED,
         **figures(once, again, accuracy_of_network(name), name),
         "effective_draws": {f"{q:g} %": float(np.quantile(effective, 0.01 * q)) for q in (0, 1, 10, 50)},

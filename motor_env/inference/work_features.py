@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import log_softmax, softmax
 
-from motor_env.inference.field_posterior import ClassModel
+from motor_env.inference.class_model import ClassModel
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe

@@ -32,7 +32,7 @@ def opinions_of(
 
 
 def _check_same_axis(cases: Recipe, trained: Recipe, path: Path) -> None:
-    if (cases.timing, cases.sensor.channels) != (trained.timing, trained.sensor.channels):
+    if (cases.timing, cases.channels) != (trained.timing, trained.channels):
         raise InputError(f"{path}: has another time axis or other channels than the model was trained on")
 
 

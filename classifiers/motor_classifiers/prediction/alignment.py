@@ -43,7 +43,9 @@ def aligned_case(
 
     Raises:
         UnusableError: the model was trained for other motors, supplies, channels or time axes than this.
+        ValueError: the model was trained for motors at work.
     """
+    recipe.require_step()
     start = align(recording)
     _check_comparable(recording, recipe, start)
     if abs(recording.dt_s / recipe.timing.dt_s - 1.0) < 1e-3:

@@ -7,7 +7,8 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from motor_env.inference.field_posterior import ClassModel, best_fit, sampled_evidence, sampled_probabilities
+from motor_env.inference.class_model import ClassModel
+from motor_env.inference.field_posterior import best_fit, sampled_evidence, sampled_probabilities
 from motor_env.inference.posterior import class_log_evidence, class_probabilities
 from motor_env.inference.truncated_normal import TruncatedNormal
 from motor_env.motor.faults import FaultKind
