@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, Generic, cast
 
 import gymnasium as gym
 import numpy as np
@@ -27,13 +27,12 @@ from motor_env.envs.lanes import (
     empty_lanes,
     pack_task,
 )
-from motor_env.envs.options import MonitorOptions, with_changes
+from motor_env.envs.options import MonitorOptions, Options, with_changes
 from motor_env.envs.rendering import Frame, Scope, Window
 from motor_env.envs.setup import Setup, make_bank, make_setup
 from motor_env.motor.model import State
 from motor_env.motor.parameters import require
 
-ActType = TypeVar("ActType")
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
 EVERYWHERE = np.ones(1, dtype=np.bool_)
@@ -58,21 +57,26 @@ def reward_parts(options: MonitorOptions) -> tuple[str, ...]:
     return parts if options.moves_voltage else parts[:2]
 
 
-class StreamEnv(gym.Env[Observation, ActType], Generic[ActType]):
+class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
     """An environment that runs a stream of episodes: the seed and the index of the stream say which.
 
     Args:
+        options: the task; the defaults of `options_type` unless given.
         render_mode: see the metadata.
+        changes: single options by name, on top.
 
     Attributes:
         observed: names of the numbers of an observation.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012  # gymnasium's way
+    options_type: type[Options]
     observed: tuple[str, ...]
     _words: WordArray
 
-    def __init__(self, render_mode: str | None) -> None:
+    def __init__(
+        self, options: Options | None = None, *, render_mode: str | None = None, **changes: Any
+    ) -> None:
         require(
             render_mode is None or render_mode in RENDER_MODES,
             f"render_mode must be None or one of {', '.join(RENDER_MODES)}, got {render_mode!r}",
@@ -81,6 +85,12 @@ class StreamEnv(gym.Env[Observation, ActType], Generic[ActType]):
         self._seed: int | None = None
         self._window: Any = None
         self._over = True
+        self.options = with_changes(options or self.options_type(), changes)
+        self.observation_space, self.action_space = self._set_up()
+
+    def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
+        """Make the lane of `options`; the spaces."""
+        raise NotImplementedError
 
     def _begin(self) -> tuple[Observation, Info]:
         """Begin the next episode of the stream."""
@@ -139,28 +149,17 @@ class StreamEnv(gym.Env[Observation, ActType], Generic[ActType]):
             self._window = None
 
 
-class MotorEnv(StreamEnv[ActType]):
-    """A motor under the filter; the subclasses say what can be done with it.
+class MotorEnv(StreamEnv[MonitorOptions]):
+    """A motor under the filter; the subclasses say what can be done with it."""
 
-    Args:
-        options: the task; the defaults of `options_type` unless given.
-        render_mode: see the metadata.
-        changes: single options by name, on top.
-    """
+    options_type = MonitorOptions
 
-    options_type: type[MonitorOptions] = MonitorOptions
-
-    def __init__(
-        self, options: MonitorOptions | None = None, *, render_mode: str | None = None, **changes: Any
-    ) -> None:
-        super().__init__(render_mode)
-        self.options = options = with_changes(options or self.options_type(), changes)
+    def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
+        options = self.options
         self.setup: Setup = make_setup(options)
         self.observed = self.setup.observed
-        self.observation_space = observation_space(self.setup)
-        self.action_space = self._actions()
         numbers = self.setup.numbers
-        if render_mode is not None:  # the picture shows the evidence of all kinds
+        if self.render_mode is not None:  # the picture shows the evidence of all kinds
             bank, constants = (
                 make_bank(options, self.setup.belief.model, self.setup.rest),
                 numbers.constants.copy(),
@@ -174,9 +173,10 @@ class MotorEnv(StreamEnv[ActType]):
         self._truth: Info = {}
         self._offsets_v: list[float] = self.setup.offsets_v.tolist()
         self._declarations: list[int] = self.setup.declarations.astype(int).tolist()
-        self._scope = Scope(self.setup) if render_mode is not None else None
+        self._scope = Scope(self.setup) if self.render_mode is not None else None
         self._moves_voltage = options.moves_voltage
         self._samples, self._n_observed = options.samples_per_step, len(self.setup.chosen)
+        return observation_space(self.setup), self._actions()
 
     def _actions(self) -> spaces.Space[Any]:
         return discrete_actions(self.setup)
@@ -271,7 +271,7 @@ def whole_action(action: Any, count: int) -> int:
     return which
 
 
-class DiscreteMotorEnv(MotorEnv[Any]):
+class DiscreteMotorEnv(MotorEnv):
     """A motor with a list of actions: apply a voltage, or declare a kind."""
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:

@@ -42,12 +42,4 @@ class MonitorEnv(DiscreteMotorEnv):
 
 
 class MonitorVectorEnv(DiscreteVectorEnv):
-    """Many of `MonitorEnv` at once: sub-environment n runs the stream of episodes (seed, n).
-
-    Args:
-        num_envs: number of sub-environments.
-        options: the task; `MonitorOptions()` unless given.
-        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
-        render_mode: None; a vector draws no pictures.
-        changes: single options by name, on top.
-    """
+    """Many of `MonitorEnv` at once: sub-environment n runs the stream of episodes (seed, n)."""

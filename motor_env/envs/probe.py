@@ -117,15 +117,7 @@ class ProbeEnv(DiscreteMotorEnv):
 
 
 class ProbeVectorEnv(DiscreteVectorEnv):
-    """Many of `ProbeEnv` at once: sub-environment n runs the stream of episodes (seed, n).
-
-    Args:
-        num_envs: number of sub-environments.
-        options: the task; `ProbeOptions()` unless given.
-        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
-        render_mode: None; a vector draws no pictures.
-        changes: single options by name, on top.
-    """
+    """Many of `ProbeEnv` at once: sub-environment n runs the stream of episodes (seed, n)."""
 
     options_type = ProbeOptions
 
@@ -134,7 +126,7 @@ def _continuous_actions(setup: Setup) -> spaces.Box:
     return spaces.Box(-1.0, 1.0, (1 + len(setup.kinds),), dtype=np.float32)
 
 
-class ProbeContinuousEnv(MotorEnv[Any]):
+class ProbeContinuousEnv(MotorEnv):
     """`ProbeEnv` with a voltage that can take any value.
 
     ## Action space
@@ -166,15 +158,7 @@ class ProbeContinuousEnv(MotorEnv[Any]):
 
 
 class ProbeContinuousVectorEnv(MotorVectorEnv):
-    """Many of `ProbeContinuousEnv` at once: sub-environment n runs the stream of episodes (seed, n).
-
-    Args:
-        num_envs: number of sub-environments.
-        options: the task; `ProbeOptions()` unless given.
-        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
-        render_mode: None; a vector draws no pictures.
-        changes: single options by name, on top.
-    """
+    """Many of `ProbeContinuousEnv` at once: sub-environment n runs the stream of episodes (seed, n)."""
 
     options_type = ProbeOptions
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Generic
 
 import gymnasium as gym
 import numpy as np
@@ -31,7 +31,7 @@ from motor_env.envs.lanes import (
     empty_lanes,
     pack_task,
 )
-from motor_env.envs.options import MonitorOptions, with_changes
+from motor_env.envs.options import MonitorOptions, Options, with_changes
 from motor_env.envs.setup import Setup, make_setup
 from motor_env.motor.parameters import FloatArray, require
 
@@ -39,37 +39,51 @@ BoolArray = NDArray[np.bool_]
 Step = tuple[Observation, FloatArray, BoolArray, BoolArray, Info]
 
 
-class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
+class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options]):
     """Sub-environments that each run a stream of episodes of their own.
 
     The trajectory of sub-environment n depends on (options, seed, n) and the actions alone: not on the number of
     sub-environments, nor on what the others do. A single environment reset with that seed and `{"index": n}` runs
     the same. With a list of seeds, sub-environment n runs the stream (seeds[n], 0).
-
-    Args:
-        num_envs: number of sub-environments.
-        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
-        render_mode: None; a vector draws no pictures.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium's way
+    options_type: type[Options]
     _words: WordArray
     _flags: BoolArray
 
     def __init__(
-        self, num_envs: int, *, autoreset_mode: AutoresetMode | str, render_mode: str | None = None
+        self,
+        num_envs: int = 1,
+        options: Options | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **changes: Any,
     ) -> None:
+        """Make the sub-environments.
+
+        Args:
+            num_envs: number of sub-environments.
+            options: the task; the defaults of `options_type` unless given.
+            autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
+            render_mode: None; a vector draws no pictures.
+            changes: single options by name, on top.
+        """
         require(num_envs >= 1, f"num_envs must be >= 1, got {num_envs}")
         require(render_mode is None, f"render_mode of a vector must be None, got {render_mode!r}")
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self._seeded = False
+        self.options = with_changes(options or self.options_type(), changes)
+        self.single_observation_space, self.single_action_space = self._set_up()
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
 
-    def _set_spaces(self, observations: spaces.Space[Observation], actions: spaces.Space[Any]) -> None:
-        self.single_observation_space, self.single_action_space = observations, actions
-        self.observation_space = batch_space(observations, self.num_envs)
-        self.action_space = batch_space(actions, self.num_envs)
+    def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
+        """Make the lanes of `options`; the spaces of one of them."""
+        raise NotImplementedError
 
     def _begin(self, mask: BoolArray) -> None:
         """Begin the next episode of the sub-environments in the mask."""
@@ -170,35 +184,18 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         return observation, info
 
 
-class MotorVectorEnv(StreamVectorEnv):
+class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
     """The compiled step over many lanes. The subclasses lay their actions into the lanes.
 
     Arrays that a step returns are new at each call; the observation is Fortran-ordered.
-
-    Args:
-        num_envs: number of sub-environments.
-        options: the task; the defaults of `options_type` unless given.
-        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
-        render_mode: None; a vector draws no pictures.
-        changes: single options by name, on top.
     """
 
-    options_type: type[MonitorOptions] = MonitorOptions
+    options_type = MonitorOptions
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        options: MonitorOptions | None = None,
-        *,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
-        **changes: Any,
-    ) -> None:
-        super().__init__(num_envs, autoreset_mode=autoreset_mode, render_mode=render_mode)
-        self.options = with_changes(options or self.options_type(), changes)
+    def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.setup: Setup = make_setup(self.options)
-        self._set_spaces(observation_space(self.setup), self._actions())
         self._allocate()
+        return observation_space(self.setup), self._actions()
 
     def _actions(self) -> spaces.Space[Any]:
         return discrete_actions(self.setup)

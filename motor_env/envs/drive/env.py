@@ -16,7 +16,6 @@ from motor_env.envs.drive.options import LABELS, DriveOptions
 from motor_env.envs.drive.screen import DriveScreen
 from motor_env.envs.drive.setup import DriveSetup, empty_lanes, make_setup
 from motor_env.envs.lanes import FAULT_ACTIVE, KNOWN, TERMINATED, TRUNCATED, BoolArray
-from motor_env.envs.options import with_changes
 from motor_env.envs.rendering import Frame
 from motor_env.envs.vector import Step, StreamVectorEnv
 from motor_env.motor.parameters import FloatArray
@@ -37,7 +36,7 @@ def _checked(action: Any, shape: tuple[int, ...]) -> FloatArray:
     return given
 
 
-class DriveEnv(StreamEnv[Any]):
+class DriveEnv(StreamEnv[DriveOptions]):
     """A DC motor drives a machine along a speed profile, and may be failing. Follow the profile; limp or stop in time.
 
     ## Description
@@ -76,19 +75,17 @@ class DriveEnv(StreamEnv[Any]):
         changes: single options by name, on top.
     """
 
-    def __init__(
-        self, options: DriveOptions | None = None, *, render_mode: str | None = None, **changes: Any
-    ) -> None:
-        super().__init__(render_mode)
-        self.options = with_changes(options or DriveOptions(), changes)
+    options_type = DriveOptions
+
+    def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.setup = make_setup(self.options)
         self.observed = self.setup.observed
-        self.observation_space, self.action_space = _spaces(self.setup)
         lanes = empty_lanes(self.setup, 1)
         self._state, self._words, self._flags, self._profile = lanes
         self._arrays = (self.setup.numbers, self.setup.ahead, *lanes)
         self._parts, self._reward = np.zeros((len(kernel.PARTS), 1)), np.zeros(1)
-        self._screen = DriveScreen(self.setup) if render_mode is not None else None
+        self._screen = DriveScreen(self.setup) if self.render_mode is not None else None
+        return _spaces(self.setup)
 
     def _begin(self) -> tuple[Observation, Info]:
         kernel.begin(EVERYWHERE, *self._arrays)
@@ -136,33 +133,17 @@ class DriveEnv(StreamEnv[Any]):
         return self._screen.draw()
 
 
-class DriveVectorEnv(StreamVectorEnv):
-    """Many of `DriveEnv` at once: sub-environment n runs the stream of episodes (seed, n).
+class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
+    """Many of `DriveEnv` at once: sub-environment n runs the stream of episodes (seed, n)."""
 
-    Args:
-        num_envs: number of sub-environments.
-        options: the task; `DriveOptions()` unless given.
-        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
-        render_mode: None; a vector draws no pictures.
-        changes: single options by name, on top.
-    """
+    options_type = DriveOptions
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        options: DriveOptions | None = None,
-        *,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
-        **changes: Any,
-    ) -> None:
-        super().__init__(num_envs, autoreset_mode=autoreset_mode, render_mode=render_mode)
-        self.options = with_changes(options or DriveOptions(), changes)
+    def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.setup = make_setup(self.options)
-        self._set_spaces(*_spaces(self.setup))
-        lanes = empty_lanes(self.setup, num_envs)
+        lanes = empty_lanes(self.setup, self.num_envs)
         self._state, self._words, self._flags, _ = lanes
         self._arrays = (self.setup.numbers, self.setup.ahead, *lanes)
+        return _spaces(self.setup)
 
     @property
     def labels(self) -> tuple[str, ...]:

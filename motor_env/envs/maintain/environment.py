@@ -16,7 +16,6 @@ from motor_env.envs.maintain import kernel
 from motor_env.envs.maintain.kernel import FEATURES, PARTS
 from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
 from motor_env.envs.maintain.picture import Logbook
-from motor_env.envs.options import with_changes
 from motor_env.envs.rendering import Frame
 from motor_env.envs.vector import Step, StreamVectorEnv, whole_actions
 from motor_env.motor.parameters import FloatArray
@@ -90,7 +89,7 @@ class Motors:
         }
 
 
-class MaintainEnv(StreamEnv[Any]):
+class MaintainEnv(StreamEnv[MaintainOptions]):
     """A bearing wears from start to start. Run the motor, inspect its bearing, or replace it in time.
 
     ## Description
@@ -128,17 +127,14 @@ class MaintainEnv(StreamEnv[Any]):
     observed = FEATURES
     metadata: dict[str, Any] = {**StreamEnv.metadata, "render_fps": 10}  # noqa: RUF012  # gymnasium's way
 
-    def __init__(
-        self, options: MaintainOptions | None = None, *, render_mode: str | None = None, **changes: Any
-    ) -> None:
-        super().__init__(render_mode)
-        self.options = with_changes(options or MaintainOptions(), changes)
+    options_type = MaintainOptions
+
+    def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.motors = Motors(self.options, 1)
         self._words = self.motors.words
-        self.observation_space = self.motors.observation_space()
-        self.action_space = spaces.Discrete(_ACTIONS)
         self._action = np.zeros(1, dtype=np.int64)
-        self._logbook = None if render_mode is None else Logbook(self.options)
+        self._logbook = None if self.render_mode is None else Logbook(self.options)
+        return self.motors.observation_space(), spaces.Discrete(_ACTIONS)
 
     def _begin(self) -> tuple[Observation, Info]:
         self.motors.begin(np.ones(1, dtype=np.bool_))
@@ -180,31 +176,15 @@ class MaintainEnv(StreamEnv[Any]):
         return self._logbook.draw()
 
 
-class MaintainVectorEnv(StreamVectorEnv):
-    """Many of `MaintainEnv` at once: sub-environment n runs the stream of episodes (seed, n).
+class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
+    """Many of `MaintainEnv` at once: sub-environment n runs the stream of episodes (seed, n)."""
 
-    Args:
-        num_envs: number of sub-environments.
-        options: the task; `MaintainOptions()` unless given.
-        autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
-        render_mode: None; a vector draws no pictures.
-        changes: single options by name, on top.
-    """
+    options_type = MaintainOptions
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        options: MaintainOptions | None = None,
-        *,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
-        **changes: Any,
-    ) -> None:
-        super().__init__(num_envs, autoreset_mode=autoreset_mode, render_mode=render_mode)
-        self.options = with_changes(options or MaintainOptions(), changes)
-        self.motors = Motors(self.options, num_envs)
+    def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
+        self.motors = Motors(self.options, self.num_envs)
         self._words, self._flags = self.motors.words, self.motors.flags
-        self._set_spaces(self.motors.observation_space(), spaces.Discrete(_ACTIONS))
+        return self.motors.observation_space(), spaces.Discrete(_ACTIONS)
 
     def _begin(self, mask: BoolArray) -> None:
         self.motors.begin(mask)
