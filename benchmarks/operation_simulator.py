@@ -30,6 +30,7 @@ PROFILES = (
     "standstill",
 )
 LOADS = ("none", "constant", "square", "walk")
+"""And `dry`: a constant load that only brakes, such as a conveyor; the constant one also pulls, such as a hoist."""
 FINEST_HZ = 50_000.0
 KNEE = 0.004  # of the stall current, at which the brush drop sets in
 VOLTAGE_NOISE = 5e-4  # of the supply, as much as hides the steps of the converter
@@ -106,9 +107,9 @@ def _slope(
     pace = c[12]
     friction = (
         c[5] * (1.0 + c[6] * math.exp(-((w / (5.0 * pace)) ** 2))) * math.tanh(w / pace) + c[4] * w
-    ) * (1.0 - 0.003 * warm)
+    ) * (1.0 - 0.003 * warm) + c[14] * math.tanh(w / pace)
     torque = constant * i * (1.0 + c[8] * math.cos(12.0 * angle)) - friction - load - square * w * abs(w)
-    di = 0.0 if open_ else (volts - ohm * i - constant * w - c[7] * math.tanh(i / c[11])) / c[1]
+    di = 0.0 if open_ else (volts - (ohm + c[13]) * i - constant * w - c[7] * math.tanh(i / c[11])) / c[1]
     return di, torque / c[3], w, c[9] * ohm * i * i - c[10] * warm
 
 
@@ -131,7 +132,7 @@ def _run(
         if open_:
             x[0] = 0.0
             volts = c[2] * x[1]
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = volts, x[0], x[1], x[3]
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = volts - c[13] * x[0], x[0], x[1], x[3]
         for _ in range(fine):
             total = np.zeros(4)
             y = x.copy()
@@ -194,6 +195,7 @@ def simulate(
     bits: int = 12,
     warm_k: float = 0.0,
     torque_n_m: float | None = None,
+    supply_ohm: float = 0.0,
 ) -> Recording:
     """One recording of a motor at work.
 
@@ -201,12 +203,13 @@ def simulate(
         motor: simulated.
         profile: of PROFILES, or a start.
         rng: of motor, drive and sensors.
-        load: of LOADS.
+        load: of LOADS, or dry.
         samples: number.
         dt_s: sampling interval; drawn if None.
         bits: of the converters.
         warm_k: how much warmer than usual the whole motor is.
         torque_n_m: of the load, at the speed without load; 15 % of the stall torque if None.
+        supply_ohm: resistance of the supply; the voltage is recorded behind it.
     """
     dt = dt_s or motor.mechanical_s / 10.0 ** rng.uniform(0.6, 1.6)
     if warm_k:
@@ -221,7 +224,8 @@ def simulate(
         torque = rated * np.cumsum(rng.standard_normal(samples)) / math.sqrt(samples)
     constants = np.array(
         [motor.ohm, motor.henry, motor.constant, motor.inertia, motor.viscous, motor.coulomb, motor.stribeck,
-         motor.drop, motor.ripple, motor.heat, motor.cool, KNEE * motor.stall_a, 0.002 * motor.speed]
+         motor.drop, motor.ripple, motor.heat, motor.cool, KNEE * motor.stall_a, 0.002 * motor.speed, supply_ohm,
+         rated if load == "dry" else 0.0]
     )  # fmt: skip
     gain = 0.5 * motor.volts / motor.speed * 6.0 if mode == 1 else 0.5 * motor.ohm
     gains = np.array([gain, gain * min(dt / motor.mechanical_s, 0.3)])

@@ -94,6 +94,7 @@ def commission(
     temperature_c: float | None = None,
     window: float | None = None,
     torque_constant: float | None = None,
+    no_load_current: float | None = None,
     name: str = "commissioned motor",
 ) -> int:
     """Learn a motor from three or more healthy starts, for `motor-env diagnose --motor`.
@@ -109,6 +110,7 @@ def commission(
         temperature_c: Temperature of the motor at these starts, where known.
         window: Length in seconds of the windows into which logs of the motor at work are cut, instead of starts.
         torque_constant: In N m/A, where known and the speed was not recorded: the current alone does not tell it.
+        no_load_current: In A, of the motor uncoupled from its load: tells its own friction from the load.
         name: Name of the motor in that file.
     """
     from motor_env.diagnosis import commission as steps, running
@@ -118,7 +120,10 @@ def commission(
         raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
     if window is not None:
         options = measurement.for_windows(
-            temperature_c=temperature_c, out=out, torque_constant=torque_constant
+            temperature_c=temperature_c,
+            out=out,
+            torque_constant=torque_constant,
+            no_load_current=no_load_current,
         )
         known = running.commission_running(files, window, name, **options)
         save_motor(known, output)
@@ -134,6 +139,7 @@ def commission(
         temperature_c=temperature_c,
         **measurement.options,
         constant=positive("torque-constant", torque_constant),
+        no_load_current_a=positive("no-load-current", no_load_current),
     )
     save_motor(result.motor, output)
     if out is not None and result.motor.reference is not None:

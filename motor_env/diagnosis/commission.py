@@ -12,27 +12,29 @@ import numpy as np
 from scipy import stats
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
-from motor_env.diagnosis.explanations import alarm_share, significance_limit, smallest_changes
+from motor_env.diagnosis.explanations import significance_limit
 from motor_env.diagnosis.files import fit_files
 from motor_env.diagnosis.healthy_motor import learn_reference, reference_from_starts
 from motor_env.diagnosis.report import (
     UNITS,
-    WHOLE_DRAG,
     extensions_json,
     model_words,
+    of_the_drag,
     quality,
     quantities_json,
     quantity_lines,
     ripple_json,
     ripple_lines,
+    warnings_of,
 )
+from motor_env.diagnosis.views import smallest_of, views_of
 from motor_env.errors import InputError
 from motor_env.identification.identify import Identified
 from motor_env.identification.model_choice import EXTENSIONS, identify_best
-from motor_env.identification.plausibility import implausible
 from motor_env.identification.residuals import AMBIGUOUS
 from motor_env.motor.assumptions import assumptions, lines as lines_of
 from motor_env.motor.data_sheet import MotorFile, StartReference
+from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import MotorParameters
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
@@ -42,6 +44,7 @@ from motor_env.recordings.start import Circuit, prepare
 
 FEWEST_STARTS = 3
 _DIFFERENT = 2.0  # standard errors
+_NO_LOAD = 1.2  # of the current with the load: the same motor, within its friction's changes
 _WARMTH = "R +0.39 %, K -0.1 % and friction -0.3 % a kelvin come on top of that"
 _SPREAD = (
     "  the spread between starts is believed to be 2 % before any start is seen, worth 4 starts: few starts give wide"
@@ -95,10 +98,12 @@ def commission(
     temperature_c: float | None = None,
     start: int | None = None,
     constant: float | None = None,
+    no_load_current_a: float | None = None,
 ) -> Commissioned:
     """Learn a motor from healthy starts; a file may hold several, of which `start` chooses one.
 
-    Where the speed was not recorded, `constant` is the torque constant that the user knows.
+    Where the speed was not recorded, `constant` is the torque constant that the user knows. `no_load_current_a` is
+    what the motor draws uncoupled from its load; it tells which share of the drag is the motor's own friction.
 
     Raises:
         InputError: fewer than three, one that cannot be read or fitted, or such that hold different columns.
@@ -108,15 +113,29 @@ def commission(
     circumstances: dict[str, Any] = {"voltage_v": voltage_v, "circuit": circuit, "constant": constant}
     fits = fit_files(paths, "start", columns, fewest=FEWEST_STARTS, start=start, **circumstances)
     reference = replace(learn_reference(fits), temperature_c=temperature_c)
-    exponents = fits[0].exponents
-    limit = significance_limit(false_alarm_rate, exponents, reference.degrees_of_freedom)
+    if no_load_current_a is not None:
+        reference = replace(reference, own_friction=_own_friction(fits, no_load_current_a))
     motor = to_motor(fits, name, kind="commissioned", reference=reference, constant=constant)
     known = reference_from_starts(reference, reference.quantities, name, temperature_c)
-    covariance = reference.log_covariance
-    if known is not None:
-        covariance = known.any_warmth(covariance, alarm_share(false_alarm_rate, exponents))
-    smallest = smallest_changes(covariance, exponents, limit)
+    limit = significance_limit(false_alarm_rate, fits[0].exponents, reference.degrees_of_freedom)
+    views = [] if known is None else views_of(fits[0], known, false_alarm_rate)
+    smallest = smallest_of(views, reference.own_friction, limit)
     return Commissioned(motor, tuple(fits), smallest)
+
+
+def _own_friction(fits: Sequence[Identified], no_load_current_a: float) -> float:
+    """Share of the drag that is the motor's own friction, by its currents without and with the load.
+
+    Raises:
+        InputError: it draws less with the load.
+    """
+    running = float(np.mean([steady_state(fit.parameters, fit.start.level_v)[0] for fit in fits]))
+    if not no_load_current_a <= _NO_LOAD * running:
+        raise InputError(
+            f"no-load-current must be at most the {running:.3g} A that the motor draws at the end of these starts,"
+            f" got {no_load_current_a:g}"
+        )
+    return min(no_load_current_a / running, 1.0)
 
 
 def to_motor(
@@ -195,7 +214,7 @@ def identified_text(recording: Recording, fit: Identified, periods_per_turn: flo
         "  correlations: " + ", ".join(pairs),
         f"  {quality(fit)}; residual's autocorrelation at one sample {fit.lag_one:.2f}",
         *ripple_lines(fit, periods_per_turn),
-        *(f"  warning: {sentence}" for sentence in implausible(fit)),
+        *(f"  warning: {sentence}" for sentence in warnings_of(recording, fit)),
         *(f"  noticed: {defect}" for defect in fit.defects),
         *(f"  note: {sentence}" for sentence in not_told(fit)),
     ]
@@ -221,7 +240,7 @@ def identified_json(
         "columns": list(recording.columns),
         "defects": [str(defect) for defect in fit.defects],
         "not_told": not_told(fit),
-        "warnings": implausible(fit),
+        "warnings": warnings_of(recording, fit),
     }
 
 
@@ -243,7 +262,7 @@ def commissioned_text(result: Commissioned, rate: float) -> str:
             for name, value, h in zip(reference.quantities, reference.values, half, strict=True)
         ),
         f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}",
-        f"  smallest change that is found in 95 of 100 cases: {smallest} ({WHOLE_DRAG})",
+        f"  smallest change that is found in 95 of 100 cases: {smallest} ({of_the_drag(reference.own_friction)})",
         f"  a motor that is warmer or colder by {reference.temperature_k:.0f} K (1 sd) is healthy too: {_WARMTH}",
         _SPREAD,
         *lines_of(result.motor.assumed),

@@ -18,7 +18,6 @@ from scipy import stats
 
 from motor_env.diagnosis.explanations import (
     Change,
-    Difference,
     Explanation,
     alarm_share,
     compare,
@@ -29,8 +28,9 @@ from motor_env.diagnosis.explanations import (
     smallest_changes,
 )
 from motor_env.diagnosis.filter_check import FilterCheck
-from motor_env.diagnosis.healthy_motor import Reference, white_error
-from motor_env.diagnosis.loaded import LOADS, directions
+from motor_env.diagnosis.healthy_motor import Reference
+from motor_env.diagnosis.loaded import LOADS
+from motor_env.diagnosis.views import View, covariance_at_one_temperature, smallest_of, unit_of, views_of
 from motor_env.identification.identify import Identified
 from motor_env.motor.faults import FaultKind, motor_kinds
 from motor_env.motor.parameters import FloatArray
@@ -100,64 +100,74 @@ class Diagnosis:
 def decide(
     recording: Recording, fit: Identified, reference: Reference, check: FilterCheck, rate: float
 ) -> Diagnosis:
-    """The diagnosis of a fit against a reference, at a rate of false alarms per healthy recording."""
-    log_ratios, freedom = fit.log_values - reference.log_values, reference.degrees_of_freedom
-    same_warmth, share = _covariance(fit, reference), alarm_share(rate, fit.exponents)
-    difference = Difference(log_ratios, reference.any_warmth(same_warmth, share), fit.exponents, freedom)
+    """The diagnosis of a fit against a reference, at a rate of false alarms per healthy recording.
+
+    Nobody may have told what makes the drag: an alarm is one only if it is one whatever the drag is.
+    """
+    freedom, share = reference.degrees_of_freedom, alarm_share(rate, fit.exponents)
     limit = significance_limit(rate, fit.exponents, freedom)
-    faults = explain(difference)
-    probability = probabilities(difference, faults)
-    p_value = difference.p_value(difference.squared_distance, len(log_ratios))
-    is_alarm = any(fault.z > limit for fault in faults) or p_value < share
-    marked = limit if is_alarm else math.inf
-    changes = compare(fit.quantity_names, log_ratios, same_warmth, freedom, marked)
+    views = views_of(fit, reference, rate)
+    # A data sheet speaks of a motor without a load; there, loads only help to name what stands out.
+    believed = views if reference.includes_fit_error else views[:1]
+    quiet = next((view for view in believed if not view.is_alarm(limit, share)), None)
+    view = quiet or views[0]
+    same_warmth, log_ratios = covariance_at_one_temperature(fit, reference), views[0].difference.log_ratios
+    changes = compare(fit.quantity_names, log_ratios, same_warmth, freedom, math.inf if quiet else limit)
     healthy = Diagnosis(
         recording,
         Verdict.HEALTHY,
         (
             f"no quantity has moved further than {reference.source} and the fit's own error allow",
-            *warmth_reason(log_ratios, same_warmth, reference),
+            *_warmth_reason(view, same_warmth, reference),
         ),
         severity=0.0,
-        confidence=probability["healthy"],
+        confidence=probabilities(view.difference, view.faults)["healthy"],
         identified=fit,
         reference=reference,
         changes=changes,
         filter_check=check,
-        smallest_changes=smallest_changes(difference.covariance, difference.exponents, limit),
+        smallest_changes=smallest_of(believed, reference.own_friction, limit),
     )
-
-    def suffices(fault: Explanation) -> bool:
-        return fault.z > limit and fault.p_left_over > rate
-
-    half = float(stats.t.isf(0.025, freedom))
-    if is_alarm:
-        # A load is thought of where nothing explains the start without one.
-        for load in (None, *(() if any(map(suffices, faults)) else LOADS)):
-            if load is not None:
-                faults = explain(difference, None, directions(fit, [fault.kind for fault in faults], load))
-                probability = probabilities(difference, faults)
-            best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
-            if best is not None and probability[best.kind] >= probability["other"]:
-                return _with_fault(healthy, best, half, probability, load)
-        named = {fault.kind for fault in faults}
-        unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
-        alike = map(_alike_reason, filter(suffices, explain(difference, unnamed)))
-        reasons, confidence = (*_other_reasons(changes, reference), *alike), probability["other"]
-        return replace(healthy, verdict=Verdict.OTHER, reasons=reasons, severity=None, confidence=confidence)
-    unseen = _unseen_fault(healthy.smallest_changes)
+    if quiet is None:
+        return _with_alarm(healthy, views, limit, rate)
+    unseen = _unseen_fault(smallest_changes(replace(view.difference, covariance=fit.log_covariance), limit))
     if unseen is not None:
         return replace(healthy, verdict=Verdict.UNUSABLE, reasons=(unseen,), severity=None, confidence=None)
     return _with_noise(healthy, fit, reference, limit)
 
 
-def warmth_reason(log_ratios: FloatArray, same_warmth: FloatArray, reference: Reference) -> tuple[str, ...]:
+def _with_alarm(healthy: Diagnosis, views: list[View], limit: float, rate: float) -> Diagnosis:
+    """The fault that explains an alarm, or that none does; a load is thought of where nothing does without one."""
+
+    def suffices(fault: Explanation) -> bool:
+        return fault.z > limit and fault.p_left_over > rate
+
+    first = views[0]
+    for view in views:
+        probability = probabilities(view.difference, view.faults)
+        best = max(filter(suffices, view.faults), key=lambda fault: probability[fault.kind], default=None)
+        if best is not None and probability[best.kind] >= probability["other"]:
+            return _with_fault(
+                healthy, best, first.difference.degrees_of_freedom, probability, view.drag.load
+            )
+        if view is first and any(map(suffices, view.faults)):
+            break
+    named = {fault.kind for fault in first.faults}
+    unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
+    alike = map(_alike_reason, filter(suffices, explain(first.difference, unnamed)))
+    reasons = (*_other_reasons(healthy.changes, _source(healthy)), *alike)
+    confidence = probabilities(first.difference, first.faults)["other"]
+    return replace(healthy, verdict=Verdict.OTHER, reasons=reasons, severity=None, confidence=confidence)
+
+
+def _warmth_reason(view: View, same_warmth: FloatArray, reference: Reference) -> tuple[str, ...]:
     """That another temperature explains the changes, where it does so by itself: its posterior mean in kelvin."""
-    if reference.warmth is None or reference.temperature_k == 0.0:
+    if reference.temperature_k == 0.0:
         return ()
-    solved = np.linalg.solve(same_warmth, reference.warmth)
-    sd = 1.0 / math.sqrt(float(solved @ reference.warmth) + reference.temperature_k**-2)
-    kelvin = sd**2 * float(solved @ log_ratios)
+    warmth = view.drag.warmth
+    solved = np.linalg.solve(same_warmth, warmth)
+    sd = 1.0 / math.sqrt(float(solved @ warmth) + reference.temperature_k**-2)
+    kelvin = sd**2 * float(solved @ view.difference.log_ratios)
     if abs(kelvin) < max(_TELLING_WARMTH_K, 2.0 * sd):
         return ()
     word = "warmer" if kelvin > 0.0 else "colder"
@@ -166,26 +176,31 @@ def warmth_reason(log_ratios: FloatArray, same_warmth: FloatArray, reference: Re
     )
 
 
+def _source(diagnosis: Diagnosis) -> str:
+    return "nothing" if diagnosis.reference is None else diagnosis.reference.source
+
+
 def _with_fault(
     healthy: Diagnosis,
     fault: Explanation,
-    quantile: float,
+    freedom: float,
     probability: dict[str, float],
     load: str | None,
 ) -> Diagnosis:
-    """The diagnosis of a known fault; the interval of its severity reaches `quantile` standard deviations."""
-    verdict, half = Verdict(fault.kind.verdict), quantile * fault.step_sd
+    """The diagnosis of a known fault; the interval of its severity is that of Student's t."""
+    verdict, half = Verdict(fault.kind.verdict), float(stats.t.isf(0.025, freedom)) * fault.step_sd
+    own = unit_of(fault.kind, None if healthy.reference is None else healthy.reference.own_friction)
     return replace(
         healthy,
         verdict=verdict,
         reasons=(
             fault.kind.finding,
-            "compared with " + ("nothing" if healthy.reference is None else healthy.reference.source),
+            f"compared with {_source(healthy)}",
             *(() if load is None else (f"the changes fit it if the drag is mostly {LOADS[load]}",)),
         ),
-        severity=fault.severity,
-        severity_low=severity_of(fault.kind, fault.step - half),
-        severity_high=severity_of(fault.kind, fault.step + half),
+        severity=fault.severity / own,
+        severity_low=severity_of(fault.kind, fault.step - half) / own,
+        severity_high=severity_of(fault.kind, fault.step + half) / own,
         confidence=sum(probability.get(kind, 0.0) for kind in motor_kinds() if kind.verdict == verdict),
         fault_kind=fault.kind,
     )
@@ -213,23 +228,6 @@ def _with_noise(healthy: Diagnosis, fit: Identified, reference: Reference, limit
     )
 
 
-def _covariance(fit: Identified, reference: Reference) -> FloatArray:
-    """Covariance of the difference between this start and a healthy motor.
-
-    Healthy starts hold errors of fits like this one. Where this start tells less than they did, being shorter or
-    noisier, what its own error is beyond theirs is added.
-    """
-    healthy = reference.log_covariance
-    if not reference.includes_fit_error:
-        return healthy + fit.log_covariance
-    root = np.linalg.cholesky(healthy)
-    inverse = np.linalg.inv(root)
-    sizes, axes = np.linalg.eigh(inverse @ white_error(fit) @ inverse.T)
-    beyond = root @ axes * np.sqrt(np.maximum(sizes - 1.0, 0.0))
-    covariance: FloatArray = healthy + beyond @ beyond.T
-    return covariance
-
-
 def _unseen_fault(smallest: dict[str, float]) -> str | None:
     """Why a recording cannot be called healthy: a doubled friction or resistance would not show in it."""
     for kind, quantity in ((FaultKind.BEARING, "friction"), (FaultKind.WINDING_CONTACT, "resistance")):
@@ -249,7 +247,7 @@ def _alike_reason(fault: Explanation) -> str:
     )
 
 
-def _other_reasons(changes: tuple[Change, ...], reference: Reference) -> tuple[str, ...]:
+def _other_reasons(changes: tuple[Change, ...], source: str) -> tuple[str, ...]:
     moved = [c for c in changes if c.significant] or sorted(
         changes, key=lambda c: abs(math.log(c.ratio)) / math.log(c.high / c.low), reverse=True
     )[:1]
@@ -263,4 +261,7 @@ def _other_reasons(changes: tuple[Change, ...], reference: Reference) -> tuple[s
         if any(c.name.startswith("K^2") for c in moved)
         else ""
     )
-    return ("; ".join(words) + hint, f"no single known fault explains this, compared with {reference.source}")
+    return (
+        "; ".join(words) + hint,
+        f"no single known fault explains this, compared with {source}",
+    )

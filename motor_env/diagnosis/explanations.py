@@ -8,7 +8,6 @@ quantiles are Student's and Fisher's.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +24,7 @@ _OTHER_PRIOR = 0.30  # standard deviation of each logarithm where something else
 _STEP_NODES = np.linspace(-10.0, 10.0, 401)  # standard deviations about the best step
 _POWER_QUANTILE = 1.645  # 95 of 100
 _LARGEST_LOG = 30.0
+_LEAST = 1e-3  # length of a direction; a fault that shows has about 1
 _NOISE_AND_OMNIBUS = 2  # tests beside those of the faults
 
 
@@ -37,12 +37,14 @@ class Difference:
         covariance: of the logarithms, everything that is uncertain included, shape (n, n).
         exponents: of (R, L, K, J, B, V) in each quantity, shape (n, 6).
         degrees_of_freedom: of the covariance.
+        response: how the quantities move with the logarithms of (R, L, K, J, B, V); the exponents unless given.
     """
 
     log_ratios: FloatArray
     covariance: FloatArray
     exponents: FloatArray
     degrees_of_freedom: float
+    response: FloatArray | None = None
 
     @property
     def inverse(self) -> FloatArray:
@@ -115,22 +117,15 @@ def significance_limit(rate: float, exponents: FloatArray, degrees_of_freedom: f
     return float(stats.t.isf(alarm_share(rate, exponents), degrees_of_freedom))
 
 
-def explain(
-    difference: Difference,
-    kinds: tuple[FaultKind, ...] | None = None,
-    directions: Mapping[FaultKind, FloatArray] | None = None,
-) -> list[Explanation]:
-    """Each of some faults as an explanation; by default of those that the quantities can name.
-
-    Args:
-        difference: to explain.
-        kinds: of faults.
-        directions: of the kinds, where they are not those of the textbook motor.
-    """
+def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) -> list[Explanation]:
+    """Each of some faults that show as an explanation; by default of those that the quantities can name."""
     inverse, dimensions = difference.inverse, len(difference.log_ratios)
+    response = difference.exponents if difference.response is None else difference.response
     explanations = []
     for kind in quantities.nameable_kinds(difference.exponents) if kinds is None else kinds:
-        direction = (directions or {}).get(kind, quantities.visible_direction(kind, difference.exponents))
+        direction = quantities.visible_direction(kind, response)
+        if np.linalg.norm(direction) < _LEAST:
+            continue
         information = float(direction @ inverse @ direction)
         step = float(direction @ inverse @ difference.log_ratios) / information
         z = step * math.sqrt(information)
@@ -139,12 +134,11 @@ def explain(
     return explanations
 
 
-def smallest_changes(covariance: FloatArray, exponents: FloatArray, limit: float) -> dict[str, float]:
+def smallest_changes(difference: Difference, limit: float) -> dict[str, float]:
     """Severity of each fault that is found in 95 of 100 cases, for a limit in standard deviations."""
-    none = Difference(np.zeros(len(covariance)), covariance, exponents, NORMAL_DOF)
     return {
         str(fault.kind): severity_of(fault.kind, (limit + _POWER_QUANTILE) * fault.step_sd)
-        for fault in explain(none)
+        for fault in explain(difference)
     }
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from motor_env.diagnosis import report
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, Diagnosis, Verdict
 from motor_env.diagnosis.diagnose import diagnose, unusable_reason
-from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference, odd_one_out
+from motor_env.diagnosis.healthy_motor import disagreement, fit_healthy, learn_reference, odd_one_out
 from motor_env.diagnosis.page import page
 from motor_env.errors import InputError
 from motor_env.files import write_text
@@ -87,6 +87,9 @@ def fit_files(
         reason = unusable_reason(fits[number]) or odd_one_out(fits, number)
         if reason is not None:
             raise InputError(f"{part.path}: a healthy {word} cannot be used: {reason}")
+    reason = disagreement(fits)
+    if reason is not None:
+        raise InputError(f"the healthy {word}s cannot be used: {reason}")
     return fits
 
 

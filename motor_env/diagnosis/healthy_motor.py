@@ -25,6 +25,7 @@ SHEET_NOISE_SD = 0.10
 NORMAL_DOF = 1e6
 MEASURED_TEMPERATURE_K = 4.0
 """How far a winding may be off a measured temperature, one standard deviation."""
+_DISAGREE = 0.5  # standard deviation of a logarithm between healthy starts
 _SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm from start to start, and how many are odd
 
 
@@ -43,9 +44,9 @@ class Reference:
         log_noise_sd: its standard deviation from start to start.
         model: extensions to fit with, or None to choose by evidence.
         includes_fit_error: the covariance was estimated from fits, and holds their errors already.
-        warmth: how the logarithms move for each kelvin that the motor is warmer, shape (n,); None where the covariance
-            holds the temperature.
-        temperature_k: standard deviation of the temperature.
+        temperature_k: standard deviation of the temperature; 0 where the covariance holds it.
+        warmer_k: how much warmer the motor is than the values say.
+        own_friction: share of the drag that is the motor's own friction; None where a load was not told.
     """
 
     source: str
@@ -57,14 +58,9 @@ class Reference:
     log_noise_sd: float = SHEET_NOISE_SD
     model: tuple[str, ...] | None = None
     includes_fit_error: bool = False
-    warmth: FloatArray | None = None
     temperature_k: float = 0.0
-
-    def any_warmth(self, covariance: FloatArray, rate: float) -> FloatArray:
-        """A covariance at one temperature, with another temperature added for tests of a rate, shape (n, n)."""
-        if self.warmth is None:
-            return covariance
-        return warmer(covariance, self.temperature_k * self.warmth, rate, self.degrees_of_freedom)
+    warmer_k: float = 0.0
+    own_friction: float | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -111,6 +107,7 @@ def reference_from_motor(
         log_values=exponents @ quantities.logarithms(motor.parameters, voltage),
         log_covariance=exponents @ covariance @ exponents.T + supply**2 * np.outer(per_volt, per_volt),
         log_noise=None if motor.current_noise_a is None else math.log(motor.current_noise_a),
+        own_friction=1.0,
     )
 
 
@@ -126,22 +123,22 @@ def reference_from_starts(
     powers = wanted @ np.linalg.pinv(known)
     if not np.allclose(powers @ known, wanted):
         return None
-    warmth = quantities.warmth_direction(wanted)
     spread_k, warmer_k = starts.temperature_k, 0.0
     if temperature_c is not None and starts.temperature_c is not None:
         spread_k, warmer_k = min(spread_k, MEASURED_TEMPERATURE_K), temperature_c - starts.temperature_c
     return Reference(
         source=f"{starts.starts} healthy starts of {motor}",
         names=names,
-        log_values=powers @ np.log(starts.values) + warmer_k * warmth,
+        log_values=powers @ np.log(starts.values),
         log_covariance=powers @ starts.log_covariance @ powers.T,
         degrees_of_freedom=starts.degrees_of_freedom,
         log_noise=starts.log_noise,
         log_noise_sd=starts.log_noise_sd,
         model=starts.model,
         includes_fit_error=True,
-        warmth=warmth,
         temperature_k=spread_k,
+        warmer_k=warmer_k,
+        own_friction=starts.own_friction,
     )
 
 
@@ -228,6 +225,16 @@ def white_error(fit: Identified) -> FloatArray:
     """Covariance of the fit from its white noise alone: what differs from one start to the next of one motor."""
     left = float(np.var(fit.residual_a[fit.start.alignment.onset_index :]))
     return fit.log_covariance * min(fit.noise_a**2 / max(left, 1e-300), 1.0)
+
+
+def disagreement(fits: Sequence[Identified]) -> str | None:
+    """Which quantity differs so much between healthy starts that they teach nothing; None where they agree."""
+    logs = np.array([fit.log_values for fit in fits])
+    for name, column in zip(fits[0].quantity_names, logs.T, strict=True):
+        if name[0] in "RKJ" and float(np.std(column)) > _DISAGREE:
+            low, high = np.exp(column.min()), np.exp(column.max())
+            return f"their {name} lies between {low:.3g} and {high:.3g}: are they starts of one motor, from rest?"
+    return None
 
 
 def odd_one_out(fits: Sequence[Identified], number: int) -> str | None:

@@ -6,15 +6,13 @@ speed, and the textbook's parameters follow them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from motor_env.identification.identify import FIT_SAMPLES, Identified
 from motor_env.identification.residuals import started
 from motor_env.motor import identifiable as quantities
-from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.recordings.start import mean_tail
 
@@ -24,47 +22,93 @@ _OF_THE_DRAG = 0.95  # the load's share: the rest stays viscous
 _STEP = 0.01
 _ROUNDS = 4
 _FARTHEST = 3.0  # logarithm of a factor on a parameter
-_LEAST = 1e-3  # length of a direction; a fault that shows has about 1
+_UNTOLD_OWN, _ALL_OWN = (
+    0.05,
+    0.95,
+)  # the motor's own share of the drag: if nobody told it; from where on there is no load
 _FRICTION = quantities.PARAMETERS.index("B")
 
 
-def directions(fit: Identified, kinds: Iterable[FaultKind], load: str) -> dict[FaultKind, FloatArray]:
-    """How the logarithms of a start's quantities move with one unit of each fault's logarithm, under one of LOADS.
+@dataclass(frozen=True, slots=True)
+class Drag:
+    """What makes the drag of a start.
 
-    A faulty bearing adds a friction torque that does not depend on the speed, as a share of the whole drag. None are
-    returned where no motor with that load looks like this start, and none that would not show.
+    Attributes:
+        load: of LOADS, what most of it looks like; None for viscous friction.
+        response: how the logarithms of the start's quantities move with those of R, L, K, J, the drag and V, (n, 6).
+        own: share of the drag that is the motor's own friction.
     """
-    free = [n for n, name in enumerate(quantities.PARAMETERS[:-1]) if name != "K" or _has_speed(fit)]
-    textbook = _run(fit, np.zeros(5))
-    columns = [(_run(fit, _STEP * np.eye(5)[n]) - textbook) / _STEP for n in free]
-    later = (_run(fit, np.zeros(5), late_s=_STEP * fit.start.dt_s) - textbook) / _STEP
-    slopes = np.stack([*columns, later], axis=1)
-    # What the start hardly tells, such as L at a slow rate, stays: each logarithm, and a sample of delay, by 1 (1 sd).
-    inverse = np.linalg.solve(slopes.T @ slopes + np.eye(slopes.shape[1]), slopes.T)[:-1]
-    motor = np.zeros(5)
+
+    load: str | None
+    response: FloatArray
+    own: float
+
+    @property
+    def warmth(self) -> FloatArray:
+        """How the logarithms move for each kelvin that the motor is warmer, shape (n,): no load falls with it."""
+        return quantities.warmth_direction(self.response, self.own)
+
+
+def drags(fit: Identified, own: float | None) -> list[Drag]:
+    """What the drag of a start may be, viscous friction first; `own` is the motor's share of it, None if not told.
+
+    Dry friction looks like a constant load, and is the motor's own.
+    """
+    owns = {"constant": (1.0, 0.0), "fan": (0.0,)} if own is None else dict.fromkeys(LOADS, (own,))
+    inverse = _textbook_of(fit)
+    found = {load: _response(fit, load, inverse) for load in LOADS}
+    return [
+        Drag(None, fit.exponents, own or 1.0),
+        *(
+            Drag(load, moves, share)
+            for load, moves in found.items()
+            if moves is not None
+            for share in owns[load]
+        ),
+    ]
+
+
+def _response(fit: Identified, load: str, inverse: FloatArray) -> FloatArray | None:
+    """See `Drag`; None where no motor with that load looks like this start.
+
+    More drag is a torque that does not depend on the speed, as that of a faulty bearing. `inverse` is `_textbook_of`.
+    """
+    free, textbook, motor = _free(fit), _run(fit, np.zeros(5)), np.zeros(5)
     for _ in range(_ROUNDS):
         motor[free] -= inverse @ (_run(fit, motor, load) - textbook)
         if not np.abs(motor).max() < _FARTHEST:
-            return {}
+            return None
     healthy = _run(fit, motor, load)
-    found = {}
-    for kind in kinds:
-        step = _STEP * quantities.fault_direction(kind)[:5]
-        added = np.expm1(step[_FRICTION])
-        step[_FRICTION] = 0.0
-        moved = inverse @ (_run(fit, motor + step, load, added=float(added)) - healthy) / _STEP
-        direction: FloatArray = fit.exponents[:, free] @ moved
-        if np.linalg.norm(direction) > _LEAST:
-            found[kind] = direction
-    return found
+    moved = [_run(fit, motor + step, load) for step in _STEP * np.eye(5)[:_FRICTION]]
+    moved.append(_run(fit, motor, load, added=_STEP))
+    textbooks = inverse @ (np.stack(moved, axis=1) - healthy[:, None]) / _STEP
+    return np.column_stack([fit.exponents[:, free] @ textbooks, fit.exponents[:, -1]])
 
 
-def _has_speed(fit: Identified) -> bool:
-    return fit.start.speed_rad_s is not None
+def _textbook_of(fit: Identified) -> FloatArray:
+    """How the free logarithms of a textbook fit follow the samples that `_run` gives, shape (n_free, n_samples)."""
+    textbook = _run(fit, np.zeros(5))
+    columns = [(_run(fit, _STEP * np.eye(5)[n]) - textbook) / _STEP for n in _free(fit)]
+    later = (_run(fit, np.zeros(5), late_s=_STEP * fit.start.dt_s) - textbook) / _STEP
+    slopes = np.stack([*columns, later], axis=1)
+    # What the start hardly tells, such as L at a slow rate, stays: each logarithm, and a sample of delay, by 1 (1 sd).
+    inverse: FloatArray = np.linalg.solve(slopes.T @ slopes + np.eye(slopes.shape[1]), slopes.T)[:-1]
+    return inverse
+
+
+def _free(fit: Identified) -> list[int]:
+    """Which of R, L, K, J and B are free in the fit: K where the speed was recorded."""
+    has_speed = fit.start.speed_rad_s is not None
+    return [n for n, name in enumerate(quantities.PARAMETERS[:-1]) if name != "K" or has_speed]
 
 
 def _run(
-    fit: Identified, logs: FloatArray, load: str | None = None, *, added: float = 0.0, late_s: float = 0.0
+    fit: Identified,
+    logs: FloatArray,
+    load: str | None = None,
+    *,
+    added: float = 0.0,
+    late_s: float = 0.0,
 ) -> FloatArray:
     """Current, and speed where it was recorded, each over what the fit leaves of it.
 

@@ -7,8 +7,7 @@ import numpy as np
 from motor_env.console import printable
 from motor_env.diagnosis.decision import Diagnosis, Verdict
 from motor_env.diagnosis.explanations import Change
-from motor_env.diagnosis.report import as_text
-from motor_env.identification.plausibility import implausible
+from motor_env.diagnosis.report import as_text, warnings_of
 from motor_env.identification.residuals import absolute, started
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, MotorParameters
@@ -106,9 +105,9 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
         sure=_sure(diagnosis.confidence),
         first=_SHORT_FIRST if is_short else _FIRST.get(verdict, ()),
         reasons=[f"{reason[0].upper()}{reason[1:]}." for reason in diagnosis.reasons],
-        warnings=[]
-        if fit is None
-        else [f"{sentence[0].upper()}{sentence[1:]}." for sentence in implausible(fit)],
+        warnings=[
+            f"{sentence[0].upper()}{sentence[1:]}." for sentence in warnings_of(diagnosis.recording, fit)
+        ],
         read=[printable(note) for note in diagnosis.recording.columns],
         bars=_bars(diagnosis.changes) if diagnosis.changes else "",
         current=_current(diagnosis, expected) if fit is not None else "",

@@ -13,8 +13,8 @@ from motor_env.identification.commutation import constants_at, find_ripple
 from motor_env.identification.identify import Identified
 from motor_env.identification.plausibility import implausible
 from motor_env.motor.parameters import RAD_S_PER_RPM
+from motor_env.recordings.recording import Recording
 
-WHOLE_DRAG = "bearing: of the whole drag, any load included"
 UNITS = {
     "R": "ohm",
     "L": "H",
@@ -73,11 +73,16 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
         "model_error_a": None if check is None else _number(check.model_error_a),
         "consistent": None if check is None or check.consistency is None else check.consistency.holds,
         "warning": diagnosis.warning or None,
-        "warnings": [] if fit is None else implausible(fit),
+        "warnings": warnings_of(diagnosis.recording, fit),
         "commutation": None if fit is None else ripple_json(fit, periods_per_turn),
         "columns": list(diagnosis.recording.columns),
         "defects": [] if fit is None else [str(defect) for defect in fit.defects],
     }
+
+
+def warnings_of(recording: Recording, fit: Identified | None) -> list[str]:
+    """What looks wrong with the columns or with the values that they give, in sentences."""
+    return [*recording.warnings, *([] if fit is None else implausible(fit))]
 
 
 def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, Any] | None:
@@ -179,8 +184,8 @@ def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None, *, verb
     lines += [f"  {reason}." for reason in diagnosis.reasons]
     lines.append("  read: " + "; ".join(diagnosis.recording.columns))
     fit = diagnosis.identified
+    lines += [f"  warning: {sentence}" for sentence in warnings_of(diagnosis.recording, fit)]
     if fit is not None:
-        lines += [f"  warning: {sentence}" for sentence in implausible(fit)]
         moved = {c.name: f"{c.ratio - 1.0:+6.1%} from the reference ({_span(c)})" for c in diagnosis.changes}
         lines += quantity_lines(quantities_json(fit), moved)
         lines += [
@@ -200,7 +205,15 @@ def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None, *, verb
 def smallest_words(diagnosis: Diagnosis) -> str:
     """What this comparison would have found."""
     smallest = ", ".join(f"{kind} {severity:.0%}" for kind, severity in diagnosis.smallest_changes.items())
-    return f"smallest change that this comparison finds in 95 of 100 cases: {smallest} ({WHOLE_DRAG})"
+    own = None if diagnosis.reference is None else diagnosis.reference.own_friction
+    return f"smallest change that this comparison finds in 95 of 100 cases: {smallest} ({of_the_drag(own)})"
+
+
+def of_the_drag(own: float | None) -> str:
+    """What the friction of a bearing fault is a share of; `own` is the motor's share of the drag, where told."""
+    if own is None:
+        return "bearing: of the whole drag, any load included"
+    return "bearing: of the motor's own friction" + (f", {own:.0%} of the drag" if own < 1.0 else "")
 
 
 def expert_lines(diagnosis: Diagnosis) -> list[str]:

@@ -12,9 +12,10 @@ _USUAL = {
     "K": (1e-4, 20.0, "V s/rad"),
     "L/R": (2e-6, 0.2, "s"),
     "R J/K^2": (5e-4, 30.0, "s"),
+    "current": (1e-3, 5e3, "A"),
     "sampling rate": (20.0, 5e7, "Hz"),
 }
-"""Least and largest value of brushed DC motors from pagers to traction, with a margin."""
+"""Least and largest value (of the current: its peak) of brushed DC motors from pagers to traction, with a margin."""
 
 _TOLD = 0.3  # standard error of a logarithm, above which a quantity is not told
 
@@ -28,7 +29,7 @@ def implausible(fit: Identified) -> list[str]:
         return next((name for name in logs if name.split("/")[0] == letters), "")
 
     resistance, inductance, constant, squared = first("R"), first("L"), first("K"), first("K^2")
-    seen = {"sampling rate": 1.0 / fit.start.dt_s}
+    seen = {"current": float(np.max(np.abs(fit.start.current_a))), "sampling rate": 1.0 / fit.start.dt_s}
     if errors[resistance] < _TOLD:
         if errors[inductance] < _TOLD:
             seen["L/R"] = float(np.exp(logs[inductance] - logs[resistance]))

@@ -123,6 +123,7 @@ class StartReference:
         ripple_log_sd: standard deviation of the next start's logarithm of either.
         temperature_k: how much warmer or colder than those a healthy motor may be, one standard deviation.
         temperature_c: temperature of the motor at those starts, where known.
+        own_friction: share of the drag that is the motor's own friction, the rest being a load; None if not told.
     """
 
     starts: Annotated[int, Field(ge=1)]
@@ -143,6 +144,7 @@ class StartReference:
     ripple_log_sd: Positive | None = None
     temperature_k: NotNegative = 15.0
     temperature_c: Finite | None = None
+    own_friction: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
 
     def __post_init__(self) -> None:
         n, covariance = len(self.quantities), self.log_covariance

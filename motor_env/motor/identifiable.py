@@ -61,13 +61,15 @@ def logarithms(parameters: MotorParameters, voltage_v: float) -> FloatArray:
     return out
 
 
-def warmth_direction(exponents: FloatArray) -> FloatArray:
+def warmth_direction(exponents: FloatArray, own: float = 1.0) -> FloatArray:
     """How the logarithms of quantities move for each kelvin that the motor is warmer, shape (n,).
 
     Args:
         exponents: of (R, L, K, J, B, V) in each quantity, shape (n, 6).
+        own: share of the drag that is the motor's friction, which falls as it warms.
     """
-    moved: FloatArray = exponents @ [COPPER_PER_KELVIN, 0.0, MAGNET_PER_KELVIN, 0.0, FRICTION_PER_KELVIN, 0.0]
+    friction = own * FRICTION_PER_KELVIN
+    moved: FloatArray = exponents @ [COPPER_PER_KELVIN, 0.0, MAGNET_PER_KELVIN, 0.0, friction, 0.0]
     return moved
 
 

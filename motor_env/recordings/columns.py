@@ -31,14 +31,17 @@ _MANY_WHOLE = (
 
 
 class Column(NamedTuple):
-    """A quantity: its values in SI units, and in words where they come from."""
+    """A quantity: its values in SI units, in words where they come from, and what is odd about them."""
 
     values: FloatArray
     origin: str
+    warning: str = ""
 
 
-def recognise(path: Path, table: Table, choices: Sequence[ColumnChoice] = ()) -> dict[str, Column]:
-    """The quantities of a table, `time` and `current` among them.
+def recognise(
+    path: Path, table: Table, choices: Sequence[ColumnChoice] = ()
+) -> tuple[dict[str, Column], tuple[str, ...]]:
+    """The quantities of a table, `time` and `current` among them, and the names of the columns that are not used.
 
     Raises:
         InputError: one of these two is missing, two columns look alike, or a column's unit cannot be told; the sentence
@@ -62,11 +65,17 @@ def recognise(path: Path, table: Table, choices: Sequence[ColumnChoice] = ()) ->
     if "current" not in chosen and not any(meaning.quantity == "current" for meaning in meanings):
         raise InputError(_no_current(path, table, meanings, taken))
     for quantity, k in _by_header(path, table, meanings, chosen, taken):
+        taken.add(k)
         found[quantity] = _column(path, table, meanings[k], k, quantity)
     if "time" not in found:
-        counter = next((k for k, meaning in enumerate(meanings) if meaning.unit == NUMBERED), None)
-        found["time"] = _counted(path, table, counter)
-    return {quantity: found[quantity] for quantity in QUANTITIES if quantity in found}
+        found["time"] = _counted(path, table, _counter(meanings))
+    unused = [k for k in range(len(meanings)) if k not in taken and k != _counter(meanings)]
+    ordered = {quantity: found[quantity] for quantity in QUANTITIES if quantity in found}
+    return ordered, tuple(_name(table, k) for k in unused)
+
+
+def _counter(meanings: Sequence[Meaning]) -> int | None:
+    return next((k for k, meaning in enumerate(meanings) if meaning.unit == NUMBERED), None)
 
 
 def _by_header(
@@ -115,8 +124,18 @@ def _chosen(path: Path, table: Table, meaning: Meaning, k: int, choice: ColumnCh
     unit = None if is_whole_text else choice.unit
     scale = None if is_whole_text else choice.scale
     offset = 0.0 if is_whole_text else choice.offset
+    warning = ""
     if unit is not None:
         measured = unit_quantity(unit) or choice.quantity
+        if (
+            unit_quantity(meaning.unit)
+            and UNITS[measured].get(unit_key(meaning.unit)) != UNITS[measured][unit_key(unit)]
+        ):
+            warning = f"the header of column {_name(table, k)} says {meaning.unit}, and --column says {unit}"
+        elif unit == SI[choice.quantity] and scale is None and _holds_counts(table, k):
+            warning = (
+                f"column {_name(table, k)} holds whole numbers, as a converter's counts: are they {unit}?"
+            )
         meaning = Meaning(choice.quantity, UNITS[measured][unit_key(unit)], unit, meaning.name)
     if meaning.unit == NUMBERED and unit is None and choice.quantity == "time":
         return _counted(path, table, k)
@@ -137,7 +156,7 @@ def _chosen(path: Path, table: Table, meaning: Meaning, k: int, choice: ColumnCh
         if offset == 0.0
         else f", {'plus' if offset > 0.0 else 'minus'} {abs(offset):g} {SI[choice.quantity]}"
     )
-    return Column((1.0 if scale is None else scale) * column.values + offset, column.origin + words)
+    return Column((1.0 if scale is None else scale) * column.values + offset, column.origin + words, warning)
 
 
 def _column(path: Path, table: Table, meaning: Meaning, k: int, quantity: str) -> Column:

@@ -40,6 +40,7 @@ class Recording:
         duty: duty cycle of the supply, shape (n_samples,), or None: a voltage of unknown scale.
         columns: how the columns were understood, for the user.
         averaged: number of samples of the file whose mean is one sample here.
+        warnings: what contradicts itself in what was said of the columns.
     """
 
     path: Path
@@ -50,6 +51,7 @@ class Recording:
     duty: FloatArray | None = None
     columns: tuple[str, ...] = ()
     averaged: int = 1
+    warnings: tuple[str, ...] = ()
 
     @property
     def dt_s(self) -> float:
@@ -77,12 +79,15 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
     """
     path = Path(path)
     table = read_table(path, [choice.column for choice in choices])
-    columns = recognise(path, table, choices)
+    columns, unused = recognise(path, table, choices)
     notes = [f"{quantity} is {column.origin}" for quantity, column in columns.items()]
     values = {quantity: column.values for quantity, column in columns.items()}
     if table.averaged > 1:
         notes.append(f"{table.averaged} neighbouring samples are averaged into one")
-    return _recording(path, table, values, (*notes, *table.remarks))
+    if unused:
+        notes.append(f"not used: {', '.join(unused)}")
+    recording = _recording(path, table, values, (*notes, *table.remarks))
+    return replace(recording, warnings=tuple(column.warning for column in columns.values() if column.warning))
 
 
 def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: tuple[str, ...]) -> Recording:

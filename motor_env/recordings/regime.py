@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import spearmanr
 
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.noise import difference_noise
 from motor_env.recordings.recording import Recording
 
 Regime = Literal["auto", "start", "operation"]
@@ -17,8 +21,15 @@ _REVERSED_SHARE = 0.005
 _BETWEEN_SHARE = 0.1
 _FEWEST_CHANGES = 3
 _MOST_SWITCHES = 5
-_PAUSE_S = 0.1
-_FEWEST_JUMPS, _KNOWN = 50, 0.25  # jumps of the voltage, and their correlation with the current's
+_PAUSE_S, BOUNCE_S = 0.1, 0.02  # a motor does not stop in so short a pause; a contact has bounced and settled
+_INRUSH, _STILL_TURNS = 0.75, 0.1  # of the largest inrush, and of the top speed
+_FEWEST_JUMPS = 8  # of the voltage
+_CHANCE, _UNKNOWN, _KNOWN = (
+    3.0,
+    0.25,
+    0.8,
+)  # rank correlation with the current's: standard errors, and its bounds
+_NOISE_SPAN = 10.0  # a voltage that is only noise spans so many standard deviations
 _LEVEL, _OFF_LEVEL = 0.05, 0.02  # of the way between two levels; share of the samples that may lie off them
 
 
@@ -35,15 +46,36 @@ def work_seen(recording: Recording) -> str | None:
     if top == 0.0:
         return None
     share = voltage / top
-    if min(float(np.mean(share > _OFF)), float(np.mean(share < -_OFF))) > _REVERSED_SHARE:
-        return "the voltage reverses"
-    levels = np.digitize(np.abs(share), (_OFF, _ON))
-    if float(np.mean(levels == 1)) > _BETWEEN_SHARE and changes(np.abs(share)) >= _FEWEST_CHANGES:
-        return "the voltage takes several levels"
+    size = np.abs(share)
+    levels = np.digitize(size, (_OFF, _ON))
     pauses = gaps_s(levels == 0, recording.dt_s)
-    if len(pauses) >= _MOST_SWITCHES and float(np.median(pauses)) < _PAUSE_S:
-        return "the voltage is switched faster than a motor stops"
-    return None
+    if min(float(np.mean(share > _OFF)), float(np.mean(share < -_OFF))) > _REVERSED_SHARE:
+        found = "the voltage reverses"
+    elif float(np.mean(levels == 1)) > _BETWEEN_SHARE and changes(size) >= _FEWEST_CHANGES:
+        found = "the voltage takes several levels"
+    elif len(pauses) >= _MOST_SWITCHES and float(np.median(pauses)) < _PAUSE_S:
+        found = "the voltage is switched faster than a motor stops"
+    elif _restarted_while_turning(recording, size, levels == 0):
+        found = "the voltage comes back before the motor stands"
+    else:
+        found = None
+    return found
+
+
+def _restarted_while_turning(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_]) -> bool:
+    """Whether the motor still turns when it is switched on again: by its speed, else by an inrush that is too small."""
+    on = np.flatnonzero(~is_off)
+    restarts = on[1:][np.diff(on) * recording.dt_s > BOUNCE_S]
+    if len(restarts) == 0:
+        return False
+    if recording.speed_rad_s is not None:
+        speed = np.abs(recording.speed_rad_s)
+        return bool(np.median(speed[restarts - 1]) > _STILL_TURNS * np.quantile(speed, 0.999))
+    current = np.where(is_off, 0.0, np.abs(recording.current_a - np.median(recording.current_a[is_off])))
+    without_wild = np.append(np.minimum(current[:-1], current[1:]), 0.0)
+    begins = np.append(on[0], restarts)
+    inrush = np.maximum.reduceat(without_wild, begins) / np.maximum.reduceat(share, begins)
+    return bool(np.median(inrush[1:]) < _INRUSH * inrush.max())
 
 
 def refuse_work(recording: Recording) -> None:
@@ -63,25 +95,36 @@ def refuse_work(recording: Recording) -> None:
 def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
     """Refuse a raw pulse-width modulation that was sampled more slowly than it switches: its mean is not in the record.
 
-    Its voltage jumps between two levels; the current knows nothing of the jumps, neither at once nor until the next.
+    Its voltage jumps between two levels, or stays at one; the current knows nothing of the jumps or of the noise,
+    neither at once nor until the next jump.
 
     Raises:
         UnusableError: it is one.
     """
+    if not _explains_steps(voltage_v, current_a):
+        raise UnusableError(
+            "the current does not follow the voltage: that is a raw pulse-width modulation, sampled more slowly than"
+            " it switches, so that its mean is unknown; record it behind a low-pass filter, or the duty cycle times"
+            " the supply"
+        )
+
+
+def _explains_steps(voltage_v: FloatArray, current_a: FloatArray) -> bool:
+    """Whether the current moves with the steps of a voltage of two levels; true for any other voltage."""
     low, high = np.quantile(voltage_v, (0.02, 0.98))
     off = np.minimum(np.abs(voltage_v - low), np.abs(voltage_v - high))
+    is_noise = float(np.ptp(voltage_v)) < _NOISE_SPAN * difference_noise(voltage_v)
+    if not is_noise and float(np.mean(off > _LEVEL * (high - low))) > _OFF_LEVEL:
+        return True
     jumps = np.flatnonzero(np.diff((voltage_v > 0.5 * (low + high)).astype(np.int8))) + 1
     jumps = jumps[(jumps > 1) & (jumps < len(voltage_v) - 2)]
-    if len(jumps) < _FEWEST_JUMPS or float(np.mean(off > _LEVEL * (high - low))) > _OFF_LEVEL:
-        return
+    if len(jumps) < _FEWEST_JUMPS:
+        return True
     signs = np.sign(voltage_v[jumps] - voltage_v[jumps - 1])[:-1]
     following = [current_a[jumps + later] - current_a[jumps + later - 1] for later in (0, 1, 2)]
     rises = [*(each[:-1] for each in following), np.diff(current_a[jumps])]
-    if max(abs(float(np.corrcoef(signs, each)[0, 1])) for each in rises if np.ptp(each) > 0.0) < _KNOWN:
-        raise UnusableError(
-            "the voltage is a raw pulse-width modulation, sampled more slowly than it switches, so that its mean is"
-            " unknown: record it behind a low-pass filter, or the duty cycle times the supply"
-        )
+    known = max(abs(float(spearmanr(signs, each).statistic)) for each in rises if np.ptp(each) > 0.0)
+    return known > min(max(_CHANCE / math.sqrt(len(signs)), _UNKNOWN), _KNOWN)
 
 
 def changes(share: FloatArray) -> int:

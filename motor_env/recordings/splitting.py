@@ -13,10 +13,10 @@ from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import wild_samples, without_wild
 from motor_env.recordings.recording import Recording, cut
-from motor_env.recordings.regime import refuse_work
+from motor_env.recordings.regime import BOUNCE_S, refuse_work
 
 _HIGH, _LOW, _REST = 0.5, 0.25, 0.05
-_FEWEST, _BOUNCE_S = 3, 0.02  # samples; a contact has bounced and settled after that time
+_FEWEST = 3  # samples
 _WILD = 5  # samples of a long recording that may lie above all that counts
 MOST_STARTS = 200
 
@@ -75,7 +75,7 @@ def _rises(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:
     """Samples where the values rise beyond half of their largest, after having been at rest."""
     top = float(np.sort(values)[-1 - (_WILD if len(values) > 2000 else 0)])
     high, low = (values > _HIGH * top).tolist(), (values < rest * top).tolist()
-    shortest = max(_FEWEST, round(_BOUNCE_S / dt_s))
+    shortest = max(_FEWEST, round(BOUNCE_S / dt_s))
     begins: list[int] = []
     at_rest, since = 0, shortest
     armed = True
