@@ -1,6 +1,6 @@
 """Verdicts on starts under a load that scatters, of warmer motors behind a resistance: a table of docs/recordings.md.
 
-python benchmarks/loaded_starts.py --motors 400
+python benchmarks/loaded_starts.py --motors 216
 
 Motors and sensors are those of operation_simulator.py: Stribeck friction, brush drop, ripple, 10 bits. Each motor is
 commissioned on five healthy starts, every other one is told what it draws without the load. Each start that is judged
@@ -40,7 +40,7 @@ RIGHT = {
 """The right verdicts: with the speed the first one, in the current alone the last."""
 LOADS = ("none", "dry", "square")
 SPREADS = (0.02, 0.1, 0.3)
-COMMISSIONED, JUDGED = 5, 5
+COMMISSIONED, JUDGED = 5, 10
 LONG = 10.0  # of the mechanical time constant
 SAMPLES, BITS = 2000, 10
 LOAD, SUPPLY, WARMEST_K = 0.15, 0.1, 40.0  # of the stall torque, of R, and how much warmer
@@ -140,7 +140,7 @@ def rows(counts: Counter[str]) -> list[list[str]]:
     return table
 
 
-def main(*, motors: int = 400, seed: int = 0) -> None:
+def main(*, motors: int = 216, seed: int = 0) -> None:
     """Go on from the motors that benchmarks/results/loaded_starts.json has, and print the table.
 
     Args:

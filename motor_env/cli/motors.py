@@ -19,7 +19,7 @@ from motor_env.cli.options import (
     positive,
     show,
 )
-from motor_env.console import printable
+from motor_env.console import ExitStatus, printable
 from motor_env.errors import InputError
 
 
@@ -39,7 +39,7 @@ def identify(
     Example: motor-env identify examples/startup_capture.csv -o out/motor.toml
 
     Logs of a motor at work (reversals, several levels, fast switching) are identified jointly. Exit status 3: no
-    motor explains them.
+    motor explains one of the starts, or the logs.
 
     Args:
         files: Recordings of one motor.
@@ -52,6 +52,7 @@ def identify(
         json_: Print one array with one object a start, and one for all logs of a motor at work.
     """
     from motor_env.diagnosis import commission as steps
+    from motor_env.diagnosis.diagnose import unusable_reason
     from motor_env.motor.data_sheet import save_motor
     from motor_env.operation import logs
 
@@ -65,8 +66,9 @@ def identify(
         if out is not None:
             work.plot(out)
     fits = [pair for path in starts for pair in steps.identify_file(path, **options, constant=constant)]
-    if output is not None and fits:
-        save_motor(steps.to_motor([fit for _, fit in fits], name, constant=constant), output)
+    usable = [fit for _, fit in fits if unusable_reason(fit) is None]
+    if output is not None and usable:
+        save_motor(steps.to_motor(usable, name, constant=constant), output)
     if out is not None:
         from motor_env.diagnosis.files import picture_of
         from motor_env.diagnosis.pictures import plot_identified
@@ -81,7 +83,8 @@ def identify(
         ),
     )
     measurement.keep()
-    return work.exit_status() if works else 0
+    unusable = len(usable) < len(fits) or (works and work.exit_status())
+    return int(ExitStatus.UNDECIDED if unusable else ExitStatus.HEALTHY)
 
 
 def commission(

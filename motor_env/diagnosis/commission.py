@@ -12,6 +12,7 @@ import numpy as np
 from scipy import stats
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
+from motor_env.diagnosis.diagnose import unusable_reason
 from motor_env.diagnosis.explanations import significance_limit
 from motor_env.diagnosis.files import fit_files
 from motor_env.diagnosis.healthy_motor import learn_reference, reference_from_starts
@@ -202,7 +203,10 @@ def not_told(fit: Identified) -> list[str]:
 
 
 def identified_text(recording: Recording, fit: Identified, periods_per_turn: float | None = None) -> str:
-    """Parameters, correlations and what cannot be told."""
+    """Parameters, correlations and what cannot be told; one sentence where the fit explains nothing."""
+    reason = unusable_reason(fit)
+    if reason is not None:
+        return f"{recording.path}: unusable: {reason}"
     names, correlation = fit.quantity_names, fit.correlation
     pairs = [
         f"{names[i]} with {names[j]} {correlation[i, j]:+.2f}" for i in range(len(names)) for j in range(i)
@@ -227,6 +231,7 @@ def identified_json(
     """The same as one object."""
     return {
         "file": str(recording.path),
+        "unusable": unusable_reason(fit),
         "model": ["textbook", *fit.model],
         "parameters": quantities_json(fit),
         "extensions": extensions_json(fit),

@@ -82,7 +82,8 @@ def _response(fit: Identified, load: str, inverse: FloatArray) -> FloatArray | N
     moved = [_run(fit, motor + step, load) for step in _STEP * np.eye(5)[:_FRICTION]]
     moved.append(_run(fit, motor, load, added=_STEP))
     textbooks = inverse @ (np.stack(moved, axis=1) - healthy[:, None]) / _STEP
-    return np.column_stack([fit.exponents[:, free] @ textbooks, fit.exponents[:, -1]])
+    response: FloatArray = np.column_stack([fit.exponents[:, free] @ textbooks, fit.exponents[:, -1]])
+    return response
 
 
 def _textbook_of(fit: Identified) -> FloatArray:
@@ -92,8 +93,8 @@ def _textbook_of(fit: Identified) -> FloatArray:
     later = (_run(fit, np.zeros(5), late_s=_STEP * fit.start.dt_s) - textbook) / _STEP
     slopes = np.stack([*columns, later], axis=1)
     # What the start hardly tells, such as L at a slow rate, stays: each logarithm, and a sample of delay, by 1 (1 sd).
-    inverse: FloatArray = np.linalg.solve(slopes.T @ slopes + np.eye(slopes.shape[1]), slopes.T)[:-1]
-    return inverse
+    inverse = np.linalg.solve(slopes.T @ slopes + np.eye(slopes.shape[1]), slopes.T)[:-1]
+    return np.asarray(inverse, dtype=np.float64)
 
 
 def _free(fit: Identified) -> list[int]:

@@ -1,5 +1,6 @@
 """What is no healthy start: logs of a motor at work, starts that no motor explains, starts of another motor."""
 
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -96,3 +97,12 @@ def test_a_switch_that_bounces_for_milliseconds_makes_one_start(rate_hz: float, 
         Path("x"), time_s, np.where(on, 2.0, 0.0), np.where(on, 12.0, 0.0) if has_voltage else None
     )
     assert len(split_starts(recording)) == 1
+
+
+def test_starts_that_do_not_agree_teach_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = []
+    for n, inertia in enumerate((5e-7, 1e-6, 2e-6, 4e-6)):
+        (one,) = captures(DEFECTS["none"], (), replace(PAPER_MOTOR, inertia_kg_m2=inertia), n, 1)
+        files.append(write(tmp_path / f"{n}.csv", one))
+    assert main(["commission", *files, "-o", str(tmp_path / "motor.toml")]) == 2
+    assert re.search(r"their K\^2/J lies between .* starts of one motor", capsys.readouterr().err)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from motor_env.cli import main
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
 from motor_env.identification.start_model import Extension, step_start
@@ -24,7 +26,7 @@ LOADS = {
 }
 
 
-def start(motor: MotorParameters, load: str, number: int, *, has_speed: bool) -> Recording:
+def start(motor: MotorParameters, load: str, number: int, *, has_speed: bool = False) -> Recording:
     rng = np.random.default_rng([5, number])
     states: FloatArray = step_start(
         motor, LOADS[load], TIME_S, 3e-5, 12.0 * (1.0 + 0.003 * rng.standard_normal())
@@ -44,3 +46,43 @@ def test_a_winding_fault_under_a_load_is_named(load: str, has_speed: bool) -> No
     )
     faulty = start(MOTOR.scaled(resistance_ohm=1.25), load, 7, has_speed=has_speed)
     assert diagnose(faulty, None, learned, voltage_v=12.0).verdict == "winding"
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_a_load_does_not_cool_as_friction_does(load: str) -> None:
+    learned = learn_reference(fit_healthy([start(MOTOR, load, n) for n in range(5)], voltage_v=12.0))
+    magnet = 1.0 - 0.001 * 35.0
+    warm = MOTOR.scaled(
+        resistance_ohm=1.0 + 0.00393 * 35.0,
+        back_emf_constant_v_s_per_rad=magnet,
+        torque_constant_n_m_per_a=magnet,
+    )
+    found = diagnose(start(warm, load, 8), None, learned, voltage_v=12.0)
+    assert found.verdict == "healthy"
+    assert "K warmer" in found.reasons[-1]
+
+
+def test_a_no_load_current_makes_the_bearing_fault_one_of_the_bearing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = []
+    for n in range(4):
+        one = start(MOTOR, "constant", n)
+        columns = np.stack([one.time_s, one.current_a], axis=1)
+        files.append(str(tmp_path / f"{n}.csv"))
+        np.savetxt(files[-1], columns, delimiter=",", header="time_s,current_a", comments="")
+    command = ["commission", *files, "--voltage", "12", "-o", str(tmp_path / "motor.toml")]
+    assert main(command) == 0
+    whole = capsys.readouterr().out
+    assert "of the whole drag, any load included" in whole
+    assert main([*command, "--no-load-current", "0.15"]) == 0
+    assert re.search(r"of the motor's own friction, \d\d% of the drag", own := capsys.readouterr().out)
+    own_friction = load_motor(tmp_path / "motor.toml").reference.own_friction  # type: ignore[union-attr]
+    assert own_friction is not None
+    assert smallest_bearing(own) == pytest.approx(smallest_bearing(whole) / own_friction, rel=0.1)
+    assert main([*command, "--no-load-current", "9"]) == 2
+    assert "no-load-current must be at most" in capsys.readouterr().err
+
+
+def smallest_bearing(text: str) -> float:
+    return float(re.findall(r"bearing ([\d.]+)%", text)[0])

@@ -10,7 +10,7 @@ from motor_env import cli
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import load_motor
 from motor_env.recordings.headers import ColumnChoice, understand
-from motor_env.recordings.recording import read_recording
+from motor_env.recordings.recording import Recording, read_recording
 
 TIME = np.linspace(0.0, 0.049, 50)
 CURRENT = np.sin(50.0 * TIME) + 1.0
@@ -231,3 +231,23 @@ def test_commissioned_motor_judges_its_own_starts(tmp_path: Path) -> None:
     weaker[:, 2] *= 0.8
     np.savetxt(paths[3], weaker, delimiter=",", header="time_s,voltage_v,current_a", comments="")
     assert cli.main(["diagnose", paths[3], "--motor", target]) == 1
+
+
+def test_what_contradicts_the_header_is_warned_of(tmp_path: Path) -> None:
+    rows = (
+        f"{t:.6f},{1e3 * i:.0f},{20.0 + n % 2:.1f}"
+        for n, (t, i) in enumerate(zip(TIME, CURRENT, strict=True))
+    )
+    path = write(tmp_path / "a.csv", "time_s,CLAMP (mV),T_case\n" + "\n".join(rows))
+
+    def read(column: str) -> Recording:
+        return read_recording(path, [ColumnChoice.parse(column)])
+
+    assert read("current=CLAMP:A").warnings == (
+        "the header of column CLAMP (mV) says mV, and --column says A",
+    )
+    assert read("current=CLAMP*10").warnings == ()
+    assert "not used: T_case" in read("current=CLAMP*10").columns
+    path.write_text(path.read_text(encoding="utf-8").replace(" (mV)", ""), encoding="utf-8")
+    assert "whole numbers, as a converter's counts" in read("current=CLAMP:A").warnings[0]
+    assert read("current=CLAMP:mA").warnings == ()

@@ -1,0 +1,60 @@
+"""Raw pulse-width modulation: no gap is taken for a start, and no alias for a voltage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import Recording
+from motor_env.recordings.regime import refuse_aliased, work_seen
+from motor_env.recordings.splitting import chosen_starts
+
+FINE_S = 1e-4
+OHM, CONSTANT, INERTIA, DRY = 2.0, 0.03, 2.3e-5, 3.6e-3
+
+
+def pulsed(pwm_hz: float, duty: float, every: int, *, coasts: bool = True, n: int = 40_000) -> Recording:
+    """A motor of 50 ms, without inductance, that pulses of 12 V start at 0.2 s; one fine step in some is recorded."""
+    time_s: FloatArray = FINE_S * np.arange(n, dtype=np.float64)
+    on = (time_s >= 0.2) & ((time_s - 0.2) * pwm_hz % 1.0 < duty)
+    states: FloatArray = np.zeros((n, 2))
+    speed = 0.0
+    for k in range(n):
+        current = 0.0 if coasts and not on[k] else (12.0 * on[k] - CONSTANT * speed) / OHM
+        states[k] = current, speed
+        speed = max(speed + FINE_S * (CONSTANT * current - DRY) / INERTIA, 0.0)
+    noisy: FloatArray = states + np.random.default_rng(4).standard_normal(states.shape) * [0.01, 0.5]
+    some = slice(None, None, every)
+    voltage = 12.0 * on + 0.01 * np.random.default_rng(5).standard_normal(n)
+    return Recording(Path("x"), time_s[some], noisy[some, 0], voltage[some], noisy[some, 1])
+
+
+@pytest.mark.parametrize(("pwm_hz", "duty"), [(2.0, 0.5), (2.0, 0.95), (5.0, 0.1), (5.0, 0.5), (20.0, 0.95)])
+@pytest.mark.parametrize("has_speed", [False, True])
+def test_pulses_are_no_starts(pwm_hz: float, duty: float, has_speed: bool) -> None:
+    recording = pulsed(pwm_hz, duty, 10)
+    if not has_speed:
+        recording = Recording(recording.path, recording.time_s, recording.current_a, recording.voltage_v)
+    with pytest.raises(UnusableError, match="a log of a motor at work"):
+        chosen_starts(recording)
+    assert recording.voltage_v is not None
+    refuse_aliased(recording.voltage_v, recording.current_a)
+
+
+def test_a_motor_that_brakes_to_rest_starts_again() -> None:
+    recording = pulsed(1.0, 0.5, 10, coasts=False)
+    assert work_seen(recording) is None
+    assert len(chosen_starts(recording)) == 4
+
+
+@pytest.mark.parametrize("pwm_hz", [500.0, 503.0, 1000.0, 1003.0])
+def test_a_voltage_that_the_current_does_not_follow_is_refused(pwm_hz: float) -> None:
+    fine = pulsed(pwm_hz, 0.5, 1)
+    assert fine.voltage_v is not None
+    mean = np.convolve(fine.current_a, np.full(40, 1.0 / 40.0), mode="same")  # as an inductance leaves it
+    with pytest.raises(UnusableError, match="sampled more slowly than it switches"):
+        refuse_aliased(fine.voltage_v[::20], mean[::20])
