@@ -18,9 +18,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from motor_env import PAPER_MOTOR, Cusum, MotorFile, Scenario, SensorParameters, nis_rule, simulate
+from motor_env import PAPER_MOTOR, MotorFile, Scenario, SensorParameters, nis_rule, simulate
 from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
-from motor_env.embedded.monitor import Monitor, monitor_of
+from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import literal, write_library
 from motor_env.embedded.twin import answers, readings_of
 from motor_env.motor.parameters import Channel
@@ -96,7 +96,7 @@ def paper_monitor(*, n_channels: int = 1, rule: str = "cusum") -> Monitor:
     return monitor_of(
         MotorFile("paper", "data_sheet", PAPER_MOTOR),
         1000.0,
-        rule=nis_rule() if rule == "nis" else Cusum(0.5, two_sided=True),
+        rule=nis_rule() if rule == "nis" else CusumBank(),
         sensor=SensorParameters(channels, 0.02, 1.0),
         voltage_v=12.0,
     )

@@ -24,9 +24,9 @@ from numba import njit
 from numpy.typing import NDArray
 from watch import RATES, VOLTS, Floats, duty, heavy, moved, wandering, warmed
 
-from motor_env import Cusum, Fault, FaultKind, KalmanFilter, MotorFile, SensorParameters
+from motor_env import Fault, FaultKind, KalmanFilter, MotorFile, SensorParameters
 from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
-from motor_env.embedded.monitor import Monitor, monitor_of, settled
+from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of, settled
 from motor_env.embedded.source import write_library
 from motor_env.embedded.twin import readings_of
 from motor_env.motor.faults import apply_fault
@@ -45,10 +45,11 @@ FAULTS = (
     (FaultKind.WINDING_CONTACT, 0.25),
 )
 HOLDS = (5, 16)  # samples
-SHIFTS = (0.15, 0.5, 1.5)
+RULES = {"bank": CusumBank(), "--shift 0.5": CusumBank((0.5,), ())}
 DELAYS, HEALTHY_S = 200, 10.0
 VARYING_H, CALIBRATION_H = 20.0, 50.0
 RUN = """
+#include <string.h>
 #include "m.h"
 long size(void) { return (long)sizeof(m); }
 void begin(m *monitor) { m_init(monitor); }
@@ -59,7 +60,7 @@ long run(m *monitor, long count, const m_sample *samples, long *first)
     for (k = 0; k < count; ++k) {
         if (m_step(monitor, samples[k]) == M_FAULT) {
             if (alarms++ == 0) { *first = k; }
-            monitor->up = monitor->down = 0;
+            memset(monitor->sums, 0, sizeof monitor->sums);
         }
     }
     return alarms;
@@ -111,13 +112,13 @@ class Compiled:
         return int(alarms), first.value
 
 
-def exported(folder: Path, arithmetic: str, a_year: float, shift: float = 0.5) -> Compiled:
+def exported(folder: Path, arithmetic: str, a_year: float, rule: CusumBank = RULES["bank"]) -> Compiled:
     """The C code of the motor for a number of false alarms a year."""
     folder.mkdir()
     monitor = monitor_of(
         MotorFile("textbook", "data_sheet", heavy(INERTIA)),
         RATE_HZ,
-        rule=Cusum(shift, two_sided=True),
+        rule=rule,
         sensor=SENSOR,
         voltage_v=VOLTS,
         false_alarms_per_year=a_year,
@@ -217,8 +218,8 @@ def best_threshold(ratios: Floats, wanted: int) -> float:
     return high
 
 
-def delays(codes: dict[float, Compiled], rng: np.random.Generator, *, least: float) -> list[dict[str, Any]]:
-    """Median delays in seconds of codes for one false alarm an hour by their shift, and of the best CUSUM."""
+def delays(codes: dict[str, Compiled], rng: np.random.Generator, *, least: float) -> list[dict[str, Any]]:
+    """Median delays in seconds of codes for one false alarm an hour, and of the best CUSUM."""
     healthy, rows = Belief.of_motor(heavy(INERTIA)), []
     volts = duty(rng, int(CALIBRATION_H * 3600.0 * RATE_HZ), HOLDS, least=least)
     shown = current(heavy(INERTIA), rng, volts, np.zeros(2))
@@ -240,8 +241,8 @@ def delays(codes: dict[float, Compiled], rng: np.random.Generator, *, least: flo
             found.append([(k + 1) / RATE_HZ if k >= 0 else np.inf for k in first])
         medians = np.median(found, axis=0).tolist()
         best_s, *ours_s = [value if np.isfinite(value) else None for value in medians]  # JSON has no infinity
-        by_shift = dict(zip(map(str, codes), ours_s, strict=True))
-        rows.append({"fault": str(kind), "severity": severity, "best_s": best_s, "delay_s": by_shift})
+        by_rule = dict(zip(codes, ours_s, strict=True))
+        rows.append({"fault": str(kind), "severity": severity, "best_s": best_s, "delay_s": by_rule})
     return rows
 
 
@@ -253,14 +254,14 @@ def counted(folder: Path, hours: float) -> dict[str, Any]:
         for arithmetic in ("fixed", "float")
         for rate, a_year in RATES.items()
     }
-    shifts = {shift: exported(folder / f"shift-{shift}", "fixed", RATES["hour"], shift) for shift in SHIFTS}
+    rules = {name: exported(folder / name, "fixed", RATES["hour"], rule) for name, rule in RULES.items()}
     return {
         "hours": hours,
         "alarms": false_alarms(codes, hours, first, varying=False),
         "varying_hours": VARYING_H,
         "alarms_varying": false_alarms(codes, VARYING_H, second, varying=True),
-        "delays_one_direction": delays(shifts, third, least=0.1),
-        "delays_both_directions": delays(shifts, fourth, least=-1.0),
+        "delays_one_direction": delays(rules, third, least=0.1),
+        "delays_both_directions": delays(rules, fourth, least=-1.0),
     }
 
 

@@ -45,10 +45,12 @@ def delays() -> str:
     code, rows = _read("watch_c.json"), []
     for duty in ("one direction", "both directions"):
         for row in code[f"delays_{duty.replace(' ', '_')}"]:
-            shown = ["never" if s is None else f"{s:.3g}" for s in (row["best_s"], *row["delay_s"].values())]
-            rows.append([duty, f"{row['fault']} +{row['severity']:.0%}", *shown])
-    shifts = [f"`--shift {shift}`" for shift in code["delays_one_direction"][0]["delay_s"]]
-    return table(["duty cycle", "fault", "the best CUSUM", *shifts], rows)
+            best_s, ours_s = row["best_s"], row["delay_s"]
+            shown = ["never" if s is None else f"{s:.3g}" for s in (best_s, *ours_s.values())]
+            ratio = f"{ours_s['bank'] / best_s:.1f}"
+            rows.append([duty, f"{row['fault']} +{row['severity']:.0%}", *shown, ratio])
+    rules = [name if name == "bank" else f"`{name}`" for name in code["delays_one_direction"][0]["delay_s"]]
+    return table(["duty cycle", "fault", "the best CUSUM", *rules, "bank over best"], rows)
 
 
 def windows() -> str:

@@ -62,7 +62,7 @@ def export_c(
     rate_hz: float,
     voltage: float | None = None,
     rule: Literal["cusum", "nis"] = "cusum",
-    shift: float = 0.5,
+    shift: float | None = None,
     false_alarms_per_year: float = 1.0,
     arithmetic: Literal["fixed", "float"] = "fixed",
     gain: Literal["steady", "scheduled"] = "steady",
@@ -83,8 +83,8 @@ def export_c(
         out: Folder of the library.
         rate_hz: Samples a second.
         voltage: Level of the supply in volt; by default the motor's nominal voltage.
-        rule: cusum (a lasting shift, up or down), or nis (the size of single samples).
-        shift: Shift that the cusum looks for, in standard deviations of a sample.
+        rule: cusum (lasting shifts), or nis (the size of single samples).
+        shift: The only shift that the cusum looks for, in standard deviations of a sample; by default several.
         false_alarms_per_year: Of this motor, healthy, exactly known and without load.
         arithmetic: fixed (whole numbers, for chips without a floating-point unit), or float.
         gain: steady, or scheduled (a gain for each sample after a begin at rest).
@@ -96,17 +96,18 @@ def export_c(
         stuck_after: So many equal readings in a row, while voltage is on, are a stuck sensor.
         name: Of the library, and the first part of the names in it.
     """
-    from motor_env.detection.rules import Cusum, nis_rule
+    from motor_env.detection.rules import nis_rule
     from motor_env.embedded.arithmetic import Steps
-    from motor_env.embedded.monitor import monitor_of, sensor_of
+    from motor_env.embedded.monitor import CusumBank, monitor_of, sensor_of
     from motor_env.embedded.source import write_library
     from motor_env.motor.data_sheet import load_motor
 
     known = load_motor(motor)
+    bank = CusumBank() if shift is None else CusumBank((shift,), ())
     monitor = monitor_of(
         known,
         rate_hz,
-        rule=nis_rule() if rule == "nis" else Cusum(shift, two_sided=True),
+        rule=nis_rule() if rule == "nis" else bank,
         sensor=sensor_of(known, current_noise, speed_noise),
         voltage_v=voltage if voltage is not None else known.nominal_voltage_v or 0.0,
         false_alarms_per_year=false_alarms_per_year,

@@ -11,20 +11,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.detection.rules.cusum import Cusum
-from motor_env.embedded.monitor import DEADBAND, Limits, Monitor
+from motor_env.embedded.monitor import DEADBAND, CusumBank, Limits, Monitor
 from motor_env.motor.parameters import FloatArray, require
 
 Values = NDArray[Any]
 LARGEST = 1 << 29
 _FULL_SCALE = 1 << 28
-_UNIT_SIGMA = 2.0**-20
+STATISTIC_BITS = 26
 _MANTISSA_BITS, _MOST_SHIFT = 30, 62
 
 
@@ -55,10 +54,10 @@ class Row:
     shift: int | None = None
 
     def total(self, sample: int, values: Sequence[Values]) -> Values:
-        """The sum, from left to right."""
+        """The sum over the first values, from left to right."""
         factors = self.factors[min(sample, len(self.factors) - 1)]
         total: Values = factors[0] * values[0]
-        for factor, value in zip(factors[1:], values[1:], strict=True):
+        for factor, value in zip(factors[1:], values[1:], strict=False):
             total = total + factor * value
         if self.shift is None:
             return total
@@ -77,12 +76,13 @@ class Numbers:
         model: what current and speed grow by in a sample, from current, speed and voltage.
         drag: what brushes and dry friction take from current and speed, and the speed below which they do not count.
         gain: corrections of current and speed from the innovations.
-        white: the rule's input from the innovations.
-        half: half the shift of a CUSUM.
-        threshold: of the statistic.
+        white: what an innovation adds to each sum, or the root of what it adds to the NIS.
+        halves: half the shift of each sum; empty for NIS.
+        threshold: of the statistic: 1, or 1 << STATISTIC_BITS.
         ranges: largest readings of current, speed, voltage.
         stuck_after: so many equal readings in a row are no readings.
-        two_sided: of a CUSUM; None for NIS.
+        n_friction: how many of the sums look for friction; they are the first.
+        memory: of the slow current and speed, in samples as a power of two.
     """
 
     dtype: type[np.generic]
@@ -92,11 +92,12 @@ class Numbers:
     drag: tuple[Values, Values, Values]
     gain: tuple[Row, Row]
     white: tuple[Row, ...]
-    half: Values
+    halves: Values
     threshold: Values
     ranges: Values
     stuck_after: int
-    two_sided: bool | None
+    n_friction: int
+    memory: int
 
     @property
     def n_channels(self) -> int:
@@ -111,9 +112,7 @@ class Numbers:
 
 def floating(monitor: Monitor, dtype: type[np.float32 | np.float64] = np.float32) -> Numbers:
     """Numbers in floating point."""
-    return _numbers(
-        monitor, dtype, _UNITS, unit_sigma=1.0, row=lambda rows: Row(rows.astype(dtype)), steps=_UNITS
-    )
+    return _numbers(monitor, dtype, _UNITS, unit=1.0, row=lambda rows: Row(rows.astype(dtype)), steps=_UNITS)
 
 
 def fixed_point(monitor: Monitor, steps: Steps) -> Numbers:
@@ -136,7 +135,7 @@ def fixed_point(monitor: Monitor, steps: Steps) -> Numbers:
         shift = min(shift, _MOST_SHIFT)
         return Row(np.rint(np.ldexp(factors, shift)).astype(np.int64), shift)
 
-    return _numbers(monitor, np.int64, units, unit_sigma=_UNIT_SIGMA, row=row, steps=steps)
+    return _numbers(monitor, np.int64, units, unit=2.0**-STATISTIC_BITS, row=row, steps=steps)
 
 
 def _numbers(
@@ -144,24 +143,22 @@ def _numbers(
     dtype: type[np.generic],
     units: Sequence[float],
     *,
-    unit_sigma: float,
+    unit: float,
     row: Callable[[FloatArray], Row],
     steps: Steps,
 ) -> Numbers:
-    def value(number: float, unit: float) -> Values:
+    def value(number: float | FloatArray, unit: float) -> Values:
         scaled = number / unit
         return np.asarray(np.rint(scaled) if dtype == np.int64 else scaled).astype(dtype)
 
-    require(
-        monitor.threshold / unit_sigma < LARGEST,
-        f"threshold must be < {LARGEST * unit_sigma:g}, got {monitor.threshold:g}",
-    )
     states, m, limits = np.array(units[:2]), monitor.n_channels, monitor.limits
     model = np.hstack([monitor.kalman.model.transition - np.eye(2), monitor.kalman.model.gain[:, :1]])
     model = model * np.array(units) / states[:, None]
     gain, white = monitor.gains()
-    gain, white = gain * states[:m] / states[:, None], white * states[:m] / unit_sigma
-    rule = monitor.rule if isinstance(monitor.rule, Cusum) else None
+    gain, white = gain * states[:m] / states[:, None], white * states[: white.shape[2]] / unit
+    together = row(white.reshape(len(white), -1))  # one shift for all: C takes them in turn
+    rule = monitor.rule if isinstance(monitor.rule, CusumBank) else CusumBank((), ())
+    halves = 0.5 * np.array(rule.shifts) / np.array(monitor.thresholds)[: len(rule.shifts)]
     drag = [value(float(part), unit) for part, unit in zip(monitor.drag, states, strict=True)]
     ranges = np.array(limits[:3]) / np.array(steps)
     return Numbers(
@@ -171,10 +168,13 @@ def _numbers(
         model=(row(model[:1]), row(model[1:])),
         drag=(drag[0], drag[1], value(DEADBAND * limits.speed_rad_s / 2.0, units[1])),
         gain=(row(gain[:, 0]), row(gain[:, 1])),
-        white=tuple(row(white[:, p]) for p in range(white.shape[1])),
-        half=value(0.0 if rule is None else 0.5 * rule.shift, unit_sigma),
-        threshold=value(monitor.threshold, unit_sigma),
+        white=tuple(
+            replace(together, factors=part) for part in np.split(together.factors, white.shape[1], axis=1)
+        ),
+        halves=value(halves, unit),
+        threshold=value(1.0, unit),
         ranges=(np.floor(ranges) if dtype == np.int64 else ranges).astype(dtype),
         stuck_after=limits.stuck_after,
-        two_sided=None if rule is None else rule.two_sided,
+        n_friction=len(rule.friction),
+        memory=monitor.memory,
     )

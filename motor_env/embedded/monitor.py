@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ _HEADROOM = 2.0
 _SETTLED = 1e-6
 _LONGEST_SCHEDULE = 1 << 20
 _YEAR_S = 365.25 * 86_400.0
+_LONGEST_MEMORY = 15  # as a power of two
 
 
 class Limits(NamedTuple):
@@ -32,13 +34,40 @@ class Limits(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
+class CusumBank:
+    """Two-sided CUSUMs of several shifts on the innovation of the current, each times a sign.
+
+    The filter knows the sign before the sample, so the product is as white as the innovation, and each sum has its
+    exact threshold. Friction moves the current with the sign of the speed, averaged over the mechanical time constant.
+    A resistance moves it against that of the current less such an average. Their rates of false alarms add up.
+
+    Attributes:
+        friction: shifts looked for with the first sign, in standard deviations of a sample.
+        winding: shifts looked for with the second sign.
+    """
+
+    friction: tuple[float, ...] = (0.15, 0.5)
+    winding: tuple[float, ...] = (1.25,)
+
+    @property
+    def shifts(self) -> tuple[float, ...]:
+        """Of all sums."""
+        return (*self.friction, *self.winding)
+
+    def thresholds_for(self, arl0: float) -> tuple[float, ...]:
+        """Of each sum; each has an equal share of the false alarms."""
+        alone = arl0 * len(self.shifts)
+        return tuple(Cusum(shift, two_sided=True).threshold_for(arl0=alone).value for shift in self.shifts)
+
+
+@dataclass(frozen=True, slots=True)
 class Monitor:
-    """A filter of one motor, a rule on its whitened innovations, and the rule's threshold.
+    """A filter of one motor, a rule on its whitened innovations, and the rule's thresholds.
 
     Attributes:
         kalman: the belief, of one motor that begins at rest; of the current, or of current and speed.
-        rule: CUSUM, or the plain NIS test.
-        threshold: the motor counts as faulty where the rule's statistic is larger.
+        rule: bank of CUSUMs, or the plain NIS test.
+        thresholds: of each sum, or of the NIS; the motor counts as faulty above any of them.
         limits: of the sensors.
         brush_drop_v: voltage drop against the motion.
         coulomb_friction_n_m: torque against the motion.
@@ -46,8 +75,8 @@ class Monitor:
     """
 
     kalman: KalmanFilter
-    rule: Cusum | MOfN
-    threshold: float
+    rule: CusumBank | MOfN
+    thresholds: tuple[float, ...]
     limits: Limits
     brush_drop_v: float = 0.0
     coulomb_friction_n_m: float = 0.0
@@ -55,9 +84,10 @@ class Monitor:
 
     def __post_init__(self) -> None:
         single = not isinstance(self.rule, MOfN) or (self.rule.needed, self.rule.among) == (1, 1)
-        require(single, f"rule must be a Cusum or the NIS test of single samples, got {self.rule}")
+        require(single, f"rule must be a CusumBank or the NIS test of single samples, got {self.rule}")
         require(self.kalman.model.transition.ndim == 2, "kalman must be the belief of one motor, got a batch")
-        require_positive("threshold", self.threshold)
+        for threshold in self.thresholds:
+            require_positive("threshold", threshold)
         for name, value in zip(Limits._fields, self.limits, strict=True):
             require_positive(name, value)
         require(
@@ -76,10 +106,17 @@ class Monitor:
         inputs[Input.VOLTAGE], inputs[Input.LOAD_TORQUE] = self.brush_drop_v, -self.coulomb_friction_n_m
         return np.asarray(self.kalman.model.gain @ inputs, dtype=np.float64)
 
-    def gains(self) -> tuple[FloatArray, FloatArray]:
-        """Kalman gains, and what turns innovations into the rule's input; shapes (n, 2, m) and (n, p, m).
+    @property
+    def memory(self) -> int:
+        """Mechanical time constant in samples, as the nearest power of two."""
+        slowest = float(np.abs(np.linalg.eigvals(self.kalman.model.transition)).max())
+        return min(max(round(-math.log2(max(1.0 - slowest, 1e-9))), 0), _LONGEST_MEMORY)
 
-        The last of the n samples serves all later ones.
+    def gains(self) -> tuple[FloatArray, FloatArray]:
+        """Kalman gains, and what turns innovations into shares of the thresholds.
+
+        The shapes are (n, 2, m) and (n, p, m); a bank takes only the first channel: (n, p, 1). The last of the n
+        samples serves all later ones.
         """
         steps = settled(self.kalman)
         last = steps.gain[-1]
@@ -87,10 +124,9 @@ class Monitor:
         count = int(np.flatnonzero(off)[-1]) + 2 if off.any() else 1
         kept = np.r_[: count - 1, -1]
         white = np.linalg.inv(np.linalg.cholesky(steps.innovation_covariance[kept]))
-        if isinstance(self.rule, Cusum):
-            direction = np.eye(self.n_channels)[0] if self.rule.direction is None else self.rule.direction
-            white = (np.asarray(direction) / np.linalg.norm(direction) @ white)[:, None, :]
-        return steps.gain[kept], white
+        if isinstance(self.rule, CusumBank):
+            return steps.gain[kept], white[:, :1, :1] / np.array(self.thresholds)[:, None]
+        return steps.gain[kept], white / math.sqrt(self.thresholds[0])
 
 
 def settled(kalman: KalmanFilter) -> Schedule:
@@ -124,7 +160,7 @@ def monitor_of(
     motor: MotorFile,
     rate_hz: float,
     *,
-    rule: Cusum | MOfN,
+    rule: CusumBank | MOfN,
     sensor: SensorParameters,
     voltage_v: float,
     false_alarms_per_year: float = 1.0,
@@ -136,7 +172,7 @@ def monitor_of(
     Args:
         motor: as its file says.
         rate_hz: samples a second.
-        rule: CUSUM, or the plain NIS test.
+        rule: bank of CUSUMs, or the plain NIS test.
         sensor: current, or current and speed, with their noise.
         voltage_v: level of the supply; the sensors' limits are twice of what it can cause.
         false_alarms_per_year: of the healthy motor, wanted.
@@ -154,13 +190,16 @@ def monitor_of(
     if not scheduled:
         kalman = replace(kalman, initial_covariance=settled(kalman).covariance[-1])
     arl0 = _YEAR_S * rate_hz / false_alarms_per_year
-    threshold = rule.threshold_for(arl0=arl0, n_channels=len(sensor.channels)).value
+    if isinstance(rule, CusumBank):
+        thresholds = rule.thresholds_for(arl0)
+    else:
+        thresholds = (rule.threshold_for(arl0=arl0, n_channels=len(sensor.channels)).value,)
     stall_a = voltage_v / float(motor.parameters.resistance_ohm)
     _, speed = steady_state(motor.parameters, voltage_v).tolist()
     return Monitor(
         kalman,
         rule,
-        threshold,
+        thresholds,
         Limits(_HEADROOM * stall_a, _HEADROOM * speed, _HEADROOM * voltage_v, stuck_after),
         brush_drop_v=motor.brush_drop_v,
         coulomb_friction_n_m=motor.coulomb_friction_n_m,

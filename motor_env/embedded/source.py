@@ -8,14 +8,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from motor_env.embedded.arithmetic import LARGEST, Numbers, Steps, Values, fixed_point, floating
+from motor_env.embedded.arithmetic import (
+    LARGEST,
+    STATISTIC_BITS,
+    Numbers,
+    Steps,
+    Values,
+    fixed_point,
+    floating,
+)
 from motor_env.embedded.monitor import Monitor
 from motor_env.embedded.twin import SampleVerdict, answers, readings_of
 from motor_env.errors import InputError
 from motor_env.files import write_text
 from motor_env.pages.html import render
 
-UNIT_SIGMA_TEXT = "9.5367431640625e-07f"
 _HEALTHY_CHECKS, _FAULTY_CHECKS = 8, 8
 _RESERVED = frozenset(["monitor", "sample", "number", "main", "loop", "setup"])
 
@@ -77,7 +84,7 @@ def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, A
         "wanted": wanted,
         "fixed": fixed,
         "number": "int32_t" if fixed else "float",
-        "cusum": n.two_sided is not None,
+        "cusum": n.halves.size > 0,
         "m": n.n_channels,
         "two_channels": n.n_channels == 2,
         "scheduled": len(gains) > 1,
@@ -85,7 +92,9 @@ def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, A
         "rate_hz": f"{rate_hz:.9g}",
         "period_us": round(1e6 / rate_hz),
         "counts": Steps(*(literal(np.float32(size)) for size in n.readings)),  # type: ignore[arg-type]
-        "statistic_count": UNIT_SIGMA_TEXT if fixed else "1.0f",
+        "statistic_bits": STATISTIC_BITS,
+        "memory_share": np.float32(2.0**-n.memory),
+        "statistic_count": literal(np.float32(2.0**-STATISTIC_BITS if fixed else 1.0)),
         "largest": LARGEST,
         "slack": 0 if fixed else "1e-3f",
         "checks": checks(monitor, n),

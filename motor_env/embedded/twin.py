@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.embedded.arithmetic import LARGEST, Numbers, Values
+from motor_env.embedded.arithmetic import LARGEST, STATISTIC_BITS, Numbers, Values
 from motor_env.motor.parameters import require
 
 
@@ -63,7 +63,8 @@ class _Twin:
         self.state = np.zeros((2, n_cases), numbers.dtype)
         self.lost = np.zeros_like(self.state)
         self.voltage, self.statistic = (np.zeros(n_cases, numbers.dtype) for _ in range(2))
-        self.sums = np.zeros((2, n_cases), numbers.dtype)
+        self.slow = np.zeros_like(self.state)
+        self.sums = np.zeros((2, len(numbers.halves), n_cases), numbers.dtype)
         self.last = np.zeros((n_cases, numbers.n_channels), numbers.dtype)
         self.same = np.zeros((n_cases, numbers.n_channels), np.int64)
 
@@ -81,11 +82,13 @@ class _Twin:
         stuck = (self.same == numbers.stuck_after).any(axis=1)
         used = ~(wrong | stuck)
         growth = self._growth()
+        forward = self._forward(growth)
         scaled = measured * np.array(numbers.scales[:m], numbers.dtype)
         innovation = [scaled[:, c] - self.state[c] - growth[c] for c in range(m)]
         correction = np.array([row.total(self.sample, innovation) for row in numbers.gain])
         self._add(np.where(used, growth + correction, growth))
-        self._decide([row.total(self.sample, innovation) for row in numbers.white], used)
+        white = np.array([row.total(self.sample, innovation) for row in numbers.white])
+        self._decide(white, forward, used)
         self.sample += 1
         fault = np.where(self.statistic > numbers.threshold, SampleVerdict.FAULT, SampleVerdict.HEALTHY)
         sensor = np.where(wrong, SampleVerdict.SENSOR_RANGE, SampleVerdict.SENSOR_STUCK)
@@ -107,16 +110,29 @@ class _Twin:
         self.lost = (after - self.state) - rest
         self.state = after
 
-    def _decide(self, white: list[Values], used: NDArray[np.bool_]) -> None:
-        numbers = self.numbers
-        if numbers.two_sided is None:
-            statistic = sum(self._square(r) for r in white[1:]) + self._square(white[0])
+    def _forward(self, growth: Values) -> Values:
+        """Whose signs the innovation is taken with, for windings and for friction."""
+        numbers, predicted = self.numbers, self.state + growth
+        if numbers.dtype == np.int64:
+            predicted = np.clip(predicted, -LARGEST, LARGEST)
+            self.slow = self.slow + ((predicted - self.slow) >> numbers.memory)
         else:
-            moved = [self.sums[0] + white[0] - numbers.half, self.sums[1] - white[0] - numbers.half]
-            sums = np.clip(moved, 0, LARGEST if numbers.dtype == np.int64 else None)
-            self.sums = np.where(used, sums, self.sums).astype(numbers.dtype)
-            statistic = self.sums.max(axis=0) if numbers.two_sided else self.sums[0]
-        self.statistic = np.where(used, statistic, self.statistic)
+            share = np.asarray(2.0**-numbers.memory, numbers.dtype)
+            self.slow = self.slow + (predicted - self.slow) * share
+        return np.array([predicted[0] - self.slow[0], self.slow[1]])
 
-    def _square(self, r: Values) -> Values:
-        return np.minimum((r * r + (1 << 19)) >> 20, LARGEST) if self.numbers.dtype == np.int64 else r * r
+    def _decide(self, white: Values, forward: Values, used: NDArray[np.bool_]) -> None:
+        numbers, is_fixed = self.numbers, self.numbers.dtype == np.int64
+        if numbers.halves.size:
+            sign = np.repeat(forward[::-1], [numbers.n_friction, len(white) - numbers.n_friction], axis=0)
+            signed = np.where(sign < 0, -white, white)
+            moved = self.sums + np.array([signed, -signed]) - numbers.halves[:, None]
+            sums = np.clip(moved, 0, LARGEST if is_fixed else None)
+            self.sums = np.where(used, sums, self.sums)
+            statistic = sums.max(axis=(0, 1))
+        else:
+            squares = white * white
+            if is_fixed:
+                squares = np.minimum((squares + (1 << (STATISTIC_BITS - 1))) >> STATISTIC_BITS, LARGEST)
+            statistic = np.add.reduce(squares)
+        self.statistic = np.where(used, statistic, self.statistic)

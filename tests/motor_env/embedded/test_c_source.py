@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from motor_env import (
     PAPER_MOTOR,
-    Cusum,
     Fault,
     FaultKind,
     MotorFile,
@@ -30,7 +29,7 @@ from motor_env import (
 )
 from motor_env.diagnosis.commission import identify_file
 from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
-from motor_env.embedded.monitor import Monitor, monitor_of
+from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import write_library
 from motor_env.embedded.twin import Answers, SampleVerdict, answers, readings_of
 from motor_env.errors import InputError
@@ -107,7 +106,7 @@ def exported(
     believed = monitor_of(
         MotorFile("paper */ \\", "data_sheet", PAPER_MOTOR, brush_drop_v=0.1 * (n_channels - 1)),
         10_000.0,
-        rule=nis_rule() if rule == "nis" else Cusum(0.5, two_sided=True),
+        rule=nis_rule() if rule == "nis" else CusumBank(),
         sensor=SensorParameters((Channel.CURRENT, Channel.SPEED)[:n_channels], 0.02, 1.0),
         voltage_v=12.0,
         scheduled=scheduled,
@@ -206,9 +205,7 @@ def test_recordings_get_the_verdict_of_double_precision(tmp_path: Path) -> None:
         volts = float(np.max(np.abs(fit.start.level_v if start.voltage_v is None else start.voltage_v)))
         motor = MotorFile(path.stem, "identified", fit.parameters)
         sensor = SensorParameters(current_noise_a=max(fit.noise_a, 1e-3 * float(np.ptp(start.current_a))))
-        believed = monitor_of(
-            motor, 1.0 / start.dt_s, rule=Cusum(0.5, two_sided=True), sensor=sensor, voltage_v=volts
-        )
+        believed = monitor_of(motor, 1.0 / start.dt_s, rule=CusumBank(), sensor=sensor, voltage_v=volts)
         exact = floating(believed, np.float64)
         voltage = volts * (start.time_s > fit.onset_s) if start.voltage_v is None else start.voltage_v
         measured, voltage = start.current_a[None, None, :LONGEST], voltage[:LONGEST]
@@ -225,15 +222,16 @@ def test_recordings_get_the_verdict_of_double_precision(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("chip", CHIPS, ids=lambda chip: chip.name)
 @pytest.mark.parametrize("arithmetic", ["fixed", "float"])
-def test_it_is_small_on_a_controller(chip: Any, arithmetic: str) -> None:
+@pytest.mark.parametrize("n_channels", [1, 2])
+def test_it_is_small_on_a_controller(chip: Any, arithmetic: str, n_channels: int) -> None:
     tool("arm-none-eabi-gcc")
     tool("qemu-system-arm")
-    measured = measure(chip, arithmetic)
+    measured = measure(chip, arithmetic, n_channels=n_channels)
     sys.stdout.write(f"{measured}\n")
     most = 4608 if (chip.name, arithmetic) == ("Cortex-M0+", "float") else 1024
     assert measured.flash <= most
     assert measured.ram <= 128
-    assert measured.instructions < 5_000
+    assert measured.instructions < 6_500
 
 
 def test_cmake_builds_and_tests_it(tmp_path: Path) -> None:
