@@ -185,7 +185,7 @@ def pages() -> dict[Path, str]:
     trust = json.loads((FOLDER / "results" / "trust.json").read_bytes())
     parts.setdefault(DOCS / "trust.md", {}).update(trust_tables(trust))
     parts.setdefault(DOCS / "limits.md", {})["field"] = field_table()
-    parts[DOCS / "howto" / "embedded.md"] = watch_tables.parts()
+    parts |= {DOCS / "howto" / f"{page}.md": tables for page, tables in watch_tables.parts().items()}
     return {path: marked(path.read_text(encoding="utf-8"), tables) for path, tables in parts.items()}
 
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, special, stats
 
 from motor_env.diagnosis.healthy_motor import NORMAL_DOF
 from motor_env.motor import identifiable as quantities
@@ -25,6 +26,7 @@ _STEP_NODES = np.linspace(-10.0, 10.0, 401)  # standard deviations about the bes
 _POWER_QUANTILE = 1.645  # 95 of 100
 _LARGEST_LOG = 30.0
 _LEAST = 1e-3  # length of a direction; a fault that shows has about 1
+_DIRECTIONS = 4096
 _NOISE_AND_OMNIBUS = 2  # tests beside those of the faults
 
 
@@ -115,6 +117,38 @@ def alarm_share(rate: float, exponents: FloatArray) -> float:
 def significance_limit(rate: float, exponents: FloatArray, degrees_of_freedom: float) -> float:
     """Standard deviations beyond which one of these tests alarms."""
     return float(stats.t.isf(alarm_share(rate, exponents), degrees_of_freedom))
+
+
+@lru_cache(maxsize=16)
+def _directions(dimensions: int) -> FloatArray:
+    """Directions that are evenly spread, the same each time, shape (n, dimensions)."""
+    drawn = np.random.default_rng(1958).standard_normal((_DIRECTIONS, dimensions))
+    out: FloatArray = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+    return out
+
+
+def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, freedom: float) -> float:
+    """Rate of one test at which those of the faults and of the whole together alarm at a rate.
+
+    While the motor is healthy the difference is a Student vector of the covariance: whitened, an evenly spread
+    direction times a length that does not depend on it. In each direction the tests alarm beyond a length, and the
+    probability of that is Fisher's.
+    """
+    n, root = len(covariance), np.linalg.inv(np.linalg.cholesky(covariance))
+    axes = [
+        root @ quantities.visible_direction(kind, exponents) for kind in quantities.nameable_kinds(exponents)
+    ]
+    along = np.max(_directions(n) @ np.transpose([axis / np.linalg.norm(axis) for axis in axes]), axis=1)
+
+    def excess(log_share: float) -> float:
+        share = math.exp(log_share)
+        limit = float(stats.t.isf(share, freedom)) / np.maximum(along, 1e-9)
+        least = np.minimum(limit, math.sqrt(n * float(stats.f.isf(share, n, freedom))))
+        return math.log(float(np.mean(special.fdtrc(n, freedom, least**2 / n))) / rate)
+
+    return math.exp(
+        float(optimize.brentq(excess, math.log(rate / (len(axes) + 2.0)), math.log(rate), xtol=1e-3))
+    )
 
 
 def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) -> list[Explanation]:

@@ -11,8 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from motor_env.diagnosis.explanations import (
     Change,
@@ -20,7 +23,7 @@ from motor_env.diagnosis.explanations import (
     alarm_share,
     compare,
     explain,
-    significance_limit,
+    joint_share,
 )
 from motor_env.diagnosis.healthy_motor import warmer
 from motor_env.motor import identifiable as quantities
@@ -43,9 +46,12 @@ NAMES = ("R", "K", "J", "B")
 _FREE = ("R", "K", "J", "coulomb", "load_constant", "load_square", "offset_current", "offset_speed", *NOISES)
 _LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1  # standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart
+_MOST_ROUNDS = 8  # of a window's fit, which begins near the healthy motor
 _REGIME = 2.0
 _NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
+_NOISES = [kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V, kernel.WALK]
 _EXPONENTS = np.array([[1.0 if name == other else 0.0 for other in quantities.PARAMETERS] for name in NAMES])
+_WARMTH = quantities.warmth_direction(_EXPONENTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +104,12 @@ def learn_windows(recordings: Sequence[Recording], window_s: float) -> WindowRef
     records = [replace(from_recordings([part]), hold=hold) for part in parts]
     with_load = tuple(dict.fromkeys((*wanted, *_LOAD)))
     fits = [_window(record, known, with_load) for record in records]
-    if math.sqrt(np.median([error[-1, -1] for _, error in fits])) < _TOLD:
+    if math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits])) < _TOLD:
         wanted = with_load
-    elif wanted != with_load:
-        fits = [_window(record, known, wanted) for record in records]
-    logs, errors = np.array([fit[0] for fit in fits]), np.mean([fit[1] for fit in fits], axis=0)
+    # A window's noise is less than that of all windows in one fit: it is where the fit of the next one begins.
+    known[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)
+    fits = [_window(record, known, wanted) for record in records]
+    logs, errors = np.array([fit.logs for fit in fits]), np.mean([fit.covariance for fit in fits], axis=0)
     n, centre = len(fits), logs.mean(axis=0)
     scatter = (logs - centre).T @ (logs - centre)
     freedom = n - 1 + PRIOR_WEIGHT
@@ -158,17 +165,19 @@ def _chosen(parts: Sequence[Recording], reference: WindowReference) -> list[int]
 
 
 def _judged(part: Recording, reference: WindowReference, rate: float) -> WindowVerdict:
-    warmth = reference.temperature_k * quantities.warmth_direction(_EXPONENTS)
     try:
         record = replace(from_recordings([part]), hold=reference.hold)
-        logs, error = _window(record, _values(reference), reference.terms)
+        fit = _window(record, _values(reference), reference.terms)
     except UnusableError:
         return WindowVerdict(float(part.time_s[0]), "unusable", ())
-    ratios, freedom = logs - np.log(reference.values), reference.degrees_of_freedom
+    ratios, freedom = fit.logs - np.log(reference.values), reference.degrees_of_freedom
     healthy = reference.log_covariance
-    own = healthy + _beyond(healthy, error)
-    limit, share = significance_limit(rate, _EXPONENTS, freedom), alarm_share(rate, _EXPONENTS)
-    difference = Difference(ratios, warmer(own, warmth, share, freedom), _EXPONENTS, freedom)
+    own = healthy + _beyond(healthy, fit.covariance)
+    share = _share(rate, freedom, reference.temperature_k, healthy.tobytes())
+    limit = float(stats.t.isf(share, freedom))
+    difference = Difference(
+        ratios, warmer(own, reference.temperature_k * _WARMTH, share, freedom), _EXPONENTS, freedom
+    )
     alarms = [fault for fault in explain(difference) if fault.z > limit]
     whole = difference.p_value(difference.squared_distance, len(NAMES)) < share
     is_alarm = bool(alarms) or whole
@@ -179,6 +188,14 @@ def _judged(part: Recording, reference: WindowReference, rate: float) -> WindowV
         best = max(fitting, key=lambda fault: fault.z, default=None)
         verdict = "other" if best is None else str(best.kind)
     return WindowVerdict(float(part.time_s[0]), verdict, changes)
+
+
+@lru_cache(maxsize=16)
+def _share(rate: float, freedom: float, temperature_k: float, healthy: bytes) -> float:
+    """Rate of each test for that of all, of windows that are as well known as those of the commissioning."""
+    covariance = np.frombuffer(healthy).reshape(len(NAMES), -1)
+    warm = warmer(covariance, temperature_k * _WARMTH, alarm_share(rate, _EXPONENTS), freedom)
+    return joint_share(rate, warm, _EXPONENTS, freedom)
 
 
 def _beyond(healthy: FloatArray, error: FloatArray) -> FloatArray:
@@ -216,8 +233,16 @@ def _known(joint: Operation) -> FloatArray:
     return known
 
 
-def _window(record: Record, known: FloatArray, wanted: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-    """Logarithms of R, K, J and the drag of one window, with their covariance.
+class _Fit(NamedTuple):
+    """Logarithms of R, K, J and the drag of one window, their covariance, and all its physical values."""
+
+    logs: FloatArray
+    covariance: FloatArray
+    values: FloatArray
+
+
+def _window(record: Record, known: FloatArray, wanted: Sequence[str]) -> _Fit:
+    """Fit of one window.
 
     The drag is a factor f on the whole friction of the joint fit. Its error is that of a sum, so that of log f is taken
     over the way from 1 to f: the slope at f would count an error upwards for more than one downwards.
@@ -228,16 +253,15 @@ def _window(record: Record, known: FloatArray, wanted: Sequence[str]) -> tuple[F
     free = (*(every[name] for name in names), every["drag"])
     begin = np.array([_begin(term.place, known, term.unit, is_log=term.is_log) for term in free])
     problem = Problem(record, known, free)
-    theta, misfit = problem.solve(begin)
-    spread = covariance(Solution(problem, theta, misfit), {})
+    best = Solution(problem, *problem.solve(begin, _MOST_ROUNDS))
+    theta, values, spread = best.theta, best.values, covariance(best, {})
     rows = [problem.names[n] for n in motor_places(problem)]
     places = [rows.index(name) for name in ("R", "K", "J", "drag")]
-    values = problem.values(theta)
     factor = theta[problem.names.index("drag")]
     way = math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
     slope = np.diag([1.0, 1.0, 1.0, way])
     logs = np.log([values[kernel.R], values[kernel.K], values[kernel.J], factor])
-    return logs, slope @ spread[np.ix_(places, places)] @ slope
+    return _Fit(logs, slope @ spread[np.ix_(places, places)] @ slope, values)
 
 
 def _begin(place: int, known: FloatArray, unit: float, *, is_log: bool) -> float:
