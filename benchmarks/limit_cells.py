@@ -25,8 +25,8 @@ from motor_env.files import write_text
 from motor_env.inference.posterior import class_probabilities, excess_over_limit
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.recipes import Recipe, changed_recipe
+from motor_env.simulation.named_recipes import changed_recipe, named_recipe
+from motor_env.simulation.recipes import Recipe
 
 SEED = 77
 RATES_HZ = (10_000.0, 1_000.0)

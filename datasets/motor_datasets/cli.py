@@ -75,8 +75,8 @@ def generate(
     from motor_env.motor.assumptions import usable_parameters
     from motor_env.motor.data_sheet import load_motor
     from motor_env.motor.parameters import Channel
+    from motor_env.simulation.named_recipes import changed_recipe
     from motor_env.simulation.recipe_files import load_recipe
-    from motor_env.simulation.recipes import changed_recipe
 
     chosen = changed_recipe(
         load_recipe(recipe),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import reprlib
 from dataclasses import replace
+from typing import Any
 
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import (
@@ -120,3 +121,30 @@ def named_recipe(name: str, **changes: object) -> Recipe:
     if name not in RECIPES:
         raise ValueError(f"recipe must be one of {', '.join(sorted(RECIPES))}, got {reprlib.repr(name)}")
     return replace(RECIPES[name], **changes)  # type: ignore[arg-type]  # replace checks the names
+
+
+def changed_recipe(
+    recipe: Recipe,
+    *,
+    voltage_v: float | None = None,
+    sampling_rate_hz: float | None = None,
+    duration_s: float | None = None,
+    quiet_s: float | None = None,
+    current_noise_a: float | None = None,
+    channels: tuple[str, ...] | None = None,
+) -> Recipe:
+    """The recipe with another supply, time axis or sensor; what is None stays.
+
+    Raises:
+        ValueError: a value out of its range.
+    """
+    changes: dict[str, dict[str, Any]] = {
+        "supply": {"voltage_v": voltage_v},
+        "timing": {"sampling_rate_hz": sampling_rate_hz, "duration_s": duration_s, "quiet_s": quiet_s},
+        "sensor": {"current_noise_a": current_noise_a, "channels": channels},
+    }
+    parts: dict[str, Any] = {
+        part: replace(getattr(recipe, part), **{name: v for name, v in values.items() if v is not None})
+        for part, values in changes.items()
+    }
+    return replace(recipe, **parts)

@@ -312,30 +312,3 @@ class Recipe:
     def motor_id(self, cases: NDArray[np.int64]) -> NDArray[np.int64]:
         """Motor of each case: consecutive cases are the starts of one motor."""
         return cases // self.starts_per_motor
-
-
-def changed_recipe(
-    recipe: Recipe,
-    *,
-    voltage_v: float | None = None,
-    sampling_rate_hz: float | None = None,
-    duration_s: float | None = None,
-    quiet_s: float | None = None,
-    current_noise_a: float | None = None,
-    channels: tuple[str, ...] | None = None,
-) -> Recipe:
-    """The recipe with another supply, time axis or sensor; what is None stays.
-
-    Raises:
-        ValueError: a value out of its range.
-    """
-    changes: dict[str, dict[str, Any]] = {
-        "supply": {"voltage_v": voltage_v},
-        "timing": {"sampling_rate_hz": sampling_rate_hz, "duration_s": duration_s, "quiet_s": quiet_s},
-        "sensor": {"current_noise_a": current_noise_a, "channels": channels},
-    }
-    parts: dict[str, Any] = {
-        part: replace(getattr(recipe, part), **{name: v for name, v in values.items() if v is not None})
-        for part, values in changes.items()
-    }
-    return replace(recipe, **parts)

@@ -279,8 +279,7 @@ def benchmark(
     from motor_classifiers.scoring.peers import shipped_peers
     from motor_classifiers.scoring.plan import AnswerStore, Plan, make_cells
     from motor_classifiers.scoring.results import result_rows
-    from motor_env.simulation.named_recipes import named_recipe
-    from motor_env.simulation.recipes import changed_recipe
+    from motor_env.simulation.named_recipes import changed_recipe, named_recipe
 
     usual = FULL_SWEEP if full else {}
     measured = tuple(channels.split(",")) if channels else None

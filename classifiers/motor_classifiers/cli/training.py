@@ -20,8 +20,9 @@ from motor_env.motor.data_sheet import MotorFile, load_motor
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import Channel
 from motor_env.simulation.motor_recipes import motor_recipe, settling_timing
+from motor_env.simulation.named_recipes import changed_recipe
 from motor_env.simulation.recipe_files import load_recipe
-from motor_env.simulation.recipes import FaultClass, Recipe, changed_recipe
+from motor_env.simulation.recipes import FaultClass, Recipe
 
 
 def train_on_dataset(dataset: str, method: str, seed: int, out: Path) -> dict[str, Any]:

@@ -22,7 +22,8 @@ from motor_classifiers.scoring.trust import (
     trust_key,
 )
 from motor_env.motor.parameters import require
-from motor_env.simulation.recipes import Recipe, changed_recipe
+from motor_env.simulation.named_recipes import changed_recipe
+from motor_env.simulation.recipes import Recipe
 
 REFERENCE: dict[str, Any] = {
     "recipe": "bench",

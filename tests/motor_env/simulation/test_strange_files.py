@@ -15,8 +15,9 @@ from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.toml_files import toml_text
 from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.motor_recipes import motor_recipe
+from motor_env.simulation.named_recipes import changed_recipe
 from motor_env.simulation.recipe_files import load_recipe
-from motor_env.simulation.recipes import Recipe, changed_recipe
+from motor_env.simulation.recipes import Recipe
 
 N_MUTATIONS = 300
 N_QUICK = 40
