@@ -59,7 +59,7 @@ def data_card(manifest: Manifest) -> str:
     counts = "\n".join(f"| {name} | {count} |" for name, count in rows.items())
     table = "\n".join(f"| `{c.name}` | {c.kind} | {c.unit} | {c.meaning} |" for c in columns(manifest.recipe))
     total = sum(rows.values())
-    channels = ", ".join(f"`{c.name}`" for c in columns(manifest.recipe) if c.kind == "samples")
+    driven = "" if manifest.recipe.duty is None else ", and `applied_voltage_v`"
     return f"""---
 license: mit
 size_categories:
@@ -80,7 +80,7 @@ configs:
 # DC motor transients, recipe `{manifest.recipe.name}`
 
 Simulated {_subject(manifest)} with their labels, seed {manifest.seed}. One row a case; samples are lists of float32 in
-{channels}. No motor stands in two splits. {total} cases in
+`current_a` and, where measured, `speed_rad_s`{driven}. No motor stands in two splits. {total} cases in
 {len(manifest.files)} files, {manifest.bytes / 1e6:.1f} MB. License: MIT, that of the package that made them.
 
 | split | cases |

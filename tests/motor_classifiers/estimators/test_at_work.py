@@ -21,7 +21,9 @@ OPERATION = named_recipe("operation")
 def test_a_data_set_is_written_learned_from_and_judged(tmp_path: Path) -> None:
     folder = tmp_path / "set"
     generate_dataset(OPERATION, 400, 3, folder_of(str(folder)))
-    assert "`current_a`, `applied_voltage_v`" in (folder / "README.md").read_text("utf-8")
+    assert "where measured, `speed_rad_s`, and `applied_voltage_v`" in (folder / "README.md").read_text(
+        "utf-8"
+    )
     train, test = (load(str(folder), split) for split in ("train", "test"))
     np.testing.assert_array_equal(test.X, generate_arrays(OPERATION, 3, test.case_id).X)
     assert test.X.shape[1:] == (2, 500)
