@@ -1,6 +1,6 @@
 """A method of one's own: its row beside all others, a submission to motor-bench, and its score.
 
-`python examples/own_method.py out/own` writes all of it below that folder, in about a minute.
+`python examples/own_method.py out/own` writes all of it below that folder, in less than a minute.
 """
 
 import subprocess

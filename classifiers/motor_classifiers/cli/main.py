@@ -101,7 +101,9 @@ def train(
         noises = noise_factors(noise_range, for_motor=motor is not None)
         summary = train_on_stream(source, noise_range=noises, steps=steps, seed=seed, out=out)
     print(
-        json.dumps(summary) if json_ else f"trained {summary['method']} on {summary['n_train']} starts: {out}"
+        json.dumps(summary, indent=1)
+        if json_
+        else f"trained {summary['method']} on {summary['n_train']} starts: {out}"
     )
     return 0
 
@@ -133,7 +135,10 @@ def evaluate(
         scored = evaluate_model(fitted, recipe, load(dataset, split), seed)
     if json_:
         print(
-            json.dumps({"model": str(model), "method": method, "dataset": dataset, "split": split, **scored})
+            json.dumps(
+                {"model": str(model), "method": method, "dataset": dataset, "split": split, **scored},
+                indent=1,
+            )
         )
     else:
         print(f"{method} on {scored['n_test']} cases of split {split}")
@@ -186,7 +191,7 @@ def predict(
         if not json_:
             print("\n".join(opinion_lines(path, opinions, second)))
     if json_:
-        print(json.dumps(rows))
+        print(json.dumps(rows, indent=1))
     return int(console.ExitStatus.BAD_INPUT if unreadable else overall_status(given))
 
 
@@ -307,7 +312,7 @@ def benchmark(
     results = run_with_progress(plan, AnswerStore(folder, fresh=fresh))
     page = write_results(plan, results, out)
     if json_:
-        print(json.dumps(result_rows(results)))
+        print(json.dumps(result_rows(results), indent=1))
     else:
         print("\n".join(table_lines(results[plan.reference])))
         print(f"report: {page}")

@@ -28,7 +28,7 @@ def plan_lines(plan: Plan, store: AnswerStore, *, as_json: bool) -> list[str]:
             {"setting": unit.cell.title, "method": unit.name, "done": done, "about_s": unit.seconds}
             for unit, done in todo
         ]
-        return [json.dumps(rows)]
+        return [json.dumps(rows, indent=1)]
     total = Counter(unit.cell.title for unit, _ in todo)
     done_of = Counter(unit.cell.title for unit, done in todo if done)
     minutes = sum(unit.seconds for unit, done in todo if not done) / 60.0
@@ -59,17 +59,17 @@ def run_with_progress(plan: Plan, store: AnswerStore) -> tuple[CellResult, ...]:
 def table_lines(result: CellResult) -> list[str]:
     """The table of one setting."""
     heads = f"{'accuracy':>9}{'95 % interval':>17}{'below limit':>13}{'winding':>9}{'bearing':>9}{'level':>8}"
-    lines = [result.cell.title, f"{'method':18}{heads}{'us':>9}{'MB':>7}"]
-    limit = result.limit
     rows = [
-        ("Bayes estimate" if result.limit_is_estimate else "Bayes limit", limit, 0.0),
+        ("Bayes estimate" if result.limit_is_estimate else "Bayes limit", result.limit, 0.0),
         *((m.name, m.judged, -m.against_limit.difference.value) for m in result.ranked()),
     ]
+    width = max(len(name) for name, *_ in rows)
+    lines = [result.cell.title, f"{'method':{width}}{heads}{'us':>9}{'MB':>7}"]
     for name, judged, below in rows:
         accuracy, cost = judged.scores.accuracy, judged.answer
         memory = cost.inference.memory_mb
         lines.append(
-            f"{name:18}{accuracy.value:9.4f}{accuracy.low:9.4f}..{accuracy.high:.4f}{below:13.4f}"
+            f"{name:{width}}{accuracy.value:9.4f}{accuracy.low:9.4f}..{accuracy.high:.4f}{below:13.4f}"
             f"{judged.scores.winding.value:9.4f}{judged.scores.bearing.value:9.4f}{judged.scores.level.value:8.4f}"
             f"{cost.microseconds_per_transient:9.1f}{'' if memory is None else f'{memory:7.0f}'}"
         )

@@ -1,8 +1,10 @@
-"""The number of threads changes no bit of an answer: every method is trained and judged on one thread."""
+"""What repeats: with other numbers of threads every bit, on another processor the starts and the decisions."""
 
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
+from pathlib import Path
 
 import pytest
 
@@ -13,8 +15,12 @@ from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.simulate import Timing
 torch.set_num_threads(int(sys.argv[1]))
 cell = Cell(named_recipe("bench", timing=Timing(1_000.0, 0.1)), 120, 60)
+def digest(values):
+    return hashlib.sha256(values.tobytes()).hexdigest()
+print("starts", digest(cell.train().X), digest(cell.test().X))
 for name in sys.argv[2:]:
-    print(name, hashlib.sha256(judge(name, cell).probabilities.tobytes()).hexdigest())
+    answer = judge(name, cell)
+    print(name, digest(answer.decided), digest(answer.probabilities))
 """
 QUICK = (
     "threshold",
@@ -26,19 +32,30 @@ QUICK = (
     "network",
 )
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+BEFORE_AVX = {
+    "ATEN_CPU_CAPABILITY": "default",
+    "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR"
+    " X86_V3 X86_V4",  # what one version of NumPy does not know, it ignores
+    "NUMBA_CPU_FEATURES": "",
+    "NUMBA_CPU_NAME": "generic",
+    "OPENBLAS_CORETYPE": "Prescott",
+}
+"""Has the libraries compute as on a processor of 2005."""
 
 
-def answers(threads: int, methods: tuple[str, ...]) -> str:
+def answers(threads: int, methods: tuple[str, ...], processor: Mapping[str, str] = {}) -> list[list[str]]:
+    """Digests: of the starts of training and test, then of each method's decisions and probabilities."""
     done = subprocess.run(
         [sys.executable, "-c", CODE, str(threads), *methods],
-        env={**os.environ, **dict.fromkeys(THREADS, str(threads))},
+        env={**os.environ, **dict.fromkeys(THREADS, str(threads)), **processor},
         capture_output=True,
         text=True,
         check=True,
         timeout=280,
     )
-    assert done.stdout.count("\n") == len(methods)
-    return done.stdout
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert [line[0] for line in lines] == ["starts", *methods]
+    return lines
 
 
 @pytest.mark.long
@@ -46,3 +63,12 @@ def answers(threads: int, methods: tuple[str, ...]) -> str:
 @pytest.mark.parametrize("methods", [QUICK, ("physical-svm", "residual-network"), ("posterior-network",)])
 def test_one_and_two_threads_give_the_same_bits(methods: tuple[str, ...]) -> None:
     assert answers(1, methods) == answers(2, methods)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_an_older_processor_draws_the_same_starts_and_decides_alike(tmp_path: Path) -> None:
+    here, there = answers(1, QUICK), answers(1, QUICK, {**BEFORE_AVX, "NUMBA_CACHE_DIR": str(tmp_path)})
+    assert there[0] == here[0]
+    assert [line[:2] for line in there] == [line[:2] for line in here]
+    assert there != here  # probabilities round otherwise: it did compute as another one
