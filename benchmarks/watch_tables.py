@@ -17,6 +17,7 @@ TEMPERATURES = {
     "allowed": "other temperatures, as allowed for",
     "wandering": "temperature wanders from the begin",
 }
+_ALARMS = ("window", "another_motor")
 _NO_ALARM = ("window healthy", "window unusable")
 
 

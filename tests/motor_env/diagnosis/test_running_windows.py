@@ -10,11 +10,14 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from motor_env.cli import main
 from motor_env.diagnosis import running, windows
+from motor_env.diagnosis.explanations import alarm_share, joint_share
 from motor_env.diagnosis.windows import WindowVerdict
 from motor_env.errors import InputError
+from motor_env.motor import identifiable as quantities
 from motor_env.recordings.recording import Recording
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
@@ -101,3 +104,23 @@ def test_one_bad_log_costs_no_other_its_verdict(
     assert [record.is_bug for record in records] == [False, True, False, False]
     assert running.exit_status(records) == 70
     assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("rate", [0.15, 0.02])
+def test_the_tests_of_a_window_alarm_together_at_the_rate(rate: float) -> None:
+    rng, freedom, n = np.random.default_rng(5), 20.0, 200_000
+    root = np.tril(rng.normal(0.0, 0.02, (4, 4))) + 0.05 * np.eye(4)
+    exponents = np.array(
+        [[float(name == other) for other in quantities.PARAMETERS] for name in windows.NAMES]
+    )
+    share = joint_share(rate, root @ root.T, exponents, freedom)
+    length = np.sqrt(rng.chisquare(freedom, n) / freedom)
+    drawn = rng.standard_normal((n, 4)) / length[:, None]
+    axes = np.linalg.inv(root) @ np.transpose(
+        [quantities.visible_direction(kind, exponents) for kind in quantities.nameable_kinds(exponents)]
+    )
+    along = drawn @ (axes / np.linalg.norm(axes, axis=0))
+    alarms = (along > stats.t.isf(share, freedom)).any(axis=1)
+    alarms |= np.sum(drawn**2, axis=1) / 4.0 > stats.f.isf(share, 4, freedom)
+    assert alarms.mean() == pytest.approx(rate, rel=0.05)
+    assert share > 1.3 * alarm_share(rate, exponents)
