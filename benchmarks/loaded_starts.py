@@ -31,13 +31,6 @@ CHANGES = {
     "K -10 %": {"constant": 0.9},
     "J +25 %": {"inertia": 1.25},
 }
-RIGHT = {
-    "R +25 %": ("winding",),
-    "friction +50 %": ("bearing",),
-    "K -10 %": ("magnet", "other"),
-    "J +25 %": ("other",),
-}
-"""The right verdicts: with the speed the first one, in the current alone the last."""
 LOADS = ("none", "dry", "square")
 SPREADS = (0.02, 0.1, 0.3)
 COMMISSIONED, JUDGED = 5, 10
@@ -119,25 +112,23 @@ def judged(seed: int, number: int) -> list[str]:
 
 
 def rows(counts: Counter[str]) -> list[list[str]]:
-    """Rows of the table: for each load, channels and change how many starts were called what."""
-    kinds: dict[tuple[str, ...], Counter[str]] = {}
+    """Rows of the table: for each change and load how many starts were called what, where it shows and elsewhere."""
+    kinds: dict[tuple[str, str], Counter[str]] = {}
     for key, n in counts.items():
-        load, channels, _, _, change, shows, verdict = key.split("; ")
-        one = kinds.setdefault((change, load, channels), Counter())
-        one["starts"] += n
-        one[f"{shows} {verdict}"] += n
-    table = []
-    for (change, load, channels), one in sorted(kinds.items(), key=lambda pair: pair[0][0] != HEALTHY):
-        cells = [
-            ", ".join(
-                f"{key.removeprefix(shows).strip()} {n}"
-                for key, n in one.most_common()
-                if key.startswith(shows)
-            )
-            for shows in ("shows", "may not show")
-        ]
-        table.append([change, load, channels, str(one["starts"]), *cells])
-    return table
+        load, _, _, _, change, shows, verdict = key.split("; ")
+        kinds.setdefault((change, load), Counter())[f"{shows}: {verdict}"] += n
+
+    def verdicts(one: Counter[str], shows: str) -> str:
+        return ", ".join(
+            f"{key.split(': ')[1]} {n}" for key, n in one.most_common() if key.startswith(f"{shows}:")
+        )
+
+    order = [HEALTHY, *CHANGES]
+    ordered = sorted(kinds.items(), key=lambda pair: (order.index(pair[0][0]), LOADS.index(pair[0][1])))
+    return [
+        [*names, str(one.total()), verdicts(one, "shows"), verdicts(one, "may not show")]
+        for names, one in ordered
+    ]
 
 
 def main(*, motors: int = 216, seed: int = 0) -> None:
@@ -153,7 +144,7 @@ def main(*, motors: int = 216, seed: int = 0) -> None:
         counts.update(judged(seed, number))
         text = json.dumps({"motors": number + 1, "starts": dict(sorted(counts.items()))}, indent=1)
         COUNTS.write_text(text + "\n", encoding="utf-8")
-    header = ("one start with", "load", "recorded", "starts", "where it shows", "elsewhere")
+    header = ("one start with", "load", "starts", "verdicts where it shows", "elsewhere")
     keep_table("recordings", "loaded-starts", header, rows(counts))
 
 

@@ -22,6 +22,7 @@ from motor_env.diagnosis.explanations import (
     alarm_share,
     compare,
     explain,
+    is_its_own,
     probabilities,
     severity_of,
     significance_limit,
@@ -130,28 +131,31 @@ def decide(
     )
     if quiet is None:
         return _with_alarm(healthy, views, limit, rate)
-    unseen = _unseen_fault(smallest_changes(replace(view.difference, covariance=fit.log_covariance), limit))
+    # Healthy starts may scatter by their load; that is no defect of this recording.
+    spread = fit.log_covariance if reference.includes_fit_error else view.difference.covariance
+    unseen = _unseen_fault(smallest_changes(replace(view.difference, covariance=spread), limit))
     if unseen is not None:
         return replace(healthy, verdict=Verdict.UNUSABLE, reasons=(unseen,), severity=None, confidence=None)
     return _with_noise(healthy, fit, reference, limit)
 
 
 def _with_alarm(healthy: Diagnosis, views: list[View], limit: float, rate: float) -> Diagnosis:
-    """The fault that explains an alarm, or that none does; a load is thought of where nothing does without one."""
+    """The fault that explains an alarm, or that none does; a load is thought of where nothing does without one.
+
+    The warmth is that of a motor without a load: where the load is open as well, too much would explain too much.
+    """
 
     def suffices(fault: Explanation) -> bool:
-        return fault.z > limit and fault.p_left_over > rate
+        return fault.z > limit and fault.p_left_over > rate and is_its_own(first.difference, fault.kind)
 
     first = views[0]
-    for view in views:
-        probability = probabilities(view.difference, view.faults)
-        best = max(filter(suffices, view.faults), key=lambda fault: probability[fault.kind], default=None)
+    for view in views[:1] if any(map(suffices, first.faults)) else views:
+        difference = replace(first.difference, response=view.drag.response)
+        faults = explain(difference)
+        probability = probabilities(difference, faults)
+        best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
         if best is not None and probability[best.kind] >= probability["other"]:
-            return _with_fault(
-                healthy, best, first.difference.degrees_of_freedom, probability, view.drag.load
-            )
-        if view is first and any(map(suffices, view.faults)):
-            break
+            return _with_fault(healthy, best, difference.degrees_of_freedom, probability, view.drag.load)
     named = {fault.kind for fault in first.faults}
     unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
     alike = map(_alike_reason, filter(suffices, explain(first.difference, unnamed)))

@@ -25,6 +25,7 @@ _OTHER_PRIOR = 0.30  # standard deviation of each logarithm where something else
 _STEP_NODES = np.linspace(-10.0, 10.0, 401)  # standard deviations about the best step
 _POWER_QUANTILE = 1.645  # 95 of 100
 _LARGEST_LOG = 30.0
+_IMITATED = [quantities.PARAMETERS.index(name) for name in "KJB"]
 _LEAST = 1e-3  # length of a direction; a fault that shows has about 1
 _DIRECTIONS = 4096
 _NOISE_AND_OMNIBUS = 2  # tests beside those of the faults
@@ -166,6 +167,20 @@ def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) 
         rest = difference.p_value(difference.squared_distance - z * z, dimensions - 1)
         explanations.append(Explanation(kind, z, step, 1.0 / math.sqrt(information), rest, direction))
     return explanations
+
+
+def is_its_own(difference: Difference, kind: FaultKind) -> bool:
+    """Whether a fault shows where no magnet, inertia or load imitates it.
+
+    Shorted turns move K too; a warm winding hides their R, and where L is not told, K alone is left of them.
+    """
+    direction = quantities.visible_direction(kind, difference.exponents)
+    winding = ~difference.exponents[:, _IMITATED].any(axis=1)
+    if not direction[winding].any() or not direction[~winding].any():
+        return True
+    part = np.linalg.solve(difference.covariance[np.ix_(winding, winding)], direction[winding])
+    z = part @ difference.log_ratios[winding] / math.sqrt(part @ direction[winding])
+    return bool(z > _POWER_QUANTILE)
 
 
 def smallest_changes(difference: Difference, limit: float) -> dict[str, float]:
