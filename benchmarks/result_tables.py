@@ -14,6 +14,8 @@ import watch_tables
 from tables import KEPT, kept_tables, marked, table
 from trust_tables import trust_tables
 
+from motor_classifiers.contest.leaderboard import read_scores
+
 FOLDER = Path(__file__).resolve().parent
 README, DOCS = FOLDER.parent / "README.md", FOLDER.parent / "docs"
 Row = dict[str, Any]
@@ -147,9 +149,12 @@ def size_table() -> str:
     return table(["recipe, rate, 20 mA", "training starts", *_SWEPT[1:]], rows)
 
 
-def field_table() -> str:
-    """The best possible accuracy on `field`."""
-    got: Row = json.loads((FOLDER / "results" / "field_limit.json").read_bytes())
+def field_table(name: str = "field") -> str:
+    """The best possible accuracy on `field`, or on `operation` with those of trained methods."""
+    got: Row = json.loads((FOLDER / "results" / f"{name}_limit.json").read_bytes())
+    learned = f", learned from {got['learned']}" if got.get("learned") else ""
+    control = got["control"] if learned else "posterior network"
+    scored = [] if name == "field" else read_scores(FOLDER / "leaderboard").get(name, [])
     first, second = got["expected_accuracy_of_runs"]
     rows = {
         "the best possible accuracy, between": " and ".join(_points(end) for end in got["bracket"]),
@@ -157,13 +162,16 @@ def field_table() -> str:
         "right decisions on them": _points(got["right"]),
         f"mean largest probability, the first {got['n_twice']}, two runs": f"{_points(first)}, {_points(second)}",
         "the same decision in both runs": _points(got["same_decision"]),
-        f"posterior network, {got['n_of_network']} other starts": _points(got["network_accuracy"])
+        f"{control}{learned}, {got['n_of_network']} other starts": _points(got["network_accuracy"])
         + f" ± {_points(got['network_accuracy_error'])}",
-        "the network is behind, between": " and ".join(
+        f"{'it' if learned else 'the network'} is behind, between": " and ".join(
             f"{_points(behind)} ± {_points(error)}"
             for behind, error in zip(got["network_behind"], got["network_behind_error"], strict=True)
         ),
     }
+    for one in sorted(scored, key=lambda each: each["value"]):
+        ends = [_points(1.0 - 0.01 * one[end]) for end in ("value", "high", "low")]
+        rows[f"{one['method']} ({one['authors']}), on the task"] = "{} ({} to {})".format(*ends)
     return table(["figure", "%, or points; ± one standard error"], rows.items())
 
 
@@ -184,7 +192,9 @@ def pages() -> dict[Path, str]:
         }
     trust = json.loads((FOLDER / "results" / "trust.json").read_bytes())
     parts.setdefault(DOCS / "trust.md", {}).update(trust_tables(trust))
-    parts.setdefault(DOCS / "limits.md", {})["field"] = field_table()
+    parts.setdefault(DOCS / "limits.md", {}).update(
+        {"field": field_table(), "operation": field_table("operation")}
+    )
     parts |= {DOCS / "howto" / f"{page}.md": tables for page, tables in watch_tables.parts().items()}
     return {path: marked(path.read_text(encoding="utf-8"), tables) for path, tables in parts.items()}
 
