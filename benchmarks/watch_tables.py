@@ -44,7 +44,7 @@ def watch_alarms() -> str:
         for rate in PER_HOUR if runs else ():
             counts: Counter[str] = sum((Counter(run["events"][rate]) for run in runs), Counter())
             alarms = sum(
-                n for name, n in counts.items() if name.startswith("window") and name not in _NO_ALARM
+                n for name, n in counts.items() if name.startswith(_ALARMS) and name not in _NO_ALARM
             )
             rows.append(_row(f"`watch`; {said}", rate, hours, alarms))
     return _alarms(rows)
