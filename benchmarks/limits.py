@@ -1,4 +1,4 @@
-"""Make the tables of docs/limits.md: `python benchmarks/limits.py [CASES]`, 20,000 cases and some ten minutes."""
+"""Make the tables of docs/limits.md: `python benchmarks/limits.py [CASES]`, 20,000 cases and some six minutes."""
 
 from __future__ import annotations
 
