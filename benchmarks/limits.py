@@ -1,4 +1,4 @@
-"""Make the tables of docs/limits.md: `python benchmarks/limits.py [CASES]`, 20,000 cases and some six minutes."""
+"""Make the tables of docs/limits.md: `python benchmarks/limits.py [CASES]`, 20,000 cases and some seven minutes."""
 
 from __future__ import annotations
 
