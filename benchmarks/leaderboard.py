@@ -191,11 +191,7 @@ def _labelled_test(task: ClassTask) -> Dataset:
 
 def whole_page() -> str:
     """The page docs/leaderboard.md with its tables made anew."""
-    brackets = {}
-    for name in ("field", "operation"):
-        low, high = json.loads((FOLDER / "results" / f"{name}_limit.json").read_bytes())["bracket"]
-        brackets[name] = (100.0 * (1.0 - high), 100.0 * (1.0 - low))
-    return marked(PAGE.read_text(encoding="utf-8"), {"leaderboard": page(read_scores(SCORES), brackets)})
+    return marked(PAGE.read_text(encoding="utf-8"), {"leaderboard": page(read_scores(SCORES))})
 
 
 def main() -> None:

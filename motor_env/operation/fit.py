@@ -113,6 +113,8 @@ def _chosen(first: Solution, every: dict[str, Term]) -> Solution:
         walking = _solved(best, [every["load_walk"]])
         if walking.penalised() < best.penalised() - STRONG_EVIDENCE:
             best = _grown(walking, every)
+    # It may have stood for a term that came later.
+    best = _without(best, "load_walk")
     return min([best, *_undisturbed([first, best])], key=_free_misfit)
 
 

@@ -296,19 +296,23 @@ def _begin(
     p: FloatArray,
     x: FloatArray,
     cov: FloatArray,
-    shown_i: float,
-    shown_w: float,
+    shown: FloatArray,
     volts: float,
     reach: float,
     seen: FloatArray,
+    dt_s: float,
 ) -> None:
-    """State at the first sample of a recording: as shown; what is not seen from the balance of the voltages."""
-    n = cov.shape[0]
+    """State at the first sample of a recording: as shown; what is not seen from the balance of the voltages.
+
+    `shown` is what this sample and the next show, shape (2, 2), `volts` the voltage between them.
+    """
+    n, i, next_i = cov.shape[0], shown[0, 0], shown[1, 0]
     x[:] = 0.0
-    x[1] = shown_w if seen[1] > 0.0 else (volts - p[R] * shown_i) / p[K]
-    x[0] = shown_i if seen[0] > 0.0 else (volts - p[K] * x[1]) / p[R]
+    inner = p[R] * 0.5 * (i + next_i) + p[L] * (next_i - i) / dt_s
+    x[1] = shown[0, 1] if seen[1] > 0.0 else min(max(volts - inner, -reach), reach) / p[K]
+    x[0] = i if seen[0] > 0.0 else (volts - p[K] * x[1]) / p[R]
     x[3], x[4] = x[0], x[1]
-    sd_w = p[NOISE_W] if seen[1] > 0.0 else 0.3 * reach / p[K]
+    sd_w = p[NOISE_W] if seen[1] > 0.0 else math.hypot(0.3 * reach, p[L] / dt_s * p[NOISE_I]) / p[K]
     sd_i = p[NOISE_I] if seen[0] > 0.0 else 0.3 * reach / p[R]
     cov[:] = 0.0
     cov[0, 0], cov[1, 1] = sd_i**2, sd_w**2
@@ -349,7 +353,7 @@ def predict(
     lags = np.stack((_lag(p[LAG_I], dt_s), _lag(p[LAG_W], dt_s)))
     whole, parts = _table(p, dt_s), _table(p, dt_s / _PARTS)
     m, x, cov, f, u = np.empty((2, 5)), np.zeros(5), np.zeros((n, n)), np.zeros((2, 4)), np.zeros(4)
-    row = np.zeros(n)
+    row, shown = np.zeros(n), np.zeros((2, 2))
     logs, warm_k = 0.0, 0.0
     place_i, place_w = (3, 4) if n == 5 else (0, 1)
     reach = np.max(np.abs(voltage)) + 1e-9
@@ -358,7 +362,10 @@ def predict(
         shown_i, shown_w = readings[k, 0] - p[OFFSET_I], readings[k, 1] - p[OFFSET_W]
         if marks[k] == BEGIN:
             warm_k = 0.0
-            _begin(p, x, cov, shown_i, shown_w, voltage[k, 0], reach, seen)
+            after = min(k + 1, voltage.shape[0] - 1)
+            shown[0, 0], shown[0, 1] = shown_i, shown_w
+            shown[1, 0], shown[1, 1] = readings[after, 0] - p[OFFSET_I], readings[after, 1] - p[OFFSET_W]
+            _begin(p, x, cov, shown, voltage[after, 0], reach, seen, dt_s)
             out[k] = 0.0
             out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
             continue

@@ -139,6 +139,8 @@ def score(
         low, high = scored["above_limit_low"], scored["above_limit_high"]
         print(f"  the best possible on the same cases: {scored['limit']:.2f}")
         print(f"  above it by {scored['above_limit']:.2f} ({low:.2f} to {high:.2f}, paired)")
+    elif "bracket" in scored:
+        print("  the best possible on average: between {:.2f} and {:.2f}".format(*scored["bracket"]))
     else:
         print("  the best possible is not known")
     return 0

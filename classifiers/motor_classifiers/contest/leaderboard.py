@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,20 +58,15 @@ def _plain(text: str) -> str:
     return html.escape(text.replace("|", "/").replace("`", "'"), quote=False)
 
 
-def page(scores: dict[str, list[Scored]], brackets: Mapping[str, tuple[float, float]]) -> str:
-    """The tables in Markdown, one a task.
-
-    Args:
-        scores: of `read_scores`.
-        brackets: of tasks whose best possible is known on average and not case by case: its lower and upper end.
-    """
+def page(scores: dict[str, list[Scored]]) -> str:
+    """The tables in Markdown, one a task."""
     parts = []
     for name, scored in scores.items():
         task = TASKS[name]
         known = "limit" in scored[0]
         best = f" The best possible on the same cases: {scored[0]['limit']:.2f}." if known else ""
-        if name in brackets:
-            best = " The best possible on average: between {:.2f} and {:.2f}.".format(*brackets[name])
+        if task.bracket is not None:
+            best = " The best possible on average: between {:.2f} and {:.2f}.".format(*task.bracket)
         head = [
             "rank",
             "method",

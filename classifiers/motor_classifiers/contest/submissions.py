@@ -162,9 +162,9 @@ def score_submission(folder: Path | str, *, seed: int = SEED) -> dict[str, Any]:
     """Score a submission beside the limit on the same cases.
 
     Returns:
-        For JSON: the card's fields, `metric`, its `value` with `low` and `high` (95 %), where the best possible is
-        known `limit` and `above_limit` (the paired difference) with its `above_limit_low` and `above_limit_high`, and
-        `costs`, what the cases cost (`unpacked_costs`).
+        For JSON: the card's fields, `metric`, its `value` with `low` and `high` (95 %), and `costs`, what the cases
+        cost (`unpacked_costs`). Where the best possible is known case by case, `limit` and `above_limit` (the paired
+        difference) with its `above_limit_low` and `above_limit_high`; where it is on average, `bracket`.
 
     Raises:
         InputError: the submission is refused.
@@ -182,6 +182,8 @@ def score_submission(folder: Path | str, *, seed: int = SEED) -> dict[str, Any]:
         "low": low,
         "high": high,
     }
+    if task.bracket is not None:
+        scored["bracket"] = task.bracket
     best = task.limit(cases.X)
     if best is not None:
         best_costs = task.costs(cases.truth, best)

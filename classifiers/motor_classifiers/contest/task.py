@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,14 +53,16 @@ class Task(ABC):
         n_train: starts to learn from.
         n_test: cases to be judged, of other motors.
         metric: what the mean cost is called; smaller is better.
+        bracket: between which the best possible lies on average, where it is not known case by case (docs/limits.md).
     """
 
     name: str
     title: str
-    recipe: Recipe
+    recipe: Recipe = field(repr=False)
     n_train: int = 2000
     n_test: int = 5000
     metric: str = "error rate, %"
+    bracket: tuple[float, float] | None = None
 
     @property
     @abstractmethod

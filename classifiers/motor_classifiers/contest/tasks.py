@@ -33,11 +33,17 @@ def _tasks() -> dict[str, Task]:
     every = (
         ClassTask("bench", "Which of five classes: tolerances, current alone, 10 kHz", bench),
         ClassTask("bench-full", "Which of nine classes: all kinds of faults", named_recipe("bench-full")),
-        ClassTask("field", "Which class in the field: friction, ramps, sensor errors", named_recipe("field")),
+        ClassTask(
+            "field",
+            "Which class in the field: friction, ramps, sensor errors",
+            named_recipe("field"),
+            bracket=(16.29, 16.97),
+        ),
         ClassTask(
             "operation",
             "Which class at work: another voltage, which is a channel, and load in each case",
             named_recipe("operation"),
+            bracket=(18.72, 20.17),
         ),
         ReferenceTask(
             "reference", "Which class, with one healthy start of the same motor", bench, n_test=2000

@@ -3,7 +3,10 @@
 import json
 
 import leaderboard
+import pytest
 import result_tables
+
+from motor_classifiers.contest.tasks import load_task
 
 
 def test_tables_of_readme_and_docs_come_from_their_files() -> None:
@@ -17,6 +20,12 @@ def test_sentence_of_the_readme_comes_from_the_leaderboard() -> None:
     behind = json.loads((leaderboard.SCORES / "bench" / "rules.json").read_bytes())["above_limit"]
     text = result_tables.README.read_text(encoding="utf-8")
     assert f"On 5,000 other motors it is {behind:.2f} points behind" in text
+
+
+@pytest.mark.parametrize("name", ["field", "operation"])
+def test_brackets_of_the_tasks_are_those_that_were_measured(name: str) -> None:
+    low, high = json.loads((result_tables.FOLDER / "results" / f"{name}_limit.json").read_bytes())["bracket"]
+    assert load_task(name).bracket == pytest.approx((100.0 * (1.0 - high), 100.0 * (1.0 - low)), abs=0.006)
 
 
 def test_leaderboard_page_comes_from_its_scores() -> None:
