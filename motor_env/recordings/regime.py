@@ -103,9 +103,9 @@ def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
     """
     if not _explains_steps(voltage_v, current_a):
         raise UnusableError(
-            "the current does not follow the voltage: that is a raw pulse-width modulation, sampled more slowly than"
-            " it switches, so that its mean is unknown; record it behind a low-pass filter, or the duty cycle times"
-            " the supply"
+            "the current does not follow the voltage as a motor's does; a raw pulse-width modulation looks like this"
+            " where it is sampled more slowly than it switches: record it behind a low-pass filter, or the duty cycle"
+            " times the supply"
         )
 
 
