@@ -40,7 +40,7 @@ from motor_env.recordings.recording import Recording, cut
 
 FEWEST_WINDOWS = 4
 MOST_SAMPLES = 6_000
-MOST_JUDGED = 60
+MOST_JUDGED = 40
 SPREAD_PRIOR, PRIOR_WEIGHT = 0.01, 4.0
 NAMES = ("R", "K", "J", "B")
 _FREE = ("R", "K", "J", "coulomb", "load_constant", "load_square", "offset_current", "offset_speed", *NOISES)

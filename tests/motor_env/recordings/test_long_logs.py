@@ -110,7 +110,7 @@ def test_the_liveliest_stretches_of_a_long_record_are_used() -> None:
     record = from_recordings([recording], most=10_000)
     assert record.share == pytest.approx(0.1)
     assert record.averaged == 1  # neighbours differ: their means would tell nothing
-    smooth = replace(recording, current_a=np.sin(np.arange(n) / 1e3))
+    smooth = replace(recording, current_a=np.sin(np.arange(n) / 1e3) + 0.01 * voltage)
     assert from_recordings([smooth], most=10_000).averaged == 10
 
 
