@@ -128,20 +128,15 @@ def temperatures(rng: np.random.Generator, count: int, *, allowed: bool) -> Floa
     return kelvin
 
 
-def work(
-    rng: np.random.Generator, warm_k: Floats, *faults: Fault, load_n_m: float = LOAD_N_M, healthy: int = 0
-) -> Iterator[Floats]:
-    """Time, voltage, current, speed at 1 Hz, a window at a time, each at its temperature; shape (n, 4).
-
-    The faults begin after so many healthy windows.
-    """
+def work(rng: np.random.Generator, warm_k: Floats, *faults: Fault) -> Iterator[Floats]:
+    """Time, voltage, current, speed at 1 Hz, a window at a time, each at its temperature; shape (n, 4)."""
     n = int(WINDOW_S)
     samples = n * len(warm_k)
-    load = wandering(rng.standard_normal(samples), load_n_m, LOAD_S)
+    load = wandering(rng.standard_normal(samples), LOAD_N_M, LOAD_S)
     volts, x = duty(rng, samples, (6, 16)), np.zeros(2)
     for k, kelvin in enumerate(warm_k):
         part = slice(k * n, (k + 1) * n)
-        model = discretize(apply_faults(warmed(heavy(), kelvin), faults if k >= healthy else ()), 1.0)
+        model = discretize(apply_faults(warmed(heavy(), kelvin), faults), 1.0)
         states = moved(model.transition, model.gain, np.stack([volts[part], load[part]], axis=1), x)
         noise = rng.standard_normal((n, 2)) * (NOISE_A, NOISE_RAD_S)
         yield np.column_stack([np.arange(part.start, part.stop) + 1.0, volts[part], states + noise])

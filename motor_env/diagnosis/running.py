@@ -30,7 +30,7 @@ _SHOWN = {"R": "R", "K": "K", "J": "J", "B": "friction"}
 
 @dataclass(frozen=True, slots=True)
 class RunningRecord:
-    """One log of a running motor: its windows, or the sentence why it cannot be judged."""
+    """One log of a running motor: its judged windows out of so many (`of`), or why it cannot be judged."""
 
     path: Path
     windows: tuple[WindowVerdict, ...]
