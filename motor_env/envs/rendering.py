@@ -18,8 +18,10 @@ from motor_env.motor.parameters import FloatArray
 
 Frame = NDArray[np.uint8]
 WIDTH, HEIGHT = 640, 448  # a film encoder's time grows with the pixels
-BACKGROUND, GRID, INK, DIM = (9, 14, 18), (27, 38, 44), (214, 226, 230), (120, 138, 146)
-TRACE = {
+BACKGROUND, GRID = (9, 14, 18), (27, 38, 44)
+COLOURS = {
+    "ink": (214, 226, 230),
+    "dim": (120, 138, 146),
     "current": (70, 220, 150),
     "estimate": (240, 240, 240),
     "speed": (90, 180, 255),
@@ -39,7 +41,12 @@ PANEL_HEIGHTS = (98, 60, 98, 68)
 
 def _colour(verdict: str) -> str:
     """Name of a verdict's colour."""
-    return verdict if verdict in TRACE else "other"
+    return verdict if verdict in COLOURS else "other"
+
+
+def blank_screen(height: int = HEIGHT) -> Frame:
+    """The background, shape (height, WIDTH, 3)."""
+    return np.full((height, WIDTH, 3), BACKGROUND, dtype=np.uint8)
 
 
 @cache
@@ -66,23 +73,24 @@ def text_image(text: str, colour: tuple[int, int, int], size_px: int) -> tuple[i
     return int(rows[0]), (np.multiply(BACKGROUND, 1.0 - shade) + colour * shade).astype(np.uint8)
 
 
-def write(
-    frame: Frame, text: str, at: tuple[int, int], colour: tuple[int, int, int], *, size_px: int = 13
-) -> None:
-    """Write a line of text with its upper left corner at (x, y)."""
-    below, image = text_image(text, colour, size_px)
+def write(frame: Frame, text: str, at: tuple[int, int], colour: str, *, size_px: int) -> None:
+    """Write a line of text in one of the colours, with its upper left corner at (x, y)."""
+    below, image = text_image(text, COLOURS[colour], size_px)
     x, y = at[0], at[1] + below
     part = frame[y : y + image.shape[0], x : x + image.shape[1]]
     part[:] = image[: part.shape[0], : part.shape[1]]
 
 
-def write_figures(
-    frame: Frame, text: str, at: tuple[int, int], colour: tuple[int, int, int], *, size_px: int = 13
-) -> None:
+def write_figures(frame: Frame, text: str, at: tuple[int, int], colour: str, *, size_px: int) -> None:
     """The same for text that changes: character by character, each of which is drawn once and kept."""
     for place, character in enumerate(text):
         if character != " ":
             write(frame, character, (at[0] + round(0.62 * size_px * place), at[1]), colour, size_px=size_px)
+
+
+def mark_moment(frame: Frame, x: int) -> None:
+    """An upright mark across all panels."""
+    frame[TOP : HEIGHT - 30 : 3, x : x + 2] = COLOURS["onset"]
 
 
 def _rows(values: FloatArray, low: float, high: float, height: int) -> NDArray[np.int64]:
@@ -95,7 +103,7 @@ def draw_trace(
     panel: Frame,
     values: FloatArray,
     limits: tuple[float, float],
-    colour: tuple[int, int, int],
+    colour: str,
     *,
     thick: int = 1,
     skip: int = 0,
@@ -109,7 +117,7 @@ def draw_trace(
     first, last = np.minimum(rows, before), np.maximum(rows, before)
     grid = np.arange(panel.shape[0])[:, None]
     inside = (grid >= first - (thick - 1)) & (grid <= last + (thick - 1)) & good
-    panel[:, skip : len(values)][inside[:, skip:]] = colour
+    panel[:, skip : len(values)][inside[:, skip:]] = COLOURS[colour]
 
 
 class Scope:
@@ -173,7 +181,7 @@ class Scope:
         return frame.copy()
 
     def _empty_screen(self) -> Frame:
-        frame = np.full((HEIGHT, WIDTH, 3), BACKGROUND, dtype=np.uint8)
+        frame = blank_screen()
         self._blank = frame[: TOP - 6].copy()
         (rest_current, rest_speed), (reach, swing) = self._rest, self._reach
         self._panel(frame, 0, "current", "A", (rest_current - reach, rest_current + reach))
@@ -184,11 +192,11 @@ class Scope:
             self._trace(frame, 2, level, (-6.0, 6.0), "threshold")
         self._panel(frame, 3, "evidence", "nats", (0.0, 12.0))
         for place, (name, colour) in enumerate((("measured", "current"), ("filter", "estimate"))):
-            write(frame, name, (6, self._box(0)[0] + 32 + 15 * place), TRACE[colour], size_px=11)
+            write(frame, name, (6, self._box(0)[0] + 32 + 15 * place), colour, size_px=11)
         for place, kind in enumerate(dict.fromkeys(self._kinds)):
-            write(frame, kind, (6, self._box(3)[0] + 32 + 15 * place), TRACE[_colour(kind)], size_px=11)
+            write(frame, kind, (6, self._box(3)[0] + 32 + 15 * place), _colour(kind), size_px=11)
         shown = self.n_steps * self.setup.options.samples_per_step * self.setup.options.dt_s
-        write(frame, f"0 to {1e3 * shown:g} ms", (WIDTH - RIGHT - 90, HEIGHT - 24), DIM, size_px=12)
+        write(frame, f"0 to {1e3 * shown:g} ms", (WIDTH - RIGHT - 90, HEIGHT - 24), "dim", size_px=12)
         return frame
 
     def _traces(self, frame: Frame, first: int) -> None:
@@ -212,10 +220,10 @@ class Scope:
         panel = frame[top:bottom, LEFT : WIDTH - RIGHT]
         panel[:: max(1, (bottom - top) // 4)] = GRID
         panel[:, :: self.width // 10] = GRID
-        write(frame, name, (6, top - 2), INK, size_px=12)
-        write_figures(frame, f"{high:.3g} {unit}", (6, top + 15), DIM, size_px=11)
+        write(frame, name, (6, top - 2), "ink", size_px=12)
+        write_figures(frame, f"{high:.3g} {unit}", (6, top + 15), "dim", size_px=11)
         if which < 3:
-            write_figures(frame, f"{low:.3g}", (6, bottom - 20), DIM, size_px=11)
+            write_figures(frame, f"{low:.3g}", (6, bottom - 20), "dim", size_px=11)
 
     def _trace(
         self,
@@ -232,23 +240,23 @@ class Scope:
         joined = max(0, first - 1)
         panel = frame[top:bottom, LEFT + joined : WIDTH - RIGHT]
         if joined < len(values):
-            draw_trace(panel, values[joined:], limits, TRACE[colour], thick=thick, skip=first - joined)
+            draw_trace(panel, values[joined:], limits, colour, thick=thick, skip=first - joined)
 
     def _mark_onset(self, frame: Frame) -> None:
         assert self.onset_step is not None  # noqa: S101  # the caller looked
         x = LEFT + min(self.width - 2, self.onset_step * self.width // self.n_steps)
-        frame[TOP : HEIGHT - 30 : 3, x : x + 2] = TRACE["onset"]
-        write(frame, "onset", (min(x - 14, WIDTH - RIGHT - 40), HEIGHT - 30), TRACE["onset"], size_px=12)
+        mark_moment(frame, x)
+        write(frame, "onset", (min(x - 14, WIDTH - RIGHT - 40), HEIGHT - 30), "onset", size_px=12)
 
     def _head(self, frame: Frame) -> None:
         options = self.setup.options
         time_ms = 1e3 * self.step * options.samples_per_step * options.dt_s
-        write(frame, "motor under watch", (6, 8), INK, size_px=16)
-        write_figures(frame, f"{time_ms:7.1f} ms", (160, 8), INK, size_px=16)
+        write(frame, "motor under watch", (6, 8), "ink", size_px=16)
+        write_figures(frame, f"{time_ms:7.1f} ms", (160, 8), "ink", size_px=16)
         if self._voltage is not None:
-            write_figures(frame, f"{self._voltage:+7.2f} V", (275, 8), TRACE["speed"], size_px=16)
+            write_figures(frame, f"{self._voltage:+7.2f} V", (275, 8), "speed", size_px=16)
         if self.verdict:
-            write(frame, self.verdict, (405, 8), TRACE["current" if self.good else "threshold"], size_px=16)
+            write(frame, self.verdict, (405, 8), "current" if self.good else "threshold", size_px=16)
 
 
 class Window:

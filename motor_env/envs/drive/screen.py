@@ -4,25 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from motor_env.envs import rendering
 from motor_env.envs.drive import kernel
 from motor_env.envs.drive.options import LABELS
 from motor_env.envs.drive.setup import DriveSetup
-from motor_env.envs.rendering import (
-    BACKGROUND,
-    DIM,
-    GRID,
-    HEIGHT,
-    INK,
-    LEFT,
-    RIGHT,
-    TOP,
-    TRACE,
-    WIDTH,
-    Frame,
-    draw_trace,
-    write,
-    write_figures,
-)
+from motor_env.envs.rendering import GRID, HEIGHT, LEFT, RIGHT, TOP, WIDTH, Frame, write, write_figures
 from motor_env.motor.parameters import FloatArray
 
 GAP = 18
@@ -52,7 +38,7 @@ class DriveScreen:
 
     def draw(self) -> Frame:
         """The screen, shape (HEIGHT, WIDTH, 3)."""
-        options, frame = self.setup.options, np.full((HEIGHT, WIDTH, 3), BACKGROUND, dtype=np.uint8)
+        options, frame = self.setup.options, rendering.blank_screen()
         speed, current, voltage, heat, severity, scale = np.array(self._rows).reshape(-1, len(SHOWN)).T
         asked = self._profile.copy()
         asked[: len(scale)] *= scale
@@ -75,10 +61,10 @@ class DriveScreen:
             top = TOP + place * (height + GAP)
             panel = frame[top : top + height, LEFT : WIDTH - RIGHT]
             panel[:: height // 2] = GRID
-            write(frame, name, (6, top), INK, size_px=12)
-            write_figures(frame, f"{most:.3g} {unit}", (6, top + 16), DIM, size_px=11)
+            write(frame, name, (6, top), "ink", size_px=12)
+            write_figures(frame, f"{most:.3g} {unit}", (6, top + 16), "dim", size_px=11)
             for values, colour in traces:
-                draw_trace(panel, self._columns(values, panel.shape[1]), (0.0, 1.1 * most), TRACE[colour])
+                rendering.draw_trace(panel, self._columns(values, panel.shape[1]), (0.0, 1.1 * most), colour)
         self._head(frame, LABELS[kind])
         return frame
 
@@ -89,12 +75,12 @@ class DriveScreen:
 
     def _head(self, frame: Frame, label: str) -> None:
         options, steps = self.setup.options, len(self._rows)
-        write(frame, "drive", (6, 8), INK, size_px=16)
-        write_figures(frame, f"{steps * options.period_s:6.2f} s", (80, 8), INK, size_px=16)
+        write(frame, "drive", (6, 8), "ink", size_px=16)
+        write_figures(frame, f"{steps * options.period_s:6.2f} s", (80, 8), "ink", size_px=16)
         if self._last[kernel.SCALE] < 1.0 and steps:
-            write(frame, "limps", (200, 8), TRACE["residual"], size_px=16)
+            write(frame, "limps", (200, 8), "residual", size_px=16)
         if self._last[kernel.SEVERITY] > 0.0:
-            write(frame, label.replace("_", " "), (300, 8), TRACE["threshold"], size_px=16)
+            write(frame, label.replace("_", " "), (300, 8), "threshold", size_px=16)
             x = LEFT + int(self._last[kernel.ONSET]) * (WIDTH - LEFT - RIGHT) // options.n_steps
-            frame[TOP : HEIGHT - 30 : 3, x : x + 2] = TRACE["onset"]
-        write(frame, f"0 to {options.horizon_s:g} s", (WIDTH - RIGHT - 80, HEIGHT - 24), DIM, size_px=12)
+            rendering.mark_moment(frame, x)
+        write(frame, f"0 to {options.horizon_s:g} s", (WIDTH - RIGHT - 80, HEIGHT - 24), "dim", size_px=12)

@@ -5,23 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.envs import rendering
 from motor_env.envs.maintain.kernel import FEATURES, INSPECT, REPLACE, RUN
 from motor_env.envs.maintain.options import MaintainOptions
-from motor_env.envs.rendering import (
-    BACKGROUND,
-    DIM,
-    GRID,
-    INK,
-    LEFT,
-    RIGHT,
-    TOP,
-    TRACE,
-    WIDTH,
-    Frame,
-    draw_trace,
-    write,
-    write_figures,
-)
+from motor_env.envs.rendering import GRID, LEFT, RIGHT, TOP, WIDTH, Frame, write, write_figures
 
 _HEIGHT, _MIDDLE, _GAP = 400, 250, 34
 _SEVERITIES = (-0.25, 1.25)
@@ -72,8 +59,7 @@ class Logbook:
 
     def draw(self) -> Frame:
         """The screen, shape (400, 640, 3)."""
-        frame = np.empty((_HEIGHT, WIDTH, 3), dtype=np.uint8)
-        frame[:] = BACKGROUND
+        frame = rendering.blank_screen(_HEIGHT)
         severity = frame[TOP:_MIDDLE, LEFT : WIDTH - RIGHT]
         risk = frame[_MIDDLE + _GAP : _HEIGHT - 30, LEFT : WIDTH - RIGHT]
         columns = np.arange(severity.shape[1])
@@ -85,26 +71,26 @@ class Logbook:
         truth, estimate, mean, std, failing = days[columns * len(days) // len(columns)].T
         band = np.linspace(*_SEVERITIES, severity.shape[0])[::-1, None]
         severity[np.abs(band - mean) < 2.0 * std] = GRID
-        draw_trace(severity, np.where(columns % 9 < 4, 1.0, np.nan), _SEVERITIES, TRACE["threshold"])
+        rendering.draw_trace(severity, np.where(columns % 9 < 4, 1.0, np.nan), _SEVERITIES, "threshold")
         for values, colour in ((truth, "bearing"), (estimate, "current"), (mean, "estimate")):
-            draw_trace(severity, values, _SEVERITIES, TRACE[colour])
-        draw_trace(risk, failing, (0.0, 0.1), TRACE["residual"], thick=2)
+            rendering.draw_trace(severity, values, _SEVERITIES, colour)
+        rendering.draw_trace(risk, failing, (0.0, 0.1), "residual", thick=2)
         self._write(frame)
         return frame
 
     def _write(self, frame: Frame) -> None:
         options = self.options
-        write(frame, "bearing", (6, 8), INK, size_px=16)
-        write_figures(frame, f"day {max(len(self._rows) - 1, 0):4d}", (190, 8), INK, size_px=16)
-        write_figures(frame, f"cost {self._cost:6.1f}", (330, 8), TRACE["speed"], size_px=16)
-        write(frame, "severity", (6, TOP - 2), INK, size_px=12)
+        write(frame, "bearing", (6, 8), "ink", size_px=16)
+        write_figures(frame, f"day {max(len(self._rows) - 1, 0):4d}", (190, 8), "ink", size_px=16)
+        write_figures(frame, f"cost {self._cost:6.1f}", (330, 8), "speed", size_px=16)
+        write(frame, "severity", (6, TOP - 2), "ink", size_px=12)
         for place, (name, colour) in enumerate(_LINES):
-            write(frame, name, (6, TOP + 30 + 16 * place), TRACE[colour], size_px=11)
-        write(frame, "risk today", (6, _MIDDLE + _GAP - 2), INK, size_px=12)
-        write_figures(frame, "0.1", (6, _MIDDLE + _GAP + 15), DIM, size_px=11)
-        write(frame, f"0 to {options.days} days", (WIDTH - RIGHT - 90, _HEIGHT - 24), DIM, size_px=12)
+            write(frame, name, (6, TOP + 30 + 16 * place), colour, size_px=11)
+        write(frame, "risk today", (6, _MIDDLE + _GAP - 2), "ink", size_px=12)
+        write_figures(frame, "0.1", (6, _MIDDLE + _GAP + 15), "dim", size_px=11)
+        write(frame, f"0 to {options.days} days", (WIDTH - RIGHT - 90, _HEIGHT - 24), "dim", size_px=12)
         for place, (name, colour) in enumerate(_DEEDS.values()):
-            write(frame, name, (LEFT + 90 * place, _MIDDLE + 6), TRACE[colour], size_px=11)
+            write(frame, name, (LEFT + 90 * place, _MIDDLE + 6), colour, size_px=11)
         for day, action in self._deeds:
             x = LEFT + day * (WIDTH - LEFT - RIGHT) // (options.days + 1)
-            frame[TOP:_MIDDLE:2, x : x + 2] = TRACE[_DEEDS[action][1]]
+            frame[TOP:_MIDDLE:2, x : x + 2] = rendering.COLOURS[_DEEDS[action][1]]
