@@ -10,23 +10,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from motor_env.envs import kernel, stepping
+from motor_env.envs import kernel, layout, stepping
 from motor_env.envs.kernel import LANES, ROWS
-from motor_env.envs.lanes import (
-    BEFORE_FIRST,
-    CASE_HIGH,
-    CASE_LOW,
-    CLASS_INDEX,
-    DECLARED,
-    ROW,
-    RUNNING_ONSET,
-    SEED_HIGH,
-    SEED_LOW,
-    SEVERITY,
-    WordArray,
-    empty_lanes,
-    pack_task,
-)
+from motor_env.envs.layout import WordArray, empty_lanes, pack_task
 from motor_env.envs.options import MonitorOptions, Options, with_changes
 from motor_env.envs.rendering import Frame, Scope, Window
 from motor_env.envs.setup import Setup, make_bank, make_setup
@@ -119,8 +105,8 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
         require(index is None or seed is not None, "the reset option index needs a seed")
         if seed is not None or self._seed is None:
             self._seed = seed if seed is not None else int(self.np_random.integers(2**63))
-            self._words[SEED_LOW], self._words[SEED_HIGH] = self._seed & 0xFFFFFFFF, self._seed >> 32
-            self._words[CASE_LOW], self._words[CASE_HIGH] = BEFORE_FIRST, int(index or 0)
+            seeds, indices = np.array([self._seed], np.uint64), np.array([index or 0], np.int64)
+            layout.begin_streams(self._words, EVERYWHERE, seeds, indices)
         return self._begin()
 
     def render(self) -> Any:
@@ -182,12 +168,12 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         return discrete_actions(self.setup)
 
     def _begin(self) -> tuple[Observation, Info]:
-        self._marks[ROW] = ROWS
+        self._marks[layout.ROW] = ROWS
         stepping.begin_lanes(EVERYWHERE, *self._arrays)
-        which, onset = self._marks.item(CLASS_INDEX), self._marks.item(RUNNING_ONSET)
+        which, onset = self._marks.item(layout.CLASS_INDEX), self._marks.item(layout.RUNNING_ONSET)
         self._truth = {
             "label": self.setup.labels[which],
-            "severity": self._drawn.item(SEVERITY),
+            "severity": self._drawn.item(layout.SEVERITY),
             "class_index": which,
             "onset_sample": onset,
         }
@@ -208,7 +194,7 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         )
         if self._scope is not None:
             if self._over:
-                self._scope.verdict, self._scope.good = self._verdict(self._marks.item(DECLARED))
+                self._scope.verdict, self._scope.good = self._verdict(self._marks.item(layout.DECLARED))
             self._show()
         info = {
             **self._truth,

@@ -15,38 +15,10 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
+from motor_env.envs import kernel, layout
 from motor_env.envs.compiling import compiled_with_arrays, inlined
-from motor_env.envs.kernel import (
-    CURRENT,
-    ERROR_CURRENT,
-    ERROR_SPEED,
-    HELD,
-    KIND,
-    LANES,
-    NEVER,
-    ROW_LENGTH,
-    SIGMA_CURRENT,
-    SIGMA_SPEED,
-    SPEED,
-    SUPPLY,
-)
-from motor_env.envs.lanes import (
-    CASE_HIGH,
-    CASE_LOW,
-    CLASS_INDEX,
-    CLASS_LENGTH,
-    DRAWN_LENGTH,
-    FACTORS,
-    N_LEVELS,
-    N_PRIOR,
-    RUNNING_ONSET,
-    SEED_HIGH,
-    SEED_LOW,
-    SEVERITY,
-    Lanes,
-    TaskNumbers,
-    WordArray,
-)
+from motor_env.envs.kernel import LANES, NEVER, ROW_LENGTH
+from motor_env.envs.layout import FACTORS, SEVERITY, Lanes, TaskNumbers, WordArray
 from motor_env.envs.options import MonitorOptions, Start
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.faults import HEALTHY, FaultKind
@@ -59,7 +31,7 @@ R, L, KE, KT, J, B = range(3, 9)
 SUPPLY_V, LOAD, DT, RUNNING, IS_KNOWN, IS_RANGED = range(9, 15)
 REST, INITIAL, BELIEF_A, BELIEF_B, STD = 15, 17, 19, 23, 25
 SPREAD, EARLIEST, LOG_STAY = 27, 32, 33
-STARTS_PER_MOTOR, HEALTHY_STARTS, HEALTHY_CLASS = range(34, N_PRIOR)
+STARTS_PER_MOTOR, HEALTHY_STARTS, HEALTHY_CLASS = range(34, layout.N_PRIOR)
 # A class: up to which uniform number it is drawn, its verdict, its severity; `_fault_law`.
 CUMULATED, VERDICT, SEVERITY_FROM, SEVERITY_TO, KIND_INDEX, LOSES, POWERS = range(7)
 NOISE_POWER = POWERS + 6
@@ -81,7 +53,7 @@ def _fault_law(kind: FaultKind) -> list[float]:
 def make_prior(
     options: MonitorOptions, belief: KalmanFilter, rest: FloatArray, verdicts: list[int], n_observed: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Prior and classes of a task, see `lanes.TaskNumbers`.
+    """Prior and classes of a task, see `layout.TaskNumbers`.
 
     Args:
         options: the task.
@@ -113,7 +85,7 @@ def make_prior(
         ],
         dtype=np.float64,
     )
-    classes = np.zeros((len(recipe.classes), CLASS_LENGTH))
+    classes = np.zeros((len(recipe.classes), layout.CLASS_LENGTH))
     for row, c, cumulated, verdict in zip(
         classes, recipe.classes, np.cumsum(recipe.class_probabilities), verdicts, strict=True
     ):
@@ -156,7 +128,12 @@ def motor_row(p: FloatArray, c: FloatArray, drawn: FloatArray, share: float, row
         share: of the severity, 0 to 1.
         row: written, shape (ROW_LENGTH,).
     """
-    severity, loses, supply, constants = drawn[SEVERITY] * share, c[LOSES], drawn[FACTORS], drawn[FACTORS + 2]
+    severity, loses, supply, constants = (
+        drawn[SEVERITY] * share,
+        c[LOSES],
+        drawn[FACTORS],
+        drawn[FACTORS + 2],
+    )
     ohm = p[R] * drawn[FACTORS + 1] * _factor(c[POWERS], loses, severity)
     henry = p[L] * _factor(c[POWERS + 1], loses, severity)
     back_emf = p[KE] * constants * _factor(c[POWERS + 2], loses, severity)
@@ -178,7 +155,7 @@ def motor_row(p: FloatArray, c: FloatArray, drawn: FloatArray, share: float, row
         row[4 + m] = moved + gain * volts + load_gain * p[LOAD] - p[REST + m]
         row[6 + m] = gain * supply - p[BELIEF_B + m]
     noise = np.sqrt(_factor(c[NOISE_POWER], loses, severity))
-    row[SIGMA_CURRENT], row[SIGMA_SPEED] = noise * p[STD], noise * p[STD + 1]
+    row[kernel.SIGMA_CURRENT], row[kernel.SIGMA_SPEED] = noise * p[STD], noise * p[STD + 1]
 
 
 @compiled_with_arrays
@@ -197,13 +174,13 @@ def motor_table(task: TaskNumbers) -> FloatArray:
 @inlined
 def set_motor(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, level: int) -> None:
     """Let lane j of a block, lane n of all, have the motor at a level of its fault."""
-    which = lanes.marks[CLASS_INDEX, n]
+    which = lanes.marks[layout.CLASS_INDEX, n]
     if task.prior[IS_KNOWN] > 0.0:
         for f in range(ROW_LENGTH):
             s[j + f * LANES] = task.motors[which, level, f]
     else:
         row = s[j : j + ROW_LENGTH * LANES : LANES]
-        motor_row(task.prior, task.classes[which], lanes.drawn[n], level / task.prior[N_LEVELS], row)
+        motor_row(task.prior, task.classes[which], lanes.drawn[n], level / task.prior[layout.N_LEVELS], row)
 
 
 @inlined
@@ -214,8 +191,8 @@ def _uniform(stream: np.uint32, words: WordArray, n: int, case: np.uint64, numbe
         stream,
         np.uint32(case & _LOW),
         np.uint32(case >> _WORD),
-        words[SEED_LOW, n],
-        words[SEED_HIGH, n],
+        words[layout.SEED_LOW, n],
+        words[layout.SEED_HIGH, n],
     )
     return float((float(four[number & 3]) + 0.5) * 2.0**-32)
 
@@ -229,8 +206,8 @@ def _draw_factors(
     low, high, k0, k1 = (
         np.uint32(motor & _LOW),
         np.uint32(motor >> _WORD),
-        words[SEED_LOW, n],
-        words[SEED_HIGH, n],
+        words[layout.SEED_LOW, n],
+        words[layout.SEED_HIGH, n],
     )
     a, b, c, d = philox(np.uint32(0), _MOTOR, low, high, k0, k1)
     out[FACTORS + 1] = 1.0 + p[SPREAD + 1] * float(box_muller(a, b)[1])
@@ -249,7 +226,7 @@ def _draw_factors(
 def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
     """Draw the episode that the words of lane n name, into its marks and `drawn`; its onset, NEVER without a fault."""
     p, words, drawn = task.prior, lanes.words, lanes.drawn[n]
-    case = np.uint64(words[CASE_LOW, n]) | (np.uint64(words[CASE_HIGH, n]) << _WORD)
+    case = np.uint64(words[layout.CASE_LOW, n]) | (np.uint64(words[layout.CASE_HIGH, n]) << _WORD)
     starts = np.uint64(p[STARTS_PER_MOTOR])
     motor = case // starts if starts > np.uint64(1) else case
     which = 0
@@ -265,7 +242,7 @@ def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
         u = _uniform(_SEVERITY, words, n, motor, int(c[KIND_INDEX]))
         drawn[SEVERITY] += (c[SEVERITY_TO] - c[SEVERITY_FROM]) * u
     if p[IS_KNOWN] > 0.0:
-        for m in range(FACTORS, DRAWN_LENGTH):  # a slice would cost more than the draw
+        for m in range(FACTORS, layout.DRAWN_LENGTH):  # a slice would cost more than the draw
             drawn[m] = 1.0
     else:
         _draw_factors(task, words, n, case, motor, drawn)
@@ -274,8 +251,8 @@ def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
         onset = p[EARLIEST]
         if p[LOG_STAY] > -np.inf:
             onset += np.floor(np.log(_uniform(_ONSET, words, n, case, 0)) / p[LOG_STAY])
-    lanes.marks[CLASS_INDEX, n] = which
-    lanes.marks[RUNNING_ONSET, n] = int(min(onset, 2.0**31 - 1.0)) if onset < NEVER else -1
+    lanes.marks[layout.CLASS_INDEX, n] = which
+    lanes.marks[layout.RUNNING_ONSET, n] = int(min(onset, 2.0**31 - 1.0)) if onset < NEVER else -1
     return onset
 
 
@@ -291,11 +268,11 @@ def begin_state(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int) 
         total = ohm * drag + torque * back_emf
         current = (drag * volts + back_emf * p[LOAD]) / total
         speed = (torque * volts - ohm * p[LOAD]) / total
-    s[j + CURRENT * LANES], s[j + SPEED * LANES] = current - p[REST], speed - p[REST + 1]
-    s[j + HELD * LANES] = speed - p[REST + 1]
-    s[j + ERROR_CURRENT * LANES] = current - p[INITIAL]
-    s[j + ERROR_SPEED * LANES] = speed - p[INITIAL + 1]
-    s[j + KIND * LANES], s[j + SUPPLY * LANES] = (
-        task.classes[lanes.marks[CLASS_INDEX, n], VERDICT],
+    s[j + kernel.CURRENT * LANES], s[j + kernel.SPEED * LANES] = current - p[REST], speed - p[REST + 1]
+    s[j + kernel.HELD * LANES] = speed - p[REST + 1]
+    s[j + kernel.ERROR_CURRENT * LANES] = current - p[INITIAL]
+    s[j + kernel.ERROR_SPEED * LANES] = speed - p[INITIAL + 1]
+    s[j + kernel.KIND * LANES], s[j + kernel.SUPPLY * LANES] = (
+        task.classes[lanes.marks[layout.CLASS_INDEX, n], VERDICT],
         drawn[FACTORS],
     )

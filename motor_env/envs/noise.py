@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from motor_env.envs.compiling import compiled_with_arrays, inlined
 from motor_env.envs.kernel import LANES, LATEST, NOISE, ROWS, SAMPLE
-from motor_env.envs.lanes import CASE_HIGH, CASE_LOW, SEED_HIGH, SEED_LOW, WordArray
+from motor_env.envs.layout import CASE_HIGH, CASE_LOW, SEED_HIGH, SEED_LOW, WordArray, random_words
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, box_muller, philox
 
@@ -32,14 +32,7 @@ def case_of(index: NDArray[np.int64], episode: NDArray[np.int64]) -> NDArray[np.
 @inlined
 def four_normals(group: int, words: WordArray, n: int) -> tuple[np.float32, ...]:
     """Normals 4 group .. 4 group + 3 of the episode that lane n of all runs."""
-    a, b, c, d = philox(
-        np.uint32(group),
-        _STREAM,
-        words[CASE_LOW, n],
-        words[CASE_HIGH, n],
-        words[SEED_LOW, n],
-        words[SEED_HIGH, n],
-    )
+    a, b, c, d = random_words(_STREAM, group, words, n)
     n0, n1 = box_muller(a, b)
     n2, n3 = box_muller(c, d)
     return n0, n1, n2, n3

@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_are
 from motor_env.envs import kernel
 from motor_env.envs.compiling import announce
 from motor_env.envs.drawing import make_prior, motor_table
-from motor_env.envs.lanes import TaskNumbers
+from motor_env.envs.layout import TaskNumbers
 from motor_env.envs.options import Drive, MonitorOptions, Start
 from motor_env.filters.kalman import KalmanFilter, gain_and_covariance
 from motor_env.motor.faults import HEALTHY, Fault, FaultKind, apply_fault

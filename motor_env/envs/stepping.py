@@ -12,36 +12,11 @@ import numpy as np
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
-from motor_env.envs import kernel
+from motor_env.envs import kernel, layout
 from motor_env.envs.compiling import compiled, inlined
 from motor_env.envs.drawing import begin_state, draw_episode, set_motor
-from motor_env.envs.kernel import (
-    BLOCK,
-    LANES,
-    MODEL_LENGTH,
-    N_CONSTANTS,
-    ROWS,
-    Constants,
-    advance,
-    hold_speed,
-    settle,
-    weigh,
-)
-from motor_env.envs.lanes import (
-    CASE_LOW,
-    CHOSEN,
-    DECLARED,
-    FAULT_ACTIVE,
-    QUIET,
-    ROW,
-    TERMINATED,
-    TIMES,
-    BoolArray,
-    Lanes,
-    TaskNumbers,
-    unpack_lanes,
-    unpack_task,
-)
+from motor_env.envs.kernel import BLOCK, LANES, MODEL_LENGTH, N_CONSTANTS, ROWS, Constants
+from motor_env.envs.layout import BoolArray, Lanes, TaskNumbers, unpack_lanes, unpack_task
 from motor_env.envs.noise import begin_noise, refill
 from motor_env.motor.parameters import FloatArray
 
@@ -62,13 +37,13 @@ def _change_levels(
             s[j + kernel.LEVEL * LANES], s[j + kernel.DELAY * LANES] = level, p[kernel.DELAY_COST]
             due = s[j + kernel.ONSET * LANES] + np.floor(p[kernel.GROWTH] * level / p[kernel.N_LEVELS])
             s[j + kernel.NEXT_CHANGE * LANES] = due if level < p[kernel.N_LEVELS] else kernel.NEVER
-            lanes.flags[FAULT_ACTIVE, first + j] = True
+            lanes.flags[layout.FAULT_ACTIVE, first + j] = True
         if s[j + kernel.SAMPLE * LANES] < p[kernel.HORIZON]:
             quiet = min(
                 quiet,
                 min(s[j + kernel.NEXT_CHANGE * LANES], p[kernel.HORIZON]) - s[j + kernel.SAMPLE * LANES],
             )
-    lanes.marks[QUIET, first] = int(quiet)
+    lanes.marks[layout.QUIET, first] = int(quiet)
 
 
 @inlined
@@ -86,16 +61,16 @@ def _advance_all(s: FloatArray, p: Constants, row: int, kept: float, width: int)
     if p[kernel.FULL] > 0.0:
         if p[kernel.C1] > 0.0:
             for j in range(width):
-                advance(s, j, p, kept, True, True)
+                kernel.advance(s, j, p, kept, True, True)
         else:
             for j in range(width):
-                advance(s, j, p, kept, False, True)
+                kernel.advance(s, j, p, kept, False, True)
     elif p[kernel.C1] > 0.0:
         for j in range(width):
-            advance(s, j, p, kept, True, False)
+            kernel.advance(s, j, p, kept, True, False)
     else:
         for j in range(width):
-            advance(s, j, p, kept, False, False)
+            kernel.advance(s, j, p, kept, False, False)
 
 
 @inlined
@@ -112,21 +87,21 @@ def _step_block(
     """The samples of a step for the lanes of one block up to `width`; the next row of noise."""
     channels, kept = int(p[kernel.N_CHANNELS]), p[kernel.ZERO]
     for _ in range(samples):
-        if lanes.marks[QUIET, first] <= 0:
+        if lanes.marks[layout.QUIET, first] <= 0:
             _change_levels(s, p, task, lanes, first, width)
-        lanes.marks[QUIET, first] -= 1
+        lanes.marks[layout.QUIET, first] -= 1
         if row >= ROWS:
             refill(s, lanes.words, first, channels, width)
             row = 0
         _advance_all(s, p, row, kept, width)
         if p[kernel.LOOP_I] > 0.0:
             for j in range(width):
-                hold_speed(s, j, p)
+                kernel.hold_speed(s, j, p)
         for m in range(task.bank.shape[0]):
             if task.bank[m, kernel.T11] != 0.0:
                 t = to_fixed_tuple(task.bank[m], MODEL_LENGTH)
                 for j in range(width):
-                    weigh(s, j, kernel.BANK + kernel.BANK_LENGTH * m, p, t)
+                    kernel.weigh(s, j, kernel.BANK + kernel.BANK_LENGTH * m, p, t)
         kept = p[kernel.ONE]
         row += channels
     return row
@@ -135,7 +110,7 @@ def _step_block(
 @inlined
 def _begin_lane(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: int) -> None:
     """Let lane j of a block, lane n of all, begin its next episode; its noise goes on at that row."""
-    lanes.words[CASE_LOW, n] += np.uint32(1)
+    layout.begin_episode(lanes.words, lanes.flags, n)
     for f in range(kernel.N_FIELDS):
         s[j + f * LANES] = 0.0
     onset = draw_episode(task, lanes, n)
@@ -152,18 +127,17 @@ def _begin_lane(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, 
     four = begin_noise(s, lanes.words, n, row, channels)
     s[j + kernel.MEASURED_CURRENT * LANES] = current + s[j + kernel.SIGMA_CURRENT * LANES] * four[0]
     s[j + kernel.MEASURED_SPEED * LANES] = speed + s[j + kernel.SIGMA_SPEED * LANES] * four[channels - 1]
-    lanes.flags[TERMINATED, n], lanes.flags[FAULT_ACTIVE, n] = False, False
-    lanes.marks[TIMES, n] = 0
+    lanes.marks[layout.TIMES, n] = 0
     first = n - j
     soon = int(min(s[j + kernel.NEXT_CHANGE * LANES], task.constants[kernel.HORIZON]))
-    lanes.marks[QUIET, first] = min(lanes.marks[QUIET, first], soon)
+    lanes.marks[layout.QUIET, first] = min(lanes.marks[layout.QUIET, first], soon)
 
 
 @compiled
 def begin_lanes(mask: BoolArray, numbers: FloatArray, prior: FloatArray, *arrays: Any) -> None:
     """Let the lanes of the mask begin their next episodes."""
     task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
-    row = lanes.marks[ROW, 0]
+    row = lanes.marks[layout.ROW, 0]
     for n in range(mask.shape[0]):
         if mask[n]:
             block, j = n // LANES, n % LANES
@@ -222,7 +196,7 @@ def _settle(
     s: FloatArray, j: int, p: Constants, samples: int, declared: int, parts: FloatArray, n: int
 ) -> float:
     """The last reward of lane j of a block, lane n of all; of its parts the verdict, and no others if it declares."""
-    verdict = settle(s, j, p, samples, declared)
+    verdict = kernel.settle(s, j, p, samples, declared)
     if declared > 0:
         for m in range(parts.shape[0]):
             parts[m, n] = 0.0
@@ -248,14 +222,14 @@ def _finish_block(
     n_over = 0
     for j in range(width):
         n = first + j
-        if next_step and lanes.flags[TERMINATED, n]:
+        if next_step and lanes.flags[layout.TERMINATED, n]:
             _begin_lane(s, j, task, lanes, n, row)
             reward[n] = 0.0
             for m in range(parts.shape[0]):
                 parts[m, n] = 0.0
-        elif lanes.marks[DECLARED, n] > 0 or s[j + kernel.SAMPLE * LANES] >= p[kernel.HORIZON]:
-            reward[n] = _settle(s, j, p, samples, lanes.marks[DECLARED, n], parts, n)
-            lanes.flags[TERMINATED, n] = True
+        elif lanes.marks[layout.DECLARED, n] > 0 or s[j + kernel.SAMPLE * LANES] >= p[kernel.HORIZON]:
+            reward[n] = _settle(s, j, p, samples, lanes.marks[layout.DECLARED, n], parts, n)
+            lanes.flags[layout.TERMINATED, n] = True
             n_over += 1
     return n_over
 
@@ -267,7 +241,7 @@ def lay_discrete(lanes: Lanes, actions: NDArray[np.int64], offsets_v: FloatArray
     `offsets_v` has an entry for each action; the first `n_offsets` are offsets, the others declare (offset 0).
     """
     lowest, highest = 0, 0
-    declared = lanes.marks[DECLARED]
+    declared = lanes.marks[layout.DECLARED]
     for n in range(actions.shape[0]):
         lowest, highest = min(lowest, actions[n]), max(highest, actions[n])
         declared[n] = max(0, actions[n] - n_offsets + 1)
@@ -293,7 +267,11 @@ def decode_continuous(action: FloatArray, reach_v: float) -> tuple[float, int]:
 @inlined
 def _confirm(p: FloatArray, lanes: Lanes, samples: int, n_envs: int) -> None:
     """Let a choice be a declaration only where it has been made often enough in a row, or is the last of an episode."""
-    times, chosen, declared = lanes.marks[TIMES], lanes.marks[CHOSEN], lanes.marks[DECLARED]
+    times, chosen, declared = (
+        lanes.marks[layout.TIMES],
+        lanes.marks[layout.CHOSEN],
+        lanes.marks[layout.DECLARED],
+    )
     for n in range(n_envs):
         times[n] = times[n] + 1 if declared[n] == chosen[n] else 1
         chosen[n] = declared[n]
@@ -304,41 +282,43 @@ def _confirm(p: FloatArray, lanes: Lanes, samples: int, n_envs: int) -> None:
 
 @inlined
 def _step_lanes(
-    task: TaskNumbers,
     lanes: Lanes,
+    n_envs: int,
     samples: int,
     next_step: bool,
     observation: Float32Array,
     reward: FloatArray,
     parts: FloatArray,
-    n_envs: int,
+    numbers: FloatArray,
+    prior: FloatArray,
 ) -> int:
     """A step of all lanes, whose actions lie in them: writes observations and rewards; how many are over now."""
+    task = unpack_task(numbers, prior)
     if task.constants[kernel.CONFIRM] > 1.0:
         _confirm(task.constants, lanes, samples, n_envs)
     p = to_fixed_tuple(task.constants, N_CONSTANTS)
-    n_over, row = 0, lanes.marks[ROW, 0]
+    n_over, row = 0, lanes.marks[layout.ROW, 0]
     next_row = row
     for first in range(0, reward.shape[0], LANES):
         s = lanes.state[first // LANES * BLOCK : (first // LANES + 1) * BLOCK]
         next_row = _step_block(s, p, task, lanes, first, row, samples, LANES)
         rewards, something = reward[first : first + LANES], 0
         over, declared = (
-            lanes.flags[TERMINATED, first : first + LANES],
-            lanes.marks[DECLARED, first : first + LANES],
+            lanes.flags[layout.TERMINATED, first : first + LANES],
+            lanes.marks[layout.DECLARED, first : first + LANES],
         )
         for j in range(LANES):
             rewards[j] = -s[j + kernel.COST * LANES]
         _split_cost(s, p, samples, parts, first, LANES)
         for j in range(LANES):
             something |= declared[j] | np.int32(over[j])
-        if something != 0 or lanes.marks[QUIET, first] <= 0:
+        if something != 0 or lanes.marks[layout.QUIET, first] <= 0:
             width = min(LANES, n_envs - first)
             n_over += _finish_block(
                 s, p, task, lanes, first, width, next_row, samples, next_step, reward, parts
             )
         _observe_block(s, task.features, observation, first, LANES)
-    lanes.marks[ROW, 0] = next_row
+    lanes.marks[layout.ROW, 0] = next_row
     return n_over
 
 
@@ -349,40 +329,27 @@ def step_discrete(
     n_offsets: int,
     samples: int,
     next_step: bool,
-    observation: Float32Array,
-    reward: FloatArray,
-    parts: FloatArray,
-    numbers: FloatArray,
-    prior: FloatArray,
     *arrays: Any,
 ) -> int:
-    """A step of all lanes with the number of an action for each; how many are over, -1 if an action does not exist."""
-    task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
+    """A step of all lanes with the number of an action for each; how many are over, -1 if an action does not exist.
+
+    `arrays` are those that `_step_lanes` writes, the task, and the lanes.
+    """
+    lanes = unpack_lanes(*arrays[5:])
     if not lay_discrete(lanes, actions, offsets_v, n_offsets):
         return -1
-    return int(_step_lanes(task, lanes, samples, next_step, observation, reward, parts, len(actions)))
+    return int(_step_lanes(lanes, len(actions), samples, next_step, *arrays[:5]))
 
 
 @compiled
-def step_continuous(
-    actions: FloatArray,
-    reach_v: float,
-    samples: int,
-    next_step: bool,
-    observation: Float32Array,
-    reward: FloatArray,
-    parts: FloatArray,
-    numbers: FloatArray,
-    prior: FloatArray,
-    *arrays: Any,
-) -> int:
+def step_continuous(actions: FloatArray, reach_v: float, samples: int, next_step: bool, *arrays: Any) -> int:
     """A step of all lanes with a row of actions for each, see `decode_continuous`; how many are over."""
-    task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
+    lanes = unpack_lanes(*arrays[5:])
     for n in range(actions.shape[0]):
         offset_v, declared = decode_continuous(actions[n], reach_v)
         lanes.state[(n // LANES) * BLOCK + kernel.VOLTAGE * LANES + n % LANES] = offset_v
-        lanes.marks[DECLARED, n] = declared
-    return int(_step_lanes(task, lanes, samples, next_step, observation, reward, parts, len(actions)))
+        lanes.marks[layout.DECLARED, n] = declared
+    return int(_step_lanes(lanes, len(actions), samples, next_step, *arrays[:5]))
 
 
 @compiled
@@ -405,13 +372,18 @@ def step_single(
     """
     task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
     p, s = to_fixed_tuple(task.constants, N_CONSTANTS), lanes.state
-    s[kernel.VOLTAGE * LANES], lanes.marks[DECLARED, 0] = offset_v, declared
+    s[kernel.VOLTAGE * LANES], lanes.marks[layout.DECLARED, 0] = offset_v, declared
     if p[kernel.CONFIRM] > 1.0:
         _confirm(task.constants, lanes, samples, 1)
-        declared = lanes.marks[DECLARED, 0]
-    lanes.marks[ROW, 0] = _step_block(s, p, task, lanes, 0, lanes.marks[ROW, 0], samples, 1)
+        declared = lanes.marks[layout.DECLARED, 0]
+    lanes.marks[layout.ROW, 0] = _step_block(s, p, task, lanes, 0, lanes.marks[layout.ROW, 0], samples, 1)
     _split_cost(s, p, samples, parts, 0, 1)
     over = declared > 0 or s[kernel.SAMPLE * LANES] >= p[kernel.HORIZON]
     reward = _settle(s, 0, p, samples, declared, parts, 0) if over else float(-s[kernel.COST * LANES])
     _observe_block(s, task.features, observation.reshape((-1, 1)), 0, 1)
-    return reward, over, lanes.flags[FAULT_ACTIVE, 0], (parts[0, 0], parts[1, 0], parts[2, 0], parts[3, 0])
+    return (
+        reward,
+        over,
+        lanes.flags[layout.FAULT_ACTIVE, 0],
+        (parts[0, 0], parts[1, 0], parts[2, 0], parts[3, 0]),
+    )

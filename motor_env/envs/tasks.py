@@ -11,30 +11,18 @@ import numpy as np
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import CATALOGUE, Channel, MotorParameters, SensorParameters, require
 from motor_env.simulation.named_recipes import RECIPES
-from motor_env.simulation.recipes import FaultClass, Recipe, Spread
-
-_HEALTHY = FaultClass(weight=2.0)
+from motor_env.simulation.recipes import PAPER_CLASSES, FaultClass, Recipe, Spread
 
 EASY = Recipe(
     name="easy",
-    classes=(
-        _HEALTHY,
-        FaultClass(FaultKind.BEARING, 0.25),
-        FaultClass(FaultKind.WINDING_CONTACT, 0.25),
-    ),
+    classes=(FaultClass(weight=2.0), PAPER_CLASSES[2], PAPER_CLASSES[4]),
     sensor=SensorParameters(current_noise_a=0.005),
 )
 """Large faults, a good sensor, a motor known exactly."""
 
 MEDIUM = Recipe(
     name="medium",
-    classes=(
-        FaultClass(weight=4.0),
-        FaultClass(FaultKind.BEARING, 0.10),
-        FaultClass(FaultKind.BEARING, 0.25),
-        FaultClass(FaultKind.WINDING_CONTACT, 0.10),
-        FaultClass(FaultKind.WINDING_CONTACT, 0.25),
-    ),
+    classes=(FaultClass(weight=4.0), *PAPER_CLASSES[1:]),
 )
 """The paper's fault levels at 20 mA of noise, a motor known exactly."""
 
@@ -43,8 +31,7 @@ HARD = Recipe(
     spread=Spread(supply=0.01, resistance=0.003, constants=0.002, inertia=0.002, friction=0.002),
     classes=(
         FaultClass(weight=6.0),
-        FaultClass(FaultKind.BEARING, 0.10),
-        FaultClass(FaultKind.BEARING, 0.25),
+        *PAPER_CLASSES[1:3],
         FaultClass(FaultKind.WINDING_CONTACT, 0.05),
         FaultClass(FaultKind.WINDING_CONTACT, 0.10),
         FaultClass(FaultKind.WINDING_SHORT, 0.05),

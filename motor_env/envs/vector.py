@@ -12,25 +12,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from motor_env.envs import stepping
+from motor_env.envs import layout, stepping
 from motor_env.envs.base import Info, Observation, discrete_actions, observation_space, reward_parts
 from motor_env.envs.kernel import LANES, ROWS
-from motor_env.envs.lanes import (
-    BEFORE_FIRST,
-    CASE_HIGH,
-    CASE_LOW,
-    FAULT_ACTIVE,
-    KNOWN,
-    ROW,
-    RUNNING_ONSET,
-    SEED_HIGH,
-    SEED_LOW,
-    TERMINATED,
-    TRUNCATED,
-    WordArray,
-    empty_lanes,
-    pack_task,
-)
+from motor_env.envs.layout import WordArray, empty_lanes, pack_task
 from motor_env.envs.options import MonitorOptions, Options, with_changes
 from motor_env.envs.setup import Setup, make_setup
 from motor_env.motor.parameters import FloatArray, require
@@ -147,9 +132,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
             seeds = np.array([number or 0 for number in seed], dtype=np.uint64)
             given = mask & np.array([number is not None for number in seed])
             index = np.zeros(self.num_envs, dtype=np.int64)
-        words = self._words[:, : self.num_envs]
-        words[SEED_LOW, given], words[SEED_HIGH, given] = seeds[given] & 0xFFFFFFFF, seeds[given] >> 32
-        words[CASE_LOW, given], words[CASE_HIGH, given] = BEFORE_FIRST, index[given]
+        layout.begin_streams(self._words[:, : self.num_envs], given, seeds, index)
 
     def step(self, actions: Any) -> Step:
         """A step of every sub-environment.
@@ -160,7 +143,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         """
         if not self._seeded:
             raise gym.error.ResetNeeded("call reset() before step()")
-        if self.autoreset_mode is AutoresetMode.DISABLED and self._flags[TERMINATED].any():
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._flags[layout.TERMINATED].any():
             raise gym.error.ResetNeeded("autoreset is disabled: reset the sub-environments that are over")
         (observation, reward, terminated, truncated, info), n_over = self._step(actions)
         if n_over > 0 and self.autoreset_mode is AutoresetMode.SAME_STEP:
@@ -221,7 +204,7 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
 
     def _begin(self, mask: BoolArray) -> None:
         if mask.all():
-            self._marks[ROW] = ROWS
+            self._marks[layout.ROW] = ROWS
         stepping.begin_lanes(mask, *self._arrays)
 
     def _observed(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
@@ -229,7 +212,7 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
         stepping.observe(observation, *self._arrays)
         flags = self._flags[:, : self.num_envs].copy()
         if known is not None:
-            flags[KNOWN] = known
+            flags[layout.KNOWN] = known
         return observation.T[: self.num_envs], self._info(flags)
 
     def _empty(self) -> tuple[NDArray[np.float32], FloatArray]:
@@ -239,13 +222,13 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
 
     def _info(self, flags: BoolArray) -> Info:
         """The truth, for those who score; what decides must not read it."""
-        known, truth = flags[KNOWN], self._marks[: RUNNING_ONSET + 1, : self.num_envs].copy()
+        known, truth = flags[layout.KNOWN], self._marks[: layout.RUNNING_ONSET + 1, : self.num_envs].copy()
         return {
             "class_index": truth[0],
             "_class_index": known,
             "onset_sample": truth[1],
             "_onset_sample": known,
-            "fault_active": flags[FAULT_ACTIVE],
+            "fault_active": flags[layout.FAULT_ACTIVE],
             "_fault_active": known,
         }
 
@@ -259,8 +242,14 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
         flags = self._flags[:, : self.num_envs].copy()
         observation, info = lanes.T[: self.num_envs], self._info(flags)
         for name, part in zip(self._part_names, parts, strict=True):
-            info[name], info[f"_{name}"] = part[: self.num_envs], flags[KNOWN]
-        return (observation, reward[: self.num_envs], flags[TERMINATED], flags[TRUNCATED], info), n_over
+            info[name], info[f"_{name}"] = part[: self.num_envs], flags[layout.KNOWN]
+        return (
+            observation,
+            reward[: self.num_envs],
+            flags[layout.TERMINATED],
+            flags[layout.TRUNCATED],
+            info,
+        ), n_over
 
 
 def whole_actions(actions: Any, num_envs: int) -> NDArray[np.int64]:

@@ -15,7 +15,7 @@ from motor_env.envs.drive import kernel
 from motor_env.envs.drive.options import LABELS, DriveOptions
 from motor_env.envs.drive.screen import DriveScreen
 from motor_env.envs.drive.setup import DriveSetup, empty_lanes, make_setup
-from motor_env.envs.lanes import FAULT_ACTIVE, KNOWN, TERMINATED, TRUNCATED, BoolArray
+from motor_env.envs.layout import FAULT_ACTIVE, KNOWN, TERMINATED, TRUNCATED, BoolArray
 from motor_env.envs.rendering import Frame
 from motor_env.envs.vector import Step, StreamVectorEnv
 from motor_env.motor.parameters import FloatArray

@@ -14,22 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.envs import layout
 from motor_env.envs.compiling import compiled, inlined
-from motor_env.envs.lanes import (
-    CASE_HIGH,
-    CASE_LOW,
-    FAULT_ACTIVE,
-    SEED_HIGH,
-    SEED_LOW,
-    TERMINATED,
-    BoolArray,
-    Float32Array,
-    WordArray,
-)
+from motor_env.envs.layout import BoolArray, Float32Array, WordArray
 from motor_env.envs.noise import four_normals
 from motor_env.motor.model import exponential_and_phi
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.random_streams import Stream, philox
+from motor_env.simulation.random_streams import Stream
 
 # A lane: the truth, what the filter believes, and what is observed; from PROFILE on, the profile now and ahead.
 CURRENT, SPEED, LOAD, TEMPERATURE, SEVERITY, KIND, ONSET, GROWTH = range(8)
@@ -92,14 +83,7 @@ def _unpack(
 @inlined
 def _uniforms(stream: np.uint32, group: int, words: WordArray, n: int) -> tuple[float, ...]:
     """Four uniform numbers in (0, 1) of the episode that lane n runs."""
-    a, b, c, d = philox(
-        np.uint32(group),
-        stream,
-        words[CASE_LOW, n],
-        words[CASE_HIGH, n],
-        words[SEED_LOW, n],
-        words[SEED_HIGH, n],
-    )
+    a, b, c, d = layout.random_words(stream, group, words, n)
     unit = 2.0**-32
     return (float(a) + 0.5) * unit, (float(b) + 0.5) * unit, (float(c) + 0.5) * unit, (float(d) + 0.5) * unit
 
@@ -135,7 +119,7 @@ def _observe_profile(s: FloatArray, p: FloatArray, profile: FloatArray, ahead: N
 def _begin_lane(n: int, lanes: Lanes) -> None:
     """Draw the next episode of lane n; the motor begins where it holds the begin of the profile."""
     s, p, words, profile = lanes.state[n], lanes.numbers, lanes.words, lanes.profile[n]
-    words[CASE_LOW, n] += np.uint32(1)
+    layout.begin_episode(words, lanes.flags, n)
     s[:] = 0.0
     _draw_profile(p, words, n, profile)
     u = _uniforms(_CLASS, 0, words, n)[0]
@@ -152,7 +136,6 @@ def _begin_lane(n: int, lanes: Lanes) -> None:
     s[SPEED] = s[ESTIMATED_SPEED] = s[MEASURED_SPEED] = speed
     s[VOLTAGE], s[SCALE] = p[R] * current + p[KE] * speed, 1.0
     _observe_profile(s, p, profile, lanes.ahead)
-    lanes.flags[TERMINATED, n], lanes.flags[FAULT_ACTIVE, n] = False, False
 
 
 @inlined
@@ -232,14 +215,14 @@ def _step_lane(n: int, action: FloatArray, lanes: Lanes, parts: FloatArray) -> N
     left_s = (p[HORIZON] - s[STEP]) * p[DT]
     if action[1] > STOP_ABOVE:
         parts[4, n] = -p[STOP_COST] * left_s
-        flags[TERMINATED, n] = True
+        flags[layout.TERMINATED, n] = True
         return
     aim = p[LIMP_SHARE] if action[1] > 0.0 else 1.0
     s[SCALE] += min(max(aim - s[SCALE], -p[LIMP_STEP]), p[LIMP_STEP])
     noise = four_normals(int(s[STEP]), lanes.words, n)
     torque = p[BASE_LOAD] + p[FAN] * s[SPEED] * abs(s[SPEED]) + s[LOAD]
     worn = _grow_fault(s, p, torque)
-    flags[FAULT_ACTIVE, n] = s[SEVERITY] > 0.0
+    flags[layout.FAULT_ACTIVE, n] = s[SEVERITY] > 0.0
     _run_motor(s, p, action[0], noise)
     _filter(s, p, noise)
     s[STEP] += 1.0
@@ -252,9 +235,9 @@ def _step_lane(n: int, action: FloatArray, lanes: Lanes, parts: FloatArray) -> N
     broken = kind > 0 and s[SEVERITY] >= p[FAILURE_SEVERITY + kind - 1]
     if broken or s[TEMPERATURE] >= p[BURN]:
         parts[5, n] = -p[FAILURE_COST] - p[STOP_COST] * (left_s - p[DT])
-        flags[TERMINATED, n] = True
+        flags[layout.TERMINATED, n] = True
     elif s[STEP] >= p[HORIZON]:
-        flags[TERMINATED, n] = True
+        flags[layout.TERMINATED, n] = True
     _observe_profile(s, p, profile, lanes.ahead)
 
 
@@ -289,12 +272,12 @@ def step(
     """A step of all lanes; where an episode is over and `begins`, its successor begins instead. How many are over."""
     lanes, n_over = _unpack(*arrays), 0
     for n in range(len(reward)):
-        if begins and lanes.flags[TERMINATED, n]:
+        if begins and lanes.flags[layout.TERMINATED, n]:
             _begin_lane(n, lanes)
             parts[:, n] = 0.0
         else:
             _step_lane(n, actions[n], lanes, parts)
-            n_over += lanes.flags[TERMINATED, n]
+            n_over += lanes.flags[layout.TERMINATED, n]
         total = 0.0
         for m in range(len(PARTS)):
             total += parts[m, n]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from motor_env.envs.compiling import announce
 from motor_env.envs.drive import kernel
 from motor_env.envs.drive.options import DriveOptions
-from motor_env.envs.lanes import BEFORE_FIRST, CASE_LOW, KNOWN
+from motor_env.envs.layout import empty_streams
 from motor_env.envs.setup import converged_gain
 from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, KalmanFilter
 from motor_env.motor.faults import Fault, apply_fault
@@ -130,7 +130,5 @@ def _numbers(options: DriveOptions) -> FloatArray:
 def empty_lanes(setup: DriveSetup, count: int) -> tuple[Any, ...]:
     """State, words, flags and profiles of lanes that run no episode yet."""
     state = np.zeros((count, kernel.PROFILE + len(setup.ahead)))
-    words, flags = np.zeros((4, count), dtype=np.uint32), np.zeros((KNOWN + 1, count), dtype=np.bool_)
-    words[CASE_LOW], flags[KNOWN] = BEFORE_FIRST, True
     length = setup.options.n_steps + max(setup.options.ahead_steps) + 1
-    return state, words, flags, np.zeros((count, length))
+    return state, *empty_streams(count), np.zeros((count, length))

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from motor_env.envs.base import Info, Observation, StreamEnv, whole_action
-from motor_env.envs.lanes import BEFORE_FIRST, CASE_LOW, KNOWN, TERMINATED, BoolArray, MarkArray, WordArray
+from motor_env.envs.layout import KNOWN, TERMINATED, BoolArray, MarkArray, empty_streams
 from motor_env.envs.maintain import kernel
 from motor_env.envs.maintain.kernel import FEATURES, PARTS
 from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
@@ -31,17 +31,11 @@ class Motors:
         count: number of motors.
     """
 
-    words: WordArray
-    flags: BoolArray
-
     def __init__(self, options: MaintainOptions, count: int) -> None:
         self.options = options
         self.tables: Tables = make_tables(options)
-        self.words = np.zeros((4, count), dtype=np.uint32)
-        self.words[CASE_LOW] = BEFORE_FIRST
+        self.words, self.flags = empty_streams(count)
         self.marks: MarkArray = np.zeros((kernel.FAILED + 1, count), dtype=np.int32)
-        self.flags = np.zeros((KNOWN + 1, count), dtype=np.bool_)
-        self.flags[KNOWN] = True
         self.belief: FloatArray = np.zeros((count, len(self.tables.rates), LEVELS))
         self._shares = self.tables.rates / options.drift_per_day
         costs = (options.failure_cost, options.inspection_cost, options.replacement_cost)

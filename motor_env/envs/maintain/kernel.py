@@ -5,21 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.envs import layout
 from motor_env.envs.compiling import compiled, inlined
-from motor_env.envs.lanes import (
-    CASE_HIGH,
-    CASE_LOW,
-    KNOWN,
-    SEED_HIGH,
-    SEED_LOW,
-    TERMINATED,
-    BoolArray,
-    MarkArray,
-    WordArray,
-)
+from motor_env.envs.layout import BoolArray, MarkArray, WordArray
 from motor_env.envs.maintain.options import LEVELS, LOWEST_ESTIMATE, N_ESTIMATES
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.random_streams import Stream, box_muller, philox
+from motor_env.simulation.random_streams import Stream, box_muller
 
 RUN, INSPECT, REPLACE = range(3)
 LEVEL, RATE, DAY, AGE, ESTIMATE, FAILED = range(6)
@@ -30,20 +21,6 @@ PARTS = ("reward_failure", "reward_replacement", "reward_inspection")
 _STREAM = np.uint32(Stream.WEAR)
 _TO_UNIT = 2.0**-32
 _NEGLIGIBLE = 1e-15  # a share that rounding takes away anyway
-
-
-@inlined
-def _words(words: WordArray, n: int, block: int) -> tuple[np.uint32, np.uint32, np.uint32, np.uint32]:
-    """Four random words of the episode that motor n runs."""
-    made: tuple[np.uint32, np.uint32, np.uint32, np.uint32] = philox(
-        np.uint32(block),
-        _STREAM,
-        words[CASE_LOW, n],
-        words[CASE_HIGH, n],
-        words[SEED_LOW, n],
-        words[SEED_HIGH, n],
-    )
-    return made
 
 
 @inlined
@@ -142,11 +119,10 @@ def observe(
 def _begin_episode(
     weights: FloatArray, words: WordArray, marks: MarkArray, flags: BoolArray, belief: FloatArray, n: int
 ) -> None:
-    words[CASE_LOW, n] = np.uint32(words[CASE_LOW, n] + np.uint32(1))
-    first, _, _, _ = _words(words, n, 0)
+    layout.begin_episode(words, flags, n)
+    first, _, _, _ = layout.random_words(_STREAM, 0, words, n)
     _new_bearing(weights, first * _TO_UNIT, marks, belief, n)
     marks[DAY, n], marks[ESTIMATE, n], marks[FAILED, n] = 0, 0, 0
-    flags[TERMINATED, n] = False
 
 
 @compiled
@@ -193,14 +169,14 @@ def step(
             return -1
     for n in range(len(actions)):
         parts[0, n], parts[1, n], parts[2, n] = 0.0, 0.0, 0.0
-        flags[KNOWN, n] = True
-        if restart and flags[TERMINATED, n]:
+        flags[layout.KNOWN, n] = True
+        if restart and flags[layout.TERMINATED, n]:
             _begin_episode(weights, words, marks, flags, belief, n)
             continue
         marks[DAY, n] += 1
         marks[AGE, n] += 1
         marks[FAILED, n] = 0
-        growth, rate, first, second = _words(words, n, marks[DAY, n])
+        growth, rate, first, second = layout.random_words(_STREAM, marks[DAY, n], words, n)
         if actions[n] == INSPECT:
             parts[2, n] = -costs[INSPECT]
             marks[ESTIMATE, n] = marks[LEVEL, n]
@@ -221,6 +197,6 @@ def step(
                 _new_bearing(weights, rate * _TO_UNIT, marks, belief, n)
             deviation, _ = box_muller(first, second)
             _start(estimate, estimate_levels * deviation, marks, belief, n)
-        flags[TERMINATED, n] = marks[DAY, n] >= days
-        n_over += flags[TERMINATED, n]
+        flags[layout.TERMINATED, n] = marks[DAY, n] >= days
+        n_over += flags[layout.TERMINATED, n]
     return n_over

@@ -11,21 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.envs import kernel
 from motor_env.envs.compiling import inlined
-from motor_env.envs.kernel import (
-    BLOCK,
-    FEATURE_LENGTH,
-    LANES,
-    MAX_BANK,
-    MODEL_LENGTH,
-    N_CONSTANTS,
-    NEVER,
-    NEXT_CHANGE,
-    ONSET,
-    ROW_LENGTH,
-    ROWS,
-)
 from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.random_streams import philox
 
 N_CLASSES, N_OBSERVED, N_LEVELS = range(3)  # the prior begins with these sizes
 CLASS_LENGTH = 13
@@ -54,11 +43,11 @@ class TaskNumbers(NamedTuple):
     """What is common to all lanes.
 
     Attributes:
-        constants: shape (N_CONSTANTS,).
-        bank: models of the other filters, zeros where there is none, shape (MAX_BANK, MODEL_LENGTH).
-        features: field, scale, bound and offset of each observed feature, shape (n_observed, FEATURE_LENGTH).
+        constants: shape (kernel.N_CONSTANTS,).
+        bank: models of the other filters, zeros where there is none, shape (kernel.MAX_BANK, kernel.MODEL_LENGTH).
+        features: field, scale, bound and offset of each observed feature, shape (n_observed, kernel.FEATURE_LENGTH).
         motors: where all motors of a class are alike, them at each level of their fault, shape (n_classes, levels + 1,
-            ROW_LENGTH).
+            kernel.ROW_LENGTH).
         prior: what is drawn from, see `drawing`, float64, shape (N_PRIOR,).
         classes: the same, float64, shape (n_classes, CLASS_LENGTH).
     """
@@ -104,29 +93,64 @@ def pack_task(task: TaskNumbers) -> TaskArrays:
 def unpack_task(numbers: FloatArray, prior: FloatArray) -> TaskNumbers:
     """The task of `pack_task`."""
     n_classes, n_observed, n_motors = int(prior[N_CLASSES]), int(prior[N_OBSERVED]), int(prior[N_LEVELS]) + 1
-    bank = N_CONSTANTS + MAX_BANK * MODEL_LENGTH
-    view = bank + n_observed * FEATURE_LENGTH
+    bank = kernel.N_CONSTANTS + kernel.MAX_BANK * kernel.MODEL_LENGTH
+    view = bank + n_observed * kernel.FEATURE_LENGTH
     return TaskNumbers(
-        numbers[:N_CONSTANTS],
-        numbers[N_CONSTANTS:bank].reshape((MAX_BANK, MODEL_LENGTH)),
-        numbers[bank:view].reshape((n_observed, FEATURE_LENGTH)),
-        numbers[view:].reshape((n_classes, n_motors, ROW_LENGTH)),
+        numbers[: kernel.N_CONSTANTS],
+        numbers[kernel.N_CONSTANTS : bank].reshape((kernel.MAX_BANK, kernel.MODEL_LENGTH)),
+        numbers[bank:view].reshape((n_observed, kernel.FEATURE_LENGTH)),
+        numbers[view:].reshape((n_classes, n_motors, kernel.ROW_LENGTH)),
         prior[:N_PRIOR],
         prior[N_PRIOR:].reshape((n_classes, CLASS_LENGTH)),
     )
 
 
+def empty_streams(count: int) -> tuple[WordArray, BoolArray]:
+    """Words and flags of lanes that run no episode yet; all environments have them."""
+    words, flags = np.zeros((4, count), dtype=np.uint32), np.zeros((KNOWN + 1, count), dtype=np.bool_)
+    words[CASE_LOW], flags[KNOWN] = BEFORE_FIRST, True
+    return words, flags
+
+
+def begin_streams(
+    words: WordArray, which: BoolArray, seed: NDArray[np.uint64], index: NDArray[np.int64]
+) -> None:
+    """Let some lanes stand before the first episode of the streams (seed, index), each of shape (n_lanes,)."""
+    words[SEED_LOW, which], words[SEED_HIGH, which] = seed[which] & 0xFFFFFFFF, seed[which] >> 32
+    words[CASE_LOW, which], words[CASE_HIGH, which] = BEFORE_FIRST, index[which]
+
+
+@inlined
+def begin_episode(words: WordArray, flags: BoolArray, n: int) -> None:
+    """Let lane n stand in its next episode."""
+    words[CASE_LOW, n] += np.uint32(1)
+    flags[TERMINATED, n], flags[FAULT_ACTIVE, n] = False, False
+
+
+@inlined
+def random_words(
+    stream: np.uint32, block: int, words: WordArray, n: int
+) -> tuple[np.uint32, np.uint32, np.uint32, np.uint32]:
+    """Four random words of the episode that lane n runs."""
+    made: tuple[np.uint32, np.uint32, np.uint32, np.uint32] = philox(
+        np.uint32(block),
+        stream,
+        words[CASE_LOW, n],
+        words[CASE_HIGH, n],
+        words[SEED_LOW, n],
+        words[SEED_HIGH, n],
+    )
+    return made
+
+
 def empty_lanes(blocks: int, lanes: int, precision: str) -> LaneArrays:
     """Lanes that run no episode yet."""
-    state = np.zeros(blocks * BLOCK, dtype=precision)
-    by_field = state.reshape(blocks, -1, LANES)
-    by_field[:, [ONSET, NEXT_CHANGE]] = NEVER  # lanes that fill the last block
+    state = np.zeros(blocks * kernel.BLOCK, dtype=precision)
+    by_field = state.reshape(blocks, -1, kernel.LANES)
+    by_field[:, [kernel.ONSET, kernel.NEXT_CHANGE]] = kernel.NEVER  # lanes that fill the last block
     marks = np.zeros((ROW + 1, lanes), dtype=np.int32)
-    marks[ROW] = ROWS
-    flags = np.zeros((KNOWN + 1, lanes), dtype=np.bool_)
-    flags[KNOWN] = True
-    words = np.zeros((4, lanes), dtype=np.uint32)
-    words[CASE_LOW] = BEFORE_FIRST
+    marks[ROW] = kernel.ROWS
+    words, flags = empty_streams(lanes)
     return state, words, marks, flags, np.zeros((lanes, DRAWN_LENGTH))
 
 
