@@ -1,9 +1,10 @@
-"""A data set in memory: transients and, beside them, the truth about each."""
+"""A data set in memory: transients and, beside them, the truth about each; and what its columns mean."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,42 +13,93 @@ from motor_env.motor.parameters import Channel, FloatArray
 from motor_env.simulation.duty import VOLTAGE
 from motor_env.simulation.recipes import Recipe
 
-MOTOR_PARAMETERS = (
-    "resistance_ohm",
-    "inductance_h",
-    "back_emf_constant_v_s_per_rad",
-    "torque_constant_n_m_per_a",
-    "inertia_kg_m2",
-    "viscous_friction_n_m_s_per_rad",
-    "voltage_v",
+
+class Column(NamedTuple):
+    """A column.
+
+    Attributes:
+        name: in the Parquet files.
+        kind: text, whole, number or samples (float32, a list of one length).
+        unit: of a number; empty where it has none.
+        meaning: what it is.
+    """
+
+    name: str
+    kind: str
+    unit: str
+    meaning: str
+
+
+LABEL_COLUMNS = (
+    Column("case_id", "whole", "", "number of the case"),
+    Column("motor_id", "whole", "", "number of its motor; all starts of a motor are in one split"),
+    Column("split", "text", "", "train, validation, test or shift_NAME"),
+    Column("class_name", "text", "", "label"),
+    Column("class_index", "whole", "", "the label's place in the recipe"),
+    Column("kind", "text", "", "healthy, or kind of the (first) fault"),
+    Column("severity", "number", "1", "relative size of the fault, 0.25 for 25 %"),
 )
-EFFECTS = (
-    "coulomb_friction_n_m",
-    "stribeck_friction_n_m",
-    "brush_drop_v",
-    "temperature_rise_k",
-    "supply_resistance_ohm",
-    "ramp_s",
-    "ripple_v",
-    "load_torque_n_m",
-    "commutation_ripple",
-    "bearing_ripple_n_m",
-    "delay_s",
-)
-LABELS = ("case_id", "motor_id", "split", "class_name", "class_index", "kind", "severity")
-SENSOR_ERRORS = ("gain", "offset_a")
-LOADS = ("load_rise_n_m", "fan_n_m_s2")
-COLUMN_OF_CHANNEL: dict[str, str] = {
-    Channel.CURRENT: "current_a",
-    Channel.SPEED: "speed_rad_s",
-    VOLTAGE: "applied_voltage_v",
+"""Of the truth about a case."""
+MOTOR_PARAMETERS = {
+    "resistance_ohm": ("ohm", "winding resistance without the fault"),
+    "inductance_h": ("H", "winding inductance"),
+    "back_emf_constant_v_s_per_rad": ("V s/rad", "back-EMF constant"),
+    "torque_constant_n_m_per_a": ("N m/A", "torque constant"),
+    "inertia_kg_m2": ("kg m²", "inertia of rotor and load"),
+    "viscous_friction_n_m_s_per_rad": ("N m s/rad", "viscous friction without the fault"),
+    "voltage_v": ("V", "level of the supply"),
 }
+EFFECTS = {
+    "coulomb_friction_n_m": ("N m", "dry friction"),
+    "stribeck_friction_n_m": ("N m", "breakaway torque above it"),
+    "brush_drop_v": ("V", "voltage drop of both brushes"),
+    "temperature_rise_k": ("K", "of winding and magnets above the data sheet's temperature"),
+    "supply_resistance_ohm": ("ohm", "of supply and leads"),
+    "ramp_s": ("s", "rise time of the supply"),
+    "ripple_v": ("V", "amplitude of the supply's ripple"),
+    "load_torque_n_m": ("N m", "load"),
+    "commutation_ripple": ("1", "relative ripple of the torque constant"),
+    "bearing_ripple_n_m": ("N m", "torque ripple of a damaged bearing"),
+    "delay_s": ("s", "delay of the supply's step after time 0"),
+}
+SENSOR_ERRORS = {
+    "gain": ("1", "factor of the current sensor"),
+    "offset_a": ("A", "offset of the current sensor"),
+}
+LOADS = {
+    "load_rise_n_m": ("N m", "what the load gains from begin to end"),
+    "fan_n_m_s2": ("N m s²", "load over the square of the speed"),
+}
+_CHANNELS = {
+    Channel.CURRENT: ("current_a", "A", "measured current"),
+    Channel.SPEED: ("speed_rad_s", "rad/s", "measured speed"),
+    VOLTAGE: ("applied_voltage_v", "V", "applied voltage, held over each sampling interval"),
+}
+LABELS = tuple(column.name for column in LABEL_COLUMNS)
+COLUMN_OF_CHANNEL: dict[str, str] = {channel: name for channel, (name, _, _) in _CHANNELS.items()}
+
+
+def parameter_columns(recipe: Recipe) -> tuple[Column, ...]:
+    """The sampled physical parameters, each a label of a case."""
+    tables = [MOTOR_PARAMETERS]
+    if recipe.field is not None:
+        tables += [EFFECTS, SENSOR_ERRORS]
+        tables += [] if recipe.duty is None else [LOADS]
+    return tuple(Column(name, "number", *about) for table in tables for name, about in table.items())
 
 
 def parameter_names(recipe: Recipe) -> tuple[str, ...]:
-    """Names of the sampled physical parameters, each a label of a case."""
-    loads = () if recipe.duty is None else LOADS
-    return MOTOR_PARAMETERS if recipe.field is None else MOTOR_PARAMETERS + EFFECTS + SENSOR_ERRORS + loads
+    """Their names."""
+    return tuple(column.name for column in parameter_columns(recipe))
+
+
+def columns(recipe: Recipe) -> tuple[Column, ...]:
+    """The columns of a recipe's data set, in their order."""
+    timing = recipe.timing
+    every = f", {timing.n_samples} samples at {timing.sampling_rate_hz:g} Hz"
+    channels = [_CHANNELS[channel] for channel in recipe.channels]
+    samples = (Column(name, "samples", unit, meaning + every) for name, unit, meaning in channels)
+    return (*LABEL_COLUMNS, *parameter_columns(recipe), *samples)
 
 
 @dataclass(frozen=True, slots=True, repr=False)

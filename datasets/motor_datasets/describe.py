@@ -1,82 +1,13 @@
-"""What a recipe samples, in words with units, its columns, and a sheet of examples."""
+"""What a recipe samples, in words with units, and a sheet of examples."""
 
 from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import NamedTuple
 
-from motor_datasets.arrays import COLUMN_OF_CHANNEL, parameter_names
+from motor_datasets.arrays import columns
 from motor_env.simulation.disturbances import PER_MOTOR
 from motor_env.simulation.recipes import FACTORS, Recipe
-
-
-class Column(NamedTuple):
-    """A column.
-
-    Attributes:
-        name: in the Parquet files.
-        kind: text, whole, number or samples (float32, a list of one length).
-        unit: of a number; empty where it has none.
-        meaning: what it is.
-    """
-
-    name: str
-    kind: str
-    unit: str
-    meaning: str
-
-
-_LABELS = (
-    Column("case_id", "whole", "", "number of the case"),
-    Column("motor_id", "whole", "", "number of its motor; all starts of a motor are in one split"),
-    Column("split", "text", "", "train, validation, test or shift_NAME"),
-    Column("class_name", "text", "", "label"),
-    Column("class_index", "whole", "", "the label's place in the recipe"),
-    Column("kind", "text", "", "healthy, or kind of the (first) fault"),
-    Column("severity", "number", "1", "relative size of the fault, 0.25 for 25 %"),
-)
-_MEANINGS = {
-    "resistance_ohm": ("ohm", "winding resistance without the fault"),
-    "inductance_h": ("H", "winding inductance"),
-    "back_emf_constant_v_s_per_rad": ("V s/rad", "back-EMF constant"),
-    "torque_constant_n_m_per_a": ("N m/A", "torque constant"),
-    "inertia_kg_m2": ("kg m²", "inertia of rotor and load"),
-    "viscous_friction_n_m_s_per_rad": ("N m s/rad", "viscous friction without the fault"),
-    "voltage_v": ("V", "level of the supply"),
-    "coulomb_friction_n_m": ("N m", "dry friction"),
-    "stribeck_friction_n_m": ("N m", "breakaway torque above it"),
-    "brush_drop_v": ("V", "voltage drop of both brushes"),
-    "temperature_rise_k": ("K", "of winding and magnets above the data sheet's temperature"),
-    "supply_resistance_ohm": ("ohm", "of supply and leads"),
-    "ramp_s": ("s", "rise time of the supply"),
-    "ripple_v": ("V", "amplitude of the supply's ripple"),
-    "load_torque_n_m": ("N m", "load"),
-    "commutation_ripple": ("1", "relative ripple of the torque constant"),
-    "bearing_ripple_n_m": ("N m", "torque ripple of a damaged bearing"),
-    "delay_s": ("s", "delay of the supply's step after time 0"),
-    "gain": ("1", "factor of the current sensor"),
-    "offset_a": ("A", "offset of the current sensor"),
-    "load_rise_n_m": ("N m", "what the load gains from begin to end"),
-    "fan_n_m_s2": ("N m s²", "load over the square of the speed"),
-}
-_CHANNELS = {
-    "current_a": ("A", "measured current"),
-    "speed_rad_s": ("rad/s", "measured speed"),
-    "applied_voltage_v": ("V", "applied voltage, held over each sampling interval"),
-}
-
-
-def columns(recipe: Recipe) -> tuple[Column, ...]:
-    """The columns of a recipe's data set, in their order."""
-    timing = recipe.timing
-    every = f", {timing.n_samples} samples at {timing.sampling_rate_hz:g} Hz"
-    channels = [COLUMN_OF_CHANNEL[channel] for channel in recipe.channels]
-    return (
-        *_LABELS,
-        *(Column(name, "number", *_MEANINGS[name]) for name in parameter_names(recipe)),
-        *(Column(name, "samples", _CHANNELS[name][0], _CHANNELS[name][1] + every) for name in channels),
-    )
 
 
 def describe(recipe: Recipe) -> str:

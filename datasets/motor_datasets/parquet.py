@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset, parameter_names
+from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset, columns, parameter_names
 from motor_datasets.layout import bytes_of_case
 from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Entry, Manifest, whole_content
 from motor_datasets.remote import Folder
@@ -33,31 +33,23 @@ _OVERHEAD = 2**20  # headers of pages, dictionaries
 
 def _schema(recipe: Recipe, seed: int) -> pa.Schema:
     sample = pa.field("element", pa.float32(), nullable=False)
-    text = pa.dictionary(pa.int16(), pa.string())
-    columns = {
-        "case_id": pa.int64(),
-        "motor_id": pa.int64(),
-        "split": text,
-        "class_name": text,
-        "class_index": pa.int64(),
-        "kind": text,
-        "severity": pa.float64(),
-        **dict.fromkeys(parameter_names(recipe), pa.float64()),
-        **{
-            COLUMN_OF_CHANNEL[channel]: pa.list_(sample, recipe.timing.n_samples)
-            for channel in recipe.channels
-        },
+    types = {
+        "text": pa.dictionary(pa.int16(), pa.string()),
+        "whole": pa.int64(),
+        "number": pa.float64(),
+        "samples": pa.list_(sample, recipe.timing.n_samples),
     }
     metadata = {
         FORMAT: json.dumps({"version": FORMAT_VERSION, "seed": seed, "recipe": recipe_to_dict(recipe)})
     }
-    return pa.schema([pa.field(name, kind, nullable=False) for name, kind in columns.items()], metadata)
+    fields = [pa.field(column.name, types[column.kind], nullable=False) for column in columns(recipe)]
+    return pa.schema(fields, metadata)
 
 
 def to_table(dataset: Dataset) -> pa.Table:
     """The data set as an Arrow table, samples as fixed-size lists."""
     schema = _schema(dataset.recipe, dataset.seed)
-    columns: dict[str, Any] = {name: getattr(dataset, name) for name in LABELS} | dict(dataset.parameters)
+    values: dict[str, Any] = {name: getattr(dataset, name) for name in LABELS} | dict(dataset.parameters)
     arrays = []
     samples = {COLUMN_OF_CHANNEL[channel]: n for n, channel in enumerate(dataset.recipe.channels)}
     for field in schema:
@@ -65,9 +57,9 @@ def to_table(dataset: Dataset) -> pa.Table:
             flat = pa.array(np.ascontiguousarray(dataset.X[:, samples[field.name]]).reshape(-1))
             arrays.append(pa.FixedSizeListArray.from_arrays(flat, type=field.type))
         elif pa.types.is_dictionary(field.type):
-            arrays.append(pa.array(columns[field.name]).dictionary_encode().cast(field.type))
+            arrays.append(pa.array(values[field.name]).dictionary_encode().cast(field.type))
         else:
-            arrays.append(pa.array(columns[field.name], field.type))
+            arrays.append(pa.array(values[field.name], field.type))
     return pa.Table.from_arrays(arrays, schema=schema)
 
 
