@@ -9,17 +9,8 @@ from numpy.typing import NDArray
 
 from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray, MotorParameters
-from motor_env.simulation.nonlinear import (
-    CURRENT,
-    DRY,
-    LANES,
-    SPEED,
-    STEP,
-    VOLTAGE,
-    Effects,
-    parameter_rows,
-    step_lanes,
-)
+from motor_env.simulation import nonlinear
+from motor_env.simulation.nonlinear import CURRENT, LANES, SPEED, Effects, Sampling
 
 LOOP_GAIN, LOOP_INTEGRAL = 0.5, 0.05
 """Gains of the speed loop on a back-EMF in volts, and of its sum over the samples."""
@@ -46,23 +37,16 @@ class Driving(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _integrate_driven(
-    rows: FloatArray,
-    step_s: float,
-    steps: int,
-    driving: Driving,
-    noise: FloatArray,
-    is_current: NDArray[np.bool_],
-    out: NDArray[np.float32],
-) -> None:
-    """Voltage and load are held over each sample, the voltage is the last channel of `out`."""
+def _integrate_driven(rows: FloatArray, sampling: Sampling, driving: Driving, noise: FloatArray) -> None:
+    """Voltage and load are held over each sample, the voltage is the last channel."""
+    dt_s, steps, is_current, out = sampling
     wanted, limit = driving.voltage_v, driving.limit_v
     n_cases, last, n_samples = out.shape[0], out.shape[1] - 1, out.shape[2]
     for first in range(0, n_cases, LANES):
         p = rows[first // LANES].ravel()
         lanes = min(LANES, n_cases - first)
-        still, integral = p[LANES * DRY : LANES * (DRY + 1)].copy(), np.zeros(LANES)
-        p[LANES * STEP : LANES * (STEP + 1)] = step_s
+        still, integral = p[LANES * nonlinear.DRY : LANES * (nonlinear.DRY + 1)].copy(), np.zeros(LANES)
+        p[LANES * nonlinear.STEP : LANES * (nonlinear.STEP + 1)] = dt_s / steps
         for k in range(n_samples):
             for lane in range(lanes):
                 n, current, speed = first + lane, p[lane + LANES * CURRENT], p[lane + LANES * SPEED]
@@ -74,12 +58,12 @@ def _integrate_driven(
                     integral[lane] = min(max(integral[lane] + LOOP_INTEGRAL * error, -limit[n]), limit[n])
                     volts = min(max(volts + LOOP_GAIN * error + integral[lane], -limit[n]), limit[n])
                 out[n, last, k] = volts
-                p[lane + LANES * VOLTAGE] = out[n, last, k]  # what is applied is what is recorded
+                p[lane + LANES * nonlinear.VOLTAGE] = out[n, last, k]  # what is applied is what is recorded
                 share = (k + 0.5) / n_samples
                 load = share * driving.load_rise_n_m[n] + driving.fan_n_m_s2[n] * speed * speed
-                p[lane + LANES * DRY] = still[lane] + load
+                p[lane + LANES * nonlinear.DRY] = still[lane] + load
             for _ in range(steps):
-                step_lanes(p)
+                nonlinear.step_lanes(p)
             for lane in range(lanes):
                 for c in range(last):
                     out[first + lane, c, k] = p[lane + LANES * (CURRENT if is_current[c] else SPEED)]
@@ -89,12 +73,8 @@ def integrate_driven(
     parameters: MotorParameters,
     effects: Effects,
     driving: Driving,
-    *,
-    dt_s: float,
-    steps: int,
+    sampling: Sampling,
     noise_a: FloatArray,
-    is_current: NDArray[np.bool_],
-    out: NDArray[np.float32],
 ) -> None:
     """True current and speed at the end of each sampling interval, and the voltage that was applied in it.
 
@@ -102,11 +82,9 @@ def integrate_driven(
         parameters: the motor with its faults, one or a batch.
         effects: the departures from the textbook motor; of the supply its resistance and ripple alone.
         driving: voltage and load.
-        dt_s: sampling interval.
-        steps: Runge-Kutta steps in one sample (`substeps`).
+        sampling: what is filled.
         noise_a: noise of the current that a speed loop sees, shape (n_cases, n_samples); no rows without a loop.
-        is_current: whether a channel is the current (or the speed), shape (n_channels,).
-        out: filled, shape (n_cases, n_channels + 1, n_samples).
     """
-    rows = parameter_rows(parameters, effects, 0.0, len(out))
-    _integrate_driven(rows, dt_s / steps, steps, driving, noise_a, is_current, out)
+    _integrate_driven(
+        nonlinear.parameter_rows(parameters, effects, 0.0, len(sampling.out)), sampling, driving, noise_a
+    )

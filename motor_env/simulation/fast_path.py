@@ -6,8 +6,6 @@ readings alone, the same to float32, some ten times as fast.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -16,7 +14,7 @@ from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_fac
 from motor_env.motor.model import State, discretize, steady_state
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, require
 from motor_env.simulation.driven import Driving, integrate_driven
-from motor_env.simulation.nonlinear import Effects, integrate, substeps
+from motor_env.simulation.nonlinear import Effects, Sampling, integrate, substeps
 from motor_env.simulation.random_streams import Stream, normals, uniforms, whole_blocks
 from motor_env.simulation.sensor import SensorChain, read_sensors
 from motor_env.simulation.simulate import Scenario, scenario_states
@@ -106,12 +104,12 @@ def measure(
         motor = scenario.parameters if nominal is None else nominal
         faulty = apply_faults(scenario.parameters, scenario.faults)
         steps = substeps(motor, timing.dt_s, float(np.max(effects.ripple_hz)))
-        common: dict[str, Any] = {"dt_s": timing.dt_s, "steps": steps, "is_current": is_current, "out": out}
+        sampling = Sampling(timing.dt_s, steps, is_current, out)
         if driving is None:
-            integrate(faulty, effects, scenario.supply.voltage_v, n_quiet=timing.n_quiet, **common)
+            integrate(faulty, effects, scenario.supply.voltage_v, sampling, timing.n_quiet)
         else:
             noise_a = _noise_of_loop(scenario, driving, seed, numbers)
-            integrate_driven(faulty, effects, driving, noise_a=noise_a, **common)
+            integrate_driven(faulty, effects, driving, sampling, noise_a)
     elif constant:
         parameters = apply_faults(scenario.parameters, scenario.faults)
         transition = discretize(parameters, timing.dt_s).transition.reshape(-1, 2, 2)

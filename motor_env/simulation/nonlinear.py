@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,6 +111,23 @@ _S1, _S3, _S5, _S7, _S9, _S11, _S13 = (
 )  # of sin(x) - x
 _BRUSH_CURRENT_A = 0.02  # width of the smooth sign of the brush drop
 _STICTION_SPEED_RAD_S = 1.0  # width of the smooth sign of the friction
+
+
+class Sampling(NamedTuple):
+    """When cases are sampled, and what of them.
+
+    Attributes:
+        dt_s: sampling interval.
+        steps: Runge-Kutta steps in one sample (`substeps`).
+        is_current: whether a channel is the current (or the speed), shape (n_channels,).
+        out: filled with what is true at the end of each interval, shape (n_cases, n_channels, n_samples); with one
+            channel more, the voltage, for motors at work.
+    """
+
+    dt_s: float
+    steps: int
+    is_current: NDArray[np.bool_]
+    out: NDArray[np.float32]
 
 
 def substeps(nominal: MotorParameters, dt_s: float, ripple_hz: float = 0.0) -> int:
@@ -239,14 +257,8 @@ def step_lanes(p: FloatArray) -> None:
 
 
 @njit(cache=True, error_model="numpy")  # a check for division by 0 would keep the loop from vectorising
-def _integrate(
-    rows: FloatArray,
-    dt_s: float,
-    steps: int,
-    n_quiet: int,
-    is_current: NDArray[np.bool_],
-    out: NDArray[np.float32],
-) -> None:
+def _integrate(rows: FloatArray, sampling: Sampling, n_quiet: int) -> None:
+    dt_s, steps, is_current, out = sampling
     n_cases, n_channels, n_samples = out.shape
     for first in range(0, n_cases, LANES):
         p = rows[first // LANES].ravel()
@@ -259,19 +271,15 @@ def _integrate(
                     step_lanes(p)
             for lane in range(min(LANES, n_cases - first)):
                 for c in range(n_channels):
-                    out[first + lane, c, k] = p[lane + 8 * (CURRENT if is_current[c] else SPEED)]
+                    out[first + lane, c, k] = p[lane + LANES * (CURRENT if is_current[c] else SPEED)]
 
 
 def integrate(
     parameters: MotorParameters,
     effects: Effects,
     voltage_v: Floats,
-    *,
-    dt_s: float,
-    steps: int,
+    sampling: Sampling,
     n_quiet: int,
-    is_current: NDArray[np.bool_],
-    out: NDArray[np.float32],
 ) -> None:
     """True current and speed of each case at the end of each sampling interval.
 
@@ -279,16 +287,12 @@ def integrate(
         parameters: the motor with its faults, one or a batch.
         effects: the departures from the textbook motor.
         voltage_v: level of the supply.
-        dt_s: sampling interval.
-        steps: Runge-Kutta steps in one sample (`substeps`).
+        sampling: what is filled.
         n_quiet: samples before the step.
-        is_current: whether a channel is the current (or the speed), shape (n_channels,).
-        out: filled, shape (n_cases, n_channels, n_samples).
 
     Raises:
         ValueError: a delay is not below one sampling interval.
     """
-    largest = float(np.max(effects.delay_s))
+    largest, dt_s = float(np.max(effects.delay_s)), sampling.dt_s
     require(largest < dt_s, f"delay_s must be < one sampling interval ({dt_s:g} s), got {largest:g}")
-    rows = parameter_rows(parameters, effects, voltage_v, len(out))
-    _integrate(rows, dt_s, steps, n_quiet, is_current, out)
+    _integrate(parameter_rows(parameters, effects, voltage_v, len(sampling.out)), sampling, n_quiet)

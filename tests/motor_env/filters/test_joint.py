@@ -6,7 +6,7 @@ import pytest
 from motor_env.filters.joint import FREE, JointKind, coulomb_unit_n_m, joint_filter, parameter_test_threshold
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.parameters import PAPER_MOTOR, MotorParameters, SensorParameters
-from motor_env.simulation.nonlinear import Effects, integrate, substeps
+from motor_env.simulation.nonlinear import Effects, Sampling, integrate, substeps
 from motor_env.simulation.simulate import Scenario, Timing, simulate
 
 TIMING = Timing()
@@ -54,7 +54,7 @@ def test_each_parameter_can_be_estimated_from_the_current(name: str, kind: Joint
     motor, effects = with_ten_percent_more(name)
     out = np.empty((40, 1, 600), dtype=np.float32)
     steps = 10 * substeps(PAPER_MOTOR, 1e-4)
-    integrate(motor, effects, 12.0, dt_s=1e-4, steps=steps, n_quiet=0, is_current=np.array([True]), out=out)
+    integrate(motor, effects, 12.0, Sampling(1e-4, steps, np.array([True]), out), 0)
     noise = 0.005
     measured = out + noise * np.random.default_rng(6).standard_normal(out.shape)
     sensor = SensorParameters(current_noise_a=noise)

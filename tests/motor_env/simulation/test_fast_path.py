@@ -13,7 +13,7 @@ from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, SensorP
 from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.named_recipes import RECIPES
-from motor_env.simulation.nonlinear import Effects, integrate
+from motor_env.simulation.nonlinear import Effects, Sampling, integrate
 from motor_env.simulation.sensor import SensorChain
 from motor_env.simulation.simulate import Scenario, Timing, simulate, simulate_states
 
@@ -128,10 +128,10 @@ def test_the_integration_converges_with_the_fourth_order() -> None:
     errors = []
     flag = np.array([True])
     fine = np.empty((1, 1, 50), dtype=np.float32)
-    integrate(PAPER_MOTOR, FIELD_LIKE, 12.0, dt_s=2e-4, steps=400, n_quiet=0, is_current=flag, out=fine)
+    integrate(PAPER_MOTOR, FIELD_LIKE, 12.0, Sampling(2e-4, 400, flag, fine), 0)
     for steps in (4, 8):
         out = np.empty_like(fine)
-        integrate(PAPER_MOTOR, FIELD_LIKE, 12.0, dt_s=2e-4, steps=steps, n_quiet=0, is_current=flag, out=out)
+        integrate(PAPER_MOTOR, FIELD_LIKE, 12.0, Sampling(2e-4, steps, flag, out), 0)
         errors.append(float(np.abs(out - fine).max()))
     assert errors[0] / errors[1] > 6.0
 
