@@ -1,7 +1,8 @@
 """Policies of the maintenance task beside its bound.
 
-`python benchmarks/maintain.py` writes the tables of docs/decisions.md. A threshold is tuned on seed 100 and scored on
-seed 1. A range runs from running to failure to an agent that sees level and rate every morning.
+`python benchmarks/maintain.py` measures, `python benchmarks/result_tables.py` writes the tables of docs/decisions.md. A
+threshold is tuned on seed 100 and scored on seed 1. A range runs from running to failure to an agent that sees level
+and rate every morning.
 """
 
 from __future__ import annotations
@@ -13,15 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tables import marked
 
 from motor_env.envs import MaintainOptions, MaintainVectorEnv, PlannedUpkeep, ReplaceFrom, maintenance_bound
 from motor_env.envs.baselines.evaluation import interval
 from motor_env.envs.baselines.policies import Policy
 from motor_env.envs.maintain.policies import clairvoyant_value, returns_of
 
-ROOT = Path(__file__).resolve().parents[1]
-RESULTS, PAGE = ROOT / "benchmarks" / "results" / "maintain.json", ROOT / "docs" / "decisions.md"
+RESULTS = Path(__file__).resolve().parent / "results" / "maintain.json"
 TASKS = {"Maintain-v0": MaintainOptions(), "MaintainUnknownRate-v0": MaintainOptions(rate_spread=0.5)}
 TUNED = {
     "calendar": ("age", np.arange(15, 40) / 120.0 - 1e-6),
@@ -54,33 +53,13 @@ def measure(options: MaintainOptions, episodes: int) -> list[Row]:
     return rows + [{"policy": name, "return": value} for name, value in bounds.items()]
 
 
-def table(rows: list[Row]) -> str:
-    """The table of one task."""
-    by_name = {row["policy"]: row["return"] for row in rows}
-    worst, best = by_name["run to failure"], by_name["sees the wear"]
-    lines = ["| policy | mean return | of the range |", "|---|---|---|"]
-    for row in rows:
-        half = f" ± {row['half_width']:.3f}" if "half_width" in row else ""
-        lines.append(
-            f"| {row['policy']} | {row['return']:+.3f}{half} | {(row['return'] - worst) / (best - worst):.1%} |"
-        )
-    return "\n".join(lines)
-
-
-def page() -> str:
-    """docs/decisions.md with the tables that the kept results give."""
-    found: dict[str, list[Row]] = json.loads(RESULTS.read_text(encoding="utf-8"))
-    return marked(PAGE.read_text(encoding="utf-8"), {name: table(rows) for name, rows in found.items()})
-
-
 def main() -> None:
-    """Measure, keep, write."""
+    """Measure and keep."""
     parser = argparse.ArgumentParser(description="Policies of the maintenance task beside its bound.")
     parser.add_argument("--episodes", type=int, default=20_000)
     given = parser.parse_args()
     found = {name: measure(options, given.episodes) for name, options in TASKS.items()}
     RESULTS.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    PAGE.write_text(page(), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -175,6 +175,20 @@ def field_table(name: str = "field") -> str:
     return table(["figure", "%, or points; ± one standard error"], rows.items())
 
 
+def maintenance_table(rows: list[Row]) -> str:
+    """Policies of a maintenance task, the worst first, then what none exceeds."""
+    worst, best = rows[0]["return"], rows[-1]["return"]
+    shown = [
+        [
+            row["policy"],
+            f"{row['return']:+.3f}" + (f" ± {row['half_width']:.3f}" if "half_width" in row else ""),
+            f"{(row['return'] - worst) / (best - worst):.1%}",
+        ]
+        for row in rows
+    ]
+    return table(["policy", "mean return", "of the range"], shown)
+
+
 def pages() -> dict[Path, str]:
     """The pages with their tables made anew."""
     parts = {
@@ -195,6 +209,8 @@ def pages() -> dict[Path, str]:
     parts.setdefault(DOCS / "limits.md", {}).update(
         {"field": field_table(), "operation": field_table("operation")}
     )
+    policies = json.loads((FOLDER / "results" / "maintain.json").read_bytes())
+    parts[DOCS / "decisions.md"] = {name: maintenance_table(rows) for name, rows in policies.items()}
     parts |= {DOCS / "howto" / f"{page}.md": tables for page, tables in watch_tables.parts().items()}
     return {path: marked(path.read_text(encoding="utf-8"), tables) for path, tables in parts.items()}
 
