@@ -11,33 +11,29 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.inference.fit import Prior, fit
+from motor_env.inference.fit import fit
 from motor_env.inference.parametrisation import Coordinates
 from motor_env.inference.sensitivities import Observed
 from motor_env.motor.faults import Fault, FaultKind
-from motor_env.motor.parameters import (
-    PAPER_MOTOR,
-    FloatArray,
-    MotorParameters,
-    SensorParameters,
-    SupplyParameters,
-)
+from motor_env.motor.parameters import PAPER_MOTOR, FloatArray, SensorParameters
 from motor_env.prognosis.wear import TREND_PROBABILITY
 from motor_env.prognosis.wear_fit import degradation
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.simulate import Scenario, Timing, simulate
 
-_SUBSTEPS = 8  # of an interval between starts; crossings between them are drawn from the Brownian bridge
+_SUBSTEPS = 8  # of a day, from start to start; crossings between them are drawn from the Brownian bridge
 _MOST_STARTS = 1 << 20
 _LEAST_FRICTION = 0.2  # of the nominal one: a bearing does not run in to nothing
+TIMING = Timing(sampling_rate_hz=2_000.0, duration_s=0.1)
+FREE = ("resistance", "friction")
+"""What is fitted to a start of the paper's motor."""
 
 
 @dataclass(frozen=True, slots=True)
 class WearRecipe:
-    """What a run is drawn from. Wear is relative: 0.25 is 25 % more friction than nominal.
+    """What a run is drawn from, with a start a day. Wear is relative: 0.25 is 25 % more friction than nominal.
 
     Attributes:
         drift_per_day: mean growth of the wear.
@@ -46,14 +42,9 @@ class WearRecipe:
         diffusion_spread: standard deviation of the logarithm of the diffusion from motor to motor.
         onset_days: the growth begins at a uniform time between these two.
         limit: wear at which the motor has failed.
-        interval_days: time between two starts.
         starts: number of starts that are recorded.
         horizon: the wear is followed for `horizon` times as long as starts are recorded.
-        supply_spread: relative standard deviation of the supply from start to start.
-        motor: the nominal motor.
-        supply: nominal supply.
         sensor: channels and noise.
-        timing: time axis of a start.
     """
 
     drift_per_day: float = 0.01
@@ -62,19 +53,9 @@ class WearRecipe:
     diffusion_spread: float = 0.5
     onset_days: tuple[float, float] = (0.0, 20.0)
     limit: float = 0.5
-    interval_days: float = 1.0
     starts: int = 60
     horizon: float = 20.0
-    supply_spread: float = 0.0
-    motor: MotorParameters = PAPER_MOTOR
-    supply: SupplyParameters = field(default_factory=SupplyParameters)
     sensor: SensorParameters = field(default_factory=SensorParameters)
-    timing: Timing = field(default_factory=lambda: Timing(sampling_rate_hz=2_000.0, duration_s=0.1))
-
-    @property
-    def time_days(self) -> FloatArray:
-        """Time of each start, shape (starts,)."""
-        return np.arange(self.starts, dtype=np.float64) * self.interval_days
 
 
 class Runs(NamedTuple):
@@ -101,56 +82,37 @@ class Estimates(NamedTuple):
     """What the starts let one see: friction over nominal friction, minus 1.
 
     Attributes:
-        time_days: shape (starts,).
         wear: estimated, shape (n, starts).
         standard_error: shape (n, starts).
     """
 
-    time_days: FloatArray
     wear: FloatArray
     standard_error: FloatArray
 
 
-@njit(cache=True)
 def _walk(
-    drift: FloatArray,
-    onset: FloatArray,
-    diffusion: FloatArray,
-    limit: float,
-    dt: float,
-    substeps: int,
-    noise: FloatArray,
-    uniform: FloatArray,
-    wear: FloatArray,
-    failure: FloatArray,
-) -> None:
-    """Wear at the starts and first passage.
+    recipe: WearRecipe, drift: FloatArray, diffusion: FloatArray, onset: FloatArray, numbers: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Wear at the starts, shape (n, starts), and first passage, (n,), from normal and uniform numbers (2, n, steps).
 
     A substep from a to b, both below the limit, crosses it with the Brownian bridge's probability,
     exp(-2 (limit - a) (limit - b) / (diffusion^2 dt)).
     """
-    for n in range(drift.shape[0]):
-        level, failure[n] = 0.0, np.inf
-        for k in range(noise.shape[1]):
-            if k % substeps == 0 and k // substeps < wear.shape[1]:
-                wear[n, k // substeps] = level
-            begin = max(k * dt, onset[n])
-            active = (k + 1) * dt - begin
-            if active <= 0.0:
-                continue
-            before = level
-            variance = diffusion[n] * diffusion[n] * active
-            level += drift[n] * active + np.sqrt(variance) * noise[n, k]
-            if failure[n] < np.inf:
-                if (k + 1) // substeps >= wear.shape[1]:
-                    break
-                continue
-            if level >= limit:
-                failure[n] = begin + active * (limit - before) / (level - before)
-            elif variance > 0.0 and uniform[n, k] < np.exp(
-                -2.0 * (limit - before) * (limit - level) / variance
-            ):
-                failure[n] = begin + 0.5 * active
+    (noise, uniform), dt = numbers, 1.0 / _SUBSTEPS
+    steps = np.arange(noise.shape[1])
+    begin = np.maximum(dt * steps, onset[:, None])
+    active = np.maximum(dt * (steps + 1) - begin, 0.0)
+    variance = np.square(diffusion)[:, None] * active
+    after = np.cumsum(drift[:, None] * active + np.sqrt(variance) * noise, axis=1)
+    before = np.pad(after, ((0, 0), (1, 0)))[:, :-1]
+    room, left = recipe.limit - before, recipe.limit - after
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        grazes = (room > 0.0) & (uniform < np.exp(-2.0 * room * left / variance))
+        share = np.where(left <= 0.0, room / (room - left), 0.5)
+    passes = (active > 0.0) & ((left <= 0.0) | grazes)
+    failure = np.where(passes, begin + active * share, np.inf)
+    first = np.take_along_axis(failure, passes.argmax(axis=1)[:, None], axis=1)[:, 0]
+    return before[:, ::_SUBSTEPS][:, : recipe.starts], np.where(passes.any(axis=1), first, np.inf)
 
 
 def run_to_failure(recipe: WearRecipe, seed: int, cases: ArrayLike) -> Runs:
@@ -171,53 +133,41 @@ def run_to_failure(recipe: WearRecipe, seed: int, cases: ArrayLike) -> Runs:
     wear, failure = np.empty((n, recipe.starts)), np.empty(n)
     for begin in range(0, n, 64):  # the noise of all runs at once would not fit
         some = slice(begin, begin + 64)
-        _walk(
-            drift[some],
-            onset[some],
-            diffusion[some],
-            recipe.limit,
-            recipe.interval_days / _SUBSTEPS,
-            _SUBSTEPS,
-            normals(seed, Stream.WEAR, numbers[some], steps),
-            uniforms(seed, Stream.WEAR_CROSSING, numbers[some], steps),
-            wear[some],
-            failure[some],
+        drawn = np.array(
+            [
+                normals(seed, Stream.WEAR, numbers[some], steps),
+                uniforms(seed, Stream.WEAR_CROSSING, numbers[some], steps),
+            ]
         )
+        wear[some], failure[some] = _walk(recipe, drift[some], diffusion[some], onset[some], drawn)
     return Runs(numbers, wear, drift, diffusion, onset, failure)
 
 
 def observe(recipe: WearRecipe, runs: Runs, seed: int) -> Estimates:
-    """Simulate every start of every run and fit its friction; the supply is believed to be nominal.
-
-    Resistance and friction are free; where the supply varies, it is free within its spread.
-    """
+    """Simulate every start of every run and fit its resistance and its friction."""
     shape = runs.wear.shape
     numbers = (runs.cases[:, None] * _MOST_STARTS + np.arange(shape[1])).ravel()
     wear = runs.wear.ravel()
-    factor = 1.0 + recipe.supply_spread * normals(seed, Stream.SUPPLY, numbers, 1)[:, 0]
-    free, spread = ["resistance", "friction"], [np.inf, np.inf]
-    if recipe.supply_spread > 0.0:
-        free, spread = [*free, "supply"], [*spread, recipe.supply_spread]
-    coordinates = Coordinates.from_names(recipe.motor, tuple(free))
-    voltage = recipe.timing.step(float(recipe.supply.voltage_v))
+    coordinates = Coordinates.from_names(PAPER_MOTOR, FREE)
     values, errors = np.empty(wear.size), np.empty(wear.size)
     for begin in range(0, wear.size, 4096):
         some = slice(begin, begin + 4096)
         # Friction below the nominal one (a bearing that has run in) is the motor's own; what is above is the fault's.
         less = np.maximum(1.0 + np.minimum(wear[some], 0.0), _LEAST_FRICTION)
         scenario = Scenario(
-            parameters=recipe.motor.scaled(viscous_friction_n_m_s_per_rad=less),
+            parameters=PAPER_MOTOR.scaled(viscous_friction_n_m_s_per_rad=less),
             faults=(Fault(FaultKind.BEARING, np.maximum(wear[some], 0.0)),),
-            supply=SupplyParameters(recipe.supply.voltage_v * factor[some]),
             sensor=recipe.sensor,
-            timing=recipe.timing,
+            timing=TIMING,
         )
         starts = simulate(scenario, seed, numbers[some])
-        observed = Observed.from_measurements(starts.measurements, voltage, recipe.sensor, recipe.timing.dt_s)
-        fitted = fit(observed, coordinates, Prior.from_std(spread))
+        observed = Observed.from_measurements(
+            starts.measurements, starts.voltage_v[0], recipe.sensor, TIMING.dt_s
+        )
+        fitted = fit(observed, coordinates)
         values[some] = fitted.factors[:, 1]
         errors[some] = fitted.factors[:, 1] * fitted.std[:, 1]
-    return Estimates(recipe.time_days, values.reshape(shape) - 1.0, errors.reshape(shape))
+    return Estimates(values.reshape(shape) - 1.0, errors.reshape(shape))
 
 
 class Coverage(NamedTuple):
@@ -268,15 +218,13 @@ def remaining_life_coverage(
     estimates = observe(recipe, runs, seed)
     share = uniforms(seed, Stream.SPLIT, runs.cases, 1)[:, 0]
     starts = (fewest_starts + np.floor(share * (recipe.starts - fewest_starts + 1))).astype(np.int64)
+    days = np.arange(float(recipe.starts))
     rows = []
     for n, seen in enumerate(starts):
         wear = degradation(
-            estimates.time_days[:seen],
-            estimates.wear[n, :seen],
-            estimates.standard_error[n, :seen],
-            recipe.limit,
+            days[:seen], estimates.wear[n, :seen], estimates.standard_error[n, :seen], recipe.limit
         )
-        life, left = wear.remaining_life(level), float(runs.failure_days[n] - estimates.time_days[seen - 1])
+        life, left = wear.remaining_life(level), float(runs.failure_days[n] - days[seen - 1])
         trends, reached = wear.probability_trend >= TREND_PROBABILITY, life.probability_reached >= 0.5
         rows.append((life.low, life.high, max(left, 0.0), trends, reached))
     low, high, life_days, trending, over = (np.array(column) for column in zip(*rows, strict=True))

@@ -98,7 +98,7 @@ def test_runs_do_not_depend_on_the_others() -> None:
 
 
 def test_estimates_of_wear_are_calibrated() -> None:
-    recipe = WearRecipe(starts=10, supply_spread=0.01)
+    recipe = WearRecipe(starts=10)
     runs = run_to_failure(recipe, 4, np.arange(60))
     seen = observe(recipe, runs, 4)
     score = (seen.wear - runs.wear) / seen.standard_error
