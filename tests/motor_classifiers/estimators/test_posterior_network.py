@@ -35,7 +35,7 @@ def trained() -> PosteriorNetwork:
 
 
 def test_it_is_near_the_limit_and_not_above(trained: PosteriorNetwork) -> None:
-    cell = limit_cell(trained, RECIPE, 4, 3000, 400)
+    cell = limit_cell(trained, RECIPE, 3000, 400)
     assert abs(cell["excess"]) < 0.01 + 2.0 * cell["excess_standard_error"]
     assert cell["excess"] < 3.0 * cell["excess_standard_error"]
     assert cell["log_loss"] < 1.03 * cell["limit_log_loss"]
@@ -189,7 +189,7 @@ def test_the_noise_may_be_unknown() -> None:
     model = PosteriorNetwork.from_recipe(RECIPE, noise_range=(0.25, 5.0), random_state=0, **QUICK)
     for factor in (0.25, 5.0):
         sensor = replace(RECIPE.sensor, current_noise_a=factor * RECIPE.sensor.current_noise_a)
-        cell = limit_cell(model, replace(RECIPE, sensor=sensor), 4, 2000)
+        cell = limit_cell(model, replace(RECIPE, sensor=sensor), 2000)
         # A network that takes the noise for the recipe's has 2.8 and 8.9 times the log-loss of the limit.
         assert cell["excess"] > -0.03
         assert cell["log_loss"] < 1.2 * cell["limit_log_loss"]

@@ -24,7 +24,7 @@ def test_the_shipped_network_is_small_and_near_the_limit() -> None:
     model, recipe, method = load_model(PRETRAINED)
     assert isinstance(model, PosteriorNetwork)
     assert (recipe, method) == (named_recipe("bench"), "posterior-network")
-    cell = limit_cell(model, recipe, 4, 1000, 100)
+    cell = limit_cell(model, recipe, 1000, 100)
     assert abs(cell["excess"]) < 0.003 + 2.0 * cell["excess_standard_error"]
     assert cell["log_loss"] < 1.02 * cell["limit_log_loss"]
     for severity in cell["severities"].values():
