@@ -14,6 +14,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from tables import table
+
 FOLDER = Path(__file__).resolve().parent
 ONE_THREAD = dict.fromkeys(
     (
@@ -63,26 +65,11 @@ def measure_apart(name: str) -> list[Row] | None:
     return rows
 
 
-def table(rows: list[Row]) -> str:
-    """Lay the rows out for a terminal."""
-    head = ("what", "ours /s", "peer /s", "peer", "ratio", "bar", "")
-    cells = [
-        (
-            row["name"],
-            f"{row['ours']:.3g}",
-            f"{row['peer']:.3g}",
-            row["peer_name"],
-            f"{row['ratio']:.3g} x",
-            f"{row['bar']:g} x",
-            "holds" if row["holds"] else "MISSED",
-        )
-        for row in rows
-    ]
-    widths = [max(map(len, column)) for column in zip(head, *cells, strict=True)]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-        for line in (head, *cells)
-    )
+def cells(row: Row) -> list[str]:
+    """A row of the table."""
+    rates = (f"{row['ours']:.3g}", f"{row['peer']:.3g}", row["peer_name"])
+    ratio = (f"{row['ratio']:.3g} x", f"{row['bar']:g} x", "holds" if row["holds"] else "MISSED")
+    return [row["name"], *rates, *ratio]
 
 
 def main() -> int:
@@ -110,7 +97,7 @@ def main() -> int:
 
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(rows, indent=2) + "\n")
-    print(table(rows))
+    print(table(("what", "ours /s", "peer /s", "peer", "ratio", "bar", ""), map(cells, rows)))
     print(f"\nwritten: {options.out}")
     for name in failed:
         print(f"FAILED: bench_{name} (see above)", file=sys.stderr)

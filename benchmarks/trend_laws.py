@@ -5,7 +5,7 @@ python benchmarks/trend_laws.py --histories 100
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from cyclopts import run
@@ -71,9 +71,8 @@ def history(law: Law, rng: np.random.Generator) -> tuple[str, bool, bool]:
         return "failed before", False, False
     life = float(beyond[0] - last) if len(beyond) else math.inf
     seen = truth[:last] + ERROR * rng.standard_normal(last)
-    name = (
-        "R" if law is season else "friction"
-    )  # the one that moves with the temperature, which is not recorded
+    # R moves with the temperature, which is not recorded.
+    name = "R" if law is season else "friction"
     found = judge(Series(name, np.arange(float(last)), seen, np.full(last, ERROR)), (LIMIT,))
     if not found.forecasts:
         return "too few", False, "jump" in found.sentence
@@ -92,9 +91,9 @@ def main(*, histories: int = 100, seed: int = 5) -> None:
         histories: of each law.
         seed: of all that is drawn.
     """
+    said = ("no trend", "withheld", "too few", "reached", "failed before")
 
-    def rows() -> list[tuple[str, ...]]:
-        out = []
+    def rows() -> Iterator[tuple[str, ...]]:
         for number, (name, law) in enumerate(LAWS.items()):
             counts, held, jumps = Counter[str](), 0, 0
             for k in range(histories):
@@ -102,21 +101,9 @@ def main(*, histories: int = 100, seed: int = 5) -> None:
                 counts[told] += 1
                 held += told == "life" and holds
                 jumps += jump
-            words = ("no trend", "withheld", "too few", "reached", "failed before")
-            out.append((name, str(counts["life"]), str(held), *(str(counts[w]) for w in words), str(jumps)))
-        return out
+            yield (name, str(counts["life"]), str(held), *(str(counts[w]) for w in said), str(jumps))
 
-    header = (
-        "law",
-        "lives stated",
-        "hold",
-        "no trend",
-        "withheld",
-        "too few",
-        "reached",
-        "failed before",
-        "jump told",
-    )
+    header = ("law", "lives stated", "hold", *said, "jump told")
     print_table(f"{histories} histories a law, 90 % intervals", header, rows())
 
 
