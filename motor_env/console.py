@@ -52,6 +52,7 @@ def run(app: App, arguments: Sequence[str] | None = None) -> int:
     Bad input becomes one sentence on standard error and status 2; an unexpected error its traceback and status 70.
     SIGTERM ends it as Ctrl-C does, so that nothing half written stays.
     """
+    app.default_parameter = Parameter(negative=())  # no --no-json, and no --empty-files
     app.suppress_keyboard_interrupt = False  # otherwise cyclopts exits before anything can be said
     try:
         _heed_termination()

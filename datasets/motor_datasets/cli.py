@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
 from motor_env import __version__, console
 from motor_env.errors import InputError, require_extra
@@ -18,7 +18,6 @@ from motor_env.errors import InputError, require_extra
 if TYPE_CHECKING:
     from motor_datasets.layout import Plan
 
-Flag = Annotated[bool, Parameter(negative=())]
 
 app = App(name="motor-datasets", help="Labelled transients of your motor.", version=__version__)
 
@@ -40,9 +39,9 @@ def generate(
     workers: console.Whole = 1,
     backend: str | None = None,
     scheduler: str | None = None,
-    resume: Flag = False,
-    json_: Annotated[bool, Parameter(name="--json", negative=())] = False,
-    dry_run: Flag = False,
+    resume: bool = False,
+    json_: bool = False,
+    dry_run: bool = False,
 ) -> int:
     """Write labelled transients to a new folder. The same seed gives the same bytes.
 
@@ -135,7 +134,7 @@ def _counted(plan: Plan) -> str:
 
 
 @app.command
-def verify(folder: str, /, *, json_: Annotated[bool, Parameter(name="--json", negative=())] = False) -> int:
+def verify(folder: str, /, *, json_: bool = False) -> int:
     """Check every file of a data set against its digest. Exit status 1 if one is missing, damaged or foreign.
 
     Example: motor-datasets verify out/bench

@@ -12,7 +12,6 @@ from motor_env.cli.options import (
     MEASUREMENT,
     READING,
     START,
-    Json,
     Measurement,
     Reading,
     StartMeasurement,
@@ -32,7 +31,7 @@ def identify(
     torque_constant: float | None = None,
     name: str = "identified motor",
     regime: str = "auto",
-    json_: Json = False,
+    json_: bool = False,
 ) -> int:
     """Parameters of a motor from recorded starts or from logs of it at work, and the model that the evidence prefers.
 
@@ -156,7 +155,7 @@ def commission(
     return 0
 
 
-def coastdown(file: Path, *, reading: Reading = READING, json_: Json = False) -> int:
+def coastdown(file: Path, *, reading: Reading = READING, json_: bool = False) -> int:
     """Viscous and Coulomb friction from a coast-down: the speed of a motor whose voltage was taken away.
 
     Example: motor-env coastdown coastdown.csv

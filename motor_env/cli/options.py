@@ -33,7 +33,6 @@ def _seconds(_: type[float], tokens: Sequence[Token]) -> float:
 
 Duration = Annotated[float, Parameter(converter=_seconds)]
 """Seconds, or a time with its unit."""
-Json = Annotated[bool, Parameter(name="--json", negative=())]
 
 
 def show(as_json: bool, objects: Callable[[], Any], text: Callable[[], str]) -> None:
@@ -54,7 +53,7 @@ class Reading:
         save_profile: File (TOML) to keep these choices in for the next time.
     """
 
-    column: Annotated[list[str] | None, Parameter(negative=())] = None
+    column: list[str] | None = None
     sampling_rate: float | None = None
     profile: Path | None = None
     save_profile: Path | None = None

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Literal
 
 from motor_env import console
-from motor_env.cli.options import Json, show
+from motor_env.cli.options import show
 
 
 def reproduce(
     *,
     out: Path,
     image_format: str = "svg",
-    json_: Json = False,
+    json_: bool = False,
 ) -> int:
     """Write the source paper's figures, its numbers beside ours, and where it is wrong.
 
@@ -35,7 +35,7 @@ def reproduce(
     return 0
 
 
-def lab(*, port: console.Whole = 0, browser: bool = True) -> int:
+def lab(*, port: console.Whole = 0, no_browser: bool = False) -> int:
     """A page in the browser: faults, noise and motor by sliders, residual, rule and verdict; drop a recording on it.
 
     Example: motor-env lab
@@ -44,7 +44,7 @@ def lab(*, port: console.Whole = 0, browser: bool = True) -> int:
 
     Args:
         port: Port to listen on; 0 takes a free one.
-        browser: Open the page.
+        no_browser: Do not open the page.
     """
     import webbrowser
 
@@ -52,7 +52,7 @@ def lab(*, port: console.Whole = 0, browser: bool = True) -> int:
 
     with lab_server.make_server(port) as server:
         print(f"{lab_server.address(server)}  (Ctrl-C ends it)", flush=True)
-        if browser:
+        if not no_browser:
             webbrowser.open(lab_server.address(server))
         server.serve_forever()
     return 0

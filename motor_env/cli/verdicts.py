@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from motor_env import console
-from motor_env.cli.options import READING, START, Json, Reading, StartMeasurement, show
+from motor_env.cli.options import READING, START, Reading, StartMeasurement, show
 from motor_env.console import printable
 
 
@@ -17,13 +17,13 @@ def diagnose(
     files: list[Path],
     *,
     motor: str | None = None,
-    healthy: Annotated[list[Path] | None, Parameter(consume_multiple=True, negative=())] = None,
+    healthy: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
     false_alarm_rate: float = 0.01,
     out: Path | None = None,
     measurement: StartMeasurement = START,
     temperature_c: float | None = None,
-    verbose: Annotated[bool, Parameter(negative=())] = False,
-    json_: Json = False,
+    verbose: bool = False,
+    json_: bool = False,
 ) -> int:
     """Verdict on recorded starts: healthy, bearing, winding, magnet, noise, other, no_reference or unusable.
 
@@ -84,14 +84,14 @@ def diagnose(
 def trend(
     paths: list[Path],
     *,
-    limit: Annotated[list[str] | None, Parameter(negative=())] = None,
+    limit: list[str] | None = None,
     level: float = 0.9,
     voltage: float | None = None,
     reading: Reading = READING,
     date: Literal["name", "modified"] = "name",
     reference_count: console.Whole = 3,
     out: Path = Path("out/trend.html"),
-    json_: Json = False,
+    json_: bool = False,
 ) -> int:
     """Trends of a motor's quantities over its starts, and the time to a limit where there is a trend.
 

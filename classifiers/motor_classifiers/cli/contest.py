@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
-
-from cyclopts import Parameter
+from typing import Any
 
 from motor_env import console
 from motor_env.errors import InputError, require_extra
-
-Json = Annotated[bool, Parameter(name="--json", negative=())]
 
 
 def _seed(sealed: Path | None) -> int:
@@ -109,7 +105,7 @@ def submit(
 
 
 def score(
-    submission: Path, /, *, sealed: Path | None = None, keep: Path | None = None, json_: Json = False
+    submission: Path, /, *, sealed: Path | None = None, keep: Path | None = None, json_: bool = False
 ) -> int:
     """Check a submission and score it, beside the best possible on the same cases. Nothing in it is run.
 
@@ -146,7 +142,7 @@ def score(
     return 0
 
 
-def score_recordings(truth: Path, said: Path, /, *, json_: Json = False) -> int:
+def score_recordings(truth: Path, said: Path, /, *, json_: bool = False) -> int:
     """Score verdicts on recordings of your own: the share of wrong ones, its interval over motors.
 
     Example: motor-classifiers score-recordings truth.csv said.json

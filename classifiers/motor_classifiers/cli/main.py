@@ -22,9 +22,6 @@ app = App(
     version=__version__,
 )
 
-Json = Annotated[bool, Parameter(name="--json", negative=())]
-Flag = Annotated[bool, Parameter(negative=())]
-
 
 def _require_extras() -> None:
     for module in ("sklearn", "torch", "skops", "safetensors", "pyarrow"):
@@ -47,7 +44,7 @@ def train(
     noise_range: str | None = None,
     steps: console.Whole | None = None,
     seed: console.Whole = 0,
-    json_: Json = False,
+    json_: bool = False,
 ) -> int:
     """Train a network for a motor or a recipe on starts drawn without end, or a method on a data set.
 
@@ -110,7 +107,7 @@ def train(
 
 @app.command
 def evaluate(
-    model: Path, dataset: str, /, *, split: str = "test", seed: console.Whole = 0, json_: Json = False
+    model: Path, dataset: str, /, *, split: str = "test", seed: console.Whole = 0, json_: bool = False
 ) -> int:
     """Judge a model on a split of a data set, beside the Bayes limit on the same cases.
 
@@ -148,7 +145,7 @@ def evaluate(
 
 @app.command
 def predict(
-    files: list[Path], /, *, model: Path | None = None, split: str | None = None, json_: Json = False
+    files: list[Path], /, *, model: Path | None = None, split: str | None = None, json_: bool = False
 ) -> int:
     """Opinion of a model on recordings, beside the verdict of motor-env diagnose; or on the cases of data sets.
 
@@ -231,7 +228,7 @@ def export(model: Path | None = None, /, *, out: Annotated[Path, Parameter(alias
 def benchmark(
     *,
     out: Path = Path("out/benchmark"),
-    full: Flag = False,
+    full: bool = False,
     recipe: str | None = None,
     sampling_rate_hz: str | None = None,
     current_noise_a: str | None = None,
@@ -243,9 +240,9 @@ def benchmark(
     duration_s: float | None = None,
     channels: str | None = None,
     peers: Path | None = None,
-    fresh: Flag = False,
-    dry_run: Flag = False,
-    json_: Json = False,
+    fresh: bool = False,
+    dry_run: bool = False,
+    json_: bool = False,
 ) -> int:
     """Train all methods, judge all on the same unseen motors beside the Bayes limit; write a report.
 
