@@ -13,15 +13,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from motor_env.files import replacing
+
+if TYPE_CHECKING:  # what draws nothing does not wait for matplotlib
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 INK = "#1f2933"
 QUIET = "#7b8794"
@@ -84,6 +84,8 @@ STYLE: dict[str, Any] = {
 @contextmanager
 def drawing() -> Iterator[None]:
     """Lend matplotlib the shared style; its settings are as before afterwards."""
+    import matplotlib as mpl
+
     with mpl.rc_context(cast("Any", STYLE)):
         yield
 
@@ -105,6 +107,9 @@ def subplots(
         sharex: one time axis for all.
         height_ratios: relative heights of the rows.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width_in, 2.7 * rows if height_in is None else height_in))
     FigureCanvasAgg(figure)
     grid = figure.subplots(rows, 1, sharex=sharex, squeeze=False, height_ratios=height_ratios)

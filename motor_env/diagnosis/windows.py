@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -40,7 +41,8 @@ from motor_env.recordings.recording import Recording, cut
 
 FEWEST_WINDOWS = 4
 MOST_SAMPLES = 6_000
-MOST_JUDGED = 40
+MANY, MOST_JUDGED = 40, 20
+_TOGETHER = 50  # windows that are screened at once
 SPREAD_PRIOR, PRIOR_WEIGHT = 0.01, 4.0
 NAMES = ("R", "K", "J", "B")
 _FREE = ("R", "K", "J", "coulomb", "load_constant", "load_square", "offset_current", "offset_speed", *NOISES)
@@ -132,7 +134,7 @@ def learn_windows(recordings: Sequence[Recording], window_s: float) -> WindowRef
 def judge_windows(recording: Recording, reference: WindowReference, rate: float) -> list[WindowVerdict]:
     """A verdict on each window; together they alarm in the stated share of healthy records (Bonferroni).
 
-    Of more than MOST_JUDGED windows so many are judged: half of them evenly spread, half those that the healthy motor
+    Of more than MANY windows MOST_JUDGED are judged: half of them evenly spread, half those that the healthy motor
     explains worst. The rate is still shared by all.
 
     Raises:
@@ -149,17 +151,21 @@ def judge_windows(recording: Recording, reference: WindowReference, rate: float)
         )
     if not 1.0 / _REGIME <= parts[0].dt_s / reference.dt_s <= _REGIME:
         raise UnusableError("outside the commissioned regime: another sampling interval")
-    return [_judged(parts[n], reference, rate / len(parts)) for n in _chosen(parts, reference)]
+    chosen = range(len(parts)) if len(parts) <= MANY else _chosen(recording, parts, reference)
+    return [_judged(parts[n], reference, rate / len(parts)) for n in chosen]
 
 
-def _chosen(parts: Sequence[Recording], reference: WindowReference) -> list[int]:
-    """Places of the windows that are judged."""
-    if len(parts) <= MOST_JUDGED:
-        return list(range(len(parts)))
-    values, misfits = _values(reference), []
-    for part in parts:
-        record = replace(from_recordings([part]), hold=reference.hold)
-        misfits.append(float(np.mean(record.predict(values)[0][:, :2] ** 2)))
+def _chosen(recording: Recording, parts: Sequence[Recording], reference: WindowReference) -> list[int]:
+    """Places of the windows that are judged, of many."""
+    values, length = _values(reference), len(parts[0].time_s)
+    misfits, whole = np.zeros(len(parts)), averaged(recording, reference.window_s)
+    for first in range(0, len(parts), _TOGETHER):
+        some = slice(first, min(first + _TOGETHER, len(parts)))
+        stretch = cut(whole, slice(some.start * length, some.stop * length))
+        with suppress(UnusableError):  # as at rest
+            record = replace(from_recordings([stretch], most=len(stretch.time_s)), hold=reference.hold)
+            squares = record.predict(values)[0][:, :2] ** 2
+            misfits[some] = squares.reshape(-1, 2 * length).mean(axis=1)
     evenly = np.linspace(0, len(parts) - 1, MOST_JUDGED // 2).round().astype(int)
     return sorted({*evenly.tolist(), *np.argsort(misfits)[-MOST_JUDGED // 2 :].tolist()})
 

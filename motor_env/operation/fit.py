@@ -250,11 +250,14 @@ def candidates(best: Solution) -> list[str]:
 
 def score_tests(best: Solution, every: dict[str, Term]) -> dict[str, ScoreTest]:
     """A test of each candidate, without fitting it."""
+    tested = [name for name in candidates(best) if name in every]
+    if not tested:
+        return {}
     base, jacobian = best.problem.residuals(best.theta), best.problem.jacobian(best.theta)
     variance = float(base @ base) / best.problem.count
     inverse = np.linalg.pinv(jacobian)
     found = {}
-    for name in (name for name in candidates(best) if name in every):
+    for name in tested:
         problem = best.problem.with_terms([every[name]])
         theta = np.append(best.theta, 0.0)
         column = np.delete(problem.column(theta, len(best.theta), np.append(base, 0.0)), len(base))

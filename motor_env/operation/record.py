@@ -112,8 +112,8 @@ class Record:
 
 def _shifted(values: FloatArray, samples: float) -> FloatArray:
     """Values as they were so many samples, or parts of one, before."""
-    places = np.arange(len(values)) - samples
-    shifted: FloatArray = np.interp(places, np.arange(len(values)), values)
+    places = np.arange(len(values), dtype=np.float64)
+    shifted: FloatArray = values if samples == 0.0 else np.interp(places - samples, places, values)
     return shifted
 
 
@@ -234,7 +234,7 @@ def _averageable(recording: Recording, wanted: int) -> int:
         recording.current_a if _seen(recording)[0] or recording.speed_rad_s is None else recording.speed_rad_s
     )
     column, factor = column[:_LOOKED_AT], 1
-    noise, variance = noise_of(column) ** 2, float(np.var(column))
+    noise, variance = (noise_of(column) ** 2, float(np.var(column))) if wanted > 1 else (0.0, 0.0)
     while factor < wanted:
         kept = float(np.var(block_means(column, 2 * factor))) + noise * (1.0 - 0.5 / factor)
         if kept < (1.0 - _LOST) * variance:

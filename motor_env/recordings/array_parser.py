@@ -20,7 +20,7 @@ import numpy as np
 MOST_NUMBERS = 50_000_000
 _MOST_READ = 1_000_000_000  # of a Parquet file, in pieces
 _MOST_ROWS = 4_000_000  # of a long log, beyond which neighbours are averaged
-_BATCH_ROWS = 250_000
+_BATCH_ROWS = 65_536
 _MEMORY_BYTES = 1_600_000_000
 
 
@@ -66,7 +66,7 @@ def parse_parquet(path: str) -> tuple[dict[str, Any], int]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    with pq.ParquetFile(path) as file:
+    with pq.ParquetFile(path, pre_buffer=False) as file:
         fields = [
             field.name
             for field in file.schema_arrow
@@ -79,9 +79,9 @@ def parse_parquet(path: str) -> tuple[dict[str, Any], int]:
         for batch in file.iter_batches(_BATCH_ROWS, columns=fields, use_threads=False):
             for name in fields:
                 values = batch.column(name).to_numpy(zero_copy_only=False)
-                values = np.concatenate([rest[name], values.astype(np.float64)])
+                values = np.concatenate([rest[name], values], dtype=np.float64)
                 whole = len(values) // factor * factor
-                parts[name].append(values[:whole].reshape(-1, factor).mean(axis=1))
+                parts[name].append(values[:whole].reshape(-1, factor) @ np.full(factor, 1.0 / factor))
                 rest[name] = values[whole:]
     return {name: np.concatenate(values) for name, values in parts.items() if values}, factor
 
@@ -100,7 +100,9 @@ def main() -> int:
         else:
             arrays, averaged = parse_matlab(sys.stdin.buffer.read()), 1
         found = {
-            name: array.astype(np.float64) for name, array in arrays.items() if array.dtype.kind in "fiub"
+            name: array.astype(np.float64, copy=False)
+            for name, array in arrays.items()
+            if array.dtype.kind in "fiub"
         }
         check_count(sum(array.size for array in found.values()))
     except Exception as error:  # noqa: BLE001  # a damaged file makes a parser raise anything
@@ -109,7 +111,7 @@ def main() -> int:
     head = json.dumps([averaged, [(name, array.shape) for name, array in found.items()]])
     sys.stdout.buffer.write(head.encode() + b"\n")
     for array in found.values():
-        sys.stdout.buffer.write(np.ascontiguousarray(array).tobytes())
+        sys.stdout.buffer.write(np.ascontiguousarray(array).data)
     return 0
 
 

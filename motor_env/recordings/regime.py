@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import spearmanr
 
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -111,6 +110,8 @@ def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
 
 def _explains_steps(voltage_v: FloatArray, current_a: FloatArray) -> bool:
     """Whether the current moves with the steps of a voltage of two levels; true for any other voltage."""
+    import pandas as pd
+
     low, high = np.quantile(voltage_v, (0.02, 0.98))
     off = np.minimum(np.abs(voltage_v - low), np.abs(voltage_v - high))
     is_noise = float(np.ptp(voltage_v)) < _NOISE_SPAN * difference_noise(voltage_v)
@@ -123,7 +124,9 @@ def _explains_steps(voltage_v: FloatArray, current_a: FloatArray) -> bool:
     signs = np.sign(voltage_v[jumps] - voltage_v[jumps - 1])[:-1]
     following = [current_a[jumps + later] - current_a[jumps + later - 1] for later in (0, 1, 2)]
     rises = [*(each[:-1] for each in following), np.diff(current_a[jumps])]
-    known = max(abs(float(spearmanr(signs, each).statistic)) for each in rises if np.ptp(each) > 0.0)
+    # Of two signs the ranks are a straight line: this is Spearman's correlation.
+    ranks = pd.DataFrame(np.transpose(rises)).rank().to_numpy()
+    known = max(abs(np.corrcoef(signs, each)[0, 1]) for each in ranks.T if np.ptp(each) > 0.0)
     return known > min(max(_CHANCE / math.sqrt(len(signs)), _UNKNOWN), _KNOWN)
 
 

@@ -15,7 +15,7 @@ from motor_env.recordings.text.block import CUT_OFF, Form, form_of, parsed, pars
 from motor_env.recordings.text.settings import Block, Table
 
 MOST_ROWS = 4_000_000
-_HEAD_BYTES, _TAIL_BYTES, _PIECE_BYTES = 2_000_000, 65_536, 16_000_000
+_HEAD_BYTES, _TAIL_BYTES, _PIECE_BYTES = 2_000_000, 65_536, 8_000_000
 
 
 def large_block(path: Path, most: int = MOST_ROWS) -> Table:
@@ -53,18 +53,15 @@ def large_block(path: Path, most: int = MOST_ROWS) -> Table:
 
 def _values(file: BinaryIO, block: Block, form: Form) -> Iterator[FloatArray]:
     """The numbers of each piece, shape (rows, columns)."""
-    line, rest, ended = block.table.lines[block.first], b"", False
-    while not ended:
-        content = file.read(_PIECE_BYTES)
-        ended = not content
-        piece, _, rest = (rest + content).rpartition(b"\n") if content else (rest, b"", b"")
-        if ended:
-            piece = piece.rstrip()
-            piece = piece.rpartition(b"\n")[0] if CUT_OFF in form.remarks else piece
+    line = block.table.lines[block.first]
+    while piece := file.read(_PIECE_BYTES) + file.readline():
+        if CUT_OFF in form.remarks and not piece.endswith(b"\n"):
+            piece = piece.rpartition(b"\n")[0]
+        piece = piece.removesuffix(b"\n")
         if not piece:
             continue
         piece = piece.replace(b" -> ", form.arrow.encode()) if form.arrow else piece
-        rows = piece.count(b"\n") + 1
+        rows = int(np.count_nonzero(np.frombuffer(piece, np.uint8) == ord("\n"))) + 1
         values = parsed(block, piece, rows)
         if values is None:
             lines = piece.decode("utf-8", "replace").splitlines()

@@ -67,6 +67,7 @@ def test_faults_show_in_windows_and_warmth_does_not(
     verdicts = [record["verdict"] for record in json.loads(capsys.readouterr().out)]
     assert verdicts == ["healthy", "healthy", "winding_contact", "bearing", "magnet", "unusable"]
     assert (tmp_path / "003-contact-csv.png").exists()
+    monkeypatch.setattr(windows, "MANY", 4)
     monkeypatch.setattr(windows, "MOST_JUDGED", 4)
     parts = [simulate(one, "reversals", rng, samples=1500, dt_s=dt_s) for one in (motor, friction, motor)]
     columns = [np.concatenate([getattr(one, name) for one in parts]) for name in COLUMNS]
