@@ -19,6 +19,8 @@ from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 
 _UNTOLD = 0.5
+_LONGEST_LAG_S = 0.2  # L/R of brushed motors, with a margin
+_UNFIT = "its voltage hardly moves, or is a raw pulse-width modulation that was sampled more slowly than it switches"
 _POOR = 0.5
 _CURRENT_TELLS = 0.3
 _TWO_SIDED = 1.96
@@ -135,6 +137,14 @@ def _refuse_poor(found: Operation) -> None:
             raise UnusableError(
                 f"no motor model explains the {name} (R2 {r2:.2f}; at least {_POOR} is needed)"
             )
+    told = {one.name: one.value for one in found.quantities if one.is_told}
+    needed = [one.name for one in found.quantities if one.name.split("/")[0] in ("R", "K", "J", "R J")]
+    untold = ", ".join(name for name in needed if name not in told)
+    # Without a recorded speed, which is what R leaves of the voltage, all else rests on R and J/K^2.
+    if not (any if found.record.seen[1] else all)(name in told for name in needed):
+        raise UnusableError(f"the record does not determine {untold}: {_UNFIT}")
+    if told.get("L", 0.0) > _LONGEST_LAG_S * told.get("R", math.inf):
+        raise UnusableError(f"L/R of {told['L'] / told['R']:.3g} s is that of no motor: {_UNFIT}")
 
 
 def _described(solution: Solution) -> Operation:

@@ -376,14 +376,14 @@ def predict(
         dry = p[COULOMB] * (1.0 + FRICTION_PER_KELVIN * warm_k)
         i, w = x[0], x[1]
         _at(whole, warm_k, m)
-        if marks[k] == OPEN and marks[k - 1] == OPEN:
-            _coasting_step(x, p, dry, u[2], dt_s, f)
-        elif not _smooth_step(m, x, u, p, dry, f):
+        if (marks[k] != OPEN or marks[k - 1] != OPEN) and not _smooth_step(m, x, u, p, dry, f):
             _at(parts, warm_k, m)
             _braked_step(m, x, u, p, dry, f)
         if marks[k] == OPEN:
-            x[0] = 0.0
-            f[0] = 0.0
+            if marks[k - 1] == OPEN or x[0] * i < 0.0:  # a diode lets no current turn
+                x[1] = w
+                _coasting_step(x, p, dry, u[2], dt_s, f)
+            x[0], f[0] = 0.0, 0.0
         x[3] = lags[0, 0] * x[3] + lags[0, 1] * i + lags[0, 2] * x[0]
         x[4] = lags[1, 0] * x[4] + lags[1, 1] * w + lags[1, 2] * x[1]
         if learn:

@@ -50,7 +50,8 @@ class Problem:
         """Scaled innovations of each sample and channel, and what is believed beforehand of the terms."""
         out, logs = self.record.predict(self.values(theta))
         white = np.where(np.isfinite(out[:, :2]), out[:, :2], 1e6)
-        scale = math.exp(min(0.5 * logs / self.count, 300.0))
+        size = 0.5 * logs / self.count
+        scale = math.exp(size if size < 300.0 else 300.0)  # of a number that is none, too
         prior = [one / term.prior_sd for term, one in zip(self.free, theta, strict=True)]
         residuals: FloatArray = scale * np.concatenate([white[:, self.record.seen > 0.0].ravel(), prior])
         return residuals

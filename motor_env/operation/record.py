@@ -174,16 +174,18 @@ def from_recordings(
 def open_circuit(voltage_v: FloatArray, readings: FloatArray, begins: FloatArray) -> NDArray[np.bool_]:
     """Where a motor coasts with an open circuit, shape (n,).
 
-    The voltage jumps where the circuit opens and where it closes. Between there is no current, and the voltage at the
-    terminals moves with the speed; or the speed moves although the voltage is recorded as none.
+    The voltage jumps where the circuit opens and where it closes. A diode may carry the current until it is gone. Then
+    there is none, and the voltage at the terminals moves with the speed; or the voltage is recorded as none, and the
+    speed moves. Without a recorded speed a motor that stands counts as well: it makes no difference to it.
     """
     current, peak = readings[:, 0], float(np.quantile(np.abs(voltage_v), 0.999))
     noise, largest = noise_of(current), float(np.quantile(np.abs(current), 0.99))
     none = np.abs(current) < 3.0 * noise + 0.01 * largest
     edges = np.union1d(np.flatnonzero(_jumps(voltage_v) | (begins > 0.0)), [0, len(current)])
     out = np.zeros(len(current), dtype=np.bool_)
-    fastest = float(np.quantile(np.abs(readings[:, 1]), 0.99)) + 1e-12
-    for first, end in pairwise(edges.tolist()):
+    fastest = float(np.quantile(np.abs(readings[:, 1]), 0.99))
+    for jump, end in pairwise(edges.tolist()):
+        first = jump + int(np.argmax(none[jump:end]))
         n, shown = end - first, current[first:end]
         if n < _FEWEST_OPEN or float(np.mean(none[first:end])) < _NO_CURRENT:
             continue
@@ -191,7 +193,8 @@ def open_circuit(voltage_v: FloatArray, readings: FloatArray, begins: FloatArray
         is_noise = float(shown.std()) < noise * (1.0 + 3.0 / math.sqrt(n))
         volts, speed = voltage_v[first:end], readings[first:end, 1]
         is_off = float(np.abs(volts).max()) < _COASTS * peak
-        falls = np.ptp(speed) > _SLOWS * fastest if is_off else np.ptp(volts) > _COASTS * peak
+        slows = np.ptp(speed) > _SLOWS * fastest if fastest > 0.0 else begins[jump] == 0.0
+        falls = slows if is_off else np.ptp(volts) > _COASTS * peak
         if is_none and is_noise and falls:
             out[first:end] = True
             if end < len(current) and begins[end] == 0.0:

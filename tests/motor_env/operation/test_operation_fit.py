@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motor_env.operation.identify import Operation, identify_operation
+from motor_env.operation.identify import Operation, _refuse_poor, identify_operation
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, read_recording
 
@@ -48,6 +48,31 @@ def test_current_alone_tells_ratios() -> None:
     assert found.quantity("R").value == pytest.approx(motor.ohm, rel=0.03)
     assert found.quantity("J/K^2").value == pytest.approx(motor.inertia / motor.constant**2, rel=0.03)
     assert any("K, J and B" in note for note in found.notes)
+    blind = tuple(replace(one, is_told=one.name != "J/K^2") for one in found.quantities)
+    slow = tuple(
+        replace(one, value=found.quantity("R").value) if one.name == "L" else one for one in found.quantities
+    )
+    for quantities, words in ((blind, "not determine J/K"), (slow, "of no motor")):
+        with pytest.raises(UnusableError, match=words):
+            _refuse_poor(replace(found, quantities=quantities))
+
+
+def test_a_motor_behind_a_diode_is_found() -> None:
+    # 12 V in pulses of 5 Hz, on in 95 % of the time: the diode lets no current turn in the pauses.
+    ohm, henry, constant, inertia, dry, fine_s = 2.0, 2e-3, 0.03, 2.3e-5, 3.6e-3, 1e-4
+    recorded, rng = np.zeros((2000, 2)), np.random.default_rng(4)
+    i = w = 0.0
+    for k in range(20_000):
+        on = k >= 3000 and fine_s * (k - 3000) * 5.0 % 1.0 < 0.95
+        if on or i > 0.0:
+            i += fine_s * (12.0 * on - ohm * i - constant * w) / henry
+        i = i if on else max(i, 0.0)
+        w = max(w + fine_s * (constant * i - dry) / inertia, 0.0)
+        recorded[k // 10] = 12.0 * on, i
+    volts, current = (recorded + 0.01 * rng.standard_normal(recorded.shape)).T
+    found = identify_operation([Recording(Path("x"), 1e-3 * np.arange(2000.0), current, volts)])
+    assert found.quantity("R").value == pytest.approx(ohm, rel=0.02)
+    assert found.quantity("J/K^2").value == pytest.approx(inertia / constant**2, rel=0.05)
 
 
 @pytest.mark.long
