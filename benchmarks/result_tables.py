@@ -5,11 +5,12 @@ A test compares the pages with the files, so no figure in these tables is writte
 
 from __future__ import annotations
 
-import csv
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import watch_tables
 from tables import KEPT, kept_tables, marked, table
 from trust_tables import trust_tables
@@ -41,6 +42,7 @@ _SWEPT = (
     "threshold",
 )
 _LIMIT = ("Bayes limit", "Bayes estimate")
+_SETTING = ["recipe", "sampling_rate_hz", "noise_a", "n_train"]
 
 
 def _points(share: float, digits: int = 2) -> str:
@@ -106,21 +108,16 @@ def default_table() -> str:
     return table(head.split(", "), rows)
 
 
-def _sweep() -> dict[tuple[str, float, float, int], dict[str, float]]:
-    """Accuracy by setting (recipe, rate, noise, training starts) and method; the limit's own row is `limit`."""
-    settings: dict[tuple[str, float, float, int], dict[str, float]] = {}
-    with (FOLDER / "results" / "full.csv").open(encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            rate, noise = float(row["sampling_rate_hz"]), float(row["noise_a"])
-            one = settings.setdefault((row["recipe"], rate, noise, int(row["n_train"])), {})
-            one["limit" if row["method"] in _LIMIT else row["method"]] = float(row["accuracy"])
-    return settings
+def _sweep(wanted: str) -> Iterable[tuple[Any, Any]]:
+    """Settings wanted, the highest rate of a recipe first, each with the accuracy of every method and the `limit`."""
+    rows = pd.read_csv(FOLDER / "results" / "full.csv").replace({"method": dict.fromkeys(_LIMIT, "limit")})
+    rows["recipe"] = pd.Categorical(rows["recipe"], ["bench", "bench-full", "paper", "field"])
+    settings = rows.pivot(index=_SETTING, columns="method", values="accuracy")
+    return settings.sort_index(ascending=[True, False, True, True]).query(wanted).iterrows()
 
 
 def noise_table() -> str:
     """Accuracy after 2,000 training starts by recipe, rate and noise."""
-    recipes = ("bench", "bench-full", "paper", "field")
-    settings = {key: one for key, one in _sweep().items() if key[3] == 2000}
     rows = [
         [
             recipe,
@@ -129,22 +126,16 @@ def noise_table() -> str:
             f"{'about ' * (recipe == 'field')}{one['limit']:.3f}",
             *(f"{one[name]:.3f}" for name in _SWEPT),
         ]
-        for (recipe, rate, noise, _), one in sorted(
-            settings.items(), key=lambda each: (recipes.index(each[0][0]), -each[0][1], each[0][2])
-        )
+        for (recipe, rate, noise, _), one in _sweep("n_train == 2000")
     ]
     return table(["recipe", "rate", "noise", "limit", *_SWEPT], rows)
 
 
 def size_table() -> str:
     """Accuracy at 20 mA by the number of training starts."""
-    recipes = ("bench", "bench-full", "field")
-    settings = {key: one for key, one in _sweep().items() if key[0] in recipes and key[2] == 0.02}
     rows = [
         [f"{recipe}, {rate / 1e3:g} kHz", str(count), *(f"{one[name]:.3f}" for name in _SWEPT[1:])]
-        for (recipe, rate, _, count), one in sorted(
-            settings.items(), key=lambda each: (recipes.index(each[0][0]), -each[0][1], each[0][3])
-        )
+        for (recipe, rate, _, count), one in _sweep("recipe != 'paper' and noise_a == 0.02")
     ]
     return table(["recipe, rate, 20 mA", "training starts", *_SWEPT[1:]], rows)
 
