@@ -54,13 +54,11 @@ class SeverityLimit(NamedTuple):
     Attributes:
         expected_rmse: root mean posterior variance.
         rmse: of the posterior mean on the drawn cases.
-        prior_std: what guessing the middle of the range gives.
         coverage: share of the 90 % intervals that hold the severity.
     """
 
     expected_rmse: float
     rmse: float
-    prior_std: float
     coverage: float
 
 
@@ -81,11 +79,7 @@ def class_limits(
         n_cases: cases 0 .. n_cases - 1 of that seed.
         samples_seen: numbers of samples, each giving one limit; all samples by default.
     """
-    seen = (recipe.timing.n_samples,) if samples_seen is None else tuple(samples_seen)
-    require(
-        all(1 <= count <= recipe.timing.n_samples for count in seen),
-        f"samples_seen must be in 1 .. {recipe.timing.n_samples}, got {seen}",
-    )
+    seen = samples_seen or [recipe.timing.n_samples]
     probabilities: list[list[FloatArray]] = [[] for _ in seen]
     labels = []
     for cases in _chunks(n_cases):
@@ -121,6 +115,5 @@ def severity_limit(recipe: Recipe, prior: SeverityPrior, seed: int, n_cases: int
     return SeverityLimit(
         expected_rmse=float(np.sqrt(np.concatenate(variances).mean())),
         rmse=float(np.sqrt(np.square(np.concatenate(errors)).mean())),
-        prior_std=(prior.largest - prior.smallest) / np.sqrt(12.0),
         coverage=float(np.concatenate(covered).mean()),
     )

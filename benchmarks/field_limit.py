@@ -12,14 +12,14 @@ accuracy on many starts, and what the decisions gain over its own on the sampled
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+import cyclopts
 import numpy as np
 from networks import network_of
 
@@ -172,19 +172,13 @@ def figures(
     }
 
 
-def main() -> None:
-    """Sample what is missing, as long as there is time, and write the figures."""
-    parser = argparse.ArgumentParser(
-        description="The best possible accuracy on a recipe without a closed form."
-    )
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="of processor time, about")
-    parser.add_argument("--recipe", choices=list(COUNTS), default="field")
-    options = parser.parse_args()
-    name = options.recipe
+def main(*, minutes: float = float("inf"), recipe: Literal["field", "operation"] = "field") -> None:
+    """Sample what is missing, for so many minutes of processor time, and write the figures."""
+    name = recipe
     parts = sorted([*chunks(name, 0), *chunks(name, 1)], key=lambda each: each[1] * (1 + each[0]))
     for run, first, path in parts:
         if not path.is_file():
-            if time.process_time() > 60.0 * options.minutes:
+            if time.process_time() > 60.0 * minutes:
                 raise SystemExit("not done: run it again")
             sample(single(name), run, first, path)
     once, effective_once, seconds_once = stored(name, 0)
@@ -204,4 +198,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    cyclopts.run(main)

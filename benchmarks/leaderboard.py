@@ -7,7 +7,6 @@ writes the digests of the tasks, which must never change within a version.
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -15,9 +14,11 @@ import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import sklearn_methods
+from cyclopts import run
 from networks import network_of
 from peers import command, environment
 from tables import marked
@@ -36,7 +37,6 @@ from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring.judging import TEST_FIRST_CASE, judged_starts
 from motor_classifiers.scoring.peers import PEERS, export_starts
 from motor_classifiers.wrappers.open_set import FaultFamilyDetector
-from motor_datasets.arrays import Dataset
 from motor_env import Cusum, Glr, TolerantFilter
 from motor_env.detection.rules.base import Rule, first_above
 from motor_env.files import write_text
@@ -177,7 +177,8 @@ def _enter_peer(name: str, method: str, folder: str) -> None:
     task = load_task(name)
     assert isinstance(task, ClassTask)
     cases, answers = Path(folder) / "cases.npz", Path(folder) / "answers.npz"
-    export_starts(task.train(), _labelled_test(task), cases)
+    test = judged_starts(task.recipe, SEED, TEST_FIRST_CASE, task.n_test)
+    export_starts(task.train(), test, cases)
     subprocess.run(command(cases, answers, method), env=environment(), check=True)
     with np.load(answers) as arrays:
         shares = arrays[method].astype(np.float64)
@@ -185,26 +186,18 @@ def _enter_peer(name: str, method: str, folder: str) -> None:
     write_submission(folder, task, shares / shares.sum(axis=1, keepdims=True), card)
 
 
-def _labelled_test(task: ClassTask) -> Dataset:
-    return judged_starts(task.recipe, SEED, TEST_FIRST_CASE, task.n_test)
-
-
 def whole_page() -> str:
     """The page docs/leaderboard.md with its tables made anew."""
     return marked(PAGE.read_text(encoding="utf-8"), {"leaderboard": page(read_scores(SCORES))})
 
 
-def main() -> None:
-    """Enter, write the page, or freeze."""
-    parser = argparse.ArgumentParser(description="The leaderboard of motor-bench.")
-    parser.add_argument("what", choices=["enter", "page", "freeze"])
-    parser.add_argument("entry", nargs="*", help="TASK/METHOD; all but aeon's by default")
-    options = parser.parse_args()
-    if options.what == "enter":
-        for entry in options.entry or entries():
-            print(entry, file=sys.stderr, flush=True)
-            enter(entry)
-    elif options.what == "freeze":
+def main(what: Literal["enter", "page", "freeze"], /, *entry: str) -> None:
+    """Enter TASK/METHOD, all but aeon's by default; write the page; or freeze the digests."""
+    if what == "enter":
+        for each in entry or entries():
+            print(each, file=sys.stderr, flush=True)
+            enter(each)
+    elif what == "freeze":
         digests = {"small": tasks.current_digests(whole=False), "whole": tasks.current_digests(whole=True)}
         write_text(DIGESTS, json.dumps({"version": VERSION, **digests}, indent=1) + "\n")
     else:
@@ -212,4 +205,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

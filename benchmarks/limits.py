@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from accuracy_limits import class_limits, severity_limit
+from cyclopts import run
 from tables import keep_table
 
 from motor_env.inference.identifiability import Experiment, cramer_rao_bound
@@ -120,9 +120,8 @@ def bounds() -> Iterable[Iterable[str]]:
         yield f"{1e3 * noise_a:g} mA", *(f"{100.0 * np.sqrt(v):.3f} %" for v in np.diag(covariance))
 
 
-def main() -> None:
+def main(n_cases: int = 20_000) -> None:
     """Make all tables."""
-    n_cases = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
     keep_table("limits", "bounds", ("noise", "R", "B"), bounds())
     keep_table("limits", "accuracy", ("rate", "noise", "limit", "hits"), accuracy(n_cases))
     keep_table("limits", "variants", ("setting", "limit"), variants(n_cases))
@@ -137,4 +136,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

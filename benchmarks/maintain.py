@@ -7,13 +7,13 @@ and rate every morning.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cyclopts import run
 
 from motor_env.envs import MaintainOptions, MaintainVectorEnv, PlannedUpkeep, ReplaceFrom, maintenance_bound
 from motor_env.envs.baselines.evaluation import interval
@@ -53,14 +53,11 @@ def measure(options: MaintainOptions, episodes: int) -> list[Row]:
     return rows + [{"policy": name, "return": value} for name, value in bounds.items()]
 
 
-def main() -> None:
+def main(*, episodes: int = 20_000) -> None:
     """Measure and keep."""
-    parser = argparse.ArgumentParser(description="Policies of the maintenance task beside its bound.")
-    parser.add_argument("--episodes", type=int, default=20_000)
-    given = parser.parse_args()
-    found = {name: measure(options, given.episodes) for name, options in TASKS.items()}
+    found = {name: measure(options, episodes) for name, options in TASKS.items()}
     RESULTS.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

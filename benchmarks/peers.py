@@ -6,12 +6,12 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import tempfile
 from pathlib import Path
 
+import cyclopts
 from run import FOLDER, ONE_THREAD
 
 from motor_classifiers.scoring.judging import Cell
@@ -37,25 +37,25 @@ def environment() -> dict[str, str]:
     return {**os.environ, **ONE_THREAD}
 
 
-def main() -> int:
-    """Export the starts, let the peers judge them, keep the answers."""
-    parser = argparse.ArgumentParser(description="Answers of aeon's classifiers to the benchmark's starts.")
-    parser.add_argument("--out", metavar="FILE", type=Path, default=shipped_peers())
-    parser.add_argument("--recipe", default="bench")
-    parser.add_argument("--n-train", type=int, default=2000)
-    parser.add_argument("--n-test", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", metavar="NAME", action="append", choices=list(PEERS))
-    options = parser.parse_args()
-    cell = Cell(named_recipe(options.recipe), options.n_train, options.n_test, options.seed)
+def main(
+    *,
+    out: Path | None = None,
+    recipe: str = "bench",
+    n_train: int = 2000,
+    n_test: int = 2000,
+    seed: int = 0,
+    only: list[str] | None = None,
+) -> int:
+    """Export the starts, let the peers judge them, keep the answers; by default of all and where they are shipped."""
+    cell = Cell(named_recipe(recipe), n_train, n_test, seed)
     with tempfile.TemporaryDirectory() as folder:
         cases = Path(folder) / "cases.npz"
         export_starts(cell.train(), cell.test(), cases)
-        names = options.only or list(PEERS)
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        done = subprocess.run(command(cases, options.out.resolve(), *names), env=environment(), check=False)
+        target = (out or shipped_peers()).resolve()
+        target.parent.mkdir(parents=True, exist_ok=True)
+        done = subprocess.run(command(cases, target, *(only or PEERS)), env=environment(), check=False)
     return done.returncode
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(cyclopts.run(main))

@@ -6,7 +6,6 @@ classifiers join in where `make peers` has set up their environment.
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -15,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from cyclopts import run
 from peers import PYTHON, command, environment
 from tables import keep_table
 
@@ -110,19 +110,24 @@ def keep(names: list[str], rate_hz: float, n_train: int, n_test: int) -> None:
     keep_table("references", f"{rate_hz:g}-hz", header, ([name, *cells] for name, cells in rows.items()))
 
 
-def main() -> None:
-    """Make a table for each rate."""
-    parser = argparse.ArgumentParser(description="Every method given k healthy starts of the same motor.")
-    parser.add_argument("--rate-hz", type=float, action="append", help="10000 and 1000 by default")
-    parser.add_argument(
-        "--method", action="append", choices=list(METHODS), help="all, and the peers, by default"
-    )
-    parser.add_argument("--n-train", type=int, default=2000)
-    parser.add_argument("--n-test", type=int, default=10_000)
-    options = parser.parse_args()
-    for rate_hz in options.rate_hz or (10_000.0, 1_000.0):
-        keep(options.method or [], rate_hz, options.n_train, options.n_test)
+def main(
+    *,
+    rate_hz: tuple[float, ...] = (10_000.0, 1_000.0),
+    method: list[str] | None = None,
+    n_train: int = 2000,
+    n_test: int = 10_000,
+) -> None:
+    """Make a table for each rate.
+
+    Args:
+        rate_hz: may be repeated.
+        method: may be repeated; all, and the peers, by default.
+        n_train: starts to learn from.
+        n_test: starts to be judged.
+    """
+    for each in rate_hz:
+        keep(method or [], each, n_train, n_test)
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from cyclopts import run
 from shifts import shift_scores, textbook_shifts
 from sklearn.base import BaseEstimator
 from tables import keep_table
@@ -21,15 +21,8 @@ from motor_classifiers.estimators.networks.posterior_network import PosteriorNet
 from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.trust import network_for
-from motor_classifiers.scoring.unknown_faults import (
-    DISTANCE,
-    FALSE_ALARM_RATES,
-)
-from motor_classifiers.scoring.verdict_times import (
-    FIXED_TIME,
-    STOPPING_RULE,
-    VerdictTime,
-)
+from motor_classifiers.scoring.unknown_faults import DISTANCE, FALSE_ALARM_RATES
+from motor_classifiers.scoring.verdict_times import FIXED_TIME, STOPPING_RULE, VerdictTime
 from motor_classifiers.wrappers.conformal import ConformalSets
 from motor_classifiers.wrappers.fault_family import family_fit
 from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClassifier
@@ -223,22 +216,17 @@ OF_RANGE = ("setting", "fault", "kind right", "out of range", "other", "severity
 OF_SHIFTS = ("recipe", "method", "conditions", "accuracy", "limit", "ECE", "coverage", "set size", "other")
 
 
-def main() -> None:
-    """Make the parts asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", nargs="*", help="range, shifts, reliability or kept; all by default")
-    parser.add_argument("--cases", type=int, default=20_000, help="starts of the largest tables")
-    options = parser.parse_args()
-    n, asked = options.cases, options.part or ["range", "shifts", "reliability", "kept"]
-    if "range" in asked:
-        keep_table("trust", "range", OF_RANGE, out_of_range(n))
-    if "shifts" in asked:
-        keep_table("trust", "shifts", OF_SHIFTS, shifts(n // 10))
-    if "reliability" in asked:
-        draw_reliability(n)
-    if "kept" in asked:
+def main(*part: Literal["range", "shifts", "reliability", "kept"], cases: int = 20_000) -> None:
+    """Make the parts asked for; all by default. The largest tables rest on so many cases."""
+    if "range" in part or not part:
+        keep_table("trust", "range", OF_RANGE, out_of_range(cases))
+    if "shifts" in part or not part:
+        keep_table("trust", "shifts", OF_SHIFTS, shifts(cases // 10))
+    if "reliability" in part or not part:
+        draw_reliability(cases)
+    if "kept" in part or not part:
         draw_kept()
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -30,14 +30,11 @@ def test_limits_do_not_depend_on_chunks() -> None:
     assert longer[0].standard_error == pytest.approx(0.006, abs=0.002)
     with pytest.raises(ValueError, match="n_cases must be >= 2, got 1"):
         class_limits(BENCH_1KHZ, 3, 1)
-    with pytest.raises(ValueError, match=r"samples_seen must be in 1 .. 100, got \(101,\)"):
-        class_limits(BENCH_1KHZ, 3, 2, [101])
 
 
 def test_severity_limit_of_the_bearing() -> None:
     recipe = replace(BENCH_1KHZ, sensor=SensorParameters(current_noise_a=0.02))
     got = severity_limit(recipe, SeverityPrior(FaultKind.BEARING), 3, 600)
-    assert got.prior_std == pytest.approx(0.0866, abs=1e-4)
     assert got.expected_rmse == pytest.approx(0.062, rel=0.04)
     assert got.rmse == pytest.approx(got.expected_rmse, rel=0.1)
     assert got.coverage == pytest.approx(0.90, abs=0.04)
