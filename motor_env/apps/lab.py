@@ -13,15 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from motor_env.apps.lab_shelf import (
-    HEALTHY_STARTS,
-    LARGEST_UPLOAD_BYTES,
-    OWN_MOTOR,
-    Shelf,
-    check_size,
-    ending_of,
-    shown_name,
-)
+from motor_env.apps import lab_shelf
 from motor_env.detection.rules import Cusum, MOfN, Rule, first_above, in_a_row
 from motor_env.diagnosis.decision import Diagnosis
 from motor_env.diagnosis.diagnose import diagnose
@@ -119,15 +111,16 @@ def _scenario(settings: Settings) -> Scenario:
     return Scenario(motor, faults=faults, sensor=settings.sensor, timing=TIMING)
 
 
+def _belief(settings: Settings) -> KalmanFilter:
+    motor = CATALOGUE[settings.motor]
+    return KalmanFilter.from_parameters(motor, settings.sensor, TIMING.dt_s, process_noise_std=(1e-9, 1e-9))
+
+
 def simulated(settings: Settings) -> dict[str, Any]:
     """Curves of one start: measured and expected current, residual, statistic, threshold, alarm."""
     start = start_of(settings)
-    nominal = CATALOGUE[settings.motor]
-    belief = KalmanFilter.from_parameters(
-        nominal, settings.sensor, TIMING.dt_s, process_noise_std=(1e-9, 1e-9)
-    )
-    filtered = run_filter(belief, start.measurements[0], start.voltage_v[0])
-    expected = simulate_states(nominal, start.voltage_v[0], TIMING.dt_s)[:, 0]
+    filtered = run_filter(_belief(settings), start.measurements[0], start.voltage_v[0])
+    expected = simulate_states(CATALOGUE[settings.motor], start.voltage_v[0], TIMING.dt_s)[:, 0]
     name, rule = RULES[settings.rule]
     threshold = _threshold(settings.rule, 0.01 * settings.false_alarm_percent)
     statistic = rule.statistic(filtered.whitened)
@@ -179,10 +172,7 @@ def roc(settings: Settings) -> dict[str, Any]:
 def _largest_statistics(settings: Settings) -> FloatArray:
     """Largest value of the rule's statistic in each of many starts, shape (n_starts,)."""
     starts = simulate(_scenario(settings), settings.seed, range(ROC_STARTS))
-    believed = KalmanFilter.from_parameters(
-        CATALOGUE[settings.motor], settings.sensor, TIMING.dt_s, process_noise_std=(1e-9, 1e-9)
-    )
-    whitened = run_filter(believed, starts.measurements, starts.voltage_v).whitened
+    whitened = run_filter(_belief(settings), starts.measurements, starts.voltage_v).whitened
     out: FloatArray = RULES[settings.rule][1].statistic(whitened).max(axis=-1)
     return out
 
@@ -203,7 +193,12 @@ def verdict(settings: Settings) -> dict[str, Any]:
 
 
 def recording_verdict(
-    name: str, content: bytes, motor: str, voltage_v: float | None = None, *, shelf: Shelf | None = None
+    name: str,
+    content: bytes,
+    motor: str,
+    voltage_v: float | None = None,
+    *,
+    shelf: lab_shelf.Shelf | None = None,
 ) -> dict[str, Any]:
     """Diagnosis of a dropped recording. Its bytes are data: parsed as a table, kept in a temporary folder meanwhile.
 
@@ -217,13 +212,13 @@ def recording_verdict(
     Raises:
         InputError: too large, unknown motor, or not readable; the sentence speaks of the page's name.
     """
-    check_size(content)
-    if motor not in ("", *CATALOGUE, OWN_MOTOR, HEALTHY_STARTS):
+    lab_shelf.check_size(content)
+    if motor not in ("", *CATALOGUE, lab_shelf.OWN_MOTOR, lab_shelf.HEALTHY_STARTS):
         raise InputError(f"motor must be one of {', '.join(CATALOGUE)}, got {motor[:40]!r}")
     known, healthy = (motor or None, []) if shelf is None else shelf.reference(motor)
-    shown = shown_name(name)
+    shown = lab_shelf.shown_name(name)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"recording{ending_of(shown)}"
+        path = Path(folder) / f"recording{lab_shelf.ending_of(shown)}"
         path.write_bytes(content)
         (outcome,) = diagnose_files([path], motor=known, healthy=healthy, voltage_v=voltage_v, start=1)
         if outcome.diagnosis is None:
@@ -262,5 +257,5 @@ def options() -> dict[str, Any]:
         "rules": [{"name": key, "label": label} for key, (label, _) in RULES.items()],
         "ranges": RANGES,
         "defaults": {field.name: field.default for field in fields(Settings)},
-        "largest_upload_bytes": LARGEST_UPLOAD_BYTES,
+        "largest_upload_bytes": lab_shelf.LARGEST_UPLOAD_BYTES,
     }

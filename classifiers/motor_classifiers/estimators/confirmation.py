@@ -13,15 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.utils.validation import check_is_fitted
 
-from motor_classifiers.estimators.cases import (
-    ProbabilityClassifier,
-    check_classes,
-    fitting_recipe,
-    flat_cases,
-    labelled_cases,
-    values_of_start,
-    with_channels,
-)
+from motor_classifiers.estimators import cases
 from motor_classifiers.estimators.state import State
 from motor_classifiers.estimators.threshold_rule import ConfirmationResult, ThresholdRule
 from motor_env.filters.batch import run_filter
@@ -35,7 +27,7 @@ _RULE_ARRAYS = ("healthy_scale", "own_scale", "prior")
 
 
 @dataclass(eq=False, repr=False)
-class ThresholdConfirmationClassifier(ProbabilityClassifier):
+class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
     """The paper's confirmation by thresholds behind scikit-learn's interface.
 
     Args:
@@ -61,7 +53,7 @@ class ThresholdConfirmationClassifier(ProbabilityClassifier):
         Raises:
             ValueError: labels that the recipe does not know, no healthy case, or shapes that do not fit.
         """
-        flat, labels = labelled_cases(self, X, y)
+        flat, labels = cases.labelled_cases(self, X, y)
         self.templates_: FloatArray | None = None
         self.filters_: tuple[KalmanFilter, ...] = ()
         with_spread = False
@@ -69,8 +61,8 @@ class ThresholdConfirmationClassifier(ProbabilityClassifier):
             healthy = self.classes_.tolist().index(HEALTHY) if HEALTHY in self.classes_ else 0
             self.templates_ = np.stack([flat[labels == n].mean(axis=0) for n in range(len(self.classes_))])
         else:
-            recipe = fitting_recipe(self.recipe, flat.shape[1])
-            check_classes(recipe, self.classes_)
+            recipe = cases.fitting_recipe(self.recipe, flat.shape[1])
+            cases.check_classes(recipe, self.classes_)
             kinds = [c.kind for c in recipe.classes]
             require(
                 kinds.count(None) == 1,
@@ -91,7 +83,7 @@ class ThresholdConfirmationClassifier(ProbabilityClassifier):
     def decide(self, X: Any) -> ConfirmationResult:
         """The rule's own decisions: alarm, class, statistic. Classes are the recipe's, else `classes_`."""
         check_is_fitted(self)
-        return self.rule_.decide(self._residuals(flat_cases(self, X, reset=False)))
+        return self.rule_.decide(self._residuals(cases.flat_cases(self, X, reset=False)))
 
     def predict_proba(self, X: Any) -> FloatArray:
         """Probability of each class, shape (n_cases, n_classes).
@@ -149,7 +141,7 @@ class ThresholdConfirmationClassifier(ProbabilityClassifier):
         model.filters_ = tuple(class_filter(recipe, c) for c in recipe.classes)
         model.templates_ = None
         model.classes_ = np.array(values["classes"])
-        model.n_features_in_ = values_of_start(recipe)
+        model.n_features_in_ = cases.values_of_start(recipe)
         return model
 
     def _residuals(self, flat: FloatArray) -> FloatArray:
@@ -157,7 +149,7 @@ class ThresholdConfirmationClassifier(ProbabilityClassifier):
         if self.recipe is None:
             residual: FloatArray = (flat - np.asarray(self.templates_)[:, None])[..., None]
             return residual
-        measured = with_channels(flat, fitting_recipe(self.recipe, flat.shape[1]))
+        measured = cases.with_channels(flat, cases.fitting_recipe(self.recipe, flat.shape[1]))
         voltage = self.recipe.nominal_voltage_v
         return np.stack([run_filter(belief, measured, voltage).whitened for belief in self.filters_])
 

@@ -12,15 +12,8 @@ import numpy as np
 
 from motor_classifiers.estimators.methods import ESTIMATE, METHODS
 from motor_classifiers.estimators.own_methods import find_method
+from motor_classifiers.scoring import trust
 from motor_classifiers.scoring.judging import LIMIT, Answer, Cell, answer_key, load_answer, save_answer
-from motor_classifiers.scoring.trust import (
-    TRUST,
-    Figures,
-    expected_seconds,
-    load_figures,
-    save_figures,
-    trust_key,
-)
 from motor_env.motor.parameters import require
 from motor_env.simulation.named_recipes import changed_recipe
 from motor_env.simulation.recipes import Recipe
@@ -140,8 +133,8 @@ def unit_of(cell: Cell, name: str) -> Unit:
 def trust_unit(plan: Plan) -> Unit:
     """The figures on trust of the reference setting."""
     cell = plan.cells[plan.reference]
-    key = trust_key(cell, with_network=plan.with_network)
-    return Unit(cell, TRUST, key, expected_seconds(cell, with_network=plan.with_network))
+    key = trust.trust_key(cell, with_network=plan.with_network)
+    return Unit(cell, trust.TRUST, key, trust.expected_seconds(cell, with_network=plan.with_network))
 
 
 def _expected_seconds(name: str, cell: Cell) -> float:
@@ -173,13 +166,13 @@ class AnswerStore:
         if unit.key not in self._answers and self._folder is not None and not self._fresh:
             path = self._folder / unit.key
             self._answers[unit.key] = (
-                load_figures(path.with_suffix(".json"))
-                if unit.name == TRUST
+                trust.load_figures(path.with_suffix(".json"))
+                if unit.name == trust.TRUST
                 else load_answer(path.with_suffix(".npz"), unit.cell)
             )
         return self._answers.get(unit.key)
 
-    def put(self, unit: Unit, answer: Answer | Figures) -> None:
+    def put(self, unit: Unit, answer: Answer | trust.Figures) -> None:
         """Keep an answer."""
         self._answers[unit.key] = answer
         if self._folder is None:
@@ -187,4 +180,4 @@ class AnswerStore:
         if isinstance(answer, Answer):
             save_answer(answer, self._folder / f"{unit.key}.npz")
         else:
-            save_figures(answer, self._folder / f"{unit.key}.json")
+            trust.save_figures(answer, self._folder / f"{unit.key}.json")
