@@ -65,6 +65,20 @@ def worth(options: MonitorOptions, quiet: FloatArray, kinds: FloatArray) -> tupl
     )
 
 
+def final_worth(
+    options: MonitorOptions, at_end: NDArray[np.bool_] | bool, quiet: FloatArray, kinds: FloatArray
+) -> FloatArray:
+    """Worth of declaring the likeliest kind; at the horizon inf where silence is worth less, and else -inf."""
+    value, silence = worth(options, quiet, kinds)
+    return np.where(at_end, np.where(value > silence, np.inf, -np.inf), value)
+
+
+def onset_law(options: MonitorOptions) -> tuple[float, int]:
+    """Probability that a coming fault waits for one more sample, and the first sample that it may come with."""
+    mean = options.mean_onset_s / options.dt_s
+    return mean / (1.0 + mean), round(options.earliest_onset_s / options.dt_s)
+
+
 @njit(cache=True, error_model="numpy", inline="always")
 def _mean_and_move(model: StepModel, c: int, u: float, s: FloatArray) -> float:
     """Mean of the innovation of a step of class c from state s, which moves. It is clipped as an observation is."""
@@ -170,8 +184,7 @@ class ProbeBelief:
         prior = recipe.class_probabilities[faults]
         self._log_prior, self._healthy = np.log(prior), float(1.0 - prior.sum())
         self._of_kind = kind_matrix(setup, faults)
-        mean = options.mean_onset_s / options.dt_s
-        self._stay, self._earliest = mean / (1.0 + mean), round(options.earliest_onset_s / options.dt_s)
+        self._stay, self._earliest = onset_law(options)
 
     def start(self, count: int) -> None:
         """Forget everything; so many sub-environments begin."""

@@ -13,6 +13,7 @@ from itertools import product
 
 import numpy as np
 
+from motor_env.envs.baselines.belief import onset_law
 from motor_env.envs.baselines.looks import LOG_ODDS, PROBABILITY, look_matrix, looks
 from motor_env.envs.options import MonitorOptions
 from motor_env.envs.setup import Setup
@@ -47,8 +48,7 @@ class Pair:
         self.looks = looks(setup, which)
         self._options = options = setup.options
         self._chance = float(options.task.class_probabilities[which])
-        mean = options.mean_onset_s / options.dt_s
-        self._stay, self._earliest = mean / (1.0 + mean), round(options.earliest_onset_s / options.dt_s)
+        self._stay, self._earliest = onset_law(options)
         axes = [np.linspace(-reach, reach, PLACES) for reach in self.looks.reach]
         healthy, moved = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
         one, look, move = np.ones_like(healthy), [], []

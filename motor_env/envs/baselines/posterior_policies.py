@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from motor_env.envs.baselines.belief import worth
+from motor_env.envs.baselines.belief import final_worth, onset_law
 from motor_env.envs.baselines.hypotheses import kind_matrix, known_faults
 from motor_env.envs.baselines.policies import Actions, Observations, ThresholdPolicy, column, declarations
 from motor_env.envs.setup import Setup
@@ -77,7 +77,54 @@ def _update(
             mass[n, c] = total
 
 
-class BayesPolicy(ThresholdPolicy):
+class PosteriorPolicy(ThresholdPolicy):
+    """What policies share that know a posterior from the measured current of every sample.
+
+    Args:
+        setup: of the task.
+        threshold: of the expected reward.
+        faults: numbers of the recipe's classes that are faults.
+
+    Raises:
+        ValueError: a step has several samples, or the measured current is not observed.
+
+    Attributes:
+        quiet: posterior probability that nothing has happened yet, shape (count,).
+        classes: that the fault of a class is there, shape (count, n_classes).
+        kinds: of each kind of fault, shape (count, n_kinds).
+    """
+
+    def __init__(self, setup: Setup, threshold: float, *, faults: list[int]) -> None:
+        self.setup, self.threshold = setup, threshold
+        options, recipe = setup.options, setup.options.task
+        require(options.samples_per_step == 1, "samples_per_step must be 1 for the posterior of every sample")
+        self._class_prior = recipe.class_probabilities[faults]
+        self._kind_of, self._declarations = kind_matrix(setup, faults), declarations(setup)
+        self._measured = column(setup, "measured_current")
+        self._to_stds = 1.0 / float(setup.view[0, 0]) / recipe.sensor.current_noise_a
+        self._rest_stds = float(setup.rest[State.CURRENT]) / recipe.sensor.current_noise_a
+        self._stay, self._earliest = onset_law(options)
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        super().start(count)
+        self._sample = -1
+
+    def _deviation(self, observations: Observations) -> FloatArray:
+        """Of the current from its nominal rest, in standard deviations of the noise."""
+        return observations[:, self._measured].astype(np.float64) * self._to_stds - self._rest_stds
+
+    def _decision(self, quiet: FloatArray, classes: FloatArray) -> tuple[FloatArray, Actions]:
+        """Worth of the best declaration, and that, from the posterior in any unit."""
+        total = quiet + classes.sum(axis=1)
+        self.quiet, self.classes = quiet / total, classes / total[:, None]
+        self.kinds = self.classes @ self._kind_of
+        at_end = self._sample >= self.setup.options.n_samples - 1
+        value = final_worth(self.setup.options, at_end, self.quiet, self.kinds)
+        return value, self._declarations[self.kinds.argmax(axis=1)]
+
+
+class BayesPolicy(PosteriorPolicy):
     """Declares the kind whose declaration is worth a threshold in expectation under the exact posterior.
 
     At the last step it declares whatever is worth more than silence. A fixed threshold is not the solved
@@ -89,31 +136,13 @@ class BayesPolicy(ThresholdPolicy):
 
     Raises:
         ValueError: the task is another one.
-
-    Attributes:
-        quiet: posterior probability that nothing has happened yet, shape (count,).
-        classes: that the fault of a class is there, shape (count, n_classes).
-        kinds: of each kind of fault, shape (count, n_kinds).
     """
 
     def __init__(self, setup: Setup, threshold: float) -> None:
-        fault = known_faults(setup)
-        options = setup.options
-        require(options.samples_per_step == 1, "samples_per_step must be 1 for the posterior of every sample")
-        self.setup, self.threshold = setup, threshold
-        recipe = options.task
-        self._class_prior = recipe.class_probabilities[fault]
+        faults = known_faults(setup)
+        super().__init__(setup, threshold, faults=faults)
         self._healthy_prior = float(1.0 - self._class_prior.sum())
-        self._signature = signatures(setup, round(LONGEST_AGE_S / options.dt_s))[fault]
-        self._kind_of = kind_matrix(setup, fault)
-        self._declarations = declarations(setup)
-        self._measured = column(setup, "measured_current")
-        stall = 1.0 / float(setup.view[0, 0])
-        self._to_stds = stall / recipe.sensor.current_noise_a
-        self._rest_stds = float(setup.rest[State.CURRENT]) / recipe.sensor.current_noise_a
-        mean = options.mean_onset_s / options.dt_s
-        self._hazard = 1.0 / (1.0 + mean)
-        self._earliest = round(options.earliest_onset_s / options.dt_s)
+        self._signature = signatures(setup, round(LONGEST_AGE_S / setup.options.dt_s))[faults]
 
     def start(self, count: int) -> None:
         """Forget everything; so many sub-environments begin."""
@@ -122,29 +151,21 @@ class BayesPolicy(ThresholdPolicy):
         self._weights = np.zeros((count, n_classes, n_ages))
         self._mass = np.zeros((count, n_classes))
         self._unit = np.ones(count)  # of the weights, so that they stay finite
-        self._sample, self._begun, self._unborn = -1, 0, 1.0
+        self._begun, self._unborn = 0, 1.0
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
         """Worth of the best declaration, and that."""
         self._sample += 1
         interval = self._sample - 1  # the interval at whose end this sample was read; none for the first
         if interval >= self._earliest:
-            born = self._unborn * self._hazard
+            born = self._unborn * (1.0 - self._stay)
             self._unborn -= born
-            stds = observations[:, self._measured].astype(np.float64) * self._to_stds - self._rest_stds
-            _update(self._weights, self._begun, stds, self._signature, born / self._unit, self._mass)
+            deviation = self._deviation(observations)
+            _update(self._weights, self._begun, deviation, self._signature, born / self._unit, self._mass)
             self._begun += 1
         self._rescale()
-        faulty = self._mass * self._class_prior
         quiet = (self._healthy_prior + (1.0 - self._healthy_prior) * self._unborn) / self._unit
-        total = quiet + faulty.sum(axis=1)
-        self.quiet, self.classes = quiet / total, faulty / total[:, None]
-        self.kinds = self.classes @ self._kind_of
-        options = self.setup.options
-        value, silence = worth(options, self.quiet, self.kinds)
-        if self._sample >= options.n_samples - 1:
-            value = np.where(value > silence, np.inf, -np.inf)
-        return value, self._declarations[self.kinds.argmax(axis=1)]
+        return self._decision(quiet, self._mass * self._class_prior)
 
     def _rescale(self) -> None:
         """Let the weights of a lane be counted in a larger unit where they have become large."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from motor_env.envs.baselines.belief import ProbeBelief, worth
+from motor_env.envs.baselines.belief import ProbeBelief, final_worth
 from motor_env.envs.baselines.hypotheses import kind_matrix, known_faults
 from motor_env.envs.baselines.looks import LOG_ODDS
 from motor_env.envs.baselines.pairs import PLACES, Pair
@@ -83,13 +83,27 @@ class WorthTest(RatioTest):
 
     def _statistic(self) -> tuple[FloatArray, Actions]:
         options, belief = self.belief.setup.options, self.belief
-        value, silence = worth(options, belief.quiet, belief.kinds)
-        at_end = belief.steps >= options.n_steps - 1
-        value = np.where(at_end, np.where(value > silence, np.inf, -np.inf), value)
+        value = final_worth(options, belief.steps >= options.n_steps - 1, belief.quiet, belief.kinds)
         return value, self._declarations[belief.kinds.argmax(axis=1)]
 
 
-class OpenLoop(ThresholdPolicy):
+class _Probing(ThresholdPolicy):
+    """Moves the voltage, and leaves the decision to a test."""
+
+    def __init__(self, test: ThresholdPolicy) -> None:
+        self.test, self.threshold = test, test.threshold
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        super().start(count)
+        self.test.start(count)
+
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """What the test says."""
+        return self.test.judge(observations)
+
+
+class OpenLoop(_Probing):
     """A test under voltages that were chosen beforehand.
 
     Args:
@@ -98,19 +112,18 @@ class OpenLoop(ThresholdPolicy):
     """
 
     def __init__(self, test: ThresholdPolicy, schedule: Actions) -> None:
-        self.test, self.threshold = test, test.threshold
+        super().__init__(test)
         self._schedule, self._step = schedule, -1
 
     def start(self, count: int) -> None:
         """Forget everything; so many sub-environments begin."""
         super().start(count)
-        self.test.start(count)
         self._step = -1
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
         """What the test says."""
         self._step += 1
-        return self.test.judge(observations)
+        return super().judge(observations)
 
     def probe(self) -> Actions:
         """The action that is due."""
@@ -124,7 +137,7 @@ def _winding(setup: Setup) -> int:
     return kinds.index("winding")
 
 
-class OnDemand(ThresholdPolicy):
+class OnDemand(_Probing):
     """Moves the voltage while a winding fault is likely enough: on-off control of Banerjee & Veeravalli (2012).
 
     Each step changes sides. Left alone, the probability of a fault grows with the hazard until it is worth a look.
@@ -135,21 +148,18 @@ class OnDemand(ThresholdPolicy):
         actions: of the two sides.
     """
 
+    test: RatioTest
+
     def __init__(self, test: RatioTest, above: float, *, actions: tuple[int, int] = (1, 2)) -> None:
-        self.test, self.threshold, self.above = test, test.threshold, above
-        self._actions = np.array(actions)
+        super().__init__(test)
+        self.above, self._actions = above, np.array(actions)
         self._winding = _winding(test.belief.setup)
         self._side: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
     def start(self, count: int) -> None:
         """Forget everything; so many sub-environments begin."""
         super().start(count)
-        self.test.start(count)
         self._side = np.zeros(count, dtype=np.int64)
-
-    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """What the test says."""
-        return self.test.judge(observations)
 
     def probe(self) -> Actions:
         """Move where a winding fault is likely enough."""
@@ -159,7 +169,7 @@ class OnDemand(ThresholdPolicy):
         return actions
 
 
-class LookAhead(ThresholdPolicy):
+class LookAhead(_Probing):
     """Moves the voltage to where it is worth most, if one were told next which class of fault it may be (`pairs`).
 
     That is the worth of the posterior split into pairs, a class or none. Healthy motors are counted with the
@@ -171,8 +181,10 @@ class LookAhead(ThresholdPolicy):
         bonus: what a step with a moved voltage is worth beyond.
     """
 
+    test: RatioTest
+
     def __init__(self, test: RatioTest, bonus: float) -> None:
-        self.test, self.threshold = test, test.threshold
+        super().__init__(test)
         setup = test.belief.setup
         options, faults = setup.options, known_faults(setup)
         self._pairs = [Pair(setup, which) for which in faults]
@@ -191,12 +203,7 @@ class LookAhead(ThresholdPolicy):
     def start(self, count: int) -> None:
         """Forget everything; so many sub-environments begin."""
         super().start(count)
-        self.test.start(count)
         self._places, self._last = np.zeros((len(self._pairs), 2, count)), np.zeros(count, dtype=np.int64)
-
-    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """What the test says."""
-        return self.test.judge(observations)
 
     def probe(self) -> Actions:
         """The offset that is worth most."""

@@ -11,15 +11,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from motor_env.envs.baselines.belief import worth
-from motor_env.envs.baselines.hypotheses import kind_matrix
-from motor_env.envs.baselines.policies import Actions, Observations, ThresholdPolicy, column, declarations
-from motor_env.envs.baselines.posterior_policies import signatures
+from motor_env.envs.baselines.policies import Actions, Observations
+from motor_env.envs.baselines.posterior_policies import PosteriorPolicy, signatures
 from motor_env.envs.options import MonitorOptions
 from motor_env.envs.setup import Setup
 from motor_env.motor.compiled import njit
 from motor_env.motor.model import State, steady_state
-from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, require
+from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray
 
 BLOCK = 5
 SMALLEST = 30.0  # what is less likely than the likeliest by exp(-30) is left out
@@ -84,7 +82,7 @@ def _weigh(
                     mass[n, c] += np.exp(logs[c, block] - high)
 
 
-class TolerancePolicy(ThresholdPolicy):
+class TolerancePolicy(PosteriorPolicy):
     """Declares the kind whose declaration is worth a threshold in expectation under the posterior of a tolerant motor.
 
     Args:
@@ -93,31 +91,18 @@ class TolerancePolicy(ThresholdPolicy):
 
     Raises:
         ValueError: a step has several samples, or the measured current is not observed.
-
-    Attributes:
-        quiet: posterior probability that nothing has happened yet, shape (count,).
-        classes: that the fault of a class is there, shape (count, n_classes).
-        kinds: of each kind of fault, shape (count, n_kinds).
     """
 
     def __init__(self, setup: Setup, threshold: float) -> None:
-        self.setup, self.threshold = setup, threshold
-        options, recipe = setup.options, setup.options.task
-        require(options.samples_per_step == 1, "samples_per_step must be 1 for the posterior of every sample")
-        found = [(m, c, c.kind) for m, c in enumerate(recipe.classes) if c.kind is not None]
+        options = setup.options
+        found = [(m, c, c.kind) for m, c in enumerate(options.task.classes) if c.kind is not None]
         faults = [m for m, _, _ in found]
+        super().__init__(setup, threshold, faults=faults)
         self._noise_std = np.array([kind.factor("noise", c.severity) ** 0.5 for _, c, kind in found])
         self._moves = self._noise_std == 1.0
         shown = signatures(setup, options.n_samples)[faults][self._moves]
         self._signature = np.array([shown, shown.cumsum(axis=1), np.square(shown).cumsum(axis=1)])
-        self._class_prior = recipe.class_probabilities[faults]
-        self._kind_of, self._declarations = kind_matrix(setup, faults), declarations(setup)
-        self._measured = column(setup, "measured_current")
-        self._to_stds = 1.0 / float(setup.view[0, 0]) / recipe.sensor.current_noise_a
-        self._rest_stds = float(setup.rest[State.CURRENT]) / recipe.sensor.current_noise_a
         self._precision = 1.0 / max(level_std(options), 1e-6) ** 2
-        mean = options.mean_onset_s / options.dt_s
-        self._stay, self._earliest = mean / (1.0 + mean), round(options.earliest_onset_s / options.dt_s)
         n_blocks = (options.n_samples - self._earliest) // BLOCK
         block_prior = self._stay ** (BLOCK * np.arange(n_blocks)) * (1.0 - self._stay**BLOCK)
         self._log_prior = np.log(block_prior)
@@ -128,12 +113,12 @@ class TolerancePolicy(ThresholdPolicy):
         self._explained = np.zeros((count, self._signature.shape[1], len(self._log_prior)))
         self._mass, self._largest = np.zeros((count, self._signature.shape[1])), np.zeros(count)
         self._louder = np.full((count, int((~self._moves).sum())), -np.inf)  # logarithm of the weight
-        self._sum, self._sample = np.zeros(count), -1
+        self._sum = np.zeros(count)
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
         """Worth of the best declaration, and that."""
         self._sample += 1
-        deviation = observations[:, self._measured].astype(np.float64) * self._to_stds - self._rest_stds
+        deviation = self._deviation(observations)
         per_level = 1.0 / (self._sample + self._precision)
         surprise = (deviation - self._sum * per_level) / np.sqrt(1.0 + per_level)
         self._sum += deviation
@@ -163,7 +148,6 @@ class TolerancePolicy(ThresholdPolicy):
 
     def _judgement(self, middle: int) -> tuple[FloatArray, Actions]:
         """Posterior, and what it is worth to declare."""
-        options = self.setup.options
         high = np.maximum(self._largest, self._louder.max(axis=1, initial=0.0))
         unit = np.exp(-high)
         begun = min(middle // BLOCK + 1, len(self._log_prior)) if middle >= 0 else 0
@@ -173,10 +157,4 @@ class TolerancePolicy(ThresholdPolicy):
         weights *= self._class_prior
         faulty = self._class_prior.sum()
         quiet = (1.0 - faulty + faulty * self._stay ** (BLOCK * begun)) * unit
-        total = quiet + weights.sum(axis=1)
-        self.quiet, self.classes = quiet / total, weights / total[:, None]
-        self.kinds = self.classes @ self._kind_of
-        value, silence = worth(options, self.quiet, self.kinds)
-        if self._sample >= options.n_samples - 1:
-            value = np.where(value > silence, np.inf, -np.inf)
-        return value, self._declarations[self.kinds.argmax(axis=1)]
+        return self._decision(quiet, weights)
