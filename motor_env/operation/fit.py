@@ -253,7 +253,8 @@ def score_tests(best: Solution, every: dict[str, Term]) -> dict[str, ScoreTest]:
     tested = [name for name in candidates(best) if name in every]
     if not tested:
         return {}
-    base, jacobian = best.problem.residuals(best.theta), best.problem.jacobian(best.theta)
+    base = best.problem.residuals(best.theta)
+    jacobian = best.problem.jacobian(best.theta, base)
     variance = float(base @ base) / best.problem.count
     inverse = np.linalg.pinv(jacobian)
     found = {}

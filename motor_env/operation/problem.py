@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -49,11 +50,12 @@ class Problem:
     def residuals(self, theta: FloatArray) -> FloatArray:
         """Scaled innovations of each sample and channel, and what is believed beforehand of the terms."""
         out, logs = self.record.predict(self.values(theta))
-        white = np.where(np.isfinite(out[:, :2]), out[:, :2], 1e6)
+        white = out[:, :2][:, self.record.seen > 0.0].ravel()
+        white[~np.isfinite(white)] = 1e6
         size = 0.5 * logs / self.count
         scale = math.exp(size if size < 300.0 else 300.0)  # of a number that is none, too
         prior = [one / term.prior_sd for term, one in zip(self.free, theta, strict=True)]
-        residuals: FloatArray = scale * np.concatenate([white[:, self.record.seen > 0.0].ravel(), prior])
+        residuals: FloatArray = scale * np.concatenate([white, prior])
         return residuals
 
     @property
@@ -61,9 +63,8 @@ class Problem:
         """Number of readings."""
         return int((np.sum(self.record.marks != kernel.BEGIN)) * self.record.seen.sum())
 
-    def jacobian(self, theta: FloatArray) -> FloatArray:
-        """Derivatives of the residuals, by differences in one direction."""
-        base = self.residuals(theta)
+    def jacobian(self, theta: FloatArray, base: FloatArray) -> FloatArray:
+        """Derivatives of the residuals, which are `base` there, by differences in one direction."""
         columns = [self.column(theta, n, base) for n in range(len(theta))]
         return np.stack(columns, axis=1)
 
@@ -94,10 +95,21 @@ class Problem:
         low = np.array([term.low for term in self.free])
         high = np.array([term.high for term in self.free])
         begin = np.clip(theta, low + 1e-9, high - 1e-9)
+
+        @lru_cache(maxsize=1)  # where the residuals were just asked for, their derivatives are
+        def at(point: bytes) -> FloatArray:
+            return self.residuals(np.frombuffer(point))
+
+        def residuals(point: FloatArray) -> FloatArray:
+            return at(point.tobytes())
+
+        def jacobian(point: FloatArray) -> FloatArray:
+            return self.jacobian(point, residuals(point))
+
         found = least_squares(
-            self.residuals,
+            residuals,
             begin,
-            jac=self.jacobian,
+            jac=jacobian,
             bounds=(low, high),
             x_scale="jac",
             max_nfev=most,
