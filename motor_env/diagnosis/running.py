@@ -17,7 +17,7 @@ from motor_env.diagnosis.files import picture_of, why_not
 from motor_env.diagnosis.windows import NAMES, WindowVerdict, judge_windows, learn_windows
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import MotorFile, WindowReference
-from motor_env.operation.record import at_terminals
+from motor_env.operation.record import at_terminals, from_recordings
 from motor_env.operation.report import motor_of
 from motor_env.plotting import COLOUR, drawing, save, subplots
 from motor_env.recordings.defects import UnusableError
@@ -180,6 +180,9 @@ def diagnose_running(
                 raise InputError(f"{path}: the motor was not commissioned with --window")
             recording = at_terminals(read_recording(path, columns), voltage_v, circuit)
             windows = tuple(judge_windows(recording, motor.operation, rate))
+            if all(window.verdict == "unusable" for window in windows):
+                from_recordings([recording])  # may say why
+                raise UnusableError("no motor explains any of its windows")
             duration_s = len(recording.time_s) * recording.dt_s
             record = RunningRecord(path, windows, int(duration_s / motor.operation.window_s + 1e-6))
         except UnusableError as error:

@@ -107,6 +107,24 @@ def test_one_bad_log_costs_no_other_its_verdict(
     assert "Traceback" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("has_levels", "reason"), [(True, "more slowly than it switches"), (False, "no motor")]
+)
+def test_a_log_without_a_usable_window_says_why(
+    has_levels: bool, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(8)
+    noise, sine = rng.standard_normal((2, 400)), 12.0 * np.sin(np.arange(400.0) / 20.0)
+    volts = rng.choice([0.0, 12.0], 400) if has_levels else sine
+    record = Recording(Path("a.csv"), 1e-3 * np.arange(400.0), noise[0], volts, noise[1])
+    monkeypatch.setattr(running, "read_recording", lambda *_: record)
+    monkeypatch.setattr(running, "judge_windows", lambda *_: [WindowVerdict(0.0, "unusable", ())])
+    motor = cast("Any", SimpleNamespace(operation=SimpleNamespace(window_s=0.1)))
+    (found,) = running.diagnose_running([record.path], motor, 0.01, None)
+    assert reason in found.trouble
+    assert running.exit_status([found]) == 3
+
+
 @pytest.mark.parametrize("rate", [0.15, 0.02])
 def test_the_tests_of_a_window_alarm_together_at_the_rate(rate: float) -> None:
     rng, freedom, n = np.random.default_rng(5), 20.0, 200_000
