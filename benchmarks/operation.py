@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from cyclopts import run
-from operation_simulator import KNEE, LOADS, PROFILES, VOLTAGE_NOISE, Motor, draw_motor, simulate
+from operation_simulator import KNEE, LOADS, PROFILES, SLIDING, VOLTAGE_NOISE, Motor, draw_motor, simulate
 from tables import keep_table
 
 from motor_env.filters.joint import joint_filter
@@ -28,7 +28,7 @@ from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, Sen
 from motor_env.operation import kernel
 from motor_env.operation.fit import begins
 from motor_env.operation.identify import Operation, identify_operation
-from motor_env.operation.terms import NOISES, terms
+from motor_env.operation.terms import terms
 from motor_env.operation.uncertainty import information_covariance, motor_places
 from motor_env.recordings.defects import UnusableError
 
@@ -51,7 +51,7 @@ def truth(motor: Motor, load: str, samples: int, dt_s: float, *, has_speed: bool
     values[[k.R, k.L, k.K, k.J]] = motor.ohm, motor.henry, motor.constant, motor.inertia
     values[[k.B, k.COULOMB, k.DROP]] = motor.viscous, motor.coulomb, motor.drop
     values[[k.HEATING, k.COOLING]] = motor.heat, motor.cool
-    values[[k.KNEE, k.STRIBECK]] = KNEE * motor.stall_a, motor.stribeck
+    values[[k.KNEE, k.STRIBECK, k.SLIDING]] = KNEE * motor.stall_a, motor.stribeck, SLIDING * motor.speed
     values[k.LOAD] = rated if load == "constant" else 0.0
     values[k.SQUARE] = rated / motor.speed**2 if load == "square" else 0.0
     values[k.WALK] = rated / math.sqrt(samples * dt_s) if load == "walk" else 0.0
@@ -61,16 +61,21 @@ def truth(motor: Motor, load: str, samples: int, dt_s: float, *, has_speed: bool
     if not has_speed:
         c = motor.constant
         values[[k.K, k.J, k.B, k.COULOMB, k.LOAD, k.SQUARE, k.WALK]] /= [c, c**2, c**2, c, c, c**3, c]
+        values[k.SLIDING] *= c
     return values
 
 
 def bound(found: Operation, true: FloatArray) -> dict[str, tuple[float, float]]:
     """True unknown and its Cramer-Rao standard deviation, in the fit's units, for the fit's unknowns."""
     problem = found.solution.problem
-    free = [term for term in problem.free if term.name != "load_walk" or true[kernel.WALK] > 0.0]
-    if true[kernel.WALK] > 0.0 and "load_walk" not in problem.names:
-        free.append(terms(found.record, problem.known)["load_walk"])
-    same = replace(problem, record=replace(problem.record, hold="held"), free=tuple(free))
+    every = terms(found.record, problem.known)
+    free = [term for term in problem.free if term.name != "load_walk"]
+    free += [
+        every[name]
+        for name in ("load_constant", "load_square", "load_walk")
+        if true[every[name].place] > 0.0 and every[name] not in free
+    ]
+    same = replace(problem, record=replace(problem.record, hold="held"), known=true, free=tuple(free))
     at = np.array(
         [
             math.log(max(true[t.place], 1e-9 * t.unit) / t.unit) if t.is_log else true[t.place] / t.unit
@@ -103,7 +108,7 @@ def one(job: tuple[int, int, bool]) -> dict[str, Any]:
     least = regressed.values(begin)
     ekf = extended(recording, motor, rng) if with_ekf and has_speed else None
     for name, (at, sd) in bound(found, true).items():
-        if name not in QUANTITIES or name in NOISES:
+        if name not in QUANTITIES or name not in rows:
             continue
         term = next(t for t in problem.free if t.name == name)
         told = sd < TOLD if term.is_log else sd < TOLD * abs(at)

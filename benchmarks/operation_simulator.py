@@ -33,6 +33,7 @@ LOADS = ("none", "constant", "square", "walk")
 """And `dry`: a constant load that only brakes, such as a conveyor; the constant one also pulls, such as a hoist."""
 FINEST_HZ = 50_000.0
 KNEE = 0.004  # of the stall current, at which the brush drop sets in
+SLIDING = 0.002  # of the speed without load, at which dry friction sets in
 VOLTAGE_NOISE = 5e-4  # of the supply, as much as hides the steps of the converter
 
 
@@ -224,7 +225,7 @@ def simulate(
         torque = rated * np.cumsum(rng.standard_normal(samples)) / math.sqrt(samples)
     constants = np.array(
         [motor.ohm, motor.henry, motor.constant, motor.inertia, motor.viscous, motor.coulomb, motor.stribeck,
-         motor.drop, motor.ripple, motor.heat, motor.cool, KNEE * motor.stall_a, 0.002 * motor.speed, supply_ohm,
+         motor.drop, motor.ripple, motor.heat, motor.cool, KNEE * motor.stall_a, SLIDING * motor.speed, supply_ohm,
          rated if load == "dry" else 0.0]
     )  # fmt: skip
     gain = 0.5 * motor.volts / motor.speed * 6.0 if mode == 1 else 0.5 * motor.ohm

@@ -195,7 +195,7 @@ def _begin(record: Record, values: FloatArray) -> tuple[Problem, FloatArray]:
             theta[n] = min(values[term.place] / term.unit, term.high)
         if term.name == "noise_voltage":
             theta[n] = math.log(_FIRST_NOISE_V * record.peaks[0] / term.unit)
-    known[kernel.L] = 0.0
+    known[[kernel.L, kernel.LOAD]] = 0.0  # none where a fit does without
     return replace(problem, known=known), theta
 
 

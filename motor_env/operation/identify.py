@@ -28,10 +28,11 @@ _UNITS_FULL = {
     "R": "ohm", "L": "H", "K": "V s/rad", "J": "kg m2", "B": "N m s/rad", "coulomb": "N m", "brush_drop": "V",
     "load_constant": "N m", "load_square": "N m s2/rad2", "offset_current": "A", "offset_speed": "rad/s",
     "heating": "K/J", "cooling": "1/s", "current_lag": "s", "speed_lag": "s", "delay": "samples", "drag": "N m",
-    "brush_knee": "A", "stribeck": "of coulomb",
+    "brush_knee": "A", "stribeck": "of coulomb", "coulomb_knee": "rad/s",
 }  # fmt: skip
 _UNITS_CURRENT = _UNITS_FULL | {
     "J": "A s/V", "B": "A/V", "coulomb": "A", "load_constant": "A", "load_square": "A/V2", "drag": "A",
+    "coulomb_knee": "V",
 }  # fmt: skip
 _UNITS_SPEED = _UNITS_FULL | {
     "J": "A s2/rad ohm", "coulomb": "V2 s/rad", "load_constant": "V2 s/rad", "load_square": "V2 s3/rad3",

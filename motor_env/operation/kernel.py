@@ -23,15 +23,16 @@ from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, M
 """Places of the noise: standard deviations of a sample of current, speed and voltage; of the load in a second."""
 DRAG = 20
 """Place of a factor on the friction, where it is fitted as a whole; 0 for none."""
-(KNEE, STRIBECK) = range(21, 23)
-"""Places of the current at whose size the brush drop sets in, and of the share that dry friction is larger at rest."""
-N_VALUES = 23
+(KNEE, STRIBECK, SLIDING) = range(21, 24)
+"""Places of the current at which the brush drop sets in, of the share that dry friction is larger at low speed, and of
+the speed at which it sets in."""
+N_VALUES = 24
 BEGIN, OPEN = 1.0, 2.0
 """Marks of a sample: the first of a recording; an open circuit."""
 _PARTS = 16
 _COLDEST_K, _GRID_K, _GRID = -20.0, 10.0, 22
 _WILD = 6.0
-_SATURATED = 5.0  # knees: beyond them the brush drop hardly changes
+_SATURATED = 5.0  # knees: beyond them brush drop and dry friction hardly change
 _SLOW = 0.02  # of the largest speed: where dry friction is larger
 _inlined = njit(
     cache=True, error_model="numpy", forceinline=True
@@ -113,12 +114,11 @@ def _smooth_step(
     """One interval in which nothing changes sign; False, with `x` as it was, where something does."""
     i, w = x[0], x[1]
     turning, carrying = math.copysign(1.0, w), math.copysign(1.0, i)
-    if w == 0.0 and dry > 0.0:
-        return False
     before = u[0] - carrying * p[DROP]
     if p[KNEE] > 0.0:
         before = u[0] - p[DROP] * i / math.hypot(i, p[KNEE])
-    load = _dry(p, dry, w, u[3]) * turning + u[2]
+    sliding = w / math.hypot(w, p[SLIDING]) if p[SLIDING] > 0.0 else turning
+    load = _dry(p, dry, w, u[3]) * sliding + u[2]
     torque = load + p[SQUARE] * w * abs(w)
     new_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * (u[1] - u[0])
     new_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * (u[1] - u[0])
@@ -127,7 +127,7 @@ def _smooth_step(
             torque = load + p[SQUARE] * _mean_square(w, new_w + m[1, 4] * torque)
     new_i += m[0, 4] * torque
     new_w += m[1, 4] * torque
-    if (dry > 0.0 and new_w * turning <= 0.0) or (
+    if (dry > 0.0 and min(new_w * turning, abs(w)) <= _SATURATED * p[SLIDING]) or (
         p[DROP] > 0.0 and min(new_i * carrying, abs(i)) <= _SATURATED * p[KNEE]
     ):
         return False
@@ -139,7 +139,7 @@ def _smooth_step(
 
 
 @_inlined
-def _opposed(before: float, free: float, reach: float) -> float:
+def _turned(before: float, free: float, reach: float) -> float:
     """Value after an interval, given that without the opposing input, which changes it by `reach` and turns at zero."""
     sign = math.copysign(1.0, before if before != 0.0 else free)
     kept = free - sign * reach
@@ -167,6 +167,15 @@ def _kneed(free: float, reach: float, knee: float) -> float:
 
 
 @_inlined
+def _opposed(before: float, free: float, reach: float, knee: float) -> float:
+    """The same for an input that sets in at a knee."""
+    opposed: float = _turned(before, free, reach)
+    if knee > 0.0 and min(abs(before), abs(opposed)) < _SATURATED * knee:
+        opposed = _kneed(free, reach, knee)
+    return opposed
+
+
+@_inlined
 def _braked_step(
     m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray
 ) -> None:
@@ -181,14 +190,11 @@ def _braked_step(
         free_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * rise + m[1, 4] * torque
         new_i = free_i
         if p[DROP] > 0.0:
-            reach, knee = m[0, 2] * p[DROP], p[KNEE]
-            new_i = _opposed(i, free_i, reach)
-            if knee > 0.0 and min(abs(i), abs(new_i)) < _SATURATED * knee:
-                new_i = _kneed(free_i, reach, knee)
+            new_i = _opposed(i, free_i, m[0, 2] * p[DROP], p[KNEE])
             free_w -= m[1, 2] * (free_i - new_i) / m[0, 2]
         new_w = free_w
         if dry > 0.0:
-            new_w = _opposed(w, free_w, -m[1, 4] * _dry(p, dry, w, u[3]))
+            new_w = _opposed(w, free_w, -m[1, 4] * _dry(p, dry, w, u[3]), p[SLIDING])
             new_i += m[0, 4] * (free_w - new_w) / -m[1, 4]
         for c in range(4):
             top, bottom = f[0, c], f[1, c]
@@ -200,19 +206,22 @@ def _braked_step(
 
 
 @_inlined
-def _coasting_step(x: FloatArray, p: FloatArray, dry: float, load: float, dt_s: float, f: FloatArray) -> None:
-    """One interval with an open circuit: no current, the speed falls by friction and load."""
+def _coasting_step(
+    x: FloatArray, u: FloatArray, p: FloatArray, dry: float, dt_s: float, f: FloatArray
+) -> None:
+    """One interval with an open circuit, in equal parts: no current, the speed falls by friction and load."""
     f[:] = 0.0
-    decay = math.exp(-p[B] * dt_s / p[J])
-    reach = (1.0 - decay) / p[B] if p[B] * dt_s > 1e-9 * p[J] else dt_s / p[J]
-    before, square = x[1], p[SQUARE] * x[1] * abs(x[1])
-    for _ in range(2 if p[SQUARE] > 0.0 else 1):
-        free = decay * before - reach * (load + square)
-        x[1] = math.copysign(max(abs(free) - reach * dry, 0.0), free)
-        square = p[SQUARE] * _mean_square(before, x[1])
+    f[1, 1] = 1.0
+    part_s = dt_s / _PARTS
+    decay = math.exp(-p[B] * part_s / p[J])
+    reach = (1.0 - decay) / p[B] if p[B] * part_s > 1e-9 * p[J] else part_s / p[J]
     x[0] = 0.0
-    if x[1] != 0.0:
-        f[1, 1], f[1, 2] = decay - reach * 2.0 * p[SQUARE] * abs(before), -reach
+    for _ in range(_PARTS):
+        w = x[1]
+        free = decay * w - reach * (u[2] + p[SQUARE] * w * abs(w))
+        x[1] = _opposed(w, free, reach * _dry(p, dry, w, u[3]), p[SLIDING]) if dry > 0.0 else free
+        slope = 0.0 if x[1] == 0.0 else decay - reach * 2.0 * p[SQUARE] * abs(w)
+        f[1, 1], f[1, 2] = slope * f[1, 1], slope * f[1, 2] - reach * (x[1] != 0.0)
 
 
 @_inlined
@@ -382,7 +391,7 @@ def predict(
         if marks[k] == OPEN:
             if marks[k - 1] == OPEN or x[0] * i < 0.0:  # a diode lets no current turn
                 x[1] = w
-                _coasting_step(x, p, dry, u[2], dt_s, f)
+                _coasting_step(x, u, p, dry, dt_s, f)
             x[0], f[0] = 0.0, 0.0
         x[3] = lags[0, 0] * x[3] + lags[0, 1] * i + lags[0, 2] * x[0]
         x[4] = lags[1, 0] * x[4] + lags[1, 1] * w + lags[1, 2] * x[1]

@@ -184,7 +184,10 @@ def open_circuit(voltage_v: FloatArray, readings: FloatArray, begins: FloatArray
     edges = np.union1d(np.flatnonzero(_jumps(voltage_v) | (begins > 0.0)), [0, len(current)])
     out = np.zeros(len(current), dtype=np.bool_)
     fastest = float(np.quantile(np.abs(readings[:, 1]), 0.99))
-    for jump, end in pairwise(edges.tolist()):
+    for jump, last in pairwise(edges.tolist()):
+        # Where the circuit closes at the voltage that the motor has, only the current shows it.
+        back = np.append(np.flatnonzero(~none[jump : last - 1] & ~none[jump + 1 : last]), 0)[0]
+        end = jump + int(back) if back >= _FEWEST_OPEN else last
         first = jump + int(np.argmax(none[jump:end]))
         n, shown = end - first, current[first:end]
         if n < _FEWEST_OPEN or float(np.mean(none[first:end])) < _NO_CURRENT:

@@ -14,7 +14,7 @@ from motor_env.operation.record import Record
 LONGEST_CURRENT_LAG_S = 0.01
 LONGEST_SPEED_LAG_S = 0.1
 _OFFSET_PRIOR = 0.003
-_KNEE_PRIOR, _STRIBECK_PRIOR = 0.01, 0.2  # of the largest current; of the dry friction
+_KNEE_PRIOR, _STRIBECK_PRIOR = 0.01, 0.2  # of the largest current or speed; of the dry friction
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +63,7 @@ def terms(record: Record, start: FloatArray) -> dict[str, Term]:
         Term("brush_drop", kernel.DROP, volts, 0.0, 0.4, prior_sd=0.1),
         Term("brush_knee", kernel.KNEE, amps, 0.0, 0.05, prior_sd=_KNEE_PRIOR),
         Term("stribeck", kernel.STRIBECK, 1.0, 0.0, 2.0, prior_sd=_STRIBECK_PRIOR),
+        Term("coulomb_knee", kernel.SLIDING, speed, 0.0, 0.05, prior_sd=_KNEE_PRIOR),
         Term("load_constant", kernel.LOAD, torque, -2.0, 2.0, prior_sd=0.3, usual=0.3),
         Term("load_square", kernel.SQUARE, torque / speed**2, 0.0, 20.0, usual=0.3),
         Term("offset_current", kernel.OFFSET_I, amps, -0.2, 0.2, prior_sd=_OFFSET_PRIOR),
@@ -80,7 +81,7 @@ def terms(record: Record, start: FloatArray) -> dict[str, Term]:
     return {term.name: term for term in every}
 
 
-SHAPES = {"brush_knee": "brush_drop", "stribeck": "coulomb"}
+SHAPES = {"brush_knee": "brush_drop", "stribeck": "coulomb", "coulomb_knee": "coulomb"}
 """Of the brush drop and of the dry friction: always allowed for beside these, and believed to be small."""
 NOISES = ("noise_current", "noise_speed", "noise_voltage", "load_walk")
 """They set the weights, and are no quantities of the motor."""

@@ -31,14 +31,13 @@ def free_run(p: FloatArray, voltage: FloatArray) -> FloatArray:
 
 
 def solved(p: FloatArray, voltage: FloatArray) -> FloatArray:
-    """The same by an implicit solver, friction and drop smooth and steep."""
+    """The same by an implicit solver, friction and drop with a knee, steep where there is none."""
     k = kernel
 
     def slope(_: float, x: FloatArray, volts: float) -> list[float]:
-        friction = (
-            p[k.COULOMB] * np.tanh(x[1] / 0.02) + p[k.B] * x[1] + p[k.SQUARE] * x[1] * abs(x[1]) + p[k.LOAD]
-        )
-        drop = p[k.DROP] * np.tanh(x[0] / 1e-4)
+        dry = p[k.COULOMB] * x[1] / math.hypot(x[1], max(p[k.SLIDING], 0.01))
+        friction = dry + p[k.B] * x[1] + p[k.SQUARE] * x[1] * abs(x[1]) + p[k.LOAD]
+        drop = p[k.DROP] * x[0] / math.hypot(x[0], max(p[k.KNEE], 1e-4))
         return [(volts - p[k.R] * x[0] - p[k.K] * x[1] - drop) / p[k.L], (p[k.K] * x[0] - friction) / p[k.J]]
 
     states = [np.zeros(2)]
@@ -54,6 +53,7 @@ def solved(p: FloatArray, voltage: FloatArray) -> FloatArray:
         {},
         {"COULOMB": 0.004},
         {"COULOMB": 0.004, "DROP": 0.4},
+        {"COULOMB": 0.004, "SLIDING": 5.0, "DROP": 0.4, "KNEE": 0.05},
         {"LOAD": 0.01, "COULOMB": 0.002},
         {"SQUARE": 2e-7},
     ],
@@ -63,6 +63,25 @@ def test_free_model_follows_a_stiff_solver(given: dict[str, float]) -> None:
     voltage = np.repeat([0.0, 6.0, -4.0, 0.5, 8.0, 0.0], 40)
     expected, got = solved(p, voltage), free_run(p, voltage)
     assert np.all(np.abs(got - expected).max(axis=0) < 0.02 * np.abs(expected).max(axis=0))
+
+
+@pytest.mark.parametrize("sliding", [0.0, 5.0])
+def test_a_coasting_motor_that_its_load_turns_back_follows_a_stiff_solver(sliding: float) -> None:
+    p = values(COULOMB=0.001, SLIDING=sliding, LOAD=0.003, SQUARE=2e-7)
+    n = 60
+    readings, marks = np.zeros((n, 2)), np.full(n, kernel.OPEN)
+    readings[0, 1], marks[0] = 100.0, kernel.BEGIN
+    got = Record(DT_S, np.full(n, 3.0), readings, np.ones(2), marks).predict(p, learn=False)[0][1:, 3]
+
+    def slope(_: float, w: FloatArray) -> FloatArray:
+        dry = 0.001 * w / np.hypot(w, max(sliding, 0.01))
+        torque = dry + p[kernel.B] * w + 2e-7 * w * np.abs(w) + 0.003
+        return np.asarray(-torque / p[kernel.J])
+
+    span = DT_S * np.arange(n - 1)
+    run = solve_ivp(slope, (0.0, span[-1]), got[:1], "LSODA", t_eval=span, rtol=1e-8, atol=1e-8)
+    assert got == pytest.approx(run.y[0], abs=0.5)
+    assert got[-1] < -10.0
 
 
 def test_a_motor_below_its_breakaway_torque_stands() -> None:
@@ -106,6 +125,19 @@ def test_a_speed_that_falls_without_current_is_an_open_circuit(is_logged_as_none
     readings[100:103, 0] = [0.3, 0.2, 0.1]  # as a diode carries it
     found = open_circuit(voltage + 1e-3 * rng.standard_normal(220), readings, np.eye(1, 220)[0])
     assert np.flatnonzero(found).tolist() == list(range(103, 200))
+
+
+def test_a_circuit_that_closes_at_the_voltage_of_the_motor_is_closed_where_current_flows() -> None:
+    rng = np.random.default_rng(2)
+    after = np.arange(60)
+    voltage = np.concatenate([np.full(50, 7.0), 6.0 - 0.02 * after[:50], np.full(60, 5.0)])
+    current = np.concatenate([np.full(50, 0.5), np.zeros(50), 0.3 - 0.3 * np.exp(-after / 5.0)])
+    readings = np.stack([current + 1e-3 * rng.standard_normal(160), np.zeros(160)], axis=1)
+    found = np.flatnonzero(
+        open_circuit(voltage + 1e-3 * rng.standard_normal(160), readings, np.eye(1, 160)[0])
+    )
+    assert found[0] == 50
+    assert 99 <= found[-1] <= 102
 
 
 def test_a_motor_that_idles_at_a_small_current_is_no_open_circuit() -> None:
