@@ -242,7 +242,7 @@ def candidates(best: Solution) -> list[str]:
     if "heating" in names and "cooling" not in names:
         left.append("cooling")
     if not seen[0]:
-        left = [name for name in left if name not in {"current_lag", "heating", "cooling"}]
+        left = [name for name in left if name not in {"current_lag", "heating", "cooling", "load_square"}]
     if not seen[1]:
         left = [name for name in left if name != "speed_lag"]
     return left
