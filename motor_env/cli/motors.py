@@ -8,16 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from motor_env.cli.options import (
-    MEASUREMENT,
-    READING,
-    START,
-    Measurement,
-    Reading,
-    StartMeasurement,
-    positive,
-    show,
-)
+from motor_env.cli import options
 from motor_env.console import ExitStatus, printable
 from motor_env.errors import InputError
 
@@ -27,7 +18,7 @@ def identify(
     *,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
     out: Path | None = None,
-    measurement: StartMeasurement = START,
+    measurement: options.StartMeasurement = options.START,
     torque_constant: float | None = None,
     name: str = "identified motor",
     regime: str = "auto",
@@ -55,16 +46,16 @@ def identify(
     from motor_env.motor.data_sheet import save_motor
     from motor_env.operation import logs
 
-    periods, options = measurement.ripple_periods_per_turn, measurement.options
-    constant = positive("torque-constant", torque_constant)
-    works, starts = logs.sorted_files(files, options["columns"], regime=regime, start=measurement.start)
+    periods, given = measurement.ripple_periods_per_turn, measurement.options
+    constant = options.positive("torque-constant", torque_constant)
+    works, starts = logs.sorted_files(files, given["columns"], regime=regime, start=measurement.start)
     if works:
-        work = logs.identify_logs(works, voltage_v=options["voltage_v"], circuit=options["circuit"])
+        work = logs.identify_logs(works, voltage_v=given["voltage_v"], circuit=given["circuit"])
         if output is not None:
             save_motor(work.motor(name), output)
         if out is not None:
             work.plot(out)
-    fits = [pair for path in starts for pair in steps.identify_file(path, **options, constant=constant)]
+    fits = [pair for path in starts for pair in steps.identify_file(path, **given, constant=constant)]
     usable = [fit for _, fit in fits if unusable_reason(fit) is None]
     if output is not None and usable:
         save_motor(steps.to_motor(usable, name, constant=constant), output)
@@ -74,7 +65,7 @@ def identify(
 
         for number, (recording, fit) in enumerate(fits, 1):
             plot_identified(fit, recording.path.name, picture_of(recording.path, out, number))
-    show(
+    options.show(
         json_,
         lambda: [steps.identified_json(*one, periods) for one in fits] + (work.as_json() if works else []),
         lambda: "\n".join(
@@ -92,7 +83,7 @@ def commission(
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     false_alarm_rate: float = 0.01,
     out: Path | None = None,
-    measurement: Measurement = MEASUREMENT,
+    measurement: options.Measurement = options.MEASUREMENT,
     temperature_c: float | None = None,
     window: float | None = None,
     torque_constant: float | None = None,
@@ -121,13 +112,13 @@ def commission(
     if not 0.0 < false_alarm_rate < 0.5:
         raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
     if window is not None:
-        options = measurement.for_windows(
+        given = measurement.for_windows(
             temperature_c=temperature_c,
             out=out,
             torque_constant=torque_constant,
             no_load_current=no_load_current,
         )
-        known = running.commission_running(files, window, name, **options)
+        known = running.commission_running(files, window, name, **given)
         save_motor(known, output)
         if known.operation is not None:
             print(running.commissioned_text(known.operation, false_alarm_rate))
@@ -140,8 +131,8 @@ def commission(
         false_alarm_rate=false_alarm_rate,
         temperature_c=temperature_c,
         **measurement.options,
-        constant=positive("torque-constant", torque_constant),
-        no_load_current_a=positive("no-load-current", no_load_current),
+        constant=options.positive("torque-constant", torque_constant),
+        no_load_current_a=options.positive("no-load-current", no_load_current),
     )
     save_motor(result.motor, output)
     if out is not None and result.motor.reference is not None:
@@ -155,7 +146,7 @@ def commission(
     return 0
 
 
-def coastdown(file: Path, *, reading: Reading = READING, json_: bool = False) -> int:
+def coastdown(file: Path, *, reading: options.Reading = options.READING, json_: bool = False) -> int:
     """Viscous and Coulomb friction from a coast-down: the speed of a motor whose voltage was taken away.
 
     Example: motor-env coastdown coastdown.csv
@@ -177,6 +168,6 @@ def coastdown(file: Path, *, reading: Reading = READING, json_: bool = False) ->
     viscous, coulomb = f"B/J {friction.viscous_per_s:.4g} 1/s", f"Tc/J {friction.coulomb_rad_s2:.4g} rad/s2"
     alone = f"with viscous friction alone {friction.r2_viscous:.4f}; evidence {friction.evidence:.0f}"
     text = f"{file}: {viscous}, Coulomb friction {coulomb}\n  R2 {friction.r2:.4f}; {alone}"
-    show(json_, lambda: asdict(friction), lambda: text)
+    options.show(json_, lambda: asdict(friction), lambda: text)
     reading.keep()
     return 0

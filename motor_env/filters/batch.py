@@ -10,13 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from motor_env.filters import kernels
 from motor_env.filters.kalman import KalmanFilter, schedule, schedules, score
-from motor_env.filters.kernels import (
-    AnyFloat,
-    filter_one_channel,
-    filter_states,
-    filter_two_channels,
-)
 from motor_env.motor.model import N_STATES, Input, propagate
 from motor_env.motor.parameters import FloatArray, require
 
@@ -59,15 +54,15 @@ class Residuals(NamedTuple):
         nis: normalised innovation squared, shape (..., n_samples).
     """
 
-    innovation: AnyFloat
+    innovation: kernels.AnyFloat
     innovation_covariance: FloatArray
-    nis: AnyFloat
+    nis: kernels.AnyFloat
 
 
 class _Series(NamedTuple):
     """Checked measurements, shape (n_cases, n_channels, n_samples), the batch's own shape, and the nominal states."""
 
-    measured: AnyFloat
+    measured: kernels.AnyFloat
     batch: tuple[int, ...]
     nominal: FloatArray
 
@@ -157,7 +152,7 @@ def filter_residuals(
     expected = series.nominal @ observation.T
     if n_channels == 1:
         a, gain = output_coordinates(transition, observation[0], forward[:, :, 0])
-        filter_one_channel(
+        kernels.filter_one_channel(
             a.astype(dtype),
             gain.astype(dtype),
             (1.0 / plan.innovation_covariance[:, 0, 0]).astype(dtype),
@@ -167,7 +162,7 @@ def filter_residuals(
             nis,
         )
     else:
-        filter_two_channels(
+        kernels.filter_two_channels(
             transition.astype(dtype),
             observation.astype(dtype),
             forward.astype(dtype),
@@ -188,7 +183,7 @@ def filter_residuals(
 
 
 def innovations_and_states(
-    kalman: KalmanFilter, measured: AnyFloat, nominal: FloatArray, gain: FloatArray
+    kalman: KalmanFilter, measured: kernels.AnyFloat, nominal: FloatArray, gain: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Innovations (n_cases, n_samples, n_channels) and states (n_cases, n_samples, 2); one gain serves all, or each.
 
@@ -198,7 +193,7 @@ def innovations_and_states(
     innovation = np.empty((n_cases, n_samples, n_channels))
     state = np.empty((n_cases, n_samples, N_STATES))
     transition = np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES)
-    filter_states(transition, kalman.observation, gain, nominal, measured, innovation, state)
+    kernels.filter_states(transition, kalman.observation, gain, nominal, measured, innovation, state)
     return innovation, state
 
 

@@ -69,13 +69,8 @@ def train(
         json_: Print a summary as JSON.
     """
     _require_extras()
+    from motor_classifiers.cli import training
     from motor_classifiers.cli.options import require_writable
-    from motor_classifiers.cli.training import (
-        noise_factors,
-        train_on_dataset,
-        train_on_stream,
-        training_recipe,
-    )
 
     if out.exists():
         raise InputError(f"{out}: exists already, and is not overwritten; give another name")
@@ -83,11 +78,11 @@ def train(
         raise InputError("give one of a data set, --motor and --recipe")
     require_writable(out.parent)
     if dataset is not None:
-        summary = train_on_dataset(dataset, method or "residual-qda", seed, out)
+        summary = training.train_on_dataset(dataset, method or "residual-qda", seed, out)
     else:
         if method not in (None, "posterior-network"):
             raise InputError(f"--method {method} learns from a data set; give its folder")
-        source = training_recipe(
+        source = training.training_recipe(
             motor,
             recipe,
             voltage_v=voltage,
@@ -95,8 +90,8 @@ def train(
             duration_s=duration_s,
             current_noise_a=current_noise_a,
         )
-        noises = noise_factors(noise_range, for_motor=motor is not None)
-        summary = train_on_stream(source, noise_range=noises, steps=steps, seed=seed, out=out)
+        noises = training.noise_factors(noise_range, for_motor=motor is not None)
+        summary = training.train_on_stream(source, noise_range=noises, steps=steps, seed=seed, out=out)
     print(
         json.dumps(summary, indent=1)
         if json_

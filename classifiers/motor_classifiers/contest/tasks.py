@@ -7,13 +7,7 @@ from dataclasses import replace
 from importlib.resources import files
 from typing import Any
 
-from motor_classifiers.contest.questions import (
-    ClassTask,
-    ReferenceTask,
-    SeverityTask,
-    StrangerTask,
-    StreamTask,
-)
+from motor_classifiers.contest import questions
 from motor_classifiers.contest.task import Task
 from motor_env.errors import InputError
 from motor_env.motor.faults import FaultKind
@@ -31,34 +25,36 @@ def _tasks() -> dict[str, Task]:
     stream = replace(bench, classes=half, timing=Timing(1_000.0, 0.7))
     slow = replace(bench, timing=Timing(1_000.0, 0.1))
     every = (
-        ClassTask("bench", "Which of five classes: tolerances, current alone, 10 kHz", bench),
-        ClassTask("bench-full", "Which of nine classes: all kinds of faults", named_recipe("bench-full")),
-        ClassTask(
+        questions.ClassTask("bench", "Which of five classes: tolerances, current alone, 10 kHz", bench),
+        questions.ClassTask(
+            "bench-full", "Which of nine classes: all kinds of faults", named_recipe("bench-full")
+        ),
+        questions.ClassTask(
             "field",
             "Which class in the field: friction, ramps, sensor errors",
             named_recipe("field"),
             bracket=(16.29, 16.97),
         ),
-        ClassTask(
+        questions.ClassTask(
             "operation",
             "Which class at work: another voltage, which is a channel, and load in each case",
             named_recipe("operation"),
             bracket=(18.72, 20.17),
         ),
-        ReferenceTask(
+        questions.ReferenceTask(
             "reference", "Which class, with one healthy start of the same motor", bench, n_test=2000
         ),
-        SeverityTask(
+        questions.SeverityTask(
             "severity", "How large a bearing fault, 0 to 30 %", severities, n_test=2000, metric="RMSE, points"
         ),
-        StrangerTask(
+        questions.StrangerTask(
             "unknown",
             "How strange: faults never trained on, 1 kHz",
             slow,
             n_test=4000,
             metric="100 (1 - area under the ROC curve)",
         ),
-        StreamTask(
+        questions.StreamTask(
             "stream",
             "When did a bearing fault set in: delay against false alarms",
             stream,

@@ -9,15 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, ClassifierMixin
+from sklearn.utils import validation
 from sklearn.utils.multiclass import check_classification_targets
-from sklearn.utils.validation import (
-    assert_all_finite,
-    check_array,
-    check_consistent_length,
-    check_is_fitted,
-    column_or_1d,
-    validate_data,
-)
 
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.named_recipes import named_recipe
@@ -54,9 +47,9 @@ def flat_cases(estimator: BaseEstimator, X: Any, *, reset: bool, min_features: i
         ValueError: no cases, a value that is not finite, or another number of values than at the fit.
     """
     if not hasattr(X, "columns") and getattr(X, "ndim", 2) == 3:
-        X = check_array(X, allow_nd=True, dtype=[np.float64, np.float32])
+        X = validation.check_array(X, allow_nd=True, dtype=[np.float64, np.float32])
         X = X.reshape(len(X), -1)
-    checked: FloatArray = validate_data(
+    checked: FloatArray = validation.validate_data(
         estimator, X, reset=reset, dtype=np.float64, ensure_min_features=min_features
     )
     return checked
@@ -87,7 +80,7 @@ def with_channels(flat: FloatArray, recipe: Recipe) -> FloatArray:
 
 def measured_cases(estimator: Any, X: Any) -> tuple[Recipe, FloatArray]:
     """The recipe of a fitted estimator, and checked cases, shape (n_cases, n_channels, n_timepoints)."""
-    check_is_fitted(estimator, "n_features_in_")
+    validation.check_is_fitted(estimator, "n_features_in_")
     flat = flat_cases(estimator, X, reset=False)
     recipe = fitting_recipe(estimator.recipe, flat.shape[1])
     return recipe, with_channels(flat, recipe)
@@ -119,10 +112,10 @@ def labelled_cases(estimator: BaseEstimator, X: Any, y: Any) -> tuple[FloatArray
     flat = flat_cases(estimator, X, reset=True)
     if y is None:
         raise ValueError("requires y to be passed, but the target y is None")
-    checked = column_or_1d(y, warn=True)
+    checked = validation.column_or_1d(y, warn=True)
     if checked.dtype.kind == "f":
-        assert_all_finite(checked, input_name="y")
-    check_consistent_length(flat, checked)
+        validation.assert_all_finite(checked, input_name="y")
+    validation.check_consistent_length(flat, checked)
     check_classification_targets(checked)
     estimator.classes_, labels = np.unique(checked, return_inverse=True)
     if len(estimator.classes_) < 2:

@@ -17,12 +17,7 @@ from sklearn.utils.validation import check_is_fitted
 from motor_classifiers.estimators.cases import flat_cases
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
-from motor_env.inference.posterior import (
-    class_coordinates,
-    class_probabilities,
-    prior_from_starts,
-    recipe_observed,
-)
+from motor_env.inference import posterior
 from motor_env.inference.sensitivities import fitted_residuals
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass, Recipe
@@ -80,7 +75,9 @@ def referenced_probabilities(recipe: Recipe, X: Any) -> FloatArray:
         Shape (n_cases, n_classes).
     """
     starts = split_starts(X, recipe)
-    return class_probabilities(recipe, starts[:, 0], prior=prior_from_starts(recipe, starts[:, 1:]))
+    return posterior.class_probabilities(
+        recipe, starts[:, 0], prior=posterior.prior_from_starts(recipe, starts[:, 1:])
+    )
 
 
 @dataclass(eq=False, repr=False)
@@ -131,8 +128,11 @@ def _recentred(recipe: Recipe | None, starts: FloatArray) -> FloatArray:
     judged: FloatArray = starts[:, 0]
     if recipe is None or starts.shape[1] == 1:
         return judged
-    own = prior_from_starts(recipe, starts[:, 1:]).mean
-    observed, coordinates = recipe_observed(recipe, judged), class_coordinates(recipe, FaultClass())
+    own = posterior.prior_from_starts(recipe, starts[:, 1:]).mean
+    observed, coordinates = (
+        posterior.recipe_observed(recipe, judged),
+        posterior.class_coordinates(recipe, FaultClass()),
+    )
     nominal = fitted_residuals(observed, coordinates, np.zeros_like(own))
     moved = nominal - fitted_residuals(observed, coordinates, own)
     recentred: FloatArray = judged - moved * recipe.sensor.noise_std[:, None]

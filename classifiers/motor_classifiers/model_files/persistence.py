@@ -29,14 +29,7 @@ from motor_classifiers.estimators.networks.resnet import ResNetClassifier
 from motor_classifiers.estimators.own_methods import answered
 from motor_classifiers.estimators.reference_starts import RecentredStarts
 from motor_classifiers.estimators.state import State
-from motor_classifiers.model_files.containers import (
-    LARGEST_TEXT_BYTES,
-    digest,
-    packed,
-    parsed,
-    read_file,
-    unpacked,
-)
+from motor_classifiers.model_files import containers
 from motor_classifiers.model_files.pipelines import check_pipeline, load_pipeline, pipeline_members
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
@@ -104,7 +97,7 @@ def load_model(path: Path) -> Loaded:
     Raises:
         InputError: no such file, not one of ours, damaged, or with content that is not allowed.
     """
-    content = read_file(path)
+    content = containers.read_file(path)
     try:
         return _loaded(content, _MOST_WRAPPERS)
     except InputError as error:
@@ -125,18 +118,18 @@ def _content(model: BaseEstimator, recipe: Recipe, method: str) -> bytes:
         require(own, "an open-set classifier must be saved with its own recipe")
         head |= {"kind": kind, **model.to_state().values}
         inner = _content(model.wrapped_model, recipe, method)
-        return packed({_WRAPPER: json.dumps(head).encode(), _INNER: inner})
+        return containers.packed({_WRAPPER: json.dumps(head).encode(), _INNER: inner})
     head |= {
         "method": method,
         "recipe": recipe_to_dict(recipe),
         "classes": [str(name) for name in model.classes_],
     }
     if kind is None:
-        return packed({**pipeline_members(model), _MEMBER: json.dumps(head).encode()})
+        return containers.packed({**pipeline_members(model), _MEMBER: json.dumps(head).encode()})
     state = model.to_state()
     arrays = {name: np.ascontiguousarray(values) for name, values in state.arrays.items()}
     head |= {"kind": kind, **state.values}
-    head[_DIGEST] = digest(json.dumps(head), arrays)
+    head[_DIGEST] = containers.digest(json.dumps(head), arrays)
     return save_tensors(
         arrays, metadata={FORMAT: json.dumps(head)}
     )  # one entry: safetensors does not order them
@@ -144,7 +137,7 @@ def _content(model: BaseEstimator, recipe: Recipe, method: str) -> bytes:
 
 def _loaded(content: bytes, most_wrappers: int) -> Loaded:
     if zipfile.is_zipfile(io.BytesIO(content)):
-        members = unpacked(content)
+        members = containers.unpacked(content)
         if _WRAPPER in members:
             loaded = _loaded_wrapper(members, most_wrappers)
         elif _MEMBER in members:
@@ -156,12 +149,14 @@ def _loaded(content: bytes, most_wrappers: int) -> Loaded:
             raise InputError("is no model of motor-classifiers")
     else:
         length = int.from_bytes(content[:8], "little")
-        require(length <= LARGEST_TEXT_BYTES, "its header is too long")
+        require(length <= containers.LARGEST_TEXT_BYTES, "its header is too long")
         arrays = load_tensors(content)
-        metadata = parsed(content[8 : 8 + length])["__metadata__"]
-        stated = parsed(metadata[FORMAT])
+        metadata = containers.parsed(content[8 : 8 + length])["__metadata__"]
+        stated = containers.parsed(metadata[FORMAT])
         own = stated.pop(_DIGEST, None)  # files of older versions have none
-        require(own in (None, digest(json.dumps(stated), arrays)), "its content is not what was saved")
+        require(
+            own in (None, containers.digest(json.dumps(stated), arrays)), "its content is not what was saved"
+        )
         for name, values in arrays.items():
             require(
                 values.dtype.kind in "fi" and bool(np.isfinite(values).all()), f"{name[:60]} is not finite"
@@ -175,7 +170,7 @@ def _loaded(content: bytes, most_wrappers: int) -> Loaded:
 
 def _loaded_wrapper(members: dict[str, bytes], most_wrappers: int) -> Loaded:
     require(most_wrappers > 0, "too many classifiers are nested in it")
-    head = parsed(members[_WRAPPER])
+    head = containers.parsed(members[_WRAPPER])
     _check_format(head)
     inner, recipe, method = _loaded(members[_INNER], most_wrappers - 1)
     return _WRAPPERS[head["kind"]].from_state(State({}, head), inner, recipe), recipe, method
@@ -213,7 +208,7 @@ def _check_format(head: dict[str, Any]) -> None:
 
 
 def _checked_head(text: bytes | str) -> tuple[dict[str, Any], Recipe]:
-    head = parsed(text)
+    head = containers.parsed(text)
     _check_format(head)
     recipe = recipe_from_dict(head["recipe"])
     classes = head["classes"]

@@ -8,12 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.detection.rules.calibration import (
-    CALIBRATION_SEED,
-    recipe_thresholds,
-    run_lengths,
-    simulated_threshold,
-)
+from motor_env.detection.rules import calibration
 from motor_env.detection.rules.thresholds import Request, Statistic, Threshold
 from motor_env.detection.run_length import RunLaw
 from motor_env.motor.parameters import FloatArray, require
@@ -40,7 +35,7 @@ class Rule(Statistic):
 
         A shift of 0 gives ARL0. Exact where theory gives it, else the mean of 2,000 simulated runs.
         """
-        return float(run_lengths(self, threshold, _RUNS, mean=shift).mean())
+        return float(calibration.run_lengths(self, threshold, _RUNS, mean=shift).mean())
 
     def threshold_for(
         self,
@@ -51,7 +46,7 @@ class Rule(Statistic):
         n_channels: int = 1,
         recipe: Recipe | None = None,
         runs: int | None = None,
-        seed: int = CALIBRATION_SEED,
+        seed: int = calibration.CALIBRATION_SEED,
     ) -> Threshold:
         """Threshold for a wanted rate of false alarms: exact where theory gives it, else by calibrated simulation.
 
@@ -78,11 +73,15 @@ class Rule(Statistic):
                 "recipe goes with false_alarm_probability alone: a start has an end, a length and channels of its own",
             )
             request = Request.checked(None, false_alarm_probability, recipe.timing.n_samples)
-            [threshold] = recipe_thresholds([self], recipe, request.probability or 0.0, runs=runs, seed=seed)
+            [threshold] = calibration.recipe_thresholds(
+                [self], recipe, request.probability or 0.0, runs=runs, seed=seed
+            )
             return threshold
         request = Request.checked(arl0, false_alarm_probability, n_samples)
         exact = self.exact_threshold(request, n_channels)
-        return exact or simulated_threshold(self, request, runs=runs, n_channels=n_channels, seed=seed)
+        return exact or calibration.simulated_threshold(
+            self, request, runs=runs, n_channels=n_channels, seed=seed
+        )
 
     def alarm_index(self, whitened: ArrayLike, threshold: float | Threshold) -> NDArray[np.int64]:
         """First sample at which the statistic is above the threshold, -1 where there is none; shape (...).

@@ -14,12 +14,7 @@ from scipy.special import softmax
 from sklearn.utils.validation import check_is_fitted
 from torch import nn
 
-from motor_classifiers.estimators.cases import (
-    ProbabilityClassifier,
-    flat_cases,
-    labelled_cases,
-    values_of_start,
-)
+from motor_classifiers.estimators import cases
 from motor_classifiers.estimators.features import ResidualProjection
 from motor_classifiers.estimators.networks.training import Batch, initialise, one_thread, seed_of, train
 from motor_classifiers.estimators.state import (
@@ -35,7 +30,7 @@ from motor_env.simulation.recipes import Recipe
 MOST_LAYERS = 1000
 
 
-class LogitClassifier(ProbabilityClassifier):
+class LogitClassifier(cases.ProbabilityClassifier):
     """What classifiers share whose `_logits` are logarithms of probabilities up to a constant of each case."""
 
     def decision_function(self, X: Any) -> FloatArray:
@@ -91,7 +86,7 @@ class EpochClassifier(LogitClassifier):
         Raises:
             ValueError: fewer than two classes, labels that are no classes, or shapes that do not fit.
         """
-        flat, labels = labelled_cases(self, X, y)
+        flat, labels = cases.labelled_cases(self, X, y)
         generator = torch.Generator().manual_seed(seed_of(self.random_state))
         self.projection_ = self._projection()
         features = flat if self.projection_ is None else self.projection_.fit_transform(flat)
@@ -133,7 +128,7 @@ class EpochClassifier(LogitClassifier):
         """
         model = cls(recipe, **state.values["parameters"])
         model.classes_ = np.array(state.values["classes"])
-        model.n_features_in_ = values_of_start(recipe)
+        model.n_features_in_ = cases.values_of_start(recipe)
         model.center_, model.scale_ = state.arrays["center"], state.arrays["scale"]
         n_inputs = model.n_features_in_
         model.projection_ = model._projection()
@@ -160,7 +155,7 @@ class EpochClassifier(LogitClassifier):
 
     def _logits(self, X: Any) -> FloatArray:
         check_is_fitted(self)
-        features = flat_cases(self, X, reset=False)
+        features = cases.flat_cases(self, X, reset=False)
         if self.projection_ is not None:
             features = self.projection_.transform(features)
         return logits_in_parts(self.network_, self._inputs(features), self._at_once)
