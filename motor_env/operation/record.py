@@ -188,14 +188,16 @@ def open_circuit(voltage_v: FloatArray, readings: FloatArray, begins: FloatArray
         # Where the circuit closes at the voltage that the motor has, only the current shows it.
         back = np.append(np.flatnonzero(~none[jump : last - 1] & ~none[jump + 1 : last]), 0)[0]
         end = jump + int(back) if back >= _FEWEST_OPEN else last
+        is_off = float(np.abs(voltage_v[jump:end]).max()) < _COASTS * peak
         first = jump + int(np.argmax(none[jump:end]))
+        if not is_off or (current[jump:first] * current[jump - 1] <= 0.0).any():  # no diode
+            first = jump
         n, shown = end - first, current[first:end]
         if n < _FEWEST_OPEN or float(np.mean(none[first:end])) < _NO_CURRENT:
             continue
         is_none = abs(float(shown.mean())) < 3.5 * noise / math.sqrt(n) + _ZERO * largest
         is_noise = float(shown.std()) < noise * (1.0 + 3.0 / math.sqrt(n))
         volts, speed = voltage_v[first:end], readings[first:end, 1]
-        is_off = float(np.abs(volts).max()) < _COASTS * peak
         slows = np.ptp(speed) > _SLOWS * fastest if fastest > 0.0 else begins[jump] == 0.0
         falls = slows if is_off else np.ptp(volts) > _COASTS * peak
         if is_none and is_noise and falls:

@@ -121,10 +121,12 @@ def test_a_speed_that_falls_without_current_is_an_open_circuit(is_logged_as_none
     readings = np.stack([current + 1e-3 * rng.standard_normal(220), speed], axis=1)
     found = open_circuit(voltage + 1e-3 * rng.standard_normal(220), readings, np.eye(1, 220)[0])
     assert np.flatnonzero(found).tolist() == list(range(100, 200))
-    readings[:, 1] = 0.0
-    readings[100:103, 0] = [0.3, 0.2, 0.1]  # as a diode carries it
-    found = open_circuit(voltage + 1e-3 * rng.standard_normal(220), readings, np.eye(1, 220)[0])
-    assert np.flatnonzero(found).tolist() == list(range(103, 200))
+    if is_logged_as_none:
+        readings[:, 1] = 0.0
+        for sign, first in ((1.0, 103), (-1.0, 200)):  # as a diode carries it, and as a motor brakes
+            readings[100:103, 0] = sign * np.array([0.3, 0.2, 0.1])
+            found = open_circuit(voltage + 1e-3 * rng.standard_normal(220), readings, np.eye(1, 220)[0])
+            assert np.flatnonzero(found).tolist() == list(range(first, 200))
 
 
 def test_a_circuit_that_closes_at_the_voltage_of_the_motor_is_closed_where_current_flows() -> None:
