@@ -57,11 +57,9 @@ def _values(file: BinaryIO, block: Block, form: Form) -> Iterator[FloatArray]:
     while piece := file.read(_PIECE_BYTES) + file.readline():
         if CUT_OFF in form.remarks and not piece.endswith(b"\n"):
             piece = piece.rpartition(b"\n")[0]
-        piece = piece.removesuffix(b"\n")
-        if not piece:
-            continue
         piece = piece.replace(b" -> ", form.arrow.encode()) if form.arrow else piece
-        rows = int(np.count_nonzero(np.frombuffer(piece, np.uint8) == ord("\n"))) + 1
+        ends = int(np.count_nonzero(np.frombuffer(piece, np.uint8) == ord("\n")))
+        rows = ends if piece.endswith(b"\n") else ends + 1
         values = parsed(block, piece, rows)
         if values is None:
             lines = piece.decode("utf-8", "replace").splitlines()
