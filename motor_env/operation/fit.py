@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from scipy.ndimage import convolve1d
 
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
@@ -43,7 +44,32 @@ def fit(record: Record) -> Solution:
     others = sorted(_behaviours(best, record), key=lambda one: one.penalised())
     if others and (other := _solved(others[0], [])).penalised() < best.penalised():
         best = _chosen(other, terms(other.problem.record, other.problem.known))
-    return _shaped(best)
+    return _shaped(_timely(best))
+
+
+def _timely(best: Solution) -> Solution:
+    """With a voltage that is held, where its averaging alone makes a delay or straight lines explain the record better.
+
+    Both average neighbours of the recorded voltage, and with them its noise. So does a mean over three samples, which
+    has no delay: where it explains as much, there is none.
+    """
+    kept = [n for n, name in enumerate(best.names) if name != "delay"]
+    is_straight = best.problem.record.hold == "straight"
+    if best.problem.record.averaged > 1 or not (is_straight or len(kept) < len(best.names)):
+        return best
+    delay = dict(zip(best.names, best.theta, strict=True)).get("delay", 0.0)
+    part = 0.5 if is_straight else abs(delay) % 1.0
+    beside = (2.0 - math.sqrt(4.0 - 12.0 * part * (1.0 - part))) / 6.0
+    free, theta = tuple(best.problem.free[n] for n in kept), best.theta[kept]
+    record = best.problem.record
+    even = convolve1d(record.voltage_v, [beside, 1.0 - 2.0 * beside, beside], mode="nearest")
+    for hold in ("held", "late"):
+        problem = replace(best.problem, record=replace(record, hold=hold, voltage_v=even), free=free)
+        averaged = Solution(problem, *problem.solve(theta))
+        if averaged.penalised() < best.penalised():
+            problem = replace(problem, record=replace(record, hold=hold))
+            return Solution(problem, *problem.solve(averaged.theta))
+    return best
 
 
 def _refined(best: Solution, record: Record) -> Solution:
