@@ -7,8 +7,8 @@ A run of another seed or temperature is added to what the file holds.
 The textbook motor with a heavy flywheel: random duty cycle, load and temperature. Watched at 1 Hz by windows of 10 min
 after a commissioning of 5 h. What comes is the text that a device would print. Each 50 h have a commissioning of their
 own, since it decides how often its windows alarm; the joint fit, which gives what all windows share, is that of the
-first. `--temperature allowed` is what the monitor assumes: commissioned at one temperature, then each window at its
-own, with 15 K standard deviation. `wandering` changes slowly, also while it is commissioned.
+first. `--temperature allowed` is what the monitor assumes: commissioned at one temperature, which then wanders by 15 K.
+`wandering` wanders by 10 K, also while it is commissioned.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -27,9 +28,12 @@ from unittest import mock
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind
-from motor_env.diagnosis import windows
+from motor_env.diagnosis import early as looking, windows
+from motor_env.diagnosis.early import Looks
+from motor_env.diagnosis.windows import from_healthy, judge_windows
 from motor_env.live.state import State
 from motor_env.live.watch import YEAR_S, Lesson, Watch
 from motor_env.motor.data_sheet import WindowReference
@@ -42,12 +46,14 @@ from motor_env.motor.parameters import (
     MotorParameters,
 )
 from motor_env.operation.identify import identify_operation
+from motor_env.operation.record import from_recordings
+from motor_env.recordings.recording import Recording
 
 Floats = NDArray[np.float64]
 FLYWHEEL = 1000.0  # times the rotor's inertia
 VOLTS, NOISE_A, NOISE_RAD_S = 12.0, 0.02, 1.0
 LOAD_N_M, LOAD_S = 3e-3, 3600.0  # standard deviation and memory of the load: a tenth of the rated torque
-WARM_K, WARM_S = 10.0, 7200.0
+WARM_K, WARM_S, WINDING_S, STEP_S = 10.0, 7200.0, 1200.0, 10.0
 ALLOWED_K = 15.0
 WINDOW_S, LEARN_S, LESSON_H = 600.0, 5 * 3600.0, 50.0
 FAULTS = (
@@ -119,27 +125,34 @@ def duty(rng: np.random.Generator, samples: int, holds: tuple[int, int], *, leas
     return levels
 
 
-def temperatures(rng: np.random.Generator, count: int, *, allowed: bool) -> Floats:
-    """Of each window, in kelvin over the usual one."""
-    shocks = rng.standard_normal(count)
-    kelvin: Floats = ALLOWED_K * shocks if allowed else wandering(shocks, WARM_K, WARM_S / WINDOW_S)
-    if allowed:
-        kelvin[: int(LEARN_S / WINDOW_S) + 1] = 0.0
+def temperatures(rng: np.random.Generator, windows: int, *, allowed: bool) -> Floats:
+    """Of each STEP_S, in kelvin over the usual one: what wanders, followed by a winding."""
+    steps = round(WINDOW_S / STEP_S)
+    wanders = wandering(rng.standard_normal(windows * steps), 1.0, WARM_S / STEP_S)
+    follows = STEP_S / WINDING_S
+    kelvin: Floats = lfilter([follows], [1.0, follows - 1.0], wanders)
+    kelvin *= (ALLOWED_K if allowed else WARM_K) * math.sqrt(1.0 + WINDING_S / WARM_S)
+    if allowed:  # from the usual one on, after the lesson
+        first = (int(LEARN_S / WINDOW_S) + 1) * steps
+        kelvin[:first] = kelvin[first]
+        kelvin -= kelvin[first] * np.exp(-np.maximum(np.arange(len(kelvin)) - first, 0) * STEP_S / WARM_S)
     return kelvin
 
 
 def work(rng: np.random.Generator, warm_k: Floats, *faults: Fault) -> Iterator[Floats]:
-    """Time, voltage, current, speed at 1 Hz, a window at a time, each at its temperature; shape (n, 4)."""
-    n = int(WINDOW_S)
-    samples = n * len(warm_k)
+    """Time, voltage, current, speed at 1 Hz, a window at a time; shape (n, 4)."""
+    n, step = int(WINDOW_S), int(STEP_S)
+    samples = step * len(warm_k)
     load = wandering(rng.standard_normal(samples), LOAD_N_M, LOAD_S)
     volts, x = duty(rng, samples, (6, 16)), np.zeros(2)
+    inputs, states = np.stack([volts, load], axis=1), np.empty((samples, 2))
     for k, kelvin in enumerate(warm_k):
-        part = slice(k * n, (k + 1) * n)
+        part = slice(k * step, (k + 1) * step)
         model = discretize(apply_faults(warmed(heavy(), kelvin), faults), 1.0)
-        states = moved(model.transition, model.gain, np.stack([volts[part], load[part]], axis=1), x)
-        noise = rng.standard_normal((n, 2)) * (NOISE_A, NOISE_RAD_S)
-        yield np.column_stack([np.arange(part.start, part.stop) + 1.0, volts[part], states + noise])
+        states[part] = moved(model.transition, model.gain, inputs[part], x)
+    shown = states + rng.standard_normal(states.shape) * (NOISE_A, NOISE_RAD_S)
+    rows = np.column_stack([np.arange(samples) + 1.0, volts, shown])
+    yield from rows.reshape(-1, n, 4)
 
 
 def lines(blocks: Iterator[Floats]) -> Iterator[bytes]:
@@ -150,51 +163,84 @@ def lines(blocks: Iterator[Floats]) -> Iterator[bytes]:
             yield b"%.0f,%.5g,%.5g,%.6g\n" % tuple(row)
 
 
-def shared(fit: Callable[..., Any], key: Callable[[Any], Any]) -> Callable[..., Any]:
+def shared(fit: Callable[..., Any], key: Callable[..., Any]) -> Callable[..., Any]:
     """A fit that is made once for arguments of one key: the last result is kept."""
     last: dict[Any, Any] = {}
 
-    def once(first: Any, *rest: Any, **options: Any) -> Any:
-        if key(first) not in last:
+    def once(*given: Any, **options: Any) -> Any:
+        if key(*given) not in last:
             last.clear()
-            last[key(first)] = fit(first, *rest, **options)
-        return last[key(first)]
+            last[key(*given)] = fit(*given, **options)
+        return last[key(*given)]
 
     return once
+
+
+def recording_of(samples: Floats) -> Recording:
+    """Of rows of time, voltage, current, speed."""
+    time_s, volts, current_a, speed = np.ascontiguousarray(samples.T)
+    return Recording(Path("stream"), time_s, current_a, volts, speed)
+
+
+def alarms(
+    reference: WindowReference, rate: float, samples: Floats, before: Floats, at: Floats
+) -> tuple[list[str], Floats]:
+    """What `watch` says of a window, and before that of its looks, which are made at once here; where it is."""
+    record = replace(from_recordings([recording_of(np.concatenate([before, samples]))]), hold=reference.hold)
+    looks = Looks(reference, rate / 2.0)
+    each = looks.every_s
+    places = [(n, k) for n in range(1, round(WINDOW_S / each)) for k in looks.due(n)]
+    counts = [round(WINDOW_S / 2**k) for _, k in places]
+    ends = [len(before) + int(n * each) for n, _ in places]
+    parts = [record.part(end - count, count) for end, count in zip(ends, counts, strict=True)]
+    verdicts = looks.verdicts(parts, [k for _, k in places], at)
+    early = next((f"early {verdict}" for verdict, _ in verdicts if verdict != "healthy"), None)
+    (window,) = judge_windows(recording_of(samples), reference, rate / 2.0)
+    if window.verdict == "healthy":
+        at = np.log([change.ratio for change in window.changes])
+    return [f"window {window.verdict}", *([early] if early else [])], at
 
 
 def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
     """Events of healthy work by the rate that was asked for, and what it cost."""
     allowed = temperature == "allowed"
     rng = np.random.default_rng([77, seed, int(allowed)])
-    begin_s, learning_s = time.process_time(), 0.0
+    begin_s, learning_s, judged = time.process_time(), 0.0, 0
     counts = {name: Counter[str]() for name in RATES}
+    lesson = int(LEARN_S / WINDOW_S) + 1
     once = shared(identify_operation, key=lambda _: None)
-    # Both rates judge the same windows: the fit, which is the work, is made once for them.
-    twice = shared(windows._window, key=lambda record: record.readings.tobytes())  # noqa: SLF001  # see above
-    with mock.patch.multiple(windows, identify_operation=once, _window=twice):
+    # Both rates judge the same windows: the fits and steps, which are the work, are made once for them.
+    fits = shared(windows.fit_window, key=lambda record, *_: record.readings.tobytes())
+    steps = shared(
+        lambda *given: list(from_healthy(*given)),
+        key=lambda parts, _, at: (len(parts), parts[0].readings.tobytes(), at.tobytes()),
+    )
+    with (
+        mock.patch.multiple(windows, identify_operation=once, fit_window=fits),
+        mock.patch.object(looking, "from_healthy", steps),
+    ):
         for _ in range(round(hours / LESSON_H)):
             lesson_s = time.process_time()
-            warm_k = temperatures(rng, int((LESSON_H * 3600.0 + LEARN_S) / WINDOW_S), allowed=allowed)
-            stream = lines(work(rng, warm_k))
-            first = Watch(Lesson(WINDOW_S, LEARN_S), State(), false_alarms_per_year=1.0)
-            next(event for event in first.events(stream) if event.kind == "learned")
+            warm_k = temperatures(rng, lesson + int(LESSON_H * 3600.0 / WINDOW_S), allowed=allowed)
+            blocks = list(work(rng, warm_k))
+            watch = Watch(Lesson(WINDOW_S, LEARN_S), State(), false_alarms_per_year=1.0)
+            next(event for event in watch.events(lines(iter(blocks[:lesson]))) if event.kind == "learned")
             learning_s += time.process_time() - lesson_s
-            each = {
-                name: Watch(first.reference, State(header=first.state.header), false_alarms_per_year=a_year)
-                for name, a_year in RATES.items()
-            }
-            for line in stream:
-                for name, watch in each.items():
-                    counts[name].update(event.name for event in watch.events([line]))
-    judged = sum(n for what, n in counts["day"].items() if what.startswith("window"))
+            at = dict.fromkeys(RATES, np.zeros(4))
+            for before, samples in pairwise(blocks[lesson - 1 :]):
+                judged += 1
+                for name, a_year in RATES.items():
+                    rate = a_year * WINDOW_S / YEAR_S
+                    half = before[len(before) // 2 :]
+                    said, at[name] = alarms(watch.reference, rate, samples, half, at[name])
+                    counts[name].update(said)
     return {
         "seed": seed,
         "temperature": temperature,
         "hours": judged * WINDOW_S / 3600.0,
         "events": {name: dict(count) for name, count in counts.items()},
         "cpu_s": {"learning": learning_s, "watching": time.process_time() - begin_s - learning_s},
-        "faults": [] if allowed else detected(first.reference, rng),
+        "faults": [] if allowed else detected(watch.reference, rng),
     }
 
 

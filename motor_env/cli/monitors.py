@@ -19,6 +19,7 @@ def watch(
     follow: bool = False,
     learn: Duration | None = None,
     window: Duration | None = None,
+    steady: bool = False,
     columns: str | None = None,
     baud: console.Whole = 1_000_000,
 ) -> int:
@@ -37,10 +38,12 @@ def watch(
         follow: Wait for lines that are appended to the file.
         learn: Where there is no motor file yet: so long the motor is healthy, and is learned from, such as 10min.
         window: Length of a window for --learn, such as 20s; a twentieth of it by default.
+        steady: For --learn: only a fault moves this motor. Load, temperature and offsets stay, as on a test bench.
         columns: Names of the columns, such as time_s,voltage_v,current_a,speed_rad_s, where no line says them.
         baud: Of the serial port.
     """
     from motor_env.live import command
+    from motor_env.live.watch import Lesson
 
     return command.run(
         motor,
@@ -50,8 +53,7 @@ def watch(
         follow=follow,
         baud=baud,
         columns=columns,
-        learn_s=learn,
-        window_s=window,
+        lesson=None if learn is None else Lesson(window or learn / 20.0, learn, steady=steady),
     )
 
 

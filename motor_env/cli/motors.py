@@ -86,6 +86,7 @@ def commission(
     measurement: options.Measurement = options.MEASUREMENT,
     temperature_c: float | None = None,
     window: float | None = None,
+    steady: bool = False,
     torque_constant: float | None = None,
     no_load_current: float | None = None,
     name: str = "commissioned motor",
@@ -102,6 +103,7 @@ def commission(
         measurement: How they were measured.
         temperature_c: Temperature of the motor at these starts, where known.
         window: Length in seconds of the windows into which logs of the motor at work are cut, instead of starts.
+        steady: With --window: only a fault moves this motor. Load, temperature and offsets stay, as on a test bench.
         torque_constant: In N m/A, where known and the speed was not recorded: the current alone does not tell it.
         no_load_current: In A, of the motor uncoupled from its load: tells its own friction from the load.
         name: Name of the motor in that file.
@@ -118,13 +120,15 @@ def commission(
             torque_constant=torque_constant,
             no_load_current=no_load_current,
         )
-        known = running.commission_running(files, window, name, **given)
+        known = running.commission_running(files, window, name, **given, steady=steady)
         save_motor(known, output)
         if known.operation is not None:
             print(running.commissioned_text(known.operation, false_alarm_rate))
         print(f"written: {output}")
         measurement.keep()
         return 0
+    if steady:
+        raise InputError("--steady belongs to --window")
     result = steps.commission(
         files,
         name,

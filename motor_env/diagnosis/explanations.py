@@ -63,7 +63,7 @@ class Difference:
         """Probability of a squared distance at least as large (Hotelling); 1 for no dimension."""
         if dimensions == 0:
             return 1.0
-        return float(stats.f.sf(max(squared, 0.0) / dimensions, dimensions, self.degrees_of_freedom))
+        return float(special.fdtrc(dimensions, self.degrees_of_freedom, max(squared, 0.0) / dimensions))
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +143,7 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
 
     def excess(log_share: float) -> float:
         share = math.exp(log_share)
-        limit = float(stats.t.isf(share, freedom)) / np.maximum(along, 1e-9)
+        limit = -float(special.stdtrit(freedom, share)) / np.maximum(along, 1e-9)
         least = np.minimum(limit, math.sqrt(n * float(stats.f.isf(share, n, freedom))))
         return math.log(float(np.mean(special.fdtrc(n, freedom, least**2 / n))) / rate)
 

@@ -84,6 +84,15 @@ def warmer(covariance: FloatArray, warmth: FloatArray, rate: float, freedom: flo
     return np.asarray(covariance + np.outer(ratio * warmth, ratio * warmth), dtype=np.float64)
 
 
+def beyond(healthy: FloatArray, error: FloatArray) -> FloatArray:
+    """What the own error of a fit is beyond the spread of the healthy ones, which holds theirs, shape (n, n)."""
+    root = np.linalg.cholesky(healthy)
+    inverse = np.linalg.inv(root)
+    sizes, axes = np.linalg.eigh(inverse @ error @ inverse.T)
+    more = root @ axes * np.sqrt(np.maximum(sizes - 1.0, 0.0))
+    return np.asarray(more @ more.T, dtype=np.float64)
+
+
 def reference_from_motor(
     motor: MotorFile, *, has_voltage: bool, has_speed: bool, temperature_c: float | None = None
 ) -> Reference | None:

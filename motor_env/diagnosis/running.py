@@ -117,6 +117,7 @@ def commission_running(
     columns: Sequence[ColumnChoice] = (),
     voltage_v: float | None = None,
     circuit: Circuit | None = None,
+    steady: bool = False,
 ) -> MotorFile:
     """Learn a motor from windows of its logs.
 
@@ -127,6 +128,7 @@ def commission_running(
         columns: columns named by the user.
         voltage_v: supply, for a voltage that was recorded as a duty cycle.
         circuit: what is known of the measuring circuit.
+        steady: nothing but a fault moves the motor.
 
     Raises:
         InputError: a log cannot be read, or they cannot be used.
@@ -135,7 +137,7 @@ def commission_running(
         raise InputError(f"window must be > 0, got {window_s:g}")
     recordings = [at_terminals(read_recording(path, columns), voltage_v, circuit) for path in files]
     try:
-        reference = learn_windows(recordings, window_s)
+        reference = learn_windows(recordings, window_s, steady=steady)
     except UnusableError as error:
         raise InputError(f"the logs cannot be used: {error}") from None
     return commissioned(reference, name)
@@ -158,7 +160,8 @@ def commissioned_text(reference: WindowReference, rate: float) -> str:
         lines.append(
             f"  {_SHOWN[name]:<10}{value} {math.exp(-width) - 1.0:+.1%} to {math.exp(width) - 1.0:+.1%}"
         )
-    lines.append(f"  and another temperature, by {reference.temperature_k:.0f} K (1 sd), is healthy too")
+    if reference.temperature_k:
+        lines.append(f"  and another temperature, by {reference.temperature_k:.0f} K (1 sd), is healthy too")
     return "\n".join(lines)
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from motor_env.diagnosis.explanations import (
     Difference,
     Explanation,
@@ -13,7 +11,7 @@ from motor_env.diagnosis.explanations import (
     explain,
     smallest_changes,
 )
-from motor_env.diagnosis.healthy_motor import Reference, warmer, white_error
+from motor_env.diagnosis.healthy_motor import Reference, beyond, warmer, white_error
 from motor_env.diagnosis.loaded import Drag, drags
 from motor_env.identification.identify import Identified
 from motor_env.motor.faults import FaultKind
@@ -72,9 +70,4 @@ def covariance_at_one_temperature(fit: Identified, reference: Reference) -> Floa
     healthy = reference.log_covariance
     if not reference.includes_fit_error:
         return healthy + fit.log_covariance
-    root = np.linalg.cholesky(healthy)
-    inverse = np.linalg.inv(root)
-    sizes, axes = np.linalg.eigh(inverse @ white_error(fit) @ inverse.T)
-    beyond = root @ axes * np.sqrt(np.maximum(sizes - 1.0, 0.0))
-    covariance: FloatArray = healthy + beyond @ beyond.T
-    return covariance
+    return healthy + beyond(healthy, white_error(fit))

@@ -9,14 +9,12 @@ reverse do, a load that varies slowly is unknown in each window; elsewhere it is
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from motor_env.diagnosis.explanations import (
     Change,
@@ -26,16 +24,14 @@ from motor_env.diagnosis.explanations import (
     explain,
     joint_share,
 )
-from motor_env.diagnosis.healthy_motor import warmer
+from motor_env.diagnosis.healthy_motor import beyond, warmer
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import WindowReference
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
 from motor_env.operation.identify import Operation, identify_operation
-from motor_env.operation.problem import Problem, Solution
 from motor_env.operation.record import MOST, Record, block_means, from_recordings
-from motor_env.operation.terms import NOISES, terms
-from motor_env.operation.uncertainty import covariance, motor_places
+from motor_env.operation.window import first_steps, fit_window
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut
 
@@ -43,17 +39,17 @@ FEWEST_WINDOWS = 4
 MOST_SAMPLES = 6_000
 MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
+MOST_HALVINGS, FEWEST_OF_A_LOOK, MOST_LEARNED = 6, 8, 40  # of a window; samples of its shortest part; windows
 SPREAD_PRIOR, PRIOR_WEIGHT = 0.01, 4.0
+TEMPERATURE_K = 15.0
 NAMES = ("R", "K", "J", "B")
-_FREE = ("R", "K", "J", "coulomb", "load_constant", "load_square", "offset_current", "offset_speed", *NOISES)
 _LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1  # standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart
-_MOST_ROUNDS = 8  # of a window's fit, which begins near the healthy motor
 _REGIME = 2.0
 _NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
 _NOISES = [kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V, kernel.WALK]
 _EXPONENTS = np.array([[1.0 if name == other else 0.0 for other in quantities.PARAMETERS] for name in NAMES])
-_WARMTH = quantities.warmth_direction(_EXPONENTS)
+WARMTH = quantities.warmth_direction(_EXPONENTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +79,18 @@ def _windows(recording: Recording, window_s: float) -> list[Recording]:
     return [cut(recording, slice(n * length, (n + 1) * length)) for n in range(count)]
 
 
-def learn_windows(recordings: Sequence[Recording], window_s: float) -> WindowReference:
+def learn_windows(
+    recordings: Sequence[Recording], window_s: float, *, steady: bool = False
+) -> WindowReference:
     """What windows of a healthy motor at work teach about its next window.
 
     The spread is that of windows beyond their own errors, with a prior of 1 % on every quantity worth 4 windows.
+
+    Args:
+        recordings: of the healthy motor at work.
+        window_s: length of a window.
+        steady: nothing but a fault moves the motor, as on a test bench: no prior spread, no other temperature, the
+            load and the sensors' offsets as in the recordings.
 
     Raises:
         UnusableError: no current and speed, too few windows, or no motor explains them.
@@ -103,21 +107,23 @@ def learn_windows(recordings: Sequence[Recording], window_s: float) -> WindowRef
     if not joint.record.seen.all():
         raise UnusableError(_NEEDED)
     known, wanted, hold = _known(joint), joint.solution.names, joint.record.hold
+    if steady:
+        wanted = tuple(name for name in wanted if not name.startswith("offset"))
     records = [replace(from_recordings([part]), hold=hold) for part in parts]
     with_load = tuple(dict.fromkeys((*wanted, *_LOAD)))
-    fits = [_window(record, known, with_load) for record in records]
-    if math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits])) < _TOLD:
+    fits = [fit_window(record, known, wanted if steady else with_load) for record in records]
+    if not steady and math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits])) < _TOLD:
         wanted = with_load
     # A window's noise is less than that of all windows in one fit: it is where the fit of the next one begins.
     known[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)
-    fits = [_window(record, known, wanted) for record in records]
+    fits = [fit_window(record, known, wanted) for record in records]
     logs, errors = np.array([fit.logs for fit in fits]), np.mean([fit.covariance for fit in fits], axis=0)
     n, centre = len(fits), logs.mean(axis=0)
     scatter = (logs - centre).T @ (logs - centre)
     freedom = n - 1 + PRIOR_WEIGHT
-    prior = np.eye(len(NAMES)) * SPREAD_PRIOR**2 + errors
+    prior = np.eye(len(NAMES)) * (0.0 if steady else SPREAD_PRIOR) ** 2 + errors
     volts = [_rms(part) for part in parts]
-    return WindowReference(
+    reference = WindowReference(
         windows=n,
         window_s=window_s,
         degrees_of_freedom=freedom,
@@ -128,7 +134,42 @@ def learn_windows(recordings: Sequence[Recording], window_s: float) -> WindowRef
         hold=hold,
         dt_s=parts[0].dt_s,
         rms_volts=(min(volts), max(volts)),
+        temperature_k=0.0 if steady else TEMPERATURE_K,
+        peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
     )
+    return replace(reference, excess=tuple(_excess(records, logs, reference)))
+
+
+def _excess(
+    records: Sequence[Record], logs: Sequence[FloatArray], reference: WindowReference
+) -> Iterator[float]:
+    """By how much parts of windows scatter more than is believed of them: halves, quarters, and so on."""
+    some = slice(None, None, math.ceil(len(records) / MOST_LEARNED))
+    samples = min(len(record.voltage_v) for record in records)
+    for k in range(1, min(MOST_HALVINGS, int(math.log2(samples / FEWEST_OF_A_LOOK))) + 1):
+        length, squares = samples >> k, []
+        for record, at in zip(records[some], logs[some], strict=True):
+            parts = [record.part(n * length, length) for n in range(2**k)]
+            for ratios, spread in from_healthy(parts, reference, at - np.log(reference.values)):
+                squares.append(ratios @ np.linalg.solve(spread, ratios) / len(NAMES))
+        yield max(float(np.mean(squares)), 1.0)
+
+
+def from_healthy(
+    parts: Sequence[Record], reference: WindowReference, at: FloatArray
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """How far parts of windows seem to be from the healthy motor, and its spread: logarithms of R, K, J, drag.
+
+    Args:
+        parts: of one window or several.
+        reference: what healthy windows taught.
+        at: where the motor is thought to be by now, shape (4,): the nearer, the better a linear step.
+    """
+    known, healthy = _values(reference), reference.log_covariance
+    known[[kernel.R, kernel.K, kernel.J, kernel.DRAG]] = reference.values * np.exp(at)
+    peaks = reference.peaks or (1.0, 1.0, 1.0)
+    for step, error in first_steps(parts, known, reference.terms, peaks):
+        yield at + step, healthy + beyond(healthy, error)
 
 
 def judge_windows(recording: Recording, reference: WindowReference, rate: float) -> list[WindowVerdict]:
@@ -174,45 +215,43 @@ def _chosen(recording: Recording, parts: Sequence[Recording], reference: WindowR
 def _judged(part: Recording, reference: WindowReference, rate: float) -> WindowVerdict:
     try:
         record = replace(from_recordings([part]), hold=reference.hold)
-        fit = _window(record, _values(reference), reference.terms)
+        fit = fit_window(record, _values(reference), reference.terms)
     except UnusableError:
         return WindowVerdict(float(part.time_s[0]), "unusable", ())
-    ratios, freedom = fit.logs - np.log(reference.values), reference.degrees_of_freedom
     healthy = reference.log_covariance
-    own = healthy + _beyond(healthy, fit.covariance)
-    share = _share(rate, freedom, reference.temperature_k, healthy.tobytes())
-    limit = float(stats.t.isf(share, freedom))
-    difference = Difference(
-        ratios, warmer(own, reference.temperature_k * _WARMTH, share, freedom), _EXPONENTS, freedom
-    )
-    alarms = [fault for fault in explain(difference) if fault.z > limit]
-    whole = difference.p_value(difference.squared_distance, len(NAMES)) < share
-    is_alarm = bool(alarms) or whole
-    changes = compare(NAMES, ratios, difference.covariance, freedom, limit if is_alarm else math.inf)
-    verdict = "healthy"
-    if is_alarm:
-        fitting = [fault for fault in alarms if fault.p_left_over > rate]
-        best = max(fitting, key=lambda fault: fault.z, default=None)
-        verdict = "other" if best is None else str(best.kind)
+    spread = healthy + beyond(healthy, fit.covariance)
+    ratios = fit.logs - np.log(reference.values)
+    verdict, changes = decided(ratios, spread, rate, reference.degrees_of_freedom, reference.temperature_k)
     return WindowVerdict(float(part.time_s[0]), verdict, changes)
 
 
-@lru_cache(maxsize=16)
-def _share(rate: float, freedom: float, temperature_k: float, healthy: bytes) -> float:
-    """Rate of each test for that of all, of windows that are as well known as those of the commissioning."""
-    covariance = np.frombuffer(healthy).reshape(len(NAMES), -1)
-    warm = warmer(covariance, temperature_k * _WARMTH, alarm_share(rate, _EXPONENTS), freedom)
-    return joint_share(rate, warm, _EXPONENTS, freedom)
+def decided(
+    ratios: FloatArray, spread: FloatArray, rate: float, freedom: float, temperature_k: float
+) -> tuple[str, tuple[Change, ...]]:
+    """What logarithms of R, K, J and the drag over the healthy ones say at a rate of false alarms.
 
-
-def _beyond(healthy: FloatArray, error: FloatArray) -> FloatArray:
-    """What the own error of a window is beyond the spread of the healthy ones, which holds theirs."""
-    root = np.linalg.cholesky(healthy)
-    inverse = np.linalg.inv(root)
-    sizes, axes = np.linalg.eigh(inverse @ error @ inverse.T)
-    more = root @ axes * np.sqrt(np.maximum(sizes - 1.0, 0.0))
-    out: FloatArray = more @ more.T
-    return out
+    Args:
+        ratios: the logarithms, shape (4,).
+        spread: covariance of a healthy motor's, at one temperature, shape (4, 4).
+        rate: of false alarms of all tests together.
+        freedom: degrees of freedom of the spread.
+        temperature_k: how much warmer or colder the motor may be, one standard deviation.
+    """
+    share, warmth = alarm_share(rate, _EXPONENTS), temperature_k * WARMTH
+    difference = Difference(ratios, warmer(spread, warmth, share, freedom), _EXPONENTS, freedom)
+    faults, whole = explain(difference), difference.p_value(difference.squared_distance, len(NAMES))
+    # Each test has less than the whole rate: else none of them can alarm.
+    if whole < rate or max(fault.z for fault in faults) > -special.stdtrit(freedom, rate):
+        share = joint_share(rate, difference.covariance, _EXPONENTS, freedom)
+    limit = -float(special.stdtrit(freedom, share))
+    alarms = [fault for fault in faults if fault.z > limit]
+    is_alarm = bool(alarms) or whole < share
+    changes = compare(NAMES, ratios, difference.covariance, freedom, limit if is_alarm else math.inf)
+    if not is_alarm:
+        return "healthy", changes
+    fitting = [fault for fault in alarms if fault.p_left_over > rate]
+    best = max(fitting, key=lambda fault: fault.z, default=None)
+    return "other" if best is None else str(best.kind), changes
 
 
 def _needed(recording: Recording) -> tuple[FloatArray, FloatArray]:
@@ -238,38 +277,3 @@ def _known(joint: Operation) -> FloatArray:
     known = joint.solution.values
     known[[kernel.HEATING, kernel.COOLING]] = 0.0
     return known
-
-
-class _Fit(NamedTuple):
-    """Logarithms of R, K, J and the drag of one window, their covariance, and all its physical values."""
-
-    logs: FloatArray
-    covariance: FloatArray
-    values: FloatArray
-
-
-def _window(record: Record, known: FloatArray, wanted: Sequence[str]) -> _Fit:
-    """Fit of one window.
-
-    The drag is a factor f on the whole friction of the joint fit. Its error is that of a sum, so that of log f is taken
-    over the way from 1 to f: the slope at f would count an error upwards for more than one downwards.
-    """
-    every = terms(record, known)
-    every["drag"] = replace(every["coulomb"], name="drag", place=kernel.DRAG, unit=1.0, low=0.05, high=20.0)
-    names = [name for name in _FREE if name in wanted and name != "coulomb"]
-    free = (*(every[name] for name in names), every["drag"])
-    begin = np.array([_begin(term.place, known, term.unit, is_log=term.is_log) for term in free])
-    problem = Problem(record, known, free)
-    best = Solution(problem, *problem.solve(begin, _MOST_ROUNDS))
-    theta, values, spread = best.theta, best.values, covariance(best, {})
-    rows = [problem.names[n] for n in motor_places(problem)]
-    places = [rows.index(name) for name in ("R", "K", "J", "drag")]
-    factor = theta[problem.names.index("drag")]
-    way = math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
-    slope = np.diag([1.0, 1.0, 1.0, way])
-    logs = np.log([values[kernel.R], values[kernel.K], values[kernel.J], factor])
-    return _Fit(logs, slope @ spread[np.ix_(places, places)] @ slope, values)
-
-
-def _begin(place: int, known: FloatArray, unit: float, *, is_log: bool) -> float:
-    return math.log(max(known[place], 1e-300) / unit) if is_log else float(known[place]) / unit

@@ -13,7 +13,6 @@ from motor_env.live.watch import Lesson, Watch
 from motor_env.motor.data_sheet import WindowReference, load_motor, save_motor
 
 _KEPT = ("window", "learned")
-_WINDOWS_OF_A_LESSON = 20
 
 
 def run(
@@ -25,8 +24,7 @@ def run(
     follow: bool,
     baud: int,
     columns: str | None,
-    learn_s: float | None,
-    window_s: float | None,
+    lesson: Lesson | None,
 ) -> int:
     """Watch until the lines end or the user ends it; the exit status.
 
@@ -40,7 +38,7 @@ def run(
         seen.header = columns
     if name is None:
         seen.offset = 0
-    watch = Watch(_reference(motor, learn_s, window_s), seen, false_alarms_per_year=false_alarms_per_year)
+    watch = Watch(_reference(motor, lesson), seen, false_alarms_per_year=false_alarms_per_year)
     pieces = source(name, follow=follow, offset=seen.offset, baud=baud)
     try:
         with showing(seen.counts) as show:
@@ -55,10 +53,10 @@ def run(
     return int(seen.exit_status)
 
 
-def _reference(motor: Path, learn_s: float | None, window_s: float | None) -> WindowReference | Lesson:
+def _reference(motor: Path, lesson: Lesson | None) -> WindowReference | Lesson:
     """Of the motor file; where there is none yet and the stream shall teach, what is to be learned."""
-    if learn_s is not None and not motor.exists():
-        return Lesson(window_s if window_s is not None else learn_s / _WINDOWS_OF_A_LESSON, learn_s)
+    if lesson is not None and not motor.exists():
+        return lesson
     reference = load_motor(motor).operation
     if reference is None:
         raise InputError(f"{motor}: was not commissioned with --window")

@@ -10,14 +10,16 @@ import json
 import math
 from array import array
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from motor_env.diagnosis.early import Looks
 from motor_env.diagnosis.windows import (
     FEWEST_WINDOWS,
+    NAMES,
     WindowVerdict,
     averaged,
     judge_windows,
@@ -49,6 +51,7 @@ class Event:
         text: verdict of a window; else what was seen.
         ratios: quantities of the window over the healthy ones.
         reason: why a window is unusable.
+        span_s: of a verdict before the window's end: how many seconds it is about.
     """
 
     time_s: float
@@ -56,6 +59,7 @@ class Event:
     text: str
     ratios: dict[str, float] = field(default_factory=dict)
     reason: str = ""
+    span_s: float | None = None
 
     @property
     def name(self) -> str:
@@ -68,7 +72,8 @@ class Event:
             {"verdict": self.text, "reason": self.reason} if self.kind == "window" else {"reason": self.text}
         )
         said: dict[str, Any] = {"time_s": self.time_s, "event": self.kind, **words, "ratios": self.ratios}
-        return json.dumps({name: value for name, value in said.items() if value not in ("", {})})
+        said["span_s"] = self.span_s
+        return json.dumps({name: value for name, value in said.items() if value not in ("", {}, None)})
 
 
 @dataclass
@@ -78,11 +83,13 @@ class Lesson:
     Attributes:
         window_s: length of a window.
         learn_s: how long the windows must be together.
+        steady: nothing but a fault moves the motor.
         recordings: the windows so far.
     """
 
     window_s: float
     learn_s: float
+    steady: bool = False
     recordings: list[Recording] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -105,13 +112,23 @@ class Lesson:
         return f"{len(self.recordings) * self.window_s:g} of {self.learn_s:g} s"
 
 
+def _columns(samples: array[float]) -> dict[str, FloatArray]:
+    return dict(zip(_QUANTITIES, np.array(samples).reshape(-1, len(_QUANTITIES)).T, strict=True))
+
+
+def _recording(columns: dict[str, FloatArray]) -> Recording:
+    even, values, _ = evened(columns["time"], {name: columns[name] for name in _QUANTITIES[1:]})
+    return Recording(Path("stream"), even, values["current"], values["voltage"], values["speed"])
+
+
 class Watch:
     """Takes lines, gives events.
 
     Args:
         reference: what windows of the healthy motor have taught, or what is to be learned from the stream.
         state: what has been seen so far.
-        false_alarms_per_year: of a healthy motor that always runs; each window has its share.
+        false_alarms_per_year: of a healthy motor that always runs; each window has its share, half of it
+            for what is said before the window ends.
     """
 
     def __init__(
@@ -120,9 +137,12 @@ class Watch:
         if not 0.0 < false_alarms_per_year < math.inf:
             raise InputError(f"false-alarms-per-year must be > 0, got {false_alarms_per_year:g}")
         self.reference, self.state = reference, state
-        self.rate = min(false_alarms_per_year * reference.window_s / YEAR_S, 0.5)
+        self.rate = min(false_alarms_per_year * reference.window_s / YEAR_S, 0.5) / 2.0
         self._columns: list[tuple[int, float]] = []
-        self._window = array("d")
+        self._window, self._before = array("d"), array("d")
+        self._looks: Looks | None = None
+        self._looked, self._next_look_s = 0, math.inf
+        self._at = np.zeros(len(NAMES))
         self._last: list[float] | None = None
         self._same = 0
         if state.header:
@@ -172,21 +192,48 @@ class Watch:
                 return ()
             if self._same == STUCK_AFTER:
                 return [self._broken("stuck_sensor", f"{STUCK_AFTER} times the current {sample[2]:.6g} A")]
+        if not self._window:
+            self._begin_looks(sample[0])
         self._window.extend(sample)
         if sample[0] - self._window[0] >= self.reference.window_s:
-            columns, self._window = np.array(self._window).reshape(-1, len(_QUANTITIES)).T, array("d")
-            events.append(self._ended(dict(zip(_QUANTITIES, columns, strict=True))))
+            self._before, self._window = self._window, array("d")
+            events.append(self._ended(_columns(self._before)))
+        elif self._looks and sample[0] >= self._next_look_s:
+            events.extend(self._look(self._looks))
         return events
 
+    def _begin_looks(self, time_s: float) -> None:
+        looks = Looks(self.reference, self.rate) if isinstance(self.reference, WindowReference) else None
+        self._looks, self._looked = looks, 0
+        self._next_look_s = time_s + looks.every_s if looks else math.inf
+
+    def _look(self, looks: Looks) -> Iterator[Event]:
+        """What a look says, if it is an alarm; then the window's end is waited for."""
+        self._looked += 1
+        self._next_look_s += looks.every_s
+        if due := looks.due(self._looked):
+            needed = len(_QUANTITIES) * math.ceil(looks.needed_s(due[0]) / self._step_s)
+            last = self._window[-needed:]
+            if len(last) < needed and self._before:
+                last = self._before[len(last) - needed :] + last
+            if alarm := looks.at_end(_recording(_columns(last)), due, self._at):
+                self._next_look_s = math.inf
+                # Part of these samples may be healthy: how large the fault is shows only at the window's end.
+                yield replace(self._judged(alarm), ratios={}, reason="", span_s=self._time_s - alarm.begin_s)
+
+    @property
+    def _step_s(self) -> float:
+        """Time from one sample to the next."""
+        count = len(self._window) // len(_QUANTITIES)
+        return (self._window[-len(_QUANTITIES)] - self._window[0]) / (count - 1)
+
     def _ended(self, columns: dict[str, FloatArray]) -> Event:
-        time_s = columns.pop("time")
         for name in ("current", "speed"):
             if columns["voltage"].any() and not np.ptp(columns[name]):
                 return Event(
                     self._time_s, "stuck_sensor", f"the {name} of a whole window is {columns[name][0]:.6g}"
                 )
-        even, values, _ = evened(time_s, columns)
-        recording = Recording(Path("stream"), even, values["current"], values["voltage"], values["speed"])
+        recording = _recording(columns)
         if isinstance(self.reference, Lesson):
             return self._taught(recording, self.reference)
         try:
@@ -198,7 +245,7 @@ class Watch:
         if not lesson.add(recording):
             return Event(self._time_s, "learning", str(lesson))
         try:
-            self.reference = learn_windows(lesson.recordings, lesson.window_s)
+            self.reference = learn_windows(lesson.recordings, lesson.window_s, steady=lesson.steady)
         except UnusableError as error:
             lesson.recordings.clear()
             return Event(self._time_s, "not_learned", str(error))
@@ -207,6 +254,8 @@ class Watch:
     def _judged(self, window: WindowVerdict) -> Event:
         moved = {change.name for change in window.changes if change.significant}
         ratios = {change.name: change.ratio for change in window.changes}
+        if window.verdict == "healthy":
+            self._at = np.log(list(ratios.values()))
         if window.verdict == "other" and {"K", "J"} <= moved:  # no wear moves both
             return Event(
                 self._time_s, "another_motor", "constants and inertia are those of another motor", ratios
@@ -215,7 +264,7 @@ class Watch:
         return Event(self._time_s, "window", window.verdict, ratios, reason)
 
     def _broken(self, kind: str, text: str) -> Event:
-        self._window = array("d")
+        self._window, self._before = array("d"), array("d")
         return Event(self._time_s, kind, text)
 
     @property

@@ -178,6 +178,8 @@ class WindowReference:
         dt_s: sampling interval of the fit.
         rms_volts: least and largest effective voltage of a window.
         temperature_k: how much warmer or colder a healthy motor may be, one standard deviation.
+        peaks: largest voltage, current and speed of the healthy windows; without them no part of a window is judged.
+        excess: by which factor halves, quarters, ... of a window scatter more than is believed of them (variance).
     """
 
     windows: Annotated[int, Field(ge=1)]
@@ -191,6 +193,8 @@ class WindowReference:
     dt_s: Positive
     rms_volts: tuple[Positive, Positive]
     temperature_k: NotNegative = 15.0
+    peaks: tuple[Positive, Positive, Positive] | None = None
+    excess: tuple[Positive, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

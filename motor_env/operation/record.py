@@ -105,9 +105,23 @@ class Record:
         marks[:: count // _STRETCHES] = BEGIN
         return replace(self, voltage_v=self.voltage_v[some], readings=self.readings[some], marks=marks)
 
+    def part(self, first: int, count: int) -> Record:
+        """So many of its samples from one on, as a recording of its own."""
+        some = slice(first, first + count)
+        marks = self.marks[some].copy()
+        marks[0] = BEGIN
+        return replace(self, voltage_v=self.voltage_v[some], readings=self.readings[some], marks=marks)
+
     def only(self, *, current: bool, speed: bool) -> Record:
         """The same with some of the channels."""
         return replace(self, seen=self.seen * np.array([current, speed], dtype=np.float64))
+
+
+def joined(parts: Sequence[Record]) -> Record:
+    """Records in a row, which are alike in all but their samples."""
+    columns = [(part.voltage_v, part.readings, part.marks) for part in parts]
+    voltage_v, readings, marks = (np.concatenate(column) for column in zip(*columns, strict=True))
+    return replace(parts[0], voltage_v=voltage_v, readings=readings, marks=marks)
 
 
 def _shifted(values: FloatArray, samples: float) -> FloatArray:

@@ -45,9 +45,17 @@ class Term:
         return self.unit * math.exp(theta) if self.is_log else self.unit * theta
 
 
-def terms(record: Record, start: FloatArray) -> dict[str, Term]:
-    """All unknowns of a record, in units of a first guess of the values, shape (kernel.N_VALUES,)."""
-    volts, amps, speed = record.peaks
+def terms(
+    record: Record, start: FloatArray, peaks: tuple[float, float, float] | None = None
+) -> dict[str, Term]:
+    """All unknowns of a record.
+
+    Args:
+        record: what is fitted.
+        start: a first guess of the values, which gives their units, shape (kernel.N_VALUES,).
+        peaks: largest voltage, current and speed, where they are not those of the record.
+    """
+    volts, amps, speed = record.peaks if peaks is None else peaks
     ohm, constant, dt = start[kernel.R], start[kernel.K], record.dt_s
     amps = max(amps, 1e-3 * volts / ohm) if record.seen[0] else volts / ohm
     speed = max(speed, 1e-3 * volts / constant) if record.seen[1] else volts / constant
