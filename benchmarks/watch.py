@@ -8,7 +8,7 @@ The textbook motor with a heavy flywheel: random duty cycle, load and temperatur
 after a commissioning of 5 h. What comes is the text that a device would print. Each 50 h have a commissioning of their
 own, since it decides how often its windows alarm; the joint fit, which gives what all windows share, is that of the
 first. `--temperature allowed` is what the monitor assumes: commissioned at one temperature, which then wanders by 15 K.
-`wandering` wanders by 10 K, also while it is commissioned.
+`wandering` wanders by 10 K, also while it is commissioned. `steady` is a test bench: one temperature, no load.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ from motor_env.motor.parameters import (
 )
 from motor_env.operation.identify import identify_operation
 from motor_env.operation.record import from_recordings
+from motor_env.operation.window import fit_window
 from motor_env.recordings.recording import Recording
 
 Floats = NDArray[np.float64]
@@ -64,6 +65,7 @@ FAULTS = (
     (FaultKind.WINDING_CONTACT, 0.25),
 )
 RUNS, MOST_WINDOWS = 5, 12
+TEMPERATURES = ("wandering", "allowed", "steady")
 RATES = {"hour": YEAR_S / 3600.0, "day": YEAR_S / 86_400.0}
 
 
@@ -139,11 +141,13 @@ def temperatures(rng: np.random.Generator, windows: int, *, allowed: bool) -> Fl
     return kelvin
 
 
-def work(rng: np.random.Generator, warm_k: Floats, *faults: Fault) -> Iterator[Floats]:
+def work(
+    rng: np.random.Generator, warm_k: Floats, *faults: Fault, load_n_m: float = LOAD_N_M
+) -> Iterator[Floats]:
     """Time, voltage, current, speed at 1 Hz, a window at a time; shape (n, 4)."""
     n, step = int(WINDOW_S), int(STEP_S)
     samples = step * len(warm_k)
-    load = wandering(rng.standard_normal(samples), LOAD_N_M, LOAD_S)
+    load = wandering(rng.standard_normal(samples), load_n_m, LOAD_S)
     volts, x = duty(rng, samples, (6, 16)), np.zeros(2)
     inputs, states = np.stack([volts, load], axis=1), np.empty((samples, 2))
     for k, kelvin in enumerate(warm_k):
@@ -187,13 +191,13 @@ def alarms(
 ) -> tuple[list[str], Floats]:
     """What `watch` says of a window, and before that of its looks, which are made at once here; where it is."""
     record = replace(from_recordings([recording_of(np.concatenate([before, samples]))]), hold=reference.hold)
-    looks = Looks(reference, rate / 2.0)
+    looks = Looks(reference, rate / 2.0, at)
     each = looks.every_s
     places = [(n, k) for n in range(1, round(WINDOW_S / each)) for k in looks.due(n)]
     counts = [round(WINDOW_S / 2**k) for _, k in places]
     ends = [len(before) + int(n * each) for n, _ in places]
     parts = [record.part(end - count, count) for end, count in zip(ends, counts, strict=True)]
-    verdicts = looks.verdicts(parts, [k for _, k in places], at)
+    verdicts = looks.verdicts(parts, [k for _, k in places])
     early = next((f"early {verdict}" for verdict, _ in verdicts if verdict != "healthy"), None)
     (window,) = judge_windows(recording_of(samples), reference, rate / 2.0)
     if window.verdict == "healthy":
@@ -203,14 +207,14 @@ def alarms(
 
 def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
     """Events of healthy work by the rate that was asked for, and what it cost."""
-    allowed = temperature == "allowed"
-    rng = np.random.default_rng([77, seed, int(allowed)])
+    place = TEMPERATURES.index(temperature)
+    rng, steady = np.random.default_rng([77, seed, place]), temperature == "steady"
     begin_s, learning_s, judged = time.process_time(), 0.0, 0
     counts = {name: Counter[str]() for name in RATES}
     lesson = int(LEARN_S / WINDOW_S) + 1
     once = shared(identify_operation, key=lambda _: None)
     # Both rates judge the same windows: the fits and steps, which are the work, are made once for them.
-    fits = shared(windows.fit_window, key=lambda record, *_: record.readings.tobytes())
+    fits = shared(fit_window, key=lambda record, *_: record.readings.tobytes())
     steps = shared(
         lambda *given: list(from_healthy(*given)),
         key=lambda parts, _, at: (len(parts), parts[0].readings.tobytes(), at.tobytes()),
@@ -221,10 +225,13 @@ def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
     ):
         for _ in range(round(hours / LESSON_H)):
             lesson_s = time.process_time()
-            warm_k = temperatures(rng, lesson + int(LESSON_H * 3600.0 / WINDOW_S), allowed=allowed)
-            blocks = list(work(rng, warm_k))
-            watch = Watch(Lesson(WINDOW_S, LEARN_S), State(), false_alarms_per_year=1.0)
+            count = lesson + int(LESSON_H * 3600.0 / WINDOW_S)
+            warm_k = temperatures(rng, count, allowed=temperature == "allowed")
+            blocks = list(work(rng, warm_k * (not steady), load_n_m=LOAD_N_M * (not steady)))
+            watch = Watch(Lesson(WINDOW_S, LEARN_S, steady=steady), State(), false_alarms_per_year=1.0)
             next(event for event in watch.events(lines(iter(blocks[:lesson]))) if event.kind == "learned")
+            if not isinstance(watch.reference, WindowReference):
+                raise TypeError("nothing was learned")
             learning_s += time.process_time() - lesson_s
             at = dict.fromkeys(RATES, np.zeros(4))
             for before, samples in pairwise(blocks[lesson - 1 :]):
@@ -240,7 +247,7 @@ def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
         "hours": judged * WINDOW_S / 3600.0,
         "events": {name: dict(count) for name, count in counts.items()},
         "cpu_s": {"learning": learning_s, "watching": time.process_time() - begin_s - learning_s},
-        "faults": [] if allowed else detected(watch.reference, rng),
+        "faults": detected(watch.reference, rng) if temperature == "wandering" else [],
     }
 
 
@@ -269,7 +276,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--hours", type=float, default=LESSON_H)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--temperature", choices=("wandering", "allowed"), default="wandering")
+    parser.add_argument("--temperature", choices=TEMPERATURES, default="wandering")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args(arguments)
     found = watched(options.hours, options.seed, options.temperature)

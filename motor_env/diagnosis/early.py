@@ -5,6 +5,7 @@ A look is at the last half of a window's length, the last quarter and so on; eac
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,6 +21,7 @@ from motor_env.diagnosis.windows import (
     averaged,
     decided,
     from_healthy,
+    is_closed,
 )
 from motor_env.motor.data_sheet import WindowReference
 from motor_env.motor.parameters import FloatArray
@@ -39,16 +41,18 @@ class Looks:
     Attributes:
         reference: what windows of the healthy motor taught.
         rate: of false alarms of all looks while a window passes.
+        at: how far R, K, J and the drag were from the healthy ones in the last window, logarithms, shape (4,).
     """
 
     reference: WindowReference
     rate: float
+    at: FloatArray
 
     @property
     def every_s(self) -> float:
         """Time from one look to the next; infinite where the commissioning has taught nothing of looks."""
         halvings = len(self.reference.excess)
-        return self.reference.window_s / 2**halvings / _LOOKS if halvings else np.inf
+        return float(self.reference.window_s) / math.ldexp(_LOOKS, halvings) if halvings else math.inf
 
     def due(self, number: int) -> list[int]:
         """How often the window is halved for look number 1, 2, ...: one length or several, the longest first."""
@@ -59,14 +63,8 @@ class Looks:
         """How many seconds a look needs."""
         return max(self.reference.window_s / 2**halvings, (FEWEST + 2) * self.reference.dt_s)
 
-    def at_end(self, recording: Recording, due: Sequence[int], at: FloatArray) -> WindowVerdict | None:
-        """The first alarm of looks at the end of a recording; None where all is well.
-
-        Args:
-            recording: of the last samples.
-            due: see above.
-            at: how far R, K, J and the drag were from the healthy ones in the last window, logarithms.
-        """
+    def at_end(self, recording: Recording, due: Sequence[int]) -> WindowVerdict | None:
+        """The first alarm of looks at the end of a recording; None where all is well."""
         try:
             record = from_recordings([averaged(recording, self.reference.window_s)])
         except UnusableError:
@@ -77,14 +75,14 @@ class Looks:
         parts = [record.part(samples - n, n) for n in lengths if n <= samples]
         if not parts:
             return None
-        for part, (verdict, changes) in zip(parts, self.verdicts(parts, due[-len(parts) :], at), strict=True):
+        for part, (verdict, changes) in zip(parts, self.verdicts(parts, due[-len(parts) :]), strict=True):
             if verdict != "healthy":
                 begin_s = float(recording.time_s[-1]) - len(part.voltage_v) * record.dt_s
                 return WindowVerdict(begin_s, verdict, changes)
         return None
 
     def verdicts(
-        self, parts: Sequence[Record], halvings: Sequence[int], at: FloatArray
+        self, parts: Sequence[Record], halvings: Sequence[int]
     ) -> Iterator[tuple[str, tuple[Change, ...]]]:
         """Of looks at parts, by how often the window is halved for each.
 
@@ -94,15 +92,16 @@ class Looks:
         """
         healthy = self.reference.log_covariance
         warm = np.outer(WARMTH, WARMTH) * self.reference.temperature_k**2
-        for part, k, first in zip(parts, halvings, from_healthy(parts, self.reference, at), strict=True):
-            found = self._decided(*first, k)
+        for part, k, first in zip(parts, halvings, from_healthy(parts, self.reference, self.at), strict=True):
+            found = self._decided(*first, k) if is_closed(part) else ("healthy", ())
             for prior in (healthy + warm, np.eye(len(NAMES)) * _ANYWHERE**2):
                 if found[0] != "healthy":
-                    found = self._decided(*self._settled(part, at, prior), k)
+                    found = self._decided(*self._settled(part, prior), k)
             yield found
 
-    def _settled(self, part: Record, at: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _settled(self, part: Record, prior: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A step from where several steps lead under a belief about the logarithms, with its spread."""
+        at = self.at
         for _ in range(_STEPS):
             ((ratios, spread),) = from_healthy([part], self.reference, at)
             at = prior @ np.linalg.solve(prior + spread, ratios)
@@ -125,12 +124,12 @@ class Looks:
         Looks that overlap alarm together: all of them in a share of 1 - rate^0.2 / 2 of the sum of their rates, by
         simulation (0.65 to 0.94 for rates of 1/6 to 2e-5).
         """
-        together = 1.0 - 0.5 * self.rate**0.2
-        return self.rate / together / len(self.reference.excess) / (_LOOKS * 2**halvings)
+        together: float = 1.0 - 0.5 * self.rate**0.2
+        return self.rate / together / len(self.reference.excess) / math.ldexp(_LOOKS, halvings)
 
     def _freedom(self, spread: FloatArray, halvings: int) -> float:
         """Degrees of freedom of a look's spread, of which a share was learned from windows (Satterthwaite 1946)."""
         learned = self.reference.log_covariance * self.reference.excess[halvings - 1]
         share = float(np.trace(np.linalg.solve(spread, learned))) / len(NAMES)
-        parts = len(NAMES) * min(self.reference.windows, MOST_LEARNED) * 2**halvings
+        parts = math.ldexp(len(NAMES) * min(self.reference.windows, MOST_LEARNED), halvings)
         return 1.0 / (share**2 / self.reference.degrees_of_freedom + 1.0 / parts)

@@ -137,7 +137,7 @@ def learn_windows(
         temperature_k=0.0 if steady else TEMPERATURE_K,
         peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
     )
-    return replace(reference, excess=tuple(_excess(records, logs, reference)))
+    return replace(reference, excess=tuple(_excess(records, [fit.logs for fit in fits], reference)))
 
 
 def _excess(
@@ -150,9 +150,15 @@ def _excess(
         length, squares = samples >> k, []
         for record, at in zip(records[some], logs[some], strict=True):
             parts = [record.part(n * length, length) for n in range(2**k)]
-            for ratios, spread in from_healthy(parts, reference, at - np.log(reference.values)):
+            found = from_healthy(parts, reference, at - np.log(reference.values))
+            for ratios, spread in (one for part, one in zip(parts, found, strict=True) if is_closed(part)):
                 squares.append(ratios @ np.linalg.solve(spread, ratios) / len(NAMES))
-        yield max(float(np.mean(squares)), 1.0)
+        yield max(float(np.mean(squares or 1.0)), 1.0)
+
+
+def is_closed(part: Record) -> bool:
+    """Whether the circuit seems closed throughout: a few samples without a current may only look open."""
+    return kernel.OPEN not in part.marks
 
 
 def from_healthy(

@@ -19,7 +19,6 @@ import numpy as np
 from motor_env.diagnosis.early import Looks
 from motor_env.diagnosis.windows import (
     FEWEST_WINDOWS,
-    NAMES,
     WindowVerdict,
     averaged,
     judge_windows,
@@ -142,7 +141,7 @@ class Watch:
         self._window, self._before = array("d"), array("d")
         self._looks: Looks | None = None
         self._looked, self._next_look_s = 0, math.inf
-        self._at = np.zeros(len(NAMES))
+        self._at: FloatArray | None = None  # logarithms over the healthy motor in the last healthy window
         self._last: list[float] | None = None
         self._same = 0
         if state.header:
@@ -203,9 +202,11 @@ class Watch:
         return events
 
     def _begin_looks(self, time_s: float) -> None:
-        looks = Looks(self.reference, self.rate) if isinstance(self.reference, WindowReference) else None
-        self._looks, self._looked = looks, 0
-        self._next_look_s = time_s + looks.every_s if looks else math.inf
+        """It looks after a healthy window only: behind a gap another motor may run."""
+        self._looks, self._looked, self._next_look_s = None, 0, math.inf
+        if isinstance(self.reference, WindowReference) and self._at is not None:
+            self._looks = Looks(self.reference, self.rate, self._at)
+            self._next_look_s = time_s + self._looks.every_s
 
     def _look(self, looks: Looks) -> Iterator[Event]:
         """What a look says, if it is an alarm; then the window's end is waited for."""
@@ -216,7 +217,7 @@ class Watch:
             last = self._window[-needed:]
             if len(last) < needed and self._before:
                 last = self._before[len(last) - needed :] + last
-            if alarm := looks.at_end(_recording(_columns(last)), due, self._at):
+            if alarm := looks.at_end(_recording(_columns(last)), due):
                 self._next_look_s = math.inf
                 # Part of these samples may be healthy: how large the fault is shows only at the window's end.
                 yield replace(self._judged(alarm), ratios={}, reason="", span_s=self._time_s - alarm.begin_s)
@@ -264,7 +265,7 @@ class Watch:
         return Event(self._time_s, "window", window.verdict, ratios, reason)
 
     def _broken(self, kind: str, text: str) -> Event:
-        self._window, self._before = array("d"), array("d")
+        self._window, self._before, self._at = array("d"), array("d"), None
         return Event(self._time_s, kind, text)
 
     @property

@@ -137,14 +137,17 @@ def test_it_learns_by_itself_and_goes_on_after_it_was_killed(
     worn = replace(motor, ohm=1.25 * motor.ohm)
     other = replace(motor, constant=0.7 * motor.constant, inertia=2.0 * motor.inertia, ohm=0.8 * motor.ohm)
     with log.open("a", encoding="utf-8") as file:
-        for begin_s, one in ((1e3, worn), (2e3, other)):
+        for begin_s, one in ((1e3, motor), (1e3 + 1000 * dt_s, worn), (2e3, other)):
             file.write(text(simulate(one, "reversals", rng, samples=1000, dt_s=dt_s), begin_s))
     assert main(["watch", *command]) == 1
     told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    names = [event.get("verdict", event["event"]) for event in told]
-    assert names[names.index("gap") :] == ["gap", *3 * ["winding_contact"], "gap", *3 * ["another_motor"]]
+    names = [event.get("verdict", event["event"]) for event in told if "span_s" not in event]
+    early = [event.get("verdict", event["event"]) for event in told if "span_s" in event]
+    windows = [*4 * ["healthy"], *2 * ["winding_contact"], "gap", *3 * ["another_motor"]]
+    assert names[names.index("gap") :] == ["gap", *windows]
+    assert early == 4 * ["winding_contact"]
     counts = json.loads((tmp_path / "state.json").read_text(encoding="utf-8"))["counts"]
-    assert (counts["learned"], counts["window healthy"]) == (1, 4)
+    assert (counts["learned"], counts["window healthy"]) == (1, 8)
 
 
 @pytest.mark.long

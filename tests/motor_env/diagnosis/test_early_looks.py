@@ -1,0 +1,81 @@
+"""Looks at a motor at work before a window ends."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from motor_env.diagnosis import early
+from motor_env.diagnosis.early import Looks
+from motor_env.motor.data_sheet import WindowReference
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation.record import Record
+
+HALVINGS = 4
+RATE = 0.05
+REFERENCE = WindowReference(
+    windows=1000,
+    window_s=640.0,
+    degrees_of_freedom=1e6,
+    values=np.ones(4),
+    log_covariance=np.eye(4) * 1e-12,
+    terms=(),
+    physical=np.zeros(1),
+    hold="held",
+    dt_s=1.0,
+    rms_volts=(11.0, 13.0),
+    temperature_k=0.0,
+    excess=(1.0,) * HALVINGS,
+)
+SPREAD = 0.1  # of one block's logarithms
+
+
+def record(values: FloatArray) -> Record:
+    return Record(1.0, values, np.zeros((len(values), 2)), np.ones(2), np.zeros(len(values)))
+
+
+def means(parts: list[Record], _: WindowReference, at: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Instead of a motor: the logarithms of a part are the means of white noise."""
+    for part in parts:
+        n = len(part.voltage_v)
+        yield part.voltage_v.mean(axis=0), np.eye(4) * SPREAD**2 / n
+
+
+def looked(looks: Looks, blocks: FloatArray) -> list[tuple[int, str]]:
+    """Block of each look at the second window of a stream that alarms, and the verdict."""
+    window, found = len(blocks) // 2, []
+    for number in range(1, window):
+        due = looks.due(number)
+        parts = [record(blocks[: window + number][-window // 2**k :]) for k in due]
+        found += [(number, v) for v, _ in looks.verdicts(parts, due) if v != "healthy"]
+    return found
+
+
+def test_each_length_is_looked_at_whenever_a_quarter_of_it_is_new() -> None:
+    looks = Looks(REFERENCE, RATE, np.zeros(4))
+    assert looks.every_s == 640.0 / 16 / 4
+    assert [looks.due(n) for n in (1, 2, 3, 4, 8)] == [[4], [3, 4], [4], [2, 3, 4], [1, 2, 3, 4]]
+    assert (looks.needed_s(1), looks.needed_s(4)) == (320.0, 42.0)
+
+
+def test_looks_alarm_at_the_wanted_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(early, "from_healthy", means)
+    looks, rng, windows = Looks(REFERENCE, RATE, np.zeros(4)), np.random.default_rng(19), 300
+    alarms = sum(
+        bool(looked(looks, SPREAD * rng.standard_normal((2 * 4 * 2**HALVINGS, 4)))) for _ in range(windows)
+    )
+    assert 6 <= alarms <= 28  # 1 to 99.9 % of a Poisson number about 15
+
+
+def test_a_fault_is_seen_and_named_long_before_the_window_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(early, "from_healthy", means)
+    blocks = SPREAD * np.random.default_rng(19).standard_normal((128, 4))
+    blocks[64 + 10 :, 3] += np.log(1.5)
+    (number, verdict), *_ = looked(Looks(REFERENCE, RATE, np.zeros(4)), blocks)
+    assert 10 < number <= 16
+    assert verdict == "bearing"
+
+
+def test_without_what_a_commissioning_teaches_there_are_no_looks() -> None:
+    assert Looks(replace(REFERENCE, excess=()), RATE, np.zeros(4)).every_s == np.inf
