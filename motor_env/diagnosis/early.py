@@ -61,7 +61,7 @@ class Looks:
 
     def needed_s(self, halvings: int) -> float:
         """How many seconds a look needs."""
-        return max(self.reference.window_s / 2**halvings, (FEWEST + 2) * self.reference.dt_s)
+        return max(math.ldexp(self.reference.window_s, -halvings), (FEWEST + 2) * self.reference.dt_s)
 
     def at_end(self, recording: Recording, due: Sequence[int]) -> WindowVerdict | None:
         """The first alarm of looks at the end of a recording; None where all is well."""
