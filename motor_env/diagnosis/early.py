@@ -31,6 +31,7 @@ from motor_env.recordings.recording import Recording
 
 _LOOKS = 4  # while a part of that length passes
 _STEPS = 3
+_TAILS = 80.0
 _ANYWHERE = 0.5  # standard deviation of a logarithm
 
 
@@ -128,8 +129,12 @@ class Looks:
         return self.rate / together / len(self.reference.excess) / math.ldexp(_LOOKS, halvings)
 
     def _freedom(self, spread: FloatArray, halvings: int) -> float:
-        """Degrees of freedom of a look's spread, of which a share was learned from windows (Satterthwaite 1946)."""
+        """Degrees of freedom of a look's spread, of which a share was learned from windows (Satterthwaite 1946).
+
+        What parts of windows teach counts for at most _TAILS: the innovations of a motor that is known by a fit have
+        heavier tails than normal ones.
+        """
         learned = self.reference.log_covariance * self.reference.excess[halvings - 1]
         share = float(np.trace(np.linalg.solve(spread, learned))) / len(NAMES)
         parts = math.ldexp(len(NAMES) * min(self.reference.windows, MOST_LEARNED), halvings)
-        return 1.0 / (share**2 / self.reference.degrees_of_freedom + 1.0 / parts)
+        return 1.0 / (share**2 / self.reference.degrees_of_freedom + 1.0 / min(parts, _TAILS))

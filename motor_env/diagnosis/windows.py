@@ -39,7 +39,12 @@ FEWEST_WINDOWS = 4
 MOST_SAMPLES = 6_000
 MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
-MOST_HALVINGS, FEWEST_OF_A_LOOK, MOST_LEARNED = 6, 8, 40  # of a window; samples of its shortest part; windows
+_MOST_HALVINGS = 6  # of a window, for looks at its parts
+_FEWEST_OF_A_LOOK, _SHORTEST_LOOK_S = (
+    8,
+    0.2,
+)  # samples; 20 looks a second at most, which take a tenth of a core
+MOST_LEARNED = 40
 SPREAD_PRIOR, PRIOR_WEIGHT = 0.01, 4.0
 TEMPERATURE_K = 15.0
 NAMES = ("R", "K", "J", "B")
@@ -146,7 +151,8 @@ def _excess(
     """By how much parts of windows scatter more than is believed of them: halves, quarters, and so on."""
     some = slice(None, None, math.ceil(len(records) / MOST_LEARNED))
     samples = min(len(record.voltage_v) for record in records)
-    for k in range(1, min(MOST_HALVINGS, int(math.log2(samples / FEWEST_OF_A_LOOK))) + 1):
+    shares = (2.0**_MOST_HALVINGS, samples / _FEWEST_OF_A_LOOK, reference.window_s / _SHORTEST_LOOK_S)
+    for k in range(1, int(math.log2(max(min(shares), 1.0))) + 1):
         length, squares = samples >> k, []
         for record, at in zip(records[some], logs[some], strict=True):
             parts = [record.part(n * length, length) for n in range(2**k)]
