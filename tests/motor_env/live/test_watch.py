@@ -127,7 +127,7 @@ def test_it_learns_by_itself_and_goes_on_after_it_was_killed(
     dt_s = motor.mechanical_s / 10.0
     toml, log = str(tmp_path / "motor.toml"), tmp_path / "log.csv"
     command = [toml, str(log), "--state", str(tmp_path / "state.json"), "--window", f"{300 * dt_s}"]
-    command += ["--learn", f"{2400 * dt_s}"]
+    command += ["--learn", f"{2400 * dt_s}", "--false-alarms-per-year", "1e4"]
     healthy = simulate(motor, "reversals", rng, samples=3700, dt_s=dt_s)
     log.write_text("time_s,voltage_v,current_a,speed_rad_s\n" + text(healthy), encoding="utf-8")
     told = list(itertools.islice(watched([*command, "--follow"]), 10))
