@@ -220,7 +220,8 @@ class Watch:
             if alarm := looks.at_end(_recording(_columns(last)), due):
                 self._next_look_s = math.inf
                 # Part of these samples may be healthy: how large the fault is shows only at the window's end.
-                yield replace(self._judged(alarm), ratios={}, reason="", span_s=self._time_s - alarm.begin_s)
+                span_s = round(self._time_s - alarm.begin_s, 6)
+                yield replace(self._judged(alarm), ratios={}, reason="", span_s=span_s)
 
     @property
     def _step_s(self) -> float:
