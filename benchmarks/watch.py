@@ -5,7 +5,7 @@
 A run of another seed or temperature is added to what the file holds.
 
 The textbook motor with a heavy flywheel: random duty cycle, load and temperature. Watched at 1 Hz by windows of 10 min
-after a commissioning of 5 h. What comes is the text that a device would print. Each 50 h have a commissioning of their
+after a commissioning of 5 h, which comes as the text that a device would print. Each 50 h have a commissioning of their
 own, since it decides how often its windows alarm; the joint fit, which gives what all windows share, is that of the
 first. `--temperature allowed` is what the monitor assumes: commissioned at one temperature, which then wanders by 15 K.
 `wandering` wanders by 10 K, also while it is commissioned. `steady` is a test bench: one temperature, no load.

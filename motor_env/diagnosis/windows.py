@@ -40,10 +40,8 @@ MOST_SAMPLES = 6_000
 MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 _MOST_HALVINGS = 6  # of a window, for looks at its parts
-_FEWEST_OF_A_LOOK, _SHORTEST_LOOK_S = (
-    8,
-    0.2,
-)  # samples; 20 looks a second at most, which take a tenth of a core
+_FEWEST_OF_A_LOOK = 8  # samples
+_SHORTEST_LOOK_S = 0.2  # so that there are 20 looks a second at most, which take a tenth of a core
 MOST_LEARNED = 40
 SPREAD_PRIOR, PRIOR_WEIGHT = 0.01, 4.0
 TEMPERATURE_K = 15.0
