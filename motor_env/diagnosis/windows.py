@@ -48,6 +48,7 @@ TEMPERATURE_K = 15.0
 NAMES = ("R", "K", "J", "B")
 _LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1  # standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart
+_HOTTEST_K = 100.0
 _REGIME = 2.0
 _NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
 _NOISES = [kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V, kernel.WALK]
@@ -140,11 +141,27 @@ def learn_windows(
         temperature_k=0.0 if steady else TEMPERATURE_K,
         peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
     )
-    return replace(reference, excess=tuple(_excess(records, [fit.logs for fit in fits], reference)))
+    ratios = list(logs - centre)
+    believed = _squares(ratios, [_spread(fit.covariance, reference) for fit in fits])
+    taught = _squares(ratios, [reference.log_covariance] * n)
+    reference = replace(reference, window_excess=sum(believed) / sum(taught))
+    return replace(reference, excess=tuple(_excess(records, ratios, reference)))
+
+
+def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> list[float]:
+    """Squared distances per dimension."""
+    pairs = zip(ratios, spreads, strict=True)
+    return [float(off @ np.linalg.solve(spread, off)) / len(NAMES) for off, spread in pairs]
+
+
+def _spread(error: FloatArray, reference: WindowReference) -> FloatArray:
+    """Of the logarithms of a healthy window whose fit has that error."""
+    healthy = reference.log_covariance
+    return (healthy + beyond(healthy, error)) * reference.window_excess
 
 
 def _excess(
-    records: Sequence[Record], logs: Sequence[FloatArray], reference: WindowReference
+    records: Sequence[Record], ratios: Sequence[FloatArray], reference: WindowReference
 ) -> Iterator[float]:
     """By how much parts of windows scatter more than is believed of them: halves, quarters, and so on."""
     some = slice(None, None, math.ceil(len(records) / MOST_LEARNED))
@@ -152,11 +169,11 @@ def _excess(
     shares = (2.0**_MOST_HALVINGS, samples / _FEWEST_OF_A_LOOK, reference.window_s / _SHORTEST_LOOK_S)
     for k in range(1, int(math.log2(max(min(shares), 1.0))) + 1):
         length, squares = samples >> k, []
-        for record, at in zip(records[some], logs[some], strict=True):
+        for record, at in zip(records[some], ratios[some], strict=True):
             parts = [record.part(n * length, length) for n in range(2**k)]
-            found = from_healthy(parts, reference, at - np.log(reference.values))
-            for ratios, spread in (one for part, one in zip(parts, found, strict=True) if is_closed(part)):
-                squares.append(ratios @ np.linalg.solve(spread, ratios) / len(NAMES))
+            found = from_healthy(parts, reference, at)
+            closed = [one for part, one in zip(parts, found, strict=True) if is_closed(part)]
+            squares += _squares(*zip(*closed, strict=True)) if closed else []
         yield max(float(np.mean(squares or 1.0)), 1.0)
 
 
@@ -228,9 +245,7 @@ def _judged(part: Recording, reference: WindowReference, rate: float) -> WindowV
         fit = fit_window(record, _values(reference), reference.terms)
     except UnusableError:
         return WindowVerdict(float(part.time_s[0]), "unusable", ())
-    healthy = reference.log_covariance
-    spread = healthy + beyond(healthy, fit.covariance)
-    ratios = fit.logs - np.log(reference.values)
+    ratios, spread = fit.logs - np.log(reference.values), _spread(fit.covariance, reference)
     verdict, changes = decided(ratios, spread, rate, reference.degrees_of_freedom, reference.temperature_k)
     return WindowVerdict(float(part.time_s[0]), verdict, changes)
 
@@ -248,7 +263,8 @@ def decided(
         temperature_k: how much warmer or colder the motor may be, one standard deviation.
     """
     share, warmth = alarm_share(rate, _EXPONENTS), temperature_k * WARMTH
-    difference = Difference(ratios, warmer(spread, warmth, share, freedom), _EXPONENTS, freedom)
+    straight = _straightened(ratios, spread, temperature_k) if temperature_k else ratios
+    difference = Difference(straight, warmer(spread, warmth, share, freedom), _EXPONENTS, freedom)
     faults, whole = explain(difference), difference.p_value(difference.squared_distance, len(NAMES))
     # Each test has less than the whole rate: else none of them can alarm.
     if whole < rate or max(fault.z for fault in faults) > -special.stdtrit(freedom, rate):
@@ -262,6 +278,14 @@ def decided(
     fitting = [fault for fault in alarms if fault.p_left_over > rate]
     best = max(fitting, key=lambda fault: fault.z, default=None)
     return "other" if best is None else str(best.kind), changes
+
+
+def _straightened(ratios: FloatArray, spread: FloatArray, temperature_k: float) -> FloatArray:
+    """Logarithms that move in proportion to the temperature: the factors do, their logarithms a little less."""
+    slope = np.linalg.solve(spread, WARMTH)
+    kelvin = float(slope @ ratios / (slope @ WARMTH + temperature_k**-2))
+    warm = WARMTH * min(max(kelvin, -_HOTTEST_K), _HOTTEST_K)
+    return ratios + warm - np.log1p(warm)
 
 
 def _needed(recording: Recording) -> tuple[FloatArray, FloatArray]:

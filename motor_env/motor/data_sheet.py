@@ -179,6 +179,8 @@ class WindowReference:
         rms_volts: least and largest effective voltage of a window.
         temperature_k: how much warmer or colder a healthy motor may be, one standard deviation.
         peaks: largest voltage, current and speed of the healthy windows; without them no part of a window is judged.
+        window_excess: by which factor windows scatter more than is believed of them: what they have taught, or
+            their own errors where these are larger (variance).
         excess: by which factor halves, quarters, ... of a window scatter more than is believed of them (variance).
     """
 
@@ -194,6 +196,7 @@ class WindowReference:
     rms_volts: tuple[Positive, Positive]
     temperature_k: NotNegative = 15.0
     peaks: tuple[Positive, Positive, Positive] | None = None
+    window_excess: Positive = 1.0
     excess: tuple[Positive, ...] = ()
 
 

@@ -189,8 +189,8 @@ def open_circuit(voltage_v: FloatArray, readings: FloatArray, begins: FloatArray
     """Where a motor coasts with an open circuit, shape (n,).
 
     The voltage jumps where the circuit opens and where it closes. A diode may carry the current until it is gone. Then
-    there is none, and the voltage at the terminals moves with the speed; or the voltage is recorded as none, and the
-    speed moves. Without a recorded speed a motor that stands counts as well: it makes no difference to it.
+    there is none, and the voltage at the terminals moves with the speed, not by steps; or the voltage is recorded as
+    none, and the speed moves. Without a recorded speed a motor that stands counts as well, to which it is all one.
     """
     current, peak = readings[:, 0], float(np.quantile(np.abs(voltage_v), 0.999))
     noise, largest = noise_of(current), float(np.quantile(np.abs(current), 0.99))
@@ -213,7 +213,7 @@ def open_circuit(voltage_v: FloatArray, readings: FloatArray, begins: FloatArray
         is_noise = float(shown.std()) < noise * (1.0 + 3.0 / math.sqrt(n))
         volts, speed = voltage_v[first:end], readings[first:end, 1]
         slows = np.ptp(speed) > _SLOWS * fastest if fastest > 0.0 else begins[jump] == 0.0
-        falls = slows if is_off else np.ptp(volts) > _COASTS * peak
+        falls = slows if is_off else np.ptp(volts) > max(_COASTS * peak, 2.0 * np.abs(np.diff(volts)).max())
         if is_none and is_noise and falls:
             out[first:end] = True
             if end < len(current) and begins[end] == 0.0:

@@ -17,7 +17,7 @@ from motor_env.operation import kernel
 from motor_env.operation.problem import STEP, Problem, Solution
 from motor_env.operation.record import Record, joined
 from motor_env.operation.terms import NOISES, terms
-from motor_env.operation.uncertainty import covariance, motor_places
+from motor_env.operation.uncertainty import information_covariance, motor_places
 
 _MOTOR = ("R", "K", "J", "drag")
 _LOADS = ("load_constant", "load_square", "offset_current", "offset_speed")
@@ -37,13 +37,14 @@ class WindowFit(NamedTuple):
 def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> WindowFit:
     """Fit of one window, with those of the wanted terms that differ from window to window.
 
+    The covariance is that of white residuals: by how much more windows scatter is seen on healthy ones.
     The error of f is that of a sum, so that of log f is taken over the way from 1 to f: the slope at f would count an
     error upwards for more than one downwards.
     """
     others = [name for name in (*_LOADS, *NOISES) if name in wanted]
     problem, begin = _problem(record, known, others)
     best = Solution(problem, *problem.solve(begin, _MOST_ROUNDS))
-    values, spread = best.values, covariance(best, {})
+    values, spread = best.values, information_covariance(problem, best.theta)
     rows = [problem.names[n] for n in motor_places(problem)]
     places = [rows.index(name) for name in _MOTOR]
     factor = best.theta[problem.names.index("drag")]
