@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import BinaryIO
 
@@ -15,6 +17,7 @@ from motor_env.recordings.text.block import CUT_OFF, Form, form_of, parsed, pars
 from motor_env.recordings.text.settings import Block, Table
 
 MOST_ROWS = 4_000_000
+_AT_ONCE = 2  # pieces: pandas lets other threads run while it parses
 _HEAD_BYTES, _TAIL_BYTES, _PIECE_BYTES = 2_000_000, 65_536, 8_000_000
 
 
@@ -52,7 +55,19 @@ def large_block(path: Path, most: int = MOST_ROWS) -> Table:
 
 
 def _values(file: BinaryIO, block: Block, form: Form) -> Iterator[FloatArray]:
-    """The numbers of each piece, shape (rows, columns)."""
+    """The numbers of each piece, shape (rows, columns); several are parsed at once."""
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        waiting: deque[Future[FloatArray]] = deque()
+        for piece, line, rows in _pieces(file, block, form):
+            waiting.append(pool.submit(_numbers, block, form, piece, line, rows))
+            if len(waiting) > _AT_ONCE:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+
+def _pieces(file: BinaryIO, block: Block, form: Form) -> Iterator[tuple[bytes, int, int]]:
+    """Whole lines, the number of the first in the file, and how many they are."""
     line = block.table.lines[block.first]
     while piece := file.read(_PIECE_BYTES) + file.readline():
         if CUT_OFF in form.remarks and not piece.endswith(b"\n"):
@@ -60,12 +75,16 @@ def _values(file: BinaryIO, block: Block, form: Form) -> Iterator[FloatArray]:
         piece = piece.replace(b" -> ", form.arrow.encode()) if form.arrow else piece
         ends = int(np.count_nonzero(np.frombuffer(piece, np.uint8) == ord("\n")))
         rows = ends if piece.endswith(b"\n") else ends + 1
-        values = parsed(block, piece, rows)
-        if values is None:
-            lines = piece.decode("utf-8", "replace").splitlines()
-            values, _ = parsed_cell_by_cell(block, lines, form.names, line)
-        yield values
+        yield piece, line, rows
         line += rows
+
+
+def _numbers(block: Block, form: Form, piece: bytes, line: int, rows: int) -> FloatArray:
+    values = parsed(block, piece, rows)
+    if values is None:
+        lines = piece.decode("utf-8", "replace").splitlines()
+        values, _ = parsed_cell_by_cell(block, lines, form.names, line)
+    return values
 
 
 def means(parts: Iterable[FloatArray], factor: int) -> FloatArray:
