@@ -145,7 +145,7 @@ def _read_table(folder: Folder, entry: Entry, schema: pa.Schema, row_bytes: int)
         unpacked = sum(file.metadata.row_group(n).total_byte_size for n in range(file.num_row_groups))
         if unpacked > 2 * entry.rows * row_bytes + _OVERHEAD:
             raise InputError(f"{path} unpacks to {unpacked:,} bytes, more than {entry.rows} cases have")
-        table = file.read()
+        table = file.read(use_threads=False)  # a thread that stumbles over damage may abort the interpreter
         table.validate(full=True)  # text that is none, labels beyond their list
         return table
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
