@@ -31,9 +31,9 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind
-from motor_env.diagnosis import early as looking, windows
-from motor_env.diagnosis.early import Looks
-from motor_env.diagnosis.windows import from_healthy, judge_windows
+from motor_env.diagnosis.running import lessons, looks as looking, windows
+from motor_env.diagnosis.running.looks import Looks
+from motor_env.diagnosis.running.windows import from_healthy, judge_windows
 from motor_env.live.state import State
 from motor_env.live.watch import YEAR_S, Lesson, Watch
 from motor_env.motor.data_sheet import WindowReference
@@ -220,7 +220,8 @@ def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
         key=lambda parts, _, at: (len(parts), parts[0].readings.tobytes(), at.tobytes()),
     )
     with (
-        mock.patch.multiple(windows, identify_operation=once, fit_window=fits),
+        mock.patch.object(lessons, "identify_operation", once),
+        mock.patch.object(windows, "fit_window", fits),
         mock.patch.object(looking, "from_healthy", steps),
     ):
         for _ in range(round(hours / LESSON_H)):

@@ -108,7 +108,8 @@ def commission(
         no_load_current: In A, of the motor uncoupled from its load: tells its own friction from the load.
         name: Name of the motor in that file.
     """
-    from motor_env.diagnosis import commission as steps, running
+    from motor_env.diagnosis import commission as steps
+    from motor_env.diagnosis.running import logs
     from motor_env.motor.data_sheet import save_motor
 
     if not 0.0 < false_alarm_rate < 0.5:
@@ -120,10 +121,10 @@ def commission(
             torque_constant=torque_constant,
             no_load_current=no_load_current,
         )
-        known = running.commission_running(files, window, name, **given, steady=steady)
+        known = logs.commission_running(files, window, name, **given, steady=steady)
         save_motor(known, output)
         if known.operation is not None:
-            print(running.commissioned_text(known.operation, false_alarm_rate))
+            print(logs.commissioned_text(known.operation, false_alarm_rate))
         print(f"written: {output}")
         measurement.keep()
         return 0

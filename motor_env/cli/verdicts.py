@@ -45,17 +45,18 @@ def diagnose(
         verbose: Print how well model and filter fit, too.
         json_: Print one array with one object a start.
     """
-    from motor_env.diagnosis import report, running
+    from motor_env.diagnosis import report
     from motor_env.diagnosis.files import diagnose_files
+    from motor_env.diagnosis.running import logs
     from motor_env.motor.data_sheet import load_motor
 
     known = None if motor is None else load_motor(motor)
     if known is not None and known.operation is not None:
         options = measurement.for_windows(temperature_c=temperature_c, healthy=healthy)
-        records = running.diagnose_running(files, known, false_alarm_rate, out, **options)
+        records = logs.diagnose_running(files, known, false_alarm_rate, out, **options)
         show(json_, lambda: [r.as_json() for r in records], lambda: "\n".join(r.as_text() for r in records))
         measurement.keep()
-        return running.exit_status(records)
+        return logs.exit_status(records)
     with console.working("reading") as say:
         outcomes = diagnose_files(
             files,

@@ -19,7 +19,7 @@ from motor_env.recordings.recording import Recording
 from motor_env.recordings.start import Circuit, prepare
 
 START_SPREAD_PRIOR = 0.02
-START_PRIOR_WEIGHT = 4.0
+PRIOR_WEIGHT = 4.0
 NOISE_SPREAD_PRIOR = 0.10
 SHEET_NOISE_SD = 0.10
 NORMAL_DOF = 1e6
@@ -182,22 +182,14 @@ def fit_healthy(
 def learn_reference(fits: list[Identified]) -> StartReference:
     """What healthy starts of one motor teach about its next start.
 
-    The spread between few starts is hardly known. A prior stands in: an inverse-Wishart whose mean is 2 % (1 sd) on
-    every quantity, worth 4 starts (Gelman et al. 2013, ch. 3.6). The next start then follows a multivariate Student t
-    with n - 1 + 4 degrees of freedom and the scale (1 + 1/n) S, never the sample's own sigma.
-
     Args:
         fits: healthy starts, fitted with the same model, one or more.
     """
     logs = np.array([fit.log_values for fit in fits])
     n, p = logs.shape
-    centre = logs.mean(axis=0)
-    scatter = (logs - centre).T @ (logs - centre)
     # The fit's own error is white between starts; it is the least that the next start will differ by.
     fit_error = np.mean([white_error(fit) for fit in fits], axis=0)
-    prior = np.eye(p) * START_SPREAD_PRIOR**2 + fit_error
-    freedom = n - 1 + START_PRIOR_WEIGHT
-    covariance = (scatter + START_PRIOR_WEIGHT * prior) / freedom * (1.0 + 1.0 / n)
+    centre, covariance, freedom = the_next(logs, np.eye(p) * START_SPREAD_PRIOR**2 + fit_error)
     noise = np.log([max(fit.noise_a, 1e-12) for fit in fits])
     ripples = [ripple_quantities(fit) for fit in fits]
     ripple = np.log([pair for pair in ripples if pair is not None])
@@ -222,12 +214,25 @@ def learn_reference(fits: list[Identified]) -> StartReference:
     )
 
 
+def the_next(logs: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Mean, covariance and degrees of freedom of the next healthy one, of several.
+
+    The spread between few is hardly known. A prior stands in: an inverse-Wishart, worth 4 of them (Gelman et al. 2013,
+    ch. 3.6). The next one then follows a multivariate Student t with n - 1 + 4 degrees of freedom and the scale
+    (1 + 1/n) S, never the sample's own sigma.
+
+    Args:
+        logs: of those seen, shape (n, p).
+        prior: covariance that is believed beforehand, shape (p, p).
+    """
+    n, centre = len(logs), logs.mean(axis=0)
+    scatter, freedom = (logs - centre).T @ (logs - centre), n - 1 + PRIOR_WEIGHT
+    return centre, (scatter + PRIOR_WEIGHT * prior) / freedom * (1.0 + 1.0 / n), freedom
+
+
 def _next_sd(values: FloatArray, prior_sd: float) -> float:
-    """Scale of the next value's Student t, from values that scatter and a prior worth 4 of them."""
-    n = len(values)
-    scatter = float(np.sum((values - values.mean()) ** 2))
-    freedom = n - 1 + START_PRIOR_WEIGHT
-    return math.sqrt((scatter + START_PRIOR_WEIGHT * prior_sd**2) / freedom * (1.0 + 1.0 / n))
+    """Scale of the next value's Student t, from values that scatter."""
+    return math.sqrt(the_next(values[:, None], np.eye(1) * prior_sd**2)[1][0, 0])
 
 
 def white_error(fit: Identified) -> FloatArray:

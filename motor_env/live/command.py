@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from motor_env.diagnosis.running import commissioned
+from motor_env.diagnosis.running.logs import commissioned
 from motor_env.errors import InputError
 from motor_env.live.screen import showing
 from motor_env.live.sources import lines, source

@@ -16,14 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from motor_env.diagnosis.early import Looks
-from motor_env.diagnosis.windows import (
-    FEWEST_WINDOWS,
-    WindowVerdict,
-    averaged,
-    judge_windows,
-    learn_windows,
-)
+from motor_env.diagnosis.running.lessons import FEWEST_WINDOWS, learn_windows
+from motor_env.diagnosis.running.looks import Looks
+from motor_env.diagnosis.running.windows import WindowVerdict, averaged, judge_windows
 from motor_env.errors import InputError
 from motor_env.live.sources import NEW_FILE, Notice, Piece
 from motor_env.live.state import State

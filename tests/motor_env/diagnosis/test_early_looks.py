@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motor_env.diagnosis import early
-from motor_env.diagnosis.early import Looks
+from motor_env.diagnosis.running import looks as looking
+from motor_env.diagnosis.running.looks import Looks
 from motor_env.motor.data_sheet import WindowReference
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation.record import Record
@@ -60,7 +60,7 @@ def test_each_length_is_looked_at_whenever_a_quarter_of_it_is_new() -> None:
 
 
 def test_looks_alarm_at_the_wanted_rate(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(early, "from_healthy", means)
+    monkeypatch.setattr(looking, "from_healthy", means)
     looks, rng, windows = Looks(REFERENCE, RATE, np.zeros(4)), np.random.default_rng(19), 300
     alarms = sum(
         bool(looked(looks, SPREAD * rng.standard_normal((2 * 4 * 2**HALVINGS, 4)))) for _ in range(windows)
@@ -69,7 +69,7 @@ def test_looks_alarm_at_the_wanted_rate(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_a_fault_is_seen_and_named_long_before_the_window_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(early, "from_healthy", means)
+    monkeypatch.setattr(looking, "from_healthy", means)
     blocks = SPREAD * np.random.default_rng(19).standard_normal((128, 4))
     blocks[64 + 10 :, 3] += np.log(1.5)
     (number, verdict), *_ = looked(Looks(REFERENCE, RATE, np.zeros(4)), blocks)

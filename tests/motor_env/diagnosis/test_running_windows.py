@@ -13,9 +13,9 @@ import pytest
 from scipy import stats
 
 from motor_env.cli import main
-from motor_env.diagnosis import running, windows
 from motor_env.diagnosis.explanations import alarm_share, joint_share
-from motor_env.diagnosis.windows import WindowVerdict
+from motor_env.diagnosis.running import logs, windows
+from motor_env.diagnosis.running.windows import WindowVerdict
 from motor_env.errors import InputError
 from motor_env.motor import identifiable as quantities
 from motor_env.recordings.recording import Recording
@@ -94,16 +94,14 @@ def test_one_bad_log_costs_no_other_its_verdict(
             raise found
         return found
 
-    monkeypatch.setattr(running, "read_recording", reading)
-    monkeypatch.setattr(running, "judge_windows", lambda *_: [WindowVerdict(0.0, "healthy", ())])
+    monkeypatch.setattr(logs, "read_recording", reading)
+    monkeypatch.setattr(logs, "judge_windows", lambda *_: [WindowVerdict(0.0, "healthy", ())])
     motor = SimpleNamespace(operation=SimpleNamespace(window_s=10.0))
-    records = running.diagnose_running(
-        [tmp_path / f"{n}.csv" for n in range(4)], cast("Any", motor), 0.01, None
-    )
+    records = logs.diagnose_running([tmp_path / f"{n}.csv" for n in range(4)], cast("Any", motor), 0.01, None)
     assert [record.verdict for record in records] == ["unusable", "unusable", "healthy", "unusable"]
     assert "1 of 3 windows are judged" in records[2].as_text()
     assert [record.is_bug for record in records] == [False, True, False, False]
-    assert running.exit_status(records) == 70
+    assert logs.exit_status(records) == 70
     assert "Traceback" in capsys.readouterr().err
 
 
@@ -117,12 +115,12 @@ def test_a_log_without_a_usable_window_says_why(
     noise, sine = rng.standard_normal((2, 400)), 12.0 * np.sin(np.arange(400.0) / 20.0)
     volts = rng.choice([0.0, 12.0], 400) if has_levels else sine
     record = Recording(Path("a.csv"), 1e-3 * np.arange(400.0), noise[0], volts, noise[1])
-    monkeypatch.setattr(running, "read_recording", lambda *_: record)
-    monkeypatch.setattr(running, "judge_windows", lambda *_: [WindowVerdict(0.0, "unusable", ())])
+    monkeypatch.setattr(logs, "read_recording", lambda *_: record)
+    monkeypatch.setattr(logs, "judge_windows", lambda *_: [WindowVerdict(0.0, "unusable", ())])
     motor = cast("Any", SimpleNamespace(operation=SimpleNamespace(window_s=0.1)))
-    (found,) = running.diagnose_running([record.path], motor, 0.01, None)
+    (found,) = logs.diagnose_running([record.path], motor, 0.01, None)
     assert reason in found.trouble
-    assert running.exit_status([found]) == 3
+    assert logs.exit_status([found]) == 3
 
 
 @pytest.mark.parametrize("rate", [0.15, 0.02])

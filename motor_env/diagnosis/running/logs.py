@@ -14,7 +14,8 @@ from scipy import stats
 
 from motor_env.console import ExitStatus
 from motor_env.diagnosis.files import picture_of, why_not
-from motor_env.diagnosis.windows import NAMES, WindowVerdict, judge_windows, learn_windows
+from motor_env.diagnosis.running.lessons import learn_windows
+from motor_env.diagnosis.running.windows import NAMES, WindowVerdict, judge_windows
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import MotorFile, WindowReference
 from motor_env.operation.record import at_terminals, from_recordings

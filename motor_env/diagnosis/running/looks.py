@@ -13,8 +13,8 @@ import numpy as np
 from scipy import special
 
 from motor_env.diagnosis.explanations import Change
-from motor_env.diagnosis.windows import (
-    MOST_LEARNED,
+from motor_env.diagnosis.running.lessons import MOST_LEARNED
+from motor_env.diagnosis.running.windows import (
     NAMES,
     WARMTH,
     WindowVerdict,

@@ -1,4 +1,4 @@
-"""A running motor by windows of its logs: what healthy windows teach, and the verdict on each window and on a record.
+"""A running motor by windows of its logs: the verdict on each window and on a record.
 
 All windows are fitted with the terms that the healthy ones were identified with jointly. What windows of one motor
 share is held there: brush drop, inductance, and how the drag divides into viscous and dry friction, so that regimes
@@ -29,29 +29,18 @@ from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import WindowReference
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
-from motor_env.operation.identify import Operation, identify_operation
-from motor_env.operation.record import MOST, Record, block_means, from_recordings
+from motor_env.operation.record import Record, block_means, from_recordings
 from motor_env.operation.window import first_steps, fit_window
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut
 
-FEWEST_WINDOWS = 4
 MOST_SAMPLES = 6_000
 MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
-_MOST_HALVINGS = 6  # of a window, for looks at its parts
-_FEWEST_OF_A_LOOK = 8  # samples
-_SHORTEST_LOOK_S = 0.2  # so that there are 20 looks a second at most, which take a tenth of a core
-MOST_LEARNED = 40
-SPREAD_PRIOR, PRIOR_WEIGHT = 0.01, 4.0
-TEMPERATURE_K = 15.0
 NAMES = ("R", "K", "J", "B")
-_LOAD = ("load_constant", "load_walk")
-_TOLD = 0.1  # standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart
 _HOTTEST_K = 100.0
 _REGIME = 2.0
-_NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
-_NOISES = [kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V, kernel.WALK]
+NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
 _EXPONENTS = np.array([[1.0 if name == other else 0.0 for other in quantities.PARAMETERS] for name in NAMES])
 WARMTH = quantities.warmth_direction(_EXPONENTS)
 
@@ -70,12 +59,12 @@ def averaged(recording: Recording, window_s: float) -> Recording:
     factor = math.ceil(window_s / recording.dt_s / MOST_SAMPLES - 1e-6)
     if factor <= 1:
         return recording
-    columns = (recording.time_s, recording.current_a, *_needed(recording))
+    columns = (recording.time_s, recording.current_a, *needed_columns(recording))
     time_s, current_a, voltage_v, speed_rad_s = (block_means(column, factor) for column in columns)
     return Recording(recording.path, time_s, current_a, voltage_v, speed_rad_s)
 
 
-def _windows(recording: Recording, window_s: float) -> list[Recording]:
+def windows_of(recording: Recording, window_s: float) -> list[Recording]:
     """Windows of a recording of equal length, a rest at the end left out."""
     recording = averaged(recording, window_s)
     length = round(window_s / recording.dt_s)
@@ -83,98 +72,10 @@ def _windows(recording: Recording, window_s: float) -> list[Recording]:
     return [cut(recording, slice(n * length, (n + 1) * length)) for n in range(count)]
 
 
-def learn_windows(
-    recordings: Sequence[Recording], window_s: float, *, steady: bool = False
-) -> WindowReference:
-    """What windows of a healthy motor at work teach about its next window.
-
-    The spread is that of windows beyond their own errors, with a prior of 1 % on every quantity worth 4 windows.
-
-    Args:
-        recordings: of the healthy motor at work.
-        window_s: length of a window.
-        steady: nothing but a fault moves the motor, as on a test bench: no prior spread, no other temperature, the
-            load and the sensors' offsets as in the recordings.
-
-    Raises:
-        UnusableError: no current and speed, too few windows, or no motor explains them.
-    """
-    parts = [part for recording in recordings for part in _windows(recording, window_s)]
-    if len(parts) < FEWEST_WINDOWS:
-        raise UnusableError(f"{len(parts)} windows of {window_s:g} s; at least {FEWEST_WINDOWS} are needed")
-    samples = sum(len(recording.time_s) for recording in recordings)
-    chosen = recordings
-    if samples > MOST:
-        every = math.ceil(sum(len(part.time_s) for part in parts) / MOST)
-        chosen = parts[:: min(every, len(parts) // FEWEST_WINDOWS)]
-    joint = identify_operation(chosen, most=max(MOST, sum(len(one.time_s) for one in chosen)))
-    if not joint.record.seen.all():
-        raise UnusableError(_NEEDED)
-    known, wanted, hold = _known(joint), joint.solution.names, joint.record.hold
-    if steady:
-        wanted = tuple(name for name in wanted if not name.startswith("offset"))
-    records = [replace(from_recordings([part]), hold=hold) for part in parts]
-    with_load = tuple(dict.fromkeys((*wanted, *_LOAD)))
-    fits = [fit_window(record, known, wanted if steady else with_load) for record in records]
-    if not steady and math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits])) < _TOLD:
-        wanted = with_load
-    # A window's noise is less than that of all windows in one fit: it is where the fit of the next one begins.
-    known[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)
-    fits = [fit_window(record, known, wanted) for record in records]
-    logs, errors = np.array([fit.logs for fit in fits]), np.mean([fit.covariance for fit in fits], axis=0)
-    n, centre = len(fits), logs.mean(axis=0)
-    scatter = (logs - centre).T @ (logs - centre)
-    freedom = n - 1 + PRIOR_WEIGHT
-    prior = np.eye(len(NAMES)) * (0.0 if steady else SPREAD_PRIOR) ** 2 + errors
-    volts = [_rms(part) for part in parts]
-    reference = WindowReference(
-        windows=n,
-        window_s=window_s,
-        degrees_of_freedom=freedom,
-        values=np.exp(centre),
-        log_covariance=(scatter + PRIOR_WEIGHT * prior) / freedom * (1.0 + 1.0 / n),
-        terms=wanted,
-        physical=known,
-        hold=hold,
-        dt_s=parts[0].dt_s,
-        rms_volts=(min(volts), max(volts)),
-        temperature_k=0.0 if steady else TEMPERATURE_K,
-        peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
-    )
-    ratios = list(logs - centre)
-    believed = _squares(ratios, [_spread(fit.covariance, reference) for fit in fits])
-    taught = _squares(ratios, [reference.log_covariance] * n)
-    reference = replace(reference, window_excess=sum(believed) / sum(taught))
-    return replace(reference, excess=tuple(_excess(records, ratios, reference)))
-
-
-def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> list[float]:
-    """Squared distances per dimension."""
-    pairs = zip(ratios, spreads, strict=True)
-    return [float(off @ np.linalg.solve(spread, off)) / len(NAMES) for off, spread in pairs]
-
-
-def _spread(error: FloatArray, reference: WindowReference) -> FloatArray:
+def spread_of(error: FloatArray, reference: WindowReference) -> FloatArray:
     """Of the logarithms of a healthy window whose fit has that error."""
     healthy = reference.log_covariance
     return (healthy + beyond(healthy, error)) * reference.window_excess
-
-
-def _excess(
-    records: Sequence[Record], ratios: Sequence[FloatArray], reference: WindowReference
-) -> Iterator[float]:
-    """By how much parts of windows scatter more than is believed of them: halves, quarters, and so on."""
-    some = slice(None, None, math.ceil(len(records) / MOST_LEARNED))
-    samples = min(len(record.voltage_v) for record in records)
-    shares = (2.0**_MOST_HALVINGS, samples / _FEWEST_OF_A_LOOK, reference.window_s / _SHORTEST_LOOK_S)
-    for k in range(1, int(math.log2(max(min(shares), 1.0))) + 1):
-        length, squares = samples >> k, []
-        for record, at in zip(records[some], ratios[some], strict=True):
-            parts = [record.part(n * length, length) for n in range(2**k)]
-            found = from_healthy(parts, reference, at)
-            closed = [one for part, one in zip(parts, found, strict=True) if is_closed(part)]
-            squares += _squares(*zip(*closed, strict=True)) if closed else []
-        yield max(float(np.mean(squares or 1.0)), 1.0)
 
 
 def is_closed(part: Record) -> bool:
@@ -208,11 +109,11 @@ def judge_windows(recording: Recording, reference: WindowReference, rate: float)
     Raises:
         UnusableError: the record is outside the commissioned regime, or shorter than a window.
     """
-    parts = _windows(recording, reference.window_s)
+    parts = windows_of(recording, reference.window_s)
     if not parts:
         raise UnusableError(f"the record is shorter than a window of {reference.window_s:g} s")
     low, high = reference.rms_volts
-    volts = _rms(recording)
+    volts = rms_volts(recording)
     if not low / _REGIME <= volts <= high * _REGIME:
         raise UnusableError(
             f"outside the commissioned regime: {volts:.3g} V effective, commissioned {low:.3g} to {high:.3g} V"
@@ -245,7 +146,7 @@ def _judged(part: Recording, reference: WindowReference, rate: float) -> WindowV
         fit = fit_window(record, _values(reference), reference.terms)
     except UnusableError:
         return WindowVerdict(float(part.time_s[0]), "unusable", ())
-    ratios, spread = fit.logs - np.log(reference.values), _spread(fit.covariance, reference)
+    ratios, spread = fit.logs - np.log(reference.values), spread_of(fit.covariance, reference)
     verdict, changes = decided(ratios, spread, rate, reference.degrees_of_freedom, reference.temperature_k)
     return WindowVerdict(float(part.time_s[0]), verdict, changes)
 
@@ -288,15 +189,20 @@ def _straightened(ratios: FloatArray, spread: FloatArray, temperature_k: float) 
     return ratios + warm - np.log1p(warm)
 
 
-def _needed(recording: Recording) -> tuple[FloatArray, FloatArray]:
-    """Voltage and speed."""
+def needed_columns(recording: Recording) -> tuple[FloatArray, FloatArray]:
+    """Voltage and speed.
+
+    Raises:
+        UnusableError: one of them is missing.
+    """
     if recording.voltage_v is None or recording.speed_rad_s is None:
-        raise UnusableError(_NEEDED)
+        raise UnusableError(NEEDED)
     return recording.voltage_v, recording.speed_rad_s
 
 
-def _rms(recording: Recording) -> float:
-    return float(np.sqrt(np.mean(np.square(_needed(recording)[0]))))
+def rms_volts(recording: Recording) -> float:
+    """Effective voltage."""
+    return float(np.sqrt(np.mean(np.square(needed_columns(recording)[0]))))
 
 
 def _values(reference: WindowReference) -> FloatArray:
@@ -304,10 +210,3 @@ def _values(reference: WindowReference) -> FloatArray:
     values = np.zeros(kernel.N_VALUES)
     values[: len(reference.physical)] = reference.physical
     return values
-
-
-def _known(joint: Operation) -> FloatArray:
-    """Physical values of the joint fit, without warmth: each window is taken at its own temperature."""
-    known = joint.solution.values
-    known[[kernel.HEATING, kernel.COOLING]] = 0.0
-    return known
