@@ -15,6 +15,7 @@ from scipy import stats
 from motor_env.cli import main
 from motor_env.diagnosis.explanations import alarm_share, joint_share
 from motor_env.diagnosis.running import logs, windows
+from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.running.windows import WindowVerdict
 from motor_env.errors import InputError
 from motor_env.motor import identifiable as quantities
@@ -141,3 +142,25 @@ def test_the_tests_of_a_window_alarm_together_at_the_rate(rate: float) -> None:
     alarms |= np.sum(drawn**2, axis=1) / 4.0 > stats.f.isf(share, 4, freedom)
     assert alarms.mean() == pytest.approx(rate, rel=0.05)
     assert share > 1.3 * alarm_share(rate, exponents)
+
+
+def test_a_much_warmer_motor_is_healthy_though_logarithms_bend() -> None:
+    spread = np.eye(4) * 1e-3**2
+    for kelvin in (-30.0, 45.0):
+        ratios = np.log1p(windows.WARMTH * kelvin)
+        assert windows.decided(ratios, spread, 0.01, 1e3, 15.0)[0] == "healthy"
+        assert windows.decided(windows.WARMTH * kelvin, spread, 0.01, 1e3, 15.0)[0] != "healthy"
+    hot = ratios + np.log([1.1, 1.0, 1.0, 1.0])
+    assert windows.decided(hot, spread, 0.01, 1e3, 15.0)[0] == "winding_contact"
+
+
+def test_windows_are_believed_to_scatter_as_healthy_ones_did() -> None:
+    recording = simulate(
+        draw_motor(np.random.default_rng(3)), "reversals", np.random.default_rng(4), samples=1600
+    )
+    reference = learn_windows([recording], 200 * recording.dt_s, steady=True)
+    assert 0.3 < reference.window_excess <= 1.0
+    same = windows.spread_of(reference.log_covariance, reference)
+    np.testing.assert_allclose(same, reference.log_covariance * reference.window_excess)
+    wider = windows.spread_of(4.0 * reference.log_covariance, reference)
+    np.testing.assert_allclose(wider, 4.0 * same)

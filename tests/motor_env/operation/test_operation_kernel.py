@@ -155,3 +155,17 @@ def test_the_knee_of_the_brush_drop_solves_its_equation() -> None:
     for free in (-3.0, -0.02, 0.0, 1e-4, 0.5, 20.0):
         i = kernel._kneed(free, 1.5, 0.03)
         assert i + 1.5 * i / math.hypot(i, 0.03) == pytest.approx(free, abs=1e-9)
+
+
+def test_a_voltage_that_steps_while_the_motor_idles_is_no_open_circuit() -> None:
+    rng = np.random.default_rng(0)
+    voltage = np.repeat([12.0, 8.0, 8.3, -6.0], [40, 12, 12, 40])
+    speed = np.concatenate(
+        [np.full(40, 120.0), 83.0 - np.minimum(np.arange(24), 12) * 0.3, np.full(40, -60.0)]
+    )
+    current = np.repeat([1.0, 0.0, 0.0, -1.0], [40, 12, 12, 40]) + 0.01 * rng.standard_normal(104)
+    readings = np.stack([current, speed], axis=1)
+    assert not open_circuit(voltage, readings, np.eye(1, 104)[0]).any()
+    coasting = voltage.copy()
+    coasting[40:64] = np.linspace(8.3, 7.0, 24)
+    assert open_circuit(coasting, readings, np.eye(1, 104)[0])[44:64].all()
