@@ -65,7 +65,8 @@ class Event:
         words = (
             {"verdict": self.text, "reason": self.reason} if self.kind == "window" else {"reason": self.text}
         )
-        said: dict[str, Any] = {"time_s": self.time_s, "event": self.kind, **words, "ratios": self.ratios}
+        ratios = {name: round(ratio, 4) for name, ratio in self.ratios.items()}
+        said: dict[str, Any] = {"time_s": self.time_s, "event": self.kind, **words, "ratios": ratios}
         said["span_s"] = self.span_s
         return json.dumps({name: value for name, value in said.items() if value not in ("", {}, None)})
 
