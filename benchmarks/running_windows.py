@@ -1,0 +1,96 @@
+"""Verdicts on simulated motors at work: commissioned by windows in one profile, judged in the same.
+
+    python benchmarks/running_windows.py --motors 100 --workers 2
+
+Random motors and profiles from the independent simulator in operation_simulator.py, with speed and without a load. Each
+is commissioned by 10 windows of 40 mechanical time constants, and judged by records of 3, at one false alarm in 100.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from cyclopts import run
+from operation_simulator import PROFILES, Motor, draw_motor, simulate
+from tables import keep_table
+
+from motor_env.diagnosis.running.lessons import learn_windows
+from motor_env.diagnosis.running.logs import RunningRecord
+from motor_env.diagnosis.running.windows import judge_windows
+from motor_env.recordings.defects import UnusableError
+
+WINDOW, LEARNED, JUDGED, RATE = 400, 10, 3, 0.01
+DT = 0.1  # of the mechanical time constant
+WARM_K = 20.0
+
+
+def changed(motor: Motor) -> dict[str, tuple[Motor, str]]:
+    """Motors to judge by what has changed, with the right verdict."""
+    return {
+        "nothing changed": (motor, "healthy"),
+        f"{WARM_K:.0f} K more": (motor, "healthy"),
+        "R +25 %": (replace(motor, ohm=1.25 * motor.ohm), "winding_contact"),
+        "friction +50 %": (
+            replace(motor, viscous=1.5 * motor.viscous, coulomb=1.5 * motor.coulomb),
+            "bearing",
+        ),
+        "K −10 %": (replace(motor, constant=0.9 * motor.constant), "magnet"),
+        "J +25 %": (replace(motor, inertia=1.25 * motor.inertia), "other"),
+    }
+
+
+def one(number: int, seed: int) -> dict[str, str]:
+    """Verdicts on one motor in one profile."""
+    rng = np.random.default_rng([seed, number])
+    motor, profile = draw_motor(rng), PROFILES[number % len(PROFILES)]
+    dt_s = DT * motor.mechanical_s
+    recorded = partial(simulate, profile=profile, rng=rng, dt_s=dt_s)
+    try:
+        reference = learn_windows([recorded(motor, samples=LEARNED * WINDOW)], WINDOW * dt_s)
+    except UnusableError as error:
+        return {"commissioning": str(error)}
+    found = {}
+    for name, (other, _) in changed(motor).items():
+        log = recorded(other, samples=JUDGED * WINDOW, warm_k=WARM_K if "K more" in name else 0.0)
+        try:
+            record = RunningRecord(Path(), tuple(judge_windows(log, reference, RATE)))
+        except UnusableError as error:
+            record = RunningRecord(Path(), (), trouble=str(error))
+        found[name] = record.verdict
+    return found
+
+
+def rows(found: list[dict[str, str]]) -> Iterator[list[str]]:
+    """What was judged right, and what else was said."""
+    said: dict[str, Counter[str]] = defaultdict(Counter)
+    for motor in found:
+        for name, verdict in motor.items():
+            said[name][verdict] += 1
+    for name, (_, right) in changed(draw_motor(np.random.default_rng(0))).items():
+        counts = said[name]
+        others = ", ".join(f"`{verdict}` {n}" for verdict, n in counts.most_common() if verdict != right)
+        yield [name, f"`{right}`", f"{counts[right]} of {counts.total()}", others or "-"]
+
+
+def main(*, motors: int = 20, seed: int = 1, workers: int = 1) -> None:
+    """Judge motors and keep the table of docs/operation.md.
+
+    Args:
+        motors: how many, of all profiles in turn.
+        seed: of them.
+        workers: processes.
+    """
+    with ProcessPoolExecutor(workers) as pool:
+        found = list(pool.map(partial(one, seed=seed), range(motors)))
+    print(*(motor["commissioning"] for motor in found if "commissioning" in motor), sep="\n")
+    keep_table("operation", "windows", ("changed", "right verdict", "said", "else"), rows(found))
+
+
+if __name__ == "__main__":
+    run(main)
