@@ -29,7 +29,14 @@ def _read(name: str) -> Any:
 def _row(what: str, rate: str, hours: float, alarms: int) -> list[str]:
     due = hours * PER_HOUR[rate]
     low, high = (int(poisson.ppf(share, due)) for share in (0.01, 0.99))
-    return [what, f"one a {rate}", f"{hours:.0f}", f"{due:.0f}", f"{low} to {high}", str(alarms)]
+    return [
+        what,
+        f"one {'an' if rate == 'hour' else 'a'} {rate}",
+        f"{hours:.0f}",
+        f"{due:.0f}",
+        f"{low} to {high}",
+        str(alarms),
+    ]
 
 
 def _alarms(rows: list[list[str]]) -> str:
