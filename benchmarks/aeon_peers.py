@@ -22,7 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 # Of the project only this module, which needs the standard library alone: the rest is not installed here.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "classifiers"))
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "classifiers")]
 from motor_classifiers.scoring.progress import with_cost
 
 SEED = 0
