@@ -22,8 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 # Of the project only this module, which needs the standard library alone: the rest is not installed here.
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "classifiers")]
+sys.path.extend(str(Path(__file__).resolve().parents[1] / each) for each in ("", "classifiers"))
 from motor_classifiers.scoring.progress import with_cost
 
 SEED = 0
