@@ -1,6 +1,6 @@
 """Verdicts on simulated motors at work: commissioned by windows in one profile, judged in the same.
 
-    python benchmarks/running_windows.py --motors 100 --workers 2
+    python benchmarks/running_windows.py --motors 60
 
 Random motors and profiles from the independent simulator in operation_simulator.py, with speed and without a load. Each
 is commissioned by 10 windows of 40 mechanical time constants, and judged by records of 3, at one false alarm in 100.
