@@ -1,15 +1,26 @@
-"""Functions compiled by numba, kept in its cache where that works: a broken cache costs time, never a command."""
+"""Functions compiled by numba, kept in its cache: never stale, and a broken cache costs time, never a command.
+
+numba itself notices only a change of the file in which a function stands. What is compiled also holds the helpers it
+calls and the constants it reads, wherever they come from: an edit of those would have no effect. Here a compiled
+function is kept under a digest of all of them.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import inspect
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from enum import EnumType
 from functools import cache
+from types import ModuleType
 from typing import Any
 
 import numba
+import numpy as np
 from numba.core.caching import FunctionCache
+from numba.core.dispatcher import Dispatcher
 
 
 @cache
@@ -18,12 +29,52 @@ def _say_once() -> None:
     sys.stderr.write("numba's cache cannot be read or written: compiling without it\n")
 
 
-class _ForgivingCache(FunctionCache):
-    """numba's cache of a function; where a file of it cannot be read or written, there is none."""
+def _gather(module: ModuleType, found: dict[str, bytes]) -> None:
+    """Write down what code compiled in a module depends on: its source, the constants and modules that it imports."""
+    found[module.__name__] = b""  # two modules may use each other
+    own_package = module.__name__.partition(".")[0]
+    text, others = [inspect.getsource(module)], []
+    for name, value in sorted(vars(module).items()):
+        if isinstance(value, Dispatcher):
+            text.append(f"{name} {sorted(value.targetoptions.items())}")
+            others.append(sys.modules[value.py_func.__module__])
+        elif isinstance(value, ModuleType) and value.__name__.partition(".")[0] == own_package:
+            others.append(value)
+        elif isinstance(value, EnumType):
+            text.append(f"{name} {[(member.name, member.value) for member in value]}")
+        elif isinstance(value, type) and issubclass(value, tuple):
+            text.append(f"{name} {getattr(value, '_fields', ())}")
+        elif isinstance(value, np.ndarray):
+            text.append(f"{name} {value.dtype.str} {value.shape} {value.tobytes().hex()}")
+        elif isinstance(value, bool | int | float | str | tuple | np.generic) and not name.startswith("__"):
+            text.append(f"{name} {value!r}")
+    found[module.__name__] = "\n".join(text).encode()
+    for other in others:
+        if other.__name__ not in found:
+            _gather(other, found)
+
+
+@cache
+def source_digest(module_name: str) -> str:
+    """Digest of all that code compiled in a module depends on: sources and constants."""
+    found: dict[str, bytes] = {}
+    _gather(sys.modules[module_name], found)
+    return hashlib.sha256(
+        b"\0".join(name.encode() + b"\0" + found[name] for name in sorted(found))
+    ).hexdigest()
+
+
+class _KeptCache(FunctionCache):
+    """numba's cache of a function, kept by digest; where a file of it cannot be read or written, there is none."""
+
+    def _stamp(self) -> None:
+        """Name the version of the code: when it is first called, as then all of its module has been run."""
+        self._cache_file._source_stamp = source_digest(self._py_func.__module__)  # noqa: SLF001  # no public way
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled function for these types; None where it has to be compiled."""
         try:
+            self._stamp()
             return super().load_overload(sig, target_context)
         except Exception:  # noqa: BLE001  # a damaged file can raise anything
             _say_once()
@@ -34,6 +85,7 @@ class _ForgivingCache(FunctionCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         """Write the compiled function."""
         try:
+            self._stamp()
             super().save_overload(sig, data)
         except Exception:  # noqa: BLE001  # see above
             _say_once()
@@ -46,7 +98,7 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[Callable[..., Any]
         dispatcher = numba.njit(**options)(function)
         if cache:
             try:
-                dispatcher._cache = _ForgivingCache(function)  # noqa: SLF001  # as its enable_caching() does
+                dispatcher._cache = _KeptCache(function)  # noqa: SLF001  # as its enable_caching() does
             except RuntimeError:  # neither the package's folder nor the user's can be written
                 _say_once()
         return dispatcher

@@ -48,3 +48,49 @@ def test_a_damaged_cache_is_made_anew(tmp_path: Path) -> None:
         assert (damaged.stdout, damaged.stderr) == (whole.stdout, NOTICE)
     again = run(PROGRAM, tmp_path)
     assert (again.stdout, again.stderr) == (whole.stdout, "")
+
+
+SOURCES = {
+    "helper.py": """
+from motor_env.motor.compiled import njit
+@njit(cache=True, forceinline=True)
+def scaled(value):
+    return 2.0 * value
+""",
+    "kernel.py": """
+from motor_env.motor.compiled import njit
+from helper import scaled
+from constants import OFFSET
+@njit(cache=True)
+def answer(value):
+    return scaled(value) + OFFSET
+""",
+    "constants.py": "OFFSET = 5.0",
+    "notes.py": "0",
+}
+ASK = """
+import notes
+import kernel
+print(kernel.answer(1.0), sum(kernel.answer.stats.cache_hits.values()))
+"""
+EDITS = (
+    ("notes.py", "0", "1", "7.0 1"),  # not used by what is compiled
+    ("helper.py", "2.0 *", "3.0 *", "8.0 0"),
+    ("helper.py", "forceinline=True", "inline='always'", "8.0 0"),
+    ("constants.py", "5.0", "6.0", "9.0 0"),
+    ("kernel.py", "+ OFFSET", "- OFFSET", "-3.0 0"),
+)
+
+
+def test_an_edit_is_compiled_and_nothing_else(tmp_path: Path) -> None:
+    """What a function calls and reads counts wherever it stands; numba's own key, time and size, sees no change."""
+    for name, text in SOURCES.items():
+        (tmp_path / name).write_text(text)
+    program = f"import sys; sys.dont_write_bytecode = True; sys.path.insert(0, {str(tmp_path)!r})" + ASK
+    assert run(program, tmp_path / "cache").stdout == "7.0 0\n"
+    for name, before, after, expected in EDITS:
+        path = tmp_path / name
+        stat = path.stat()
+        path.write_text(path.read_text().replace(before, after))
+        os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+        assert run(program, tmp_path / "cache").stdout == f"{expected}\n", name
