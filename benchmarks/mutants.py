@@ -1,0 +1,471 @@
+"""Do the tests notice a small change of the code? Draws such changes, makes them one at a time, and runs the tests.
+
+python benchmarks/mutants.py draw     # the list: benchmarks/mutants.json, four changes a room
+python benchmarks/mutants.py run      # some hours on two cores; resumes; results in out/mutants/results.json
+python benchmarks/mutants.py run --only envs operation/3 --anew
+python benchmarks/mutants.py show
+
+A change is a sign, an off-by-one, a quantile of another level, a constant that is 1 % off, the scale of a reward, a
+swapped label, a dropped factor, or a square for its root. Sites are drawn by a seeded generator over the syntax trees.
+Messages, pictures' styles and annotations are left out: nothing is decided there.
+
+`draw` keeps what is in the list already; a change whose line no longer stands in the code is `gone`, and another one is
+drawn in its place. Each change is made in a copy of the working tree. First the room's own quick tests run. What
+survives them runs against all quick tests: first all survivors at once, then each alone with the tests that failed,
+last each alone with everything. The first copy runs all tests unchanged, so that what it compiles serves the others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from queue import SimpleQueue
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+LIST = ROOT / "benchmarks" / "mutants.json"
+WORK = ROOT / "out" / "mutants"
+PACKAGES = {"motor_env": "", "motor_datasets": "datasets", "motor_classifiers": "classifiers"}
+SEED = 30
+A_ROOM = 4
+LIMIT_S = 1800.0
+QUANTILE = re.compile(r"quantile|percentile|ppf|isf|ndtri|chdtri|gammaincc?inv|stdtrit", re.IGNORECASE)
+LEVEL = re.compile(r"LEVEL|RATE|QUANTILE|CONFIDENCE|COVERAGE|POSTERIOR|CERTAIN|SURE|SHARE|CHANCE|rate|level")
+REWARD = re.compile(r"reward|cost|penalt|charge|loss|score")
+QUIET = re.compile(
+    r"print|warn|_LOG|logger|legend|annotate|set_|subplot|figure|plot|text|fill_between|ax[hv]line|grid"
+)
+TIMES = re.compile(r"perf_counter|process_time|timeout|monotonic|sleep")
+NORMAL = {1.64: 1.28, 1.65: 1.28, 1.96: 1.64, 2.33: 1.96, 2.58: 1.96, 3.29: 2.58}
+STYLE = {
+    "alpha",
+    "color",
+    "dpi",
+    "figsize",
+    "fontsize",
+    "linewidth",
+    "lw",
+    "ms",
+    "pad",
+    "rotation",
+    "s",
+    "zorder",
+}
+DRAWN = {"plotting.py", "pictures.py", "plots.py", "rendering.py", "paper_figures.py", "screen.py"}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One change: in which line of which function what stands, and what is put in its place."""
+
+    name: str
+    kind: str
+    file: str
+    function: str
+    line: str
+    before: str
+    after: str
+    place: int
+
+    @property
+    def room(self) -> str:
+        """The room in which it is made."""
+        return self.name.rpartition("/")[0]
+
+
+def room_of(file: Path) -> str:
+    """`operation` for motor_env/operation/fit.py; the package's name for what lies at its top."""
+    parts = file.parts[file.parts.index(next(p for p in file.parts if p in PACKAGES)) :]
+    inner = parts[1] if len(parts) > 2 else ""
+    if parts[0] == "motor_env":
+        return inner or "motor_env"
+    return "/".join(filter(None, (parts[0], inner)))
+
+
+def sources() -> dict[str, list[Path]]:
+    """The modules of each room."""
+    rooms: dict[str, list[Path]] = {}
+    for package, folder in PACKAGES.items():
+        for file in sorted((ROOT / folder / package).rglob("*.py")):
+            if file.name not in DRAWN and not file.name.startswith("__"):
+                rooms.setdefault(room_of(file.relative_to(ROOT)), []).append(file)
+    return rooms
+
+
+def _no_number(node: ast.expr) -> bool:
+    """Whether arithmetic with it means something else: lists, texts, sets, paths."""
+    if isinstance(node, ast.IfExp):
+        return _no_number(node.body) or _no_number(node.orelse)
+    if isinstance(node, ast.Call):
+        return ast.unparse(node.func) in ("list", "set", "tuple", "str", "Path", "dict")
+    kinds = ast.JoinedStr | ast.List | ast.Tuple | ast.ListComp | ast.Set | ast.SetComp | ast.Dict
+    return isinstance(node, kinds) or (isinstance(node, ast.Constant) and isinstance(node.value, str))
+
+
+def _counts(node: ast.expr) -> bool:
+    """Whether it is a whole number, as far as its syntax tells: only there `<` and `<=` differ."""
+    text = ast.unparse(node)
+    return bool(re.fullmatch(r"-?\d+", text) or re.search(r"\blen\(|\.size\b|\.shape\[|count", text))
+
+
+def _of_arithmetic(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
+    """Signs, factors, and squares for their roots."""
+    if isinstance(node, ast.BinOp) and not _no_number(node.left) and not _no_number(node.right):
+        if isinstance(node.op, ast.Add | ast.Sub):
+            other = ast.Sub() if isinstance(node.op, ast.Add) else ast.Add()
+            yield "sign", ast.BinOp(node.left, other, node.right)
+        if isinstance(node.op, ast.Mult | ast.Div):
+            yield "factor", node.left
+        if isinstance(node.op, ast.Mult):
+            yield "factor", node.right
+        if isinstance(node.op, ast.Pow) and isinstance(node.right, ast.Constant):
+            yield "root", node.left
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+        yield "sign", node.operand
+    if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("sqrt") and len(node.args) == 1:
+        yield "root", node.args[0]
+
+
+def _of_choices(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
+    """Borders of a comparison, and which of two is taken."""
+    if isinstance(node, ast.Compare) and len(node.ops) == 1:
+        swapped = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}.get(type(node.ops[0]))
+        if swapped is not None and any(map(_counts, (node.left, *node.comparators))):
+            yield "off_by_one", ast.Compare(node.left, [swapped()], node.comparators)
+    if isinstance(node, ast.IfExp):
+        yield "label", ast.IfExp(node.test, node.orelse, node.body)
+    if isinstance(node, ast.Dict) and len(node.values) > 1:
+        first, second, *rest = node.values
+        if isinstance(first, ast.Constant | ast.Attribute) and isinstance(
+            second, ast.Constant | ast.Attribute
+        ):
+            yield "label", ast.Dict(node.keys, [second, first, *rest])
+
+
+def _of_constants(node: ast.AST, parents: list[ast.AST]) -> Iterator[tuple[str, ast.expr]]:
+    """A place or a count that is one off, another level of a quantile, a number that is 1 % off."""
+    above = parents[-1] if parents else node
+    if not isinstance(node, ast.Constant):
+        return
+    counted = isinstance(above, ast.Subscript | ast.Slice | ast.Compare) or (
+        isinstance(above, ast.Call) and ast.unparse(above.func) in ("range", "np.arange")
+    )
+    if type(node.value) is int and counted:
+        yield "off_by_one", ast.Constant(node.value + 1)
+    if type(node.value) is float and 1e-6 < abs(node.value) < 1e6:
+        calls = [ast.unparse(each.func) for each in parents[-2:] if isinstance(each, ast.Call)]
+        names = [ast.unparse(each.targets[0]) for each in parents[-2:] if isinstance(each, ast.Assign)]
+        if 0.0 < node.value < 1.0 and (any(map(QUANTILE.search, calls)) or any(map(LEVEL.search, names))):
+            level = 1.0 - 2.0 * (1.0 - node.value) if node.value > 0.5 else 2.0 * node.value
+            yield "quantile", ast.Constant(round(level, 6))
+        if round(node.value, 2) in NORMAL:
+            yield "quantile", ast.Constant(NORMAL[round(node.value, 2)])
+        yield "constant", ast.Constant(float(f"{node.value * 1.01:.6g}"))
+
+
+def _of_rewards(node: ast.AST, parents: list[ast.AST]) -> Iterator[tuple[str, ast.expr]]:
+    """The scale of what is paid, where it is assigned or returned."""
+    above = parents[-1] if parents else node
+    if not isinstance(above, ast.Assign | ast.AugAssign | ast.Return) or node is not above.value:
+        return
+    scope = next((each.name for each in reversed(parents) if isinstance(each, ast.FunctionDef)), "")
+    target = scope if isinstance(above, ast.Return) else ast.unparse(above).partition("=")[0]
+    arithmetic = ast.Add | ast.Sub | ast.Mult | ast.Div
+    if isinstance(node, ast.BinOp) and isinstance(node.op, arithmetic) and REWARD.search(target):
+        yield "reward", ast.BinOp(node, ast.Mult(), ast.Constant(0.9))
+
+
+def changes(node: ast.AST, parents: list[ast.AST]) -> Iterator[tuple[str, ast.expr]]:
+    """What can be put in the place of a piece of syntax: kind and expression."""
+    yield from _of_arithmetic(node)
+    yield from _of_choices(node)
+    yield from _of_constants(node, parents)
+    yield from _of_rewards(node, parents)
+
+
+def _skipped(node: ast.AST, parents: list[ast.AST]) -> bool:
+    """Whether nothing is decided below here: messages, annotations, styles of pictures, decorators, times taken."""
+    above = parents[-1] if parents else None
+    if isinstance(node, ast.Raise | ast.JoinedStr | ast.Import | ast.ImportFrom | ast.Assert):
+        return True
+    if isinstance(node, ast.Assign | ast.AnnAssign | ast.Return | ast.Expr):
+        return bool(TIMES.search(ast.unparse(node)))
+    if isinstance(node, ast.keyword | ast.Call):
+        name = node.arg if isinstance(node, ast.keyword) else ast.unparse(node.func).rpartition(".")[2]
+        return name in STYLE if isinstance(node, ast.keyword) else bool(QUIET.search(name or ""))
+    annotation = getattr(above, "returns", getattr(above, "annotation", None))
+    return node is annotation or node in getattr(above, "decorator_list", [])
+
+
+def _walk(node: ast.AST, parents: list[ast.AST]) -> Iterator[tuple[ast.AST, list[ast.AST]]]:
+    if _skipped(node, parents):
+        return
+    yield node, parents
+    for child in ast.iter_child_nodes(node):
+        yield from _walk(child, [*parents, node])
+
+
+def sites(file: Path) -> Iterator[Mutant]:
+    """All changes of one file that stand in one line."""
+    text = file.read_text(encoding="utf-8")
+    lines = text.encode().splitlines()
+    seen: dict[tuple[str, ...], int] = {}
+    for node, parents in _walk(ast.parse(text), []):
+        if not isinstance(node, ast.expr) or node.lineno != node.end_lineno:
+            continue
+        line = lines[node.lineno - 1]
+        before = line[node.col_offset : node.end_col_offset].decode()
+        scope = ".".join(e.name for e in parents if isinstance(e, ast.FunctionDef | ast.ClassDef))
+        for kind, new in changes(node, parents):
+            after = ast.unparse(ast.fix_missing_locations(ast.Expression(new)))
+            after = after if isinstance(new, ast.Constant | ast.Name | ast.Dict) else f"({after})"
+            key = (kind, scope, line.decode().strip(), before, after)
+            seen[key] = seen.get(key, -1) + 1
+            where = str(file.relative_to(ROOT))
+            yield Mutant("", kind, where, scope, line.decode().strip(), before, after, seen[key])
+
+
+def mutated(mutant: Mutant, root: Path) -> str | None:
+    """The text of the file with the change; None where its line no longer stands in that function."""
+    wanted = asdict(mutant) | {"name": ""}
+    file = ROOT / mutant.file
+    if not file.exists() or all(asdict(each) != wanted for each in sites(file)):
+        return None
+    text = (root / mutant.file).read_text(encoding="utf-8")
+    lines = text.encode().splitlines(keepends=True)
+    count = -1
+    for node, parents in _walk(ast.parse(text), []):
+        if not isinstance(node, ast.expr) or node.lineno != node.end_lineno:
+            continue
+        line = lines[node.lineno - 1]
+        scope = ".".join(e.name for e in parents if isinstance(e, ast.FunctionDef | ast.ClassDef))
+        piece = line[node.col_offset : node.end_col_offset].decode()
+        if (scope, line.decode().strip(), piece) != (mutant.function, mutant.line, mutant.before):
+            continue
+        for kind, new in changes(node, parents):
+            after = ast.unparse(ast.fix_missing_locations(ast.Expression(new)))
+            count += kind == mutant.kind and after in (mutant.after, mutant.after[1:-1])
+            if count == mutant.place:
+                start, end = line[: node.col_offset], line[node.end_col_offset :]
+                lines[node.lineno - 1] = start + mutant.after.encode() + end
+                return b"".join(lines).decode()
+    return None
+
+
+def load() -> list[Mutant]:
+    """The list."""
+    return [Mutant(**each) for each in json.loads(LIST.read_text())] if LIST.exists() else []
+
+
+def draw() -> None:
+    """Fill every room up to its number, kinds before sites, so that rare kinds are among them."""
+    kept: dict[str, list[Mutant]] = {}
+    for mutant in load():
+        if mutated(mutant, ROOT) is not None:
+            kept.setdefault(mutant.room, []).append(mutant)
+    chosen: list[Mutant] = []
+    for number, (room, files) in enumerate(sorted(sources().items())):
+        rng = np.random.default_rng([SEED, number])
+        there = kept.get(room, [])
+        by_kind: dict[str, list[Mutant]] = {}
+        for each in (site for file in files for site in sites(file)):
+            by_kind.setdefault(each.kind, []).append(each)
+        taken = {(each.file, each.function, each.line) for each in there}
+        names = iter(n for n in range(1, 99) if f"{room}/{n}" not in {each.name for each in there})
+        while len(there) < A_ROOM and by_kind:
+            kind = sorted(by_kind)[rng.integers(len(by_kind))]
+            one = by_kind[kind].pop(rng.integers(len(by_kind[kind])))
+            if not by_kind[kind]:
+                del by_kind[kind]
+            if (one.file, one.function, one.line) not in taken:
+                taken.add((one.file, one.function, one.line))
+                there.append(Mutant(**asdict(one) | {"name": f"{room}/{next(names)}"}))
+        chosen += there
+    LIST.write_text(json.dumps([asdict(each) for each in chosen], indent=1, ensure_ascii=False) + "\n")
+    print(f"{len(chosen)} changes in {len(sources())} rooms: {LIST.relative_to(ROOT)}")
+
+
+def copy_tree(target: Path) -> None:
+    """The tracked and new files of the working tree."""
+    listed = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
+    names = subprocess.run(listed, cwd=ROOT, capture_output=True, check=True, text=True).stdout
+    shutil.rmtree(target, ignore_errors=True)
+    for name in filter(None, names.split("\0")):
+        if (ROOT / name).is_file():
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, target / name)
+
+
+def run_tests(tree: Path, tests: Iterable[str], *options: str) -> tuple[bool, list[str]]:
+    """Whether the quick tests of a tree pass, and those that fail."""
+    paths = [str(tree / folder / "") for folder in PACKAGES.values()]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": ""}
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-m",
+        "not long",
+        "-p",
+        "no:cacheprovider",
+        "--tb=no",
+        *options,
+    ]
+    try:
+        done = subprocess.run(
+            [*command, *tests],
+            check=False,
+            cwd=tree,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+        )
+    except subprocess.TimeoutExpired:
+        return False, ["it did not end"]
+    failed = re.findall(r"^(?:FAILED|ERROR) ([^\s]+(?:\[.*?\])?)(?: - .*)?$", done.stdout, re.MULTILINE)
+    return done.returncode in (0, 5), failed or ([] if done.returncode in (0, 5) else ["pytest itself"])
+
+
+class Bench:
+    """Copies of the working tree, and what is known of each change so far."""
+
+    def __init__(self, out: Path, workers: int) -> None:
+        """Take up the results that are there."""
+        self.out, self.workers = out, workers
+        self.results: dict[str, dict[str, object]] = json.loads(out.read_text()) if out.exists() else {}
+        self.pristine = WORK / "pristine"
+        self.trees: SimpleQueue[Path] = SimpleQueue()
+        for n in range(workers):
+            self.trees.put(WORK / f"tree{n}")
+
+    def prepare(self) -> None:
+        """A copy that has compiled everything, and whose tests pass."""
+        copy_tree(self.pristine)
+        print("all quick tests without a change, which also compiles everything", flush=True)
+        passed, failed = run_tests(self.pristine, ["tests"], "-n", str(self.workers))
+        if not passed:
+            raise SystemExit(f"they fail without a change: {failed[:5]}")
+
+    def keep(self, mutant: Mutant, **found: object) -> None:
+        """Write down what is known of a change."""
+        self.results[mutant.name] = {"before": mutant.before, "after": mutant.after, **found}
+        text = json.dumps(dict(sorted(self.results.items())), indent=1, ensure_ascii=False)
+        beside = self.out.with_suffix(".part")
+        beside.write_text(text + "\n")
+        beside.replace(self.out)
+        print(f"{mutant.name:32} {found['state']:9} {mutant.kind:10} {found.get('by', '')}", flush=True)
+
+    def attempt(self, mutants: list[Mutant], tests: list[str], *options: str) -> tuple[bool, list[str]]:
+        """Run tests with some changes in a tree of links to the compiled copy."""
+        tree = self.trees.get()
+        try:
+            shutil.rmtree(tree, ignore_errors=True)
+            shutil.copytree(self.pristine, tree, copy_function=os.link, symlinks=True)
+            for mutant in mutants:
+                text = mutated(mutant, tree)
+                if text is None:
+                    raise ValueError(f"{mutant.name}: its line is gone; draw again")
+                (tree / mutant.file).unlink()
+                (tree / mutant.file).write_text(text, encoding="utf-8")
+            return run_tests(tree, tests, *options)
+        finally:
+            self.trees.put(tree)
+
+    def own_room(self, mutant: Mutant) -> None:
+        """The tests of the room alone."""
+        package = "" if mutant.room.startswith("motor_") else "motor_env/"
+        folder = f"tests/{package}{mutant.room}"
+        if mutant.room == "motor_env":
+            folder = "tests/motor_env/test_console.py"
+        if not (self.pristine / folder).exists():
+            self.keep(mutant, state="open", by="no tests of its own")
+            return
+        passed, failed = self.attempt([mutant], [folder], "-x")
+        self.keep(mutant, state="open" if passed else "killed", by=" ".join(failed[:1]))
+
+    def against_all(self, mutants: list[Mutant]) -> None:
+        """All at once; then each alone with what failed; then each alone with everything."""
+        if not mutants:
+            return
+        print(f"{len(mutants)} survive their rooms; all quick tests", flush=True)
+        _, failed = (
+            self.attempt(mutants, ["tests"], "-n", str(self.workers)) if len(mutants) > 1 else (True, [])
+        )
+        known = [test for test in failed if "::" in test]
+
+        def alone(mutant: Mutant) -> None:
+            for tests in ([known] if known else []) + [["tests"]]:
+                passed, by = self.attempt([mutant], tests, "-x")
+                if not passed:
+                    self.keep(mutant, state="killed", by=" ".join(by[:1]))
+                    return
+            self.keep(mutant, state="survived")
+
+        with ThreadPoolExecutor(self.workers) as pool:
+            list(pool.map(alone, mutants))
+
+    def run(self, mutants: list[Mutant]) -> None:
+        """Try those of which nothing is known yet."""
+        self.out.parent.mkdir(parents=True, exist_ok=True)
+        new = [each for each in mutants if each.name not in self.results]
+        self.prepare()
+        with ThreadPoolExecutor(self.workers) as pool:
+            list(pool.map(self.own_room, new))
+        self.against_all([each for each in mutants if self.results[each.name]["state"] == "open"])
+
+
+def show(out: Path) -> None:
+    """How many survive, and which."""
+    results = json.loads(out.read_text())
+    states = [each["state"] for each in results.values()]
+    print(", ".join(f"{states.count(state)} {state}" for state in sorted(set(states))))
+    for mutant in load():
+        if results.get(mutant.name, {}).get("state") == "survived":
+            print(
+                f"{mutant.name} {mutant.file} {mutant.function}: {mutant.line}\n    {mutant.before} -> {mutant.after}"
+            )
+
+
+def main() -> None:
+    """Parse, call, print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("command", choices=("draw", "run", "show"))
+    parser.add_argument("--only", nargs="*", default=[], help="rooms, or single changes such as operation/3")
+    parser.add_argument("--first", type=int, help="that many, from each room in turn")
+    parser.add_argument("--anew", action="store_true", help="forget what is known of them")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=WORK / "results.json")
+    options = parser.parse_args()
+    if options.command == "draw":
+        draw()
+        return
+    if options.command == "show":
+        show(options.out)
+        return
+    mutants = [each for each in load() if not options.only or {each.name, each.room} & set(options.only)]
+    if options.first is not None:
+        mutants = sorted(mutants, key=lambda each: int(each.name.rpartition("/")[2]))[: options.first]
+    bench = Bench(options.out, options.workers)
+    if options.anew:
+        bench.results = {k: v for k, v in bench.results.items() if k not in {each.name for each in mutants}}
+    bench.run(mutants)
+    show(options.out)
+
+
+if __name__ == "__main__":
+    main()
