@@ -41,7 +41,7 @@ def _gather(module: ModuleType, found: dict[str, bytes]) -> None:
         elif isinstance(value, ModuleType) and value.__name__.partition(".")[0] == own_package:
             others.append(value)
         elif isinstance(value, EnumType):
-            text.append(f"{name} {[(member.name, member.value) for member in value]}")
+            text.append(f"{name} {list(value.__members__.items())}")
         elif isinstance(value, type) and issubclass(value, tuple):
             text.append(f"{name} {getattr(value, '_fields', ())}")
         elif isinstance(value, np.ndarray):
