@@ -4,13 +4,14 @@ python benchmarks/mutants.py draw     # the list: benchmarks/mutants.json, four 
 python benchmarks/mutants.py run      # some hours on two cores; resumes; results in out/mutants/results.json
 python benchmarks/mutants.py run --only envs operation/3 --anew
 python benchmarks/mutants.py show
+python benchmarks/mutants.py draw --seed 7 --list out/mutants/other.json    # another list; `run` and `show` take it, too
 
 A change is a sign, an off-by-one, a quantile of another level, a constant that is 1 % off, the scale of a reward, a
 swapped label, a dropped factor, or a square for its root. Sites are drawn by a seeded generator over the syntax trees.
 Messages, pictures' styles and annotations are left out: nothing is decided there.
 
-`draw` keeps what is in the list already; a change whose line no longer stands in the code is `gone`, and another one is
-drawn in its place. Each change is made in a copy of the working tree. First the room's own quick tests run. What
+`draw` keeps what is in the list already; where the line of a change no longer stands in the code, another change is drawn
+in its place. A change that no test can notice, because nothing depends on it, carries the reason as `equivalent`. Each change is made in a copy of the working tree. First the room's own quick tests run. What
 survives them runs against all quick tests: first all survivors at once, then each alone with the tests that failed,
 last each alone with everything. The first copy runs all tests unchanged, so that what it compiles serves the others.
 """
@@ -72,11 +73,12 @@ class Mutant:
     name: str
     kind: str
     file: str
-    function: str
     line: str
     before: str
     after: str
-    place: int
+    place: int = 0
+    function: str = ""
+    equivalent: str = ""
 
     @property
     def room(self) -> str:
@@ -233,12 +235,12 @@ def sites(file: Path) -> Iterator[Mutant]:
             key = (kind, scope, line.decode().strip(), before, after)
             seen[key] = seen.get(key, -1) + 1
             where = str(file.relative_to(ROOT))
-            yield Mutant("", kind, where, scope, line.decode().strip(), before, after, seen[key])
+            yield Mutant("", kind, where, line.decode().strip(), before, after, seen[key], scope)
 
 
 def mutated(mutant: Mutant, root: Path) -> str | None:
     """The text of the file with the change; None where its line no longer stands in that function."""
-    wanted = asdict(mutant) | {"name": ""}
+    wanted = asdict(mutant) | {"name": "", "equivalent": ""}
     file = ROOT / mutant.file
     if not file.exists() or all(asdict(each) != wanted for each in sites(file)):
         return None
@@ -263,20 +265,20 @@ def mutated(mutant: Mutant, root: Path) -> str | None:
     return None
 
 
-def load() -> list[Mutant]:
-    """The list."""
-    return [Mutant(**each) for each in json.loads(LIST.read_text())] if LIST.exists() else []
+def load(path: Path) -> list[Mutant]:
+    """A list that was drawn."""
+    return [Mutant(**each) for each in json.loads(path.read_text(encoding="utf-8"))] if path.exists() else []
 
 
-def draw() -> None:
+def draw(path: Path, seed: int) -> None:
     """Fill every room up to its number, kinds before sites, so that rare kinds are among them."""
     kept: dict[str, list[Mutant]] = {}
-    for mutant in load():
+    for mutant in load(path):
         if mutated(mutant, ROOT) is not None:
             kept.setdefault(mutant.room, []).append(mutant)
     chosen: list[Mutant] = []
     for number, (room, files) in enumerate(sorted(sources().items())):
-        rng = np.random.default_rng([SEED, number])
+        rng = np.random.default_rng([seed, number])
         there = kept.get(room, [])
         by_kind: dict[str, list[Mutant]] = {}
         for each in (site for file in files for site in sites(file)):
@@ -292,8 +294,10 @@ def draw() -> None:
                 taken.add((one.file, one.function, one.line))
                 there.append(Mutant(**asdict(one) | {"name": f"{room}/{next(names)}"}))
         chosen += there
-    LIST.write_text(json.dumps([asdict(each) for each in chosen], indent=1, ensure_ascii=False) + "\n")
-    print(f"{len(chosen)} changes in {len(sources())} rooms: {LIST.relative_to(ROOT)}")
+    rows = [{key: value for key, value in asdict(each).items() if value != ""} for each in chosen]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(rows, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    print(f"{len(chosen)} changes in {len(sources())} rooms: {path}")
 
 
 def copy_tree(target: Path) -> None:
@@ -427,16 +431,15 @@ class Bench:
         self.against_all([each for each in mutants if self.results[each.name]["state"] == "open"])
 
 
-def show(out: Path) -> None:
+def show(mutants: list[Mutant], out: Path) -> None:
     """How many survive, and which."""
-    results = json.loads(out.read_text())
+    results = json.loads(out.read_text(encoding="utf-8"))
     states = [each["state"] for each in results.values()]
     print(", ".join(f"{states.count(state)} {state}" for state in sorted(set(states))))
-    for mutant in load():
+    for mutant in mutants:
         if results.get(mutant.name, {}).get("state") == "survived":
-            print(
-                f"{mutant.name} {mutant.file} {mutant.function}: {mutant.line}\n    {mutant.before} -> {mutant.after}"
-            )
+            print(f"{mutant.name} {mutant.file} {mutant.function}: {mutant.line}")
+            print(f"    {mutant.before} -> {mutant.after}  {mutant.equivalent}")
 
 
 def main() -> None:
@@ -449,22 +452,27 @@ def main() -> None:
     parser.add_argument("--first", type=int, help="that many, from each room in turn")
     parser.add_argument("--anew", action="store_true", help="forget what is known of them")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=WORK / "results.json")
+    parser.add_argument("--seed", type=int, default=SEED, help="of draw")
+    parser.add_argument("--list", type=Path, default=LIST, help="the changes")
+    parser.add_argument("--out", type=Path, default=WORK / "results.json", help="what is known of them")
     options = parser.parse_args()
     if options.command == "draw":
-        draw()
+        draw(options.list, options.seed)
         return
-    if options.command == "show":
-        show(options.out)
-        return
-    mutants = [each for each in load() if not options.only or {each.name, each.room} & set(options.only)]
-    if options.first is not None:
-        mutants = sorted(mutants, key=lambda each: int(each.name.rpartition("/")[2]))[: options.first]
-    bench = Bench(options.out, options.workers)
-    if options.anew:
-        bench.results = {k: v for k, v in bench.results.items() if k not in {each.name for each in mutants}}
-    bench.run(mutants)
-    show(options.out)
+    mutants = load(options.list)
+    if options.command == "run":
+        some = [each for each in mutants if not options.only or {each.name, each.room} & set(options.only)]
+        if options.first is not None:
+            some = sorted(some, key=lambda each: int(each.name.rpartition("/")[2]))[: options.first]
+        gone = [each.name for each in some if mutated(each, ROOT) is None]
+        if gone:
+            raise SystemExit(f"the lines of {', '.join(gone)} no longer stand in the code: draw again")
+        bench = Bench(options.out, options.workers)
+        if options.anew:
+            for each in some:
+                bench.results.pop(each.name, None)
+        bench.run(some)
+    show(mutants, options.out)
 
 
 if __name__ == "__main__":
