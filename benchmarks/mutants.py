@@ -4,16 +4,18 @@ python benchmarks/mutants.py draw     # the list: benchmarks/mutants.json, four 
 python benchmarks/mutants.py run      # some hours on two cores; resumes; results in out/mutants/results.json
 python benchmarks/mutants.py run --only envs operation/3 --anew
 python benchmarks/mutants.py show
-python benchmarks/mutants.py draw --seed 7 --list out/mutants/other.json    # another list; `run` and `show` take it, too
+python benchmarks/mutants.py draw --seed 7 --list out/other.json    # another list; `run` and `show` take it, too
 
 A change is a sign, an off-by-one, a quantile of another level, a constant that is 1 % off, the scale of a reward, a
 swapped label, a dropped factor, or a square for its root. Sites are drawn by a seeded generator over the syntax trees.
 Messages, pictures' styles and annotations are left out: nothing is decided there.
 
-`draw` keeps what is in the list already; where the line of a change no longer stands in the code, another change is drawn
-in its place. A change that no test can notice, because nothing depends on it, carries the reason as `equivalent`. Each change is made in a copy of the working tree. First the room's own quick tests run. What
-survives them runs against all quick tests: first all survivors at once, then each alone with the tests that failed,
-last each alone with everything. The first copy runs all tests unchanged, so that what it compiles serves the others.
+`draw` keeps what is in the list already. Where the line of a change no longer stands in the code, another change is
+drawn in its place. A change that no test can notice carries the reason as `equivalent`.
+
+Each change is made in a copy of the working tree. First the room's own quick tests run. What survives them runs against
+all quick tests: first all survivors at once, then each alone with the tests that failed, last each alone with
+everything. The first copy runs all tests unchanged, so that what it compiles serves the others.
 """
 
 from __future__ import annotations
