@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import hashlib
 import json
 import os
 import re
@@ -302,15 +303,24 @@ def draw(path: Path, seed: int) -> None:
     print(f"{len(chosen)} changes in {len(sources())} rooms: {path}")
 
 
-def copy_tree(target: Path) -> None:
-    """The tracked and new files of the working tree."""
+def copy_tree(target: Path) -> str:
+    """Copy the tracked and new files of the working tree; what was compiled there stays. Returns a digest of them."""
     listed = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
-    names = subprocess.run(listed, cwd=ROOT, capture_output=True, check=True, text=True).stdout
-    shutil.rmtree(target, ignore_errors=True)
-    for name in filter(None, names.split("\0")):
-        if (ROOT / name).is_file():
-            (target / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, target / name)
+    names = subprocess.run(listed, cwd=ROOT, capture_output=True, check=True, text=True).stdout.split("\0")
+    present = {
+        name: (ROOT / name).read_bytes() for name in sorted(filter(None, names)) if (ROOT / name).is_file()
+    }
+    for path in [path for path in target.rglob("*") if path.is_file() and "__pycache__" not in path.parts]:
+        if str(path.relative_to(target)) not in present:
+            path.unlink()
+    for name, content in present.items():
+        path = target / name
+        if not path.exists() or path.read_bytes() != content:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.unlink(missing_ok=True)  # other trees hold links to it
+            path.write_bytes(content)
+            path.chmod((ROOT / name).stat().st_mode)
+    return hashlib.sha256(b"\0".join(name.encode() + b"\0" + present[name] for name in present)).hexdigest()
 
 
 def run_tests(tree: Path, tests: Iterable[str], *options: str) -> tuple[bool, list[str]]:
@@ -359,11 +369,15 @@ class Bench:
 
     def prepare(self) -> None:
         """A copy that has compiled everything, and whose tests pass."""
-        copy_tree(self.pristine)
+        mark = WORK / "passed"
+        digest = copy_tree(self.pristine)
+        if mark.exists() and mark.read_text(encoding="utf-8") == digest:
+            return
         print("all quick tests without a change, which also compiles everything", flush=True)
         passed, failed = run_tests(self.pristine, ["tests"], "-n", str(self.workers))
         if not passed:
             raise SystemExit(f"they fail without a change: {failed[:5]}")
+        mark.write_text(digest, encoding="utf-8")
 
     def keep(self, mutant: Mutant, **found: object) -> None:
         """Write down what is known of a change."""
