@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from motor_env.errors import InputError
-from motor_env.motor.data_sheet import MotorFile, StartReference, load_motor, save_motor
+from motor_env.motor.data_sheet import MotorFile, StartReference, Tolerance, load_motor, save_motor
 from motor_env.motor.parameters import PAPER_MOTOR
 
 SHEET = """
@@ -46,6 +46,58 @@ def test_one_constant_stands_for_the_other(tmp_path: Path) -> None:
     text = SHEET.replace("torque_constant_mnm_per_a = 23.5\n", "")
     p = load(tmp_path, text).parameters
     assert p.torque_constant_n_m_per_a == p.back_emf_constant_v_s_per_rad
+
+
+@pytest.mark.parametrize(
+    ("line", "field", "si"),
+    [
+        ("resistance_mohm = 2180.0", "resistance_ohm", 2.18),
+        ("inductance_h = 0.25", "inductance_h", 0.25),
+        ("inductance_uh = 238.0", "inductance_h", 0.238e-3),
+        ("torque_constant_n_m_per_a = 0.5", "torque_constant_n_m_per_a", 0.5),
+        ("back_emf_constant_v_s_per_rad = 0.5", "back_emf_constant_v_s_per_rad", 0.5),
+        ("back_emf_constant_v_per_krpm = 2.5", "back_emf_constant_v_s_per_rad", 2.5 * 0.06 / (2.0 * np.pi)),
+        ("back_emf_constant_mv_per_rpm = 2.5", "back_emf_constant_v_s_per_rad", 2.5 * 0.06 / (2.0 * np.pi)),
+        ("rotor_inertia_kg_m2 = 0.5", "inertia_kg_m2", 0.5),
+        ("rotor_inertia_kg_cm2 = 0.5", "inertia_kg_m2", 0.5e-4),
+        ("viscous_friction_n_m_s_per_rad = 0.5", "viscous_friction_n_m_s_per_rad", 0.5),
+        ("viscous_friction_mnm_per_krpm = 3.0", "viscous_friction_n_m_s_per_rad", 9e-5 / np.pi),
+        ("nominal_voltage_v = 24.0", "nominal_voltage_v", 24.0),
+        ("coulomb_friction_n_m = 0.0001", "coulomb_friction_n_m", 1e-4),
+        ("brush_drop_v = 0.3", "brush_drop_v", 0.3),
+    ],
+)
+def test_every_unit_becomes_si(tmp_path: Path, line: str, field: str, si: float) -> None:
+    """1 V/krpm = 0.06 / (2 pi) V s/rad; 1 mN m/krpm = 0.001 * 0.06 / (2 pi) N m s/rad."""
+    replaced = {
+        "resistance_ohm": "resistance_ohm = 2.18",
+        "inductance_h": "inductance_mh = 0.238",
+        "torque_constant_n_m_per_a": "torque_constant_mnm_per_a = 23.5",
+        "back_emf_constant_v_s_per_rad": "speed_constant_rpm_per_v = 406.0",
+        "inertia_kg_m2": "rotor_inertia_g_cm2 = 10.7",
+    }
+    sheet = SHEET.replace(replaced[field], line) if field in replaced else f"{SHEET}{line}\n"
+    motor = load(tmp_path, sheet)
+    holder = motor if hasattr(motor, field) else motor.parameters
+    assert getattr(holder, field) == pytest.approx(si, rel=1e-12)
+
+
+def test_dry_friction_is_no_part_of_the_viscous_one(tmp_path: Path) -> None:
+    """Kt i0 = Tc + B w0; without a no-load speed, w0 is what the nominal voltage less R i0 induces."""
+    sheet = f"{SHEET}coulomb_friction_n_m = 0.0001\n"
+    friction = load(tmp_path, sheet).parameters.viscous_friction_n_m_s_per_rad
+    assert friction == pytest.approx((0.0235 * 0.0263 - 1e-4) / (4860.0 * np.pi / 30.0))
+    sheet = SHEET.replace("no_load_speed_rpm = 4860.0", "nominal_voltage_v = 12.0")
+    speed = (12.0 - 2.18 * 0.0263) * 406.0 * np.pi / 30.0
+    friction = load(tmp_path, sheet).parameters.viscous_friction_n_m_s_per_rad
+    assert friction == pytest.approx(0.0235 * 0.0263 / speed)
+    with pytest.raises(InputError, match="no-load point leaves no viscous friction, got -"):
+        load(tmp_path, f"{SHEET}coulomb_friction_n_m = 0.001\n")
+
+
+def test_the_default_tolerances_are_those_of_the_documentation() -> None:
+    """A file without them is judged by these, so they cannot move."""
+    assert Tolerance() == Tolerance(0.01, 0.02, 0.10, 0.01, 0.02, 0.03, 10.0)
 
 
 @pytest.mark.parametrize(

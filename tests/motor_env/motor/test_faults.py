@@ -5,6 +5,7 @@ import pytest
 
 from motor_env.motor.faults import (
     ALWAYS,
+    BUILT_IN_KINDS,
     Fault,
     FaultKind,
     NoiseSource,
@@ -12,7 +13,7 @@ from motor_env.motor.faults import (
     apply_faults,
     noise_variance_factor,
 )
-from motor_env.motor.parameters import PAPER_MOTOR
+from motor_env.motor.parameters import PAPER_MOTOR, QUANTITY_FIELDS
 
 GRID_S = np.arange(1000, dtype=np.float64) * 1e-4
 
@@ -39,6 +40,55 @@ def test_winding_short_of_a_fifth_of_the_turns() -> None:
     assert faulty.back_emf_constant_v_s_per_rad == pytest.approx(0.02352 * 0.8)
     assert faulty.inertia_kg_m2 == PAPER_MOTOR.inertia_kg_m2
     assert faulty.viscous_friction_n_m_s_per_rad == PAPER_MOTOR.viscous_friction_n_m_s_per_rad
+
+
+def test_a_weak_magnet_lowers_both_constants_alone() -> None:
+    faulty = apply_fault(PAPER_MOTOR, Fault(FaultKind.MAGNET, 0.2))
+    assert faulty == PAPER_MOTOR.scaled(back_emf_constant_v_s_per_rad=0.8, torque_constant_n_m_per_a=0.8)
+
+
+def test_the_order_of_the_kinds_is_that_of_a_cases_random_numbers() -> None:
+    kinds = ("bearing", "winding_contact", "winding_short", "noise", "magnet")
+    assert kinds == BUILT_IN_KINDS
+    assert [kind.verdict for kind in BUILT_IN_KINDS] == ["bearing", "winding", "winding", "noise", "magnet"]
+
+
+def unregistered(**powers: float) -> FaultKind:
+    """A kind that no other test sees."""
+    kind = str.__new__(FaultKind, "mine")
+    kind.powers, kind.verdict, kind.finding = powers, "mine", ""
+    return kind
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *BUILT_IN_KINDS,
+        unregistered(resistance=0.5, constants=-1.5, noise=2.0),
+        unregistered(friction=-0.5, inertia=-3.0),
+    ],
+)
+def test_a_fault_is_a_ray_in_the_logarithms(kind: FaultKind) -> None:
+    """(1 + s)^power, or (1 - s)^-power where all is lost, is exp(power * log size)."""
+    severity = np.array([0.0, 0.1, 0.25, 0.7])
+    size = kind.log_size(severity)
+    loses = max(kind.powers.values()) < 0.0
+    assert kind.loses == loses
+    np.testing.assert_allclose(size, -np.log(1.0 - severity) if loses else np.log(1.0 + severity), rtol=1e-14)
+    np.testing.assert_allclose(kind.severity(size), severity, rtol=1e-14)
+    names = [*QUANTITY_FIELDS, "noise"]
+    for name, slope in zip(names, kind.direction(names), strict=True):
+        assert slope == kind.powers.get(name, 0.0)
+        factor = np.broadcast_to(kind.factor(name, severity), severity.shape)
+        np.testing.assert_allclose(factor, np.exp(slope * size), rtol=1e-14)
+    assert kind.motor_powers == {name: power for name, power in kind.powers.items() if name != "noise"}
+
+
+def test_only_what_is_lost_ends_at_one() -> None:
+    Fault(FaultKind.BEARING, 1.0)
+    Fault(FaultKind.MAGNET, 0.999)
+    with pytest.raises(ValueError, match=r"severity of magnet must be < 1, got 1$"):
+        Fault(FaultKind.MAGNET, np.array([0.1, 1.0]))
 
 
 def test_noise_leaves_the_motor_and_raises_one_source() -> None:

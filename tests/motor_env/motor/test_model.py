@@ -8,7 +8,14 @@ from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from motor_env.motor.model import Input, State, continuous_model, discretize, steady_state
+from motor_env.motor.model import (
+    Input,
+    State,
+    continuous_model,
+    discretize,
+    exponential_and_phi,
+    steady_state,
+)
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray, MotorParameters
 from motor_env.simulation.simulate import simulate_states
 
@@ -55,6 +62,20 @@ def test_discretisation_against_expm(motor: MotorParameters, shift: float) -> No
         scale = np.abs(gain[:, column] * np.array([1.0, balance])).max()
         error = np.abs((discrete.gain - gain)[:, column] * np.array([1.0, balance])).max()
         assert error < 1e-9 * scale
+
+
+@pytest.mark.parametrize("size", [0.1, 0.9, 20.0])
+@pytest.mark.parametrize(
+    "unit", [[[-1.0, 0.0], [0.7, -0.2]], [[-1.0, 0.6], [0.0, -0.3]], [[0.4, 5.0], [-0.01, 0.1]]]
+)
+def test_exponential_and_phi_of_any_matrix(unit: list[list[float]], size: float) -> None:
+    """Matrices that no motor has, so that each entry counts: expm of [[X, 1], [0, 0]] holds both (Van Loan 1978)."""
+    matrix = np.zeros((4, 4))
+    matrix[:2, :2], matrix[:2, 2:] = size * np.array(unit), np.eye(2)
+    whole, part = exponential_and_phi(*matrix[:2, :2].ravel().tolist())
+    expected = expm(matrix)
+    np.testing.assert_allclose(np.reshape(whole, (2, 2)), expected[:2, :2], rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(np.reshape(part, (2, 2)), expected[:2, 2:], rtol=1e-12, atol=1e-15)
 
 
 @given(motor=motors(), shift=st.floats(-5.0, 0.0))

@@ -1,20 +1,28 @@
 """Parameters: what is refused and with which sentence, what is derived, how batches read."""
 
-from dataclasses import FrozenInstanceError
+import math
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
 
 from motor_env.motor.parameters import (
     CATALOGUE,
+    COPPER_PER_KELVIN,
+    FRICTION_PER_KELVIN,
+    MAGNET_PER_KELVIN,
+    PAPER_MATRICES_DT_S,
     PAPER_MATRICES_MOTOR,
     PAPER_MOTOR,
+    RAD_S_PER_RPM,
     Channel,
     MotorParameters,
     SensorParameters,
     SupplyParameters,
     catalogue_motor,
+    require_plausible,
 )
+from motor_env.simulation.named_recipes import named_recipe
 
 FIELDS = (
     "resistance_ohm",
@@ -104,3 +112,34 @@ def test_catalogue() -> None:
     assert all(isinstance(motor, MotorParameters) for motor in CATALOGUE.values())
     with pytest.raises(ValueError, match=r"motor must be one of .*paper.*, got 'maxon'"):
         catalogue_motor("maxon")
+
+
+def test_the_papers_motor_and_the_constants_of_physics_stand_as_printed() -> None:
+    """The paper's table (part 2B), the parameters of its printed matrices, IEC 60028, and round numbers for the rest."""
+    printed = (2.18, 0.238e-3, 0.02352, 0.0235, 1.07e-6, 12e-7)
+    assert PAPER_MOTOR == MotorParameters(*printed)
+    assert PAPER_MATRICES_MOTOR.resistance_ohm == pytest.approx(2.06, rel=1e-12)
+    assert PAPER_MATRICES_MOTOR.inductance_h == pytest.approx(2.38e-3, rel=1e-12)
+    assert replace(PAPER_MATRICES_MOTOR, resistance_ohm=2.18, inductance_h=0.238e-3) == PAPER_MOTOR
+    assert PAPER_MATRICES_DT_S == 0.01
+    assert (COPPER_PER_KELVIN, MAGNET_PER_KELVIN, FRICTION_PER_KELVIN) == (0.00393, -0.001, -0.003)
+    assert pytest.approx(math.tau) == 60.0 * RAD_S_PER_RPM
+    sensor = SensorParameters()
+    assert (sensor.current_noise_a, sensor.speed_noise_rad_s) == (0.02, 1.0)
+    assert SupplyParameters().voltage_v == 12.0
+    assert sensor.with_noise(3.0) == SensorParameters(current_noise_a=0.06, speed_noise_rad_s=3.0)
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_numbers_beyond_every_motor_are_refused(field: str) -> None:
+    recipe = named_recipe("paper")
+    for value in (1e-15, 1e12):
+        require_plausible(replace(PAPER_MOTOR, **{field: value}), "motor")
+    for value in (0.999e-15, 1.001e12):
+        wrong = replace(PAPER_MOTOR, **{field: value})
+        with pytest.raises(ValueError, match=rf"^motor\.{field} must be in 1e-15 .. 1e\+12, got "):
+            replace(recipe, motor=wrong)
+    with pytest.raises(ValueError, match=r"^supply\.voltage_v must be in -1e\+12 .. 1e\+12, got -2"):
+        replace(recipe, supply=SupplyParameters(-2e12))
+    with pytest.raises(ValueError, match=r"^classes\[1\]\.weight must be in "):
+        replace(recipe, classes=(recipe.classes[0], replace(recipe.classes[1], weight=1e13)))
