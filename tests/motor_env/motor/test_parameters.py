@@ -115,9 +115,9 @@ def test_catalogue() -> None:
 
 
 def test_the_papers_motor_and_the_constants_of_physics_stand_as_printed() -> None:
-    """The paper's table (part 2B), the parameters of its printed matrices, IEC 60028, and round numbers for the rest."""
+    """The paper's table (part 2B), what its printed matrices come from, IEC 60028, and round numbers for the rest."""
     printed = (2.18, 0.238e-3, 0.02352, 0.0235, 1.07e-6, 12e-7)
-    assert PAPER_MOTOR == MotorParameters(*printed)
+    assert MotorParameters(*printed) == PAPER_MOTOR
     assert PAPER_MATRICES_MOTOR.resistance_ohm == pytest.approx(2.06, rel=1e-12)
     assert PAPER_MATRICES_MOTOR.inductance_h == pytest.approx(2.38e-3, rel=1e-12)
     assert replace(PAPER_MATRICES_MOTOR, resistance_ohm=2.18, inductance_h=0.238e-3) == PAPER_MOTOR

@@ -12,7 +12,6 @@ from scipy.integrate import solve_ivp
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import Channel, SensorParameters
 from motor_env.simulation.drawing import Draw, draw, measure_draw
-from motor_env.simulation.driven import LOOP_GAIN, LOOP_INTEGRAL
 from motor_env.simulation.duty import N_UNIFORMS, PROFILES, Duty
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipe_files import recipe_to_dict
@@ -78,8 +77,8 @@ def test_a_loop_follows_from_what_was_recorded_and_a_replay_gives_the_same() -> 
         for k, wanted in enumerate(drawn.driving.voltage_v[n]):
             if k > 0:
                 error = wanted - (read[n, 1, k - 1] - 2.18 * read[n, 0, k - 1])
-                integral = np.clip(integral + LOOP_INTEGRAL * error, -limit, limit)
-                volts = np.clip(wanted + LOOP_GAIN * error + integral, -limit, limit)
+                integral = np.clip(integral + 0.05 * error, -limit, limit)
+                volts = np.clip(wanted + 0.5 * error + integral, -limit, limit)
             assert read[n, 1, k] == pytest.approx(volts, abs=1e-4)
     applied = drawn.driving._replace(voltage_v=read[:, 1].astype(float), is_loop=np.zeros(60, bool))
     np.testing.assert_array_equal(measure_draw(drawn._replace(driving=applied), OPERATION, 2), read)
@@ -97,6 +96,29 @@ def test_profiles_hold_their_levels_within_the_supply() -> None:
     assert min(np.diff(places).min() for places in changes if len(places) > 1) >= 19
     assert (share.min(axis=1) < 0.0)[kind == PROFILES.index("reversals")].all()
     assert (share > 0.0)[np.isin(kind, [0, 2, 3])].all()
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_profiles_sample_by_sample(name: str) -> None:
+    """The formulas anew: pace log-uniform in hold_s, size 0.4 to 1, a level from a uniform number of its own."""
+    timing = Timing(1_000.0, 2.0)
+    u = np.random.default_rng(5).random((3, 68))
+    share, _ = Duty(profiles=(name,), hold_s=(0.02, 0.05)).profile(u, timing)
+    for row, one in zip(share, u, strict=True):
+        pace, size = 0.02 * 2.5 ** one[1], 0.4 + 0.6 * one[2]
+        for k, got in enumerate(row):
+            at = k * 1e-3 / pace + one[3]
+            place = int(at)
+            level = one[4 + place % 64]
+            expected = {
+                "steps": 0.2 + 0.8 * level,
+                "reversals": size if place % 2 == 0 else -size,
+                "staircase": size * (0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4)[place % 8],
+                "binary": size if level >= 0.5 else 0.3 * size,
+                "sine": size * np.sin(np.pi / 2.0 * at),
+                "speed_loop": np.sign(level - 0.5) * (0.2 + 0.7 * abs(2.0 * level - 1.0)),
+            }[name]
+            assert got == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -118,6 +140,9 @@ def test_what_a_duty_cannot_be_with(changes: dict[str, Any], sentence: str) -> N
 def test_refusals_and_old_files() -> None:
     with pytest.raises(ValueError, match=r"duty\.profiles must be among steps, .*, got ramp"):
         Duty(profiles=("ramp",))
+    assert Duty().hold_s == (0.02, 0.1)
+    with pytest.raises(ValueError, match=r"duty\.hold_s must be > 0, got 0"):
+        Duty(hold_s=(0.0, 0.1))
     with pytest.raises(ValueError, match=r"duty\.fan_ratio must be a finite .*, got \[1, 0\]"):
         Duty(fan_ratio=(1.0, 0.0))
     with pytest.raises(ValueError, match="recipe operation has a voltage of its own in each case"):

@@ -9,11 +9,12 @@ from scipy.signal import lsim
 
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.model import continuous_model, steady_state
-from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, SensorParameters
+from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, SensorParameters, SupplyParameters
 from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.named_recipes import RECIPES
-from motor_env.simulation.nonlinear import Effects, Sampling, integrate
+from motor_env.simulation.nonlinear import Effects, Sampling, integrate, substeps
+from motor_env.simulation.random_streams import Stream, uniforms
 from motor_env.simulation.sensor import SensorChain
 from motor_env.simulation.simulate import Scenario, Timing, simulate, simulate_states
 
@@ -124,6 +125,48 @@ def test_the_nonlinear_motor_agrees_with_a_stiff_solver(effects: Effects, tolera
         assert np.abs(got[channel] - expected[channel]).max() < tolerance * np.abs(expected[channel]).max()
 
 
+STRONG = Effects(
+    coulomb_friction_n_m=4e-3,
+    stribeck_friction_n_m=3e-3,
+    stribeck_speed_rad_s=40.0,
+    brush_drop_v=0.5,
+    temperature_rise_k=40.0,
+    supply_resistance_ohm=0.5,
+    ramp_s=2e-3,
+    ripple_v=1.0,
+    ripple_hz=200.0,
+    load_torque_n_m=2e-3,
+    commutation_ripple=0.2,
+    commutation_per_turn=5.0,
+    bearing_ripple_n_m=2e-3,
+    delay_s=3.7e-5,
+    heat_capacity_j_per_k=0.02,
+    thermal_resistance_k_per_w=2.0,
+)
+"""Every effect so large that a small change of any term of the equations shows."""
+
+
+@pytest.mark.parametrize("changes", [{}, {"ramp_s": 0.0}])
+def test_strong_effects_in_fine_steps_are_those_of_a_stiff_solver(changes: dict[str, float]) -> None:
+    timing, effects = Timing(duration_s=0.03), replace(STRONG, **changes)
+    expected = reference(effects, 12.0, timing.time_s - effects.delay_s)
+    out = np.empty((1, 2, timing.n_samples), dtype=np.float32)
+    integrate(PAPER_MOTOR, effects, 12.0, Sampling(1e-4, 40, np.array([True, False]), out), 0)
+    assert (np.abs(out[0] - expected).max(axis=1) < 2e-6 * np.abs(expected).max(axis=1)).all()
+
+
+@pytest.mark.parametrize("count", [1, 4, 17])
+def test_steps_of_the_integration_follow_from_the_fastest_process(count: int) -> None:
+    """4.3 an electrical time constant and 12 a period of the ripple: one less just below, one more just above."""
+    constant = 0.238e-3 / 2.18
+    for largest, ripple_hz in ((constant / 4.3, 0.0), (1.0 / (12.0 * 5e4), 5e4)):
+        assert substeps(PAPER_MOTOR, 0.999 * count * largest, ripple_hz) == count
+        assert substeps(PAPER_MOTOR, 1.001 * count * largest, ripple_hz) == count + 1
+    assert substeps(PAPER_MOTOR, 9_999.5 * constant / 4.3) == 10_000
+    with pytest.raises(ValueError, match="must hold at most 10000 integration steps, got 10001"):
+        substeps(PAPER_MOTOR, 10_000.5 * constant / 4.3)
+
+
 def test_the_integration_converges_with_the_fourth_order() -> None:
     errors = []
     flag = np.array([True])
@@ -144,7 +187,8 @@ def test_a_field_case_does_not_depend_on_its_batch() -> None:
 
 
 def test_the_sensor_chain_step_by_step() -> None:
-    scenario = Scenario(PAPER_MOTOR, sensor=replace(SILENT, channels=(Channel.CURRENT,)))
+    timing = Timing()
+    scenario = Scenario(PAPER_MOTOR, sensor=replace(SILENT, channels=(Channel.CURRENT,)), timing=timing)
     true = measure(scenario, 0, [0])[0, 0].astype(np.float64)
     gained = measure(scenario, 0, [0], chain=SensorChain(gain=1.1, offset_a=0.01))[0, 0]
     np.testing.assert_allclose(gained, 1.1 * true + 0.01, atol=1e-6)
@@ -159,18 +203,30 @@ def test_the_sensor_chain_step_by_step() -> None:
     inside = true < 3.9
     assert np.abs(coarse - true)[inside].max() <= step / 2 + 1e-6
     assert coarse.max() == pytest.approx(4.0 - step)
+    back = replace(scenario, supply=SupplyParameters(-12.0))
+    assert measure(back, 0, [0], chain=SensorChain(range_a=4.0, adc_bits=8))[0, 0].min() == -4.0
+    clipped = measure(back, 0, [0], chain=SensorChain(range_a=4.0))[0, 0]
+    np.testing.assert_allclose(clipped, np.maximum(-true, -4.0), atol=1e-6)
+    np.testing.assert_allclose(
+        measure(scenario, 0, [0], chain=SensorChain(range_a=4.0))[0, 0], np.minimum(true, 4.0), atol=1e-6
+    )
     lost = measure(scenario, 0, [0], chain=SensorChain(missing_fraction=0.2))[0, 0]
-    assert 120 < np.isnan(lost).sum() < 280
+    assert np.array_equal(np.isnan(lost), uniforms(0, Stream.MISSING, [0], timing.n_samples)[0] < 0.2)
     assert np.array_equal(lost[~np.isnan(lost)], true[~np.isnan(lost)].astype(np.float32))
 
 
 def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(ValueError, match="range_a must be > 0"):
         SensorChain(adc_bits=12)
+    SensorChain(range_a=1.0, adc_bits=24)
+    with pytest.raises(ValueError, match=r"adc_bits must be in 0 \.\. 24, got 25"):
+        SensorChain(range_a=1.0, adc_bits=25)
+    with pytest.raises(ValueError, match=r"missing_fraction must be in \[0, 1\), got 1"):
+        SensorChain(missing_fraction=1.0)
     with pytest.raises(ValueError, match="brush_drop_v must be finite and >= 0, got -1"):
         Effects(brush_drop_v=-1.0)
     onset = Scenario(PAPER_MOTOR, faults=(Fault(FaultKind.BEARING, 0.1, onset_s=0.01),))
     with pytest.raises(ValueError, match="faults without an onset"):
         measure(onset, 0, [0], effects=Effects())
     with pytest.raises(ValueError, match="delay_s must be <"):
-        measure(Scenario(PAPER_MOTOR), 0, [0], effects=Effects(delay_s=1e-3))
+        measure(Scenario(PAPER_MOTOR), 0, [0], effects=Effects(delay_s=1e-4))

@@ -1,5 +1,7 @@
 """The noise: standard checks of its distribution, and proofs that no two cases share it."""
 
+import hashlib
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -43,6 +45,44 @@ def test_philox_is_a_bijection_of_the_counter() -> None:
             c3 = c[2] ^ k1 ^ ((0xD2511F53 * c0) >> 32)
             c = [c0, c1, c2, c3]
         assert c == [int(w) for w in counter]
+
+
+def test_streams_keep_their_numbers() -> None:
+    """A number is part of every seed's meaning: what is drawn from it is in data sets and benchmarks of strangers."""
+    names = (
+        "class motor supply measurement process onset sensor split wear wear_crossing field_motor field_start"
+        " severity missing calibration profile duty"
+    )
+    assert [stream.name.lower() for stream in Stream] == names.split()
+    assert [stream.value for stream in Stream] == list(range(17))
+
+
+@pytest.mark.parametrize("stream", [Stream.CLASS, Stream.DUTY])
+def test_uniforms_are_the_words_of_their_counter(stream: Stream) -> None:
+    """Key: the seed, lower half first; counter: block, stream, lower and upper half of the case."""
+    seed, case = 0x0123456789ABCDEF, 0xFEDCBA9876543
+    assert philox.py_func is not None
+    for block, four in enumerate(uniforms(seed, stream, [case], 12).reshape(3, 4)):
+        counter = block, int(stream), case & 0xFFFFFFFF, case >> 32, seed & 0xFFFFFFFF, seed >> 32
+        with np.errstate(over="ignore"):
+            words = philox.py_func(*(np.uint32(word) for word in counter))
+        assert four.tolist() == [(int(word) + 0.5) / 2**32 for word in words]
+
+
+def test_normals_never_move_by_a_bit() -> None:
+    """Additions, products, roots and shifts of float32 alone, which every processor rounds alike."""
+    z = normals(1, Stream.MEASUREMENT, range(64), 1000).astype(np.float32)
+    digest = "97f7ec25650bcfd0ebfc5491f19bb43d3d148a14e7d3d1f8b81c498e42078426"
+    assert hashlib.sha256(z.tobytes()).hexdigest() == digest
+
+
+def test_seeds_and_cases_out_of_range_are_refused() -> None:
+    assert uniforms(2**64 - 1, Stream.CLASS, [0], 1).shape == (1, 1)
+    for seed in (-1, 2**64):
+        with pytest.raises(ValueError, match=rf"seed must be in 0 .. 2\^64 - 1, got {seed}"):
+            normals(seed, Stream.CLASS, [0], 1)
+    with pytest.raises(ValueError, match="cases must be >= 0, got -3"):
+        normals(0, Stream.CLASS, [0, -3], 1)
 
 
 def test_normals_are_the_box_muller_transform_of_the_words() -> None:
