@@ -89,7 +89,7 @@ def reference(effects: Effects, voltage: float, times: FloatArray) -> FloatArray
 
     last = float(times[-1])
     answer = solve_ivp(
-        rates, (0.0, last), np.zeros(4), method="Radau", t_eval=times, rtol=1e-9, atol=1e-11, max_step=5e-4
+        rates, (0.0, last), np.zeros(4), method="LSODA", t_eval=times, rtol=1e-9, atol=1e-11, max_step=5e-4
     )
     states: FloatArray = answer.y[:2]
     return states
@@ -118,7 +118,7 @@ FIELD_LIKE = Effects(
 )
 def test_the_nonlinear_motor_agrees_with_a_stiff_solver(effects: Effects, tolerance: float) -> None:
     """The error relative to the peak; the textbook motor's is that of a bare step, the worst for a fixed step."""
-    timing = Timing(duration_s=0.05)
+    timing = Timing(duration_s=0.02)
     expected = reference(effects, 12.0, timing.time_s - effects.delay_s)
     got = measure(Scenario(PAPER_MOTOR, sensor=SILENT, timing=timing), 0, [0], effects=effects)[0]
     for channel in range(2):
@@ -146,12 +146,11 @@ STRONG = Effects(
 """Every effect so large that a small change of any term of the equations shows."""
 
 
-@pytest.mark.parametrize("changes", [{}, {"ramp_s": 0.0}])
-def test_strong_effects_in_fine_steps_are_those_of_a_stiff_solver(changes: dict[str, float]) -> None:
-    timing, effects = Timing(duration_s=0.03), replace(STRONG, **changes)
-    expected = reference(effects, 12.0, timing.time_s - effects.delay_s)
+def test_strong_effects_in_fine_steps_are_those_of_a_stiff_solver() -> None:
+    timing = Timing(duration_s=0.02)
+    expected = reference(STRONG, 12.0, timing.time_s - STRONG.delay_s)
     out = np.empty((1, 2, timing.n_samples), dtype=np.float32)
-    integrate(PAPER_MOTOR, effects, 12.0, Sampling(1e-4, 40, np.array([True, False]), out), 0)
+    integrate(PAPER_MOTOR, STRONG, 12.0, Sampling(1e-4, 40, np.array([True, False]), out), 0)
     assert (np.abs(out[0] - expected).max(axis=1) < 2e-6 * np.abs(expected).max(axis=1)).all()
 
 
