@@ -35,7 +35,7 @@ class Draw(NamedTuple):
         factors: nuisance factors in the order of `FACTORS`, shape (n_cases, 5).
         scenario: what to simulate.
         motor_id: motor of each case, shape (n_cases,).
-        severity: sum over the faults of the case, 0 for healthy, shape (n_cases,).
+        severity: of the first fault of the case's class, 0 for healthy, shape (n_cases,).
         effects: departures from the textbook motor; None for none.
         chain: errors of the current sensor; None for none.
         driving: voltage and load of motors at work; None for starts.

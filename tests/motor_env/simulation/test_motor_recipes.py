@@ -10,7 +10,8 @@ from motor_env import PAPER_MOTOR
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import MotorFile, StartReference, Tolerance, load_motor, save_motor
 from motor_env.simulation.drawing import draw, measure_draw
-from motor_env.simulation.motor_recipes import motor_recipe
+from motor_env.simulation.motor_recipes import motor_recipe, settling_timing
+from motor_env.simulation.simulate import Timing
 
 SHEET = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml")
 REFERENCE = StartReference(
@@ -79,6 +80,40 @@ def test_a_slow_motor_without_a_noise() -> None:
     assert recipe.name == "big_one"
     assert recipe.timing.duration_s == pytest.approx(10.0, rel=0.1)
     assert recipe.sensor.current_noise_a == pytest.approx(0.022)
+
+
+def test_defaults_to_two_digits() -> None:
+    """0.4 % of the stall current and 25 mechanical time constants, just below where the next digit begins."""
+    volts = 2.18 * 0.02249 / 0.004
+    sheet = MotorFile("m", "data_sheet", PAPER_MOTOR, volts)
+    assert motor_recipe(sheet).sensor.current_noise_a == 0.022
+    assert motor_recipe(sheet, voltage_v=volts * 1.001).sensor.current_noise_a == 0.023
+    slow = PAPER_MOTOR.scaled(inertia_kg_m2=2.49 / 25.0 / PAPER_MOTOR.mechanical_time_constant_s)
+    timing = settling_timing(MotorFile("m", "data_sheet", slow))
+    assert timing == Timing(400.0, 2.5)
+    slower = slow.scaled(inertia_kg_m2=2.551 / 2.49)
+    assert settling_timing(MotorFile("m", "data_sheet", slower)).duration_s == 2.6
+    assert settling_timing(sheet, 0.3) == Timing(3333.0, 0.3)
+
+
+def test_dry_friction_brushes_and_a_lag_become_a_field() -> None:
+    """Dry friction relative to the viscous torque at no-load speed, the lag in the geometric middle of its range."""
+    reference = replace(REFERENCE, model_low=(0.001, 0.0001), model_high=(0.002, 0.0004))
+    motor = replace(COMMISSIONED, reference=reference, coulomb_friction_n_m=1e-4, brush_drop_v=0.3)
+    field = motor_recipe(motor).field
+    assert field is not None
+    ratio = 1e-4 / (12e-7 * 12.0 / 0.02352)
+    assert field.coulomb_ratio == pytest.approx((ratio, ratio))
+    assert field.brush_drop_v == (0.3, 0.3)
+    assert field.ramp_s == (0.001, 0.002)
+    assert field.trigger_jitter == (0.0, 0.99)
+    assert field.sensor_lag_s == pytest.approx(2e-4)
+
+
+def test_few_degrees_of_freedom_have_the_spread_of_three() -> None:
+    """A Student t of two or fewer has no variance."""
+    few = motor_recipe(replace(COMMISSIONED, reference=replace(STARTS, degrees_of_freedom=2.0)))
+    assert few.spread.resistance == pytest.approx(0.02 * np.sqrt(3.0))
 
 
 def test_what_cannot_be_drawn_is_refused() -> None:
