@@ -137,6 +137,18 @@ def test_a_batch_is_its_motors() -> None:
         alone = discretize(batch.motor(index), 1e-4)
         assert np.array_equal(whole.transition[index], alone.transition)
         np.testing.assert_allclose(whole.gain[index], alone.gain, rtol=1e-15)
+    # One voltage serves all motors, one motor all voltages, and a noise is each case's own.
+    rng = np.random.default_rng(1)
+    volts, noise = rng.standard_normal((7, 20)), rng.standard_normal((7, 20, 2))
+    shared = simulate_states(batch, volts[0], 1e-4, process_noise=noise)
+    single = simulate_states(PAPER_MOTOR, volts, 1e-4, load_torque_n_m=1e-3 * volts, initial_state=noise[:, 0])
+    for n in range(7):
+        alone_states = simulate_states(batch.motor(n), volts[0], 1e-4, process_noise=noise[n])
+        np.testing.assert_allclose(shared[n], alone_states, rtol=1e-13)
+        other = simulate_states(
+            PAPER_MOTOR, volts[n], 1e-4, load_torque_n_m=1e-3 * volts[n], initial_state=noise[n, 0]
+        )
+        np.testing.assert_allclose(single[n], other, rtol=1e-13)
 
 
 def test_step_of_any_size_stays_finite() -> None:
