@@ -65,6 +65,37 @@ def test_with_an_endless_memory_it_is_the_plain_filter(sensor: SensorParameters)
     np.testing.assert_allclose(endless.log_likelihood, plain.log_likelihood, rtol=1e-9)
 
 
+def test_sample_by_sample_it_is_the_filter_with_the_noise_so_far() -> None:
+    """One case of two channels, written out; the process noise ends at 0 and never below."""
+    memory, noise_std = 4.0, (5e-3, 0.5)
+    kalman = KalmanFilter.from_parameters(
+        PAPER_MOTOR, BOTH, 1e-4, process_noise_std=noise_std, initial_std=(1.0, 20.0)
+    )
+    measured = np.random.default_rng(8).standard_normal((2, 12)) * np.array([[0.02], [2.0]])
+    voltage = np.linspace(1.0, -1.0, 12)
+    result = adaptive_filter(kalman, measured[None], voltage, memory=memory)
+    a, b, share = kalman.model.transition, kalman.model.gain, 2.0 / (memory + 1.0)
+    x, p = np.zeros(2), np.diag([1.0, 400.0])
+    r, q = np.diag([4e-4, 4.0]), np.square(noise_std)
+    for k in range(12):
+        x, carried = a @ x + b[:, 0] * voltage[k], a @ p @ a.T
+        ahead = carried + np.diag(q)
+        gain = ahead @ np.linalg.inv(ahead + r)
+        error = measured[:, k] - x
+        np.testing.assert_allclose(result.innovation[0, k], error, rtol=1e-9, atol=1e-12)
+        nis = error @ np.linalg.inv(ahead + r) @ error
+        assert result.nis[0, k] == pytest.approx(nis, rel=1e-9)
+        x, p = x + gain @ error, ahead - gain @ ahead
+        left = measured[:, k] - x
+        r = (1.0 - share) * r + share * (np.outer(left, left) + p)
+        q = np.maximum((1.0 - share) * q + share * (np.square(gain @ error) + np.diag(p - carried)), 0.0)
+        np.testing.assert_allclose(result.state[0, k], x, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(result.measurement_covariance[0, k], r, rtol=1e-9)
+        np.testing.assert_allclose(result.process_variance[0, k], q, rtol=1e-6, atol=1e-12)
+    assert (result.process_variance.min(axis=(0, 1)) == 0.0).all()
+    assert (result.process_variance.max(axis=(0, 1)) > 0.0).all()
+
+
 def test_noise_moves_by_its_share() -> None:
     moved = adapted_noise(np.array([[[4.0]]]), np.array([[3.0]]), np.array([[[1.0]]]), memory=3.0)
     assert moved.item() == pytest.approx(4.0 + 0.5 * (9.0 + 1.0 - 4.0))
@@ -76,6 +107,7 @@ def test_bad_input_is_refused() -> None:
         adaptive_filter(belief, np.zeros((1, 5)), np.zeros(5))
     with pytest.raises(ValueError, match="measurements must be finite"):
         adaptive_filter(belief, np.full((1, 1, 5), np.nan), np.zeros(5))
+    adaptive_filter(belief, np.zeros((1, 1, 5)), np.zeros(5), memory=1.0)
     with pytest.raises(ValueError, match=r"memory must be >= 1 sample, got 0\.5"):
         adaptive_filter(belief, np.zeros((1, 1, 5)), np.zeros(5), memory=0.5)
     batch = KalmanFilter.from_parameters(

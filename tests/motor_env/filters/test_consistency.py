@@ -4,10 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq, minimize_scalar
+from scipy.stats import chi2, norm
 
 from motor_env.detection.rules import Cusum
 from motor_env.filters.batch import run_filter
-from motor_env.filters.consistency import check_consistency
+from motor_env.filters.consistency import Consistency, check_consistency
 from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, KalmanFilter
 from motor_env.filters.process_noise import choose_process_noise, matched_power, signature_energy
 from motor_env.motor.faults import Fault, FaultKind, apply_fault
@@ -25,6 +27,41 @@ def test_white_innovations_are_rejected_at_the_level() -> None:
     assert everything.holds
     assert everything.warning == ""
     assert everything.coverage == pytest.approx(0.95, abs=0.002)
+
+
+def test_the_three_tests_value_by_value() -> None:
+    """Sums written out over the values measured; a lag's sum has as many terms as it has pairs of neighbours."""
+    values = 0.9 * np.random.default_rng(4).standard_normal((2, 25, 2))
+    values[0, :4, 0] = [1.9599, -1.9599, 1.9601, -1.9601]
+    values[0, 7:9, 1] = values[1, 20, 0] = np.nan
+    seen = values[~np.isnan(values)]
+    statistic = 0.0
+    for lag in (1, 2, 3):
+        products = [
+            values[n, k, c] * values[n, k - lag, c] for n in range(2) for k in range(lag, 25) for c in (0, 1)
+        ]
+        known = [product for product in products if not np.isnan(product)]
+        statistic += sum(known) ** 2 / len(known)
+    got = check_consistency(values, lags=3, level=0.2)
+    assert (got.n_values, got.level) == (97, 0.2)
+    assert got.mean_p == pytest.approx(2.0 * norm.sf(abs(seen.sum()) / np.sqrt(97.0)))
+    squares = np.square(seen).sum()
+    assert got.nis_p == pytest.approx(2.0 * min(chi2.cdf(squares, 97), chi2.sf(squares, 97)))
+    assert got.whiteness_p == pytest.approx(chi2.sf(statistic, 3))
+    assert got.mean_square == pytest.approx(squares / 97.0)
+    assert got.coverage == pytest.approx((np.abs(seen) < 1.96).mean())
+    assert check_consistency(values).level == 0.01
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_each_test_rejects_at_a_third_of_the_level(place: int) -> None:
+    words = ["mean is not 0", "mean square is 1.2 instead of 1", "correlated in time"]
+    for p_value, holds in ((0.0101, True), (0.0099, False)):
+        p_values = [0.5, 0.5, 0.5]
+        p_values[place] = p_value
+        found = Consistency(100, *p_values, mean_square=1.2, coverage=0.95, level=0.03)
+        assert found.holds == holds
+        assert [word in found.warning for word in words] == [n == place and not holds for n in range(3)]
 
 
 @pytest.mark.parametrize(
@@ -98,6 +135,37 @@ def test_process_noise_is_found_from_healthy_data(true_std: tuple[float, float])
         assert design.scale == pytest.approx(0.5, rel=0.2)
     else:
         assert design.scale == pytest.approx(1e-6)
+
+
+def test_the_smallest_scale_is_where_the_likelihood_has_fallen_by_192() -> None:
+    """The end of a 95 % interval: a scale just outside is not taken, one just inside is."""
+    scenario = Scenario(PAPER_MOTOR, timing=Timing(duration_s=0.01), process_noise_std=(5e-3, 0.5))
+    transients = simulate(scenario, seed=5, cases=range(10))
+    data = transients.measurements, transients.voltage_v[0]
+
+    def fall(log_scale: float) -> float:
+        std = (1e-2 * np.exp(log_scale), np.exp(log_scale))
+        belief = KalmanFilter.from_parameters(PAPER_MOTOR, SENSOR, 1e-4, process_noise_std=std)
+        return -float(run_filter(belief, *data).log_likelihood.sum())
+
+    best = minimize_scalar(fall, bounds=(-2.0, 1.0), method="bounded", options={"xatol": 1e-8})
+    end = float(brentq(lambda x: fall(x) - best.fun - 0.5 * 1.96**2, best.x - 2.0, best.x))
+    step = (best.x - end) / 8.0
+    for inside in (True, False):
+        # The seventh scale of a grid of 33 lies beside the end of the interval.
+        seventh = end + (4e-3 if inside else -4e-3) * step
+        smallest = seventh - 6.0 * step
+        design = choose_process_noise(
+            PAPER_MOTOR,
+            SENSOR,
+            1e-4,
+            *data,
+            smallest=np.exp(smallest),
+            largest=np.exp(smallest + 32.0 * step),
+        )
+        expected = seventh if inside else seventh + step
+        assert np.log(design.scale) == pytest.approx(expected, abs=1e-6)
+        assert design.process_noise_std == pytest.approx((1e-2 * design.scale, design.scale))
 
 
 def test_bad_input_is_refused() -> None:

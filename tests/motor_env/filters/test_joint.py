@@ -5,7 +5,8 @@ import pytest
 
 from motor_env.filters.joint import FREE, JointKind, coulomb_unit_n_m, joint_filter, parameter_test_threshold
 from motor_env.motor.faults import Fault, FaultKind
-from motor_env.motor.parameters import PAPER_MOTOR, MotorParameters, SensorParameters
+from motor_env.motor.model import discretize
+from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, MotorParameters, SensorParameters
 from motor_env.simulation.nonlinear import Effects, Sampling, integrate, substeps
 from motor_env.simulation.simulate import Scenario, Timing, simulate
 
@@ -101,6 +102,57 @@ def test_a_wrong_noise_is_adapted() -> None:
     assert fixed.nis[:, half:].mean() < 0.2  # (20 mA / 50 mA)^2
     assert adapted.nis[:, half:].mean() == pytest.approx(1.0, abs=0.05)
     np.testing.assert_allclose(np.exp(adapted.theta[:, -1]).mean(axis=0), [1.1, 1.25], rtol=0.02)
+
+
+def ahead(x: FloatArray, voltage: float) -> FloatArray:
+    """One sample of [current, speed, log factors of R and of both constants, dry friction]: the equations anew."""
+    factors = np.exp(x[2:4])
+    motor = PAPER_MOTOR.scaled(
+        resistance_ohm=factors[0],
+        back_emf_constant_v_s_per_rad=factors[1],
+        torque_constant_n_m_per_a=factors[1],
+    )
+    model = discretize(motor, 1e-4)
+    torque = x[4] * 12e-7 * 12.0 / 0.02352  # of the viscous torque at the speed of the highest voltage
+    state = model.transition @ x[:2] + model.gain @ [voltage, torque * x[1] / np.sqrt(1.0 + x[1] ** 2)]
+    return np.concatenate([state, x[2:]])
+
+
+@pytest.mark.parametrize("kind", list(JointKind))
+def test_each_filter_does_what_its_name_says(kind: JointKind) -> None:
+    """The first samples of a start, where dry friction is least like a constant load, against both filters anew."""
+    sensor = SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 1.0)
+    voltage, rng = np.array([12.0, 11.0, -3.0, 5.0, 8.0, 2.0]), np.random.default_rng(3)
+    measured = rng.standard_normal((1, 2, 6)) * np.array([[0.5], [2.0]])
+    names = ("resistance", "constants", "coulomb")
+    got = joint_filter(PAPER_MOTOR, sensor, 1e-4, measured, voltage, names=names, prior_std=0.2, kind=kind)
+    x, p = np.zeros(5), np.diag([1e-12, 1e-8, 0.04, 0.04, 0.04])
+    q, r, c = np.diag([1e-10, 1e-6, 0.0, 0.0, 0.0]), np.diag([4e-4, 1.0]), np.eye(2, 5)
+    for k in range(6):
+        if kind is JointKind.EXTENDED:
+            steps = 1e-5 * np.eye(5)
+            slope = [(ahead(x + s, voltage[k]) - ahead(x - s, voltage[k])) / 2e-5 for s in steps]
+            x, p = ahead(x, voltage[k]), np.transpose(slope) @ p @ slope
+        else:
+            root = np.linalg.cholesky(5.0 * p).T
+            points = [ahead(x + sign * row, voltage[k]) for sign in (1.0, -1.0) for row in root]
+            x, p = np.mean(points, axis=0), np.cov(np.transpose(points), bias=True)
+        s = c @ (p + q) @ c.T + r
+        gain = (p + q) @ c.T @ np.linalg.inv(s)
+        error = measured[0, :, k] - x[:2]
+        np.testing.assert_allclose(got.innovation[0, k], error, rtol=1e-6, atol=1e-9)
+        assert got.nis[0, k] == pytest.approx(error @ np.linalg.inv(s) @ error, rel=1e-6)
+        x, p = x + gain @ error, p + q - gain @ s @ gain.T
+        np.testing.assert_allclose(got.theta[0, k], x[2:], rtol=1e-5, atol=1e-9)
+        np.testing.assert_allclose(got.covariance[0, k], p[2:, 2:], rtol=1e-5, atol=1e-9)
+    expected = x[2:] @ np.linalg.inv(p[2:, 2:]) @ x[2:]
+    assert got.statistic[0, -1] == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_threshold_at_one_sample_is_chi_square() -> None:
+    assert parameter_test_threshold(2, 0.1) == pytest.approx(
+        -2.0 * np.log(0.1)
+    )  # of two degrees: exponential
 
 
 def test_healthy_motors_are_found_faulty_at_the_wanted_rate() -> None:

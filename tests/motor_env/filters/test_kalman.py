@@ -1,6 +1,7 @@
 """The filter against one joint Gaussian, filterpy and itself: streamed, missing, batched, in float32."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -9,7 +10,13 @@ from hypothesis import given, strategies as st
 from scipy.stats import chi2, multivariate_normal
 
 from motor_env.filters.batch import filter_residuals, run_filter
-from motor_env.filters.kalman import KalmanFilter, gain_and_covariance, schedule
+from motor_env.filters.kalman import (
+    DEFAULT_PROCESS_NOISE_STD,
+    KalmanFilter,
+    gain_and_covariance,
+    schedule,
+)
+from motor_env.filters.kernels import covariance_step
 from motor_env.filters.smoothing import smooth
 from motor_env.filters.stream import FilterStream
 from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, SensorParameters
@@ -99,6 +106,43 @@ def test_filter_is_the_conditional_of_one_joint_gaussian(name: str, missing: boo
         np.testing.assert_allclose(covariances[k], spread, atol=1e-9)
 
 
+def exact_update(covariance: FloatArray, observation: FloatArray, noise: FloatArray) -> FloatArray:
+    """P - P C' (C P C' + R)^-1 C P of two channels, in fractions, rounded once at the end."""
+    p, c, r = (
+        np.array([[Fraction(float(x)) for x in row] for row in matrix], dtype=object)
+        for matrix in (covariance, observation, noise)
+    )
+    (a, b), (_, d) = s = c @ p @ c.T + r
+    inverse = np.array([[d, -b], [-b, a]], dtype=object) / (a * d - b * b)
+    assert (s @ inverse == np.eye(2)).all()
+    return np.asarray(p - p @ c.T @ inverse @ c @ p, dtype=np.float64)
+
+
+@pytest.mark.parametrize(
+    ("covariance", "observation", "noise"),
+    [
+        ([[1e6, 9.9e5], [9.9e5, 1e6]], [[1.0, 0.0], [0.0, 0.0]], [[1e-8, 0.0], [0.0, 1.0]]),
+        ([[1e6, 1e3], [1e3, 1e2]], [[1.0, 0.0], [0.0, 1.0]], [[1e-8, 0.0], [0.0, 1e-6]]),
+        ([[1e8, 3e7], [3e7, 1e8]], [[1.0, 0.3], [0.7, 1.0]], [[1e-6, 2e-7], [2e-7, 1e-6]]),
+    ],
+)
+def test_a_sharp_measurement_of_what_is_vague_leaves_a_right_covariance(
+    covariance: list[list[float]], observation: list[list[float]], noise: list[list[float]]
+) -> None:
+    """Here (I - K C) P, which is the same but for rounding, is wrong in the second to fourth digit and not symmetric.
+
+    The compiled step of the batches is tested beside it: it does the same update for two states.
+    """
+    p, c, r = np.array(covariance), np.array(observation), np.array(noise)
+    expected = exact_update(p, c, r)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    updated = gain_and_covariance(p, c, r)[2]
+    np.testing.assert_allclose(updated / scale, expected / scale, atol=1e-9)
+    assert abs(updated[0, 1] - updated[1, 0]) < 1e-12 * scale[0, 1]
+    *_, u00, u01, u11 = covariance_step(np.eye(2), np.zeros((2, 2)), c, r, p[0, 0], p[0, 1], p[1, 1])
+    np.testing.assert_allclose(np.array([[u00, u01], [u01, u11]]) / scale, expected / scale, atol=1e-9)
+
+
 @pytest.mark.parametrize("kind", ["whole", "missing", "own motors", "one case", "no process noise"])
 @pytest.mark.parametrize("name", SENSORS)
 def test_smoother_is_the_conditional_on_all_samples(name: str, kind: str) -> None:
@@ -183,10 +227,11 @@ def test_stream_gives_what_the_batch_gives(name: str) -> None:
     kalman = correlated(belief(SENSORS[name]))
     measured, voltage = random_case(len(kalman.observation), 50)
     measured[1, 0, 20:23] = np.nan
-    result = run_filter(kalman, measured, voltage)
+    voltages, load = np.outer([1.0, -0.5, 2.0], voltage), 1e-3 * voltage[::-1]
+    result = run_filter(kalman, measured, voltages, load)
     stream = FilterStream(kalman, n_streams=3)
     for k in range(50):
-        sample = stream.update(measured[:, :, k], voltage[k])
+        sample = stream.update(measured[:, :, k], voltages[:, k], load[k])
         np.testing.assert_allclose(sample.innovation, result.innovation[:, k], atol=1e-11)
         np.testing.assert_allclose(sample.whitened, result.whitened[:, k], atol=1e-9)
         np.testing.assert_allclose(sample.nis, result.nis[:, k], rtol=1e-8, atol=1e-12)
@@ -322,6 +367,16 @@ def test_all_samples_missing_is_the_prediction() -> None:
     for _ in range(10):
         state = kalman.model.transition @ state + kalman.model.gain @ np.array([12.0, 0.0])
     np.testing.assert_allclose(result.state[-1], state, atol=1e-12)
+
+
+def test_the_belief_that_is_not_told() -> None:
+    """From rest, with the process noise that all thresholds and benchmarks rest on."""
+    kalman = KalmanFilter.from_parameters(PAPER_MOTOR, BOTH, 1e-4)
+    assert DEFAULT_PROCESS_NOISE_STD == (1e-5, 1e-3)
+    np.testing.assert_allclose(kalman.process_covariance, np.diag([1e-10, 1e-6]))
+    np.testing.assert_allclose(kalman.measurement_covariance, np.diag([4e-4, 4.0]))
+    assert not kalman.initial_state.any()
+    assert not kalman.initial_covariance.any()
 
 
 def test_bad_measurements_are_refused_in_one_sentence() -> None:

@@ -141,7 +141,9 @@ def test_a_batch_is_its_motors() -> None:
     rng = np.random.default_rng(1)
     volts, noise = rng.standard_normal((7, 20)), rng.standard_normal((7, 20, 2))
     shared = simulate_states(batch, volts[0], 1e-4, process_noise=noise)
-    single = simulate_states(PAPER_MOTOR, volts, 1e-4, load_torque_n_m=1e-3 * volts, initial_state=noise[:, 0])
+    single = simulate_states(
+        PAPER_MOTOR, volts, 1e-4, load_torque_n_m=1e-3 * volts, initial_state=noise[:, 0]
+    )
     for n in range(7):
         alone_states = simulate_states(batch.motor(n), volts[0], 1e-4, process_noise=noise[n])
         np.testing.assert_allclose(shared[n], alone_states, rtol=1e-13)
