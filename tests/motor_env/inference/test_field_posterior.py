@@ -5,17 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.special import logsumexp
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
 
 from motor_env.inference.class_model import ClassModel
-from motor_env.inference.field_posterior import best_fit, sampled_evidence, sampled_probabilities
+from motor_env.inference.field_posterior import (
+    Linear,
+    best_fit,
+    sampled_evidence,
+    sampled_probabilities,
+)
 from motor_env.inference.posterior import class_log_evidence, class_probabilities
 from motor_env.inference.truncated_normal import TruncatedNormal
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.recipes import FaultClass, Recipe
+from motor_env.simulation.random_streams import Stream, normals, uniforms
+from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 from motor_env.simulation.simulate import Timing
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
@@ -51,6 +57,103 @@ def test_a_box_far_from_the_mean_keeps_its_digits() -> None:
     # Beyond 39 standard deviations the density falls by e within 1 / 39.
     assert (1.0 - draws).mean() == pytest.approx(1.0 / 39.0, rel=0.15)
     assert np.isfinite(cut.log_density(draws)).all()
+
+
+def test_coordinates_of_a_class_give_back_a_drawn_case() -> None:
+    """Readings at the coordinates of a case are those of the simulation without noise and converter."""
+    bearing = FaultClass(FaultKind.BEARING, 0.1, severity_to=0.4)
+    assert FIELD.field is not None
+    clean = replace(FIELD.field, adc_bits=0, sensor_range_a=0.0)
+    recipe = replace(FIELD, classes=(bearing,), field=clean, shifts=(), sensor=FIELD.sensor.with_noise(0.0))
+    cases = np.arange(5)
+    drawn = draw(recipe, 3, cases)
+    model = ClassModel(replace(FIELD, classes=(bearing,)), bearing)
+    factors, priors = len(FACTORS), FIELD.priors
+    assert model.names == (*FACTORS, *priors, "bearing")
+    assert model.n_uniform == 14
+    values = np.empty((5, factors + 14))
+    values[:, 0] = normals(3, Stream.SUPPLY, cases, 1)[:, 0]
+    values[:, 1:factors] = normals(3, Stream.MOTOR, cases, factors)[:, 1:]
+    values[:, factors : factors + 6] = uniforms(3, Stream.FIELD_MOTOR, cases, 13)[:, :6]
+    values[:, factors + 6 : -1] = uniforms(3, Stream.FIELD_START, cases, 13)[:, 6:]
+    values[:, -1] = (drawn.severity - 0.1) / 0.3
+    expected = measure_draw(drawn, recipe, 3).reshape(5, -1)
+    np.testing.assert_allclose(model.readings(values), expected, atol=1e-5)
+    np.testing.assert_allclose(model.box, [[-6.77] * 5 + [0.0] * 14, [6.77] * 5 + [1.0] * 14])
+    np.testing.assert_array_equal(model.prior, [[0.0] * 5 + [0.5] * 14, [1.0] * 19])
+    assert model.steps == pytest.approx(np.full(120, 2.0 * 8.2 / 4096.0))
+    noisy = ClassModel(FIELD, FaultClass(FaultKind.NOISE, 3.0))
+    assert noisy.noise == pytest.approx(np.full(120, 2.0 * 0.004))
+
+
+def test_joint_density_value_by_value() -> None:
+    """Normal without a converter; with one, the share of the normal distribution within the code's step."""
+    values = np.array([[0.3, -1.0, 0.5, 2.0, 0.1], [0.0, 0.0, 0.0, 0.0, 0.0]])
+    prior = norm.logpdf(values).sum(axis=1)
+    plain, field = ClassModel(BENCH, BENCH.classes[0]), ClassModel(FIELD, FIELD.classes[0])
+    rng = np.random.default_rng(1)
+    for model, sigma, step in ((plain, 0.02, 0.0), (field, 0.004, 2.0 * 8.2 / 4096.0)):
+        count = len(model.noise)
+        read, measured = rng.random((2, count)), rng.random(count)
+        measured = np.where(np.arange(count) % 7 == 0, np.nan, read[0] + 1.5 * sigma * (measured - 0.5))
+        seen = ~np.isnan(measured)
+        read[1] = read[0] + sigma
+        off = measured[seen] - read[:, seen]
+        density = norm.logpdf(off, scale=sigma)
+        if step:
+            density = np.log(norm.cdf((off + step / 2.0) / sigma) - norm.cdf((off - step / 2.0) / sigma))
+        at = np.hstack([values, np.full((2, model.n_uniform), 0.4)])
+        np.testing.assert_allclose(
+            model.log_joint(measured, read, at), density.sum(axis=1) + prior, rtol=1e-9
+        )
+
+
+def test_a_motor_that_is_linear_has_a_normal_posterior() -> None:
+    """Of draws around any point: completing the square, for the coordinates of a class with and without ranges."""
+    rng = np.random.default_rng(6)
+    for model in (ClassModel(BENCH, BENCH.classes[0]), ClassModel(FIELD, FIELD.classes[0])):
+        size, count = len(model.names), len(model.noise)
+        at, slopes, left = (
+            0.3 * rng.standard_normal(size),
+            rng.standard_normal((count, size)),
+            rng.standard_normal(count),
+        )
+        linear, mean = Linear(at, left, slopes), model.prior[0]
+        posterior = linear.posterior(model)
+        precision = slopes.T @ slopes + np.eye(size)
+        centre = np.linalg.solve(precision, slopes.T @ (left + slopes @ at) + mean)
+        covariance = posterior.root @ posterior.root.T
+        np.testing.assert_allclose(posterior.mean, centre[posterior.order], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            covariance,
+            np.linalg.inv(precision)[np.ix_(posterior.order, posterior.order)],
+            rtol=1e-9,
+            atol=1e-12,
+        )
+        expected = 0.5 * (left @ left + np.square(at - mean).sum()) + np.log(model.noise).sum()
+        assert linear.objective(model) == pytest.approx(expected)
+
+
+def test_a_best_fit_comes_with_the_slopes_there() -> None:
+    """Of a start whose later half was lost: differences of its readings, over noise and converter."""
+    (start,) = starts(FIELD, 1).reshape(1, -1)
+    start[60:] = np.nan
+    model = ClassModel(FIELD, FIELD.classes[0])
+    found = best_fit(model, start, model.prior[0])
+    noise = np.hypot(0.004, 2.0 * 8.2 / 4096.0 / np.sqrt(12.0))
+    seen = ~np.isnan(start)
+    np.testing.assert_allclose(
+        found.left[seen], (start - model.readings(found.at[None])[0])[seen] / noise, rtol=1e-6, atol=1e-6
+    )
+    assert not found.left[~seen].any()
+    assert not found.slopes[~seen].any()
+    for k in range(len(found.at)):
+        step = 0.01 * (model.box[1, k] - model.box[0, k]) * np.eye(len(found.at))[k]
+        step = -step if found.at[k] + step[k] > model.box[1, k] else step
+        there, here = model.readings(np.stack([found.at + step, found.at]))
+        np.testing.assert_allclose(
+            found.slopes[seen, k], (there - here)[seen] / (noise * step[k]), rtol=1e-4, atol=0.05
+        )
 
 
 def test_on_textbook_motors_it_is_the_exact_posterior() -> None:

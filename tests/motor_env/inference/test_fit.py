@@ -5,12 +5,18 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.stats import norm
 
-from motor_env.inference.features import FEATURE_NAMES, physical_features
+from motor_env.inference.features import FEATURE_FREE, FEATURE_NAMES, physical_features
 from motor_env.inference.fit import Prior, fit
 from motor_env.inference.identifiability import Experiment, cramer_rao_bound
 from motor_env.inference.parametrisation import QUANTITIES, Coordinates
-from motor_env.inference.sensitivities import Observed, jacobian
+from motor_env.inference.sensitivities import (
+    Observed,
+    common_equations,
+    jacobian,
+    normal_equations,
+)
 from motor_env.motor.parameters import (
     PAPER_MOTOR,
     Channel,
@@ -59,6 +65,64 @@ def test_jacobian_is_the_slope_of_the_simulated_response(logarithmic: bool) -> N
             slopes.append((response(at + shift) - response(at - shift)) / (2.0 * shift[j]))
         expected = (4.0 * slopes[0] - slopes[1]) / 3.0
         np.testing.assert_allclose(got[..., j], expected, atol=1e-7 * np.abs(expected).max())
+
+
+def test_normal_equations_are_squares_and_their_derivatives() -> None:
+    """Against simulations of each case, moving from the first sample on, with a load; one row of either serves all."""
+    rng = np.random.default_rng(2)
+    volts, load = 12.0 + rng.standard_normal((3, 25)), 1e-2 * rng.random((3, 25))
+    measured = rng.standard_normal((3, 2, 25)) * np.array([[1.0], [50.0]])
+    names = ("supply", "resistance", "inductance", "constants", "inertia", "friction")
+    coordinates = Coordinates(PAPER_MOTOR, names, (0.5, 0.2, 0.3, 1.0, 0.4, 0.6))
+    values = 0.3 * rng.standard_normal((3, 6))
+    begin = (1.5, 120.0)
+
+    def residuals(case: int, at: FloatArray, own: int) -> FloatArray:
+        motor, supply = coordinates.motors(at)
+        states = simulate_states(
+            motor, supply * volts[own], 1e-4, load_torque_n_m=load[own], initial_state=begin
+        )
+        return ((measured[case] - states.T) / [[0.02], [2.0]]).ravel()
+
+    def check(
+        chi2: float, gradient: FloatArray, information: FloatArray, case: int, at: FloatArray, own: int
+    ) -> None:
+        left, steps = residuals(case, at, own), 1e-4 * np.eye(6)
+        slopes = np.stack(
+            [(residuals(case, at + s, own) - residuals(case, at - s, own)) / 2e-4 for s in steps], axis=1
+        )
+        assert chi2 == pytest.approx(left @ left, rel=1e-9)
+        scale = np.linalg.norm(slopes, axis=0)
+        np.testing.assert_allclose(
+            gradient / scale, -slopes.T @ left / scale, atol=1e-5 * np.linalg.norm(left)
+        )
+        np.testing.assert_allclose(
+            information / np.outer(scale, scale), slopes.T @ slopes / np.outer(scale, scale), atol=1e-5
+        )
+
+    each = Observed.from_measurements(measured, volts, BOTH, 1e-4, initial_state=begin, load_torque_n_m=load)
+    got = normal_equations(each, coordinates, values)
+    some = normal_equations(each, coordinates, values[1:], np.array([1, 2]))
+    for n in range(3):
+        check(*(part[n] for part in got), n, values[n], n)
+        assert n == 0 or some.chi2[n - 1] == got.chi2[n]
+    shared = Observed.from_measurements(
+        measured, volts[0], BOTH, 1e-4, initial_state=begin, load_torque_n_m=load[0]
+    )
+    for observed, own in ((shared, (0, 0, 0)), (each, (0, 1, 2))):
+        together = common_equations(observed, coordinates, values[1])
+        for n in range(3):
+            check(*(part[n] for part in together), n, values[1], own[n])
+    fitted = fit(each, coordinates, Prior.from_std(np.full(6, 0.5)), max_iterations=0)
+    chi2 = [np.square(residuals(n, np.zeros(6), n)).sum() for n in range(3)]
+    np.testing.assert_allclose(fitted.chi2, chi2, rtol=1e-9)
+    likelihood = [
+        norm.logpdf(residuals(n, np.zeros(6), n)).sum() - 25.0 * np.log(0.02 * 2.0) for n in range(3)
+    ]
+    np.testing.assert_allclose(fitted.log_likelihood, likelihood, rtol=1e-9)
+    wider = each.with_variance(4.0)
+    np.testing.assert_allclose(normal_equations(wider, coordinates, values).chi2, got.chi2 / 4.0, rtol=1e-12)
+    assert wider.log_normaliser == pytest.approx(each.log_normaliser - 50.0 * np.log(2.0))
 
 
 def test_cramer_rao_bound_of_the_paper_motor() -> None:
@@ -149,6 +213,24 @@ def test_physical_features_see_the_faults() -> None:
     features = physical_features(recipe, measured)
     assert features.shape == (200, len(FEATURE_NAMES))
     assert np.isfinite(features).all()
+    # Column by column, with the residual of the fitted motors simulated anew.
+    column = dict(zip(FEATURE_NAMES, features.T, strict=True))
+    coordinates = Coordinates.from_names(recipe.motor, FEATURE_FREE)
+    motors, supply = coordinates.motors(features[:, :5])
+    states = simulate_states(motors, supply[:, None] * VOLTAGE, TIMING.dt_s)
+    left = (measured[:, 0] - states[..., 0]) / 0.02
+    prior = Prior.from_std([0.3, 0.3, 0.01, 0.01, 0.02])
+    std = fit(Observed.from_measurements(measured, VOLTAGE, SENSOR, TIMING.dt_s), coordinates, prior).std
+    for name, expected in {
+        "log_std_resistance": np.log(std[:, 0]),
+        "log_std_friction": np.log(std[:, 1]),
+        "residual_mean": left.mean(axis=1),
+        "residual_late_mean": left[:, 800:].mean(axis=1),
+        "residual_lag1": (left[:, 1:] * left[:, :-1]).sum(axis=1) / 999.0,
+        "residual_largest": np.abs(left).max(axis=1),
+    }.items():
+        np.testing.assert_allclose(column[name], expected, rtol=1e-6, atol=1e-9, err_msg=name)
+    np.testing.assert_allclose(column["reduced_chi2"], np.square(left).mean(axis=1), rtol=1e-5)
     truth = np.array([fault_class.severity for fault_class in recipe.classes])[drawn.class_index]
     for kind, name, tolerance in (("winding", "log_resistance", 0.02), ("bearing", "log_friction", 0.06)):
         members = np.array([c.label_kind.startswith(kind) for c in recipe.classes])[drawn.class_index]

@@ -85,6 +85,30 @@ def test_detectability_is_the_separation_of_the_matched_test() -> None:
         assert separation == pytest.approx(exact, rel=1e-3)
 
 
+def test_distances_are_what_regressions_leave_over() -> None:
+    """Tolerances as normal columns in a dense covariance, the best multiple of another fault by least squares."""
+    experiment = Experiment.start(Timing(1_000.0, 0.05), BOTH)
+    spread = Spread(supply=0.01, resistance=0.03, constants=0.02, inertia=0.04, friction=0.05)
+    got = isolability(PAPER_MOTOR, experiment, spread, severity=0.2)
+    slopes = dict(zip(QUANTITIES, experiment.slopes(PAPER_MOTOR, QUANTITIES).T, strict=True))
+    tolerances = {"supply": 0.01, "resistance": 0.03, "constants": 0.02, "inertia": 0.04, "friction": 0.05}
+    covariance = np.eye(100)
+    for name, std in tolerances.items():
+        covariance += std**2 * np.outer(slopes[name], slopes[name])
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    signatures = np.array(
+        [
+            root @ (0.2 * sum(power * slopes[name] for name, power in kind.motor_powers.items()))
+            for kind in got.kinds
+        ]
+    )
+    np.testing.assert_allclose(got.detectable, np.linalg.norm(signatures, axis=1), rtol=1e-6)
+    for i, one in enumerate(signatures):
+        for j, other in enumerate(signatures):
+            left = one if i == j else one - other * (one @ other) / (other @ other)
+            assert got.isolable[i, j] == pytest.approx(np.linalg.norm(left), rel=1e-5, abs=1e-5)
+
+
 def test_fault_directions_are_those_of_apply_fault() -> None:
     step = 1e-6
     coordinates = Coordinates.from_names(PAPER_MOTOR, QUANTITIES)

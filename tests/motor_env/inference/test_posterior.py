@@ -5,15 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from accuracy_limits import bayes_limit
+from scipy.optimize import least_squares
 from scipy.special import gammaln, logsumexp
 from scipy.stats import norm
 
 from motor_env.inference.fit import Prior, fit
 from motor_env.inference.posterior import (
+    Excess,
     class_coordinates,
     class_log_evidence,
     class_probabilities,
     excess_over_limit,
+    prior_from_starts,
     recipe_observed,
     variance_factor,
 )
@@ -82,6 +85,8 @@ def test_laplace_agrees_with_importance_sampling(classes: tuple[FaultClass, ...]
     prior = np.log(recipe.class_probabilities)
     sampled = importance_evidence(recipe, measured, np.random.default_rng(2), 2000) + prior
     expected = np.exp(sampled - logsumexp(sampled, axis=1, keepdims=True))
+    assert np.abs(class_log_evidence(recipe, measured) + prior - sampled).max() < 0.15
+    assert abs((class_log_evidence(recipe, measured) + prior - sampled).mean()) < 0.01
     got = class_probabilities(recipe, measured)
     assert np.abs(got - expected).max() < 0.012
     assert np.abs(got - expected).max(axis=1).mean() < 0.005
@@ -154,6 +159,51 @@ def test_probabilities_do_not_depend_on_the_batch() -> None:
     together = class_probabilities(BENCH_1KHZ, measured)
     np.testing.assert_allclose(class_probabilities(BENCH_1KHZ, measured[4:5])[0], together[4], atol=1e-9)
     np.testing.assert_allclose(together.sum(axis=1), 1.0)
+
+
+def test_starts_of_one_motor_tell_of_its_next_one() -> None:
+    """Against one fit of all starts together: factors of the motor in common, a supply of its own in each."""
+    recipe = replace(BENCH_1KHZ, classes=(FaultClass(),), starts_per_motor=3)
+    _, measured = drawn_measurements(recipe, 6)
+    got = prior_from_starts(recipe, measured.reshape(2, 3, 1, -1))
+    coordinates = class_coordinates(recipe, FaultClass())
+    assert coordinates.names[0] == "supply"
+
+    def residuals(x: FloatArray, motor: int) -> FloatArray:
+        values = np.column_stack([x[:3], np.tile(x[3:], (3, 1))])
+        motors, supply = coordinates.motors(values)
+        states = simulate_states(motors, supply[:, None] * recipe.nominal_voltage_v, 1e-3)
+        left = (measured[3 * motor : 3 * motor + 3, 0] - states[..., 0]) / 0.02
+        return np.concatenate([left.ravel(), x])
+
+    for motor in range(2):
+        best = least_squares(residuals, np.zeros(7), args=(motor,), xtol=1e-12)
+        covariance = np.linalg.inv(best.jac.T @ best.jac)[3:, 3:]
+        std = np.sqrt(np.diag(covariance))
+        np.testing.assert_allclose(got.mean[motor, 1:] / std, best.x[3:] / std, atol=0.05)
+        found = np.linalg.inv(got.precision[motor])
+        np.testing.assert_allclose(
+            found[1:, 1:] / np.outer(std, std), covariance / np.outer(std, std), atol=0.02
+        )
+        np.testing.assert_allclose(found[0], [1.0, 0.0, 0.0, 0.0, 0.0], atol=1e-9)
+        assert got.mean[motor, 0] == 0.0
+    nothing = prior_from_starts(recipe, np.empty((2, 0, 1, 100)))
+    np.testing.assert_array_equal(nothing.precision, np.tile(np.eye(5), (2, 1, 1)))
+    assert not nothing.mean.any()
+
+
+def test_an_excess_counts_the_cases_on_which_the_two_differ() -> None:
+    """Of 100 cases the classifier alone is right on 9, the limit alone on 4."""
+    truth, best = np.zeros(100, dtype=int), np.zeros(100, dtype=int)
+    predicted = truth.copy()
+    best[:9] = 1
+    predicted[9:13] = 1
+    found = excess_over_limit(np.eye(2)[best], truth, predicted)
+    error = np.sqrt((13.0 / 100.0 - 0.05**2) / 99.0)
+    assert found == pytest.approx((0.05, error))
+    assert not found.is_suspicious
+    assert Excess(0.0301, 0.01).is_suspicious
+    assert not Excess(0.0299, 0.01).is_suspicious
 
 
 def test_a_classifier_that_saw_the_labels_is_suspicious_and_an_honest_one_is_not() -> None:

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import simpson
+from scipy.integrate import cumulative_simpson, simpson
 from scipy.stats import norm
 
 from motor_env.inference.posterior import class_log_evidence
-from motor_env.inference.severity import SeverityPrior, severity_posterior
+from motor_env.inference.severity import SeverityPosterior, SeverityPrior, severity_posterior
 from motor_env.motor.faults import Fault, FaultKind, apply_fault
 from motor_env.motor.parameters import FloatArray, SensorParameters
 from motor_env.simulation.drawing import draw
@@ -51,6 +51,30 @@ def test_known_motor_posterior_is_the_integral(kind: FaultKind, noise_a: float) 
         assert got.mean[case] == pytest.approx(mean, abs=1e-3 * got.std[case])
         assert got.std[case] == pytest.approx(np.sqrt(second / total - mean**2), rel=1e-3)
         assert got.log_evidence[case] == pytest.approx(top + np.log(total / 0.3), abs=1e-3)
+        cumulated = cumulative_simpson(np.exp(log_likelihood - top), x=grid, initial=0.0) / total
+        for share in (0.05, 0.5, 0.95):
+            exact = np.interp(share, cumulated, grid)
+            assert got.quantile(share)[case] == pytest.approx(exact, abs=5e-3 * got.std[case])
+
+
+def test_quantiles_of_weights_that_are_known() -> None:
+    """Trapezoid's weights of a uniform density, of which every quantile is known, and of a triangle."""
+    grid = np.linspace(0.1, 0.3, 41)
+    even = np.where(np.isin(np.arange(41), [0, 40]), 0.5, 1.0)
+    weights = np.stack([even / 40.0, even * (grid - 0.1)])
+    posterior = SeverityPosterior(
+        np.stack([grid, grid]), weights / weights.sum(axis=1, keepdims=True), np.zeros(2)
+    )
+    for share in (0.05, 0.25, 0.5, 0.9):
+        expected = [0.1 + 0.2 * share, 0.1 + 0.2 * np.sqrt(share)]
+        np.testing.assert_allclose(posterior.quantile(share), expected, atol=2e-4)
+    np.testing.assert_allclose(posterior.interval()[0], [0.11, 0.29], atol=1e-12)
+    np.testing.assert_allclose(posterior.interval(0.5)[0], [0.15, 0.25], atol=1e-12)
+    np.testing.assert_allclose(posterior.mean, [0.2, 0.1 + 0.4 / 3.0], rtol=1e-3)
+    np.testing.assert_allclose(posterior.std, [0.2 / np.sqrt(12.0), 0.2 / np.sqrt(18.0)], rtol=2e-3)
+    with pytest.raises(ValueError, match=r"probability must be in \(0, 1\), got 1"):
+        posterior.quantile(1.0)
+    assert SeverityPrior(FaultKind.BEARING) == SeverityPrior(FaultKind.BEARING, 0.0, 0.3)
 
 
 @pytest.mark.parametrize(

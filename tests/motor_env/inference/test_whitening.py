@@ -8,7 +8,12 @@ from scipy.stats import binomtest, norm
 
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
-from motor_env.inference.whitening import MarginalWhitener, MatchedTest, innovation_slopes
+from motor_env.inference.whitening import (
+    MarginalWhitener,
+    MatchedTest,
+    StatisticLaw,
+    innovation_slopes,
+)
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters
 from motor_env.simulation.drawing import draw
@@ -115,6 +120,14 @@ def test_known_parameters_thresholds_fail_under_tolerances() -> None:
         test = MatchedTest.from_recipe(PAPER, fault)
         alarms = (np.abs(test.statistic(measured)) > test.threshold_for(0.01, two_sided=True)).mean()
         assert alarms == pytest.approx(rate, abs=0.05)
+
+
+def test_a_law_is_a_mixture_of_normals() -> None:
+    law = StatisticLaw(np.array([-1.0, 2.0]), np.array([0.3, 0.7]), 0.5)
+    above = 0.3 * norm.sf(1.5, -1.0, 0.5) + 0.7 * norm.sf(1.5, 2.0, 0.5)
+    assert law.above(1.5) == pytest.approx(above, rel=1e-12)
+    below = 0.3 * norm.cdf(-1.5, -1.0, 0.5) + 0.7 * norm.cdf(-1.5, 2.0, 0.5)
+    assert law.beyond(1.5) == pytest.approx(above + below, rel=1e-12)
 
 
 def test_bad_faults_are_named() -> None:
