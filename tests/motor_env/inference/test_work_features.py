@@ -1,11 +1,19 @@
 """What a record of a motor at work tells: against the truth, and against the sampled posterior."""
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+import pytest
+from scipy.special import log_softmax
+
+from motor_env.inference.class_model import ClassModel
 from motor_env.inference.field_posterior import sampled_probabilities
 from motor_env.inference.work_features import work_feature_names, work_features, work_probabilities
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FACTORS, FaultClass
 
 OPERATION = named_recipe("operation")
 DRAWN = draw(OPERATION, 5, np.arange(150))
@@ -22,6 +30,63 @@ def test_the_severity_of_a_winding_and_the_fit() -> None:
     truth = np.asarray(next(f.severity for f in DRAWN.scenario.faults if f.kind == "winding_contact"))
     assert np.quantile(np.abs(winding - truth), 0.9) < 0.05
     assert np.median(np.expm1(features[:, -1])) < 1.2
+
+
+def test_of_a_linear_motor_features_are_exact(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Readings that are linear in the coordinates make the fit a regression, and the classes distances in it."""
+    rng, classes = (
+        np.random.default_rng(4),
+        (
+            FaultClass(),
+            FaultClass(FaultKind.BEARING, 0.25),
+            FaultClass(FaultKind.WINDING_CONTACT, 0.10, severity_to=0.50),
+            FaultClass(FaultKind.BEARING, 0.20, 2.0, also=(FaultClass(FaultKind.WINDING_CONTACT, 0.15),)),
+        ),
+    )
+    recipe = replace(OPERATION, classes=classes, shifts=())
+    names = work_feature_names(recipe)
+    uncertain = (
+        "coulomb_ratio",
+        "brush_drop_v",
+        "temperature_rise_k",
+        "load_ratio",
+        "load_end_ratio",
+        "fan_ratio",
+    )
+    severities = ("winding_contact", "bearing")
+    assert names[:13] == (*FACTORS, *uncertain, *severities)
+    assert names[13:] == (
+        *(f"log_std_{name}" for name in severities),
+        *(f"log_probability_{name}" for name in recipe.class_names),
+        "log1p_chi2",
+    )
+    slopes, sigma = 2e-4 * rng.standard_normal((13, 500)), 0.002
+
+    def readings(model: ClassModel, values: FloatArray) -> FloatArray:
+        assert model.voltage_v is not None
+        return values @ slopes + model.voltage_v
+
+    monkeypatch.setattr(ClassModel, "readings", readings)
+    truth = np.array([*(0.3 * rng.standard_normal((3, 5))).T, *rng.uniform(0.3, 0.7, (8, 3))]).T
+    voltage = rng.standard_normal((3, 500))
+    read = truth @ slopes + voltage + sigma * rng.standard_normal((3, 500))
+    features = work_features(recipe, np.stack([read, voltage], axis=1))
+    # Standard normal factors; uniform numbers as normal ones of their variance; severities that hardly have a prior.
+    precision = np.array([1.0] * 5 + [12.0] * 6 + [0.01] * 2)
+    centre = np.array([0.0] * 5 + [0.5] * 6 + [0.2] * 2)
+    covariance = np.linalg.inv(slopes @ slopes.T / sigma**2 + np.diag(precision))
+    mean = ((read - voltage) @ slopes.T / sigma**2 + precision * centre) @ covariance
+    np.testing.assert_allclose(features[:, :13], mean, rtol=1e-6)
+    logs = np.tile(0.5 * np.log(np.diag(covariance)[-2:]), (3, 1))
+    np.testing.assert_allclose(features[:, 13:15], logs, rtol=1e-6)
+    # In units of twice the largest, 0.3 and 0.25: the winding's range counts by its middle.
+    points = np.array([[0.0, 0.0], [0.0, 0.5], [0.5, 0.0], [0.25, 0.4]])
+    away = mean[:, None, -2:] - points
+    distance = np.einsum("nci,ij,ncj->nc", away, np.linalg.inv(covariance[-2:, -2:]), away)
+    expected = log_softmax(np.log([0.2, 0.2, 0.2, 0.4]) - 0.5 * distance, axis=1)
+    np.testing.assert_allclose(features[:, 15:19], np.maximum(expected, -12.0), rtol=1e-5)
+    left = np.square((read - voltage - mean @ slopes) / sigma).mean(axis=1)
+    np.testing.assert_allclose(features[:, 19], np.log1p(left), rtol=1e-3)
 
 
 def test_the_linear_posterior_is_near_the_sampled_one_of_which_two_runs_agree() -> None:
