@@ -10,6 +10,8 @@ from scipy.stats import multivariate_normal, norm
 from motor_env.inference.class_model import ClassModel
 from motor_env.inference.field_posterior import (
     Linear,
+    _regressed,
+    _tempered,
     best_fit,
     sampled_evidence,
     sampled_probabilities,
@@ -132,6 +134,49 @@ def test_a_motor_that_is_linear_has_a_normal_posterior() -> None:
         )
         expected = 0.5 * (left @ left + np.square(at - mean).sum()) + np.log(model.noise).sum()
         assert linear.objective(model) == pytest.approx(expected)
+
+
+def test_of_a_linear_motor_fit_and_evidence_are_exact(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Then draws are from the posterior itself, all weights are alike, and what was measured is one normal vector."""
+    model, rng = ClassModel(BENCH, BENCH.classes[0]), np.random.default_rng(7)
+    slopes = 0.02 * rng.standard_normal((5, 100))
+    monkeypatch.setattr(ClassModel, "readings", lambda _, values: values @ slopes)
+    start = rng.standard_normal(5) @ slopes + 0.02 * rng.standard_normal(100)
+    start[30:40] = np.nan
+    seen = ~np.isnan(start)
+    found = best_fit(model, start, np.full(5, 0.5))
+    information = slopes[:, seen] @ slopes[:, seen].T / 4e-4 + np.eye(5)
+    np.testing.assert_allclose(
+        found.at, np.linalg.solve(information, slopes[:, seen] @ start[seen] / 4e-4), rtol=1e-5
+    )
+    np.testing.assert_allclose(found.slopes[seen], slopes[:, seen].T / 0.02, rtol=1e-6, atol=1e-9)
+    got = sampled_evidence(model, start, found, rng)
+    dense = 4e-4 * np.eye(seen.sum()) + slopes[:, seen].T @ slopes[:, seen]
+    assert got.log_value == pytest.approx(multivariate_normal(cov=dense).logpdf(start[seen]), abs=1e-4)
+    assert got.effective == pytest.approx(128.0, abs=1e-3)
+
+
+def test_draws_teach_the_linear_motor_and_uneven_weights_are_flattened() -> None:
+    """Implementation: a wrong step of either would cost draws, which no result shows."""
+    rng = np.random.default_rng(9)
+    true, wrong, weights = rng.standard_normal((30, 3)), rng.standard_normal((30, 3)), rng.random(40)
+    values, weights = rng.standard_normal((40, 3)), weights / weights.sum()
+    left = 2.0 - values @ true.T
+    got = _regressed(Linear(np.zeros(3), np.zeros(30), wrong), values, left, weights)
+    centre = weights @ values
+    np.testing.assert_allclose(got.at, centre, rtol=1e-12)
+    np.testing.assert_allclose(got.left, 2.0 - true @ centre, rtol=1e-9)
+    scatter = np.cov(values.T, aweights=weights, bias=True)
+    damped = scatter + 0.02 * np.diag(np.diag(scatter))
+    expected = wrong + (true - wrong) @ np.linalg.solve(damped, scatter).T
+    np.testing.assert_allclose(got.slopes, expected, rtol=1e-9, atol=1e-12)
+    logs = 3.0 * rng.standard_normal(128)
+    flat = _tempered(logs, 64.0)
+    assert flat.sum() == pytest.approx(1.0)
+    assert 1.0 / np.square(flat).sum() == pytest.approx(64.0, rel=0.02)  # Kish's effective number
+    assert np.corrcoef(np.log(flat), logs)[0, 1] == pytest.approx(1.0)
+    even = np.exp(0.1 * logs) / np.exp(0.1 * logs).sum()
+    np.testing.assert_allclose(_tempered(0.1 * logs, 64.0), even, rtol=1e-9)
 
 
 def test_a_best_fit_comes_with_the_slopes_there() -> None:
