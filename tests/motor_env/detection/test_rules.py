@@ -25,6 +25,8 @@ from motor_env.detection.run_length import (
     cusum_chain,
     shiryaev_roberts_chain,
 )
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.random_streams import Stream, normals
 
 RULES: dict[str, Rule] = {
     "nis": nis_rule(),
@@ -152,6 +154,10 @@ def test_stream_gives_what_the_batch_gives(name: str) -> None:
     stream.reset(np.array([True, False, False, False]))
     again = stream.update(values[:, 0])
     assert again[0] == streamed[0, 0]
+    went_on = rule.statistic(np.concatenate([values, values[:, :1]], axis=1))[:, -1]
+    np.testing.assert_array_equal(again[1:], went_on[1:])
+    stream.reset()
+    np.testing.assert_array_equal(stream.update(values[:, 0]), streamed[:, 0])
 
 
 def test_direction_projects_the_channels() -> None:
@@ -208,6 +214,109 @@ def test_simulated_thresholds_keep_their_rate(name: str) -> None:
     alarms = int((rule.alarm_index(noise, threshold) >= 0).sum())
     level = 0.01 / len(WINDOWED)
     assert binom.ppf(level / 2, runs, wanted) <= alarms <= binom.ppf(1 - level / 2, runs, wanted)
+
+
+def test_statistics_are_their_definitions() -> None:
+    """Sums and products over all onsets and windows, of a record of two channels with missing values."""
+    values = np.random.default_rng(6).standard_normal((30, 2)) + 0.3
+    values[4, 0] = values[9] = values[17, 1] = np.nan
+    squares = np.nansum(np.square(values), axis=1)
+    first = np.nan_to_num(values[:, 0])
+    seen = ~np.isnan(values[:, 0])
+    padded = np.concatenate([np.zeros(7), squares])
+    windows = np.stack([padded[k + 1 : k + 8] for k in range(30)])
+    np.testing.assert_allclose(WindowedNis(7).statistic(values), windows.sum(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(MOfN(3, 7).statistic(values), np.sort(windows, axis=1)[:, -3], rtol=1e-12)
+    np.testing.assert_allclose(nis_rule().statistic(values), squares, rtol=1e-12)
+    ratios = {d: np.exp(seen * (d * first - 0.5 * d * d)) for d in (0.5, -0.8)}
+    odds = {
+        d: np.array([sum(seen[m] * np.prod(ratio[m : k + 1]) for m in range(k + 1)) for k in range(30)])
+        for d, ratio in ratios.items()
+    }
+    found = ShiryaevRoberts(0.5).statistic(values)
+    np.testing.assert_allclose(found, np.log(odds[0.5]), rtol=1e-12)
+    found = ModelBank((0.5, -0.8)).statistic(values)
+    np.testing.assert_allclose(found, np.log(0.5 * odds[0.5] + 0.5 * odds[-0.8]), rtol=1e-12)
+    for restart in (True, False):
+        total, silent, expected = 0.0, False, []
+        for k in range(30):
+            total += 0.6 * first[k] - 0.18 * seen[k]
+            if total <= -0.9:
+                total, silent = 0.0, not restart
+            expected.append(-np.inf if silent else total)
+        np.testing.assert_allclose(Sprt(0.6, -0.9, restart).statistic(values), expected, rtol=1e-12)
+        assert restart or silent
+    up, down = 0.0, 0.0
+    for k, got in enumerate(Cusum(0.5, two_sided=True).statistic(values)):
+        up, down = (max(0.0, s + sign * first[k] - 0.25 * seen[k]) for s, sign in ((up, 1.0), (down, -1.0)))
+        assert got == pytest.approx(max(up, down), abs=1e-12)
+
+
+def test_ages_of_the_glr_lie_within_fifteen_per_cent_of_each_other() -> None:
+    """A grid of ten steps reaches as far as ten of 15 %, and a little further it has one more."""
+    reach = 10_000.0 * 1.15**10
+    assert len(Glr(10_000, int(reach)).ages) == 11
+    assert len(Glr(10_000, int(reach) + 10).ages) == 12
+    ages = Glr().ages
+    assert (ages[0], ages[-1], len(ages)) == (1, 1000, 43)
+
+
+def noise_of_runs(runs: int, blocks: int, n_channels: int, seed: int) -> FloatArray:
+    """Run n's block b is case n + 2^32 b of the stream of calibrations."""
+    cases = np.arange(runs)
+    parts = [normals(seed, Stream.CALIBRATION, cases + 2**32 * b, 500 * n_channels) for b in range(blocks)]
+    return np.concatenate(parts, axis=1).reshape(runs, 500 * blocks, n_channels)
+
+
+def test_simulated_runs_are_passages_of_the_statistic() -> None:
+    """Run by run, over several blocks of samples, with a mean that changes in the third."""
+    mean = np.where(np.arange(1200) < 1100, 0.0, 1.5)
+    noise = noise_of_runs(40, 4, 2, 7)
+    noise += np.concatenate([mean, np.full(800, 1.5)])[:, None]
+    rule, levels = WindowedNis(20), [60.0, 75.0, 90.0]
+    lengths = run_lengths(rule, levels, 40, n_channels=2, seed=7, mean=mean)
+    statistic = rule.statistic(noise)
+    for column, level in zip(lengths.T, levels, strict=True):
+        np.testing.assert_array_equal(column, (statistic > level).argmax(axis=1) + 1)
+    assert lengths.min() < 500 < 1100 < np.median(lengths)
+
+
+def test_a_simulated_threshold_is_an_order_statistic() -> None:
+    """As many of the calibrating runs alarm as the probability says; the error is half the way between its own ends."""
+    rule, runs = WindowedNis(10), 1000
+    found = rule.threshold_for(false_alarm_probability=0.05, n_samples=100, runs=runs)
+    noise = normals(20_101, Stream.CALIBRATION, np.arange(runs), 100)[..., None]
+    largest = np.sort(rule.statistic(noise).max(axis=1))
+    assert (largest > found.value).sum() == 49
+    assert found.value in largest
+    spread = np.sqrt(0.05 * 0.95 / runs)
+    below, above = (largest[int(np.ceil((runs - 1) * (0.95 + sign * spread)))] for sign in (-1.0, 1.0))
+    assert found.standard_error == pytest.approx(0.5 * (above - below))
+    assert found.value == pytest.approx(27.76592788, rel=1e-6)  # a threshold is a number: it never moves
+    with pytest.raises(ValueError, match=r"runs must be >= 200 to calibrate a probability of 0\.05, got 199"):
+        rule.threshold_for(false_alarm_probability=0.05, n_samples=100, runs=199)
+
+
+@pytest.mark.parametrize("seed", [3, 4, 7])
+def test_a_simulated_run_length_is_met_wherever_the_pilot_looked(seed: int) -> None:
+    """Few runs: with the second seed the pilot's thresholds are all too high, with the third all too low."""
+    rule = WindowedNis(3)
+    found = rule.threshold_for(arl0=30.0, runs=8, seed=seed)
+    lengths = run_lengths(rule, found.value, 8, seed=seed)
+    assert lengths.mean() == pytest.approx(30.0, rel=0.11)
+
+
+def test_the_error_of_a_simulated_run_length_is_that_of_its_mean() -> None:
+    rule = WindowedNis(10)
+    found = rule.threshold_for(arl0=100.0, runs=500)
+    levels = found.value + np.array([-0.4, 0.0, 0.4])
+    lengths = run_lengths(rule, levels, 500)
+    mean = lengths.mean(axis=0)
+    assert mean[1] == pytest.approx(100.0, rel=0.02)
+    slope = np.log(mean[2] / mean[0]) / 0.8
+    expected = lengths[:, 1].std() / mean[1] / np.sqrt(500.0) / slope
+    assert found.standard_error == pytest.approx(expected, rel=0.15)
+    assert rule.average_run_length(15.0) == run_lengths(rule, 15.0, 2000).mean()
 
 
 def test_simulation_finds_the_threshold_that_the_integral_equation_gives() -> None:

@@ -20,8 +20,11 @@ from motor_env.detection.rules import (
     run_lengths,
 )
 from motor_env.detection.rules.calibration import healthy_measurements
-from motor_env.motor.parameters import Channel, SensorParameters
+from motor_env.detection.rules.tolerant import second_order
+from motor_env.filters.kalman import KalmanFilter
+from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, SensorParameters
 from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.simulate import Timing
 
 WANTED = 0.01
@@ -155,6 +158,47 @@ def test_run_lengths_do_not_depend_on_the_other_runs_and_follow_the_mean() -> No
     assert shifted.max() == 3
     exact = rule.average_run_length(3.0)
     assert many[:, 1].mean() == pytest.approx(exact, abs=4.0 * many[:, 1].std() / 30.0)
+
+
+def test_tolerances_are_taken_out_to_second_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of residuals that are exactly quadratic in the tolerances: r = c + G z + z'Hz / 2 with z standard normal."""
+    recipe = named_recipe("bench", timing=Timing(1_000.0, 0.006))
+    belief = KalmanFilter.from_parameters(recipe.motor, recipe.sensor, 1e-3)
+    rng = np.random.default_rng(2)
+    constant, slope, bend = (
+        rng.standard_normal(6),
+        rng.standard_normal((6, 5)),
+        rng.standard_normal((6, 5, 5)),
+    )
+    bend += bend.swapaxes(1, 2)
+
+    def innovations(
+        recipe: Recipe, _: KalmanFilter, motors: MotorParameters, voltage_v: FloatArray
+    ) -> FloatArray:
+        fields = (
+            "resistance_ohm",
+            "torque_constant_n_m_per_a",
+            "inertia_kg_m2",
+            "viscous_friction_n_m_s_per_rad",
+        )
+        factors = [getattr(motors, name) / getattr(recipe.motor, name) for name in fields]
+        z = (np.stack([voltage_v[:, 0] / 12.0, *factors], axis=1) - 1.0) / recipe.spread.std
+        return (constant + z @ slope.T + 0.5 * np.einsum("ni,kij,nj->nk", z, bend, z))[..., None]
+
+    monkeypatch.setattr("motor_env.detection.rules.tolerant.noise_free_innovations", innovations)
+    mean, slopes = second_order(recipe, belief)
+    np.testing.assert_allclose(mean[:, 0], constant + 0.5 * np.trace(bend, axis1=1, axis2=2), rtol=1e-9)
+    covariance = slope @ slope.T + 0.5 * np.einsum("kij,mji->km", bend, bend)
+    np.testing.assert_allclose(slopes[:, 0] @ slopes[:, 0].T, covariance, rtol=1e-8, atol=1e-8)
+    # Directions of less than a hundredth of the noise are left out, and only those.
+    left, sizes = np.linalg.qr(rng.standard_normal((6, 3)))[0], np.array([2.0, 0.01005, 0.00995])
+    right = np.linalg.qr(rng.standard_normal((5, 3)))[0]
+    monkeypatch.setattr(
+        "motor_env.detection.rules.tolerant.second_order",
+        lambda *_: (mean, ((left * sizes) @ right.T)[:, None]),
+    )
+    kept = TolerantFilter.from_recipe(recipe).whitener.slopes
+    np.testing.assert_allclose(kept @ kept.T, (left[:, :2] * sizes[:2] ** 2) @ left[:, :2].T, atol=1e-12)
 
 
 def test_the_tolerant_stream_gives_what_the_batch_gives() -> None:

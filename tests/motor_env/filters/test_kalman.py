@@ -242,7 +242,10 @@ def test_stream_gives_what_the_batch_gives(name: str) -> None:
 def test_a_motor_for_each_case_is_as_many_filters(name: str) -> None:
     motors = PAPER_MOTOR.scaled(resistance_ohm=np.array([1.0, 1.1, 0.8]))
     measured, voltage = random_case(len(SENSORS[name].channels), 25)
-    together = run_filter(KalmanFilter.from_parameters(motors, SENSORS[name], 1e-4), measured, voltage)
+    each = KalmanFilter.from_parameters(motors, SENSORS[name], 1e-4)
+    together, stream = run_filter(each, measured, voltage), FilterStream(each, n_streams=3)
+    streamed = [stream.update(measured[..., k], voltage[k]).whitened for k in range(25)]
+    np.testing.assert_allclose(np.stack(streamed, axis=1), together.whitened, atol=1e-9)
     for n in range(3):
         alone = KalmanFilter.from_parameters(motors.motor(n), SENSORS[name], 1e-4)
         one = run_filter(alone, measured[n], voltage)
