@@ -56,7 +56,7 @@ def test_the_three_tests_value_by_value() -> None:
 @pytest.mark.parametrize("place", range(3))
 def test_each_test_rejects_at_a_third_of_the_level(place: int) -> None:
     words = ["mean is not 0", "mean square is 1.2 instead of 1", "correlated in time"]
-    for p_value, holds in ((0.0101, True), (0.0099, False)):
+    for p_value, holds in ((0.01001, True), (0.00999, False)):
         p_values = [0.5, 0.5, 0.5]
         p_values[place] = p_value
         found = Consistency(100, *p_values, mean_square=1.2, coverage=0.95, level=0.03)

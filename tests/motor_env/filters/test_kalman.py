@@ -41,13 +41,14 @@ def belief(sensor: SensorParameters, dt_s: float = 1e-4) -> KalmanFilter:
 
 
 def correlated(kalman: KalmanFilter) -> KalmanFilter:
-    """The same with correlated measurement noise (of two channels) and process noise."""
-    noise = kalman.measurement_covariance.copy()
+    """The same with correlated process noise; two channels with correlated noise, and each of both states."""
+    noise, observation = kalman.measurement_covariance.copy(), kalman.observation
     if len(noise) == 2:
         noise[0, 1] = noise[1, 0] = 0.5 * np.sqrt(noise[0, 0] * noise[1, 1])
+        observation = np.array([[1.0, 0.02], [5.0, 1.0]])
     process = kalman.process_covariance.copy()
     process[0, 1] = process[1, 0] = 0.3 * NOISE[0] * NOISE[1]
-    return replace(kalman, measurement_covariance=noise, process_covariance=process)
+    return replace(kalman, observation=observation, measurement_covariance=noise, process_covariance=process)
 
 
 def random_case(n_channels: int, n_samples: int, n_cases: int = 3) -> tuple[FloatArray, FloatArray]:
@@ -252,6 +253,17 @@ def test_a_motor_for_each_case_is_as_many_filters(name: str) -> None:
         np.testing.assert_allclose(together.innovation[n], one.innovation, atol=1e-11)
         np.testing.assert_allclose(together.innovation_covariance[n], one.innovation_covariance, rtol=1e-12)
         assert together.log_likelihood[n] == pytest.approx(float(one.log_likelihood), rel=1e-10)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_residuals_are_those_of_the_whole_filter(name: str) -> None:
+    kalman = correlated(belief(SENSORS[name]))
+    measured, voltage = random_case(len(kalman.observation), 30)
+    voltages, load = np.outer([1.0, -0.5, 2.0], voltage), 1e-3 * voltage[::-1]
+    whole, quick = (run(kalman, measured, voltages, load) for run in (run_filter, filter_residuals))
+    np.testing.assert_allclose(quick.innovation, whole.innovation, rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(quick.nis, whole.nis, rtol=1e-8)
+    np.testing.assert_array_equal(quick.innovation_covariance, whole.innovation_covariance)
 
 
 @given(n_cases=st.integers(1, 9))
