@@ -2,13 +2,17 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import curve_fit
 
 from motor_env.cli import main
 from motor_env.identification.coastdown import fit_coastdown
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, read_recording
 
 recordings_path = os.environ.get("MOTOR_ENV_RECORDINGS")
@@ -32,6 +36,46 @@ def test_coulomb_friction_is_found_where_it_is(coulomb: float) -> None:
     found = fit_coastdown(fall(0.5, coulomb))
     assert found.viscous_per_s == pytest.approx(0.5, rel=0.05)
     assert found.coulomb_rad_s2 == pytest.approx(coulomb, rel=0.05)
+
+
+@pytest.mark.parametrize("coulomb", [0.0, 15.0])
+def test_the_fit_is_that_of_scipy_between_97_and_3_per_cent(coulomb: float) -> None:
+    """Both curves, their shares of the variance, and the fall of the Bayesian information criterion between them."""
+    recording = fall(0.5, coulomb)
+    assert recording.speed_rad_s is not None
+    speed = recording.speed_rad_s
+    top = np.median(speed[:20])
+    begin = int((speed < 0.97 * top).argmax())
+    end = begin + int((speed[begin:] < 0.03 * top).argmax()) if (speed < 0.03 * top).any() else len(speed)
+    time, left = recording.time_s[begin:end] - recording.time_s[begin], speed[begin:end]
+
+    def viscous(t: FloatArray, start: float, rate: float) -> FloatArray:
+        return start * np.exp(-rate * t)
+
+    def both(t: FloatArray, start: float, rate: float, dry: float) -> FloatArray:
+        return (start + dry / rate) * np.exp(-rate * t) - dry / rate
+
+    simple, _ = curve_fit(viscous, time, left, [100.0, 0.5])
+    rich, _ = curve_fit(both, time, left, [100.0, 0.5, 1.0], bounds=([0.0, 0.0, 0.0], np.inf))
+    errors = [left - viscous(time, *simple), left - both(time, *rich)]
+    shares = [1.0 - error @ error / np.square(left - left.mean()).sum() for error in errors]
+    centred = errors[1] - errors[1].mean()
+    rho = max(centred[1:] @ centred[:-1] / (centred @ centred), 0.0)
+    count = len(left) * (1.0 - rho) / (1.0 + rho)
+    gain = count * np.log(errors[0] @ errors[0] / (errors[1] @ errors[1])) - np.log(count)
+    found = fit_coastdown(recording)
+    assert found.evidence == pytest.approx(gain, rel=1e-3, abs=1e-2)
+    assert found.r2_viscous == pytest.approx(shares[0], abs=1e-6)
+    assert found.r2 == pytest.approx(shares[coulomb > 0.0], abs=1e-6)
+    expected = (rich[1], rich[2]) if coulomb else (simple[1], 0.0)
+    assert (found.viscous_per_s, found.coulomb_rad_s2) == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_speed_that_does_not_fall_to_rest_is_refused() -> None:
+    recording = fall(0.5, 15.0)
+    for speed in (None, np.full(1000, 50.0), np.linspace(100.0, 60.0, 1000), np.zeros(1000)):
+        with pytest.raises(UnusableError, match=r"needs the speed|does not fall to rest"):
+            fit_coastdown(replace(recording, speed_rad_s=speed))
 
 
 def test_the_command_takes_columns_of_another_instrument(
