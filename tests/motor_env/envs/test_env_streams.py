@@ -1,0 +1,242 @@
+"""What every registered environment gives must never move: options, spaces, draws and episodes, kept in a file.
+
+`python tests/motor_env/envs/test_env_streams.py` wrote the file, from the environments as they were when the tables in
+docs/environments.md and docs/decisions.md were made; it writes it anew after a change that is wanted.
+"""
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import motor_env  # noqa: F401  # registers the environments
+from motor_env.envs import MonitorOptions
+from motor_env.motor.parameters import Channel, SensorParameters
+from motor_env.simulation.named_recipes import named_recipe
+
+KEPT = Path(__file__).with_name("env_streams.json")
+IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
+BOTH = replace(
+    named_recipe("bench"), sensor=SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 0.5)
+)
+VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
+    "two sensors, from standstill": (
+        "motor_env/Monitor-v0",
+        {"recipe": BOTH, "start": "standstill", "horizon_s": 0.06, "samples_per_step": 3},
+    ),
+    "slow growth": (
+        "motor_env/Monitor-v0",
+        {"recipe": "hard", "growth_s": 0.02, "growth_levels": 5, "mean_onset_s": 0.01, "horizon_s": 0.06},
+    ),
+    "speed loop, confirmed, other prices": (
+        "motor_env/Probe-v0",
+        {"drive": "speed_loop", "loop_time_s": 0.003, "confirm_steps": 2, "energy_cost_per_j": 0.7},
+    ),
+    "fast failures": (
+        "motor_env/Drive-v0",
+        {"growth_per_s": (2.0, 3.0), "mean_onset_s": 0.3, "horizon_s": 5.0, "load_time_s": 0.3},
+    ),
+    "a winding that burns": (
+        "motor_env/Drive-v0",
+        {"weights": (0.0, 0.0, 1.0), "thermal_time_s": 0.4, "warm_k": 20.0, "burn_k": 45.0},
+    ),
+    "fast wear": ("motor_env/MaintainUnknownRate-v0", {"drift_per_day": 0.04, "days": 60}),
+}
+NAMES = (*IDS, *VARIANTS)
+LANES, SEEDS = 16, 400
+
+
+def made(name: str) -> Any:
+    """The environment of an id or of a variant."""
+    identity, options = VARIANTS.get(name, (name, {}))
+    return gym.make(identity, disable_env_checker=True, **options).unwrapped
+
+
+def plain(value: Any) -> Any:
+    """Options as JSON has them; a recipe or a motor with all that it holds."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, str | bool | None):
+        return None if value is None else value if isinstance(value, bool) else str(value)
+    if isinstance(value, tuple | list):
+        return [plain(one) for one in value]
+    number = np.asarray(value)
+    return str(value) if number.dtype == object else number.tolist()
+
+
+def specification(name: str) -> dict[str, Any]:
+    """Options, spaces, threshold, and what the first two episodes of some sub-environments are drawn to be."""
+    identity, options = VARIANTS.get(name, (name, {}))
+    env, envs = made(name), gym.make_vec(identity, num_envs=LANES, **options)
+    limits = env.observation_space
+    draws = [envs.reset(seed=11)[1], envs.reset()[1]]
+    return {
+        "best": gym.spec(identity).reward_threshold,
+        "options": plain(env.options),
+        "observed": list(env.observed),
+        "limits": [limits.low.tolist(), limits.high.tolist()],
+        "actions": repr(env.action_space),
+        "draws": [
+            {key: value.tolist() for key, value in info.items() if key[0] != "_"} for info in draws
+        ],
+    }
+
+
+def acted(env: Any, step: int) -> Any:
+    """What is done in the middle of an episode: the same everywhere, and something of everything."""
+    if "Maintain" in type(env).__name__:
+        return 1 if step % 17 == 5 else 2 if step % 40 == 39 else 0
+    if "Drive" in type(env).__name__:
+        return np.array([0.6 + 0.45 * math.sin(0.05 * step), 0.25 if step % 200 > 150 else -1.0])
+    if isinstance(env.action_space, gym.spaces.Box):
+        return np.array([1.1 * math.sin(0.37 * step), *[0.4] * (env.action_space.shape[0] - 1)])
+    offsets = env.action_space.n - len(env.setup.kinds)
+    return (0, 1, 0, 2, 2)[step % 5] % offsets
+
+
+def said(env: Any, kind: int) -> Any:
+    """The action that declares the kind of that number, or stops the motor."""
+    if "Drive" in type(env).__name__:
+        return np.array([0.0, 0.9])
+    if isinstance(env.action_space, gym.spaces.Box):
+        return np.eye(env.action_space.shape[0])[1 + kind] * 0.6
+    return env.action_space.n - len(env.setup.kinds) + kind
+
+
+def plans(name: str) -> Iterator[dict[str, int]]:
+    """Episodes worth keeping: every class once, ended by every kind of end.
+
+    `wait` steps pass before the kind `say` is declared (again and again); -1: never.
+    """
+    env = made(name)
+    seen: set[int] = set()
+    for seed in range(SEEDS):
+        info = env.reset(seed=seed, options={"index": seed % 3})[1]
+        which = info.get("class_index", seed % 2)
+        if which in seen:
+            continue
+        if "Maintain" in name or "wear" in name:
+            yield {"seed": seed, "wait": -1, "say": 0}
+        elif "onset_step" in info:
+            yield {"seed": seed, "wait": -1 if which else 333, "say": 0}
+            if not which:
+                yield {"seed": seed, "wait": -1, "say": 0}
+        elif which == 0:
+            yield {"seed": seed, "wait": -1, "say": 0}
+            yield {"seed": seed, "wait": 3, "say": 0}
+        else:
+            begun = info["onset_sample"] // env.options.samples_per_step + 1
+            if begun > env.options.n_steps // 2:
+                continue
+            if which == 1:
+                yield {"seed": seed, "wait": -1, "say": 0}
+            if which <= 2:
+                yield {"seed": seed, "wait": begun - 1, "say": 0}
+            yield {"seed": seed, "wait": begun + 4 + which, "say": which % len(env.setup.kinds)}
+        seen.add(which)
+
+
+def episode(name: str, seed: int, wait: int, say: int) -> dict[str, Any]:
+    """What happens in an episode: its length, rows at some of its steps, and sums over all."""
+    env = made(name)
+    observation, info = env.reset(seed=seed, options={"index": seed % 3})
+    rows, over = [(observation, 0.0, info)], False
+    while not over:
+        step = len(rows) - 1
+        observation, reward, over, _, info = env.step(said(env, say) if 0 <= wait <= step else acted(env, step))
+        rows.append((observation, reward, info))
+    count = len(rows) - 1
+    onset = max(info.get("onset_sample", info.get("onset_step", 0)), 0)
+    begun = min(onset // getattr(env.options, "samples_per_step", 1), count)
+    shown = sorted({0, min(begun + 1, count), count})
+    observations = np.array([row[0] for row in rows], dtype=np.float64)
+    parts = [key for key in info if key.startswith("reward_")]
+    return {
+        "steps": count,
+        "label": info.get("label", ""),
+        "active": sum(bool(row[2].get("fault_active", row[2].get("failed"))) for row in rows),
+        "return": math.fsum(row[1] for row in rows),
+        "parts": {key: math.fsum(row[2][key] for row in rows[1:]) for key in parts},
+        "rms": np.sqrt(np.square(observations).mean(axis=0)).tolist(),
+        "rows": {
+            str(k): [*rows[k][0].astype(float).tolist(), rows[k][1], *_numbers(rows[k][2])] for k in shown
+        },
+    }
+
+
+def _numbers(info: dict[str, Any]) -> list[float]:
+    return [float(value) for value in info.values() if not isinstance(value, str)]
+
+
+def same(found: Any, kept: Any, where: str, within: Any) -> None:
+    """Equal: numbers up to a tolerance, one for all or one for each number of a list; all else exactly."""
+    if isinstance(kept, dict):
+        assert found.keys() == kept.keys(), where
+        for key in kept:
+            same(found[key], kept[key], f"{where}, {key}", within)
+    elif isinstance(kept, list) and kept and isinstance(kept[0], float):
+        off = np.abs(np.subtract(found, kept))
+        assert (off <= within + np.min(within) * np.abs(kept)).all(), f"{where}: {found} is not {kept}"
+    elif isinstance(kept, list):
+        assert len(found) == len(kept), where
+        for number, (one, other) in enumerate(zip(found, kept, strict=True)):
+            same(one, other, f"{where}[{number}]", within)
+    elif isinstance(kept, float):
+        assert found == pytest.approx(kept, rel=np.min(within), abs=np.min(within)), where
+    else:
+        assert found == kept, where
+
+
+def rounded(value: Any, digits: int) -> Any:
+    """With more digits than are compared."""
+    if isinstance(value, dict):
+        return {key: rounded(one, digits) for key, one in value.items()}
+    if isinstance(value, list):
+        return [rounded(one, digits) for one in value]
+    return float(f"{value:.{digits}g}") if isinstance(value, float) else value
+
+
+TABLE: dict[str, Any] = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
+
+
+def test_every_registered_id_is_kept() -> None:
+    assert TABLE.keys() == set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_options_spaces_and_draws_are_those_that_were_kept(name: str) -> None:
+    same(specification(name), TABLE[name]["specification"], name, 1e-8)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_episodes_are_those_that_were_kept(name: str) -> None:
+    """Single environments; other tests hold that a vector gives the same to the bit."""
+    # In float32 another processor may round otherwise, and evidence starts anew at zero: docs/environments.md.
+    scale = np.array([4e-3 if "evidence" in each else 1e-5 for each in made(name).observed])
+    for kept in TABLE[name]["episodes"]:
+        where, plan, wanted = f"{name}, {kept['plan']}", kept["plan"], dict(kept["found"])
+        found = episode(name, **plan)
+        same(found.pop("rms"), wanted.pop("rms"), f"{where}, rms", scale)
+        rows, wanted_rows = found.pop("rows"), wanted.pop("rows")
+        assert rows.keys() == wanted_rows.keys(), where
+        for step, row in wanted_rows.items():
+            within = np.pad(scale, (0, len(row) - len(scale)), constant_values=1e-5)
+            same(rows[step], row, f"{where}, step {step}", within)
+        same(found, wanted, where, 1e-5)
+
+
+if __name__ == "__main__":
+    table = {
+        name: {
+            "specification": rounded(specification(name), 12),
+            "episodes": [{"plan": plan, "found": rounded(episode(name, **plan), 7)} for plan in plans(name)],
+        }
+        for name in NAMES
+    }
+    KEPT.write_text(json.dumps(table, separators=(",", ":")).replace('],"', '],\n"') + "\n", encoding="utf-8")
