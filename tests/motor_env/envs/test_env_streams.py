@@ -1,12 +1,13 @@
 """What every registered environment gives must never move: options, spaces, draws and episodes, kept in a file.
 
+So is what the textbook policies say in some of them: their scores stand in tables, their thresholds were tuned to them.
 `python tests/motor_env/envs/test_env_streams.py` wrote the file, from the environments as they were when the tables in
 docs/environments.md and docs/decisions.md were made; it writes it anew after a change that is wanted.
 """
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,15 +17,35 @@ import numpy as np
 import pytest
 
 import motor_env  # noqa: F401  # registers the environments
-from motor_env.envs import MonitorOptions
+from motor_env.detection.rules import Cusum
+from motor_env.envs import (
+    PI,
+    BankPolicy,
+    BayesPolicy,
+    Bursts,
+    Clairvoyant,
+    DriveVectorEnv,
+    Lqg,
+    MaintainOptions,
+    MonitorVectorEnv,
+    OnDemand,
+    OpenLoop,
+    PlannedUpkeep,
+    ProbeVectorEnv,
+    RatioTest,
+    RulePolicy,
+    TolerancePolicy,
+    WorthTest,
+    baseline_features,
+    drive_episodes,
+    maintenance_bound,
+)
 from motor_env.motor.parameters import Channel, SensorParameters
 from motor_env.simulation.named_recipes import named_recipe
 
 KEPT = Path(__file__).with_name("env_streams.json")
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
-BOTH = replace(
-    named_recipe("bench"), sensor=SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 0.5)
-)
+BOTH = replace(named_recipe("bench"), sensor=SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 0.5))
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "two sensors, from standstill": (
         "motor_env/Monitor-v0",
@@ -82,9 +103,7 @@ def specification(name: str) -> dict[str, Any]:
         "observed": list(env.observed),
         "limits": [limits.low.tolist(), limits.high.tolist()],
         "actions": repr(env.action_space),
-        "draws": [
-            {key: value.tolist() for key, value in info.items() if key[0] != "_"} for info in draws
-        ],
+        "draws": [{key: value.tolist() for key, value in info.items() if key[0] != "_"} for info in draws],
     }
 
 
@@ -149,7 +168,9 @@ def episode(name: str, seed: int, wait: int, say: int) -> dict[str, Any]:
     rows, over = [(observation, 0.0, info)], False
     while not over:
         step = len(rows) - 1
-        observation, reward, over, _, info = env.step(said(env, say) if 0 <= wait <= step else acted(env, step))
+        observation, reward, over, _, info = env.step(
+            said(env, say) if 0 <= wait <= step else acted(env, step)
+        )
         rows.append((observation, reward, info))
     count = len(rows) - 1
     onset = max(info.get("onset_sample", info.get("onset_step", 0)), 0)
@@ -172,6 +193,71 @@ def episode(name: str, seed: int, wait: int, say: int) -> dict[str, Any]:
 
 def _numbers(info: dict[str, Any]) -> list[float]:
     return [float(value) for value in info.values() if not isinstance(value, str)]
+
+
+def judged(envs: Any, policy: Any) -> dict[str, Any]:
+    """Statistics, actions and posterior of a policy at some steps of episodes that nobody ends."""
+    observations, _ = envs.reset(seed=3)
+    policy.start(envs.num_envs)
+    steps, told = envs.options.n_steps, {}
+    for step in range(steps - 1):
+        statistic, declaration = policy.judge(observations)
+        action = policy.probe()
+        if step in (1, steps // 3, steps // 2, steps - 2):
+            told[str(step)] = [np.maximum(statistic, -1e9).tolist(), declaration.tolist(), action.tolist()]
+            knows = getattr(getattr(policy, "test", policy), "belief", policy)
+            if hasattr(knows, "quiet"):
+                told[str(step)] += [knows.quiet.tolist(), knows.classes.tolist()]
+            if hasattr(knows, "summary"):
+                told[str(step)] += [knows.summary().astype(float).tolist(), knows.coming.tolist()]
+                told[str(step)] += [
+                    knows.expected_reward(np.full(envs.num_envs, one)).tolist()
+                    for one in range(envs.single_action_space.n)
+                ]
+        observations = envs.step(action)[0]
+    return told
+
+
+def monitored(recipe: str) -> Any:
+    return MonitorVectorEnv(4, recipe=recipe, horizon_s=0.05, observe=baseline_features(recipe))
+
+
+def driven(policy: Any) -> list[list[float]]:
+    """The parts of the returns of a few short drives, in thousandths: a tolerance is small beside them."""
+    envs = DriveVectorEnv(
+        6, horizon_s=2.0, earliest_onset_s=0.1, mean_onset_s=0.1, growth_per_s=(1.0, 2.0), warm_k=15.0
+    )
+    parts = drive_episodes(envs, policy(envs), 4).parts
+    return [(1e3 * part).tolist() for part in parts]
+
+
+def upkeep() -> list[Any]:
+    """What the plan thinks every action is worth, at some places of its grid, and the bound."""
+    options = MaintainOptions(days=4, drift_per_day=0.05, rate_spread=0.5)
+    values = PlannedUpkeep(options)._values[:, :, ::2, ::70]
+    return [values.tolist(), maintenance_bound(options)]
+
+
+POLICIES: dict[str, Callable[[], Any]] = {
+    "bayes": lambda: judged(envs := monitored("medium"), BayesPolicy(envs.setup, 0.0)),
+    "tolerances": lambda: judged(envs := monitored("hard"), TolerancePolicy(envs.setup, 0.0)),
+    "bank": lambda: judged(envs := monitored("hard"), BankPolicy(envs.setup, 0.0)),
+    "cusum": lambda: judged(
+        envs := monitored("hard"), RulePolicy(envs.setup, Cusum(0.5, two_sided=True), threshold=0.0)
+    ),
+    "bursts": lambda: judged(
+        envs := ProbeVectorEnv(4, horizon_s=0.1),
+        OpenLoop(RatioTest(envs.setup, 0.0), Bursts(5, 8, 3).actions(50)),
+    ),
+    "on demand": lambda: judged(
+        envs := ProbeVectorEnv(4, horizon_s=0.1), OnDemand(WorthTest(envs.setup, 0.0), 0.05)
+    ),
+    "pi": lambda: driven(lambda envs: PI(envs.setup)),
+    "lqg": lambda: driven(lambda envs: Lqg(envs.setup)),
+    "reconfigured": lambda: driven(lambda envs: Lqg(envs.setup, levels=3)),
+    "clairvoyant": lambda: driven(lambda envs: Clairvoyant(envs, limp_from=0.5, stop_from=0.97)),
+    "upkeep": upkeep,
+}
 
 
 def same(found: Any, kept: Any, where: str, within: Any) -> None:
@@ -206,7 +292,7 @@ TABLE: dict[str, Any] = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exi
 
 
 def test_every_registered_id_is_kept() -> None:
-    assert TABLE.keys() == set(NAMES)
+    assert TABLE.keys() == {*NAMES, "policies"}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -231,6 +317,12 @@ def test_episodes_are_those_that_were_kept(name: str) -> None:
         same(found, wanted, where, 1e-5)
 
 
+@pytest.mark.parametrize("name", POLICIES)
+def test_policies_say_what_was_kept(name: str) -> None:
+    # Observations are in single precision; a sum of evidence that starts anew may do so elsewhere by rounding.
+    same(POLICIES[name](), TABLE["policies"][name], name, 4e-2 if name == "bank" else 1e-4)
+
+
 if __name__ == "__main__":
     table = {
         name: {
@@ -239,4 +331,5 @@ if __name__ == "__main__":
         }
         for name in NAMES
     }
+    table["policies"] = rounded({name: policy() for name, policy in POLICIES.items()}, 7)
     KEPT.write_text(json.dumps(table, separators=(",", ":")).replace('],"', '],\n"') + "\n", encoding="utf-8")
