@@ -18,6 +18,7 @@ from motor_env.envs.baselines import bounds
 from motor_env.envs.baselines.belief import ProbeBelief, final_worth, worth
 from motor_env.envs.baselines.evaluation import Runs, interval, joined, run_episodes, score, sweep
 from motor_env.envs.baselines.looks import LOG_ODDS, PROBABILITY, look_matrix
+from motor_env.envs.baselines.pairs import declared_worth, silent_worth
 from motor_env.envs.baselines.policies import (
     BankPolicy,
     Never,
@@ -27,7 +28,6 @@ from motor_env.envs.baselines.policies import (
     baseline_features,
     column,
 )
-from motor_env.envs.baselines.pairs import declared_worth, silent_worth
 from motor_env.envs.baselines.posterior_policies import BayesPolicy, signatures
 from motor_env.envs.baselines.probing import Bursts, LookAhead, OnDemand, OpenLoop, RatioTest, WorthTest
 from motor_env.envs.baselines.tolerances import TolerancePolicy, level_std
