@@ -1,6 +1,7 @@
 """Monitor-v0: the contract of gymnasium, and the same physics and filter as everywhere else."""
 
 import warnings
+from dataclasses import replace
 from importlib.util import find_spec
 from typing import Any
 
@@ -8,21 +9,24 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from scipy.signal import lfilter
 
 import motor_env  # noqa: F401  # registers the environments
 from motor_env.envs import kernel
 from motor_env.envs.base import Info
 from motor_env.envs.kernel import LANES
-from motor_env.envs.monitor import MonitorEnv
+from motor_env.envs.monitor import MonitorEnv, MonitorVectorEnv
 from motor_env.envs.noise import case_of
 from motor_env.envs.setup import converged_gain
+from motor_env.envs.tasks import MEDIUM
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter, schedule
 from motor_env.motor.faults import Fault, FaultKind, apply_fault
 from motor_env.motor.model import State, discretize, steady_state
-from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
+from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, SensorParameters
 from motor_env.simulation.drawing import draw
-from motor_env.simulation.random_streams import Stream, normals
+from motor_env.simulation.random_streams import Stream, normals, uniforms
+from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.simulate import simulate_states
 
 WAIT = 0
@@ -114,10 +118,18 @@ def test_a_declaration_can_be_asked_to_be_confirmed() -> None:
     assert rewards[-1] > 0.0  # in the last step the first word counts
 
 
-def test_innovations_are_those_of_the_filter() -> None:
-    env = MonitorEnv(observe=("measured_current", "innovation_current"))
+BOTH = replace(MEDIUM, sensor=SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 0.5))
+
+
+@pytest.mark.parametrize("recipe", [MEDIUM, BOTH], ids=["current", "current and speed"])
+def test_observations_are_those_of_the_filter_in_their_units(recipe: Recipe) -> None:
+    """Innovations and estimates of `run_filter`; their weighted means, scaled to a standard deviation of 1, by hand."""
+    env = MonitorEnv(recipe=recipe)
+    channels, options = recipe.sensor.channels, env.options
     observations, _, _ = rollout(env, faulty_episode(env, FaultKind.BEARING))
-    measured = observations[1:, 0].astype(np.float64) * 12.0 / 2.18
+    seen = dict(zip(env.observed, observations.T.astype(np.float64), strict=True))
+    units = {"current": 12.0 / 2.18, "speed": 12.0 / float(PAPER_MOTOR.back_emf_constant_v_s_per_rad)}
+    measured = np.array([seen[f"measured_{c}"][1:] * units[c] for c in channels])
     belief = env.setup.belief
     gain, covariance = converged_gain(belief)
     predicted_covariance = schedule(belief, 20_000).covariance[-1]
@@ -129,10 +141,73 @@ def test_innovations_are_those_of_the_filter() -> None:
         belief.initial_state,
         predicted_covariance,
     )
-    result = run_filter(settled, measured[None], np.full(len(measured), 12.0), 0.0147)
-    np.testing.assert_allclose(result.gain[-1], gain, rtol=1e-6)
-    np.testing.assert_allclose(result.innovation_covariance[-1], covariance, rtol=1e-9)
-    np.testing.assert_allclose(observations[1:, 1], result.whitened[:, 0], atol=1e-4)
+    result = run_filter(settled, measured[None], np.full(measured.shape[1], 12.0), 0.0147)
+    result = type(result)(*(value if value is None else value.squeeze() for value in result))
+    np.testing.assert_allclose(result.gain[-1], gain.squeeze(), rtol=1e-6)
+    np.testing.assert_allclose(result.innovation_covariance[-1], covariance.squeeze(), rtol=1e-9)
+    white = result.whitened.reshape(-1, len(channels))
+    for number, unit in enumerate(units.values()):
+        np.testing.assert_allclose(
+            seen[f"estimated_{tuple(units)[number]}"][1:], result.state[:, number] / unit, atol=2e-6
+        )
+    shown = np.array([seen[f"innovation_{c}"][1:] for c in channels])
+    np.testing.assert_allclose(shown, white.T, atol=1e-4)
+    power = np.square(shown).sum(axis=0) - len(channels)
+    fast, slow = np.exp(-options.dt_s / 1e-3), np.exp(-options.dt_s / 10e-3)
+    for number, channel in enumerate(channels):
+        for name, memory in (("fast", fast), ("slow", slow)):
+            wanted = lfilter([np.sqrt(1.0 - memory**2)], [1.0, -memory], shown[number])
+            np.testing.assert_allclose(seen[f"{name}_{channel}"][1:], wanted, atol=2e-5)
+    into = np.sqrt(
+        (1.0 - slow**2) / (2.0 * len(channels))
+    )  # a square of a standard normal has a variance of 2
+    np.testing.assert_allclose(
+        seen["excess"][1:], np.minimum(lfilter([into], [1.0, -slow], power), 10.0), atol=1e-4
+    )
+    np.testing.assert_allclose(seen["time"], np.arange(2001) / 2000.0, atol=1e-7)
+    assert (seen["voltage"] == 1.0).all()
+    assert not any(seen[name][0] for name in env.observed if name[:4] in ("inno", "fast", "slow", "exce"))
+
+
+def test_evidence_is_a_cumulative_sum_of_log_likelihood_ratios() -> None:
+    """Of a filter that believes in the smallest fault of a kind, which begins anew where its sum falls to zero."""
+    names = ("evidence_bearing", "evidence_winding_contact")
+    env = MonitorEnv(observe=("measured_current", *names), precision="float64")
+    observations, _, _ = rollout(env, faulty_episode(env, FaultKind.WINDING_CONTACT))
+    measured, belief = observations[1:, 0].astype(np.float64) * 12.0 / 2.18, env.setup.belief.model
+    gain, covariance = converged_gain(env.setup.belief)
+    inputs, std = np.array([12.0, env.options.load_n_m]), float(np.sqrt(covariance[0, 0]))
+    for column, kind in enumerate((FaultKind.BEARING, FaultKind.WINDING_CONTACT), 1):
+        faulty = discretize(apply_fault(PAPER_MOTOR, Fault(kind, 0.1)), env.options.dt_s)
+        healthy, other, total, wanted = env.setup.rest, env.setup.rest, 0.0, []
+        for value in measured:
+            predicted = belief.transition @ healthy + belief.gain @ inputs
+            rival = faulty.transition @ other + faulty.gain @ inputs
+            off, rivals = value - predicted[0], value - rival[0]
+            total += 0.5 * (off**2 - rivals**2) / std**2
+            healthy = predicted + gain[:, 0] * off
+            other = rival + gain[:, 0] * rivals if total > 0.0 else healthy
+            total = max(total, 0.0)
+            wanted.append(min(0.1 * total, 10.0))
+        np.testing.assert_allclose(observations[1:, column], wanted, atol=1e-4)
+        assert observations[0, column] == 0.0
+    assert observations[:, 2].max() > 3.0
+
+
+def test_an_onset_is_the_draw_of_its_stream() -> None:
+    """Geometric from the earliest sample on; the first sample that differs is the one after it."""
+    envs = MonitorVectorEnv(60, mean_onset_s=0.004)
+    _, info = envs.reset(seed=9)
+    u = uniforms(9, Stream.ONSET, case_of(np.arange(60), np.zeros(60, dtype=np.int64)), 1)[:, 0]
+    wanted = 100 + np.floor(np.log(u) / np.log(40.0 / 41.0)).astype(int)
+    faulty = info["class_index"] > 0
+    np.testing.assert_array_equal(info["onset_sample"], np.where(faulty, wanted, -1))
+    assert 20.0 < wanted.mean() - 100.0 < 60.0
+    at_once = MonitorVectorEnv(60, mean_onset_s=0.0)
+    np.testing.assert_array_equal(at_once.reset(seed=9)[1]["onset_sample"], np.where(faulty, 100, -1))
+    active = [at_once.step(np.zeros(60, dtype=np.int64))[4]["fault_active"] for _ in range(102)]
+    np.testing.assert_array_equal(active[99], np.zeros(60, dtype=bool))
+    np.testing.assert_array_equal(active[100], faulty)
 
 
 def test_a_fault_shows_only_after_its_onset() -> None:
