@@ -1,6 +1,7 @@
 """Drive-v0: the package's physics, gymnasium's contract, costs as the options say, and what detection is worth."""
 
 import re
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import gymnasium as gym
@@ -11,11 +12,14 @@ from numpy.typing import NDArray
 
 from motor_env.envs.drive import evaluation, kernel
 from motor_env.envs.drive.env import REWARDS, DriveEnv, DriveVectorEnv
-from motor_env.envs.drive.evaluation import clairvoyant_returns, drive_episodes
+from motor_env.envs.drive.evaluation import clairvoyant_returns, drive_episodes, joined_drives
 from motor_env.envs.drive.options import LABELS, DriveOptions
-from motor_env.envs.drive.policies import LIMP, PI, RUN, STOP, Lqg
-from motor_env.envs.drive.setup import faulty
-from motor_env.motor.model import discretize
+from motor_env.envs.drive.policies import LIMP, PI, RUN, STOP, Lqg, make_bank
+from motor_env.envs.drive.setup import drive_filter, faulty
+from motor_env.envs.setup import converged_gain
+from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD
+from motor_env.motor.model import Input, discretize
+from motor_env.simulation.random_streams import Stream, normals, uniforms
 
 SHORT: dict[str, Any] = {"horizon_s": 0.6, "earliest_onset_s": 0.1, "mean_onset_s": 0.1}
 STEADY: dict[str, Any] = {"growth_per_s": (1e-9, 1e-9), "load_std_n_m": 1e-13, "earliest_onset_s": 0.05}
@@ -153,6 +157,194 @@ def test_rewards_say_what_the_options_say() -> None:
     assert reward == info["reward_stop"] == pytest.approx(-7.6)
 
 
+def follow_truth(env: DriveEnv, actions: Iterable[Any]) -> Iterator[tuple[Any, Any, Any, Any]]:
+    """Lane before and after each step, what is observed, and the info."""
+    for action in actions:
+        before = env._state[0].copy()
+        observation, _, over, _, info = env.step(action)
+        yield (
+            before,
+            env._state[0].copy(),
+            dict(zip(env.observed, observation.astype(float), strict=True)),
+            info,
+        )
+        if over:
+            return
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2])
+def test_every_price_alone(kind: int) -> None:
+    """At the default prices, from the motor's true state, as docs/decisions.md has them."""
+    weights = tuple(float(k == kind) for k in range(3))
+    env = DriveEnv(weights=weights, mean_onset_s=0.0, warm_k=1.0, burn_k=1e3, growth_per_s=(1.2, 1.2))  # type: ignore[arg-type]
+    env.reset(seed=3)
+    profile, limps = env._profile[0], 0.0
+    rng = np.random.default_rng(2)
+    actions = [[rng.uniform(0.3, 0.8), LIMP if 60 <= k < 100 else RUN] for k in range(150)]
+    for k, (before, after, _, info) in enumerate(follow_truth(env, actions)):
+        share = min(max(after[kernel.SCALE] - before[kernel.SCALE], -1.0), 1.0)
+        assert abs(share) < 0.5 * 0.01 / 0.3 + 1e-12  # to a half within 0.3 s
+        off = (after[kernel.SPEED] - after[kernel.SCALE] * profile[k + 1]) / 450.0
+        assert info["reward_tracking"] == pytest.approx(-300.0 * off**2 * 0.01, rel=1e-9)
+        assert info["reward_heat"] == pytest.approx(
+            -0.05 * 0.01 * max(info["temperature_k"] - 1.0, 0.0), abs=1e-15
+        )
+        worn = after[kernel.SEVERITY] - before[kernel.SEVERITY] if kind == 1 else 0.0
+        assert info["reward_wear"] == pytest.approx(-worn / 12.0, rel=1e-9, abs=1e-15)
+        assert info["reward_limp"] == pytest.approx(
+            -0.2 * 0.01 * (1.0 - after[kernel.SCALE]) / 0.5, abs=1e-15
+        )
+        assert (info["reward_stop"], info["reward_failure"]) == (0.0, 0.0)
+        limps = min(limps, info["reward_limp"])
+    assert limps == pytest.approx(-0.002)
+    assert env.step([0.0, 0.51])[1] == pytest.approx(-(8.0 - 1.5))
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2])
+def test_heat_and_wear_follow_their_equations(kind: int) -> None:
+    weights = tuple(float(k == kind) for k in range(3))
+    env = DriveEnv(weights=weights, mean_onset_s=0.0)  # type: ignore[arg-type]
+    _, first = env.reset(seed=3)
+    assert first["onset_step"] == (50 if kind else -1)
+    options, motor, believed = env.options, env.options.driven, 0.0
+    growth = 0.4 * 3.0 ** uniforms(3, Stream.SEVERITY, [0], 1)[0, 0]
+    actions = [[0.6 + 0.2 * (k % 3), LIMP if k % 7 == 3 else RUN] for k in range(120)]
+    for k, (before, after, seen, info) in enumerate(follow_truth(env, actions)):
+        ohm = 2.18 * (1.0 + info["severity"] * (kind == 2))
+        loss_w = 0.5 * ohm * (before[kernel.CURRENT] ** 2 + after[kernel.CURRENT] ** 2)
+        decay = np.exp(-0.01 / 2.0)
+        warm = decay * before[kernel.TEMPERATURE] + (1.0 - decay) * 40.0 * loss_w
+        assert info["temperature_k"] == pytest.approx(warm, rel=1e-9)
+        loss_w = 1.09 * (before[kernel.ESTIMATED_CURRENT] ** 2 + after[kernel.ESTIMATED_CURRENT] ** 2)
+        believed = decay * believed + (1.0 - decay) * 40.0 * loss_w
+        assert seen["estimated_temperature"] == pytest.approx(believed / 120.0, rel=1e-5)
+        assert info["fault_active"] == (kind > 0 and k >= 50)
+        if not info["fault_active"]:
+            assert info["severity"] == 0.0
+            continue
+        speed = before[kernel.SPEED]
+        power = (8e-3 + 12e-3 * (speed / 450.0) ** 2 + before[kernel.LOAD]) * speed / (20e-3 * 450.0)
+        pace = 0.1 + 0.9 * max(power, 0.0) if kind == 1 else 1.0
+        begun = before[kernel.SEVERITY] or (2.0, 0.2)[kind - 1]
+        assert info["severity"] == pytest.approx(begun * np.exp(growth * pace * 0.01), rel=1e-9)
+    drag = float(motor.viscous_friction_n_m_s_per_rad)
+    slope, torque = 350.0 / 0.2, 8e-3 + 12e-3 + drag * 450.0
+    torque += (float(env.options.motor.inertia_kg_m2) + 4e-6) * slope
+    current, volts = options.needs(450.0, slope)
+    assert current == pytest.approx(torque / float(motor.torque_constant_n_m_per_a))
+    assert volts == pytest.approx(2.18 * current + 450.0 * float(motor.back_emf_constant_v_s_per_rad))
+
+
+def test_the_filter_sees_what_its_model_says() -> None:
+    """Estimates and whitened innovations against `run_filter`'s equations with the fan as it turns; units by hand."""
+    env = DriveEnv(weights=(1.0, 0.0, 0.0), load_std_n_m=2e-3)
+    env.reset(seed=3)
+    options, belief = env.options, drive_filter(env.options, env.options.driven)
+    gain, covariance = converged_gain(belief)
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+    model, keep = discretize(options.driven, 0.01), np.exp(-0.01)
+    rest = env._state[0]
+    state = np.array([rest[kernel.CURRENT], rest[kernel.SPEED], 0.0])
+    slow, memory = np.zeros(2), np.exp(-0.01 / 0.3)
+    actions = [[0.6 + 0.2 * (k % 3), RUN] for k in range(60)]
+    for k, (_, after, seen, _) in enumerate(follow_truth(env, actions)):
+        torque = 8e-3 + 12e-3 * (state[1] / 450.0) ** 2 + state[2]
+        state = np.append(
+            model.transition @ state[:2] + model.gain @ [after[kernel.VOLTAGE], torque], keep * state[2]
+        )
+        off = after[[kernel.MEASURED_CURRENT, kernel.MEASURED_SPEED]] - state[:2]
+        state = state + gain @ off
+        white = whitening @ off
+        slow = memory * slow + np.sqrt(1.0 - memory**2) * white
+        names = ("innovation_current", "innovation_speed", "slow_current", "slow_speed")
+        assert [seen[name] for name in names] == pytest.approx([*white, *slow], abs=2e-5)
+        assert seen["estimated_load"] == pytest.approx(state[2] / 20e-3, abs=1e-6)
+        noise = normals(3, Stream.MEASUREMENT, [0], 4 * (k + 1))[0, -4:]
+        assert seen["measured_current"] * 3.0 - after[kernel.CURRENT] == pytest.approx(
+            0.02 * noise[0], abs=1e-6
+        )
+        assert seen["measured_speed"] * 450.0 - after[kernel.SPEED] == pytest.approx(noise[1], abs=1e-4)
+        assert seen["voltage"] * 16.0 == pytest.approx(after[kernel.VOLTAGE], abs=1e-5)
+        assert seen["time"] == pytest.approx((k + 1) / 800.0, abs=1e-7)
+        ahead = [seen[f"profile_{m}"] * 450.0 for m in (0, 1, 5, 10, 20)]
+        assert ahead == pytest.approx(env._profile[0][[k + 1 + m for m in (0, 1, 5, 10, 20)]], abs=1e-4)
+    middle, by_load = 0.5 * (100.0 + 450.0), model.gain[:, Input.LOAD_TORQUE]
+    wanted = np.zeros((3, 3))
+    wanted[:2, :2], wanted[:2, 2], wanted[2, 2] = model.transition, by_load, keep
+    wanted[:2, 1] += by_load * 2.0 * 12e-3 / 450.0**2 * middle
+    np.testing.assert_allclose(belief.model.transition, wanted, rtol=1e-12)
+    stir = 2e-3 * np.sqrt(1.0 - keep**2)
+    np.testing.assert_allclose(
+        np.diag(belief.process_covariance), np.square([*DEFAULT_PROCESS_NOISE_STD, stir]), rtol=1e-12
+    )
+
+
+def test_a_bank_and_its_decisions_by_hand() -> None:
+    """Two severities of each kind, a quarter and three quarters of the way from onset to failure, on a logarithm."""
+    setup = DriveEnv().setup
+    bank = make_bank(setup.options, 2)
+    assert bank.kind.tolist() == [0, 1, 1, 2, 2]
+    sixth, twentieth = (12.0 / 2.0) ** 0.25, (4.0 / 0.2) ** 0.25
+    severity = [0.0, 2.0 * sixth, 2.0 * sixth**3, 0.2 * twentieth, 0.2 * twentieth**3]
+    assert bank.severity == pytest.approx(severity)
+    assert bank.ohm == pytest.approx(2.18 * (1.0 + bank.severity * (bank.kind == 2)))
+    friction = float(setup.options.driven.viscous_friction_n_m_s_per_rad)
+    assert bank.drag == pytest.approx(friction * (1.0 + bank.severity * (bank.kind == 1)))
+    born = 0.01 / 1.51 / 3.0
+    on = [0.01 * np.sqrt(0.4 * 1.2) * 2.0 / np.log(ratio) for ratio in (6.0, 20.0)]
+    moves = np.diag([1.0 - 2.0 * born, 1.0 - on[0], 1.0, 1.0 - on[1], 1.0])
+    moves[0, [1, 3]], moves[1, 2], moves[3, 4] = born, on[0], on[1]
+    np.testing.assert_allclose(bank.moves, moves, rtol=1e-12)
+    model = drive_filter(setup.options, setup.options.driven).model
+    a, b = np.eye(3), np.append(model.gain[:, Input.VOLTAGE], 0.0)
+    a[:2, :2], a[2, 1] = model.transition[:2, :2], 0.01
+    cost = np.zeros((3, 3))
+    for _ in range(3000):  # value iteration: squared rad/s at 1, squared rad at 3000, squared volt at 1
+        back = (b @ cost @ a) / (1.0 + b @ cost @ b)
+        cost = np.diag([0.0, 1.0, 3000.0]) + a.T @ cost @ (a - np.outer(b, back))
+    np.testing.assert_allclose(bank.feedback[0], back, rtol=1e-8)
+    policy = Lqg(setup, levels=2)
+    policy.start(6)
+    policy.probability = np.array(
+        [
+            [0.51, 0.49, 0.49, 0.0, 0.0, 1.0],
+            [0.29, 0.31, 0.0, 0.0, 0.0, 0.0],
+            [0.20, 0.20, 0.0, 0.0, 0.0, 0.0],
+            [0.0, 0.0, 0.51, 0.50, 0.45, 0.0],
+            [0.0, 0.0, 0.0, 0.50, 0.55, 0.0],
+        ]
+    )
+    worn = np.array([0.5, 0.5]) @ bank.severity[3:] / 4.0, np.array([0.45, 0.55]) @ bank.severity[3:] / 4.0
+    policy.stop_above = (2.0, float(np.mean(worn)))
+    assert policy._decision().tolist() == [RUN, LIMP, RUN, RUN, STOP, RUN]
+    policy.stop_above = (2.0, 0.75)
+    policy._temperature = np.array([69.9, 0.0, 70.1, 0.0, 89.9, 90.1])
+    assert policy._decision().tolist() == [RUN, LIMP, LIMP, RUN, LIMP, STOP]
+    assert (Lqg(setup).limp_above, Lqg(setup).stop_above, Lqg(setup).decides) == (0.5, (2.0, 0.75), False)
+
+
+@pytest.mark.parametrize("factor", [1.0 - 1e-9, 1.0 + 1e-9])
+def test_limits_of_the_options_are_exact(factor: float) -> None:
+    current, volts = DriveOptions().needs(450.0, 350.0 / 0.2)
+    refused: list[dict[str, Any]] = [
+        {"voltage_limit_v": volts / factor},
+        {"current_limit_a": current / factor},
+        {"period_s": 0.2 * factor, "horizon_s": 2.0},
+        {"stress_share": factor},
+        {"horizon_s": 1000.005 * factor},
+        {"horizon_s": 0.005 / factor},
+        {"limp_share": 1.0 - 2e-9 + (factor - 1.0) * 2.0},
+    ]
+    for options in refused:
+        if factor < 1.0:
+            DriveOptions(**options)
+        else:
+            with pytest.raises(ValueError, match=r"must be|needs"):
+                DriveOptions(**options)
+    with pytest.raises(ValueError, match="periods, got 200000"):
+        DriveOptions(horizon_s=1e9)
+
+
 def test_a_faulty_winding_burns() -> None:
     env = DriveEnv(weights=(0.0, 0.0, 1.0), mean_onset_s=0.0, burn_k=71.0, thermal_time_s=0.2)
     policy, (observation, _) = PI(env.setup), env.reset(seed=4)
@@ -207,6 +399,9 @@ def test_detection_is_worth_something(monkeypatch: pytest.MonkeyPatch) -> None:
     ahead = bank.returns - fixed.returns
     assert ahead.mean() > 1.0 + 1.96 * ahead.std() / np.sqrt(40)
     np.testing.assert_array_equal(fixed.class_index, bank.class_index)
+    both = joined_drives([fixed, bank])
+    assert (both.returns.shape, both.parts.shape, both.class_index.shape) == ((80,), (6, 80), (80,))
+    assert (evaluation.LIMP_FROM[:5], evaluation.STOP_FROM[0]) == ((0.0, 0.2, 0.35, 0.5, 0.7), 0.97)
     monkeypatch.setattr(evaluation, "LIMP_FROM", (0.35, 0.7))
     monkeypatch.setattr(evaluation, "STOP_FROM", (0.97,))
     assert clairvoyant_returns(envs, seed=9).mean() > bank.returns.mean()
