@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from scipy.stats import norm
 
 from motor_env.envs import (
     MaintainEnv,
@@ -14,11 +15,16 @@ from motor_env.envs import (
     PlannedUpkeep,
     ReplaceFrom,
     maintenance_bound,
+    rendering,
     returns_of,
 )
-from motor_env.envs.maintain import kernel
+from motor_env.envs.maintain import kernel, picture
 from motor_env.envs.maintain.options import LEVELS, LOWEST_ESTIMATE, make_tables
-from motor_env.envs.maintain.policies import clairvoyant_value
+from motor_env.envs.maintain.picture import Logbook
+from motor_env.envs.maintain.policies import (  # the grid of the plan, filled by hand
+    _STDS as STDS,
+    clairvoyant_value,
+)
 from motor_env.inference.identifiability import Experiment, cramer_rao_bound
 from motor_env.simulation.named_recipes import named_recipe
 
@@ -78,7 +84,7 @@ def test_the_belief_is_bayes_rule() -> None:
     new = np.outer(tables.weights, np.arange(LEVELS) == 0)
     belief = new
     for action in [0] * 25 + [1] + [0] * 5 + [2] + [0] * 5:
-        *_, info = env.step(action)
+        seen, *_, info = env.step(action)
         marks = env.motors.marks[:, 0]
         if action == kernel.INSPECT:
             belief = belief * (np.arange(LEVELS) == marks[kernel.LEVEL])
@@ -89,6 +95,18 @@ def test_the_belief_is_bayes_rule() -> None:
             belief = belief * tables.estimate[marks[kernel.ESTIMATE] - LOWEST_ESTIMATE]
         belief = belief / belief.sum()
         np.testing.assert_allclose(env.motors.belief[0], belief, atol=1e-12)
+        level, by_rate = belief.sum(axis=0), belief.sum(axis=1)
+        mean = level @ np.arange(LEVELS)
+        features = [
+            marks[kernel.ESTIMATE] / 50.0,
+            mean / 50.0,
+            np.sqrt(level @ np.square(np.arange(LEVELS) - mean)) / 50.0,
+            (belief * tables.failing).sum(),
+            by_rate @ tables.rates / 0.01,
+            marks[kernel.AGE] / 120.0,
+            1.0 - marks[kernel.DAY] / 120.0,
+        ]
+        np.testing.assert_allclose(seen, features, atol=1e-6)
 
 
 def test_wear_follows_its_law_and_failures_come_where_they_must() -> None:
@@ -159,6 +177,67 @@ def test_bad_options_get_one_sentence(changes: dict[str, Any], words: str) -> No
             cls(**changes)
 
 
+def test_tables_are_those_of_the_laws() -> None:
+    """Wear: a normal step a day in fiftieths of the limit; estimates: normal about the level, cut at both ends."""
+    tables = make_tables(SPREAD)
+    assert tables.weights @ tables.rates == pytest.approx(0.01)  # lognormal, its mean the drift
+    assert tables.weights @ np.log(tables.rates / 0.01) == pytest.approx(-0.125)
+    assert tables.weights @ np.square(np.log(tables.rates / 0.01) + 0.125) == pytest.approx(0.25)
+    assert (len(tables.rates), tables.lowest, make_tables(MaintainOptions()).wear.shape) == (5, -12, (1, 26))
+    growth = tables.lowest + np.arange(tables.wear.shape[1])
+    for rate, wear, failing in zip(tables.rates, tables.wear, tables.failing, strict=True):
+        law = norm(rate / 0.01, 2.0)  # two levels a day
+        np.testing.assert_allclose(wear, law.cdf(growth + 0.5) - law.cdf(growth - 0.5), atol=1e-8)
+        np.testing.assert_allclose(failing, law.sf(49.5 - np.arange(50)), atol=1e-8)
+    law, level = norm(0.0, 20.0), np.arange(50)
+    estimate = make_tables(MaintainOptions(estimate_std=0.2)).estimate
+    assert estimate.shape == (101, 50)
+    np.testing.assert_allclose(estimate[1:-1, 7], np.diff(law.cdf(np.arange(-24, 76) - 7.5)), atol=1e-12)
+    np.testing.assert_allclose(estimate[0], law.cdf(-24.5 - level), atol=1e-12)
+    np.testing.assert_allclose(estimate[-1], law.sf(74.5 - level), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"diffusion": 0.005}, {"drift_per_day": 0.48 / np.exp(1.2), "rate_spread": 0.4}]
+)
+def test_limits_of_the_options_are_exact(changes: dict[str, float]) -> None:
+    name, limit = next(iter(changes.items()))
+    side = -1e-9 if name == "diffusion" else 1e-9
+    MaintainOptions(**changes | {name: limit * (1.0 - side)})  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=name):
+        MaintainOptions(**changes | {name: limit * (1.0 + side)})  # type: ignore[arg-type]
+
+
+def test_a_plan_is_looked_up_between_its_points() -> None:
+    """Worths that are linear in rate, mean and deviation are told exactly; the action changes where they say."""
+    policy, stds = PlannedUpkeep(MaintainOptions(days=3, rate_spread=0.5)), np.array(STDS)
+    pace = make_tables(MaintainOptions(rate_spread=0.5)).rates / 0.01
+    grid = np.zeros((4, 3, 5, LEVELS, 12))
+
+    def chosen(run: Any, replace: float, left: int = 2, **features: float) -> int:
+        grid[:] = -1e9
+        grid[left, kernel.RUN], grid[left, kernel.REPLACE] = run, replace
+        policy._values = grid.reshape(4, 3, 5, -1)
+        seen = {"rate": 1.0, "mean": 0.3, "std": 0.05, "days_left": left / 3.0} | features
+        row = np.array([[seen.get(name, 0.0) for name in kernel.FEATURES]], dtype=np.float32)
+        return int(policy.act(row)[0])
+
+    cases = (
+        ("rate", pace[:, None, None], (0.4, 0.9, 1.1, 2.2)),
+        ("mean", np.arange(LEVELS)[:, None] / 50.0, (0.013, 0.5, 0.971)),
+        ("std", stds / 50.0, (0.013, 0.061, 0.131)),
+    )
+    for name, worth, values in cases:
+        for value in values:
+            for left in (1, 3):
+                assert chosen(worth, value - 1e-4, left, **{name: value}) == kernel.RUN
+                assert chosen(worth, value + 1e-4, left, **{name: value}) == kernel.REPLACE
+    assert (
+        chosen(pace[:, None, None], pace[-1] - 1e-4, rate=9.0) == kernel.RUN
+    )  # beyond the ends the ends hold
+    assert chosen(pace[:, None, None], pace[0] + 1e-4, rate=0.0) == kernel.REPLACE
+
+
 def test_bad_actions_and_steps_are_refused() -> None:
     env, envs = MaintainEnv(days=1), MaintainVectorEnv(2)
     with pytest.raises(gym.error.ResetNeeded):
@@ -173,6 +252,53 @@ def test_bad_actions_and_steps_are_refused() -> None:
     envs.reset(seed=0)
     with pytest.raises(ValueError, match=r"in 0 \.\. 2"):
         envs.step(np.array([0, 3]))
+
+
+def test_the_logbook_stands_where_its_values_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten days of constant severities: rows of their lines, columns of the deeds, words, cost."""
+    book, said = Logbook(MaintainOptions(days=10)), []
+    monkeypatch.setattr(picture, "write", lambda _, *text, **size: said.append((*text, size["size_px"])))
+    monkeypatch.setattr(picture, "write_figures", lambda _, text, *__, **___: said.append(text))
+    row = dict(zip(kernel.FEATURES, (0.6, 0.9, 0.05, 0.04, 1.0, 0.0, 1.0), strict=True))
+    deeds = (kernel.RUN, kernel.RUN, kernel.INSPECT, kernel.REPLACE, kernel.REPLACE)
+    for day, deed in enumerate(deeds):
+        book.add(np.array(list(row.values()), dtype=np.float32), deed, severity=0.1, failed=day == 4)
+    frame = book.draw()
+    assert frame.shape == (400, 640, 3)
+    severity, risk, colours = frame[46:250, 92:620], frame[284:370, 92:620], rendering.COLOURS
+    until = 528 * 5 // 11  # five of eleven columns of days are filled
+    for name, value in (("bearing", 0.2), ("current", 0.6), ("estimate", 0.9)):
+        at = round((1.25 - value) / 1.5 * 203)
+        line = (severity == colours[name]).all(axis=2)
+        assert line[at, 30:until].mean() > 0.9
+        assert not line[at, until + 1 :].any()
+        assert not line[[at - 1, at + 1]].any()
+    shown = (severity[:, 1] == rendering.GRID).all(axis=1)  # within two standard deviations of the mean
+    band = np.linspace(1.25, -0.25, 204)
+    assert shown[np.abs(band - 0.9) < 0.099].sum() >= np.sum(np.abs(band - 0.9) < 0.099) - 2  # two lines
+    assert not shown[(np.abs(band - 0.9) > 0.101) & (np.arange(204) % 51 > 0)].any()
+    dashes = (severity[round(0.25 / 1.5 * 203)] == colours["threshold"]).all(axis=1)
+    assert dashes[until + 1 :].tolist() == (np.arange(until + 1, 528) % 9 < 4).tolist()
+    failing = (risk[:, 10] == colours["residual"]).all(axis=1)
+    assert np.flatnonzero(failing).tolist() == [50, 51, 52]
+    for day, name in ((2, "speed"), (3, "residual"), (4, "threshold")):
+        x = 92 + day * 528 // 11
+        marked = (frame[:, x - 1 : x + 3] == colours[name]).all(axis=2)[46:250:2]
+        assert marked.all(axis=0).tolist() == [False, True, True, False]
+    assert {"day    4", "cost    6.1", "0.1"} <= {text for text in said if isinstance(text, str)}
+    assert {text for text in said if not isinstance(text, str)} == {
+        ("bearing", (6, 8), "ink", 16),
+        ("severity", (6, 44), "ink", 12),
+        ("truth", (6, 76), "bearing", 11),
+        ("estimate", (6, 92), "current", 11),
+        ("mean", (6, 108), "estimate", 11),
+        ("limit", (6, 124), "threshold", 11),
+        ("risk today", (6, 282), "ink", 12),
+        ("0 to 10 days", (530, 376), "dim", 12),
+        ("| failed", (92, 256), "threshold", 11),
+        ("| inspected", (182, 256), "speed", 11),
+        ("| replaced", (272, 256), "residual", 11),
+    }
 
 
 def test_the_logbook_shows_what_was_done() -> None:
