@@ -15,7 +15,7 @@ from hypothesis import given, settings, strategies as st
 
 from motor_env.envs.monitor import MonitorEnv, MonitorVectorEnv
 from motor_env.envs.options import MonitorOptions
-from motor_env.envs.probe import ProbeContinuousEnv, ProbeEnv, ProbeVectorEnv
+from motor_env.envs.probe import ProbeContinuousEnv, ProbeEnv, ProbeOptions, ProbeVectorEnv
 from motor_env.envs.tasks import TASKS
 from motor_env.motor.parameters import Channel, MotorParameters, SensorParameters, SupplyParameters
 from motor_env.simulation.recipes import Recipe
@@ -293,6 +293,45 @@ def test_a_thousand_million_random_steps() -> None:
 def test_options_that_would_overflow_are_refused(env: str, options: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ValueError, match=re.escape(sentence)):
         gym.make(f"motor_env/{env}-v0", **options)
+
+
+SHORTEST_LOOP_S = 2.0 * (1e-4 + 0.238e-3 / 2.18)
+
+
+@pytest.mark.parametrize(
+    ("good", "bad"),
+    [
+        ({"confirm_steps": 1000}, {"confirm_steps": 1001}),
+        ({"growth_levels": 1}, {"growth_levels": 0}),
+        ({"samples_per_step": 1}, {"samples_per_step": True}),
+        ({"horizon_s": 0.01, "samples_per_step": 100}, {"horizon_s": 0.01, "samples_per_step": 101}),
+        ({"horizon_s": 1e-4}, {"horizon_s": 4e-5}),
+        ({"horizon_s": 1000.0}, {"horizon_s": 1000.0001}),
+        ({"horizon_s": 1000.0}, {"horizon_s": 1e12}),
+        ({"loop_time_s": SHORTEST_LOOP_S * 1.000001}, {"loop_time_s": SHORTEST_LOOP_S * 0.999999}),
+        ({"loop_time_s": 1000.0}, {"loop_time_s": 1000.1}),
+        ({"belief_noise_std": (0.1, 0.1)}, {"belief_noise_std": (0.1,)}),
+        ({"belief_noise_std": (0.1, 0.2)}, {"belief_noise_std": (0.1, 0.1, 0.1)}),
+        ({"offsets_v": (1.0,)}, {"offsets_v": ()}),
+        ({"offsets_v": (0.0,) * 1000}, {"offsets_v": (0.0,) * 1001}),
+        ({"offsets_v": (0.0, -1e6)}, {"offsets_v": (0.0, -1.001e6)}),
+    ],
+)
+def test_limits_of_the_options_are_exact(good: dict[str, Any], bad: dict[str, Any]) -> None:
+    drive = {"drive": "speed_loop"} if "loop_time_s" in good else {}
+    make: Any = ProbeOptions if "offsets_v" in good else MonitorOptions
+    make(**good, **drive)
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        make(**bad, **drive)
+
+
+def test_counts_that_follow_from_the_options() -> None:
+    options = MonitorOptions(horizon_s=0.02, samples_per_step=4)
+    assert (options.n_samples, options.n_steps, options.n_levels) == (200, 50, 1)
+    assert MonitorOptions(growth_s=0.4e-4).n_levels == 1  # rounds to no sample
+    assert MonitorOptions(growth_s=0.6e-4).n_levels == 16
+    with pytest.raises(ValueError, match="samples long, got 20000000"):
+        MonitorOptions(horizon_s=1e12)
 
 
 @pytest.mark.parametrize("env", ["Monitor", "Probe"])

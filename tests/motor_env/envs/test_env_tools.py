@@ -13,6 +13,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordVectorSta
 import motor_env  # noqa: F401  # registers the environments
 from motor_env.envs.monitor import MonitorVectorEnv
 from motor_env.envs.probe import ProbeEnv, ProbeVectorEnv
+from motor_env.motor.parameters import PAPER_MOTOR
 
 IDS = ("motor_env/Monitor-v0", "motor_env/Probe-v0", "motor_env/ProbeContinuous-v0")
 ALL_IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
@@ -148,7 +149,42 @@ def test_a_picture_shows_the_evidence_and_changes_nothing() -> None:
     seed = next(k for k in range(20) if plain.reset(seed=k)[1]["onset_sample"] in range(1000))
     shown.reset(seed=seed)
     plain.reset(seed=seed)
+    seen = [plain.unwrapped.reset(seed=seed)[0]]  # type: ignore[attr-defined]
     for _ in range(1100):
-        assert np.array_equal(shown.step(0)[0], plain.step(0)[0])
-    evidence = shown.unwrapped._scope._columns[5:7]  # type: ignore[attr-defined]
-    assert np.nanmax(evidence) > 12.0
+        seen.append(plain.step(0)[0])
+        assert np.array_equal(shown.step(0)[0], seen[-1])
+    scope = shown.unwrapped._scope  # type: ignore[attr-defined]
+    assert np.nanmax(scope._columns[5:7]) > 12.0
+    # a column shows the step that begins it: measured and estimated current, estimated speed, voltage, innovation
+    volts = 12.0
+    units = [volts / 2.18, volts / 2.18, volts / float(PAPER_MOTOR.back_emf_constant_v_s_per_rad), volts, 1.0]
+    names = ("measured_current", "estimated_current", "estimated_speed", "voltage", "innovation_current")
+    places = [plain.unwrapped.observed.index(name) for name in names]  # type: ignore[attr-defined]
+    for column in range(scope._filled):
+        wanted = np.array(seen[column * 2000 // 528])[places] * units
+        found = np.clip(scope._columns[:5, column], [-np.inf] * 4 + [-10.0], np.inf)  # as it is observed
+        np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-4)
+    assert scope.onset_step == plain.unwrapped._truth["onset_sample"]  # type: ignore[attr-defined]
+
+
+def test_the_screen_says_how_an_episode_ended() -> None:
+    env: Any = ProbeEnv(render_mode="rgb_array", earliest_onset_s=0.0, mean_onset_s=1e-4, horizon_s=0.04)
+    seeds = {env.reset(seed=seed)[1]["label"]: seed for seed in range(40)}
+    for label, wait, action, verdict in (
+        ("healthy", 19, 0, ("rightly silent", True)),
+        ("bearing", 19, 0, ("fault missed", False)),
+        ("bearing", 0, 3, ("bearing: false alarm", False)),
+        ("bearing", 3, 3, ("bearing: right", True)),
+        ("bearing", 3, 4, ("winding: wrong kind", False)),
+        ("healthy", 3, 4, ("winding: false alarm", False)),
+    ):
+        env.reset(seed=seeds[label])
+        for _ in range(wait):
+            env.step(1)
+        assert env.step(action)[2]
+        assert (env._scope.verdict, env._scope.good) == verdict
+    env.reset(seed=seeds["bearing"])
+    seen, *_ = env.step(1)
+    innovation = seen[env.observed.index("innovation_current")]  # a mean over the root of 20 samples
+    assert env._scope._columns[4, env._scope._filled - 1] == pytest.approx(innovation, rel=1e-5)
+    assert env._scope._columns[3, env._scope._filled - 1] == pytest.approx(11.0)

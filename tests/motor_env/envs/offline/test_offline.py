@@ -1,7 +1,9 @@
 """Data sets for learning offline: what they hold is what the environment gives."""
 
 from pathlib import Path
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -46,6 +48,45 @@ def test_better_policies_are_paid_better() -> None:
         }
         assert mean[Behaviour.RANDOM] < mean[Behaviour.MIXED] < mean[Behaviour.RULE], task
         assert mean[Behaviour.RULE] < mean[Behaviour.BEST] + 0.15, task
+
+
+def test_thresholds_are_those_that_were_tuned() -> None:
+    """What the recorded episodes were played with: another threshold would be another data set of the same name."""
+    found = {}
+    for name, task in TASKS.items():
+        options: Any = task.options
+        envs = gym.make_vec(f"motor_env/{name}", num_envs=1, **options).unwrapped
+        found[name] = [getattr(make(envs), "threshold", None) for make in (task.rule, task.best)]
+        if name == "Monitor-v0":
+            rule: Any = task.rule(envs)
+            assert (rule.rule.shift, rule.rule.two_sided) == (0.25, True)
+        if name == "Probe-v0":
+            best: Any = task.best(envs)
+            assert best.above == 0.08
+    assert found == {
+        "Monitor-v0": [30.0, 0.9609],
+        "Probe-v0": [0.93, 0.97],
+        "Maintain-v0": [0.84, None],
+        "MaintainUnknownRate-v0": [0.84, None],
+        "Drive-v0": [None, None],
+    }
+
+
+def test_mixed_episodes_are_of_each_behaviour_in_turn() -> None:
+    """Shares of 7: 3, 2 and 2; each behaviour has streams of its own, 2^20 apart."""
+    episodes = episodes_of("Maintain-v0", Behaviour.MIXED, 7, 5)
+    assert [(one.seed, one.stream) for one in episodes] == [
+        *((5 << 20, k) for k in range(3)),
+        *((6 << 20, k) for k in range(2)),
+        *((7 << 20, k) for k in range(2)),
+    ]
+    assert [one.seed for one in episodes_of("Maintain-v0", Behaviour.RULE, 101, 5)[99:]] == [
+        5 << 20,
+        (5 << 20) + 100,
+    ]
+    assert {len(one.rewards) for one in episodes} == {120}
+    random = np.concatenate([one.actions for one in episodes[:3]])
+    assert np.bincount(random).min() > 90  # of 120 each
 
 
 @pytest.mark.parametrize(
