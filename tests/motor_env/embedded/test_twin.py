@@ -1,5 +1,7 @@
 """The twin of the exported C source: against the package's filter and rules, and in fixed point."""
 
+import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -23,9 +25,12 @@ from motor_env import (
 )
 from motor_env.cli import main
 from motor_env.detection.rules.base import first_above
-from motor_env.embedded.arithmetic import Steps, fixed_point, floating
-from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
+from motor_env.embedded.arithmetic import Numbers, Row, Steps, fixed_point, floating
+from motor_env.embedded.monitor import CusumBank, Limits, Monitor, monitor_of
+from motor_env.embedded.source import checks, write_library
 from motor_env.embedded.twin import Answers, SampleVerdict, answers, readings_of
+from motor_env.filters.kalman import schedule
+from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import Channel
 from motor_env.simulation.simulate import Transients
 
@@ -36,13 +41,23 @@ RULES: dict[str, CusumBank | MOfN] = {
 }
 
 
+YEAR_SAMPLES = 365.25 * 86_400.0 * 10_000.0
+
+
+@cache
+def thresholds(rule: CusumBank) -> tuple[float, ...]:
+    """For one false alarm a year; an integral equation takes its time, so once for each rule."""
+    return rule.thresholds_for(YEAR_SAMPLES)
+
+
 @cache
 def monitor(
     rule: CusumBank | MOfN, n_channels: int = 1, *, scheduled: bool = False, rate_hz: float = 10_000.0
 ) -> Monitor:
     sensor = SensorParameters((Channel.CURRENT, Channel.SPEED)[:n_channels], 0.02, 1.0)
     motor = MotorFile("paper", "data_sheet", PAPER_MOTOR)
-    return monitor_of(motor, rate_hz, rule=rule, sensor=sensor, voltage_v=12.0, scheduled=scheduled)
+    made = monitor_of(motor, rate_hz, rule=nis_rule(), sensor=sensor, voltage_v=12.0, scheduled=scheduled)
+    return replace(made, rule=rule, thresholds=thresholds(rule)) if isinstance(rule, CusumBank) else made
 
 
 def first(answer: Answers) -> NDArray[np.int64]:
@@ -163,3 +178,281 @@ def test_counts_of_a_converter_do() -> None:
     rounded = answers(coarse, readings_of(coarse, data.measurements, data.voltage_v))
     reference = answers(fine, readings_of(fine, data.measurements, data.voltage_v))
     assert np.mean((first(rounded) >= 0) == (first(reference) >= 0)) > 0.9
+
+
+def units_of(fixed: Numbers) -> NDArray[np.float64]:
+    """What one count of current, speed and voltage is worth inside."""
+    units: NDArray[np.float64] = np.array(fixed.readings) / np.array(fixed.scales)
+    return units
+
+
+@pytest.mark.parametrize(("rule", "n_channels", "scheduled"), [("cusum", 2, True), ("nis", 2, False)])
+def test_fixed_point_is_the_floats_in_other_units(rule: str, n_channels: int, scheduled: bool) -> None:
+    """Every number within half a count; factors with as many bits as 64 take, one shift for all whitenings."""
+    believed = replace(
+        monitor(RULES[rule], n_channels, scheduled=scheduled), brush_drop_v=0.3, coulomb_friction_n_m=2e-4
+    )
+    steps = Steps(1e-6, 1e-3, 1e-6)
+    assert Steps.suited(believed.limits, None, 1e-3, None) == pytest.approx(steps)
+    assert Steps.suited(Limits(9.9, 1000.0, 0.024)) == pytest.approx((1e-7, 1e-4, 1e-9))
+    exact, fixed = floating(believed, np.float64), fixed_point(believed, steps)
+    for most, step, scale in zip(believed.limits[:3], steps, fixed.scales, strict=True):
+        assert scale * most / step <= 2**28 < 2 * scale * most / step
+    units, share = units_of(fixed), 2.0**-26
+    model, transition = believed.kalman.model, believed.kalman.model.transition
+    rows = [*zip(exact.model, fixed.model, (units, units), units[:2], strict=True)]
+    rows += [*zip(exact.gain, fixed.gain, (units[:2], units[:2]), units[:2], strict=True)]
+    width = exact.white[0].factors.shape[1]
+    rows += [(one, other, units[:width], share) for one, other in zip(exact.white, fixed.white, strict=True)]
+    for one, other, before, after in rows:
+        assert other.shift is not None
+        np.testing.assert_allclose(
+            other.factors * 2.0**-other.shift * after / before,
+            one.factors,
+            atol=0.51 * 2.0**-other.shift * after / np.min(before),
+        )
+    for row in (*fixed.model, *fixed.gain):
+        assert 2**29 < np.abs(row.factors).max() <= 2**30
+    assert {row.shift for row in fixed.white} == {fixed.white[0].shift}
+    assert 2**29 < max(np.abs(row.factors).max() for row in fixed.white) <= 2**30
+    np.testing.assert_allclose(
+        [row.factors[0] for row in exact.model], np.column_stack([transition - np.eye(2), model.gain[:, 0]])
+    )
+    forward = model.gain @ [0.3, -2e-4]
+    np.testing.assert_allclose(exact.drag[:2], forward, rtol=1e-12)
+    np.testing.assert_allclose(np.array(fixed.drag[:2]) * units[:2], forward, atol=0.51 * units[:2].max())
+    assert exact.drag[2] == pytest.approx(
+        0.005 * believed.limits.speed_rad_s
+    )  # 1 % of the speed without load
+    assert fixed.drag[2] * units[1] == pytest.approx(exact.drag[2], rel=1e-6)
+    assert fixed.has_drag
+    assert not floating(monitor(RULES[rule], n_channels)).has_drag
+    assert (exact.threshold, fixed.threshold) == (1.0, 1 << 26)
+    np.testing.assert_allclose(fixed.halves * share, exact.halves, atol=0.51 * share)
+    if rule == "cusum":
+        halves = np.array([0.075, 0.25, 0.625]) / np.array(believed.thresholds)
+        np.testing.assert_allclose(exact.halves, halves)
+    assert fixed.ranges.tolist() == [
+        int(most / step) for most, step in zip(believed.limits[:3], steps, strict=True)
+    ]
+    assert exact.ranges.tolist() == list(believed.limits[:3])
+    assert (exact.n_channels, fixed.n_channels, fixed.stuck_after) == (n_channels, n_channels, 100)
+    assert (exact.n_friction, exact.memory) == (2 if rule == "cusum" else 0, fixed.memory)
+
+
+def test_a_row_rounds_half_up_and_clamps() -> None:
+    row = Row(np.array([[3, -5], [1, 1]]), shift=2)
+    ones = np.array([1, 2, 3, -1])
+    # (3 a - 5 b) / 4 of whole numbers, half upwards
+    assert row.total(0, (ones, np.array([1, 0, 0, 0]))).tolist() == [0, 2, 2, -1]
+    assert row.total(7, (ones, ones)).tolist() == [1, 1, 2, 0]
+    most = 1 << 29
+    assert row.total(0, (np.array([4 * most, -4 * most]), np.zeros(2, dtype=int))).tolist() == [most, -most]
+    assert Row(np.array([[0.5, 2.0]])).total(0, (np.array([3.0]), np.array([4.0]), np.array([5.0]))) == [9.5]
+
+
+@pytest.mark.parametrize(
+    ("steps", "words"),
+    [
+        (Steps(4.1e-8, 1e-3, 1e-6), "step of current_a must suit"),
+        (Steps(1e-6, 600.0, 1e-6), "step of speed_rad_s must suit"),
+        (Steps(1e-6, 1e-3, 0.0), "step of voltage_v must suit 24, got 0"),
+        (Steps(1e-6, 1e-3, float("inf")), "step of voltage_v must suit"),
+    ],
+)
+def test_steps_must_suit_the_ranges(steps: Steps, words: str) -> None:
+    """From 2 counts to 2^28."""
+    believed = monitor(RULES["cusum"])
+    with pytest.raises(ValueError, match=words):
+        fixed_point(believed, steps)
+    most = np.array(believed.limits[:3])
+    assert fixed_point(believed, Steps(*(most / 2.0**28))).scales == (1, 1, 1)
+    assert (
+        fixed_point(believed, Steps(most[0] / 2.0, most[1] / 2.0**28, most[2] / 2.0**28)).scales[0] == 2**27
+    )
+
+
+def test_thresholds_share_the_false_alarms() -> None:
+    """Rates add up but for 12 / sqrt(ARL0) of them that two sums give at once; one sum has them all to itself."""
+    for arl0, overlap in ((1e6, 0.012), (1e4, 0.1)):
+        found = CusumBank((0.5,), (1.25,)).thresholds_for(arl0)
+        rates = [
+            1.0 / Cusum(shift, two_sided=True).average_run_length(threshold)
+            for shift, threshold in zip((0.5, 1.25), found, strict=True)
+        ]
+        assert rates == pytest.approx([0.5 / arl0 / (1.0 - overlap)] * 2, rel=1e-4)
+    [alone] = CusumBank((0.5,), ()).thresholds_for(1e4)
+    assert Cusum(0.5, two_sided=True).average_run_length(alone) == pytest.approx(1e4, rel=1e-4)
+    motor, rule = MotorFile("paper", "data_sheet", PAPER_MOTOR), CusumBank((0.5,), ())
+    believed = monitor_of(
+        motor, 1e4, rule=rule, sensor=SensorParameters(), voltage_v=12.0, false_alarms_per_year=5e6
+    )
+    assert believed.thresholds == rule.thresholds_for(YEAR_SAMPLES / 5e6)
+    assert (
+        monitor(RULES["nis"], 2).thresholds[0]
+        == nis_rule().threshold_for(arl0=YEAR_SAMPLES, n_channels=2).value
+    )
+    assert (CusumBank().friction, CusumBank().winding) == ((0.15, 0.5), (1.25,))
+
+
+def test_limits_and_memory_are_those_of_the_motor() -> None:
+    believed = monitor(RULES["cusum"])
+    speed = float(steady_state(PAPER_MOTOR, 12.0)[1])
+    assert believed.limits == pytest.approx((24.0 / 2.18, 2.0 * speed, 24.0, 100))
+    # the slow pole, 3.9 ms or so: 39 samples of 0.1 ms are nearest to 32, and a tenth of them to 4
+    slow_s = -1e-4 / np.log(np.abs(np.linalg.eigvals(believed.kalman.model.transition)).max())
+    assert believed.memory == round(float(np.log2(slow_s / 1e-4)))
+    assert monitor(RULES["one shift"], rate_hz=1e8).memory == 15
+    assert monitor(RULES["one shift"], rate_hz=10.0).memory == 0
+    for limit in ("stuck_after", "current_a"):
+        with pytest.raises(ValueError, match=limit):
+            replace(
+                believed,
+                limits=believed.limits._replace(**{limit: 65_536 if limit == "stuck_after" else 0.0}),
+            )
+    assert replace(believed, limits=believed.limits._replace(stuck_after=65_535)).limits.stuck_after == 65_535
+    with pytest.raises(ValueError, match="threshold must be"):
+        replace(believed, thresholds=(0.0,))
+    with pytest.raises(ValueError, match="NIS test of single samples"):
+        replace(believed, rule=MOfN(1, 2))
+
+
+@pytest.mark.parametrize("rule", ["cusum", "nis"])
+def test_a_schedule_ends_where_the_gain_no_longer_moves(rule: str) -> None:
+    believed = monitor(RULES[rule], 2, scheduled=True)
+    gain, white = believed.gains()
+    full = schedule(believed.kalman, 20_000)
+    near = np.abs(full.gain - full.gain[-1]).max(axis=(1, 2)) <= 1e-6 * np.abs(full.gain[-1]).max()
+    assert len(gain) == len(white) == int(np.flatnonzero(~near)[-1]) + 2
+    np.testing.assert_allclose(gain[:-1], full.gain[: len(gain) - 1], rtol=1e-12)
+    np.testing.assert_allclose(gain[-1], full.gain[-1], rtol=1e-9)
+    roots = np.linalg.inv(np.linalg.cholesky(full.innovation_covariance[: len(gain) - 1]))
+    wanted = roots / believed.thresholds[0] ** 0.5
+    if rule == "cusum":
+        wanted = roots[:, :1, :1] / np.array(believed.thresholds)[:, None]
+    np.testing.assert_allclose(white[:-1], wanted, rtol=1e-9)
+    assert len(monitor(RULES[rule], 2).gains()[0]) == 1
+
+
+def test_a_sample_that_is_no_reading_is_not_used() -> None:
+    """Out of range, not a number, or stuck: the state goes on with the model, the statistic stays."""
+    believed = replace(
+        monitor(RULES["nis"], 2), limits=monitor(RULES["nis"], 2).limits._replace(stuck_after=3)
+    )
+    exact, model = floating(believed, np.float64), believed.kalman.model
+    gain, white = believed.gains()
+    rng, state, statistic = np.random.default_rng(4), np.zeros(2), 0.0
+    volts = np.array([0.0] * 6 + [12.0] * 24)
+    readings, wanted = np.zeros((3, 30)), []
+    same = np.zeros(2)
+    for k in range(30):
+        held = volts[k]
+        predicted = model.transition @ state + model.gain[:, 0] * held
+        seen = predicted + rng.normal(size=2) * [0.02, 1.0]
+        if k < 6:
+            seen[:] = 0.25, 3.0  # the same again and again, but the voltage is off
+        if 10 <= k < 15:
+            seen[1] = readings[1, 9]  # stuck from the third repetition on
+        if k == 18:
+            seen[0] = np.nextafter(believed.limits.current_a, 99.0)
+        if k == 19:
+            seen[0] = np.nan
+        if k == 20:
+            readings[2, k] = 25.0  # the voltage of before holds
+        readings[:2, k] = seen
+        readings[2, k] = readings[2, k] or held
+        same = np.where((k > 0) & (seen == readings[:2, k - 1]) & (held > 0.0), same + 1, 0)
+        verdict = 3 if k in (18, 19, 20) else 2 if (same >= 3).any() else 0
+        state = predicted
+        if verdict == 0:
+            off = seen - predicted
+            state, statistic = predicted + gain[0] @ off, float(np.square(white[0] @ off).sum())
+            verdict = int(statistic > 1.0)
+        wanted.append((verdict, statistic))
+    found = answers(exact, readings[None])
+    assert found.verdict[0].tolist() == [verdict for verdict, _ in wanted]
+    assert {0, 2, 3} <= set(found.verdict[0].tolist())
+    np.testing.assert_allclose(found.statistic[0], [value for _, value in wanted], rtol=1e-9, atol=1e-12)
+
+
+def test_readings_are_counts() -> None:
+    believed = monitor(RULES["cusum"], 2)
+    numbers = fixed_point(believed, Steps(0.1, 2.0, 0.5))
+    measured = np.array([[[0.24, 0.26], [3.1, -2.9]]])
+    assert readings_of(numbers, measured, [12.0, 11.8]).tolist() == [[[2, 3], [2, -1], [24, 24]]]
+    assert readings_of(floating(believed, np.float64), measured, 12.0).tolist() == [
+        [[0.24, 0.26], [3.1, -2.9], [12.0, 12.0]]
+    ]
+    with pytest.raises(ValueError, match="readings must have 3 columns, got 2"):
+        answers(numbers, np.zeros((1, 2, 4), dtype=np.int64))
+
+
+@pytest.mark.parametrize("n_channels", [1, 2])
+def test_a_self_test_is_a_start_with_a_fault_and_a_wrong_reading(n_channels: int) -> None:
+    """Eight healthy samples, half a standard deviation up and down; then a current that is off until it alarms."""
+    believed = monitor(RULES["cusum"], n_channels)
+    exact = floating(believed, np.float64)
+    model, state, noise = believed.kalman.model, np.zeros(2), np.array([0.02, 1.0])
+    offs = []
+    found = checks(believed, exact)
+    assert [check.verdict for check in found[:8]] == ["HEALTHY"] * 8
+    assert [check.verdict for check in found].count("FAULT") > 0
+    assert (len(found), found[-1].verdict) == (16, "SENSOR_RANGE")
+    for k, check in enumerate(found):
+        state = model.transition @ state + model.gain[:, 0] * 12.0
+        off = (check.readings[:-1] - state[:n_channels]) / noise[:n_channels] - (0.5 if k % 2 == 0 else -0.5)
+        assert check.readings[-1] == 12.0
+        if k < 8:
+            np.testing.assert_allclose(off, 0.0, atol=1e-9)
+        elif k < 15:
+            offs.append(off[0])
+            np.testing.assert_allclose(off[1:], 0.0, atol=1e-9)
+    assert found[-1].readings[0] == pytest.approx(4.0 * believed.limits.current_a)
+    assert offs == pytest.approx([offs[0]] * 7)
+    assert np.log2(offs[0] / 4.0) == pytest.approx(round(np.log2(offs[0] / 4.0)))
+    told = answers(exact, np.array([check.readings for check in found]).T[None])
+    np.testing.assert_allclose([check.statistic for check in found], told.statistic[0])
+
+
+@pytest.mark.parametrize("fixed", [True, False])
+@pytest.mark.parametrize("rule", ["cusum", "nis"])
+def test_the_source_holds_the_numbers_of_its_twin(fixed: bool, rule: str, tmp_path: Path) -> None:
+    """Read back from the text; that it computes as its twin does is tested with a compiler (long)."""
+    believed = replace(monitor(RULES[rule], 2, scheduled=rule == "nis"), name="my/motor")
+    steps = Steps.suited(believed.limits) if fixed else None
+    files = write_library(believed, tmp_path, steps=steps, name="m", wanted="1 a year")
+    source, header = (tmp_path / f"src/m.{ending}" for ending in ("c", "h"))
+    assert {source, header} <= set(files)
+    text, head = source.read_text(encoding="utf-8"), header.read_text(encoding="utf-8")
+    numbers = fixed_point(believed, steps) if steps else floating(believed)
+
+    def table(name: str) -> NDArray[np.float64]:
+        found = re.search(rf"\b{name}\[.*?= (\{{.*?\}});", text, re.DOTALL)
+        assert found is not None
+        return np.array([float(each) for each in re.findall(r"-?\d[\d.]*(?:e[-+]?\d+)?", found[1])])
+
+    rows = np.concatenate([row.factors for row in (*numbers.gain, *numbers.white)], axis=1)
+    np.testing.assert_array_equal(table("GAINS").astype(numbers.dtype), rows.ravel())
+    assert (len(rows) > 1) == ("monitor->sample" in text) == (rule == "nis")
+    np.testing.assert_allclose(
+        table("MODEL"), np.concatenate([row.factors[0] for row in numbers.model]), rtol=1e-7
+    )
+    if rule == "cusum":
+        np.testing.assert_allclose(table("HALVES"), numbers.halves, rtol=1e-7)
+    assert ("int64_t" in text, "monitor->sums" in text) == (fixed, rule == "cusum")
+    assert "Monitor of my_motor" in text
+    assert "#define M_RATE_HZ 10000\n" in head
+    sketch = next(path for path in files if path.suffix == ".ino").read_text(encoding="utf-8")
+    assert "due_us += 100UL;" in sketch
+    counts = (1e-6, 1e-4, 1e-6) if fixed else (1.0, 1.0, 1.0)
+    for name, count in zip(("CURRENT_COUNT_A", "SPEED_COUNT_RAD_S", "VOLTAGE_COUNT_V"), counts, strict=True):
+        found = re.search(rf"{name} (\S+)f", head)
+        assert found is not None
+        assert float(found[1]) == pytest.approx(count)
+    statistic = re.search(r"M_STATISTIC_COUNT (\S+)f", head)
+    assert statistic is not None
+    assert np.float32(statistic[1]) == (2.0**-26 if fixed else 1.0)
+    share = f"* {np.float32(2.0**-numbers.memory)!s}f"
+    assert (share in text) == (not fixed and rule == "cusum")
+    assert "off > 0 ||" in text if fixed else "off > 1e-3f" in text
+    assert text.count("M_SENSOR_RANGE }") == 1
