@@ -1,7 +1,9 @@
 """The lab: what it computes, and what its server refuses."""
 
 import http.client
+import io
 import json
+import re
 import socket
 import tempfile
 import time
@@ -15,14 +17,18 @@ import numpy as np
 import pytest
 from running_lab import running_lab, write_start
 
-from motor_env.apps import lab
+from motor_env.apps import lab, lab_shelf
+from motor_env.apps.lab_server import _Handler, make_server  # its reading is tested without a connection
 from motor_env.apps.lab_shelf import LARGEST_UPLOAD_BYTES
 from motor_env.cli import main
+from motor_env.detection.rules import Cusum, MOfN, in_a_row
 from motor_env.errors import InputError
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
+from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.parameters import CATALOGUE, SensorParameters
 from motor_env.motor.toml_files import from_dict
+from motor_env.simulation.simulate import Scenario, Timing, simulate, simulate_states
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +153,173 @@ def test_verdicts_on_simulated_starts(kind: str, expected: str) -> None:
 def test_settings_are_checked(document: object, sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         from_dict(lab.Settings, document, "the settings")  # type: ignore[arg-type]  # what a page may send
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high"),
+    [
+        ("severity_percent", 0.0, 60.0),
+        ("noise_ma", 1.0, 200.0),
+        ("resistance_percent", -10.0, 10.0),
+        ("friction_percent", -10.0, 10.0),
+        ("false_alarm_percent", 0.1, 20.0),
+        ("seed", 0, 1_000_000),
+    ],
+)
+def test_sliders_end_where_they_say(name: str, low: float, high: float) -> None:
+    for value in (low, high):
+        lab.Settings(**{name: value})  # type: ignore[arg-type]
+    for value in (np.nextafter(low, -1e9), np.nextafter(high, 1e9)):
+        with pytest.raises(ValueError, match=re.escape(f"{name} must lie in {low:g} .. {high:g}")):
+            lab.Settings(**{name: float(value)})  # type: ignore[arg-type]
+    offered = lab.options()
+    assert offered["ranges"][name] == (low, high)
+    assert low <= offered["defaults"][name] <= high
+
+
+def test_curves_are_those_of_the_start() -> None:
+    """Every curve from the simulation, the filter and the rule themselves."""
+    settings = lab.Settings(
+        kind="bearing",
+        severity_percent=30.0,
+        noise_ma=30.0,
+        resistance_percent=4.0,
+        friction_percent=-3.0,
+        false_alarm_percent=2.0,
+        rule="nis",
+        seed=5,
+    )
+    paper = CATALOGUE["paper"]
+    own = paper.scaled(resistance_ohm=1.04, viscous_friction_n_m_s_per_rad=0.97)
+    timing = Timing(sampling_rate_hz=10_000.0, duration_s=0.3, quiet_s=0.1)
+    sensor = SensorParameters(current_noise_a=0.03)
+    start = simulate(Scenario(own, (Fault(FaultKind.BEARING, 0.3),), sensor=sensor, timing=timing), 5, [0])
+    told = lab.simulated(settings)
+    current, n = start.measurements[0, 0], len(start.time_s)
+    expected = simulate_states(paper, start.voltage_v[0], 1e-4)[:, 0]
+    belief = KalmanFilter.from_parameters(paper, sensor, 1e-4, process_noise_std=(1e-9, 1e-9))
+    rule = MOfN(3, 5)
+    statistic = rule.statistic(run_filter(belief, start.measurements[0], start.voltage_v[0]).whitened)
+    wanted = {
+        "time_ms": 1e3 * start.time_s,
+        "measured_a": current,
+        "expected_a": expected,
+        "statistic": statistic,
+    }
+    for name, curve in wanted.items():
+        np.testing.assert_allclose(told[name], curve, rtol=1e-5, atol=1e-9, err_msg=name)
+    away = current - expected
+    for k in (25, 1000, n - 25):  # 25 samples before, 24 after
+        assert told["averaged_a"][k] == pytest.approx(away[k - 25 : k + 25].mean(), rel=1e-5)
+    assert told["averaged_a"][0] == pytest.approx(np.r_[away[25:0:-1], away[:25]].mean(), rel=1e-4)
+    assert told["averaged_band_a"] == pytest.approx(2.0 * 0.03 / 50.0**0.5)
+    threshold = rule.threshold_for(false_alarm_probability=0.02, n_samples=n, n_channels=1).value
+    assert told["threshold"] == threshold
+    assert told["alarm_ms"] == pytest.approx(1e3 * start.time_s[np.argmax(statistic > threshold)])
+    assert told["noise_a"] == pytest.approx(0.03)
+    quiet = lab.simulated(lab.Settings(kind="healthy", rule="nis"))
+    assert quiet["alarm_ms"] is None
+    assert max(quiet["statistic"]) < quiet["threshold"]
+    assert {
+        "cusum": ("CUSUM", Cusum(0.3, two_sided=True)),
+        "nis": ("NIS, 3 of 5", rule),
+        "row": ("NIS, 3 in a row", in_a_row(3)),
+    } == lab.RULES
+
+
+def test_a_roc_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shares of starts at or above each threshold, of the healthy motor without tolerances and of the faulty one."""
+    settings = lab.Settings(
+        resistance_percent=3.0, friction_percent=2.0, false_alarm_percent=10.0, rule="nis"
+    )
+    rng, limit = np.random.default_rng(3), lab.simulated(settings)["threshold"]
+    healthy, faulty = rng.normal(limit - 2.0, 1.0, 200), rng.normal(limit, 1.0, 200)
+    asked: list[lab.Settings] = []
+
+    def largest(one: lab.Settings) -> Any:
+        asked.append(one)
+        return healthy if one.kind == "healthy" else faulty
+
+    with monkeypatch.context() as patched:
+        patched.setattr(lab, "_largest_statistics", largest)
+        told = lab.roc(settings)
+    assert [(one.kind, one.resistance_percent, one.friction_percent) for one in asked] == [
+        ("healthy", 0.0, 0.0),
+        ("bearing", 3.0, 2.0),
+    ]
+    thresholds = np.quantile(healthy, np.linspace(0.0, 1.0, 101))[::-1]
+    wanted = [[0.0, *((values >= t).mean() for t in thresholds)] for values in (healthy, faulty)]
+    wanted[1][0] = float((faulty > healthy.max()).mean())
+    np.testing.assert_allclose([told["false_alarms"], told["found"]], wanted, rtol=1e-5)
+    assert told["at"] == pytest.approx([0.1, (faulty > limit).mean()])
+    assert told["starts"] == 200
+    many = lab._largest_statistics(settings)  # of the same starts, the first of which the page shows
+    assert (len(many), many[0]) == (200, pytest.approx(max(lab.simulated(settings)["statistic"]), rel=1e-5))
+
+
+def test_a_verdict_shows_the_start_from_just_before_it() -> None:
+    told = lab.verdict(lab.Settings(kind="bearing", noise_ma=10.0))
+    curves, start = told["curves"], lab.start_of(lab.Settings(kind="bearing", noise_ma=10.0))
+    onset = int(np.argmax(start.voltage_v[0] > 0.0))
+    assert curves["time_ms"][0] == pytest.approx(-2.0, abs=0.15)  # 20 samples
+    assert np.diff(curves["time_ms"]) == pytest.approx(
+        0.2, abs=1e-3
+    )  # every other sample: 1,200 to 2,400 points
+    current, begin = start.measurements[0, 0], round(onset + 10.0 * curves["time_ms"][0])
+    near = [k for k in range(begin - 2, begin + 3) if abs(current[k] - curves["measured_a"][0]) < 1e-6]
+    assert near
+    assert {len(curve) for curve in curves.values()} == {len(curves["time_ms"])}
+    shown = np.array(curves["measured_a"]) - curves["fitted_a"]
+    np.testing.assert_allclose(shown, curves["residual_a"], atol=2e-5)
+    middle = len(shown) // 2  # the motor runs steadily
+    seen = current[near[0] + 2 * middle - 25 : near[0] + 2 * middle + 25]
+    assert curves["beyond_a"][middle] == pytest.approx(seen.mean() - curves["healthy_a"][middle], abs=1e-6)
+
+
+def test_names_and_sizes_of_files_end_where_they_say(tmp_path: Path) -> None:
+    assert lab_shelf.shown_name("a" * 90) == "a" * 80
+    assert lab_shelf.shown_name("\n\x00") == "recording"
+    endings = {
+        "a.CSV": ".csv",
+        "a.z": ".z",
+        "a.abcdefgh": ".abcdefgh",
+        "a.abcdefghi": ".csv",
+        "a.b-c": ".csv",
+        "a": ".csv",
+    }
+    assert {name: lab_shelf.ending_of(name) for name in endings} == endings
+    lab_shelf.check_size(bytes(LARGEST_UPLOAD_BYTES))
+    shelf, own = lab_shelf.Shelf(), Path("examples/motor.toml").read_bytes()
+    shelf.healthy = [tmp_path] * 19
+    assert shelf.keep("motor", "m.csv", own) == {"name": "m.csv", "reference": "own motor", "healthy": 19}
+    shelf.healthy = [tmp_path] * 20
+    with pytest.raises(InputError, match="at most 20 healthy starts"):
+        shelf.keep("motor", "m.toml", own)
+    shelf.clear()
+    for port in (-1, 65_536):
+        with pytest.raises(InputError, match=f"port must lie in 0 .. 65535, got {port}"):
+            make_server(port)
+
+
+class Told(_Handler):
+    """A handler without a connection."""
+
+    def __init__(self, length: str, body: bytes = b"") -> None:
+        self.headers = http.client.HTTPMessage()
+        self.headers["Content-Length"] = length
+        self.rfile = io.BytesIO(body)  # type: ignore[assignment]  # what a request would be read from
+
+
+def test_requests_are_read_in_pieces_and_up_to_their_largest_length() -> None:
+    body = bytes(150_000)
+    assert [len(piece) for piece in Told("", body)._chunks(150_000)] == [65_536, 65_536, 18_928]
+    assert [len(piece) for piece in Told("", body)._chunks(10)] == [10]
+    assert [len(piece) for piece in Told("", body[:7])._chunks(10)] == [7]  # the connection ended
+    assert Told("10000")._length(10_000) == 10_000
+    assert Told("10".zfill(15))._length(10_000) == 10
+    for length in ("10001", "10".zfill(16)):
+        with pytest.raises(InputError, match=r"at most 0\.01 MB can be taken"):
+            Told(length)._length(10_000)
 
 
 def test_uploads_are_data(server: str, tmp_path: Path) -> None:

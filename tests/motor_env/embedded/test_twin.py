@@ -272,6 +272,19 @@ def test_steps_must_suit_the_ranges(steps: Steps, words: str) -> None:
     )
 
 
+def test_a_factor_must_leave_a_bit_to_round() -> None:
+    """Whitened innovations grow as the threshold falls: below 2^29 a factor fits with a shift of 1."""
+    believed = monitor(RULES["one shift"])
+    steps = Steps.suited(believed.limits)
+    [row] = fixed_point(believed, steps).white
+    assert row.shift is not None
+    largest = float(row.factors[0, 0]) * 2.0**-row.shift * believed.thresholds[0]
+    [found] = fixed_point(replace(believed, thresholds=(largest / (0.9 * 2.0**29),)), steps).white
+    assert found.shift == 1
+    with pytest.raises(ValueError, match="is too large for fixed point"):
+        fixed_point(replace(believed, thresholds=(largest / (1.1 * 2.0**29),)), steps)
+
+
 def test_thresholds_share_the_false_alarms() -> None:
     """Rates add up but for 12 / sqrt(ARL0) of them that two sums give at once; one sum has them all to itself."""
     for arl0, overlap in ((1e6, 0.012), (1e4, 0.1)):
