@@ -1,0 +1,423 @@
+"""What a watch hands on and says, sample by sample: rates, borders of windows, looks, its state, its events.
+
+The judgement itself is put in its place by hand: that of real windows is tested in its own room.
+"""
+
+import json
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from motor_env.cli import main
+from motor_env.console import ExitStatus
+from motor_env.diagnosis.explanations import Change
+from motor_env.diagnosis.running.windows import WindowVerdict
+from motor_env.errors import InputError
+from motor_env.live import command, sources, watch as watching
+from motor_env.live.screen import showing
+from motor_env.live.sources import NEW_FILE, SILENCE, Notice, Piece, lines
+from motor_env.live.state import State
+from motor_env.live.watch import Event, Lesson, Watch
+from motor_env.motor.data_sheet import WindowReference
+from motor_env.motor.parameters import RAD_S_PER_RPM
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import Recording
+
+HEADER = b"speed_rpm,t_ms,voltage_mv,current_ma\n"
+REFERENCE = WindowReference(
+    windows=10,
+    window_s=0.0995,
+    degrees_of_freedom=13.0,
+    values=np.ones(4),
+    log_covariance=np.eye(4) * 1e-4,
+    terms=(),
+    physical=np.zeros(1),
+    hold="held",
+    dt_s=1e-3,
+    rms_volts=(11.0, 13.0),
+)
+
+
+def changes(*ratios: float, significant: bool = False) -> tuple[Change, ...]:
+    return tuple(
+        Change(name, ratio, 0.9, 1.1, significant) for name, ratio in zip("RKJB", ratios, strict=True)
+    )
+
+
+HEALTHY = WindowVerdict(0.0, "healthy", changes(1.01, 0.98, 1.02, 1.0))
+
+
+def samples(count: int, first_ms: float = 0.0) -> list[Piece]:
+    """Every millisecond; none of the columns stands still."""
+    return [f"{500 + k % 5},{first_ms + k},{12_000 + k},{100 + k % 7}\n".encode() for k in range(count)]
+
+
+class Judge:
+    """In the place of `judge_windows`: notes what it is given, and says what it is told to."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *verdicts: WindowVerdict | Exception) -> None:
+        self.given: list[tuple[Recording, float]] = []
+        self.verdicts = list(verdicts)
+        monkeypatch.setattr(watching, "judge_windows", self)
+
+    def __call__(self, recording: Recording, _: WindowReference, rate: float) -> list[WindowVerdict]:
+        self.given.append((recording, rate))
+        verdict = self.verdicts.pop(0) if self.verdicts else HEALTHY
+        if isinstance(verdict, Exception):
+            raise verdict
+        return [verdict]
+
+
+@pytest.fixture
+def judge(monkeypatch: pytest.MonkeyPatch) -> Judge:
+    return Judge(monkeypatch)
+
+
+def watched(
+    pieces: Sequence[Piece], state: State | None = None, per_year: float = 1.0, **changed: Any
+) -> list[Event]:
+    watch = Watch(replace(REFERENCE, **changed), state or State(), false_alarms_per_year=per_year)
+    return list(watch.events([HEADER, *pieces]))
+
+
+@pytest.mark.parametrize(
+    ("per_year", "rate"), [(2.0, 2.0 * 0.0995 / (365.25 * 24.0 * 3600.0) / 2.0), (1e12, 0.25)]
+)
+def test_a_window_gets_half_of_its_share_of_the_false_alarms(
+    judge: Judge, per_year: float, rate: float
+) -> None:
+    watched(samples(101), per_year=per_year)
+    assert [given for _, given in judge.given] == pytest.approx([rate], rel=1e-12)
+    assert Watch(REFERENCE, State(), false_alarms_per_year=per_year).rate == pytest.approx(rate, rel=1e-12)
+
+
+def test_windows_hold_the_samples_of_their_time_in_si_units(judge: Judge) -> None:
+    """The first sample a window's length after its begin is its last one; the next begins with the one after it."""
+    events = watched(samples(303, first_ms=5_000.0))
+    assert [event.time_s for event in events] == pytest.approx([5.1, 5.201, 5.302])
+    for k, (recording, _) in enumerate(judge.given):
+        place = 101 * k + np.arange(101)
+        np.testing.assert_allclose(recording.time_s, 5.0 + 1e-3 * place, atol=1e-9)
+        assert recording.voltage_v is not None
+        assert recording.speed_rad_s is not None
+        np.testing.assert_allclose(recording.voltage_v, 12.0 + 1e-3 * place)
+        np.testing.assert_allclose(recording.current_a, 0.1 + 1e-3 * (place % 7))
+        np.testing.assert_allclose(recording.speed_rad_s, (500.0 + place % 5) * RAD_S_PER_RPM)
+
+
+def test_a_pause_of_more_than_twenty_intervals_is_a_gap(judge: Judge) -> None:
+    assert watched([*samples(50), *samples(25, 68.9)]) == []
+    (event,) = watched([*samples(50), *samples(60, 69.2)])
+    assert (event.kind, event.text) == ("gap", "0.0202 s without a sample")
+    assert event.time_s == pytest.approx(0.0692)
+    (event,) = watched([*samples(50), *samples(50, 46.0)])
+    assert (event.kind, event.text) == ("time_jump", "0.003 s back")
+    (event,) = watched([*samples(50), *samples(50, 49.0)])
+    assert event.kind == "time_jump"
+    assert judge.given == []
+    assert [e.kind for e in watched([*samples(90), *samples(101, 500.0)])] == ["gap", "window"]
+
+
+def stuck(count: int, volts: int = 12_000, first: int = 50) -> list[Piece]:
+    return [f"{500 + k % 3},{k},{volts},105\n".encode() for k in range(first, first + count)]
+
+
+def test_two_hundred_equal_currents_are_a_stuck_sensor(judge: Judge) -> None:
+    assert watched([*samples(50), *stuck(200)], window_s=10.0) == []
+    for more in (0, 50):
+        (event,) = watched([*samples(50), *stuck(201 + more)], window_s=10.0)
+        assert (event.kind, event.text) == ("stuck_sensor", "200 times the current 0.105 A")
+        assert event.time_s == pytest.approx(0.25)
+    assert watched([*samples(50), *stuck(300, volts=0)], window_s=10.0) == []
+    events = watched([*samples(50), *stuck(230), *samples(101, 280.0)])
+    assert [event.kind for event in events] == ["window", "stuck_sensor", "stuck_sensor", "window"]
+    np.testing.assert_allclose(judge.given[-1][0].time_s[[0, -1]], [0.28, 0.38])
+
+
+@pytest.mark.parametrize(("name", "row"), [("current", "{s},{k},12000,105"), ("speed", "480,{k},12000,{c}")])
+def test_a_window_with_a_sensor_that_stands_still_is_not_judged(judge: Judge, name: str, row: str) -> None:
+    still: list[Piece] = [(row.format(k=k, s=500 + k % 3, c=100 + k % 7) + "\n").encode() for k in range(101)]
+    (event,) = watched(still)
+    value = {"current": 0.105, "speed": 480.0 * RAD_S_PER_RPM}[name]
+    assert (event.kind, event.text) == ("stuck_sensor", f"the {name} of a whole window is {value:.6g}")
+    assert judge.given == []
+    rest: list[Piece] = [f"0,{k},0,0\n".encode() for k in range(101)]
+    assert [event.kind for event in watched(rest)] == ["window"]
+
+
+class FakeLooks:
+    """In the place of `Looks`: a look every 25 ms at the last 60 samples."""
+
+    made: ClassVar[list[tuple[float, list[float]]]] = []
+    seen: ClassVar[list[Recording]] = []
+    alarm: ClassVar[WindowVerdict | None] = None
+
+    def __init__(self, reference: WindowReference, rate: float, at: Any) -> None:
+        self.made.append((rate, at.tolist()))
+        self.every_s, self.window_s = 0.025, reference.window_s
+
+    def due(self, number: int) -> list[int]:
+        return [] if number % 4 == 2 else [1]
+
+    def needed_s(self, _: int) -> float:
+        return 0.0595
+
+    def at_end(self, recording: Recording, _: Sequence[int]) -> WindowVerdict | None:
+        FakeLooks.seen.append(recording)
+        return self.alarm
+
+
+@pytest.fixture
+def looks(monkeypatch: pytest.MonkeyPatch) -> type[FakeLooks]:
+    FakeLooks.made, FakeLooks.seen, FakeLooks.alarm = [], [], None
+    monkeypatch.setattr(watching, "Looks", FakeLooks)
+    return FakeLooks
+
+
+def test_looks_follow_a_healthy_window_and_reach_back_into_it(judge: Judge, looks: type[FakeLooks]) -> None:
+    watch = Watch(REFERENCE, State(), false_alarms_per_year=1.0)
+    events = list(watch.events([HEADER, *samples(202)]))
+    assert [event.kind for event in events] == ["window", "window"]
+    assert looks.made == [(watch.rate, pytest.approx(np.log([1.01, 0.98, 1.02, 1.0])))]
+    # The second window begins at 101 ms: looks at 126, (151 has none due), 176 and 201, where the window ends instead.
+    ends = [float(one.time_s[-1]) for one in looks.seen]
+    assert ends == pytest.approx([0.126, 0.176])
+    for one in looks.seen:
+        np.testing.assert_allclose(one.time_s, one.time_s[-1] - 1e-3 * np.arange(59.0, -1.0, -1.0), atol=1e-9)
+        np.testing.assert_allclose(one.voltage_v, 12.0 + one.time_s)  # type: ignore[arg-type]  # it has a voltage
+    assert watched([*samples(101), SILENCE, *samples(90, 101.0)])[-1].kind == "silence"
+    assert len(looks.seen) == 2
+    judge.verdicts = [replace(HEALTHY, verdict="bearing")]
+    watched(samples(190))
+    assert len(looks.made) == 1  # none after a window that is not healthy
+
+
+def test_an_alarm_of_a_look_is_said_once_with_its_span(judge: Judge, looks: type[FakeLooks]) -> None:
+    looks.alarm = WindowVerdict(0.0965, "bearing", changes(1.0, 1.0, 1.0, 1.4))
+    events = watched(samples(202))
+    assert [(event.text, event.span_s) for event in events] == [
+        ("healthy", None),
+        ("bearing", pytest.approx(0.0295)),
+        ("healthy", None),
+    ]
+    assert events[1].time_s == pytest.approx(0.126)
+    assert (events[1].ratios, len(looks.seen)) == ({}, 1)
+
+
+def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
+    moved = changes(1.0, 1.4, 1.8, 1.0, significant=True)
+    without_k = (moved[0], replace(moved[1], significant=False), *moved[2:])
+    verdicts = [
+        WindowVerdict(0.0, "bearing", changes(1.0, 1.0, 1.0, 1.34567)),
+        WindowVerdict(0.0, "other", moved),
+        WindowVerdict(0.0, "other", without_k),
+        WindowVerdict(0.0, "unusable", ()),
+        UnusableError("too short"),
+    ]
+    Judge(monkeypatch, *verdicts)
+    state = State()
+    told = [json.loads(event.as_json()) for event in watched(samples(505), state)]
+    assert told[0] == {
+        "time_s": pytest.approx(0.1),
+        "event": "window",
+        "verdict": "bearing",
+        "ratios": {"R": 1.0, "K": 1.0, "J": 1.0, "B": 1.3457},
+    }
+    assert [one["event"] for one in told[1:]] == ["another_motor", "window", "window", "window"]
+    assert [one.get("verdict") for one in told[2:]] == ["other", "unusable", "unusable"]
+    assert [one["reason"] for one in told[3:]] == ["no motor explains it", "too short"]
+    assert dict(state.counts) == {
+        "window bearing": 1,
+        "another_motor": 1,
+        "window other": 1,
+        "window unusable": 2,
+    }
+    late = Event(1.5, "window", "bearing", span_s=0.25).as_json()
+    assert json.loads(late) == {"time_s": 1.5, "event": "window", "verdict": "bearing", "span_s": 0.25}
+    assert json.loads(Event(0.0, "gap", "3 s").as_json()) == {"time_s": 0.0, "event": "gap", "reason": "3 s"}
+
+
+@pytest.mark.parametrize(
+    ("counts", "status"),
+    [
+        ({"window healthy": 3}, ExitStatus.HEALTHY),
+        ({"window healthy": 3, "gap": 2, "malformed": 1}, ExitStatus.HEALTHY),
+        ({"window healthy": 3, "window unusable": 1}, ExitStatus.UNDECIDED),
+        ({"gap": 1}, ExitStatus.UNDECIDED),
+        ({}, ExitStatus.UNDECIDED),
+        ({"window healthy": 3, "window unusable": 1, "window bearing": 1}, ExitStatus.FAULT),
+        ({"window bearing": 0, "window healthy": 1}, ExitStatus.HEALTHY),
+    ],
+)
+def test_exit_status_of_what_was_seen(counts: dict[str, int], status: ExitStatus) -> None:
+    state = State()
+    state.counts.update(counts)
+    assert state.exit_status == status
+
+
+def test_a_watch_goes_on_where_it_was(judge: Judge, tmp_path: Path) -> None:
+    """After a restart the offset, the counts and the names of the columns are those of before."""
+    first, path = State(), tmp_path / "state.json"
+    pieces = samples(101)
+    watched(pieces, first)
+    assert first.offset == len(HEADER) + sum(len(piece) for piece in pieces if isinstance(piece, bytes))
+    first.save(path)
+    again = State.load(path)
+    assert again == first
+    assert again.header == HEADER.decode().strip()
+    watch = Watch(REFERENCE, again, false_alarms_per_year=1.0)
+    assert [event.name for event in watch.events(samples(101, 101.0))] == ["window healthy"]
+    assert again.counts == {"window healthy": 2}
+    list(watch.events([Notice(NEW_FILE, "shrunk"), b"1,2,3,4\n"]))
+    assert again.offset == len(b"1,2,3,4\n")
+    assert State.load(tmp_path / "none.json") == State.load(None) == State()
+
+
+def test_headers_may_be_said_again_and_remarks_are_no_samples(judge: Judge) -> None:
+    swapped = b"current_a,time_s,voltage_v,speed_rad_s\n"
+    rows: list[Piece] = [f"{0.1 + k % 7},{k / 1e3},12,{k % 5}\n".encode() for k in range(101)]
+    watched([b"#1,2,3,4\n", b"\n", swapped, *rows])
+    np.testing.assert_allclose(judge.given[0][0].current_a, 0.1 + np.arange(101) % 7)
+    (event,) = watched([b"x" * 100 + b"\n"])
+    assert (event.kind, event.text) == ("malformed", "x" * 60)
+
+
+def test_a_lesson_takes_as_many_windows_as_were_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[Any] = []
+
+    def learn(recordings: list[Recording], window_s: float, *, steady: bool) -> WindowReference:
+        given.append((len(recordings), window_s, steady))
+        if len(given) == 1:
+            raise UnusableError("it stands still")
+        return REFERENCE
+
+    monkeypatch.setattr(watching, "learn_windows", learn)
+    judge = Judge(monkeypatch)
+    watch = Watch(Lesson(0.0995, 0.4975, steady=True), State(), false_alarms_per_year=1.0)
+    events = list(watch.events([HEADER, *samples(11 * 101)]))
+    learning = [f"{0.0995 * n:g} of 0.4975 s" for n in (1, 2, 3, 4)]
+    assert [event.text for event in events[:4]] == learning
+    assert [event.kind for event in events] == [
+        *(4 * ["learning"]),
+        "not_learned",
+        *(4 * ["learning"]),
+        "learned",
+        "window",
+    ]
+    assert events[4].text == "it stands still"
+    assert given == [(5, 0.0995, True)] * 2
+    assert len(judge.given) == 1
+    assert Lesson(0.1, 0.4).dt_s == math.inf
+    for window_s, learn_s in ((0.1, 0.399), (0.0, 1.0), (1.0, math.inf)):
+        with pytest.raises(InputError, match="learn must be at least 4 windows"):
+            Lesson(window_s, learn_s)
+
+
+def test_silence_is_said_after_five_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr(sources.time, "monotonic", lambda: now[0])
+
+    def pieces() -> Any:
+        for at, piece in (
+            (0.0, b"a\n"),
+            (4.99, b""),
+            (5.01, b""),
+            (9.0, b""),
+            (9.5, b"b\n"),
+            (14.4, b""),
+            (14.6, b""),
+        ):
+            now[0] = at
+            yield piece
+
+    told = [(now[0], piece) for piece in lines(pieces())]
+    assert told == [(0.0, b"a\n"), (5.01, SILENCE), (9.5, b"b\n"), (14.6, SILENCE)]
+    assert SILENCE.text == "no line for 5 s: is the cable in?"
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the command hands to `command.run`."""
+    found: dict[str, Any] = {}
+
+    def run(*places: Any, **options: Any) -> int:
+        found.update(options, places=places)
+        return 3
+
+    monkeypatch.setattr(command, "run", run)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("options", "window_s", "learn_s"),
+    [
+        (["--learn", "10min"], 30.0, 600.0),
+        (["--learn", "1h", "--window", "20s"], 20.0, 3600.0),
+        (["--learn", "90", "--window", "1500ms"], 1.5, 90.0),
+    ],
+)
+def test_durations_of_the_command(
+    asked: dict[str, Any], options: list[str], window_s: float, learn_s: float
+) -> None:
+    assert main(["watch", "m.toml", "log.csv", *options, "--steady", "--false-alarms-per-year", "7"]) == 3
+    lesson = asked["lesson"]
+    assert (lesson.window_s, lesson.learn_s, lesson.steady) == (window_s, learn_s, True)
+    assert asked["places"] == (Path("m.toml"), "log.csv")
+    assert asked["false_alarms_per_year"] == 7.0
+    assert main(["watch", "m.toml"]) == 3
+    assert (asked["lesson"], asked["false_alarms_per_year"], asked["baud"]) == (None, 1.0, 1_000_000)
+
+
+def test_a_time_that_is_none_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["watch", "m.toml", "--learn", "soon"]) == 2
+    assert "must be a time such as 20s or 10min, got 'soon'" in capsys.readouterr().err
+
+
+def test_the_command_reads_keeps_and_ends_with_its_status(
+    judge: Judge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, state = tmp_path / "log.csv", tmp_path / "state.json"
+    log.write_bytes(b"".join(piece for piece in [HEADER, *samples(150)] if isinstance(piece, bytes)))
+    monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(operation=REFERENCE))
+    run = ["watch", str(tmp_path / "m.toml"), str(log), "--state", str(state)]
+    assert main(run) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "healthy"
+    # What follows the last judged window is read again.
+    kept = json.loads(state.read_text())
+    assert kept["counts"] == {"window healthy": 1}
+    assert kept["offset"] == len(b"".join(log.read_bytes().splitlines(keepends=True)[:102]))
+    with log.open("ab") as file:
+        file.write(b"".join(piece for piece in samples(60, 150.0) if isinstance(piece, bytes)))
+    judge.verdicts = [WindowVerdict(0.0, "bearing", changes(1.0, 1.0, 1.0, 1.5))]
+    assert main(run) == 1
+    np.testing.assert_allclose(judge.given[-1][0].time_s[[0, -1]], [0.101, 0.201])
+    assert json.loads(state.read_text())["counts"] == {"window healthy": 1, "window bearing": 1}
+    assert main([*run[:2], "--follow"]) == 2
+    assert "--follow needs a log" in capsys.readouterr().err
+    monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(operation=None))
+    assert main(run) == 2
+    assert "was not commissioned with --window" in capsys.readouterr().err
+
+
+def test_a_terminal_shows_the_last_events_and_all_counts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("TERM", "dumb")
+    state = State()
+    state.counts.update({"window healthy": 11, "gap": 2})
+    with showing(state.counts) as show:
+        for n in range(9):
+            show(Event(float(n), "window", "bearing", {"R": 1.0, "B": 1.25}, "odd"))
+    said = capsys.readouterr().out
+    assert "R +0.0%, B +25.0%" in said
+    assert "11 window healthy, 2 gap" in said
+    assert said.count("bearing odd") == 8

@@ -1,0 +1,467 @@
+"""Wear and its laws number by number: against brute force, closed forms, and borders on hand-made fits."""
+
+import json
+import math
+import os
+import re
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import invgauss, norm
+
+from motor_env.cli import main
+from motor_env.errors import InputError
+from motor_env.motor.parameters import FloatArray
+from motor_env.prognosis.estimates import Series, build_series, read_estimates
+from motor_env.prognosis.laws import at_one_temperature, earliest, last_jump, withheld
+from motor_env.prognosis.page import page
+from motor_env.prognosis.trend import describe, judge
+from motor_env.prognosis.wear import Degradation, RemainingLife
+from motor_env.prognosis.wear_fit import degradation
+
+
+def array(*values: float) -> FloatArray:
+    return np.array(values)
+
+
+def wear(
+    *,
+    weights: FloatArray | None = None,
+    level: FloatArray | None = None,
+    drift: FloatArray | None = None,
+    covariance: FloatArray | None = None,
+    onset: float = 0.0,
+    diffusion: float = 0.1,
+    scatter: float = 0.0,
+    limit: float = 1.5,
+    sign: float = 1.0,
+) -> Degradation:
+    """What estimates might tell, made by hand; one hypothesis unless more are given."""
+    weights = array(1.0) if weights is None else weights
+    n = len(weights)
+    return Degradation(
+        weights=weights,
+        onset=np.full(n, onset),
+        diffusion=np.full(n, diffusion),
+        scatter=np.full(n, scatter),
+        level=np.ones(n) if level is None else level,
+        drift=np.full(n, 0.01) if drift is None else drift,
+        covariance=np.full((n, 2, 2), 1e-12 * np.eye(2)) if covariance is None else covariance,
+        limit=limit,
+        sign=sign,
+        probability_trend=1.0,
+    )
+
+
+def series(values: FloatArray, error: float = 0.01, name: str = "x", step: float = 1.0) -> Series:
+    return Series(name, step * np.arange(float(len(values))), values, np.full(len(values), error))
+
+
+def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
+    """Every hypothesis as one joint Gaussian; grid and priors as the model states them."""
+    rng = np.random.default_rng(2)
+    time = np.cumsum(rng.uniform(0.5, 2.0, 9)) + 3.0
+    value = 1.0 - 0.012 * (time - time[0]) + 0.01 * rng.standard_normal(9)
+    error, limit, n = rng.uniform(0.004, 0.012, 9), 0.8, 9
+    found = degradation(time, value, error, limit)
+
+    distance = abs(limit - value[:3].mean())
+    typical = max(np.median(error), 0.3 * np.median(np.abs(np.diff(value))) / 0.954)
+    sizes = np.geomspace(0.004, 2.5, 12)
+    scatters = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])
+    sd0, y = 10.0 * (distance + np.ptp(value)), -value
+    rows = []
+    prior_d = sizes / (1.0 + (sizes / 0.3) ** 2)
+    prior_s = 1.0 / (1.0 + scatters**2)
+    drifting = [(k, d, s) for k in range(n - 1) for d in range(12) for s in range(7)]
+    for onset, d, s in [*drifting, *((n, -1, s) for s in range(7))]:
+        prior = prior_s[s] / prior_s.sum() / 2.0
+        elapsed, slope_sd, diffusion = np.zeros(n), 0.0, 0.0
+        if onset < n:
+            prior *= prior_d[d] / prior_d.sum() / (n - 1)
+            elapsed = np.maximum(time - time[onset], 0.0)
+            slope_sd = 0.7 * distance / (time[-1] - time[onset])
+            diffusion = sizes[d] * distance / math.sqrt(time[-1] - time[0])
+        signal = sd0**2 + slope_sd**2 * np.outer(elapsed, elapsed)
+        signal += diffusion**2 * np.minimum.outer(elapsed, elapsed)
+        joint = signal + np.diag(error**2 + (scatters[s] * typical) ** 2)
+        gain = np.stack([signal[-1], slope_sd**2 * elapsed]) @ np.linalg.inv(joint)
+        mean = array(y[0], 0.0) + gain @ (y - y[0])
+        ahead = array(slope_sd**2 * elapsed[-1], slope_sd**2)
+        both = np.array([[signal[-1, -1], ahead[0]], [ahead[0], ahead[1]]])
+        both = both - gain @ np.stack([signal[-1], slope_sd**2 * elapsed], axis=1)
+        off = y - y[0]
+        log = -0.5 * (off @ np.linalg.solve(joint, off) + np.linalg.slogdet(2.0 * math.pi * joint)[1])
+        rows.append((prior, log, onset < n, *mean, both[0, 0], both[0, 1], both[1, 1], diffusion))
+    prior, log, moves, level, drift, p00, p01, p11, diffusion = np.array(rows).T
+    weight = prior * np.exp(log - log.max())
+    share_moving = weight[moves > 0.0].sum() / weight.sum()
+    weight = np.where(moves > 0.0, weight, 0.0) / weight[moves > 0.0].sum()
+    # Grid points that hold together less than 0.002 of the weight are left out.
+    order = np.argsort(weight)[::-1]
+    kept = order[: int(np.searchsorted(np.cumsum(weight[order]), 1.0 - 0.002)) + 1]
+    assert len(found.weights) == len(kept)
+    w = weight[kept] / weight[kept].sum()
+    np.testing.assert_allclose(np.sort(found.weights), np.sort(w), rtol=1e-6)
+    towards = w @ norm.cdf(drift[kept] / np.sqrt(p11[kept]))
+    assert found.probability_trend == pytest.approx(share_moving * towards, rel=1e-8)
+    assert found.mean_drift == pytest.approx(-(w @ drift[kept]), rel=1e-8)
+    spread = w @ (p11[kept] + (drift[kept] - w @ drift[kept]) ** 2)
+    assert found.drift_std == pytest.approx(math.sqrt(spread), rel=1e-7)
+    mean, sd = found.forecast(2.5)
+    each = level[kept] + 2.5 * drift[kept]
+    variance = p00[kept] + 5.0 * p01[kept] + 6.25 * p11[kept] + 2.5 * diffusion[kept] ** 2
+    assert mean == pytest.approx(-(w @ each), rel=1e-8)
+    assert sd == pytest.approx(math.sqrt(w @ (variance + (each - w @ each) ** 2)), rel=1e-7)
+
+
+def test_many_estimates_have_twenty_onsets_and_the_first_tenth_sets_the_distance() -> None:
+    value = np.concatenate([np.full(3, 1.2), np.ones(57)]) + 1e-3 * np.random.default_rng(1).standard_normal(
+        60
+    )
+    found = degradation(np.arange(60.0), value, np.full(60, 1e-3), 1.05)
+    assert set(found.onset) <= set(np.linspace(0.0, 58.0, 20).round())
+    assert found.sign == -1.0  # the first six lie at 1.1 in the mean
+
+
+def test_the_typical_error_is_the_larger_of_what_is_said_and_what_neighbours_show() -> None:
+    """Scatters are multiples of it; the least that is not none is 0.35 of it."""
+    value = 1.0 + 0.1 * (-1.0) ** np.arange(8.0) * np.linspace(1.0, 1.01, 8)
+    for said, typical in ((0.5, 0.5), (1e-4, 0.3 * np.median(np.abs(np.diff(value))) / 0.954)):
+        found = degradation(np.arange(8.0), value, np.full(8, said), 1.5).scatter
+        steps = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)]) * typical
+        assert np.abs(found[:, None] - steps).min(axis=1).max() < 1e-12
+
+
+def test_the_life_of_a_known_drift_is_inverse_gaussian() -> None:
+    """Distance 0.5, drift 0.01, diffusion 0.03; the quantiles are interpolated between times 17 % apart."""
+    one = wear(diffusion=0.03)
+    law = invgauss(0.03**2 / (0.01 * 0.5), scale=0.5**2 / 0.03**2)
+    for level in (0.5, 0.9):
+        life = one.remaining_life(level)
+        expected = law.ppf([0.5 - level / 2.0, 0.5, 0.5 + level / 2.0])
+        np.testing.assert_allclose([life.low, life.median, life.high], expected, rtol=0.01)
+        assert life.level == level
+    assert one.remaining_life() == one.remaining_life(0.9)
+    assert (life.probability_reached, life.probability_ever) == (0.0, pytest.approx(1.0))
+    away = wear(drift=array(-0.01), diffusion=0.03).remaining_life()
+    assert away.probability_ever == pytest.approx(math.exp(-2.0 * 0.01 * 0.5 / 0.03**2), rel=1e-6)
+    assert (away.median, away.high) == (math.inf, math.inf)
+    down = replace(one, level=array(-1.0), limit=0.5, sign=-1.0)
+    np.testing.assert_allclose(down.remaining_life(), one.remaining_life())
+    for level in (0.0, 1.0):
+        with pytest.raises(ValueError, match="level must lie between 0 and 1"):
+            one.remaining_life(level)
+
+
+def test_an_uncertain_level_is_integrated_by_seven_points() -> None:
+    nodes, weights = np.polynomial.hermite_e.hermegauss(7)
+    sd, correlation, drift_sd = 0.2, -0.4, 0.02
+    covariance = np.array([[sd**2, correlation * sd * drift_sd], [correlation * sd * drift_sd, drift_sd**2]])
+    one = wear(level=array(1.4), drift=array(0.05), covariance=covariance[None])
+    reached = weights[1.4 + sd * nodes >= 1.5].sum() / weights.sum()
+    assert one.remaining_life().probability_reached == pytest.approx(reached)
+    # By simulation: level and drift are drawn together, then the first passage of a known drift.
+    rng = np.random.default_rng(3)
+    levels, drifts = rng.multivariate_normal([1.4, 0.05], covariance, 200_000).T
+    life, distance = 4.0, 1.5 - levels
+    with np.errstate(over="ignore", invalid="ignore"):
+        root = 0.1 * math.sqrt(life)
+        passed = norm.cdf((drifts * life - distance) / root)
+        passed += np.exp(2.0 * drifts * distance / 0.01) * norm.cdf((-drifts * life - distance) / root)
+    passed = np.where(distance <= 0.0, 1.0, passed)
+    assert float(one.cdf(life)) == pytest.approx(passed.mean(), abs=0.01)
+
+
+def test_the_axis_of_lives_spans_seven_decades_about_the_reach_over_the_pace() -> None:
+    covariance = np.array([[[0.01, 0.0], [0.0, 0.04]]])
+    for drift, pace in ((0.5, 0.5), (1e-4, 0.05 * 0.2)):
+        axis = wear(drift=array(drift), covariance=covariance).life_axis()
+        np.testing.assert_allclose(axis[[0, -1]], array(1e-4, 1e3) * (0.5 + 0.3) / pace)
+        assert len(axis) == 100
+
+
+def test_a_forecast_is_the_mixture_of_its_hypotheses() -> None:
+    """Three hypotheses that disagree in level and drift: by drawing from each."""
+    weights, level, drift = array(0.5, 0.3, 0.2), array(1.0, 1.3, 0.6), array(0.02, -0.05, 0.1)
+    covariance = np.array([[[0.01, c], [c, 0.0004]] for c in (0.001, -0.0015, 0.0)])
+    one = wear(weights=weights, level=level, drift=drift, covariance=covariance, diffusion=0.05)
+    ahead = array(0.0, 3.0)
+    mean, sd = one.forecast(ahead)
+    rng, drawn = np.random.default_rng(4), []
+    for w, at, slope, spread in zip(weights, level, drift, covariance, strict=True):
+        both = rng.multivariate_normal([at, slope], spread, int(400_000 * w))
+        walk = 0.05 * np.sqrt(ahead) * rng.standard_normal((len(both), 2))
+        drawn.append(both[:, :1] + both[:, 1:] * ahead + walk)
+    every = np.concatenate(drawn)
+    np.testing.assert_allclose(mean, every.mean(axis=0), atol=0.003)
+    np.testing.assert_allclose(sd, every.std(axis=0), rtol=0.005)
+    np.testing.assert_allclose(replace(one, sign=-1.0).forecast(ahead)[0], -mean)
+    assert one.mean_drift == pytest.approx(weights @ drift)
+    assert one.drift_std == pytest.approx(math.sqrt(0.0004 + weights @ (drift - weights @ drift) ** 2))
+
+
+def stepped(values: FloatArray, size: float, at: int, error: float) -> Series:
+    return series(values + size * (np.arange(len(values)) >= at), error)
+
+
+def largest_step(given: Series) -> tuple[float, int, float]:
+    """Size in robust standard deviations, place and height of the largest step, by fits of line and step."""
+    n, found = len(given.time), []
+    for k in range(3, n - 2):
+        some = slice(max(k - 8, 0), k + 8)
+        time = given.time[some]
+        design = np.stack([np.ones(len(time)), time, time >= given.time[k]], axis=1)
+        height = np.linalg.lstsq(design, given.estimate[some], rcond=None)[0][2]
+        found.append((k, height, height / math.sqrt(np.linalg.inv(design.T @ design)[2, 2])))
+    z = array(*(each[2] for each in found))
+    spread = max(1.4826 * np.median(np.abs(z)), 0.5 * np.median(given.standard_error))
+    best = int(np.argmax(np.abs(z)))
+    return float(abs(z[best]) / spread), found[best][0], found[best][1]
+
+
+@pytest.mark.parametrize("error", [0.01, 0.2])
+def test_a_jump_is_a_step_of_six_robust_deviations(error: float) -> None:
+    values = 1.0 + 0.002 * np.arange(60.0) + 0.01 * np.random.default_rng(7).standard_normal(60)
+    size = 0.05
+    for _ in range(12):  # to the border
+        size *= 6.0 / largest_step(stepped(values, size, 30, error))[0]
+    below, above = (stepped(values, factor * size, 30, error) for factor in (0.995, 1.005))
+    assert largest_step(below)[0] == pytest.approx(6.0, rel=0.006)
+    assert last_jump(below) is None
+    found = last_jump(above)
+    assert found is not None
+    _, place, height = largest_step(above)
+    assert found == (place, pytest.approx(height, rel=1e-9))
+
+
+def test_of_two_jumps_the_last_counts_and_few_estimates_have_none() -> None:
+    values = 0.001 * np.random.default_rng(7).standard_normal(90) + 1.0
+    twice = values + 0.012 * (np.arange(90) >= 22) - 0.012 * (np.arange(90) >= 68)
+    found = last_jump(series(twice, 1e-3))
+    assert found is not None
+    assert found[0] == 68
+    assert found[1] == pytest.approx(-0.012, abs=0.003)
+    assert last_jump(series(twice[19:26], 1e-3)) is None
+
+
+def test_estimates_are_taken_to_the_first_temperature() -> None:
+    given = series(np.ones(5), 0.1, "R")
+    kelvin = Series("temperature_c", array(0.0, 4.0), array(20.0, 40.0), np.zeros(2))
+    for name, slope in (("R", 0.00393), ("B/J", -0.003), ("K^2/J", -0.002), ("K/V", -0.001), ("else", 0.0)):
+        found = at_one_temperature(replace(given, name=name), kelvin)
+        expected = np.exp(-slope * 5.0 * np.arange(5.0))
+        np.testing.assert_allclose(found.estimate, expected, rtol=1e-12)
+        np.testing.assert_allclose(found.standard_error, 0.1 * expected, rtol=1e-12)
+
+
+def test_a_change_that_30_kelvin_explain_is_withheld() -> None:
+    limit = 30.0 * 0.00393
+    for change, is_withheld in ((0.995 * limit, True), (1.005 * limit, False)):
+        for sign in (1.0, -1.0):
+            given = series(1.0 + sign * change * np.linspace(0.0, 1.0, 21), 1e-3, "R")
+            one = wear(
+                level=array(sign * given.estimate[-1] + given.estimate[:3].mean() * sign - sign), sign=sign
+            )
+            said = withheld(given, one, knows_temperature=False)
+            assert ("temperature by 30 K" in said) is is_withheld
+            assert "temperature" not in withheld(given, one, knows_temperature=True)
+
+
+def test_a_drift_below_three_standard_deviations_is_withheld() -> None:
+    given = series(1.0 + 0.01 * np.arange(7.0))
+    for drift, is_withheld in ((0.0299, True), (0.0301, False)):
+        for sign in (1.0, -1.0):
+            covariance = np.array([[[1e-6, 0.0], [0.0, 1e-4]]])
+            one = wear(level=array(sign * 1.06), drift=array(drift), covariance=covariance, sign=sign)
+            assert ("chance alone" in withheld(given, one, knows_temperature=True)) is is_withheld
+
+
+def bent(bend: float, n: int = 21) -> Series:
+    time = np.arange(float(n))
+    return series(1.0 + 0.01 * time + bend * np.maximum(time - 0.5 * (n - 1), 0.0), 0.02, step=1.0)
+
+
+def drift_change(given: Series, diffusion: float, scatter: float) -> float:
+    """Change of slope in the middle, in standard deviations, by generalised least squares on level and two slopes."""
+    time = given.time - given.time[0]
+    middle = 0.5 * time[-1]
+    covariance = diffusion**2 * np.minimum.outer(time, time) + np.diag(given.standard_error**2 + scatter**2)
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    design = root @ np.stack([np.ones(len(time)), time, np.maximum(time - middle, 0.0)], axis=1)
+    found, *_ = np.linalg.lstsq(design, root @ given.estimate, rcond=None)
+    return float(found[2] / math.sqrt(np.linalg.inv(design.T @ design)[2, 2]))
+
+
+def test_a_drift_that_changes_by_two_standard_deviations_is_withheld() -> None:
+    diffusion, scatter = 0.03, 0.015
+    bend = 2.0 / drift_change(bent(1.0), diffusion, scatter)
+    bend -= bend * drift_change(bent(0.0), diffusion, scatter) / 2.0
+    one = wear(diffusion=diffusion, scatter=scatter, level=array(3.0))
+    for factor, word in ((1.005, "accelerates"), (0.995, ""), (-0.995, ""), (-1.005, "slows down")):
+        given = bent(factor * bend)
+        assert drift_change(given, diffusion, scatter) == pytest.approx(2.0 * factor, rel=1e-6)
+        said = withheld(given, one, knows_temperature=True)
+        assert (word in said) if word else said == ""
+    late = wear(diffusion=diffusion, scatter=scatter, level=array(3.0), onset=14.0)
+    assert withheld(bent(1.0), late, knows_temperature=True) == ""  # seven estimates since the onset
+    assert withheld(bent(1.0), replace(late, onset=array(13.0)), knows_temperature=True) == ""
+    curved = series(1.0 + 0.01 * np.arange(21.0) + 0.05 * np.maximum(np.arange(21.0) - 17.0, 0.0) ** 2, 0.02)
+    assert "accelerates" in withheld(curved, replace(late, onset=array(13.0)), knows_temperature=True)
+    assert withheld(curved, late, knows_temperature=True) == ""
+
+
+def test_the_earliest_end_is_that_of_the_fastest_growth_which_is_not_excluded() -> None:
+    rng = np.random.default_rng(5)
+    time = np.arange(25.0)
+    given = series(1.0 + 0.02 * np.expm1(time / 12.0) + 0.004 * rng.standard_normal(25), 0.004)
+    diffusion, scatter, limit = 0.002, 0.003, 1.4
+    one = wear(diffusion=diffusion, scatter=scatter, limit=limit)
+    covariance = diffusion**2 * np.minimum.outer(time, time) + (0.004**2 + scatter**2) * np.eye(25)
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    fits = []
+    for tau in 24.0 * np.geomspace(0.1, 10.0, 25):
+        design = np.stack([np.ones(25), np.exp(time / tau)], axis=1)
+        (level, size), (left, *_), *_ = np.linalg.lstsq(root @ design, root @ given.estimate, rcond=None)
+        fits.append((left, tau * math.log((limit - level) / size) - time[-1]))
+    least = min(left for left, _ in fits)
+    expected = min(end for left, end in fits if left < least + 2.7)
+    assert earliest(given, one) == pytest.approx(expected, rel=1e-6)
+    turned = replace(given, estimate=2.0 - given.estimate)
+    assert earliest(turned, replace(one, sign=-1.0, limit=0.6)) == pytest.approx(expected, rel=1e-6)
+    assert earliest(replace(given, estimate=2.0 - given.estimate), one) == math.inf
+
+
+def test_a_trend_is_said_from_95_percent_on() -> None:
+    """Two slopes so close that their probabilities lie on either side of the border."""
+    noise = 0.01 * np.random.default_rng(3).standard_normal(12)
+    low, high = 0.0, 0.02
+    for _ in range(14):
+        middle = 0.5 * (low + high)
+        found = judge(series(1.0 + middle * np.arange(12.0) + noise), (1.25,)).forecasts[0]
+        low, high = (middle, high) if found.wear.probability_trend < 0.95 else (low, middle)
+    for slope, trends in ((low, False), (high, True)):
+        (found,) = judge(series(1.0 + slope * np.arange(12.0) + noise), (1.25,)).forecasts
+        assert found.wear.probability_trend == pytest.approx(0.95, abs=2e-4)
+        assert found.trends is trends
+
+
+def test_a_trend_is_judged_from_five_estimates_on_relative_to_the_first() -> None:
+    values = 2.0 * (1.0 + 0.01 * np.arange(30.0))
+    found = judge(series(values, 1e-4), (1.5,))
+    assert found.reference == pytest.approx(2.02)
+    (forecast,) = found.forecasts
+    assert (forecast.limit, forecast.factor) == (pytest.approx(3.03), 1.5)
+    assert forecast.wear.mean_drift == pytest.approx(0.02 / 2.02, rel=0.01)
+    assert judge(series(values, 1e-4), (1.5,), reference_count=1).reference == 2.0
+    assert judge(series(values, 1e-4), (1.5,), level=0.5).forecasts[0].life.level == 0.5
+    assert "trends to the limit at +50 %, by +0.99 % of the reference a day: reached in" in found.sentence
+    assert judge(series(values[:5], 1e-4)).forecasts
+    assert (
+        judge(series(values[:4], 1e-4)).sentence == "too few estimates for a trend: 4, at least 5 are needed"
+    )
+    assert [f.factor for f in judge(series(values[:9], 1e-4)).forecasts] == [0.75, 1.25]
+    reached = judge(series(values, 1e-4), (1.2,))
+    assert reached.sentence == "the limit at +20 % is reached, with a probability of 100 %"
+    steady = judge(series(1.0 + 1e-3 * (-1.0) ** np.arange(9.0), 1e-3))
+    assert re.match(r"no trend: last change \+0 %; .* \d+ %, below 95 %;", steady.sentence)
+    with pytest.raises(InputError, match="the first estimates are 0"):
+        judge(series(np.zeros(9)))
+
+
+def test_a_limit_counts_as_reached_with_a_probability_of_one_half() -> None:
+    low, high = 1.0, 1.4
+    values = 1.0 + 0.01 * np.arange(30.0) + 0.02 * np.random.default_rng(3).standard_normal(30)
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        (found,) = judge(series(values, 0.02), (middle,)).forecasts
+        assert found.reached is (found.life.probability_reached >= 0.5)
+        low, high = (middle, high) if found.reached else (low, middle)
+    shares = [judge(series(values, 0.02), (f,)).forecasts[0].life.probability_reached for f in (low, high)]
+    assert shares[0] >= 0.5 > shares[1]
+    assert shares[0] - shares[1] < 0.06
+
+
+def test_a_life_in_words() -> None:
+    life = RemainingLife(4.0, 12.0, 31.0, 0.8, 0.0, 1.0)
+    assert describe(life, "days") == "reached in 12 days (80 % interval 4 to 31)"
+    said = describe(life._replace(high=math.inf, probability_ever=0.45), "days")
+    assert "not before 4 days (lower end of the 80 % interval; no upper end" in said
+    assert "with 45 %)" in said
+
+
+def test_estimates_of_one_time_weigh_by_their_precision() -> None:
+    entries = {"B": [(1.0, 2.0, 0.1), (1.0, 4.0, 0.2), (3.0, 5.0, 0.0)]}
+    (found,) = build_series(entries, "hours", dated=False)
+    np.testing.assert_allclose(found.estimate, [(2.0 / 0.01 + 4.0 / 0.04) / 125.0, 5.0])
+    np.testing.assert_allclose(found.standard_error, [1.0 / math.sqrt(125.0), 0.0])
+    assert (found.unit, found.start, found.time.tolist()) == ("hours", None, [1.0, 3.0])
+
+
+def test_dates_become_days_since_the_first(tmp_path: Path) -> None:
+    table = tmp_path / "t.csv"
+    table.write_text("date,B\n2026-03-01T12:00,1\n2026-02-27,2\nMar-02-2026_06-00-00,3\n")
+    (found,) = read_estimates(table)
+    assert found.time.tolist() == [0.0, 2.5, 3.25]
+    assert found.estimate.tolist() == pytest.approx([2.0, 1.0, 3.0])
+    assert (found.unit, found.start) == ("days", datetime(2026, 2, 27, tzinfo=UTC))
+
+
+def test_the_page_draws_errors_at_90_percent_on_the_scale_of_the_limits() -> None:
+    values, error = 1.0 + 0.001 * (-1.0) ** np.arange(9.0), 0.05
+    html = page([judge(series(2.0 * values, 2.0 * error))])
+    y = {name: float(at) for at, name in re.findall(r'y="([\d.]+)"[^>]*>limit ([-+]\d+ %)<', html)}
+    scale = (y["-25 %"] - y["+25 %"]) / 0.5
+    ranges = re.findall(r'class="range"[^>]*y1="([\d.]+)"[^>]*y2="([\d.]+)"', html)
+    assert len(ranges) == 9
+    for low, high in ranges:
+        assert float(low) - float(high) == pytest.approx(2.0 * 1.6449 * error * scale, abs=0.3)
+
+
+def test_json_says_what_was_judged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = [f"{day},{3.0 + 0.03 * day:.9g},{0.001}" for day in range(30)]
+    table = tmp_path / "e.csv"
+    table.write_text("time_days,B,B_se\n" + "\n".join(lines) + "\n")
+    options = ["--limit", "B=1.2,1.6,0.5", "--level", "0.8", "--out", str(tmp_path / "t.html"), "--json"]
+    assert main(["trend", str(table), *options]) == 1
+    (found,) = json.loads(capsys.readouterr().out)
+    (given,) = read_estimates(table)
+    expected = judge(given, (1.2, 1.6, 0.5), 0.8)
+    assert (found["quantity"], found["state"], found["time_unit"]) == ("B", "reached", "days")
+    assert (found["estimates"], found["last_estimate"]) == (30, pytest.approx(3.87))
+    assert found["reference"] == pytest.approx(3.03)
+    assert found["sentence"] == expected.sentence
+    assert [limit["reached"] for limit in found["limits"]] == [True, False, False]
+    for limit, forecast in zip(found["limits"], expected.forecasts, strict=True):
+        assert limit["factor"] == forecast.factor
+        assert limit["limit"] == pytest.approx(3.03 * forecast.factor)
+        assert limit["drift_per_time_unit"] == pytest.approx(forecast.wear.mean_drift * 3.03)
+        assert limit["probability_of_trend"] == forecast.wear.probability_trend
+        assert limit["remaining_life"] is None
+    assert main(["trend", str(table), "--limit", "B=1.6,2.0,0.5", *options[2:]]) == 1
+    (found,) = json.loads(capsys.readouterr().out)
+    life = judge(given, (1.6,), 0.8).forecasts[0].life
+    names = ("low", "median", "high", "level")
+    assert found["state"] == "trending"
+    assert found["limits"][0]["remaining_life"] == pytest.approx(
+        {name: getattr(life, name) for name in names}
+    )
+    assert found["limits"][1]["remaining_life"] is None  # the nearer one is told
+    assert 0.5 < life.median / ((1.6 * 3.03 - 3.87) / 0.03) < 1.02
+
+
+def test_recordings_may_be_dated_by_their_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two copies of a start, a day and a half apart."""
+    start = (Path(__file__).parents[3] / "examples" / "startup_capture.csv").read_bytes()
+    for n, stamp in enumerate((1_767_225_600.0, 1_767_225_600.0 + 129_600.0)):
+        (tmp_path / f"{n}.csv").write_bytes(start)
+        os.utime(tmp_path / f"{n}.csv", (stamp, stamp))
+    out = ["--out", str(tmp_path / "out" / "t.html"), "--json"]
+    assert main(["trend", str(tmp_path), "--date", "modified", *out]) == 0
+    found = {each["quantity"]: each for each in json.loads(capsys.readouterr().out)}
+    assert found["R"]["estimates"] == 2
+    assert found["R"]["state"] == "unknown"
+    assert found["R"]["first_date"] == "2026-01-01T00:00:00+00:00"
