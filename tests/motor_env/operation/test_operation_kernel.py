@@ -1,14 +1,20 @@
-"""The compiled filter of a motor at work against a stiff solver, and at standstill."""
+"""The compiled filter of a motor at work against a stiff solver, a textbook filter, closed forms, and at standstill."""
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
+from motor_env import MotorParameters, discretize
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
-from motor_env.operation.record import Record, open_circuit
+from motor_env.operation.record import HOLDS, Hold, Record, open_circuit
 
 DT_S = 2e-3
 
@@ -169,3 +175,258 @@ def test_a_voltage_that_steps_while_the_motor_idles_is_no_open_circuit() -> None
     coasting = voltage.copy()
     coasting[40:64] = np.linspace(8.3, 7.0, 24)
     assert open_circuit(coasting, readings, np.eye(1, 104)[0])[44:64].all()
+
+
+def exact_step(p: FloatArray, dt_s: float, warm_k: float = 0.0) -> FloatArray:
+    """Rows current and speed; columns current, speed, voltage before, its rise over the interval, torque."""
+    ohm, constant, drag = p[kernel.R] * (1.0 + 0.00393 * warm_k), p[kernel.K], p[kernel.B]
+    constant, drag = constant * (1.0 - 0.001 * warm_k), drag * (1.0 - 0.003 * warm_k)
+    whole = np.zeros((5, 5))
+    whole[0, :3] = array(-ohm, -constant, 1.0) / p[kernel.L]
+    whole[1, [0, 1, 4]] = array(constant, -drag, -1.0) / p[kernel.J]
+    whole[2, 3] = 1.0 / dt_s
+    rows: FloatArray = expm(whole * dt_s)[:2]
+    return rows
+
+
+def array(*given: float) -> FloatArray:
+    return np.array(given)
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_a_linear_motor_takes_exact_steps(hold: Hold) -> None:
+    """Against `discretize` for a voltage that is held, and the exponential of the whole for a straight line."""
+    rng = np.random.default_rng(7)
+    p, volts = values(LOAD=0.004, B=2e-5, OFFSET_I=0.3, OFFSET_W=5.0), rng.uniform(-12.0, 12.0, 40)
+    model = discretize(MotorParameters(2.0, 1e-3, 0.03, 0.03, 4e-6, 2e-5), DT_S)
+    m, x, expected = exact_step(p, DT_S), np.zeros(2), [np.zeros(2)]
+    for before, now in pairwise(volts):
+        if hold == "straight":
+            x = m @ [*x, before, now - before, 0.004]
+        else:
+            x = model.transition @ x + model.gain @ [before if hold == "held" else now, 0.004]
+        expected.append(x)
+    readings = np.tile([0.3, 5.0], (40, 1))  # a motor at rest, through these offsets
+    record = Record(DT_S, volts, readings, np.ones(2), np.eye(1, 40)[0], hold)
+    got = record.predict(p, learn=False)[0][:, 2:4] - [0.3, 5.0]
+    np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-11)
+
+
+class Filter(NamedTuple):
+    """A textbook Kalman filter of current, speed, load and the shown ones; one reading after the other."""
+
+    white: FloatArray
+    logs: float
+    load: FloatArray
+
+
+def textbook_filter(p: FloatArray, record: Record) -> Filter:
+    k, n = kernel, len(record.voltage_v)
+    m, volts = exact_step(p, record.dt_s), record.between(p[k.DELAY])
+    f, g = np.zeros((5, 5)), np.zeros((5, 2))
+    f[:2, :2], f[:2, 2], g[:2], f[2, 2] = m[:, :2], m[:, 4], m[:, 2:4], 1.0
+    for row, lag in ((0, p[k.LAG_I]), (1, p[k.LAG_W])):
+        # First-order lag of a straight line between two samples.
+        kept = math.exp(-record.dt_s / lag) if lag > 0.0 else 0.0
+        mean = (1.0 - kept) * lag / record.dt_s if lag > 0.0 else 0.0
+        f[3 + row] = (1.0 - mean) * f[row]
+        f[3 + row, 3 + row] = kept
+        f[3 + row, row] += mean - kept
+        g[3 + row] = (1.0 - mean) * g[row]
+    noise = p[k.NOISE_V] ** 2 * np.outer(g[:, 0], g[:, 0])
+    noise[2, 2] = p[k.WALK] ** 2 * record.dt_s
+    reach, sd = np.abs(volts).max(), p[[k.NOISE_I, k.NOISE_W]]
+    x = np.array([*record.readings[0], 0.0, *record.readings[0]])
+    cov = np.zeros((5, 5))
+    for row in range(2):
+        cov[np.ix_([row, 3 + row], [row, 3 + row])] = sd[row] ** 2
+    cov[2, 2] = (p[k.K] * 0.1 * reach / p[k.R]) ** 2 if p[k.WALK] > 0.0 else 0.0
+    white, load, logs = np.zeros((n, 2)), np.zeros(n), 0.0
+    shown = [3 if p[k.LAG_I] + p[k.LAG_W] > 0.0 else 0, 4 if p[k.LAG_I] + p[k.LAG_W] > 0.0 else 1]
+    for step in range(1, n):
+        before, now = volts[step]
+        x = f @ x + g @ [before, now - before]
+        x[:2] += m[:, 4] * p[k.LOAD]
+        x[3:] += f[3:, 2] * p[k.LOAD]
+        cov = f @ cov @ f.T + noise
+        for channel in range(2):
+            h = np.eye(5)[shown[channel]]
+            variance = h @ cov @ h + sd[channel] ** 2
+            white[step, channel] = (record.readings[step, channel] - h @ x) / math.sqrt(variance)
+            logs += math.log(variance)
+            # Beyond six standard deviations a reading weighs in as if it lay there.
+            x = x + cov @ h / math.sqrt(variance) * np.clip(white[step, channel], -6.0, 6.0)
+            cov = cov - np.outer(cov @ h, h @ cov) / variance
+        load[step] = x[2]
+    return Filter(white, logs, load)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"NOISE_V": 0.05, "DELAY": 0.3},
+        {"NOISE_V": 0.02, "WALK": 0.03},
+        {"NOISE_V": 0.02, "WALK": 0.03, "LAG_I": 1.5e-3, "LAG_W": 4e-3},
+        {"LAG_W": 3e-3, "LOAD": 0.002},
+    ],
+)
+@pytest.mark.parametrize("hold", ["held", "straight"])
+def test_innovations_are_those_of_a_textbook_filter(given: dict[str, float], hold: Hold) -> None:
+    rng = np.random.default_rng(8)
+    n = 60
+    volts = np.repeat(rng.uniform(-8.0, 8.0, 10), 6)
+    p = values(B=2e-5, **given)
+    clean = Record(DT_S, volts, np.zeros((n, 2)), np.ones(2), np.eye(1, n)[0], hold).predict(p, learn=False)
+    readings = clean[0][:, 2:4] + rng.standard_normal((n, 2)) * [2e-3, 0.2]
+    readings[33, 0] += 0.5  # a wild one
+    record = Record(DT_S, volts, readings, np.ones(2), np.eye(1, n)[0], hold)
+    out, logs = record.predict(p)
+    expected = textbook_filter(p, record)
+    np.testing.assert_allclose(out[:, :2], expected.white, rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(out[:, 4], expected.load, rtol=1e-6, atol=1e-12)
+    assert logs == pytest.approx(expected.logs, rel=1e-9)
+    assert np.abs(out[33, 0]) > 6.0
+
+
+def test_what_is_not_recorded_begins_at_the_balance_of_the_voltages() -> None:
+    p, volts = values(OFFSET_I=0.1), array(0.0, 5.0, 5.0)
+    readings, begin = array(0.5, 0.0, 0.7, 0.0, 0.6, 0.0).reshape(3, 2), np.eye(1, 3)[0]
+    current = Record(DT_S, volts, readings, array(1.0, 0.0), begin, "late")
+    out, logs = current.predict(p)
+    # The mean of the first two currents is 0.5 A, and they rise by 0.2 A in 2 ms.
+    speed = (5.0 - 2.0 * 0.5 - 1e-3 * 0.2 / DT_S) / 0.03
+    assert out[0, 2:4] == pytest.approx([0.5, speed])
+    m = exact_step(p, DT_S)
+    sd_w = math.hypot(0.3 * 5.0, 1e-3 / DT_S * 1e-3) / 0.03
+    variance = m[0, 0] ** 2 * 1e-6 + m[0, 1] ** 2 * sd_w**2 + 1e-6
+    assert out[1, 0] == pytest.approx((0.6 - m[0] @ [0.4, speed, 5.0, 0.0, 0.0]) / math.sqrt(variance))
+    far = replace(current, voltage_v=np.full(3, 5.0), readings=readings * [[60.0, 0.0]])
+    assert far.predict(p)[0][0, 3] == pytest.approx(-5.0 / 0.03)  # no more than the voltage turns it
+    speeds = replace(current, seen=array(0.0, 1.0), readings=np.tile([0.0, 20.0], (3, 1)))
+    out, logs = speeds.predict(p)
+    i = (5.0 - 0.03 * 20.0) / 2.0
+    assert out[0, 2:4] == pytest.approx([i + 0.1, 20.0])
+    variance = m[1, 0] ** 2 * (0.3 * 5.0 / 2.0) ** 2 + m[1, 1] ** 2 * 0.01 + 0.01
+    assert out[1, 1] == pytest.approx((20.0 - m[1] @ [i, 20.0, 5.0, 0.0, 0.0]) / math.sqrt(variance))
+    assert logs == pytest.approx(math.log(variance), abs=5.0)
+
+
+def slopes(run: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
+    """How what a run gives moves with each of its inputs, by differences, shape (n_out, n_in)."""
+    sides = 1e-4 * np.eye(len(at))
+    return np.stack([(run(at + side) - run(at - side)) / 2e-4 for side in sides], axis=1)
+
+
+NOISES = ({"NOISE_I": 3e-3}, {"NOISE_W": 0.5}, {"NOISE_I": 1e-4, "NOISE_W": 1e-2, "NOISE_V": 0.02})
+
+
+@pytest.mark.parametrize("noises", NOISES)
+@pytest.mark.parametrize(
+    ("given", "begin", "volts"),
+    [
+        ({}, (0.5, 60.0), 6.0),
+        ({"SQUARE": 2e-6}, (0.5, 60.0), 6.0),
+        ({"SQUARE": 2e-6, "COULOMB": 0.004, "DROP": 0.4}, (0.5, 60.0), 6.0),
+        ({"SQUARE": 2e-7, "COULOMB": 1e-3, "SLIDING": 20.0, "DROP": 0.1, "KNEE": 0.15}, (0.5, 60.0), 6.0),
+        ({"COULOMB": 0.004}, (0.05, 0.0), 0.1),
+    ],
+    ids=["linear", "fan", "friction", "knees", "stands"],
+)
+def test_uncertainty_spreads_as_differences_of_the_free_model_say(
+    given: dict[str, float], begin: tuple[float, float], volts: float, noises: dict[str, float]
+) -> None:
+    """One step: the innovations' covariance by how the step moves with state and voltage."""
+    p, at = values(**{"B": 2e-5} | given | noises), np.array([*begin, volts])
+
+    def record(at: FloatArray) -> Record:
+        return Record(DT_S, np.full(2, at[2]), np.tile(at[:2], (2, 1)), np.ones(2), np.eye(1, 2)[0])
+
+    f = slopes(lambda one: record(one).predict(p, learn=False)[0][1, 2:4], at)
+    sd = p[[kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V]]
+    expected = f @ np.diag(sd**2) @ f.T + np.diag(sd[:2] ** 2)
+    assert record(at).predict(p)[1] == pytest.approx(np.linalg.slogdet(expected)[1], abs=0.03)
+
+
+@pytest.mark.parametrize("noises", NOISES)
+@pytest.mark.parametrize(
+    ("given", "speed"),
+    [
+        ({"SQUARE": 5e-7, "COULOMB": 0.001}, 80.0),
+        ({"SQUARE": 5e-7, "COULOMB": 0.001, "B": 0.0}, 80.0),
+        ({"LOAD": -0.003, "B": 2e-4}, 80.0),
+        ({"COULOMB": 0.02}, 25.0),
+    ],
+    ids=["coasts", "without drag", "driven by its load", "comes to rest"],
+)
+def test_uncertainty_of_a_coasting_motor(
+    given: dict[str, float], speed: float, noises: dict[str, float]
+) -> None:
+    """The circuit opens at once: in the first interval the filter still believes it closed."""
+    p, marks = values(**{"B": 2e-5} | given | noises), array(kernel.BEGIN, kernel.OPEN, kernel.OPEN)
+
+    def speeds(at: FloatArray) -> FloatArray:
+        readings = np.tile(at[:2], (3, 1))
+        record = Record(DT_S, np.full(3, at[2]), readings, np.ones(2), marks)
+        return record.predict(p, learn=False)[0][1:, 3]
+
+    at, sd = array(0.2, speed, 3.0), p[[kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V]]
+    first, second = slopes(speeds, at)
+    before = first @ np.diag(sd**2) @ first
+    after = before * sd[1] ** 2 / (before + sd[1] ** 2) * (second[1] / first[1]) ** 2
+    expected = math.log(before + sd[1] ** 2) + math.log(after + sd[1] ** 2) + 4.0 * math.log(sd[0])
+    readings = np.array([[0.2, speed], *((0.0, one) for one in speeds(at))])
+    record = Record(DT_S, np.full(3, 3.0), readings, np.ones(2), marks)
+    assert record.predict(p)[1] == pytest.approx(expected, abs=0.05)
+
+
+def test_a_fan_and_coasting_follow_their_closed_forms() -> None:
+    """J dw/dt = -c w^2 and J dw/dt = -B w - T, without a current."""
+    n, drag, torque = 40, 3e-5, 0.002
+    marks, readings = np.full(n, kernel.OPEN), np.zeros((n, 2))
+    readings[0, 1], marks[0] = 300.0, kernel.BEGIN
+    time_s = DT_S * np.arange(n - 1.0)
+
+    def coasted(**given: float) -> FloatArray:
+        record = Record(DT_S, np.zeros(n), readings, np.ones(2), marks)
+        return record.predict(values(**given), learn=False)[0][1:, 3]
+
+    got = coasted(B=drag, COULOMB=torque)
+    rest = torque / drag
+    exact = (got[0] + rest) * np.exp(-drag / 4e-6 * time_s) - rest
+    np.testing.assert_allclose(got, np.maximum(exact, 0.0), rtol=1e-9, atol=1e-9)
+    fan = coasted(B=0.0, SQUARE=1e-7)
+    np.testing.assert_allclose(fan, fan[0] / (1.0 + fan[0] * 1e-7 / 4e-6 * time_s), rtol=1e-3)
+
+
+def test_dry_friction_is_larger_at_low_speed_and_falls_with_warmth() -> None:
+    """Stribeck's curve by its definition: a steady current carries it."""
+    for speed, share in ((2.0, 0.5), (8.0, 0.5), (60.0, 0.5)):
+        reach = 0.03 * speed + 2.0 * 0.1
+        p = values(COULOMB=0.003, STRIBECK=share, B=0.0)
+        slow = 0.02 * reach / 0.03
+        torque = 0.003 * (1.0 + share * math.exp(-((speed / slow) ** 2)))
+        i = torque / 0.03
+        volts = 2.0 * i + 0.03 * speed
+        slow *= (volts + 1e-9) / reach
+        torque = 0.003 * (1.0 + share * math.exp(-((speed / slow) ** 2)))
+        i = torque / 0.03
+        readings = np.tile([i, speed], (3, 1))
+        record = Record(DT_S, np.full(3, 2.0 * i + 0.03 * speed), readings, np.ones(2), np.eye(1, 3)[0])
+        out = record.predict(p, learn=False)[0]
+        assert out[2, 3] == pytest.approx(speed, rel=2e-3)
+
+
+def test_a_warm_motor_is_another_linear_motor() -> None:
+    """By the winding's heat it is 30 K warmer at once: R, K and friction have their temperature coefficients."""
+    p = values(HEATING=30.0 / (DT_S * 2.0 * 0.5**2), COULOMB=0.002)
+    readings = np.tile([0.5, 100.0], (2, 1))
+    record = Record(DT_S, np.full(2, 5.0), readings, np.ones(2), np.eye(1, 2)[0])
+    out = record.predict(p, learn=False)[0]
+    assert out[1, 5] == pytest.approx(30.0)
+    m = exact_step(p, DT_S, 30.0)
+    expected = m @ [0.5, 100.0, 5.0, 0.0, 0.002 * (1.0 - 0.003 * 30.0)]
+    assert out[1, 2:4] == pytest.approx(expected, rel=1e-9)
+    p[kernel.HEATING] *= 35.0 / 30.0  # between two temperatures of the table
+    expected = 0.5 * (m + exact_step(p, DT_S, 40.0)) @ [0.5, 100.0, 5.0, 0.0, 0.002 * (1.0 - 0.003 * 35.0)]
+    assert record.predict(p, learn=False)[0][1, 2:4] == pytest.approx(expected, rel=1e-9)
