@@ -1,0 +1,794 @@
+"""Parts of the fit of a motor at work, each against a closed form or brute force on a small case."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from motor_env.cli import main
+from motor_env.errors import InputError
+from motor_env.motor.data_sheet import load_motor
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation import fit as fitting, kernel, logs, report, uncertainty
+from motor_env.operation.beginnings import beginnings
+from motor_env.operation.fit import ScoreTest, score_tests
+from motor_env.operation.identify import Operation, identify_operation, identify_record
+from motor_env.operation.problem import Problem, Solution
+from motor_env.operation.record import (
+    Hold,
+    Record,
+    at_terminals,
+    block_means,
+    from_recordings,
+    joined,
+    liveliest,
+    noise_of,
+    open_circuit,
+)
+from motor_env.operation.terms import terms
+from motor_env.operation.uncertainty import information_covariance, motor_places
+from motor_env.operation.window import first_steps, fit_window
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import Recording
+from motor_env.recordings.start import Circuit
+
+DT_S = 2e-3
+MOTOR = {"R": 2.0, "L": 1e-3, "K": 0.03, "J": 4e-6, "B": 2e-6, "COULOMB": 0.002}
+NOISE = {"NOISE_I": 2e-3, "NOISE_W": 0.2}
+
+
+def values(**given: float) -> FloatArray:
+    out = np.zeros(kernel.N_VALUES)
+    for name, value in (MOTOR | NOISE | given).items():
+        out[getattr(kernel, name)] = value
+    return out
+
+
+def plain(n: int, voltage: FloatArray | None = None, hold: Hold = "held", dt_s: float = DT_S) -> Record:
+    volts = np.arange(float(n)) if voltage is None else voltage
+    return Record(dt_s, volts, np.zeros((n, 2)), np.ones(2), np.eye(1, n)[0], hold)
+
+
+def worked(
+    p: FloatArray,
+    seed: int = 1,
+    n: int = 400,
+    *,
+    hold: Hold = "held",
+    noise: float = 1.0,
+    dt_s: float = DT_S,
+    lowest: float = -9.0,
+) -> Record:
+    """A record of this motor under a voltage of several levels, with its noise."""
+    rng = np.random.default_rng(seed)
+    each = round(40 * DT_S / dt_s)
+    record = plain(n, np.repeat(rng.uniform(lowest, 9.0, -(-n // each)), each)[:n], hold, dt_s)
+    clean = record.predict(p, learn=False)[0][:, 2:4]
+    shown = clean + noise * rng.standard_normal((n, 2)) * p[[kernel.NOISE_I, kernel.NOISE_W]]
+    return replace(record, readings=shown)
+
+
+def solution(
+    record: Record, names: list[str], known: FloatArray, theta: FloatArray | None = None
+) -> Solution:
+    """The fit of these terms, or the model at given unknowns."""
+    every = terms(record, known)
+    problem = Problem(record, known, tuple(every[name] for name in names))
+    if theta is None:
+        return Solution(problem, *problem.solve(np.zeros(len(names))))
+    residuals = problem.residuals(theta)
+    return Solution(problem, theta, problem.misfit(float(residuals @ residuals)))
+
+
+LOGS = ["R", "K", "J"]
+
+
+@pytest.fixture(scope="module")
+def small() -> Solution:
+    """R, K, J and a load, fitted; the rest is known. There is a fan that the model lacks."""
+    p = values()
+    return solution(worked(values(SQUARE=5e-10)), [*LOGS, "load_constant"], p)
+
+
+def test_the_voltage_between_samples_by_hand() -> None:
+    record = plain(4, np.array([1.0, 2.0, 4.0, 8.0]))
+    pairs = {
+        ("held", 0.0): [[1, 1], [1, 1], [2, 2], [4, 4]],
+        ("late", 0.0): [[1, 1], [2, 2], [4, 4], [8, 8]],
+        ("straight", 0.0): [[1, 1], [1, 2], [2, 4], [4, 8]],
+        ("straight", 0.25): [[1, 1], [1, 1.75], [1.75, 3.5], [3.5, 7]],
+        ("late", -0.5): [[1.5, 1.5], [3, 3], [6, 6], [8, 8]],
+    }
+    for (hold, delay), expected in pairs.items():
+        held = replace(record, hold=cast("Hold", hold))
+        np.testing.assert_allclose(held.between(delay), expected)
+
+
+def test_parts_of_a_record_by_hand() -> None:
+    volts = np.arange(100.0)
+    record = replace(plain(100), readings=np.stack([volts + 0.5, -volts], axis=1))
+    record.marks[[30, 31, 55]] = kernel.OPEN
+    part = record.part(30, 20)
+    assert (part.voltage_v[0], part.voltage_v[-1], len(part.voltage_v)) == (30.0, 49.0, 20)
+    assert part.readings[0].tolist() == [30.5, -30.0]
+    assert part.marks.tolist() == [kernel.BEGIN, kernel.OPEN, *[0.0] * 18]
+    assert record.closed().marks.tolist() == [kernel.BEGIN, *[0.0] * 99]
+    some = record.sample(40)
+    assert some.voltage_v.tolist() == [10.0 * k + n for k in range(10) for n in range(4)]
+    assert np.flatnonzero(some.marks == kernel.BEGIN).tolist() == list(range(0, 40, 4))
+    assert some.readings[:, 1].tolist() == (-some.voltage_v).tolist()
+    two = joined([part, some])
+    assert (len(two.voltage_v), two.begins.sum(), two.begins[20]) == (60, 11.0, 1.0)
+    assert record.duration_s == pytest.approx(100 * DT_S)
+    assert record.peaks == pytest.approx([98.901, 99.401, 98.901])
+    assert record.only(current=False, speed=True).seen.tolist() == [0.0, 1.0]
+    assert part.marks[0] == kernel.BEGIN
+    assert record.marks[30] == kernel.OPEN  # the record itself stays
+
+
+def recorded(
+    current: FloatArray,
+    *,
+    volts: FloatArray | None = None,
+    dt_s: float = 1e-3,
+    speed: FloatArray | None = None,
+) -> Recording:
+    n = len(current)
+    speed = np.linspace(0.0, 1.0, n) if speed is None else speed
+    voltage = np.linspace(-1.0, 1.0, n) if volts is None else volts
+    return Recording(Path("x"), dt_s * np.arange(float(n)), current, voltage, speed)
+
+
+def lost(current: FloatArray) -> float:
+    """Share of the variance that goes where two neighbours are averaged, beyond that of the noise."""
+    pairs = current.reshape(-1, 2).mean(axis=1)
+    return 1.0 - float(np.var(pairs) + 0.5 * noise_of(current) ** 2) / float(np.var(current))
+
+
+def test_neighbours_are_averaged_as_long_as_their_means_tell_nearly_all() -> None:
+    """Under noise a ripple so large that the means of two lose a little more or less than 2 % of what they tell."""
+    n = 8_000
+    phase, noise = np.arange(float(n)), 0.4 * np.random.default_rng(3).standard_normal(n)
+    plain, ripple, low, high = np.sin(0.05 * phase) + noise, np.sin(0.7 * phase), 0.0, 1.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if lost(plain + middle * ripple) > 0.02 else (middle, high)
+    for size, factor in ((0.99 * low, 2), (1.01 * low, 1)):
+        current = plain + size * ripple
+        assert lost(current) == pytest.approx(0.02, abs=5e-4)
+        record = from_recordings([recorded(current)], most=n // 2)
+        assert (record.averaged, record.share) == (factor, 1.0 if factor == 2 else 0.5)
+        assert record.dt_s == pytest.approx(1e-3 * factor)
+        assert record.hold == ("straight" if factor == 2 else "held")
+
+
+def test_records_hold_the_means_of_their_recordings() -> None:
+    n = 50
+    current, speed = np.arange(100.0) ** 2, np.arange(100.0)
+    one = recorded(current, speed=speed)
+    record = from_recordings([one, one], most=100)
+    np.testing.assert_allclose(record.readings[:n, 0], 0.5 * (current[0:100:2] + current[1:100:2]))
+    np.testing.assert_allclose(record.readings[n:, 1], np.arange(0.5, 100.0, 2.0))
+    assert np.flatnonzero(record.begins).tolist() == [0, 50]
+    assert (record.averaged, record.dt_s) == (2, pytest.approx(2e-3))
+    assert block_means(np.arange(7.0), 3).tolist() == [1.0, 4.0]
+    assert len(from_recordings([recorded(current[:40])]).voltage_v) == 40
+    with pytest.raises(UnusableError, match="only 39 samples; at least 40 are needed"):
+        from_recordings([recorded(current[:39])])
+    for ratio, is_same in ((1.0199, True), (1.0203, False)):
+        # They may differ by two hundredths of their mean.
+        pair = [one, recorded(current, dt_s=1e-3 * ratio)]
+        if is_same:
+            assert from_recordings(pair).dt_s == pytest.approx(0.5e-3 * (1.0 + ratio))
+        else:
+            with pytest.raises(UnusableError, match="differ in their sampling interval"):
+                from_recordings(pair)
+    with pytest.raises(UnusableError, match="different columns"):
+        from_recordings([one, replace(one, speed_rad_s=None)])
+
+
+def test_what_stands_still_counts_as_not_recorded() -> None:
+    one = recorded(np.arange(50.0))
+    seen = {
+        "both": (one, [1.0, 1.0]),
+        "current": (replace(one, speed_rad_s=np.full(50, 3.0)), [1.0, 0.0]),
+        "speed": (replace(one, current_a=np.zeros(50)), [0.0, 1.0]),
+    }
+    for recording, expected in seen.values():
+        assert from_recordings([recording]).seen.tolist() == expected
+    with pytest.raises(UnusableError, match="neither the current nor the speed ever changes"):
+        from_recordings([replace(one, current_a=np.zeros(50), speed_rad_s=None)])
+    with pytest.raises(UnusableError, match="only where the voltage was recorded"):
+        from_recordings([replace(one, voltage_v=None)])
+    duty = replace(one, voltage_v=None, duty=np.full(50, 0.25))
+    assert at_terminals(duty, 12.0).voltage_v == pytest.approx(np.full(50, 3.0))
+    at_motor = at_terminals(one, None, Circuit(shunt_ohm=0.5)).voltage_v
+    np.testing.assert_allclose(at_motor, np.linspace(-1.0, 1.0, 50) - 0.5 * np.arange(50.0))  # type: ignore[arg-type]
+
+
+def test_the_noise_of_a_column() -> None:
+    white = np.random.default_rng(5).standard_normal(20_000)
+    assert noise_of(0.03 * white + np.linspace(0.0, 2.0, 20_000)) == pytest.approx(0.03, rel=0.02)
+    steps = np.repeat(np.arange(40.0), 50)
+    assert noise_of(0.1 * steps) == pytest.approx(0.1 / math.sqrt(12.0))
+    assert noise_of(steps % 2) == pytest.approx(0.02)  # a switch is no converter's step
+    assert noise_of(np.full(50, 3.0)) == pytest.approx(3e-6)
+    assert noise_of(np.zeros(50)) == 1e-12
+
+
+def test_the_liveliest_stretch_of_each_part() -> None:
+    volts = np.zeros(1000)
+    volts[130:160:2] = volts[700:730:2] = 5.0
+    found = liveliest(recorded(np.zeros(1000), volts=volts), 0.1, count=2)
+    spans = [one.time_s[[0, -1]] * 1e3 for one in found]
+    assert [len(one.time_s) for one in found] == [50, 50]
+    for (first, last), begin, end in zip(spans, (130, 700), (160, 730), strict=True):
+        assert first < begin
+        assert last >= end - 2.5
+    assert len(liveliest(recorded(np.arange(1000.0), volts=volts), 0.1)) == 10
+
+
+def test_six_samples_without_a_current_are_an_open_circuit() -> None:
+    """Between two jumps of the voltage, which falls meanwhile."""
+    rng = np.random.default_rng(2)
+    for n, is_open in ((6, True), (5, False)):
+        voltage = np.concatenate([np.full(50, 7.0), np.linspace(6.0, 5.0, n), np.full(50, 9.0)])
+        current = np.concatenate([np.full(50, 0.5), np.zeros(n), np.full(50, 0.7)])
+        shown = np.stack([current + 1e-3 * rng.standard_normal(100 + n), 30.0 * voltage], axis=1)
+        found = np.flatnonzero(open_circuit(voltage, shown, np.eye(1, 100 + n)[0]))
+        assert found.tolist() == (list(range(50, 56)) if is_open else [])
+
+
+def test_units_of_the_unknowns() -> None:
+    """Each term's unit, by the peaks of 12 V, 3 A, 200 rad/s and a motor of 2 ohm, 0.03 V s."""
+    record = replace(plain(500), readings=np.stack([np.full(500, 1.5), np.zeros(500)], axis=1))
+    every = terms(record, values(NOISE_I=0.01), (12.0, 3.0, 200.0))
+    torque, second = 0.03 * 3.0, 500 * DT_S
+    units = {
+        "R": 2.0, "L": 2.0 * DT_S, "K": 0.03, "J": 4e-6, "B": torque / 200.0, "coulomb": torque, "brush_drop": 12.0,
+        "brush_knee": 3.0, "stribeck": 1.0, "coulomb_knee": 200.0, "load_constant": torque,
+        "load_square": torque / 200.0**2, "offset_current": 3.0, "offset_speed": 200.0,
+        "heating": 10.0 / (2.0 * 1.5**2 * second), "cooling": 1.0 / second, "current_lag": DT_S, "speed_lag": DT_S,
+        "delay": 1.0, "noise_current": 0.01, "noise_speed": 0.2, "noise_voltage": 0.036,
+        "load_walk": 0.05 * torque / math.sqrt(second),
+    }  # fmt: skip
+    assert {name: term.unit for name, term in every.items()} == pytest.approx(units)
+    beliefs = {name: term.prior_sd for name, term in every.items() if term.prior_sd < math.inf}
+    assert beliefs == {
+        "brush_drop": 0.1, "brush_knee": 0.01, "stribeck": 0.2, "coulomb_knee": 0.01, "load_constant": 0.3,
+        "offset_current": 0.003, "offset_speed": 0.003,
+    }  # fmt: skip
+    usual = {name: term.usual for name, term in every.items() if term.usual != 1.0}
+    assert usual == {"load_constant": 0.3, "load_square": 0.3}
+    bounds = {name: (term.low, term.high) for name, term in every.items()}
+    reach = 0.5 * second / DT_S
+    assert (bounds["L"], bounds["delay"]) == ((0.0, reach), (-1.0, 1.0))
+    assert (bounds["current_lag"], bounds["speed_lag"]) == ((0.0, 5.0), (0.0, 50.0))  # 10 ms and 0.1 s
+    assert (bounds["R"], bounds["J"], bounds["load_constant"]) == ((-5.0, 5.0), (-7.0, 7.0), (-2.0, 2.0))
+    assert every["R"].value(0.3) == pytest.approx(2.0 * math.exp(0.3))
+    assert every["L"].value(0.3) == pytest.approx(0.3 * 2.0 * DT_S)
+    alone = terms(record.only(current=False, speed=True), values(), (12.0, 3.0, 200.0))
+    assert alone["coulomb"].unit == pytest.approx(0.03 * 12.0 / 2.0)
+    assert (
+        terms(record.only(current=True, speed=False), values(), (12.0, 3.0, 9.0))["coulomb_knee"].unit
+        == 400.0
+    )
+    weak = terms(record, values(), (12.0, 1e-9, 1e-9))
+    assert (weak["offset_current"].unit, weak["coulomb_knee"].unit) == pytest.approx((0.006, 0.4))
+
+
+def test_values_of_the_unknowns() -> None:
+    known = values(DRAG=1.5)
+    one = solution(worked(values()), ["R", "L"], known, np.array([math.log(1.1), 0.4]))
+    found = one.problem.values(one.theta)
+    assert found[kernel.R] == pytest.approx(2.2)
+    assert found[[kernel.B, kernel.COULOMB]] == pytest.approx([3e-6, 0.003])
+    assert found[kernel.L] == pytest.approx(math.hypot(0.4 * 2.0 * DT_S, 0.01 * 2.2 * DT_S))
+    assert known[kernel.B] == 2e-6
+
+
+def test_the_misfit_is_the_likelihood_at_the_best_noise_level() -> None:
+    """-2 log likelihood of the innovations, the noises times a common factor, without its constant."""
+    record = worked(values(), n=120)
+    one = solution(record, LOGS, values(NOISE_V=0.01), np.array([0.02, -0.01, 0.03]))
+    out, sums = record.predict(one.problem.values(one.theta))
+    white, count = out[1:, :2], 2 * 119
+    assert one.problem.count == count
+    likelihoods = [
+        sums + count * math.log(s * s) + float(np.sum(white**2)) / (s * s) - count
+        for s in np.geomspace(0.1, 1e3, 20_001)
+    ]
+    assert one.misfit == pytest.approx(min(likelihoods), abs=1e-3)
+    assert one.penalised() == pytest.approx(one.misfit + 3.0 * math.log(count))
+    level = math.sqrt(np.mean(out[:, :2] ** 2))
+    assert one.values[kernel.NOISE_I] == pytest.approx(level * 2e-3)
+    assert one.values[kernel.NOISE_V] == pytest.approx(level * 0.01)
+
+
+def test_beliefs_count_as_readings_do() -> None:
+    """What is believed of a load joins the residuals at their scale: a normal prior of the log likelihood."""
+    record = worked(values(), n=120)
+    bare = solution(record, LOGS, values(LOAD=0.3 * 0.03 * record.peaks[1]), np.zeros(3))
+    with_load = solution(record, [*LOGS, "load_constant"], values(), np.array([0.0, 0.0, 0.0, 0.3]))
+    ours, theirs = (one.problem.residuals(one.theta) for one in (with_load, bare))
+    np.testing.assert_allclose(ours[: len(theirs) - 3], theirs[:-3], rtol=1e-9)
+    sums = record.predict(bare.problem.values(bare.theta))[1]
+    assert ours[-4:] == pytest.approx([0.0, 0.0, 0.0, math.exp(0.5 * sums / (2 * 119))])
+
+
+def test_slopes_of_the_fit_are_central_differences(small: Solution) -> None:
+    problem, theta = small.problem, small.theta
+    jacobian = problem.jacobian(theta, problem.residuals(theta))
+    for n in range(len(theta)):
+        side = 1e-5 * np.eye(len(theta))[n]
+        exact = (problem.residuals(theta + side) - problem.residuals(theta - side)) / 2e-5
+        size = np.abs(exact).max()
+        np.testing.assert_allclose(jacobian[:, n], exact, atol=0.02 * size)
+        np.testing.assert_allclose(problem.secant(theta, n, 1e-5), exact, atol=1e-6 * size)
+    high = np.array([0.0, 0.0, 0.0, 2.0])
+    bound = problem.column(high, 3, problem.residuals(high))
+    np.testing.assert_allclose(bound, problem.secant(high, 3, 1e-4), atol=0.02 * np.abs(bound).max())
+
+
+def test_a_fit_finds_what_made_the_record(small: Solution) -> None:
+    clean = worked(values(), seed=2)
+    found = solution(clean, LOGS, values(R=2.6, K=0.027, J=5e-6))
+    sd = np.sqrt(np.diag(information_covariance(found.problem, found.theta)))
+    exact = np.log([2.0 / 2.6, 0.03 / 0.027, 4.0 / 5.0])
+    assert np.all(np.abs(found.theta - exact) < 3.5 * sd)
+    assert np.all(sd < 0.01)
+    r2 = found.explained()
+    free = clean.predict(found.values, learn=False)[0][:, 2:4]
+    left = 1.0 - ((clean.readings - free) ** 2).sum(axis=0) / (clean.readings.var(axis=0) * 400)
+    assert r2 == pytest.approx(left)
+
+
+def test_a_score_test_is_one_step_of_the_richer_fit(small: Solution) -> None:
+    """By least squares on all columns at once; and close to a fit with the term."""
+    every = terms(small.problem.record, small.problem.known)
+    base = small.problem.residuals(small.theta)
+    jacobian = small.problem.jacobian(small.theta, base)
+    variance = float(base @ base) / small.problem.count
+    found = score_tests(small, every)
+    assert set(found) == {"load_square", "heating", "current_lag", "speed_lag", "delay"}
+    for name, test in found.items():
+        problem = small.problem.with_terms([every[name]])
+        wide = problem.column(np.append(small.theta, 0.0), 4, np.append(base, 0.0))[: len(base)]
+        both = np.column_stack([jacobian, wide])
+        step = -np.linalg.lstsq(both, base, rcond=None)[0]
+        spread = variance * np.linalg.inv(both.T @ both)
+        assert test.value == pytest.approx(step[-1], rel=1e-6)
+        assert test.sd == pytest.approx(math.sqrt(spread[-1, -1]), rel=1e-6)
+        gain = (step[-1] / math.sqrt(spread[-1, -1])) ** 2
+        is_bound = every[name].low >= 0.0 and step[-1] < 0.0
+        assert test.chi_square == pytest.approx(0.0 if is_bound else gain, rel=1e-6)
+        np.testing.assert_allclose(test.moves, spread[:-1, -1] / spread[-1, -1], rtol=1e-4, atol=1e-7)
+    richer = solution(small.problem.record, [*small.names, "load_square"], small.problem.known)
+    square = found["load_square"]
+    assert square.chi_square > 10.0
+    assert small.misfit - richer.misfit == pytest.approx(square.chi_square, rel=0.3)
+    assert richer.theta[-1] == pytest.approx(square.value, rel=0.1)
+
+
+def test_a_term_is_taken_where_the_evidence_is_strong(
+    monkeypatch: pytest.MonkeyPatch, small: Solution
+) -> None:
+    """Its score lies beyond log(n) + 6, and its fit is better by 6 than the criterion asks."""
+    every = {name: terms(small.problem.record, small.problem.known)[name] for name in ("delay", "speed_lag")}
+    border = math.log(small.problem.count) + 6.0
+    better: list[float] = [0.0]
+    refits: list[str] = []
+
+    def solved(best: Solution, added: list[Any]) -> Solution:
+        problem = best.problem.with_terms(added)
+        refits.append(added[0].name)
+        misfit = best.misfit - math.log(best.problem.count) - better[0]
+        return Solution(problem, np.append(best.theta, 0.0), misfit)
+
+    monkeypatch.setattr(fitting, "_solved", solved)
+    for score, gain, is_taken in (
+        (border + 0.01, 6.01, True),
+        (border + 0.01, 5.99, False),
+        (border - 0.01, 9.0, False),
+    ):
+        tests = {
+            "delay": ScoreTest(score, 1.0, 0.1, np.zeros(4)),
+            "speed_lag": ScoreTest(1.0, 1.0, 0.1, np.zeros(4)),
+        }
+        monkeypatch.setattr(fitting, "score_tests", lambda *_, tests=tests: tests)
+        better[0] = gain
+        refits.clear()
+        found = fitting._richer(small, every)
+        assert (found is not None and found.names[-1] == "delay") is is_taken
+        assert refits == (["delay"] if score > border else [])
+
+
+class Line:
+    """In the place of a problem: residuals that are straight lines in the unknowns."""
+
+    def __init__(self, design: FloatArray, target: FloatArray, names: tuple[str, ...]) -> None:
+        self.design, self.target, self.names = design, target, names
+        n = len(target)
+        self.record = plain(n).only(current=True, speed=False)
+        self.count = n
+
+    def residuals(self, theta: FloatArray) -> FloatArray:
+        return self.design @ theta - self.target
+
+    def column(self, _: FloatArray, n: int, __: FloatArray) -> FloatArray:
+        return np.asarray(self.design[:, n])
+
+    def secant(self, _: FloatArray, n: int, __: float) -> FloatArray:
+        return np.asarray(self.design[:, n])
+
+    def values(self, _: FloatArray) -> FloatArray:
+        return values()
+
+
+def walked(rho: float, n: int = 600) -> Line:
+    """Two unknowns and a noise; regressors and errors that remember."""
+    rng = np.random.default_rng(4)
+    drawn = rng.standard_normal((n, 4))
+    for k in range(1, n):
+        drawn[k] += rho * drawn[k - 1]
+    return Line(drawn[:, :3] * [1.0, 3.0, 1.0], drawn[:, 3], ("R", "K", "noise_current"))
+
+
+def test_errors_of_white_residuals_are_those_of_least_squares() -> None:
+    line = walked(0.0)
+    theta = np.linalg.lstsq(line.design, line.target, rcond=None)[0]
+    found = information_covariance(cast("Any", line), theta)
+    left = line.residuals(theta)
+    expected = np.linalg.inv(line.design[:, :2].T @ line.design[:, :2]) * (left @ left) / 600
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert motor_places(cast("Any", line)) == [0, 1]
+
+
+@pytest.mark.parametrize("rho", [0.9, 0.0, -0.6])
+def test_errors_of_residuals_that_remember_are_those_of_newey_and_west(
+    rho: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = walked(rho)
+    theta = np.linalg.lstsq(line.design, line.target, rcond=None)[0]
+    monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
+    best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=0.0)
+    found = uncertainty.covariance(cast("Any", best), {})
+    left, design = line.residuals(theta), line.design[:, :2]
+    # Scores as far apart as 3 mechanical time constants, which are more than 1.5 n^(1/3) samples here.
+    memory = 4e-6 * 2.0 / 0.03**2
+    lags = int(3.0 * memory / DT_S)
+    assert 1.5 * 600 ** (1 / 3) < lags < 30
+    scores, apart = design * left[:, None], np.abs(np.subtract.outer(np.arange(600), np.arange(600)))
+    weights = np.maximum(1.0 - apart / (lags + 1.0), 0.0)
+    bread = np.linalg.inv(design.T @ design)
+    sandwich = np.diag(bread @ (scores.T @ weights @ scores) @ bread)
+    white = bread * (left @ left) / 600
+    wider = np.sqrt(np.maximum(sandwich / np.diag(white), 1.0))
+    np.testing.assert_allclose(found, white * np.outer(wider, wider), rtol=1e-9)
+    assert (wider > 1.5).all() == (rho == 0.9)
+
+
+def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = walked(0.0)
+    theta = np.linalg.lstsq(line.design, line.target, rcond=None)[0]
+    tests = {"delay": ScoreTest(4.0, 0.5, 0.2, np.array([0.1, -0.3, 9.0]))}
+    every = {"delay": SimpleNamespace(usual=0.6)}
+    best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=10.0)
+    monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
+    without = uncertainty.covariance(cast("Any", best), {})
+    monkeypatch.setattr(uncertainty, "score_tests", lambda *_: tests)
+    added = uncertainty.covariance(cast("Any", best), cast("Any", every)) - without
+    odds = 0.2 / math.hypot(0.2, 0.6) * math.exp(2.0)
+    size = odds / (1.0 + odds) * (0.5**2 + 0.2**2)
+    np.testing.assert_allclose(added, size * np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
+    monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
+    best.rivals = ((theta + np.array([0.2, 0.0, 5.0]), 12.0), (theta - np.array([0.0, 0.1, 5.0]), 11.0))
+    added = uncertainty.covariance(cast("Any", best), {}) - without
+    shares = np.exp([-1.0, -0.5])
+    shares /= 1.0 + shares.sum()
+    np.testing.assert_allclose(added, np.diag(shares * [0.04, 0.01]), rtol=1e-7, atol=1e-12)
+
+
+def test_a_direction_of_which_nothing_is_known_has_a_hopeless_variance() -> None:
+    line = walked(0.0)
+    line.design[:, 1] *= 1e-6
+    theta = np.zeros(3)
+    found = information_covariance(cast("Any", line), theta)
+    assert found[1, 1] == pytest.approx(1e6 * float(line.target @ line.target) / 600)
+
+
+def test_regressions_begin_near_the_motor() -> None:
+    """Without noise, at fine steps: each of the three kinds finds what its channels tell."""
+    p = values(L=4e-3, B=4e-5, COULOMB=0.001, NOISE_I=1e-9, NOISE_W=1e-9)
+    record = worked(p, n=16_000, hold="straight", noise=0.0, dt_s=1e-4)
+    told = [kernel.R, kernel.L, kernel.K, kernel.J]
+    best = min(beginnings(record), key=lambda one: float(np.abs(np.log(one[told] / p[told])).sum()))
+    np.testing.assert_allclose(best[told], p[told], rtol=0.02)
+    assert best[[kernel.B, kernel.COULOMB]] == pytest.approx(p[[kernel.B, kernel.COULOMB]], rel=0.1)
+    alone = record.only(current=True, speed=False)
+    # The resistance is one of nine, so that a motor is taken whose resistance is among them.
+    volts, amps, _ = record.peaks
+    share = min(np.geomspace(0.04, 2.0, 9), key=lambda one: abs(math.log(one * volts / amps / 2.0)))
+    scale = 2.0 / (share * volts / amps)
+    found = [one for one in beginnings(alone) if one[kernel.R] == pytest.approx(2.0 / scale)]
+    assert {one[kernel.K] for one in found} == {1.0}
+    near = min(found, key=lambda one: abs(math.log(one[kernel.J] / (4e-6 / 0.03**2))))
+    assert near[kernel.J] == pytest.approx(4e-6 / 0.03**2, rel=0.35)
+    speed = record.only(current=False, speed=True)
+    lag, dead = 2.0 * 4e-6 / 0.03, 2.0 * 0.001 / 0.03
+    drag = 2.0 * 4e-5 / 0.03
+    near = min(beginnings(speed), key=lambda one: abs(math.log(one[kernel.K] / (0.03 + drag))))
+    assert near[[kernel.R, kernel.B]].tolist() == [1.0, 0.0]
+    assert near[kernel.K] == pytest.approx(0.03 + drag, rel=0.02)
+    assert near[kernel.J] / near[kernel.K] == pytest.approx(lag, rel=0.25)
+    assert near[kernel.COULOMB] / near[kernel.K] == pytest.approx(dead, rel=0.3)
+
+
+def test_first_steps_of_parts_are_linear_least_squares() -> None:
+    """Each part by its own whitened innovations, with the loads believed beforehand."""
+    known = values(DRAG=1.0, NOISE_V=0.03)
+    changed = values(R=2.02, K=0.0301, J=4.04e-6, COULOMB=0.00204, B=2.04e-6)
+    parts = [worked(changed, seed=seed, n=150, lowest=4.0) for seed in (5, 6)]  # it never stops
+    wanted, peaks = ("load_constant", "offset_speed"), (9.0, 3.0, 200.0)
+    torque = 0.03 * 3.0
+    units = np.array([1.0, 1.0, 1.0, 1.0, torque, 200.0])
+    whole = joined(parts)
+
+    def white(step: FloatArray) -> FloatArray:
+        p = known.copy()
+        p[[kernel.R, kernel.K, kernel.J]] *= np.exp(step[:3])
+        p[[kernel.B, kernel.COULOMB]] *= known[kernel.DRAG] + step[3]
+        p[kernel.DRAG] = 0.0
+        p[[kernel.LOAD, kernel.OFFSET_W]] = step[4:]
+        p[kernel.L] = math.hypot(p[kernel.L], 0.01 * p[kernel.R] * DT_S)
+        return np.clip(whole.predict(p)[0][:, :2], -6.0, 6.0)
+
+    slopes = np.array([(white(1e-4 * axis) - white(-1e-4 * axis)) / 2e-4 for axis in np.eye(6) * units])
+    base, belief = white(np.zeros(6)), np.diag([0.01, 0.01, 0.01, 0.01, 1.0 / 0.09, 1.0 / 0.003**2])
+    for k, (logs_, covariance) in enumerate(first_steps(parts, known, wanted, peaks)):
+        some = slopes[:, 150 * k : 150 * (k + 1)].reshape(6, -1)
+        spread = np.linalg.inv(some @ some.T + belief)
+        step = -spread @ some @ base[150 * k : 150 * (k + 1)].ravel()
+        np.testing.assert_allclose(logs_, step[:4], rtol=5e-3, atol=1e-5)
+        size = np.sqrt(np.diag(spread))[:4]
+        np.testing.assert_allclose(
+            covariance / np.outer(size, size), (spread[:4, :4]) / np.outer(size, size), atol=5e-3
+        )
+    twice = known.copy()
+    twice[kernel.DRAG] = 2.0
+    twice[[kernel.B, kernel.COULOMB]] /= 2.0
+    ((logs_, covariance),) = first_steps(parts[:1], twice, wanted, peaks)
+    ((ours, once),) = first_steps(parts[:1], known, wanted, peaks)
+    np.testing.assert_allclose(logs_, ours, rtol=2e-3, atol=2e-4)
+    np.testing.assert_allclose(covariance[3], once[3], rtol=0.01, atol=1e-9)
+
+
+def test_a_window_is_fitted_near_the_healthy_motor() -> None:
+    known = values(DRAG=1.0, COULOMB=0.004)
+    changed = values(R=2.4, K=0.029, J=4.4e-6, COULOMB=0.008, B=4e-6)
+    found = fit_window(worked(changed, n=800), known, ())
+    exact = np.log([1.2, 0.029 / 0.03, 1.1, 2.0]) + np.log([2.0, 0.03, 4e-6, 1.0])
+    sd = np.sqrt(np.diag(found.covariance))
+    assert np.all(np.abs(found.logs - exact) < 3.5 * sd)
+    assert np.all(sd < 0.05)
+    assert found.values[kernel.COULOMB] == pytest.approx(0.008, rel=0.05)
+    # The drag's factor f has the error of the information; its logarithm that over the way from 1 to f.
+    fitted = solution(worked(changed, n=800), LOGS, known, np.zeros(3)).problem
+    every = terms(fitted.record, known)
+    drag = replace(every["coulomb"], name="drag", place=kernel.DRAG, unit=1.0, low=0.05, high=20.0)
+    problem = Problem(fitted.record, known, (*fitted.free, drag))
+    factor = math.exp(found.logs[3])
+    theta = np.array([*(found.logs[:3] - np.log([2.0, 0.03, 4e-6])), factor])
+    plain_ = information_covariance(problem, theta)
+    slope = np.array([1.0, 1.0, 1.0, math.log(factor) / (factor - 1.0)])
+    np.testing.assert_allclose(found.covariance, plain_ * np.outer(slope, slope), rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def identified() -> Operation:
+    """A record with current and speed that is quickly fitted."""
+    record = worked(values(B=2e-5, NOISE_V=1e-3), n=500)
+    time_s = DT_S * np.arange(500.0)
+    volts = record.voltage_v + 1e-3 * np.random.default_rng(3).standard_normal(500)
+    current, speed = record.readings.T
+    return identify_operation([Recording(Path("log.csv"), time_s, current, volts, speed)])
+
+
+def intervals(found: Operation) -> None:
+    """Each interval by its unknown's standard error: 95 of 100, 1.959964 of them on either side."""
+    spread, problem = found.covariance, found.solution.problem
+    free = [problem.free[n] for n in motor_places(problem)]
+    theta = found.solution.theta[motor_places(problem)]
+    assert len(spread) == len(free)
+    shown = iter(found.quantities)
+    for row, (term, one) in enumerate(zip(free, theta, strict=True)):
+        half = 1.959964 * math.sqrt(spread[row, row])
+        value = term.value(one)
+        low, high = value - half * term.unit, value + half * term.unit
+        if term.is_log:
+            low, high = value * math.exp(-half), value * math.exp(half)
+        elif term.low >= 0.0:
+            low = max(low, 0.0)
+        relative = half / 1.959964 * (1.0 if term.is_log else term.unit / max(abs(value), 1e-300))
+        if term.name in ("brush_knee", "stribeck", "coulomb_knee") and relative >= 0.5:
+            continue
+        found_one = next(shown)
+        assert found_one.name.split("/")[0].split()[-1] in (term.name, "J", "coulomb")
+        assert (found_one.value, found_one.low, found_one.high) == pytest.approx(
+            (value, low, high), rel=1e-4, abs=1e-4 * half * term.unit
+        )
+        assert found_one.log_sd == pytest.approx(relative)
+        assert found_one.is_told is bool(relative < 0.5)
+    p, speed = found.solution.values, found.record.predict(found.solution.values)[0][:, 3]
+    w = math.sqrt(np.mean(speed**2))
+    drag = next(shown)
+    torque = p[kernel.B] * w + p[kernel.COULOMB] + p[kernel.SQUARE] * w * w
+    moves = {"B": w, "coulomb": 1.0, "load_square": w * w}
+    gradient = np.array([moves.get(term.name, 0.0) * term.unit for term in free])
+    sd = math.sqrt(gradient @ spread @ gradient)
+    assert (drag.name, drag.value) == ("drag", pytest.approx(torque))
+    expected = (max(torque - 1.959964 * sd, 0.0), torque + 1.959964 * sd)
+    assert (drag.low, drag.high) == pytest.approx(expected, rel=1e-4)
+    assert drag.log_sd == pytest.approx(sd / torque)
+
+
+def test_intervals_are_those_of_the_covariance(identified: Operation) -> None:
+    intervals(identified)
+    for name, true in {"R": 2.0, "K": 0.03, "J": 4e-6}.items():
+        one = identified.quantity(name)
+        assert one.low < true < one.high or abs(math.log(one.value / true)) < 3.5 * one.log_sd
+
+
+def test_one_channel_alone_tells_ratios_in_their_units(identified: Operation) -> None:
+    units = {
+        "current": {"R": "ohm", "L": "H", "J/K^2": "A s/V", "B/K^2": "A/V", "coulomb/K": "A", "drag/K": "A"},
+        "speed": {"K": "V s/rad", "R J": "A s2/rad ohm", "R coulomb": "V2 s/rad"},
+    }
+    true = {"R": 2.0, "J/K^2": 4e-6 / 0.03**2, "coulomb/K": 0.002 / 0.03, "R J": 8e-6, "R coulomb": 0.004}
+    for channel, expected in units.items():
+        alone = identified.record.only(current=channel == "current", speed=channel == "speed")
+        found = identify_record(alone)
+        assert {one.name: one.unit for one in found.quantities if one.name in expected} == expected
+        for one in found.quantities:
+            if one.name in true and one.is_told:
+                assert one.value == pytest.approx(true[one.name], rel=0.08)
+        with pytest.raises(InputError, match="needs current and speed"):
+            report.to_motor(found, "mine")
+    assert found.r2_current is None
+    p = found.solution.values
+    told = [
+        f"{1.0 / p[kernel.K]:.4g} rad/s a volt",
+        f"time constant of {p[kernel.J] / p[kernel.K] ** 2:.3g} s",
+    ]
+    told += [f"dead voltage of {p[kernel.COULOMB] / p[kernel.K]:.3g} V"]
+    assert all(words in found.notes[0] for words in told)
+
+
+def test_text_json_and_motor_file_say_the_same(identified: Operation) -> None:
+    told = report.as_json(identified, [Path("log.csv")], "as asked")
+    text = report.as_text(identified, [Path("log.csv")], "as asked").splitlines()
+    for one, line in zip(identified.quantities, text[2:], strict=False):
+        said = told["parameters"][one.name]
+        assert said == {
+            "value": one.value,
+            "interval": [one.low, one.high],
+            "unit": one.unit,
+            "determined": one.is_told,
+        }
+        assert f"{one.value:.4g} {one.unit}" in " ".join(line.split())
+        assert (f"{one.low:.4g} to {one.high:.4g}" if one.is_told else "not determined") in line
+    assert told["model"] == list(identified.model)
+    assert (told["r2_current"], told["r2_speed"]) == identified.solution.explained()
+    assert told["warmth_k"] == identified.warmth_k.max()
+    assert (told["voltage"], told["regime"], told["reason"]) == (
+        identified.record.hold,
+        "operation",
+        "as asked",
+    )
+    units = {
+        "R": "ohm",
+        "L": "H",
+        "K": "V s/rad",
+        "J": "kg m2",
+        "B": "N m s/rad",
+        "coulomb": "N m",
+        "drag": "N m",
+    }
+    assert {one.name: one.unit for one in identified.quantities} | units == {
+        one.name: one.unit for one in identified.quantities
+    }
+    motor, p = report.to_motor(identified, "mine"), identified.solution.values
+    assert motor.parameters.resistance_ohm == p[kernel.R]
+    assert motor.parameters.inductance_h == p[kernel.L]
+    assert (
+        motor.parameters.torque_constant_n_m_per_a
+        == motor.parameters.back_emf_constant_v_s_per_rad
+        == p[kernel.K]
+    )
+    assert motor.parameters.inertia_kg_m2 == p[kernel.J]
+    assert motor.parameters.viscous_friction_n_m_s_per_rad == p[kernel.B]
+    assert (motor.coulomb_friction_n_m, motor.brush_drop_v) == (p[kernel.COULOMB], p[kernel.DROP])
+    assert (motor.current_noise_a, motor.speed_noise_rad_s) == (p[kernel.NOISE_I], p[kernel.NOISE_W])
+    assert motor.nominal_voltage_v == identified.record.peaks[0]
+    warm = replace(identified, warmth_k=np.array([0.0, 12.4]))
+    assert "the winding warms by up to 12 K" in report.as_text(warm, [], "")
+    assert "warms" not in report.as_text(replace(identified, warmth_k=np.array([0.49])), [], "")
+
+
+def test_only_what_a_motor_can_be_is_told(identified: Operation) -> None:
+    """The free model explains half of what was measured; L/R lies below 0.2 s."""
+    from motor_env.operation.identify import _refuse_poor
+
+    for r2, is_refused in ((0.499, True), (0.501, False), (math.nan, True)):
+        for name in ("r2_current", "r2_speed"):
+            poor = replace(identified, **{name: r2})
+            if is_refused:
+                with pytest.raises(UnusableError, match="no motor model explains"):
+                    _refuse_poor(poor)
+            else:
+                _refuse_poor(poor)
+    ohm = identified.quantity("R").value
+    for lag, is_refused in ((0.201, True), (0.199, False)):
+        slow = tuple(
+            replace(one, value=lag * ohm, is_told=True) if one.name == "L" else one
+            for one in identified.quantities
+        )
+        if is_refused:
+            with pytest.raises(UnusableError, match="is that of no motor"):
+                _refuse_poor(replace(identified, quantities=slow))
+        else:
+            _refuse_poor(replace(identified, quantities=slow))
+
+
+def test_the_command_tells_logs_from_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], identified: Operation
+) -> None:
+    """A log and a start together: both are told, as text and as JSON; the status is that of the worse."""
+    record = identified.record
+    rows = np.column_stack([DT_S * np.arange(500.0), record.voltage_v, record.readings])
+    log, toml = tmp_path / "log.csv", tmp_path / "motor.toml"
+    np.savetxt(log, rows, delimiter=",", header="time_s,voltage_v,current_a,speed_rad_s", comments="")
+    start = str(Path(__file__).parents[3] / "examples" / "startup_capture.csv")
+    monkeypatch.setattr(logs, "identify_operation", lambda _: identified)
+    assert main(["identify", str(log), start, "--json"]) == 0
+    first, second = json.loads(capsys.readouterr().out)
+    assert (first["file"], second["files"]) == (start, [str(log)])
+    assert second["parameters"] == report.as_json(identified, [], "")["parameters"]
+    assert main(["identify", str(log), start, "-o", str(toml)]) == 0
+    said = capsys.readouterr().out
+    assert f"{start}: model textbook" in said
+    assert f"{log}: a motor at work (the voltage reverses" in said
+    assert main(["identify", str(log), "--regime", "operation", "-o", str(toml)]) == 0
+    assert "(as asked)" in capsys.readouterr().out
+    assert load_motor(toml).parameters.inertia_kg_m2 == identified.solution.values[kernel.J]
+    assert main(["identify", str(log), "--regime", "rest"]) == 2
+    monkeypatch.setattr(logs, "identify_operation", lambda _: refuse())
+    assert main(["identify", str(log), start]) == 3
+    assert f"{log}: unusable: no motor" in capsys.readouterr().out
+    assert main(["identify", str(log), "-o", str(toml)]) == 2
+    assert "no motor file: no motor" in capsys.readouterr().err
+
+
+def refuse() -> Operation:
+    raise UnusableError("no motor")
+
+
+def test_a_duty_and_a_shunt_reach_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[Recording] = []
+
+    def identify(recordings: tuple[Recording, ...]) -> Operation:
+        given.extend(recordings)
+        return refuse()
+
+    monkeypatch.setattr(logs, "identify_operation", identify)
+    one = replace(recorded(np.full(50, 2.0)), voltage_v=None, duty=np.full(50, 0.5))
+    work = logs.identify_logs(
+        [(one, "a"), (one, "b"), (one, "a")], voltage_v=12.0, circuit=Circuit(shunt_ohm=0.25)
+    )
+    assert given[0].voltage_v == pytest.approx(np.full(50, 6.0 - 0.5))
+    assert (work.reason, work.exit_status()) == ("a; b", 3)
