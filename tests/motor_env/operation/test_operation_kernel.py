@@ -400,7 +400,7 @@ def test_a_fan_and_coasting_follow_their_closed_forms() -> None:
 
 
 def test_a_diode_lets_a_current_end_and_not_turn() -> None:
-    """Where the circuit opens, a current that would turn in the interval is none, and the motor coasts from there on."""
+    """Where the circuit opens, a current that would turn meanwhile is none, and the motor coasts from there on."""
     p, marks = values(B=2e-5), array(kernel.BEGIN, kernel.OPEN)
     m = exact_step(p, DT_S)
     for i, coasts in ((0.05, True), (0.5, False), (-0.05, True), (-0.5, False)):
@@ -409,7 +409,7 @@ def test_a_diode_lets_a_current_end_and_not_turn() -> None:
         readings = np.tile([i, speed], (2, 1))
         out = Record(DT_S, np.full(2, volts), readings, np.ones(2), marks).predict(p, learn=False)[0]
         new_i, new_w = m @ [i, speed, volts, 0.0, 0.0]
-        assert (new_i * i < 0.0) is coasts
+        assert bool(new_i * i < 0.0) is coasts
         expected = speed * math.exp(-2e-5 / 4e-6 * DT_S) if coasts else new_w
         assert out[1, 2:4] == pytest.approx([0.0, expected], rel=1e-9)
 
