@@ -401,11 +401,11 @@ def test_a_fan_and_coasting_follow_their_closed_forms() -> None:
 
 def test_a_diode_lets_a_current_end_and_not_turn() -> None:
     """Where the circuit opens, a current that would turn meanwhile is none, and the motor coasts from there on."""
-    p, marks = values(B=2e-5), array(kernel.BEGIN, kernel.OPEN)
+    p, marks = values(B=2e-5, L=2e-2), array(kernel.BEGIN, kernel.OPEN)
     m = exact_step(p, DT_S)
     for i, coasts in ((0.05, True), (0.5, False), (-0.05, True), (-0.5, False)):
         speed = math.copysign(20.0, i)
-        volts = 0.03 * speed - math.copysign(0.1, i)
+        volts = 0.03 * speed - math.copysign(2.0, i)
         readings = np.tile([i, speed], (2, 1))
         out = Record(DT_S, np.full(2, volts), readings, np.ones(2), marks).predict(p, learn=False)[0]
         new_i, new_w = m @ [i, speed, volts, 0.0, 0.0]
