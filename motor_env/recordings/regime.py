@@ -126,7 +126,7 @@ def _explains_steps(voltage_v: FloatArray, current_a: FloatArray) -> bool:
     rises = [*(each[:-1] for each in following), np.diff(current_a[jumps])]
     # Of two signs the ranks are a straight line: this is Spearman's correlation.
     ranks = pd.DataFrame(np.transpose(rises)).rank().to_numpy()
-    known = max(abs(np.corrcoef(signs, each)[0, 1]) for each in ranks.T if np.ptp(each) > 0.0)
+    known = max((abs(np.corrcoef(signs, each)[0, 1]) for each in ranks.T if np.ptp(each) > 0.0), default=0.0)
     return bool(known > min(max(_CHANCE / math.sqrt(len(signs)), _UNKNOWN), _KNOWN))
 
 

@@ -58,3 +58,11 @@ def test_a_voltage_that_the_current_does_not_follow_is_refused(pwm_hz: float) ->
     mean = np.convolve(fine.current_a, np.full(40, 1.0 / 40.0), mode="same")  # as an inductance leaves it
     with pytest.raises(UnusableError, match="sampled more slowly than it switches"):
         refuse_aliased(fine.voltage_v[::20], mean[::20])
+
+
+def test_a_current_that_never_moves_with_the_voltage_is_refused() -> None:
+    """Not even between its jumps: a ramp, or a sensor that shows the same at each of them."""
+    voltage = np.where(np.arange(2000) // 50 % 2 == 0, 0.0, 12.0)
+    for current in (1e-3 * np.arange(2000.0), np.where(np.arange(2000) < 1990, 1.0, 2.0)):
+        with pytest.raises(UnusableError, match="does not follow the voltage"):
+            refuse_aliased(voltage, current)
