@@ -244,6 +244,20 @@ def test_six_samples_without_a_current_are_an_open_circuit() -> None:
         assert found.tolist() == (list(range(50, 56)) if is_open else [])
 
 
+def test_what_an_open_circuit_is_measured_by_leaves_rare_samples_out() -> None:
+    """Three samples of 2,000 belong to the largest voltage, thirty to the largest current; half as many do not."""
+    rng = np.random.default_rng(2)
+    for spikes, inrush, is_open in ((3, 30, True), (1, 30, False), (3, 15, False)):
+        voltage, current = np.full(2000, 20.0), np.full(2000, 0.5)
+        voltage[:spikes], current[:inrush] = 100.0, 10.0
+        voltage[1000:1200] = 1.0  # below 2 % of 100 V: recorded as none
+        current[1000:1200] = 0.02  # below 0.3 % of 10 A
+        shown = np.stack([current + 1e-4 * rng.standard_normal(2000), np.zeros(2000)], axis=1)
+        shown[1000:1200, 1], shown[:1000, 1] = np.linspace(300.0, 100.0, 200), 300.0
+        found = np.flatnonzero(open_circuit(voltage, shown, np.eye(1, 2000)[0]))
+        assert found.tolist() == (list(range(1000, 1200)) if is_open else [])
+
+
 def test_units_of_the_unknowns() -> None:
     """Each term's unit, by the peaks of 12 V, 3 A, 200 rad/s and a motor of 2 ohm, 0.03 V s."""
     record = replace(plain(500), readings=np.stack([np.full(500, 1.5), np.zeros(500)], axis=1))
@@ -265,11 +279,17 @@ def test_units_of_the_unknowns() -> None:
     }  # fmt: skip
     usual = {name: term.usual for name, term in every.items() if term.usual != 1.0}
     assert usual == {"load_constant": 0.3, "load_square": 0.3}
-    bounds = {name: (term.low, term.high) for name, term in every.items()}
     reach = 0.5 * second / DT_S
-    assert (bounds["L"], bounds["delay"]) == ((0.0, reach), (-1.0, 1.0))
-    assert (bounds["current_lag"], bounds["speed_lag"]) == ((0.0, 5.0), (0.0, 50.0))  # 10 ms and 0.1 s
-    assert (bounds["R"], bounds["J"], bounds["load_constant"]) == ((-5.0, 5.0), (-7.0, 7.0), (-2.0, 2.0))
+    bounds = {
+        "R": (-5.0, 5.0), "L": (0.0, reach), "K": (-5.0, 5.0), "J": (-7.0, 7.0), "B": (0.0, 20.0),
+        "coulomb": (0.0, 0.9), "brush_drop": (0.0, 0.4), "brush_knee": (0.0, 0.05), "stribeck": (0.0, 2.0),
+        "coulomb_knee": (0.0, 0.05), "load_constant": (-2.0, 2.0), "load_square": (0.0, 20.0),
+        "offset_current": (-0.2, 0.2), "offset_speed": (-0.1, 0.1), "heating": (0.0, 20.0), "cooling": (0.0, 300.0),
+        "current_lag": (0.0, 5.0), "speed_lag": (0.0, 50.0),  # 10 ms and 0.1 s
+        "delay": (-1.0, 1.0), "noise_current": (-5.0, 5.0), "noise_speed": (-5.0, 5.0),
+        "noise_voltage": (-6.0, 4.0), "load_walk": (-6.0, 6.0),
+    }  # fmt: skip
+    assert {name: (term.low, term.high) for name, term in every.items()} == bounds
     assert every["R"].value(0.3) == pytest.approx(2.0 * math.exp(0.3))
     assert every["L"].value(0.3) == pytest.approx(0.3 * 2.0 * DT_S)
     alone = terms(record.only(current=False, speed=True), values(), (12.0, 3.0, 200.0))
@@ -447,6 +467,11 @@ def test_errors_of_white_residuals_are_those_of_least_squares() -> None:
     expected = np.linalg.inv(line.design[:, :2].T @ line.design[:, :2]) * (left @ left) / 600
     np.testing.assert_allclose(found, expected, rtol=1e-9)
     assert motor_places(cast("Any", line)) == [0, 1]
+    line.design *= [1e6, 1e-3, 1.0]
+    units = np.array([1e-6, 1e3])
+    np.testing.assert_allclose(
+        information_covariance(cast("Any", line), theta / [1e6, 1e-3, 1.0]), expected * np.outer(units, units)
+    )
 
 
 @pytest.mark.parametrize("rho", [0.9, 0.0, -0.6])
