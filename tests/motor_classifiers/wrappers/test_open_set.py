@@ -57,7 +57,16 @@ def _residuals(logarithms: FloatArray, measured: FloatArray, recipe: Recipe) -> 
 def test_the_distance_is_that_of_another_minimiser() -> None:
     foreign = foreign_starts(BENCH, ForeignFault("inertia +10 %", inertia=1.1), 3, np.arange(3))
     known = generate_arrays(BENCH, 3, 5).X
-    X = np.concatenate([foreign, known]).astype(np.float64)
+    still = [
+        simulate_states(BENCH.motor.scaled(**{FIELDS["friction"]: factor}), BENCH.timing.step(12.0), 1e-3).T[
+            :1
+        ]
+        for factor in (1.0, np.exp(0.6))
+    ]
+    loud = still[0] + 1.6 * (
+        known[:1] - still[0]
+    )  # noise beyond what is believed, and a severity without noise
+    X = np.concatenate([foreign, known, loud, still[1][None]]).astype(np.float64)
     got = family_fit(BENCH, X)
     tolerance = np.array([0.01, 0.01, 0.01, 0.02, 0.02, 1e-4])
     kinds = (None, QUANTITIES.index("friction"), QUANTITIES.index("resistance"))

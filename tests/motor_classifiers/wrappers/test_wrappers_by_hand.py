@@ -1,0 +1,254 @@
+"""What wrappers compute, on a handful of cases by hand: p-values, margins, thresholds, stops, severities along rays."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest, norm
+from sklearn.frozen import FrozenEstimator
+from sklearn.linear_model import LogisticRegression
+
+from motor_classifiers.wrappers.conformal import (
+    ConformalClassifier,
+    ConformalIntervals,
+    ConformalSets,
+    measured_coverage,
+)
+from motor_classifiers.wrappers.early import (
+    EarlyClassifier,
+    Stopped,
+    shortened,
+    stop_when_sure,
+    stopping_score,
+)
+from motor_classifiers.wrappers.fault_family import (  # the two last: closed forms hold them, not only rates
+    FamilyFit,
+    _along,
+    _hypotheses,
+    family_fit,
+)
+from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClassifier
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import Channel, FloatArray
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FaultClass, Spread
+from motor_env.simulation.simulate import Timing, simulate_states
+
+BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+# Strangeness of the true class: 1/8, 1/4 and 1/2, which are exact in binary.
+KNOWN = np.array([[0.875, 0.125], [0.75, 0.25], [0.5, 0.5]])
+
+
+def test_p_values_of_three_calibration_cases() -> None:
+    """(1 + how many are at least as strange) / (1 + 3): ties count, and no p-value is 0."""
+    sets = ConformalSets.calibrate(KNOWN, [0, 0, 0])
+    new = np.array([[0.9375, 0.0625], [0.875, 0.125], [0.75, 0.25], [0.625, 0.375], [0.25, 0.75]])
+    expected = [[1.0, 0.25], [1.0, 0.25], [0.75, 0.25], [0.5, 0.25], [0.25, 0.75]]
+    np.testing.assert_array_equal(sets.p_values(new), expected)
+    np.testing.assert_array_equal(sets.sets(new, 0.75), np.array(expected) > 0.25)
+    np.testing.assert_array_equal(sets.sets(new, 0.5), np.array(expected) > 0.5)
+    assert sets.sets(new, 0.76).all()
+    each = ConformalSets.calibrate(KNOWN, [0, 0, 1], label_conditional=True)
+    np.testing.assert_array_equal(
+        each.p_values(new), [[1.0, 0.5], [1.0, 0.5], [2 / 3, 0.5], [1 / 3, 0.5], [1 / 3, 1.0]]
+    )
+    for coverage in (0.0, 1.0):
+        with pytest.raises(ValueError, match="coverage must lie between 0 and 1"):
+            sets.sets(new, coverage)
+
+
+def test_coverage_is_counted() -> None:
+    sets = np.array([[1, 0, 0], [1, 1, 0], [0, 0, 0], [0, 1, 1], [1, 0, 0]], dtype=bool)
+    got = measured_coverage(sets, [0, 1, 0, 0, 0])
+    assert (got.overall, got.mean_size, got.empty, got.single) == (0.6, 1.2, 0.2, 0.4)
+    np.testing.assert_array_equal(got.by_class, [0.5, 1.0, np.nan])
+
+
+def test_margins_of_four_calibration_cases() -> None:
+    """The ceil(0.6 (4 + 1)) = third smallest distance outside; negative where the truth lies inside."""
+    intervals = np.array([[1.0, 2.0], [1.0, 2.0], [1.0, 2.0], [1.0, 2.0]])
+    truth = [1.5, 0.75, 2.125, 3.0]  # outside by -0.5, 0.25, 0.125 and 1
+    got = ConformalIntervals.calibrate(intervals, truth, coverage=0.6)
+    assert got.margin == {"all": 0.25}
+    np.testing.assert_array_equal(
+        got.widen(np.array([[1.0, 2.0], [0.125, 0.5]])), [[0.75, 2.25], [0.0, 0.75]]
+    )
+    with pytest.raises(ValueError, match=r"4 cases, too few for a coverage of 0\.81"):
+        ConformalIntervals.calibrate(intervals, truth, coverage=0.81)
+    assert ConformalIntervals.calibrate(intervals, truth, coverage=0.8).margin == {"all": 1.0}
+    narrow = ConformalIntervals({"a": -0.25, "b": -0.75}, 0.9)
+    np.testing.assert_array_equal(narrow.widen(intervals[:2], ["a", "b"]), [[1.25, 1.75], [1.5, 1.5]])
+
+
+@pytest.mark.parametrize(("per_class", "kept"), [(10, 3), (15, 4), (2, 1), (3, 1)])
+def test_a_share_of_each_class_is_kept_to_calibrate_on(per_class: int, kept: int) -> None:
+    X = np.random.default_rng(0).normal(size=(2 * per_class, 3))
+    y = np.repeat(["a", "b"], per_class)
+    model = ConformalClassifier(random_state=0).fit(X, y)
+    assert [len(scores) for scores in model.sets_.strangeness] == [kept, kept]
+    frozen = ConformalClassifier(
+        FrozenEstimator(LogisticRegression().fit(X, y)), label_conditional=False
+    ).fit(X, y)
+    assert [len(scores) for scores in frozen.sets_.strangeness] == [2 * per_class]
+    np.testing.assert_array_equal(model.predict_set(X), model.sets_.sets(model.predict_proba(X), 0.9))
+
+
+@pytest.mark.parametrize(("misses", "count"), [(0, 8), (3, 8), (8, 8)])
+def test_the_interval_of_a_stopping_error_is_the_exact_one(misses: int, count: int) -> None:
+    decided = (np.arange(10) < misses).astype(np.int64)
+    stopped = Stopped(decided, np.arange(10) % 2, np.arange(10) < count)
+    got = stopping_score(stopped, np.zeros(10, dtype=np.int64), [0.25, 0.75])
+    exact = binomtest(misses, count).proportion_ci(0.95, "exact")
+    assert (got.error, got.stopped, got.accuracy, got.mean_time_s) == (
+        misses / count, count / 10, pytest.approx(1.0 - misses / 10), 0.5,
+    )  # fmt: skip
+    assert (got.error_low, got.error_high) == pytest.approx((exact.low, exact.high))
+
+
+def test_nobody_stops() -> None:
+    stopped = stop_when_sure(np.full((2, 3, 2), 0.5), 0.25)
+    assert stopped.moment.tolist() == [1, 1, 1]
+    assert not stopped.sure.any()
+    got = stopping_score(stopped, [0, 0, 1], [1.0, 2.0])
+    assert np.isnan(got.error)
+    assert (got.error_low, got.error_high, got.stopped) == (0.0, 1.0, 0.0)
+    assert stop_when_sure(np.array([[[0.75, 0.25]]]), 0.25).sure.all()  # as sure as asked for is sure enough
+
+
+def test_lengths_of_what_is_seen() -> None:
+    X = np.random.default_rng(1).normal(size=(12, 50))
+    y = np.repeat([0, 1], 6)
+    assert EarlyClassifier().fit(X, y).samples_.tolist() == [1, 2, 5, 10, 20, 30, 40, 50]
+    assert EarlyClassifier().fit(X[:, :2], y).samples_.tolist() == [1, 2]
+    chosen = EarlyClassifier(samples=(1, 50)).fit(X, y)
+    np.testing.assert_allclose(
+        chosen.probabilities_by_samples(X)[0],
+        LogisticRegression(max_iter=1000).fit(X[:, :1], y).predict_proba(X[:, :1]),
+    )
+    for wrong in ((0, 50), (1, 51)):
+        with pytest.raises(ValueError, match="samples must be from 1 to 50"):
+            EarlyClassifier(samples=wrong).fit(X, y)
+
+
+def test_a_recipe_is_cut_after_its_quiet_part() -> None:
+    recipe = replace(BENCH, timing=Timing(1_000.0, 0.1, quiet_s=0.02))
+    cut = shortened(FaultFamilyDetector(recipe), 50).recipe
+    assert (cut.timing.n_samples, cut.timing.n_quiet) == (50, 20)
+    assert cut.timing.duration_s == pytest.approx(0.03)
+
+
+class _Counting(LogisticRegression):
+    """Remembers what it was given."""
+
+    def __init__(self, recipe: Any = None) -> None:
+        super().__init__()
+        self.recipe = recipe
+
+    def fit(self, X: Any, y: Any) -> "_Counting":
+        self.given_ = X.copy()
+        super().fit(X, y)
+        return self
+
+
+def test_the_first_samples_are_those_of_each_channel() -> None:
+    both = replace(BENCH, sensor=replace(BENCH.sensor, channels=(Channel.CURRENT, Channel.SPEED)))
+    X = np.arange(4 * 2 * 100, dtype=np.float64).reshape(4, 2, 100)
+    model = EarlyClassifier(_Counting(both), samples=(3, 100)).fit(X, [0, 1, 0, 1])
+    np.testing.assert_array_equal(model.estimators_[0].given_, X[:, :, :3].reshape(4, 6))
+
+
+def _distances(detector: FaultFamilyDetector, X: Any) -> FamilyFit:
+    """Each case is its own distance and severity; the last feature says out of range."""
+    cases = np.asarray(X).reshape(len(X), -1)
+    return FamilyFit(cases[:, 0], np.full(len(cases), "bearing"), cases[:, 1], cases[:, 1] > 10.0)
+
+
+def test_thresholds_and_verdicts_of_given_distances(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FaultFamilyDetector, "family", _distances)
+    X = np.column_stack([np.arange(101.0), np.zeros(101)])
+    detector = FaultFamilyDetector(false_alarm_rate=0.05).fit(X)
+    assert detector.offset_ == pytest.approx(-95.0)
+    detector.offset_ = -95.0
+    np.testing.assert_array_equal(detector.decision_function(X[[0, 95, 96]]), [95.0, 0.0, -1.0])
+    assert detector.predict(X[[0, 95, 96]]).tolist() == [1, 1, -1]
+    model = OpenSetClassifier(false_alarm_rate=0.05).fit(X, np.where(X[:, 0] < 50.0, "low", "more"))
+    model.detector_.offset_ = -95.0
+    got = model.verdicts(np.array([[3.0, 0.5], [95.0, 11.0], [96.0, 11.0], [3.0, 10.0]]))
+    assert got.label.tolist() == ["low", "bearing", "other", "low"]
+    assert got.is_other.tolist() == [False, False, True, False]
+    assert got.out_of_range.tolist() == [False, True, False, False]
+    np.testing.assert_array_equal(got.severity, [0.5, 11.0, np.nan, 10.0])
+    assert OpenSetClassifier().false_alarm_rate == FaultFamilyDetector().false_alarm_rate == 0.01
+
+
+def test_severity_along_rays_is_the_conditional_normal() -> None:
+    """Against the joint normal of t and the logarithms: t ~ N(0, 1), logarithms = tolerances + t rays."""
+    rng = np.random.default_rng(0)
+    rays, tolerances = rng.normal(size=(2, 4)), np.array([0.01, 0.04, 0.09, 0.16])
+    joint = np.block([[np.eye(2), rays], [rays.T, np.diag(tolerances) + rays.T @ rays]])
+    inside = joint[2:, 2:]
+    gain = np.linalg.solve(inside, joint[2:, :2]).T
+    left = joint[:2, :2] - gain @ joint[2:, :2]
+    values, root = rng.normal(size=(3, 4)), 0.1 * rng.normal(size=(3, 4, 4))
+    covariance = root @ np.swapaxes(root, 1, 2)
+    fitted: Any = SimpleNamespace(values=values, covariance=covariance)
+    mean, std = _along(rays, np.linalg.inv(inside), fitted)
+    np.testing.assert_allclose(mean, values @ gain.T)
+    expected = [np.sqrt(np.diag(gain @ own @ gain.T + left)) for own in covariance]
+    np.testing.assert_allclose(std, expected)
+
+
+def test_kinds_of_joint_faults_stand_for_them_where_one_is_hidden() -> None:
+    bearing, contact = FaultKind.BEARING, FaultKind.WINDING_CONTACT
+    both = FaultClass(bearing, 0.25, also=(FaultClass(contact, 0.1),))
+    pairs = [
+        (label, sorted(map(str, kinds)))
+        for label, kinds in _hypotheses(replace(BENCH, classes=(FaultClass(), both)))
+    ]
+    joint = "bearing+winding_contact"
+    assert pairs == [
+        ("healthy", []), (joint, ["bearing", "winding_contact"]), (joint, ["bearing"]), (joint, ["winding_contact"]),
+    ]  # fmt: skip
+    known = replace(BENCH, classes=(FaultClass(), both, FaultClass(bearing, 0.1)))
+    assert [label for label, _ in _hypotheses(known)] == ["healthy", joint, joint, "bearing"]
+
+
+def test_a_louder_sensor_is_out_of_range_when_it_surely_is() -> None:
+    """The scatter of a variance read off n values is sqrt(2 / n) of it; surely means 99 %."""
+    loud = replace(BENCH, classes=(FaultClass(), FaultClass(FaultKind.NOISE, 1.0)))
+    still = simulate_states(loud.motor, loud.nominal_voltage_v, loud.timing.dt_s)[:, 0]
+    noise = loud.sensor.current_noise_a * np.random.default_rng(2).standard_normal(100)
+    X = still + np.linspace(1.6, 2.2, 25)[:, None] * noise
+    got = family_fit(loud, X[:, None])
+    assert set(got.kind) == {"noise"}
+    variance = got.severity + 1.0
+    least = variance * (1.0 - norm.ppf(0.99) * np.sqrt(2.0 / 100))
+    np.testing.assert_array_equal(got.out_of_range, least > 2.0)
+    assert 5 < got.out_of_range.sum() < 20
+    # Levels within a hundredth of the bound are decided, too: the bound is met on both sides.
+    edge = 2.0 / (1.0 - norm.ppf(0.99) * np.sqrt(0.02))
+    scales = np.sqrt(edge / (variance[0] / 1.6**2) * np.array([0.998, 1.002]))
+    close = family_fit(loud, (still + scales[:, None] * noise)[:, None])
+    assert close.out_of_range.tolist() == [False, True]
+
+
+def _rubbing(factor: float) -> FloatArray:
+    """The noise-free start of a nominal motor with so many times the friction."""
+    motor = BENCH.motor.scaled(viscous_friction_n_m_s_per_rad=factor)
+    current: FloatArray = simulate_states(motor, BENCH.nominal_voltage_v, BENCH.timing.dt_s)[:, 0]
+    return current
+
+
+def test_a_bearing_is_out_of_range_when_it_surely_is() -> None:
+    """Motors without tolerances: the noise alone leaves the severity unsure, by the information in the slope."""
+    certain = replace(BENCH, spread=Spread())
+    severity = np.linspace(0.2, 0.5, 31)
+    got = family_fit(certain, np.stack([_rubbing(1.0 + size) for size in severity])[:, None])
+    assert set(got.kind) == {"bearing"}
+    np.testing.assert_allclose(got.severity, severity, rtol=0.15)
+    slope = (_rubbing(1.4 * np.exp(1e-4)) - _rubbing(1.4 * np.exp(-1e-4))) / 2e-4
+    std = 1.0 / np.sqrt(np.square(slope / certain.sensor.current_noise_a).sum() + 1.0)
+    surely = np.log1p(got.severity) - norm.ppf(0.99) * std > np.log1p(0.25)
+    assert (got.out_of_range != surely).sum() <= 1  # the slope is that of one friction for all
