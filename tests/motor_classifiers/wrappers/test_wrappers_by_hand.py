@@ -10,6 +10,7 @@ from scipy.stats import binomtest, norm
 from sklearn.frozen import FrozenEstimator
 from sklearn.linear_model import LogisticRegression
 
+from motor_classifiers.estimators.state import State
 from motor_classifiers.wrappers.conformal import (
     ConformalClassifier,
     ConformalIntervals,
@@ -93,6 +94,17 @@ def test_a_share_of_each_class_is_kept_to_calibrate_on(per_class: int, kept: int
     ).fit(X, y)
     assert [len(scores) for scores in frozen.sets_.strangeness] == [2 * per_class]
     np.testing.assert_array_equal(model.predict_set(X), model.sets_.sets(model.predict_proba(X), 0.9))
+
+
+@pytest.mark.parametrize(("strangeness", "each"), [([[0.5]], False), ([[0.5], [0.25, 0.5]], True)])
+def test_sets_come_back_from_what_a_file_holds(strangeness: list[list[float]], each: bool) -> None:
+    inner = LogisticRegression().fit([[0.0], [1.0]], ["a", "b"])
+    model = ConformalClassifier.from_state(
+        State({}, {"coverage": 0.75, "strangeness": strangeness}), inner, BENCH
+    )
+    assert (model.coverage, model.label_conditional, model.classes_.tolist()) == (0.75, each, ["a", "b"])
+    assert [part.tolist() for part in model.sets_.strangeness] == strangeness
+    assert model.to_state().values == {"coverage": 0.75, "strangeness": strangeness}
 
 
 @pytest.mark.parametrize(("misses", "count"), [(0, 8), (3, 8), (8, 8)])
@@ -223,6 +235,12 @@ def test_a_louder_sensor_is_out_of_range_when_it_surely_is() -> None:
     X = still + np.linspace(1.6, 2.2, 25)[:, None] * noise
     got = family_fit(loud, X[:, None])
     assert set(got.kind) == {"noise"}
+    # Both hypotheses have the same noise, so what differs are squares in units of it: linear in the scale's square.
+    squares = np.square(np.linspace(1.6, 2.2, 25))
+    np.testing.assert_allclose(
+        got.distance, np.polyval(np.polyfit(squares, got.distance, 1), squares), atol=0.02
+    )
+    assert ((got.distance > 0.0) & (got.distance < 12.0)).all()
     variance = got.severity + 1.0
     least = variance * (1.0 - norm.ppf(0.99) * np.sqrt(2.0 / 100))
     np.testing.assert_array_equal(got.out_of_range, least > 2.0)

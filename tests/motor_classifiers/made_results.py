@@ -1,0 +1,41 @@
+"""A benchmark's results from made answers, for the tests of scores, tables and pages: nothing is trained."""
+
+import numpy as np
+
+from motor_classifiers.scoring.benchmark import CellResult, run_plan
+from motor_classifiers.scoring.judging import LIMIT, Answer, Cell, expected_severity
+from motor_classifiers.scoring.metrics import IntArray
+from motor_classifiers.scoring.plan import AnswerStore, Plan, units
+from motor_classifiers.scoring.progress import Cost
+from motor_classifiers.scoring.trust import SECTIONS, TRUST
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.simulate import Timing
+
+RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+CELL = Cell(RECIPE, 100, 60)
+
+
+def answer(decided: IntArray, sure: float = 0.75) -> Answer:
+    """Decisions with one probability for all, the rest shared by the other classes."""
+    probabilities = np.full((len(decided), 5), (1.0 - sure) / 4.0)
+    probabilities[np.arange(len(decided)), decided] = sure
+    costs = Cost(1.5, 20.0), Cost(0.003, None)
+    return Answer(probabilities, expected_severity(RECIPE, probabilities), *costs)
+
+
+def decisions(wrong: slice) -> IntArray:
+    """The true classes, but the next class in some rows."""
+    decided = CELL.test().class_index.copy()
+    decided[wrong] = (decided[wrong] + 1) % 5
+    return decided
+
+
+def made_results(limit: Answer, **methods: Answer) -> tuple[Plan, CellResult]:
+    """Results of the one setting, as if a run had had these answers; `residual_qda` is residual-qda."""
+    by_name = {name.replace("_", "-"): one for name, one in methods.items()}
+    plan, store = Plan((CELL,), tuple(by_name)), AnswerStore()
+    for unit in units(plan):
+        left_out = {"counts": {}, **{name: {"reason": "made"} for name in SECTIONS}}
+        store.put(unit, {LIMIT: limit, TRUST: left_out, **by_name}[unit.name])
+    (result,) = run_plan(plan, store)
+    return plan, result

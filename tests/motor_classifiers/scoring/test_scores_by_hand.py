@@ -1,0 +1,509 @@
+"""Scores, comparisons, plans and keys on made answers and by hand: every number of a row has its own oracle."""
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from made_results import CELL, RECIPE, answer, decisions, made_results
+from scipy.stats import binom
+from sklearn.metrics import brier_score_loss, log_loss
+
+from motor_classifiers.scoring import progress, trust as trust_module, unknown_faults
+from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability, reliability
+from motor_classifiers.scoring.evaluation import evaluation_lines
+from motor_classifiers.scoring.judging import (
+    LIMIT,
+    Answer,
+    Cell,
+    best_probabilities,
+    expected_severity,
+    in_recipe_order,
+    judged_cases,
+    load_answer,
+    save_answer,
+)
+from motor_classifiers.scoring.metrics import (
+    compare,
+    level_distance,
+    resampling_weights,
+    root_mean_square,
+    scores,
+)
+from motor_classifiers.scoring.peers import export_starts, read_peers
+from motor_classifiers.scoring.plan import Plan, make_cells, unit_of, units
+from motor_classifiers.scoring.progress import Cost, with_cost
+from motor_classifiers.scoring.results import as_csv, comparison_fields, result_rows
+from motor_classifiers.scoring.severities import (
+    _scored,
+)  # a handful of severities hold its two figures exactly
+from motor_classifiers.scoring.trust import Counts, expected_seconds, set_figures
+from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, foreign_scores, foreign_starts
+from motor_classifiers.scoring.verdict_times import STATED_ERRORS, accuracy_by_moment, moments
+from motor_classifiers.wrappers.fault_family import FamilyFit
+from motor_classifiers.wrappers.open_set import FaultFamilyDetector
+from motor_env.motor.faults import FaultKind
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.recipes import FACTORS, FaultClass, Spread
+from motor_env.simulation.simulate import Timing
+
+
+def identity(values: list[float]) -> Any:
+    """Weights whose rows each see one case: the "resamples" are then the given values."""
+    return np.vstack([np.ones(len(values)), np.eye(len(values))])
+
+
+def test_intervals_are_the_middle_95_percent() -> None:
+    """Of 41 values 0 .. 40 the quantiles 2.5 and 97.5 % are the second and the last but one."""
+    got = root_mean_square(np.arange(41.0), identity(list(range(41))))
+    assert (got.value, got.low, got.high) == pytest.approx(
+        (np.sqrt(np.square(np.arange(41)).mean()), 1.0, 39.0)
+    )
+
+
+def test_weights_are_draws_of_motors_with_replacement() -> None:
+    weights = resampling_weights(6, 3, 400)
+    assert weights.shape == (401, 6)
+    assert (weights[0] == 1.0).all()
+    assert (weights.sum(axis=1) == 6.0).all()
+    np.testing.assert_array_equal(weights[1:], np.random.default_rng(3).multinomial(6, [1 / 6] * 6, size=400))
+    grouped = resampling_weights(6, 3, 400, groups=np.array([7, 7, 9, 9, 9, 2]))
+    drawn = np.random.default_rng(3).multinomial(3, [1 / 3] * 3, size=400)
+    np.testing.assert_array_equal(grouped[1:], drawn[:, [1, 1, 2, 2, 2, 0]])
+    assert resampling_weights(2, 0).shape == (2001, 2)
+
+
+def test_scores_of_a_small_table_of_confusions() -> None:
+    """Healthy, bearing 10 and 25, contact 10 and 25; eight cases by hand."""
+    truth = np.array([0, 0, 1, 1, 2, 3, 4, 4])
+    decided = np.array([0, 1, 1, 2, 3, 3, 0, 4])
+    got = scores(RECIPE, truth, decided, resampling_weights(8, 0, 10))
+    assert got.accuracy.value == 4 / 8
+    assert got.false_alarm_rate.value == 1 / 2
+    assert got.missed_detection_rate.value == 1 / 6
+    # 0 -> 10 %, 10 -> 25 %, 25 of one kind -> 10 of the other, 25 -> 0
+    assert got.level_error.value == pytest.approx((0.10 + 0.15 + 0.35 + 0.25) / 8)
+    assert got.winding.value == pytest.approx(0.5 * (2 / 3 + 4 / 5))
+    assert got.bearing.value == pytest.approx(0.5 * (2 / 3 + 4 / 5))
+    assert got.level.value == pytest.approx(3 / 4)
+    assert [one.value for one in got.recall] == [0.5, 0.5, 0.0, 1.0, 0.5]
+    assert got.macro_f1.value == pytest.approx((0.5 + 0.5 + 0.0 + 2 / 3 + 2 / 3) / 5)
+    assert np.trace(got.confusion) == 4
+    assert level_distance(RECIPE)[2, 3] == pytest.approx(0.35)
+    never = scores(RECIPE, truth[:2], decided[:2], resampling_weights(2, 0, 10))
+    assert np.isnan(never.missed_detection_rate.value)
+    assert np.isnan(never.recall[4].value)
+
+
+def test_a_comparison_counts_wins() -> None:
+    first, second = np.array([1, 1, 1, 0, 0], bool), np.array([1, 0, 0, 1, 0], bool)
+    got = compare(first, second, identity([0.0] * 5))
+    assert (got.only_first, got.only_second) == (2, 1)
+    assert got.p_above == pytest.approx(4 / 8)  # two or three heads of three
+    assert got.difference.value == pytest.approx(0.2)
+    assert (got.difference.low, got.difference.high) == pytest.approx((-0.9, 1.0))
+    assert compare(second, second, identity([0.0] * 5)).p_above == 1.0
+    assert compare(np.array([False, True]), np.array([True, True]), identity([0.0] * 2)).p_above == 1.0
+
+
+def test_calibration_against_scikit_learn_and_on_the_edges() -> None:
+    rng = np.random.default_rng(4)
+    told, truth = rng.dirichlet(np.ones(3), size=50), rng.integers(3, size=50)
+    got = calibration_scores(told, truth)
+    assert got.log_loss == pytest.approx(log_loss(truth, told))
+    happened = np.eye(3)[truth]
+    by_class = [brier_score_loss(happened[:, n], told[:, n]) for n in range(3)]
+    assert got.brier == pytest.approx(sum(by_class))
+    sure = told.max(axis=1)
+    bins = np.ceil(15.0 * sure).astype(int)  # fifteen bins, closed above
+    gaps = [
+        abs((told.argmax(axis=1) == truth)[bins == n].mean() - sure[bins == n].mean()) * (bins == n).sum()
+        for n in np.unique(bins)
+    ]
+    assert got.ece == pytest.approx(sum(gaps) / 50)
+    edge = reliability(
+        np.array([[0.75, 0.25], [0.5, 0.5], [1.0, 0.0]]), [0, 0, 0], np.array([0.0, 0.5, 0.75, 1.0])
+    )
+    assert edge.n_cases.tolist() == [1.0, 1.0, 1.0]
+    lost = calibration_scores(np.array([[1.0, 0.0]]), [1])
+    assert lost.log_loss == pytest.approx(15.0 * np.log(10.0))
+    assert (lost.accuracy, lost.ece, lost.brier) == (0.0, 1.0, 2.0)
+
+
+def test_bars_of_reliability_are_one_standard_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from matplotlib.axes import Axes
+
+    drawn: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(Axes, "errorbar", lambda self, *given, **_: drawn.append(given))
+    sure = np.repeat([0.8, 0.9, 0.5], [25, 100, 19])  # a bin of 19 cases is too few to be drawn
+    right = np.concatenate([np.arange(25) < 20, np.arange(100) < 50, np.arange(19) < 9])
+    made = calibration_scores(np.column_stack([sure, 1.0 - sure]), np.where(right, 0, 1))
+    monkeypatch.setattr(Axes, "legend", lambda *_, **__: None)
+    plot_reliability({"limit": made}, tmp_path / "a.svg")
+    (confidence, accuracy, error), = drawn  # fmt: skip
+    np.testing.assert_allclose(confidence, [0.8, 0.9])
+    np.testing.assert_allclose(accuracy, [0.8, 0.5])
+    np.testing.assert_allclose(error, [0.08, 0.05])
+
+
+def test_severities_are_scored() -> None:
+    got = _scored(
+        np.array([0.1, 0.2, 0.3, 0.0]), np.array([[0.0, 0.2], [0.1, 0.2], [0.1, 0.2], [0.0, 0.1]]),
+        np.array([0.2, 0.2, 0.1, 0.2]),
+    )  # fmt: skip
+    assert got == pytest.approx({"rmse": np.sqrt((0.01 + 0.0 + 0.04 + 0.04) / 4), "coverage": 0.75})
+
+
+def test_rows_of_a_run_on_made_answers() -> None:
+    limit, worse = answer(decisions(slice(0, 10)), 0.8125), answer(decisions(slice(5, 21)))
+    _, result = made_results(limit, threshold=worse, residual_qda=answer(decisions(slice(2, 12)), 1.0))
+    first, second, third = result_rows([result])
+    assert [row["method"] for row in (first, second, third)] == ["Bayes limit", "threshold", "residual-qda"]
+    assert [row["family"] for row in (first, second, third)] == ["limit", "threshold", "scikit-learn"]
+    assert (second["accuracy"], second["bayes_accuracy"]) == pytest.approx((44 / 60, 50 / 60))
+    assert second["below_bayes"] == pytest.approx(6 / 60)
+    assert second["below_bayes_low"] < second["below_bayes"] < second["below_bayes_high"]
+    difference = result.methods[0].against_limit.difference
+    assert (difference.value, difference.low, difference.high) == (
+        -second["below_bayes"], -second["below_bayes_high"], -second["below_bayes_low"],
+    )  # fmt: skip
+    assert (second["only_method_right"], second["only_bayes_right"]) == (5, 11)
+    assert second["p_above_bayes"] == pytest.approx(binom.sf(4, 16, 0.5))
+    assert second["bayes_expected_accuracy"] == pytest.approx(0.8125)
+    assert (second["train_s"], second["train_memory_mb"], second["inference_memory_mb"]) == (1.5, 20.0, None)
+    assert second["microseconds_per_transient"] == pytest.approx(0.003 / 60 * 1e6)
+    assert second["log_loss"] == pytest.approx(-(44 * np.log(0.75) + 16 * np.log(0.0625)) / 60)
+    assert second["ece"] == pytest.approx(0.75 - 44 / 60)
+    assert third["log_loss"] is None  # it decides and grades nothing
+    test = CELL.test()
+    levels = np.array([0.0, 0.1, 0.25, 0.1, 0.25])
+    np.testing.assert_allclose(worse.severity, worse.probabilities @ levels)
+    assert second["severity_rmse"] == pytest.approx(np.sqrt(np.square(worse.severity - test.severity).mean()))
+    assert second["origin"] == "this run"
+    assert result.leaks == ()
+    assert [one.name for one in result.ranked()] == ["residual-qda", "threshold"]
+    between = result.difference("residual-qda", "threshold")
+    assert (between.only_first, between.only_second) == (9, 3)
+    (flat, *_) = csv.DictReader(io.StringIO(as_csv([second])))
+    assert float(flat["below_bayes"]) == second["below_bayes"]
+    assert not {"recall", "confusion", "channels"} & set(flat)
+    assert comparison_fields(result.methods[0].against_limit)["below_bayes"] == second["below_bayes"]
+
+
+@pytest.mark.parametrize(
+    ("wins", "losses", "n_methods", "leaks"),
+    [
+        (23, 9, 1, False),
+        (29, 13, 1, True),
+        (7, 0, 1, True),
+        (7, 0, 2, False),
+        (8, 0, 2, True),
+        (6, 0, 1, False),
+    ],
+)
+def test_a_leak_is_one_in_a_hundred_shared_among_the_comparisons(
+    wins: int, losses: int, n_methods: int, leaks: bool
+) -> None:
+    """Of the sign test: 23 of 32 have p = 0.01003, 29 of 42 have 0.0098, 7 of 7 have 0.0078."""
+    limit = answer(decisions(slice(0, wins)))
+    better = answer(decisions(slice(wins, wins + losses)))
+    names = ("threshold", "network")[:n_methods]
+    _, result = made_results(limit, **dict.fromkeys(names, better))
+    assert result.methods[0].above_limit is leaks
+
+
+def test_settings_say_what_they_are() -> None:
+    assert CELL.title == "bench, 1 kHz, 20 mA, 100 training starts"
+    assert CELL.as_json() == {
+        "recipe": "bench", "sampling_rate_hz": 1000.0, "duration_s": 0.1, "noise_a": 0.02, "channels": ["current"],
+        "n_train": 100, "n_test": 60, "seed": 0,
+    }  # fmt: skip
+    assert Cell(RECIPE, 50, 50).n_test == 50
+    for numbers in ((49, 50), (50, 49)):
+        with pytest.raises(ValueError, match="must be >= 50, got 49"):
+            Cell(RECIPE, *numbers)
+    assert CELL.test().case_id.tolist() == list(range(10**9, 10**9 + 60))
+    assert CELL.train().case_id.tolist() == list(range(100))
+
+
+@pytest.mark.parametrize(("starts", "healthy"), [(1, 0), (5, 3), (4, 1), (2, 0)])
+def test_judged_starts_are_those_after_the_commissioning(starts: int, healthy: int) -> None:
+    recipe = replace(RECIPE, starts_per_motor=starts, healthy_starts=healthy)
+    for first, count in ((0, 7), (11, 4), (20, 1)):
+        begin = -(-first // starts) * starts  # of the first whole motor
+        numbers = np.arange(begin, begin + 100)
+        assert (
+            judged_cases(recipe, first, count).tolist()
+            == numbers[numbers % starts >= healthy][:count].tolist()
+        )
+
+
+def test_columns_come_in_the_order_of_the_recipe() -> None:
+    class Model:
+        classes_ = np.array(["bearing_25", "healthy"])
+
+    ordered = in_recipe_order(Model(), np.array([[0.3, 0.7]]), RECIPE)
+    assert ordered.tolist() == [[0.7, 0.0, 0.3, 0.0, 0.0]]
+    assert expected_severity(RECIPE, ordered).tolist() == pytest.approx([0.3 * 0.25])
+    joint = FaultClass(FaultKind.BEARING, 0.1, also=(FaultClass(FaultKind.WINDING_CONTACT, 0.25),))
+    both = replace(RECIPE, classes=(FaultClass(), joint))
+    assert expected_severity(both, np.array([[0.5, 0.5]])).tolist() == pytest.approx([0.175])
+    assert answer(np.zeros(4, dtype=np.int64), 1.0).is_graded is False
+    assert answer(np.zeros(4, dtype=np.int64), 0.5).is_graded is True
+
+
+def test_an_answer_is_kept_with_its_costs(tmp_path: Path) -> None:
+    made = answer(np.zeros(60, dtype=np.int64))
+    save_answer(made, tmp_path / "a.npz")
+    found = load_answer(tmp_path / "a.npz", CELL)
+    assert found is not None
+    assert (found.train, found.inference) == (Cost(1.5, 20.0), Cost(0.003, None))
+
+
+def test_a_sweep_tries_sizes_at_the_usual_noise() -> None:
+    def told(**options: Any) -> list[tuple[float, float, int]]:
+        cells = make_cells([RECIPE], n_test=60, seed=0, **options)
+        return [(c.recipe.timing.sampling_rate_hz, c.recipe.sensor.current_noise_a, c.n_train) for c in cells]
+
+    assert told(rates_hz=(), noises_a=(), train_sizes=[200, 100]) == [(1e3, 0.02, 200), (1e3, 0.02, 100)]
+    assert told(rates_hz=(1e3,), noises_a=(0.1, 0.02), train_sizes=[200, 100]) == [
+        (1e3, 0.1, 200), (1e3, 0.02, 200), (1e3, 0.02, 100),
+    ]  # fmt: skip
+    assert told(rates_hz=(1e3,), noises_a=(0.1, 0.05), train_sizes=[200, 100]) == [
+        (1e3, 0.1, 200), (1e3, 0.1, 100), (1e3, 0.05, 200),
+    ]  # fmt: skip
+    cells = make_cells(
+        [RECIPE], rates_hz=(1e3, 1e4), noises_a=(0.1, 0.02), train_sizes=[200], n_test=60, seed=0
+    )
+    plan = Plan(cells, ("threshold", "posterior-network"))
+    assert plan.reference == 3  # 10 kHz and 20 mA
+    assert plan.n_comparisons == 8
+    assert plan.with_network
+    assert not Plan(cells, ("threshold",)).with_network
+
+
+def test_times_that_are_expected() -> None:
+    """What progress bars go by, in seconds: measured once on two cores, and linear in the work."""
+    usual = Cell(named_recipe("bench"))
+    by_name = {
+        unit.name: unit.seconds for unit in units(Plan((usual,), ("residual-qda", "posterior-network")))
+    }
+    assert by_name == pytest.approx(
+        {LIMIT: 0.5 + 2.0, "residual-qda": 1.0 + 1.0, "posterior-network": 1.0 + 15.0, "trust": 60.0}
+    )
+    slow = {unit.name: unit.seconds for unit in units(Plan((CELL,), ("residual-qda",)))}
+    assert slow == pytest.approx(
+        {LIMIT: 0.5 + 0.006, "residual-qda": 1.0 + 0.5 * 160 / 2000 * (0.2 + 0.08), "trust": 5.0 + 3.0}
+    )
+    field = Cell(named_recipe("field"))
+    assert unit_of(field, "posterior-network").seconds == pytest.approx(600.0)
+    assert expected_seconds(field, with_network=True) == 1.0
+
+
+def test_costs_are_those_of_the_process(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Peaks from /proc in units of 1,024 bytes, told in millions of bytes."""
+    monkeypatch.setattr(progress, "_PROCESS", tmp_path)
+    clock = iter([2.0, 5.5])
+    monkeypatch.setattr(progress.time, "process_time", lambda: next(clock))
+
+    def status(kilobytes: int) -> None:
+        (tmp_path / "status").write_text(f"Name:\tx\nVmHWM:\t{kilobytes} kB\nVmRSS:\t1 kB\n")
+
+    status(1000)
+
+    def work() -> str:
+        status(4000)
+        return "done"
+
+    assert with_cost(work) == ("done", Cost(3.5, pytest.approx(3.072)))
+    assert (tmp_path / "clear_refs").read_text() == "5"
+    monkeypatch.setattr(progress, "_PROCESS", tmp_path / "none")
+    clock = iter([2.0, 2.5])
+    assert with_cost(lambda: 1) == (1, Cost(0.5, None))
+
+
+def test_unknown_faults_are_as_large_as_their_names_say() -> None:
+    for fault in UNKNOWN_FAULTS:
+        name, change, _ = fault.name.rsplit(" ", 2)
+        field = {"motor constants": "constants"}.get(name, name)
+        factors = {quantity: getattr(fault, quantity) for quantity in FACTORS}
+        assert factors == pytest.approx(dict.fromkeys(FACTORS, 1.0) | {field: 1.0 + float(change) / 100.0})
+
+
+def test_foreign_faults_are_found_above_the_threshold(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the distance of made cases: the last sample of a start tells its number, foreign ones are ten further."""
+
+    def distance(self: Any, X: Any) -> FamilyFit:
+        flat = np.asarray(X).reshape(len(X), -1)
+        return FamilyFit(flat[:, -1], np.full(len(flat), ""), np.zeros(len(flat)), np.zeros(len(flat), bool))
+
+    def made(recipe: Any, seed: int, cases: Any) -> Any:
+        X = np.zeros((len(cases), 1, 100))
+        X[:, 0, -1] = np.asarray(cases) % 100
+        return type("Made", (), {"X": X})
+
+    monkeypatch.setattr(FaultFamilyDetector, "family", distance)
+    monkeypatch.setattr(unknown_faults, "generate_arrays", made)
+    monkeypatch.setattr(
+        unknown_faults,
+        "foreign_starts",
+        lambda recipe, fault, seed, cases: made(recipe, seed, cases).X + 15.0,
+    )
+    got = foreign_scores(
+        RECIPE, {"limit": lambda X: 0.5 + np.stack([X[:, 0, -1], -X[:, 0, -1]], axis=1) / 100.0},
+        UNKNOWN_FAULTS[:1], seed=1, first_case=0, n_threshold=50, n_known=20, n_foreign=10,
+    )  # fmt: skip
+    # Thresholds come from cases 20 .. 69: 99 % of them lie below 68.5; the judged ones are 0 .. 19.
+    assert got["false_alarms"] == 0.0
+    (row,) = got["faults"]
+    assert row["called_other"] == 0.0
+    # Foreign cases 15 .. 24 against known ones 0 .. 19: 16 to 20 of the known lie below, ties half.
+    below = [sum(k < f for k in range(20)) + 0.5 * sum(k == f for k in range(20)) for f in range(15, 25)]
+    assert row["auroc"]["distance"] == pytest.approx(np.mean(below) / 20)
+    assert row["auroc"]["limit"] == pytest.approx(1.0 - np.mean(below) / 20)  # the surer, the less strange
+    assert row["roc"]["distance"][0] == pytest.approx(0.5)
+    assert row["roc"]["distance"][25] == pytest.approx(1.0)
+    assert len(row["roc"]["distance"]) == 101
+
+
+def test_a_foreign_fault_is_applied_to_a_healthy_motor() -> None:
+    certain = replace(RECIPE, spread=Spread(), sensor=replace(RECIPE.sensor, current_noise_a=1e-9))
+    from motor_env.simulation.simulate import simulate_states
+
+    for fault in UNKNOWN_FAULTS:
+        motor = certain.motor.scaled(
+            inertia_kg_m2=fault.inertia, torque_constant_n_m_per_a=fault.constants,
+            back_emf_constant_v_s_per_rad=fault.constants,
+        )  # fmt: skip
+        expected = simulate_states(motor, fault.supply * certain.timing.step(12.0), 1e-3)[:, 0]
+        got = foreign_starts(certain, fault, 1, np.arange(2))
+        np.testing.assert_allclose(got[:, 0], np.stack([expected, expected]), atol=1e-6)
+
+
+def test_looks_at_a_start_are_shares_of_it() -> None:
+    shares = [1, 2, 3, 5, 7, 10, 14, 20, 25, 30, 35, 40, 50, 60, 70, 80, 90, 100]
+    seen = moments(Timing(10_000.0, 0.2, 0.01))
+    assert seen.samples.tolist() == [100 + 20 * share for share in shares]
+    np.testing.assert_allclose(seen.time_s, [0.002 * share for share in shares])
+    assert moments(Timing(1_000.0, 0.011)).samples.tolist() == [10, 11]
+    assert STATED_ERRORS == (0.10, 0.05, 0.02, 0.01)
+    told = np.array([[[0.6, 0.4], [0.6, 0.4]], [[0.6, 0.4], [0.4, 0.6]]])
+    assert accuracy_by_moment(told, [0, 1]).tolist() == [0.5, 1.0]
+
+
+@pytest.mark.parametrize(("n_samples", "has_figures"), [(10, False), (11, True)])
+def test_early_verdicts_need_two_moments(
+    n_samples: int, has_figures: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trust_module, "COUNTS", Counts(early=60, healthy=60))
+    short = named_recipe("bench", timing=Timing(1_000.0, 0.001 * n_samples))
+    early = trust_module._early(Cell(short, 150, 60))  # the section alone: all of them train a network
+    assert early.get("time_s") == ([0.010, 0.011] if has_figures else None)
+    raced = trust_module._race(Cell(short, 150, 60))
+    assert ("curves" in raced) is has_figures
+    if has_figures:
+        assert raced["severity"] == 0.25
+        assert len(early["stopping"]) == 8
+
+
+def test_figures_of_sets_are_those_of_the_coverage() -> None:
+    test = CELL.test()
+    told = answer(test.class_index, 0.75).probabilities
+    got = set_figures({"one": told}, test)
+    assert (got["n_test"], got["promised"]) == (60, 0.9)
+    (row,) = got["methods"]
+    # All true classes are equally strange: p = 1. A wrong one is stranger than all: p = 1 / (n + 1).
+    first = np.arange(60) % 2 == 0
+    few_of = [[(test.class_index[half] == n).sum() <= 9 for n in range(5)] for half in (~first, first)]
+    size = [1 + sum(few_of[n % 2]) - few_of[n % 2][own] for n, own in enumerate(test.class_index)]
+    assert (row["method"], row["coverage"], row["empty"]) == ("one", 1.0, 0.0)
+    assert row["mean_size"] == pytest.approx(np.mean(size))
+    assert row["by_class"] == [1.0] * 5
+    few = CELL.test().select(np.arange(3))
+    assert set_figures({"one": told[:3]}, few) == {
+        "reason": "3 test starts are too few: a class has none in one of their halves"
+    }
+
+
+def test_peers_answers_are_scaled_to_the_starts_shown(tmp_path: Path) -> None:
+    export_starts(CELL.train(), CELL.test(), tmp_path / "cases.npz")
+    with np.load(tmp_path / "cases.npz") as held:
+        arrays = {name: held[name] for name in held.files if name.endswith(("mean", "index"))}
+    told = {
+        "train_s": 7.0,
+        "microseconds_per_transient": 250.0,
+        "train_memory_mb": 3.0,
+        "inference_memory_mb": 4.0,
+    }
+    facts = {"date": "d", "machine": "m", "aeon": "a", "command": "c", "methods": {"quant": told}}
+    uneven = np.tile([2.0, 1.0, 0.0, 0.0, 1.0], (60, 1))
+    for off, found in ((0.99e-6, True), (1.01e-6, False)):
+        moved = arrays["test_mean"].astype(np.float64) + off
+        np.savez(
+            tmp_path / "p.npz",
+            facts=np.array(json.dumps(facts)),
+            quant=uneven,
+            **(arrays | {"test_mean": moved}),
+        )
+        peers = read_peers(tmp_path / "p.npz", CELL)
+        assert (peers is not None) is found
+        if peers is not None:
+            got: Answer = peers.answers["quant"]
+            assert got.probabilities[0].tolist() == [0.5, 0.25, 0.0, 0.0, 0.25]
+            assert (got.train, got.inference) == (Cost(7.0, 3.0), Cost(pytest.approx(0.015), 4.0))
+            assert got.severity[0] == pytest.approx(0.25 * 0.1 + 0.25 * 0.25)
+            assert peers.origin == "d, m, aeon a, c"
+
+
+def test_lines_of_an_evaluation() -> None:
+    """The limit's accuracy minus the model's, in points; shares with four digits."""
+    intervals = {
+        f"{name}{end}": value
+        for name in (
+            "accuracy",
+            "macro_f1",
+            "false_alarm_rate",
+            "missed_detection_rate",
+            "level_error",
+            "bearing",
+            "level",
+        )
+        for end, value in (("", 0.5), ("_low", 0.25), ("_high", 0.75))
+    }
+    told = {
+        **intervals, "winding": None, "bayes_is_estimate": False, "bayes_accuracy": 0.8125, "below_bayes": 0.0325,
+        "below_bayes_low": -0.01, "below_bayes_high": 0.075, "only_method_right": 3, "only_bayes_right": 8,
+        "p_above_bayes": 0.9673, "confusion": (10 * np.eye(5, dtype=int) + 1).tolist(),
+    }  # fmt: skip
+    lines = evaluation_lines(RECIPE, told)
+    assert lines[0] == "  accuracy                0.5000   0.2500 to 0.7500"
+    assert not any(line.startswith("  winding ") for line in lines)
+    assert "  Bayes limit accuracy    0.8125   on the same cases" in lines
+    assert (
+        "  below it by 3.25 percentage points (-1.00 to 7.50, paired): only the model is right on 3 cases,"
+        " only the limit on 8; one-sided p 0.967"
+    ) in lines
+    assert lines[-6].split() == ["1", "2", "3", "4", "5"]
+    assert [line.split() for line in lines[-5:]] == [
+        [str(n + 1), name, *(str(count) for count in row)]
+        for n, (name, row) in enumerate(zip(RECIPE.class_names, told["confusion"], strict=True))
+    ]
+    assert any(
+        "its estimate accuracy" in line
+        for line in evaluation_lines(RECIPE, told | {"bayes_is_estimate": True})
+    )
+
+
+def test_motors_at_work_have_the_posterior_around_their_fit() -> None:
+    from motor_datasets import generate_arrays
+    from motor_env.inference.work_features import work_probabilities
+
+    recipe = named_recipe("operation")
+    X = generate_arrays(recipe, 1, 3).X
+    np.testing.assert_array_equal(
+        best_probabilities(recipe, X), work_probabilities(recipe, X.astype(np.float64))
+    )
