@@ -1,0 +1,259 @@
+"""What the commands print and pass on: signs, percentages, exit statuses, and which methods are run."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from made_results import CELL, RECIPE, answer, decisions, made_results
+
+from motor_classifiers.cli.main import main
+from motor_classifiers.cli.opinions import opinion_lines
+from motor_classifiers.cli.options import numbers, require_writable, whole_numbers
+from motor_classifiers.cli.sweep import plan_lines, table_lines
+from motor_classifiers.cli.training import network_recipe, noise_factors
+from motor_classifiers.contest.task import SEED
+from motor_classifiers.estimators.methods import AT_WORK, METHODS
+from motor_classifiers.prediction.opinions import Opinion
+from motor_classifiers.scoring.plan import AnswerStore, Plan, units
+from motor_classifiers.scoring.progress import Cost
+from motor_env.errors import InputError
+from motor_env.motor.data_sheet import load_motor
+from motor_env.simulation.named_recipes import named_recipe
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.mark.parametrize(
+    ("options", "methods"),
+    [
+        ([], list(METHODS)),
+        (["--methods", "network,threshold"], ["network", "threshold"]),
+        (["--recipe", "operation"], list(AT_WORK)),
+        (["--recipe", "operation,bench", "--methods", "rules"], ["rules"]),
+    ],
+)
+def test_the_methods_that_are_named_are_run(
+    options: list[str], methods: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["benchmark", "--dry-run", "--json", "--out", str(tmp_path / "o"), *options]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    named = list(dict.fromkeys(row["method"] for row in rows))
+    assert [name for name in named if name not in ("limit", "trust")] == methods
+
+
+def test_the_table_tells_how_far_below_the_limit() -> None:
+    _, result = made_results(
+        answer(decisions(slice(0, 10)))._replace(inference=Cost(0.006, 30.0)),
+        threshold=answer(decisions(slice(0, 16))), network=answer(decisions(slice(0, 4))),
+    )  # fmt: skip
+    title, head, *rows = table_lines(result)
+    assert title == CELL.title
+    assert head.split() == [
+        "method", "accuracy", "95", "%", "interval", "below", "limit", "winding", "bearing", "level", "us", "MB",
+    ]  # fmt: skip
+    assert [row[:14].strip() for row in rows] == ["Bayes limit", "network", "threshold"]
+    limit, best, worst = (row[len("Bayes limit") :].replace("..", " ").split() for row in rows)
+    assert (limit[0], limit[3], limit[-2:]) == ("0.8333", "0.0000", ["100.0", "30"])
+    assert (best[0], best[3], best[-1]) == (
+        "0.9333",
+        "-0.1000",
+        "50.0",
+    )  # above it: below by less than nothing
+    assert (worst[0], worst[3]) == ("0.7333", "0.1000")
+    scores = result.methods[0].judged.scores
+    expected = (
+        scores.accuracy.low, scores.accuracy.high, scores.winding.value, scores.bearing.value, scores.level.value
+    )  # fmt: skip
+    assert [*worst[1:3], *worst[4:7]] == [f"{value:.4f}" for value in expected]
+
+
+def test_a_plan_tells_what_is_there_and_the_minutes_left() -> None:
+    other = replace(CELL, n_train=200)
+    plan, store = Plan((CELL, other), ("threshold", "network")), AnswerStore()
+    todo = units(plan)
+    store.put(todo[1], answer(decisions(slice(0, 4))))
+    left = sum(unit.seconds for unit in todo) - todo[1].seconds
+    lines = plan_lines(plan, store, as_json=False)
+    assert [line.split()[-5:] for line in lines[:2]] == [
+        ["1", "of", "4", "answers", "there"],  # the limit, two methods, trust
+        ["0", "of", "2", "answers", "there"],
+    ]
+    assert lines[2] == f"2 settings, 6 answers, about {left / 60:.0f} minutes of one core to go"
+    slow = replace(CELL, recipe=named_recipe("field"))
+    (*_, last) = plan_lines(Plan((slow,), ("posterior-network",)), AnswerStore(), as_json=False)
+    assert last == "1 settings, 2 answers, about 10 minutes of one core to go"
+
+
+SECOND = {
+    "verdict": "bearing", "confidence": 0.97, "severity": 0.2, "severity_interval": [0.1, 0.304], "reasons": ["a", "b"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("opinion", "words"),
+    [
+        (
+            Opinion("bearing", "bearing_25", 0.875, 0.1825, severity_interval=(0.0512, 0.2988)),
+            "bearing, probability 0.88, severity near 18 % (5 to 30)",
+        ),
+        (Opinion("winding", "w", 0.4, 0.25), "winding (undecided), probability 0.40, severity near 25 %"),
+        (Opinion("healthy", "healthy", 0.93, 0.02), "healthy, probability 0.93"),
+        (
+            Opinion("bearing", "", 0.99, 0.6, out_of_range=True),
+            "bearing, probability 0.99, severity near 60 %, larger than any the model was trained on",
+        ),
+        (
+            Opinion("healthy", "", 0.9, candidates=()),
+            "healthy, probability 0.90, could be none of its classes",
+        ),
+        (Opinion("other", "", 0.99, candidates=("a", "b")), "other, probability 0.99, could be a or b"),
+        (Opinion("unusable", reason="too short"), "no opinion: too short"),
+    ],
+)
+def test_an_opinion_in_words(opinion: Opinion, words: str) -> None:
+    first, second = opinion_lines(Path("x.csv"), [opinion], SECOND)
+    assert first == f"x.csv: {words}"
+    assert second == "  motor-env diagnose: bearing, confidence 0.97, severity near 20 % (10 to 30): a; b"
+    bare = {
+        "verdict": "unusable",
+        "confidence": None,
+        "severity": None,
+        "severity_interval": None,
+        "reasons": ["c"],
+    }
+    assert opinion_lines(Path("x.csv"), [opinion], bare)[1] == "  motor-env diagnose: unusable: c"
+    half = SECOND | {"severity_interval": [None, 0.3]}
+    assert "severity near 20 %: a; b" in opinion_lines(Path("x.csv"), [opinion], half)[1]
+
+
+def test_opinions_on_a_data_set_are_counted() -> None:
+    many = [Opinion("bearing")] * 2 + [Opinion("healthy")] * 3
+    assert opinion_lines(Path("set"), many, None) == ["set: 5 cases: 3 healthy, 2 bearing"]
+
+
+SCORED = {
+    "method": "mine", "task": "bench", "version": "1.0", "n_test": 80, "metric": "error rate, %", "value": 12.345,
+    "low": 10.0, "high": 15.0,
+}  # fmt: skip
+
+
+@pytest.fixture
+def scored(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int]]:
+    """Have `score` find what a test says; the list holds the seeds that it asked with."""
+
+    def find(**more: Any) -> list[int]:
+        seeds: list[int] = []
+
+        def found(folder: Path, *, seed: int) -> dict[str, Any]:
+            seeds.append(seed)
+            return SCORED | more
+
+        monkeypatch.setattr("motor_classifiers.contest.submissions.score_submission", found)
+        return seeds
+
+    return find
+
+
+@pytest.mark.parametrize(
+    ("more", "lines"),
+    [
+        (
+            {"limit": 5.0, "above_limit": 7.345, "above_limit_low": -1.25, "above_limit_high": 9.5},
+            [
+                "  the best possible on the same cases: 5.00",
+                "  above it by 7.34 (-1.25 to 9.50, paired)",
+            ],
+        ),
+        ({"bracket": (16.29, 16.97)}, ["  the best possible on average: between 16.29 and 16.97"]),
+        ({}, ["  the best possible is not known"]),
+    ],
+)
+def test_a_score_in_words(
+    more: dict[str, Any],
+    lines: list[str],
+    scored: Callable[..., list[int]],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert scored(**more) == []
+    assert main(["score", "folder"]) == 0
+    head = ["mine on bench 1.0, 80 cases", "  error rate, %: 12.35 (10.00 to 15.00)"]
+    assert capsys.readouterr().out.splitlines() == [
+        head[0],
+        head[1].replace("12.35", f"{12.345:.2f}"),
+        *lines,
+    ]
+    assert main(["score", "folder", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(SCORED | more))
+
+
+@pytest.mark.parametrize(
+    ("text", "status"), [("0", 0), ("18446744073709551615", 0), ("18446744073709551616", 2), ("-1", 2)]
+)
+def test_a_sealed_seed_has_64_bits(
+    text: str,
+    status: int,
+    tmp_path: Path,
+    scored: Callable[..., list[int]],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    seeds = scored()
+    (tmp_path / "seed").write_text(text)
+    assert main(["score", "folder", "--sealed", str(tmp_path / "seed")]) == status
+    assert seeds == ([int(text)] if status == 0 else [])
+    assert main(["score", "folder", "--sealed", str(tmp_path / "none")]) == 2
+    assert "cannot be read" in capsys.readouterr().err
+    assert main(["score", "folder"]) == 0
+    assert seeds[-1] == SEED
+
+
+def test_recordings_are_scored_in_per_cent(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    row = {
+        "method": "m",
+        "n_recordings": 8,
+        "n_motors": 3,
+        "wrong": 0.125,
+        "low": 0.02,
+        "high": 0.26,
+        "silent": 0.375,
+    }
+    monkeypatch.setattr("motor_classifiers.contest.recordings.score_recordings", lambda *_: [row])
+    assert main(["score-recordings", "a", "b"]) == 0
+    expected = "m, 8 recordings of 3 motors: wrong 12.5 % (2.0 to 26.0), no verdict 37.5 %\n"
+    assert capsys.readouterr().out == expected
+
+
+def test_options_with_several_numbers(tmp_path: Path) -> None:
+    assert numbers("x", None) == ()
+    assert numbers("x", "1,2.5") == (1.0, 2.5)
+    assert whole_numbers("x", "3,1e3") == [3, 1000]
+    with pytest.raises(InputError, match="whole numbers"):
+        whole_numbers("x", "3,2.5")
+    assert noise_factors("0.5,2", for_motor=True) == (0.5, 2.0)
+    assert noise_factors(None, for_motor=True) == (0.15, 5.0)
+    assert noise_factors(None, for_motor=False) is None
+    for text in ("1", "1,2,3"):
+        with pytest.raises(InputError, match="two factors"):
+            noise_factors(text, for_motor=True)
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="is a file, not a folder"):
+        require_writable(tmp_path / "file")
+    require_writable(tmp_path / "new")
+    assert list(tmp_path.rglob(".*")) == []
+
+
+def test_a_network_for_a_motor_learns_faults_of_5_to_30_percent() -> None:
+    recipe = network_recipe(load_motor(str(ROOT / "examples" / "motor.toml")))
+    assert [(str(c.kind), c.severity, c.severity_to) for c in recipe.classes[1:]] == [
+        (kind, 0.05, 0.30) for kind in ("bearing", "winding_contact", "winding_short")
+    ]
+    assert recipe.classes[0].kind is None
+    np.testing.assert_allclose(recipe.class_probabilities, 0.25)
+    assert recipe.channels == ("current",)
+    assert recipe.field is None
+    assert RECIPE.name == "bench"

@@ -1,0 +1,417 @@
+"""Charts to the pixel on tiny examples, and what the page makes of made results."""
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from made_results import CELL, RECIPE, answer, decisions, made_results
+from scipy.stats import norm
+
+from motor_classifiers.estimators.features import whitened_residual
+from motor_classifiers.report import examples as examples_module, page, sweep_page, trust_page
+from motor_classifiers.report.charts import (
+    Line,
+    interval_chart,
+    line_chart,
+    reliability_chart,
+    severity_chart,
+    share_axis,
+    trace_chart,
+)
+from motor_classifiers.report.examples import examples, running_mean
+from motor_classifiers.report.names import readable, short
+from motor_classifiers.scoring.benchmark import CellResult
+from motor_classifiers.scoring.calibration import Reliability
+from motor_classifiers.scoring.judging import Cell
+from motor_classifiers.scoring.metrics import Score
+from motor_classifiers.scoring.unknown_faults import FALSE_ALARM_RATES
+from motor_datasets.generate import generate_arrays
+from motor_env.pages.svg import Axis
+from motor_env.simulation.simulate import simulate_states
+
+
+def shapes(chart: str, tag: str, style: str | None = None) -> list[list[float]]:
+    """Numbers of each element of a tag, in the order in which they are written."""
+    found = re.findall(rf"<{tag}((?: [a-z0-9-]+=\"[^\"]*\")*)>", chart)
+    mine = [a for a in found if style is None or f'class="{style}"' in a]
+    return [
+        [float(v) for v in re.findall(r' (?:x|y|x1|y1|x2|y2|cx|cy|r|width|height)="([\d.-]+)"', a)]
+        for a in mine
+    ]
+
+
+def test_intervals_stand_where_their_scores_say() -> None:
+    bars = [("a", "torch", Score(0.80, 0.75, 0.85)), ("b", "own", Score(0.90, 0.88, 0.93))]
+    chart = interval_chart(bars, 0.95, "limit: 95.0 %")
+
+    def x(share: float) -> float:
+        return round(170 + (760 - 54 - 170) * (share - 0.74) / (0.96 - 0.74), 1)
+
+    assert 'viewBox="0 0 760 120"' in chart
+    assert shapes(chart, "line", "limit") == [[x(0.95), 28.0, x(0.95), 90.0]]
+    assert shapes(chart, "line", "range") == [[x(0.75), 48.0, x(0.85), 48.0], [x(0.88), 76.0, x(0.93), 76.0]]
+    assert shapes(chart, "circle") == [[x(0.8), 48.0, 5.5], [x(0.9), 76.0, 5.5]]
+    assert shapes(chart, "text", "limit-label") == [[round(x(0.95) + 4, 1), 21.0]]
+    assert 'class="limit-label" text-anchor="end"' in chart
+    assert shapes(chart, "text", "value") == [
+        [pytest.approx(x(0.85) + 8, abs=0.11), 52.0],
+        [pytest.approx(x(0.93) + 8, abs=0.11), 80.0],
+    ]
+    assert shapes(chart, "text", "name") == [[158.0, 52.0], [158.0, 80.0]]
+    assert ">80.0</text>" in chart
+    low = interval_chart(bars, 0.76, "limit", width=440, left=166)
+    assert 'class="limit-label" text-anchor="middle"' in low
+    top = interval_chart([("a", "own", Score(0.999, 0.99, 1.0))], 0.995, "limit")
+    (point,) = shapes(top, "circle")  # the axis ends at 1
+    assert point[0] == pytest.approx(170 + 536 * (0.999 - 0.98) / 0.02, abs=0.06)
+
+
+def test_boxes_of_severities_hold_their_quantiles() -> None:
+    rows = [[0.0, 0.01, 0.02, 0.03, 0.05], [0.2, 0.24, 0.25, 0.26, 0.30]]
+    chart = severity_chart(["a", "b"], [0.0, 0.25], [("m", "s1", rows), ("n", "s4", [[0.1] * 5, [0.1] * 5])])
+
+    def x(value: float) -> float:
+        return 170 + (740 - 170) * value / (0.30 * 1.03)
+
+    close = pytest.approx
+    assert 'viewBox="0 0 760 126"' in chart
+    first, second, third, fourth = shapes(chart, "rect")
+    assert first == close([x(0.01), 18.5, x(0.03) - x(0.01), 8.0], abs=0.06)
+    assert second == close([x(0.1), 31.5, 1.5, 8.0], abs=0.06)  # never thinner than can be seen
+    assert third == close([x(0.24), 56.5, x(0.26) - x(0.24), 8.0], abs=0.06)
+    assert fourth[1] == close(69.5)
+    assert shapes(chart, "line", "truth") == [
+        close([x(0.0), 14, x(0.0), 44], abs=0.06),
+        close([x(0.25), 52, x(0.25), 82], abs=0.06),
+    ]
+    whiskers = shapes(re.sub(r'<line class="[a-z]+"[^>]*>', "", chart), "line")
+    assert whiskers[0] == close([x(0.0), 22.5, x(0.05), 22.5], abs=0.06)
+    assert "m: median 2.0 points" in chart
+    assert shapes(chart, "text", "name") == [[158.0, 33.0], [158.0, 71.0]]
+
+
+def test_traces_are_drawn_over_their_time() -> None:
+    time_ms = np.array([0.0, 1.0, 2.0, 4.0])
+    chart = trace_chart(
+        time_ms,
+        {"measured": np.array([0.0, 1.0, 2.0, 1.0])},
+        "A",
+        span=(0.0, 2.0),
+        levels=(0.5,),
+        mark_ms=1.0,
+        with_time=True,
+    )
+    assert 'points="52.0,118.0 156.5,63.0 261.0,8.0 470.0,63.0"' in chart
+    assert shapes(chart, "line", "threshold") == [[52.0, 90.5, 470.0, 90.5]]
+    assert shapes(chart, "line", "mark") == [[156.5, 8.0, 156.5, 118.0]]
+    bare = trace_chart(time_ms, {"measured": np.array([0.0, 1.0, 2.0, 1.0])}, "A", span=(0.0, 2.0))
+    assert 'points="52.0,138.0 156.5,73.0' in bare
+    many = trace_chart(np.arange(2100.0), {"c": np.zeros(2100)}, "A", span=(0.0, 1.0))
+    points = re.findall(r'points="([^"]*)"', many)[0].split()
+    assert len(points) == 700  # every third
+    assert points[1].split(",")[0] == f"{52 + 418 * 3 / 2099:.1f}"
+
+
+def test_reliability_has_bars_of_one_error_and_dots_by_their_cases() -> None:
+    binned = Reliability(
+        np.array([0.6, np.nan, 0.9]), np.array([0.5, np.nan, 0.8]), np.array([25.0, 0.0, 100.0])
+    )
+    chart = reliability_chart(binned, 0.5)
+
+    def x(share: float) -> float:
+        return 34 + 148 * (share - 0.5) / 0.5
+
+    def y(share: float) -> float:
+        return 164 - 156 * (share - 0.5) / 0.5
+
+    close = pytest.approx
+    assert shapes(chart, "circle") == [
+        close([x(0.6), y(0.5), 3.0], abs=0.06),
+        close([x(0.9), y(0.8), 4.2], abs=0.06),
+    ]
+    first, second = shapes(chart, "line", "range")
+    assert first == close([x(0.6), y(0.6), x(0.6), y(0.5)], abs=0.06)  # 0.4 lies below the axis
+    assert second == close([x(0.9), y(0.84), x(0.9), y(0.76)], abs=0.06)
+    assert shapes(chart, "line", "threshold") == [[34.0, 164.0, 182.0, 8.0]]
+    assert "25 starts" in chart
+
+
+@pytest.mark.parametrize(
+    ("wanted", "expected"),
+    [
+        ([10.0, 12.0, 100.0], [10.0, 22.0, 60.0]),
+        ([54.0, 50.0, 52.0], [60.0, 40.0, 50.0]),
+        ([30.0, 1.0], [30.0, 4.0]),
+        ([70.0], [60.0]),
+    ],
+)
+def test_labels_move_no_further_than_they_must(wanted: list[float], expected: list[float]) -> None:
+    """Ten apart between 4 and 60 pixels, of which a chart of this size has its own: by the places of the labels."""
+    from motor_classifiers.report.charts import _spread_out  # its arithmetic; the chart below shows its use
+
+    assert _spread_out(wanted, 12.0 if wanted[0] == 10.0 else 10.0, 4.0, 60.0) == expected
+
+
+def test_lines_end_at_their_labels() -> None:
+    lines = [Line("one", "s0", [0.0, 10.0], [0.5, 1.0]), Line("two", "s1", [0.0, 10.0], [0.5, 1.0])]
+    axes = Axis("x", 0.0, 10.0, [0.0, 10.0]), Axis("accuracy", 0.5, 1.0, [0.5, 1.0])
+    chart = line_chart(lines, *axes)
+    assert 'points="58.0,360.0 388.0,24.0"' in chart
+    assert shapes(chart, "circle")[:2] == [[58.0, 360.0, 3.0], [388.0, 24.0, 3.0]]
+    assert shapes(chart, "line", "lead") == [[388.0, 24.0, 400.0, 28.0], [388.0, 24.0, 400.0, 41.0]]
+    assert re.findall(r'x="([\d.]+)" y="([\d.]+)">(one|two)<', chart) == [
+        ("403.0", "32.0", "one"),
+        ("403.0", "45.0", "two"),
+    ]
+    assert "accuracy against x" in chart
+    plain = line_chart(lines, axes[0], axes[1]._replace(title=""), named=False, marked=False)
+    assert 'points="52.0,360.0 498.0,12.0"' in plain
+    assert "<circle" not in plain
+    low = line_chart([lines[0]._replace(y=[1.0, 0.5])], *axes)
+    assert shapes(low, "line", "lead") == [[388.0, 360.0, 400.0, 360.0]]
+    assert (share_axis([0.6, 0.8]).low, share_axis([0.6, 0.8]).high) == pytest.approx((0.59, 0.81))
+    assert share_axis([0.6, 0.995]).high == 1.0
+
+
+def test_names_for_people() -> None:
+    assert [readable(name) for name in ("healthy", "winding_contact_25", "bearing_2.5", "winding_short")] == [
+        "healthy", "winding contact 25 %", "bearing 2.5 %", "winding short",
+    ]  # fmt: skip
+    assert [short(name) for name in ("healthy", "winding_contact_25", "bearing_10", "noise")] == [
+        "ok",
+        "WC 25",
+        "B 10",
+        "noi",
+    ]
+
+
+def test_a_running_mean_is_that_of_the_last_samples() -> None:
+    values = np.random.default_rng(0).normal(size=(2, 30))
+    expected = [[row[max(0, n - 6) : n + 1].mean() for n in range(30)] for row in values]
+    np.testing.assert_allclose(running_mean(values, 7), expected)
+    np.testing.assert_allclose(running_mean(values, 1), values)
+
+
+@pytest.fixture(scope="module")
+def made() -> tuple[Any, CellResult]:
+    """Two methods, one of which only decides; the limit errs on the first ten starts."""
+    return made_results(
+        answer(decisions(slice(0, 10)), 0.8125), threshold=answer(decisions(slice(5, 21))),
+        residual_qda=answer(decisions(slice(2, 14)), 1.0), network=answer(decisions(slice(0, 13)), 0.5625),
+    )  # fmt: skip
+
+
+def test_examples_are_the_first_starts_of_each_class(
+    made: tuple[Any, CellResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[tuple[Any, ...]] = []
+
+    def noted(*given: Any, **options: Any) -> str:
+        drawn.append((*given, options))
+        return f"chart {len(drawn)}"
+
+    monkeypatch.setattr(examples_module, "trace_chart", noted)
+    result = made[1]
+    told = examples(result, result.methods[0])
+    first = [int(np.flatnonzero(result.truth == n)[0]) for n in range(5)]
+    X = generate_arrays(RECIPE, 0, 10**9 + np.array(first)).X.astype(np.float64)
+    white = whitened_residual(RECIPE, X)
+    nominal = simulate_states(RECIPE.motor, RECIPE.nominal_voltage_v, 1e-3)[:, 0]
+    # A mean of the last n = 5 samples of white noise, in its own standard deviations: a twentieth of 100 samples.
+    smooth = np.array(
+        [[row[max(0, n - 4) : n + 1].sum() / np.sqrt(min(n + 1, 5)) for n in range(100)] for row in white]
+    )
+    threshold = norm.isf(0.5 * 0.01 / 20)
+    reach = min(max(1.1 * np.abs(smooth).max(), 2.0 * threshold), 16.0)
+    assert len(told) == 5
+    assert len(drawn) == 15
+    for n, one in enumerate(told):
+        row = first[n]
+        assert one["truth"] == readable(RECIPE.class_names[n])
+        assert one["decided"] == readable(RECIPE.class_names[result.methods[0].judged.answer.decided[row]])
+        assert one["right"] == (result.methods[0].judged.answer.decided[row] == n)
+        assert (one["probability"], one["smooth_ms"]) == (0.75, pytest.approx(5.0))
+        assert one["limit_probability"] == result.limit.answer.probabilities[row, n]
+        beyond = np.flatnonzero(np.abs(smooth[n]) > threshold)
+        assert one["alarm_ms"] == (pytest.approx(1.0 + beyond[0]) if len(beyond) else None)
+        current, level, residual = drawn[3 * n : 3 * n + 3]
+        np.testing.assert_allclose(current[0], np.arange(1.0, 101.0))
+        np.testing.assert_allclose(current[1]["measured"], X[n, 0])
+        np.testing.assert_allclose(current[1]["nominal"], nominal, rtol=1e-6)
+        assert current[-1]["span"] == pytest.approx((min(-0.1, X.min()), 1.06 * max(nominal.max(), X.max())))
+        np.testing.assert_allclose(level[1]["measured"], 1e3 * running_mean(X[n, 0], 5))
+        assert level[-1]["span"] == (0.0, 80.0)
+        np.testing.assert_allclose(residual[1]["residual"], smooth[n], atol=1e-9)
+        assert residual[-1]["span"] == pytest.approx((-reach, reach))
+        assert residual[-1]["levels"] == pytest.approx((-threshold, threshold))
+        assert residual[-1]["mark_ms"] == one["alarm_ms"]
+    assert any(one["alarm_ms"] is not None for one in told)
+
+
+@pytest.mark.parametrize(("noise_a", "reach"), [(0.5, None), (0.02, 16.0)])
+def test_residuals_are_shown_up_to_sixteen_deviations(
+    made: tuple[Any, CellResult], noise_a: float, reach: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At 20 mA a winding fault is far beyond; in half an ampere of noise nothing is beyond twice the threshold."""
+    spans = []
+
+    def noted(*given: Any, span: tuple[float, float], **options: Any) -> str:
+        spans.append((span, options.get("levels", ())))
+        return ""
+
+    monkeypatch.setattr(examples_module, "trace_chart", noted)
+    loud = replace(RECIPE, sensor=replace(RECIPE.sensor, current_noise_a=noise_a))
+    result = made[1]._replace(cell=replace(CELL, recipe=loud))
+    examples(result, result.methods[0])
+    span, levels = spans[2]
+    assert span[1] == pytest.approx(2.0 * levels[1] if reach is None else reach)
+
+
+def test_the_page_is_given_what_was_scored(
+    made: tuple[Any, CellResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: dict[str, list[tuple[Any, ...]]] = {
+        "interval": [],
+        "reliability": [],
+        "severity": [],
+        "examples": [],
+    }
+    for name, calls in given.items():
+        target = "examples" if name == "examples" else f"{name}_chart"
+
+        def noted(*arguments: Any, calls: Any = calls, **options: Any) -> Any:
+            calls.append((*arguments, options))
+            return []
+
+        monkeypatch.setattr(page, target, noted)
+    words: dict[str, Any] = {}
+    monkeypatch.setattr(page, "render", lambda *_, **context: words.update(context) or "page")
+    plan, result = made
+    assert page.render_report(plan, [result], "a machine") == "page"
+    assert [one.name for one in words["methods"]] == ["residual-qda", "network", "threshold"]
+    assert words["best"].name == "residual-qda"
+    assert words["best_peer"] is None
+    assert words["limit_expected"] == pytest.approx(0.8125)
+    assert words["n_comparisons"] == 3
+    assert words["significance"] == 0.01
+    assert [name for name, _ in words["against"]] == ["network", "threshold"]
+    between = words["against"][1][1]
+    assert (between.only_first, between.only_second) == (7, 3)  # rows 14 .. 20, and 2 .. 4
+    bars, limit, label, _ = given["interval"][0]
+    assert [name for name, *_ in bars] == ["residual-qda", "network", "threshold"]
+    assert (limit, label) == (pytest.approx(50 / 60), "Bayes limit on these motors: 83.3 %")
+    assert [call[-1]["title"] for call in given["interval"][1:]] == ["Winding", "Bearing", "Severity"]
+    assert given["interval"][2][1] == result.limit.scores.bearing.value
+    assert [one["name"] for one in words["confusions"]] == ["limit", "residual-qda", "network", "threshold"]
+    shares = np.array(words["confusions"][0]["shares"])
+    np.testing.assert_allclose(shares.sum(axis=1), 100.0)
+    counts = result.limit.scores.confusion
+    np.testing.assert_allclose(shares, 100.0 * counts / counts.sum(axis=1, keepdims=True))
+    # Confidences are 0.8125, 0.5625 and 0.75; what only decides has no curve.
+    assert [one["name"] for one in words["reliability"]] == ["limit", "network", "threshold"]
+    assert [call[1] for call in given["reliability"]] == pytest.approx([0.5] * 3)
+    (boxes,) = given["severity"]
+    assert boxes[0] == [readable(name) for name in RECIPE.class_names]
+    assert boxes[1] == pytest.approx([0.0, 0.1, 0.25, 0.1, 0.25])
+    (limit_name, _, limit_rows), (best_name, style, _) = boxes[2]
+    rmse = {one.name: one.judged.severity_rmse.value for one in result.methods if one.name != "residual-qda"}
+    assert (limit_name, best_name, style) == ("limit", min(rmse, key=lambda name: rmse[name]), "s1")
+    own = result.limit.answer.severity[result.truth == 2]
+    np.testing.assert_allclose(limit_rows[2], np.quantile(own, [0.05, 0.25, 0.5, 0.75, 0.95]))
+
+
+def test_numbers_on_the_page() -> None:
+    from motor_classifiers.report.page import _points, _quantity, _share  # the template's filters
+
+    assert [_share(Score(value, 0, 0)) for value in (0.12345, 1.0, float("nan"))] == ["12.3", "100.0", "–"]
+    assert [_points(value) for value in (0.01234, -0.01234, -0.00004)] == ["1.23", "−1.23", "0.00"]
+    assert [_quantity(value) for value in (19.94, 20.0, 123.4, 0.25, None, float("nan"))] == [
+        "19.9",
+        "20",
+        "123",
+        "0.2",
+        "–",
+        "–",
+    ]
+
+
+def noted_lines(monkeypatch: pytest.MonkeyPatch, module: Any) -> list[tuple[Any, ...]]:
+    drawn: list[tuple[Any, ...]] = []
+
+    def noted(lines: Any, x_axis: Axis, y_axis: Axis, **options: Any) -> str:
+        drawn.append((lines, x_axis, y_axis, options))
+        return "chart"
+
+    monkeypatch.setattr(module, "line_chart", noted)
+    return drawn
+
+
+def test_a_sweep_is_drawn_by_size_and_by_noise(
+    made: tuple[Any, CellResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = noted_lines(monkeypatch, sweep_page)
+    plan, result = made
+
+    def at(noise_a: float, n_train: int) -> CellResult:
+        recipe = replace(RECIPE, sensor=replace(RECIPE.sensor, current_noise_a=noise_a))
+        return result._replace(cell=Cell(recipe, n_train, 60))
+
+    told = sweep_page.sweep_section(plan, [at(0.02, 200), at(0.1, 200), at(0.02, 100), at(0.005, 200)])
+    assert told["learning"] == told["noise"] == [{"title": "bench, 1 kHz", "chart": "chart"}]
+    by_size, by_noise = drawn
+    assert by_size[1]._replace(number=str) == Axis(
+        "training starts", 100.0, 200.0, [100.0, 200.0], str, is_log=True
+    )
+    assert by_noise[1].ticks == pytest.approx([5.0, 20.0, 100.0])
+    assert by_noise[1].title == "noise, mA"
+    lines = {line.label: line for line in by_size[0]}
+    assert list(lines) == ["threshold", "residual-qda", "network", "Bayes limit"]
+    assert [line.style for line in lines.values()] == ["s0", "s1", "s2", "limit"]
+    assert lines["threshold"].y == pytest.approx([44 / 60] * 2)
+    assert lines["Bayes limit"].y == pytest.approx([50 / 60] * 2)
+    assert (by_size[2].low, by_size[2].high) == pytest.approx((44 / 60 - 0.01, 50 / 60 + 0.01))
+    alone = sweep_page.sweep_section(plan, [at(0.02, 200)])
+    assert alone["learning"] == alone["noise"] == []
+    assert len(alone["settings"]) == 1
+
+
+def test_trust_is_drawn_from_its_figures(
+    made: tuple[Any, CellResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = noted_lines(monkeypatch, trust_page)
+    fault = {
+        "fault": "weak",
+        "roc": {"distance": [0.5], "limit": [0.25]},
+        "auroc": {"distance": 0.9, "limit": 0.5},
+    }
+    settings = [{"sampling_rate_hz": 1e4, "faults": []}, {"sampling_rate_hz": 2500.0, "faults": [fault]}]
+    curves: dict[str, list[Any]] = {name: [] for name in ("rule", "b", "c", "d", "e")}
+    curves["rule"] = [{"time_s": 0.02, "wrong": 0.25}, {"time_s": 0.03, "wrong": 0.0}]
+    accuracy = {"limit": [0.5, 0.6, 0.7], "own": [0.4, 0.5, 0.6]}
+    figures = {
+        "sets": {}, "severity": {"reason": "none"}, "unknown": {"settings": settings},
+        "early": {"time_s": [0.01, 0.05, 0.1], "accuracy": accuracy}, "race": {"curves": curves},
+    }  # fmt: skip
+    told = trust_page.trust_section(made[1]._replace(trust=figures))
+    assert told is not None
+    (unknown, *unknown_axes, _), (early, early_x, early_y, _), (race, race_x, race_y, _) = drawn
+    assert [(line.label, line.style, line.y) for line in unknown] == [
+        ("weak, distance", "s1", [0.5]), ("weak, confidence", "s1 dashed", [0.25]),
+    ]  # fmt: skip
+    assert unknown[0].x == FALSE_ALARM_RATES.tolist()
+    assert [axis.title for axis in unknown_axes] == [
+        "known motors called other",
+        "foreign faults called other",
+    ]
+    assert (told["unknown"]["chart_rate_khz"], told["unknown"]["has_network"]) == (2.5, False)
+    assert [line.x for line in early] == [pytest.approx([10.0, 50.0, 100.0])] * 2
+    assert early_x.ticks == pytest.approx([0.0, 20.0, 40.0, 60.0, 80.0, 100.0])
+    assert (early_y.low, early_y.high) == pytest.approx((0.39, 0.71))
+    assert told["early"]["n_train"] == 100
+    assert [(line.label, line.x, line.y) for line in race] == [("rule", [pytest.approx(20.0)], [0.25])]
+    assert (race_x.high, race_y.low, race_y.high) == pytest.approx((100.0, 0.0005, 0.6))
+    assert race_x.ticks == pytest.approx([0.0, 20.0, 40.0, 60.0, 80.0, 100.0])
+    assert race_y.ticks == (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+    assert trust_page.trust_section(made[1]._replace(trust=None)) is None
