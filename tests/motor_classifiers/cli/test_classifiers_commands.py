@@ -191,7 +191,8 @@ def test_a_score_in_words(
 
 
 @pytest.mark.parametrize(
-    ("text", "status"), [("0", 0), ("18446744073709551615", 0), ("18446744073709551616", 2), ("-1", 2)]
+    ("text", "status"),
+    [("0", 0), ("18446744073709551615", 0), ("18446744073709551616", 2), ("-1", 2), ("many", 2)],
 )
 def test_a_sealed_seed_has_64_bits(
     text: str,

@@ -61,7 +61,9 @@ def test_intervals_stand_where_their_scores_say() -> None:
     ]
     assert shapes(chart, "text", "name") == [[158.0, 52.0], [158.0, 80.0]]
     assert ">80.0</text>" in chart
+    assert re.findall(r">(\d+ %)<", chart) == ["75 %", "80 %", "85 %", "90 %", "95 %"]
     low = interval_chart(bars, 0.76, "limit", width=440, left=166)
+    assert re.findall(r">(\d+ %)<", low) == ["80 %", "90 %"]
     assert 'class="limit-label" text-anchor="middle"' in low
     top = interval_chart([("a", "own", Score(0.999, 0.99, 1.0))], 0.995, "limit")
     (point,) = shapes(top, "circle")  # the axis ends at 1
@@ -155,11 +157,14 @@ def test_labels_move_no_further_than_they_must(wanted: list[float], expected: li
 
 
 def test_lines_end_at_their_labels() -> None:
-    lines = [Line("one", "s0", [0.0, 10.0], [0.5, 1.0]), Line("two", "s1", [0.0, 10.0], [0.5, 1.0])]
+    lines = [
+        Line("one", "s0", [0.0, 5.0, 10.0], [0.5, 0.5, 1.0]),
+        Line("two", "s1", [0.0, 5.0, 10.0], [0.5, 0.5, 1.0]),
+    ]
     axes = Axis("x", 0.0, 10.0, [0.0, 10.0]), Axis("accuracy", 0.5, 1.0, [0.5, 1.0])
     chart = line_chart(lines, *axes)
-    assert 'points="58.0,360.0 388.0,24.0"' in chart
-    assert shapes(chart, "circle")[:2] == [[58.0, 360.0, 3.0], [388.0, 24.0, 3.0]]
+    assert 'points="58.0,360.0 223.0,360.0 388.0,24.0"' in chart
+    assert shapes(chart, "circle")[:3] == [[58.0, 360.0, 3.0], [223.0, 360.0, 3.0], [388.0, 24.0, 3.0]]
     assert shapes(chart, "line", "lead") == [[388.0, 24.0, 400.0, 28.0], [388.0, 24.0, 400.0, 41.0]]
     assert re.findall(r'x="([\d.]+)" y="([\d.]+)">(one|two)<', chart) == [
         ("403.0", "32.0", "one"),
@@ -167,9 +172,9 @@ def test_lines_end_at_their_labels() -> None:
     ]
     assert "accuracy against x" in chart
     plain = line_chart(lines, axes[0], axes[1]._replace(title=""), named=False, marked=False)
-    assert 'points="52.0,360.0 498.0,12.0"' in plain
+    assert 'points="52.0,360.0 275.0,360.0 498.0,12.0"' in plain
     assert "<circle" not in plain
-    low = line_chart([lines[0]._replace(y=[1.0, 0.5])], *axes)
+    low = line_chart([lines[0]._replace(y=[1.0, 1.0, 0.5])], *axes)
     assert shapes(low, "line", "lead") == [[388.0, 360.0, 400.0, 360.0]]
     assert (share_axis([0.6, 0.8]).low, share_axis([0.6, 0.8]).high) == pytest.approx((0.59, 0.81))
     assert share_axis([0.6, 0.995]).high == 1.0
@@ -288,7 +293,25 @@ def test_the_page_is_given_what_was_scored(
         monkeypatch.setattr(page, target, noted)
     words: dict[str, Any] = {}
     monkeypatch.setattr(page, "render", lambda *_, **context: words.update(context) or "page")
-    plan, result = made
+    plan, plain = made
+    spread = plain.limit.answer._replace(severity=np.random.default_rng(0).uniform(0.0, 0.3, 60))
+    peers = tuple(
+        plain.methods[n]._replace(name=name, origin="elsewhere") for n, name in ((0, "quant"), (2, "peer"))
+    )
+    alone = plain._replace(limit=plain.limit._replace(answer=spread))
+    result = alone._replace(methods=plain.methods + peers)
+    assert page.render_report(plan, [result], "a machine") == "page"
+    assert words["sweep"] is None
+    assert (words["best_peer"].name, words["origins"]) == ("peer", ["elsewhere"])
+    both = given["severity"][-1][2]
+    assert len(both) == 3
+    assert (both[1][:2], both[2][1]) == ((words["severity_methods"][0], "s1"), "s4")
+    assert both[2][0] in ("quant", "peer")
+    assert page.render_report(plan, [alone, alone], "a machine") == "page"
+    assert words["sweep"] is not None
+    for calls in given.values():
+        calls.clear()
+    result = alone
     assert page.render_report(plan, [result], "a machine") == "page"
     assert [one.name for one in words["methods"]] == ["residual-qda", "network", "threshold"]
     assert words["best"].name == "residual-qda"
