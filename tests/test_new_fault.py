@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 import gymnasium as gym
-import numpy as np
 import pytest
+from recording_csv import write_csv
 
 from motor_env import Fault, FaultKind, Scenario, SensorParameters, Timing, simulate
 from motor_env.motor.parameters import PAPER_MOTOR, Channel
@@ -135,9 +135,14 @@ def _start(folder: Path, kind: str, severity: float) -> Path:
         PAPER_MOTOR.scaled(**inertia), faults, sensor=sensor, timing=Timing(10_000.0, 0.2, 0.02)
     )
     start = simulate(scenario, 3, [0])
-    table = np.column_stack([start.time_s, start.voltage_v[0], *start.measurements[0]])
-    head = "time_s,voltage_v,current_a,speed_rad_s"
-    np.savetxt(folder / "start.csv", table, delimiter=",", header=head, comments="")
+    current, speed = start.measurements[0]
+    columns = {
+        "time_s": start.time_s,
+        "voltage_v": start.voltage_v[0],
+        "current_a": current,
+        "speed_rad_s": speed,
+    }
+    write_csv(folder / "start.csv", columns)
     return folder
 
 

@@ -43,7 +43,7 @@ def _swapped(data: bytearray, at: int, size: int, _: Random) -> None:
     data[at : at + size], data[:size] = data[:size], data[at : at + size]
 
 
-def _set(data: bytearray, at: int, size: int, content: bytes) -> None:
+def _set(data: bytearray, at: int, size: int, content: bytes | bytearray) -> None:
     data[at : at + size] = content
 
 

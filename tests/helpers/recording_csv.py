@@ -38,7 +38,7 @@ def write_csv(path: Path, columns: Mapping[str, Any], **options: Any) -> Path:
     return path
 
 
-def write_recording(path: Path, recording: Recording) -> Path:
-    """Write what a recording has: time, voltage, current, speed."""
+def write_recording(path: Path, recording: Recording) -> str:
+    """Write what a recording has: time, voltage, current, speed; returns the path as a command line takes it."""
     columns = {name: getattr(recording, name) for name in QUANTITIES}
-    return write_csv(path, {name: values for name, values in columns.items() if values is not None})
+    return str(write_csv(path, {name: values for name, values in columns.items() if values is not None}))

@@ -239,8 +239,8 @@ def test_changed_manifests_are_one_sentence_or_the_same_data(folder: Path, count
         path.write_bytes(content)
         sentences.append(refused_or_same(lambda: load(folder), folder, same))
     assert len([sentence for sentence in sentences if sentence]) > 0.5 * count
-    for content in ('{"format": ' + deep(), "[]", "3", "null", ""):
-        path.write_text(content)
+    for bad in ('{"format": ' + deep(), "[]", "3", "null", ""):
+        path.write_text(bad)
         refused(lambda: main(["verify", str(folder)]), folder)
 
 

@@ -1,15 +1,19 @@
 """Damaged and forged model files: refused with one sentence at loading, never a surprise at predicting."""
 
-import io
+import copy
 import json
-import zipfile
+import os
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from safetensors.numpy import load, save
+import skops.io
+from hostile import archive_of, cuts, flips, members_of, refused, refused_or_same
+from saved_models import RECIPE, TRAIN, content, file_of, fitted, head_of, with_changes, with_head
 from sklearn.base import BaseEstimator
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline, make_pipeline
@@ -17,7 +21,7 @@ from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn.tree import DecisionTreeClassifier
 
 from motor_classifiers.cli.main import main
-from motor_classifiers.estimators.methods import METHODS, make_method
+from motor_classifiers.estimators.methods import make_method
 from motor_classifiers.estimators.reference_starts import RecentredStarts
 from motor_classifiers.model_files.persistence import FORMAT, load_model, save_model
 from motor_classifiers.prediction.opinions import opinions
@@ -26,105 +30,51 @@ from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.open_set import OpenSetClassifier
 from motor_datasets import generate_arrays, generate_dataset
 from motor_env.console import ExitStatus
-from motor_env.errors import InputError
 from motor_env.motor.faults import FaultKind
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
-from motor_env.simulation.simulate import Timing
 
-RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
-TRAIN = generate_arrays(RECIPE, 1, 200)
-QUICK = {
-    "posterior-network": {"steps": 5, "batch_size": 32},
-    "residual-network": {"epochs": 1, "stem": 4, "width": 4},
-    "physical-boosting": {"classify__estimator__max_iter": 5},
-    "physical-forest": {"classify__n_estimators": 10},
-}
-NAMES = ("threshold", "network", "residual-qda", "physical-svm", *QUICK)
+CALLING = Pipeline([("call", FunctionTransformer(os.getcwd))])
+TENSORS = ("threshold", "network", "posterior-network", "residual-network")
 
 
-@pytest.fixture(scope="module")
-def fitted() -> dict[str, BaseEstimator]:
-    return {
-        name: METHODS[name].train(
-            make_method(name, RECIPE, 0).set_params(**QUICK.get(name, {})), TRAIN.X, TRAIN.class_name
-        )
-        for name in NAMES
-    }
-
-
-@pytest.fixture(scope="module")
-def contents(fitted: dict[str, BaseEstimator], tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    folder = tmp_path_factory.mktemp("models")
-    for name, model in fitted.items():
-        save_model(model, RECIPE, name, folder / name)
-    return {name: (folder / name).read_bytes() for name in NAMES}
-
-
-def refusal(content: bytes, folder: Path) -> str:
+def refusal(file: bytes, folder: Path) -> str:
     """The sentence with which a file is refused."""
     path = folder / "forged.model"
-    path.write_bytes(content)
-    with pytest.raises(InputError) as caught:
-        load_model(path)
-    sentence = str(caught.value)
+    path.write_bytes(file)
+    sentence = refused(lambda: load_model(path), path)
     assert sentence.startswith(f"{path}: ")
-    assert "\n" not in sentence
     return sentence
 
 
-@pytest.mark.parametrize(
-    "name", ["threshold", "network", "residual-qda", "posterior-network", "residual-network"]
-)
-def test_any_cut_is_refused(name: str, contents: dict[str, bytes], tmp_path: Path) -> None:
-    content = contents[name]
-    for end in np.linspace(0, len(content) - 1, 12).astype(int):
-        refusal(content[:end], tmp_path)
+@pytest.mark.parametrize("name", [*TENSORS, "residual-qda"])
+def test_any_cut_is_refused(name: str, tmp_path: Path) -> None:
+    for file in cuts(content(name), 12):
+        refusal(file, tmp_path)
 
 
-@pytest.mark.parametrize(
-    "name", ["threshold", "network", "residual-qda", "posterior-network", "residual-network"]
-)
-def test_a_flipped_byte_is_refused_or_harmless(name: str, contents: dict[str, bytes], tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", [*TENSORS, "residual-qda"])
+def test_a_flipped_bit_is_refused_or_harmless(name: str, tmp_path: Path) -> None:
     """No other error than the sentence, at loading or at predicting."""
-    rng = np.random.default_rng(0)
-    path = tmp_path / "flipped.model"
-    for position in rng.integers(min(len(contents[name]), 4000), size=25):
-        damaged = bytearray(contents[name])
-        damaged[position] ^= int(rng.integers(1, 256))
-        path.write_bytes(damaged)
-        try:
-            model = load_model(path)[0]
-        except InputError:
-            continue
-        assert model.predict_proba(TRAIN.X[:2]).shape == (2, 5)
+    path, file = tmp_path / "flipped.model", content(name)
+
+    def same(found: tuple[Any, ...]) -> None:
+        assert found[0].predict_proba(TRAIN.X[:2]).shape == (2, 5)
+
+    for flipped in flips(file, np.random.default_rng(0), 25, within=range(min(len(file), 4000))):
+        path.write_bytes(flipped)
+        refused_or_same(lambda: load_model(path), path, same)
 
 
-@pytest.mark.parametrize("name", ["threshold", "network", "posterior-network", "residual-network"])
-def test_a_flipped_bit_is_not_taken_for_a_weight(
-    name: str, contents: dict[str, bytes], tmp_path: Path
-) -> None:
-    rng = np.random.default_rng(1)
-    content = contents[name]
-    begin = 8 + int.from_bytes(content[:8], "little")
-    for position in rng.integers(begin, len(content), size=10):
-        damaged = bytearray(content)
-        damaged[position] ^= 1
-        assert "not what was saved" in refusal(bytes(damaged), tmp_path)
+@pytest.mark.parametrize("name", TENSORS)
+def test_a_flipped_bit_is_not_taken_for_a_weight(name: str, tmp_path: Path) -> None:
+    file = content(name)
+    begin = 8 + int.from_bytes(file[:8], "little")
+    for flipped in flips(file, np.random.default_rng(1), 10, within=range(begin, len(file))):
+        assert "not what was saved" in refusal(flipped, tmp_path)
 
 
-def with_head(content: bytes, changes: dict[str, Any]) -> bytes:
-    """A safetensors model with another head; nested tables are merged."""
-    length = int.from_bytes(content[:8], "little")
-    head = json.loads(json.loads(content[8 : 8 + length])["__metadata__"][FORMAT])
-    del head["sha256"]  # as a file of an older version: the checks behind the digest are what is asked
-    for key, value in changes.items():
-        head[key] = {**head[key], **value} if isinstance(value, dict) else value
-    return save(load(content), metadata={FORMAT: json.dumps(head)})
-
-
-def test_an_unchanged_head_loads(contents: dict[str, bytes], tmp_path: Path) -> None:
-    (tmp_path / "same").write_bytes(with_head(contents["threshold"], {}))
+def test_an_unchanged_head_loads(tmp_path: Path) -> None:
+    (tmp_path / "same").write_bytes(with_changes(content("threshold"), {}))
     assert load_model(tmp_path / "same")[2] == "threshold"
 
 
@@ -175,9 +125,9 @@ def test_an_unchanged_head_loads(contents: dict[str, bytes], tmp_path: Path) -> 
     ids=str,
 )
 def test_json_with_wrong_types_or_values_is_refused(
-    name: str, changes: dict[str, Any], contents: dict[str, bytes], tmp_path: Path
+    name: str, changes: dict[str, Any], tmp_path: Path
 ) -> None:
-    refusal(with_head(contents[name], changes), tmp_path)
+    refusal(with_changes(content(name), changes), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -202,126 +152,101 @@ def test_json_with_wrong_types_or_values_is_refused(
     ],
     ids=str,
 )
-def test_tensors_of_another_shape_are_refused(
-    name: str, key: str, values: Any, contents: dict[str, bytes], tmp_path: Path
-) -> None:
-    content = with_head(contents[name], {})
-    length = int.from_bytes(content[:8], "little")
-    head = json.loads(content[8 : 8 + length])["__metadata__"][FORMAT]
-    refusal(save({**load(content), key: values}, metadata={FORMAT: head}), tmp_path)
+def test_tensors_of_another_shape_are_refused(name: str, key: str, values: Any, tmp_path: Path) -> None:
+    file = content(name)
+    refusal(with_head(file, head_of(file), **{key: values}), tmp_path)
 
 
-def test_a_function_in_a_pipeline_is_refused_by_name(contents: dict[str, bytes], tmp_path: Path) -> None:
+def foreign(model: BaseEstimator) -> bytes:
+    """A pipeline of skops under the head of one of ours."""
+    head = members_of(content("residual-qda"))["motor.json"]
+    return archive_of(members_of(skops.io.dumps(model)) | {"motor.json": head})
+
+
+def test_a_function_in_a_pipeline_is_refused_by_name(tmp_path: Path) -> None:
     """Skops would load `os.getcwd` as a step; it is no type of ours."""
-    import os
-
-    import skops.io
-
-    archive = io.BytesIO(skops.io.dumps(Pipeline([("call", FunctionTransformer(os.getcwd))])))
-    with zipfile.ZipFile(io.BytesIO(contents["residual-qda"])) as good, zipfile.ZipFile(archive, "a") as bad:
-        bad.writestr("motor.json", good.read("motor.json"))
-    assert "getcwd" in refusal(archive.getvalue(), tmp_path)
+    assert "getcwd" in refusal(foreign(CALLING), tmp_path)
 
 
-def renamed(content: bytes, names: dict[str, str]) -> bytes:
+def renamed(file: bytes, names: dict[str, str]) -> bytes:
     """A pipeline's archive with text replaced in its schema."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(content)) as source, zipfile.ZipFile(buffer, "w") as target:
-        for member in source.namelist():
-            text = source.read(member)
-            if member == "schema.json":
-                for name, other in names.items():
-                    assert name.encode() in text
-                    text = text.replace(name.encode(), other.encode())
-            target.writestr(member, text)
-    return buffer.getvalue()
+    members = members_of(file)
+    for name, other in names.items():
+        assert name.encode() in members["schema.json"]
+        members["schema.json"] = members["schema.json"].replace(name.encode(), other.encode())
+    return archive_of(members)
 
 
-def test_pipelines_with_the_old_names_of_their_classes_load(
-    contents: dict[str, bytes], fitted: dict[str, BaseEstimator], tmp_path: Path
-) -> None:
+def test_pipelines_with_the_old_names_of_their_classes_load(tmp_path: Path) -> None:
     """Files from before the classes moved into packages."""
     features = {"motor_classifiers.estimators.features": "motor_classifiers.features"}
     starts = {"motor_classifiers.estimators.reference_starts": "motor_classifiers.reference"}
     rules = {"motor_classifiers.estimators.features": "motor_classifiers.rule_statistics"}
     with_starts = make_pipeline(RecentredStarts(RECIPE), make_method("rules", RECIPE, 0))
-    save_model(with_starts.fit(TRAIN.X, TRAIN.class_name), RECIPE, "rules", tmp_path / "new")
-    for content, names, model in (
-        (contents["physical-forest"], features, fitted["physical-forest"]),
-        ((tmp_path / "new").read_bytes(), starts | rules, with_starts),
+    with_starts.fit(TRAIN.X, TRAIN.class_name)
+    for file, names, model in (
+        (content("physical-forest"), features, fitted("physical-forest")),
+        (file_of(with_starts, "rules"), starts | rules, with_starts),
     ):
         old = tmp_path / "old.model"
-        old.write_bytes(renamed(content, names))
+        old.write_bytes(renamed(file, names))
         loaded = load_model(old)[0]
         np.testing.assert_array_equal(loaded.predict_proba(TRAIN.X[:9]), model.predict_proba(TRAIN.X[:9]))
-    other = renamed(contents["residual-qda"], {"ResidualProjection": "whitened_residual"} | features)
+    other = renamed(content("residual-qda"), {"ResidualProjection": "whitened_residual"} | features)
     assert "motor_classifiers.features.whitened_residual" in refusal(other, tmp_path)
 
 
-def test_a_step_of_another_type_is_neither_saved_nor_loaded(
-    contents: dict[str, bytes], tmp_path: Path
-) -> None:
+def test_a_step_of_another_type_is_neither_saved_nor_loaded(tmp_path: Path) -> None:
     """Skops trusts all of scikit-learn; a lone tree would be followed without a look at its children."""
-    import skops.io
-
-    model = make_pipeline(StandardScaler(), DecisionTreeClassifier()).fit(
-        TRAIN.X.reshape(len(TRAIN), -1), TRAIN.class_name
-    )
-    with pytest.raises(InputError, match="a model with a DecisionTreeClassifier cannot be saved"):
-        save_model(model, RECIPE, "tree", tmp_path / "model")
-    archive = io.BytesIO(skops.io.dumps(model))
-    with zipfile.ZipFile(io.BytesIO(contents["residual-qda"])) as good, zipfile.ZipFile(archive, "a") as bad:
-        bad.writestr("motor.json", good.read("motor.json"))
-    assert "it has a DecisionTreeClassifier" in refusal(archive.getvalue(), tmp_path)
+    model = make_pipeline(StandardScaler(), DecisionTreeClassifier())
+    model.fit(TRAIN.X.reshape(len(TRAIN), -1), TRAIN.class_name)
+    path = tmp_path / "model"
+    sentence = refused(lambda: save_model(model, RECIPE, "tree", path), path, named=False)
+    assert "a model with a DecisionTreeClassifier cannot be saved" in sentence
+    assert "it has a DecisionTreeClassifier" in refusal(foreign(model), tmp_path)
 
 
-def test_a_tree_that_points_outside_is_refused(fitted: dict[str, BaseEstimator], tmp_path: Path) -> None:
-    """Compiled code would read beside the arrays."""
-    forged = tmp_path / "forged.model"
-    model = fitted["physical-forest"]
-    tree = model.steps[-1][1].estimators_[0].tree_
-    kept = tree.children_left[0]
-    tree.children_left[0] = 10**6
-    save_model(model, RECIPE, "physical-forest", forged)
-    tree.children_left[0] = kept
-    assert "child that does not exist" in refusal(forged.read_bytes(), tmp_path)
+def forest() -> tuple[BaseEstimator, Any]:
+    model = copy.deepcopy(fitted("physical-forest"))
+    return model, model.steps[-1][1].estimators_[0].tree_.children_left
 
 
-def test_a_tree_of_the_boosting_that_points_outside_is_refused(
-    fitted: dict[str, BaseEstimator], tmp_path: Path
-) -> None:
-    model = fitted["physical-boosting"]
+def boosting(field: str) -> tuple[BaseEstimator, Any]:
+    model = copy.deepcopy(fitted("physical-boosting"))
     boosting = model.steps[-1][1].calibrated_classifiers_[0].estimator
-    nodes = boosting._predictors[0][0].nodes
-    for field, value, words in (
-        ("left", 10**6, "child that does not exist"),
-        ("feature_idx", 10**6, "asks for no feature"),
-        ("is_categorical", 1, "asks for a category"),
-    ):
-        kept = nodes[field][0]
-        nodes[field][0] = value
-        save_model(model, RECIPE, "physical-boosting", tmp_path / "forged.model")
-        nodes[field][0] = kept
-        assert words in refusal((tmp_path / "forged.model").read_bytes(), tmp_path)
+    return model, boosting._predictors[0][0].nodes[field]
 
 
-def test_support_vectors_that_are_not_there_are_refused(
-    fitted: dict[str, BaseEstimator], tmp_path: Path
+def support_vectors() -> tuple[BaseEstimator, Any]:
+    model = copy.deepcopy(fitted("physical-svm"))
+    return model, model.steps[-1][1].calibrated_classifiers_[0].estimator._n_support
+
+
+@pytest.mark.parametrize(
+    ("make", "value", "words"),
+    [
+        (forest, 10**6, "child that does not exist"),
+        (partial(boosting, "left"), 10**6, "child that does not exist"),
+        (partial(boosting, "feature_idx"), 10**6, "asks for no feature"),
+        (partial(boosting, "is_categorical"), 1, "asks for a category"),
+        (support_vectors, 1000, "do not fit each other"),
+    ],
+    ids=["forest", "boosting's child", "boosting's feature", "boosting's category", "support vectors"],
+)
+def test_indices_that_point_outside_are_refused(
+    make: Callable[[], tuple[BaseEstimator, Any]], value: int, words: str, tmp_path: Path
 ) -> None:
-    model = fitted["physical-svm"]
-    machine = model.steps[-1][1].calibrated_classifiers_[0].estimator
-    kept = machine._n_support
-    machine._n_support = kept + 1000
-    save_model(model, RECIPE, "physical-svm", tmp_path / "forged.model")
-    machine._n_support = kept
-    assert "do not fit each other" in refusal((tmp_path / "forged.model").read_bytes(), tmp_path)
+    """Compiled code would read beside the arrays."""
+    model, numbers = make()
+    numbers[0] = value
+    assert words in refusal(file_of(model, model.steps[-1][0]), tmp_path)
 
 
 @pytest.fixture(scope="module")
-def wrapped(fitted: dict[str, BaseEstimator]) -> BaseEstimator:
+def wrapped() -> BaseEstimator:
     """Both wrappers around the discriminant analysis."""
     known = generate_arrays(RECIPE, 5, 300)
-    sets = ConformalClassifier(FrozenEstimator(fitted["residual-qda"])).fit(known.X, known.class_name)
+    sets = ConformalClassifier(FrozenEstimator(fitted("residual-qda"))).fit(known.X, known.class_name)
     return OpenSetClassifier(FrozenEstimator(sets), RECIPE, false_alarm_rate=0.02).fit(
         known.X, known.class_name
     )
@@ -377,38 +302,25 @@ def test_wrappers_come_back(wrapped: OpenSetClassifier, tmp_path: Path) -> None:
     ],
     ids=str,
 )
-def test_a_forged_wrapper_is_refused(
-    changes: dict[str, Any], contents: dict[str, bytes], tmp_path: Path
-) -> None:
-    head = {"format": FORMAT, "version": 1, "kind": "open-set", "false_alarm_rate": 0.01, "offset": -9.0}
-    refusal(archive_of(head | changes, contents["network"]), tmp_path)
+def test_a_forged_wrapper_is_refused(changes: dict[str, Any], tmp_path: Path) -> None:
+    refusal(wrapper_of(content("network"), changes), tmp_path)
 
 
-def archive_of(head: dict[str, Any], inner: bytes) -> bytes:
+def wrapper_of(inner: bytes, changes: dict[str, Any] | None = None) -> bytes:
     """A wrapper's file."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr("wrapper.json", json.dumps(head))
-        archive.writestr("model", inner)
-    return buffer.getvalue()
-
-
-def test_a_poisoned_model_inside_a_wrapper_is_refused(contents: dict[str, bytes], tmp_path: Path) -> None:
     head = {"format": FORMAT, "version": 1, "kind": "open-set", "false_alarm_rate": 0.01, "offset": -9.0}
-    good = archive_of(head, contents["network"])
+    return archive_of({"wrapper.json": json.dumps(head | (changes or {})).encode(), "model": inner})
+
+
+def test_a_poisoned_model_inside_a_wrapper_is_refused(tmp_path: Path) -> None:
+    good = wrapper_of(content("network"))
     (tmp_path / "good").write_bytes(good)
     assert isinstance(load_model(tmp_path / "good")[0], OpenSetClassifier)
-    import os
-
-    import skops.io
-
-    poison = skops.io.dumps(Pipeline([("call", FunctionTransformer(os.getcwd))]))
-    for inner in (poison, b"", contents["threshold"][:200]):
-        refusal(archive_of(head, inner), tmp_path)
-    nested = archive_of(head, archive_of(head, good))
-    assert "too many classifiers" in refusal(nested, tmp_path)
-    for end in np.linspace(0, len(good) - 1, 8).astype(int):
-        refusal(good[:end], tmp_path)
+    for inner in (skops.io.dumps(CALLING), b"", content("threshold")[:200]):
+        refusal(wrapper_of(inner), tmp_path)
+    assert "too many classifiers" in refusal(wrapper_of(wrapper_of(good)), tmp_path)
+    for cut in cuts(good, 8):
+        refusal(cut, tmp_path)
 
 
 def test_train_evaluate_predict_and_no_overwriting(

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recording_csv import write_csv
 
 from motor_classifiers.estimators.methods import make_method
 from motor_classifiers.prediction.opinions import UNDECIDED, predict_recording
@@ -34,9 +35,7 @@ def capture(
     columns = {"time_s": time_s, "current_a": current}
     if with_voltage:
         columns["voltage_v"] = voltage[FINE - 1 :: FINE] + 0.02 * generator.standard_normal(len(current))
-    table = np.column_stack(list(columns.values()))
-    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="")
-    return path
+    return write_csv(path, columns)
 
 
 @pytest.mark.parametrize(

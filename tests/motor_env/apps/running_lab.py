@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from recording_csv import write_csv
+
 from motor_env.apps import lab
 from motor_env.apps.lab_server import address, make_server
 
@@ -23,7 +25,6 @@ def running_lab() -> Iterator[str]:
 def write_start(path: Path, kind: str, seed: int = 1) -> Path:
     """A CSV file of a simulated start."""
     start = lab.start_of(lab.Settings(kind=kind, noise_ma=5.0, seed=seed))
-    rows = zip(start.time_s, start.measurements[0, 0], start.voltage_v[0], strict=True)
-    text = "\n".join(["time_s,current_a,voltage_v", *(f"{t:.6f},{i:.6f},{v:g}" for t, i, v in rows)])
-    path.write_text(text + "\n")
-    return path
+    current, voltage = start.measurements[0, 0], start.voltage_v[0]
+    columns = {"time_s": start.time_s, "current_a": current, "voltage_v": voltage}
+    return write_csv(path, columns, form=".6f")

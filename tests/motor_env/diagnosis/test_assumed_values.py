@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
+from recording_csv import write_csv
 
 from motor_env import (
     PAPER_MOTOR,
@@ -37,12 +37,14 @@ def write(path: Path, seed: int, faults: tuple[Fault, ...] = (), *, columns: int
     """One start as CSV, with voltage and speed, or without."""
     scenario = Scenario(PAPER_MOTOR, faults, sensor=SENSOR, timing=Timing(duration_s=0.1, quiet_s=0.02))
     start = simulate(scenario, seed=seed, cases=[0])
-    rows = np.column_stack(
-        [start.time_s, start.measurements[0, 0], start.voltage_v[0], start.measurements[0, 1]]
-    )
-    header = ["time_s", "current_a", "voltage_v", "speed_rad_s"][:columns]
-    np.savetxt(path, rows[:, :columns], delimiter=",", comments="", header=",".join(header), fmt="%.7g")
-    return str(path)
+    current, speed = start.measurements[0]
+    table = {
+        "time_s": start.time_s,
+        "current_a": current,
+        "voltage_v": start.voltage_v[0],
+        "speed_rad_s": speed,
+    }
+    return str(write_csv(path, dict(list(table.items())[:columns]), form=".7g"))
 
 
 def commissioned(folder: Path, *options: str, columns: int = 3) -> Path:

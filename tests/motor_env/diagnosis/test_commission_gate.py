@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recording_csv import write_recording
 from simulated_captures import DEFECTS, captures
 
 from motor_env.cli import main
@@ -17,24 +18,17 @@ from motor_env.recordings.splitting import split_starts
 DT_S = 1e-4
 
 
-def write(path: Path, recording: Recording) -> str:
-    assert recording.voltage_v is not None
-    columns = np.stack([recording.time_s, recording.current_a, recording.voltage_v], axis=1)
-    np.savetxt(path, columns, delimiter=",", header="time_s,current_a,voltage_v", comments="")
-    return str(path)
-
-
 @pytest.fixture
 def healthy(tmp_path: Path) -> list[str]:
     starts = captures(DEFECTS["none"], (), PAPER_MOTOR, 5, 3)
-    return [write(tmp_path / f"healthy_{n}.csv", start) for n, start in enumerate(starts)]
+    return [write_recording(tmp_path / f"healthy_{n}.csv", start) for n, start in enumerate(starts)]
 
 
 @pytest.fixture
 def log(tmp_path: Path) -> str:
     time_s = DT_S * np.arange(4000, dtype=np.float64)
     voltage = np.where(time_s % 0.02 < 0.01, 12.0, 0.0)
-    return write(tmp_path / "pwm.csv", Recording(Path("x"), time_s, 0.1 * voltage, voltage))
+    return write_recording(tmp_path / "pwm.csv", Recording(Path("x"), time_s, 0.1 * voltage, voltage))
 
 
 def test_a_log_is_no_healthy_start(
@@ -60,12 +54,12 @@ def test_a_start_that_no_motor_explains_is_named(
 ) -> None:
     (start,) = captures(DEFECTS["none"], (), PAPER_MOTOR, 6, 1)
     triangle = np.where(start.time_s > 0.0, start.time_s % 0.05 * 200.0, 0.0)
-    odd = write(tmp_path / "odd.csv", replace(start, current_a=start.current_a + triangle))
+    odd = write_recording(tmp_path / "odd.csv", replace(start, current_a=start.current_a + triangle))
     assert main(["commission", *healthy, odd, "-o", str(tmp_path / "motor.toml")]) == 2
     said = capsys.readouterr().err
     assert "odd.csv: a healthy start cannot be used: no motor model explains the current" in said
     (other,) = captures(DEFECTS["none"], (), replace(PAPER_MOTOR, resistance_ohm=4.0), 6, 1)
-    odd = write(tmp_path / "odd.csv", other)
+    odd = write_recording(tmp_path / "odd.csv", other)
     assert main(["commission", *healthy, odd, "-o", str(tmp_path / "motor.toml")]) == 2
     assert "times that of the others" in capsys.readouterr().err
 
@@ -79,7 +73,7 @@ def test_one_start_of_each_file_is_commissioned(tmp_path: Path, capsys: pytest.C
         current = np.concatenate([first.current_a, second.current_a])
         voltage = np.concatenate([first.voltage_v, second.voltage_v])
         both = Recording(Path("x"), DT_S * np.arange(len(current), dtype=np.float64), current, voltage)
-        files.append(write(tmp_path / f"two_{n}.csv", both))
+        files.append(write_recording(tmp_path / f"two_{n}.csv", both))
     toml = str(tmp_path / "motor.toml")
     assert main(["commission", *files, "--start", "2", "-o", toml]) == 0
     assert capsys.readouterr().out.startswith("3 healthy starts")
@@ -103,6 +97,6 @@ def test_starts_that_do_not_agree_teach_nothing(tmp_path: Path, capsys: pytest.C
     files = []
     for n, inertia in enumerate((5e-7, 1e-6, 2e-6, 4e-6)):
         (one,) = captures(DEFECTS["none"], (), replace(PAPER_MOTOR, inertia_kg_m2=inertia), n, 1)
-        files.append(write(tmp_path / f"{n}.csv", one))
+        files.append(write_recording(tmp_path / f"{n}.csv", one))
     assert main(["commission", *files, "-o", str(tmp_path / "motor.toml")]) == 2
     assert re.search(r"their K\^2/J lies between .* starts of one motor", capsys.readouterr().err)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recording_csv import write_csv
 
 from motor_env.cli import main
 from motor_env.diagnosis.diagnose import diagnose
@@ -68,9 +69,8 @@ def test_a_no_load_current_makes_the_bearing_fault_one_of_the_bearing(
     files = []
     for n in range(4):
         one = start(MOTOR, "constant", n)
-        columns = np.stack([one.time_s, one.current_a], axis=1)
-        files.append(str(tmp_path / f"{n}.csv"))
-        np.savetxt(files[-1], columns, delimiter=",", header="time_s,current_a", comments="")
+        columns = {"time_s": one.time_s, "current_a": one.current_a}
+        files.append(str(write_csv(tmp_path / f"{n}.csv", columns)))
     command = ["commission", *files, "--voltage", "12", "-o", str(tmp_path / "motor.toml")]
     assert main(command) == 0
     whole = capsys.readouterr().out

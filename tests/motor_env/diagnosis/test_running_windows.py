@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from recording_csv import write_recording
 from scipy import stats
 
 from motor_env.cli import main
@@ -27,15 +28,6 @@ from operation_simulator import Motor, draw_motor, simulate
 COLUMNS = ("current_a", "voltage_v", "speed_rad_s")
 
 
-def write(path: Path, recording: Recording) -> str:
-    assert recording.voltage_v is not None
-    assert recording.speed_rad_s is not None
-    columns = [recording.time_s, recording.voltage_v, recording.current_a, recording.speed_rad_s]
-    header = "time_s,voltage_v,current_a,speed_rad_s"
-    np.savetxt(path, np.stack(columns, axis=1), delimiter=",", header=header, comments="")
-    return str(path)
-
-
 @pytest.mark.long
 def test_faults_show_in_windows_and_warmth_does_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -46,7 +38,7 @@ def test_faults_show_in_windows_and_warmth_does_not(
 
     def log(name: str, changed: Motor = motor, samples: int = 800, warm_k: float = 0.0) -> str:
         recording = simulate(changed, "reversals", rng, samples=samples, dt_s=dt_s, warm_k=warm_k)
-        return write(tmp_path / f"{name}.csv", recording)
+        return write_recording(tmp_path / f"{name}.csv", recording)
 
     toml = str(tmp_path / "motor.toml")
     healthy = [log("a", samples=1200), log("b", samples=1200)]
@@ -58,7 +50,7 @@ def test_faults_show_in_windows_and_warmth_does_not(
         log("contact", replace(motor, ohm=1.25 * motor.ohm)),
         log("friction", friction),
         log("magnet", replace(motor, constant=0.9 * motor.constant)),
-        write(
+        write_recording(
             tmp_path / "weak.csv",
             simulate(replace(motor, volts=0.1 * motor.volts), "reversals", rng, dt_s=dt_s),
         ),
@@ -72,7 +64,7 @@ def test_faults_show_in_windows_and_warmth_does_not(
     monkeypatch.setattr(windows, "MOST_JUDGED", 4)
     parts = [simulate(one, "reversals", rng, samples=1500, dt_s=dt_s) for one in (motor, friction, motor)]
     columns = [np.concatenate([getattr(one, name) for one in parts]) for name in COLUMNS]
-    long = write(
+    long = write_recording(
         tmp_path / "long.csv",
         Recording(Path("long"), dt_s * np.arange(4500.0), columns[0], columns[1], columns[2]),
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recording_csv import write_recording
 
 from motor_env.cli import main
 from motor_env.motor.data_sheet import load_motor
@@ -45,30 +46,16 @@ def test_work_is_recognised() -> None:
     assert "faster" in str(work_seen(record(np.tile(off_on(20, 30), 40))))
 
 
-def write(path: Path, recording: Recording) -> Path:
-    assert recording.voltage_v is not None
-    assert recording.speed_rad_s is not None
-    columns = [recording.time_s, recording.voltage_v, recording.current_a, recording.speed_rad_s]
-    np.savetxt(
-        path,
-        np.stack(columns, axis=1),
-        delimiter=",",
-        header="time_s,voltage_v,current_a,speed_rad_s",
-        comments="",
-    )
-    return path
-
-
 def test_logs_are_identified_jointly(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(8)
     motor = draw_motor(rng)
     dt_s = round(motor.mechanical_s / 8.0, 5)
     logs = [
-        write(tmp_path / f"{kind}.csv", simulate(motor, kind, rng, samples=600, dt_s=dt_s))
+        write_recording(tmp_path / f"{kind}.csv", simulate(motor, kind, rng, samples=600, dt_s=dt_s))
         for kind in ("reversals", "prbs")
     ]
     toml = tmp_path / "motor.toml"
-    assert main(["identify", *map(str, logs), "--json", "-o", str(toml), "--out", str(tmp_path)]) == 0
+    assert main(["identify", *logs, "--json", "-o", str(toml), "--out", str(tmp_path)]) == 0
     (found,) = json.loads(capsys.readouterr().out)
     assert found["regime"] == "operation"
     assert found["parameters"]["K"]["value"] == pytest.approx(motor.constant, rel=0.05)
@@ -80,8 +67,8 @@ def test_noise_is_unusable_with_a_status(tmp_path: Path, capsys: pytest.CaptureF
     rng = np.random.default_rng(9)
     n = 400
     time, values = DT_S * np.arange(n, dtype=np.float64), rng.standard_normal((3, n))
-    log = write(tmp_path / "noise.csv", Recording(Path("x"), time, values[0], values[1], values[2]))
-    assert main(["identify", str(log)]) == 3
+    log = write_recording(tmp_path / "noise.csv", Recording(Path("x"), time, values[0], values[1], values[2]))
+    assert main(["identify", log]) == 3
     assert "unusable" in capsys.readouterr().out
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recording_csv import write_csv
 
 from motor_env.errors import InputError
 from motor_env.operation.record import from_recordings, liveliest
@@ -25,7 +26,7 @@ def write_log(
     rng = np.random.default_rng(4)
     values = rng.normal(size=(rows, 4)).round(4)
     values[:, 0] = np.arange(rows) / RATE_HZ
-    np.savetxt(path, values, fmt="%.4f", delimiter=",", header=header, comments="")
+    write_csv(path, dict(zip(header.split(","), values.T, strict=True)), form=".4f")
     return values
 
 
