@@ -5,12 +5,14 @@ python benchmarks/defects.py --starts 40
 
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from cyclopts import run
 from simulated_captures import DEFECTS, captures
+from verdict_tables import HERE, Counts, How, Said, counted
 
-from motor_env.diagnosis.decision import Diagnosis, Verdict
+from motor_env.diagnosis.decision import Verdict
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.faults import Fault, FaultKind
@@ -23,46 +25,68 @@ CASES: dict[Verdict, tuple[Fault, ...]] = {
 }
 
 
-def diagnose_all(name: str, truth: Verdict, starts: int, seed: int) -> list[Diagnosis]:
-    """Diagnoses of starts with a defect and a fault, against the data sheet."""
+def judge(number: int, names: Sequence[str], starts: int, seed: int) -> Said:
+    """Verdicts on starts with one defect and one fault against the data sheet, and whether the defect was noticed."""
+    name, truth = names[number // len(CASES)], list(CASES)[number % len(CASES)]
     motor = load_motor(Path(__file__).parents[1] / "examples" / "motor.toml")
     defect = DEFECTS[name]
     circuit = Circuit(shunt_ohm=defect.shunt_ohm)
-    recordings = captures(defect, CASES[truth], motor.parameters, seed, starts)
-    return [diagnose(recording, motor, circuit=circuit) for recording in recordings]
+    said: Said = []
+    for recording in captures(defect, CASES[truth], motor.parameters, seed, starts):
+        found = diagnose(recording, motor, circuit=circuit)
+        told = found.identified.defects if found.identified else found.reasons
+        text = " ".join([*found.recording.columns, *map(str, told)])
+        said += [((name, truth), found.verdict), ((name, "noticed"), str(defect.words in text))]
+    return said
 
 
-def is_right(name: str, truth: Verdict, found: Diagnosis) -> bool:
-    """Whether a verdict is right; noise above the sheet's is a fault of its own where nothing else is wrong."""
+def right(name: str, truth: Verdict) -> Verdict:
+    """The right verdict; noise above the sheet's is a fault of its own where nothing else is wrong."""
     if not DEFECTS[name].judged:
-        return found.verdict is Verdict.UNUSABLE
-    if name == "noise" and truth is Verdict.HEALTHY:
-        return found.verdict is Verdict.NOISE
-    return found.verdict is truth
+        return Verdict.UNUSABLE
+    return Verdict.NOISE if name == "noise" and truth is Verdict.HEALTHY else truth
 
 
-def main(*, starts: int = 40, seed: int = 7, defect: Sequence[str] = tuple(DEFECTS)) -> None:
-    """Print the table."""
+def row(name: str, counts: Counts) -> list[str]:
+    """Row of the table."""
+    found = {truth: counts[name, truth] for truth in CASES}
+    cells = [f"{verdicts[right(name, truth)]}/{verdicts.total()}" for truth, verdicts in found.items()]
+    wrong = Counter(
+        {
+            f"{truth}: {verdict}": n
+            for truth, verdicts in found.items()
+            for verdict, n in verdicts.items()
+            if verdict != right(name, truth)
+        }
+    )
+    noticed = counts[name, "noticed"]
+    share = f"{100 * noticed['True'] / noticed.total():.0f} %" if DEFECTS[name].words else "–"
+    reasons = ", ".join(f"{words} {n}" for words, n in wrong.items()) or "–"
+    return [name, *cells, share, reasons]
+
+
+def main(
+    *,
+    starts: int = 40,
+    seed: int = 7,
+    defect: Sequence[str] = tuple(DEFECTS),
+    how: How = HERE,
+) -> None:
+    """Print the table.
+
+    Args:
+        starts: of each defect and fault.
+        seed: of them.
+        defect: those of the table.
+        how: options of every table.
+    """
     print("| defect | healthy | bearing +25 % | contact +25 % | noticed | wrong verdicts |")
     print("|---|---|---|---|---|---|")
+    of = {"seed": seed, "starts": starts, "defects": list(defect)}
+    each = partial(judge, names=tuple(defect), starts=starts, seed=seed)
+    counts = counted(each, len(CASES) * len(defect), how, of=of)
     for name in defect:
-        cells, wrong, noticed, total = [], Counter[str](), 0, 0
-        for truth in CASES:
-            found = diagnose_all(name, truth, starts, seed)
-            good = [is_right(name, truth, diagnosis) for diagnosis in found]
-            cells.append(f"{sum(good)}/{len(good)}")
-            wrong.update(f"{truth}: {d.verdict}" for d, ok in zip(found, good, strict=True) if not ok)
-            told = [
-                " ".join(
-                    [*d.recording.columns, *(map(str, d.identified.defects) if d.identified else d.reasons)]
-                )
-                for d in found
-            ]
-            noticed += sum(DEFECTS[name].words in text for text in told)
-            total += len(found)
-        share = f"{100 * noticed / total:.0f} %" if DEFECTS[name].words else "–"
-        reasons = ", ".join(f"{words} {count}" for words, count in wrong.items()) or "–"
-        print(f"| {name} | {' | '.join(cells)} | {share} | {reasons} |", flush=True)
+        print(f"| {' | '.join(row(name, counts))} |")
 
 
 if __name__ == "__main__":

@@ -7,14 +7,17 @@ commissioned on five healthy starts, every other one is told what it draws witho
 has a load and a temperature of its own.
 """
 
-import json
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
+from itertools import product
 
 import numpy as np
 from cyclopts import run
 from operation_simulator import Motor, draw_motor, simulate
 from tables import KEPT, keep_table
+from verdict_tables import Counts, How, Said, counted, words_of
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, Diagnosis
 from motor_env.diagnosis.diagnose import diagnose
@@ -38,7 +41,7 @@ LONG = 10.0  # of the mechanical time constant
 SAMPLES, BITS = 2000, 10
 LOAD, SUPPLY, WARMEST_K = 0.15, 0.1, 40.0  # of the stall torque, of R, and how much warmer
 SURE = 2.576  # standard deviations: 99.5 %
-COUNTS = KEPT.parent / "loaded_starts.json"
+COUNTED = How(out=KEPT.parent / "loaded_starts.json")
 
 
 class Bench:
@@ -92,58 +95,42 @@ class Bench:
         return all(step @ inverse @ step > needed**2 for step, inverse in steps)
 
 
-def judged(seed: int, number: int) -> list[str]:
-    """What one motor's starts are called, each as load; channels; change; whether it shows; verdict."""
+def judge(number: int, seed: int) -> Said:
+    """What one motor's starts are called, by load, channels, scatter, whether told, change, and whether it shows."""
     bench = Bench(seed, number)
     learned = learn_reference(fit_healthy([bench.start(bench.healthy, 0.0) for _ in range(COMMISSIONED)]))
     if bench.told:
         learned = replace(learned, own_friction=bench.own)
-    row = (
-        f"{bench.load}; {'current and speed' if bench.has_speed else 'current'}; {bench.spread}; {bench.told}"
-    )
-    found = []
+    channels = "current and speed" if bench.has_speed else "current"
+    said: Said = []
     for change in [*[HEALTHY] * JUDGED, *CHANGES]:
         factors = CHANGES.get(change, {}).items()
         motor = replace(bench.healthy, **{key: getattr(bench.healthy, key) * by for key, by in factors})
-        diagnosis = diagnose(bench.start(motor, float(bench.rng.uniform(0.0, WARMEST_K))), None, learned)
-        shows = change != HEALTHY and bench.shows(change, diagnosis)
-        found.append(f"{row}; {change}; {'shows' if shows else 'may not show'}; {diagnosis.verdict}")
-    return found
+        found = diagnose(bench.start(motor, float(bench.rng.uniform(0.0, WARMEST_K))), None, learned)
+        shows = "shows" if change != HEALTHY and bench.shows(change, found) else "may not show"
+        cell = (bench.load, channels, str(bench.spread), str(bench.told), change, shows)
+        said.append((cell, found.verdict))
+    return said
 
 
-def rows(counts: Counter[str]) -> list[list[str]]:
+def rows(counts: Counts) -> Iterator[list[str]]:
     """Rows of the table: for each change and load how many starts were called what, where it shows and elsewhere."""
-    kinds: dict[tuple[str, str], Counter[str]] = {}
-    for key, n in counts.items():
-        load, _, _, _, change, shows, verdict = key.split("; ")
-        kinds.setdefault((change, load), Counter())[f"{shows}: {verdict}"] += n
-
-    def verdicts(one: Counter[str], shows: str) -> str:
-        return ", ".join(
-            f"{key.split(': ')[1]} {n}" for key, n in one.most_common() if key.startswith(f"{shows}:")
-        )
-
-    order = [HEALTHY, *CHANGES]
-    ordered = sorted(kinds.items(), key=lambda pair: (order.index(pair[0][0]), LOADS.index(pair[0][1])))
-    return [
-        [*names, str(one.total()), verdicts(one, "shows"), verdicts(one, "may not show")]
-        for names, one in ordered
-    ]
+    found = counts.by(4, 0, 5)
+    for change, load in product((HEALTHY, *CHANGES), LOADS):
+        both = [found.get((change, load, shows), Counter[str]()) for shows in ("shows", "may not show")]
+        if any(both):
+            yield [change, load, str(sum(one.total() for one in both)), *map(words_of, both)]
 
 
-def main(*, motors: int = 216, seed: int = 0) -> None:
+def main(*, motors: int = 216, seed: int = 0, how: How = COUNTED) -> None:
     """Go on from the motors that benchmarks/results/loaded_starts.json has, and print the table.
 
     Args:
         motors: in all.
         seed: of all that is drawn.
+        how: options of every table.
     """
-    kept = json.loads(COUNTS.read_bytes() if COUNTS.is_file() else '{"motors": 0, "starts": {}}')
-    counts = Counter[str](kept["starts"])
-    for number in range(kept["motors"], motors):
-        counts.update(judged(seed, number))
-        text = json.dumps({"motors": number + 1, "starts": dict(sorted(counts.items()))}, indent=1)
-        COUNTS.write_text(text + "\n", encoding="utf-8")
+    counts = counted(partial(judge, seed=seed), motors, how, of={"seed": seed})
     header = ("one start with", "load", "starts", "verdicts where it shows", "elsewhere")
     keep_table("recordings", "loaded-starts", header, rows(counts))
 

@@ -3,11 +3,13 @@
 python benchmarks/random_motors.py --motors 60
 """
 
-from collections import Counter, defaultdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from cyclopts import run
+from tables import table
+from verdict_tables import HERE, Counts, How, Said, counted, words_of
 
 from motor_env.diagnosis.decision import Diagnosis, Verdict
 from motor_env.diagnosis.diagnose import diagnose
@@ -109,19 +111,29 @@ def said(found: Diagnosis) -> str:
     return f"{found.verdict} (+50 % might not show, it said)" if stated else str(found.verdict)
 
 
-def main(*, motors: int = 60, seed: int = 0) -> None:
-    """Print each motor's verdicts, then the counts."""
-    verdicts: defaultdict[str, Counter[str]] = defaultdict(Counter)
-    for number in range(motors):
-        recordings = starts(np.random.default_rng([seed, number]))
-        learned = learn_reference(fit_healthy(recordings[:HEALTHY]))
-        found = {r.path.name: said(diagnose(r, None, learned)) for r in recordings[HEALTHY:]}
-        for name, verdict in found.items():
-            verdicts[name][verdict] += 1
-        print(number, found, flush=True)
-    print("\n| change | verdicts |\n|---|---|")
-    for name, counts in verdicts.items():
-        print(f"| {name} | {', '.join(f'{verdict} {n}' for verdict, n in counts.most_common())} |")
+def judge(number: int, seed: int) -> Said:
+    """Verdicts on the starts of one motor, by what has changed."""
+    recordings = starts(np.random.default_rng([seed, number]))
+    learned = learn_reference(fit_healthy(recordings[:HEALTHY]))
+    return [((r.path.name,), said(diagnose(r, None, learned))) for r in recordings[HEALTHY:]]
+
+
+def main(*, motors: int = 60, seed: int = 0, how: How = HERE) -> None:
+    """Print each motor's verdicts, then the counts.
+
+    Args:
+        motors: how many.
+        seed: of them.
+        how: options of every table.
+    """
+
+    def tell(number: int, found: Said, _: Counts) -> None:
+        print(number, {name: verdict for (name,), verdict in found}, flush=True)
+
+    each = partial(judge, seed=seed)
+    counts = counted(each, motors, how, of={"seed": seed}, tell=tell)
+    print()
+    print(table(("change", "verdicts"), [[name, words_of(counts[(name,)])] for name in CHANGES]))
 
 
 if __name__ == "__main__":

@@ -8,9 +8,7 @@ is commissioned by 10 windows of 40 mechanical time constants, and judged by rec
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +17,7 @@ import numpy as np
 from cyclopts import run
 from operation_simulator import PROFILES, Motor, draw_motor, simulate
 from tables import keep_table
+from verdict_tables import HERE, Counts, How, Said, counted
 
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.running.logs import RunningRecord
@@ -45,7 +44,7 @@ def changed(motor: Motor) -> dict[str, tuple[Motor, str]]:
     }
 
 
-def one(number: int, seed: int) -> dict[str, str]:
+def judge(number: int, seed: int) -> Said:
     """Verdicts on one motor in one profile."""
     rng = np.random.default_rng([seed, number])
     motor, profile = draw_motor(rng), PROFILES[number % len(PROFILES)]
@@ -54,42 +53,37 @@ def one(number: int, seed: int) -> dict[str, str]:
     try:
         reference = learn_windows([recorded(motor, samples=LEARNED * WINDOW)], WINDOW * dt_s)
     except UnusableError as error:
-        return {"commissioning": str(error)}
-    found = {}
+        return [(("commissioning", profile), str(error))]
+    said: Said = []
     for name, (other, _) in changed(motor).items():
         log = recorded(other, samples=JUDGED * WINDOW, warm_k=WARM_K if "K more" in name else 0.0)
         try:
             record = RunningRecord(Path(), tuple(judge_windows(log, reference, RATE)))
         except UnusableError as error:
             record = RunningRecord(Path(), (), trouble=str(error))
-        found[name] = record.verdict
-    return found
+        said.append(((name, profile), record.verdict))
+    return said
 
 
-def rows(found: list[dict[str, str]]) -> Iterator[list[str]]:
+def rows(counts: Counts) -> Iterator[list[str]]:
     """What was judged right, and what else was said."""
-    said: dict[str, Counter[str]] = defaultdict(Counter)
-    for motor in found:
-        for name, verdict in motor.items():
-            said[name][verdict] += 1
     for name, (_, right) in changed(draw_motor(np.random.default_rng(0))).items():
-        counts = said[name]
-        others = ", ".join(f"`{verdict}` {n}" for verdict, n in counts.most_common() if verdict != right)
-        yield [name, f"`{right}`", f"{counts[right]} of {counts.total()}", others or "-"]
+        said = counts[(name,)]
+        others = ", ".join(f"`{verdict}` {n}" for verdict, n in said.most_common() if verdict != right)
+        yield [name, f"`{right}`", f"{said[right]} of {said.total()}", others or "-"]
 
 
-def main(*, motors: int = 20, seed: int = 1, workers: int = 1) -> None:
+def main(*, motors: int = 20, seed: int = 1, how: How = HERE) -> None:
     """Judge motors and keep the table of docs/operation.md.
 
     Args:
         motors: how many, of all profiles in turn.
         seed: of them.
-        workers: processes.
+        how: options of every table.
     """
-    with ProcessPoolExecutor(workers) as pool:
-        found = list(pool.map(partial(one, seed=seed), range(motors)))
-    print(*(motor["commissioning"] for motor in found if "commissioning" in motor), sep="\n")
-    keep_table("operation", "windows", ("changed", "right verdict", "said", "else"), rows(found))
+    counts = counted(partial(judge, seed=seed), motors, how, of={"seed": seed})
+    print(*counts[("commissioning",)].elements(), sep="\n")
+    keep_table("operation", "windows", ("changed", "right verdict", "said", "else"), rows(counts))
 
 
 if __name__ == "__main__":

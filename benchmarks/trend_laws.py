@@ -4,16 +4,17 @@ python benchmarks/trend_laws.py --histories 100
 """
 
 import math
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from cyclopts import run
 from tables import print_table
+from verdict_tables import HERE, How, Said, counted
 
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FloatArray
 from motor_env.prognosis.estimates import Series
-from motor_env.prognosis.trend import judge
+from motor_env.prognosis.trend import judge as judge_trend
 
 LIMIT, DAYS, ERROR = 1.25, 400, 0.005
 Law = Callable[[np.random.Generator, FloatArray], FloatArray]
@@ -73,7 +74,7 @@ def history(law: Law, rng: np.random.Generator) -> tuple[str, bool, bool]:
     seen = truth[:last] + ERROR * rng.standard_normal(last)
     # R moves with the temperature, which is not recorded.
     name = "R" if law is season else "friction"
-    found = judge(Series(name, np.arange(float(last)), seen, np.full(last, ERROR)), (LIMIT,))
+    found = judge_trend(Series(name, np.arange(float(last)), seen, np.full(last, ERROR)), (LIMIT,))
     if not found.forecasts:
         return "too few", False, "jump" in found.sentence
     forecast = found.forecasts[0]
@@ -84,27 +85,29 @@ def history(law: Law, rng: np.random.Generator) -> tuple[str, bool, bool]:
     return told, holds, "jump" in found.sentence
 
 
-def main(*, histories: int = 100, seed: int = 5) -> None:
+def judge(number: int, histories: int, seed: int) -> Said:
+    """What is said of one history."""
+    place, k = divmod(number, histories)
+    name = list(LAWS)[place]
+    told, holds, jump = history(LAWS[name], np.random.default_rng([seed, place, k]))
+    marks = [mark for mark, is_so in (("hold", told == "life" and holds), ("jump told", jump)) if is_so]
+    return [((name,), told), *(((name, "also"), mark) for mark in marks)]
+
+
+def main(*, histories: int = 100, seed: int = 5, how: How = HERE) -> None:
     """Print the table.
 
     Args:
         histories: of each law.
         seed: of all that is drawn.
+        how: options of every table.
     """
-    said = ("no trend", "withheld", "too few", "reached", "failed before")
-
-    def rows() -> Iterator[tuple[str, ...]]:
-        for number, (name, law) in enumerate(LAWS.items()):
-            counts, held, jumps = Counter[str](), 0, 0
-            for k in range(histories):
-                told, holds, jump = history(law, np.random.default_rng([seed, number, k]))
-                counts[told] += 1
-                held += told == "life" and holds
-                jumps += jump
-            yield (name, str(counts["life"]), str(held), *(str(counts[w]) for w in said), str(jumps))
-
-    header = ("law", "lives stated", "hold", *said, "jump told")
-    print_table(f"{histories} histories a law, 90 % intervals", header, rows())
+    of = {"histories": histories, "seed": seed}
+    counts = counted(partial(judge, **of), len(LAWS) * histories, how, of=of)
+    said = ("life", "hold", "no trend", "withheld", "too few", "reached", "failed before", "jump told")
+    header = ("law", "lives stated", *said[1:])
+    rows = ([name, *(str(counts[(name,)][words]) for words in said)] for name in LAWS)
+    print_table(f"{histories} histories a law, 90 % intervals", header, rows)
 
 
 if __name__ == "__main__":
