@@ -13,7 +13,6 @@ first. `--temperature allowed` is what the monitor assumes: commissioned at one 
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import time
@@ -26,105 +25,43 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 from scipy.signal import lfilter
+from watch_counts import (
+    FAULTS,
+    LEARN_S,
+    RATES,
+    WINDOW_S,
+    Floats,
+    duty,
+    events,
+    heavy,
+    motion,
+    options,
+    rows_of,
+    taught,
+    wandering,
+    warmed,
+    write,
+)  # fmt: skip
 
-from motor_env import PAPER_MOTOR, Fault, FaultKind
+from motor_env import Fault
 from motor_env.diagnosis.running import lessons, looks as looking, windows
 from motor_env.diagnosis.running.looks import Looks
 from motor_env.diagnosis.running.windows import from_healthy, judge_windows
-from motor_env.live.state import State
-from motor_env.live.watch import YEAR_S, Lesson, Watch
+from motor_env.live.watch import YEAR_S
 from motor_env.motor.data_sheet import WindowReference
 from motor_env.motor.faults import apply_faults
-from motor_env.motor.model import discretize
-from motor_env.motor.parameters import (
-    COPPER_PER_KELVIN,
-    FRICTION_PER_KELVIN,
-    MAGNET_PER_KELVIN,
-    MotorParameters,
-)
 from motor_env.operation.identify import identify_operation
 from motor_env.operation.record import from_recordings
 from motor_env.operation.window import fit_window
 from motor_env.recordings.recording import Recording
 
-Floats = NDArray[np.float64]
-FLYWHEEL = 1000.0  # times the rotor's inertia
-VOLTS, NOISE_A, NOISE_RAD_S = 12.0, 0.02, 1.0
 LOAD_N_M, LOAD_S = 3e-3, 3600.0  # standard deviation and memory of the load: a tenth of the rated torque
 WARM_K, WARM_S, WINDING_S, STEP_S = 10.0, 7200.0, 1200.0, 10.0
 ALLOWED_K = 15.0
-WINDOW_S, LEARN_S, LESSON_H = 600.0, 5 * 3600.0, 50.0
-FAULTS = (
-    (FaultKind.BEARING, 0.25),
-    (FaultKind.BEARING, 0.5),
-    (FaultKind.BEARING, 1.0),
-    (FaultKind.WINDING_CONTACT, 0.1),
-    (FaultKind.WINDING_CONTACT, 0.25),
-)
+LESSON_H = 50.0
 RUNS, MOST_WINDOWS = 5, 12
 TEMPERATURES = ("wandering", "allowed", "steady")
-RATES = {"hour": YEAR_S / 3600.0, "day": YEAR_S / 86_400.0}
-
-
-def heavy(inertia: float = FLYWHEEL) -> MotorParameters:
-    """The textbook motor with a flywheel."""
-    return replace(PAPER_MOTOR, inertia_kg_m2=inertia * PAPER_MOTOR.inertia_kg_m2)
-
-
-def warmed(motor: MotorParameters, kelvin: float) -> MotorParameters:
-    """The same motor at another temperature."""
-    magnets = 1.0 + MAGNET_PER_KELVIN * kelvin
-    return replace(
-        motor,
-        resistance_ohm=motor.resistance_ohm * (1.0 + COPPER_PER_KELVIN * kelvin),
-        back_emf_constant_v_s_per_rad=motor.back_emf_constant_v_s_per_rad * magnets,
-        torque_constant_n_m_per_a=motor.torque_constant_n_m_per_a * magnets,
-        viscous_friction_n_m_s_per_rad=motor.viscous_friction_n_m_s_per_rad
-        * (1.0 + FRICTION_PER_KELVIN * kelvin),
-    )
-
-
-@njit(cache=True)
-def wandering(shocks: Floats, sd: float, memory: float) -> Floats:
-    """An Ornstein-Uhlenbeck process: standard deviation, memory in samples."""
-    out, decay = np.empty_like(shocks), math.exp(-1.0 / memory)
-    value = sd * shocks[0]
-    for k in range(len(shocks)):
-        value = decay * value + sd * math.sqrt(1.0 - decay * decay) * shocks[k]
-        out[k] = value
-    return out
-
-
-@njit(cache=True)
-def moved(transition: Floats, gain: Floats, inputs: Floats, x: Floats) -> Floats:
-    """States after each sample; `x` is left as the last of them."""
-    out = np.empty((len(inputs), 2))
-    for k in range(len(inputs)):
-        i = (
-            transition[0, 0] * x[0]
-            + transition[0, 1] * x[1]
-            + gain[0, 0] * inputs[k, 0]
-            + gain[0, 1] * inputs[k, 1]
-        )
-        w = (
-            transition[1, 0] * x[0]
-            + transition[1, 1] * x[1]
-            + gain[1, 0] * inputs[k, 0]
-            + gain[1, 1] * inputs[k, 1]
-        )
-        x[0], x[1] = i, w
-        out[k] = x
-    return out
-
-
-def duty(rng: np.random.Generator, samples: int, holds: tuple[int, int], *, least: float = -1.0) -> Floats:
-    """A random share of the voltage, least .. 1, held for a random while."""
-    lengths = rng.integers(holds[0], holds[1] + 1, samples // holds[0] + 1)
-    levels: Floats = np.repeat(VOLTS * rng.uniform(least, 1.0, len(lengths)), lengths)[:samples]
-    return levels
 
 
 def temperatures(rng: np.random.Generator, windows: int, *, allowed: bool) -> Floats:
@@ -149,22 +86,12 @@ def work(
     samples = step * len(warm_k)
     load = wandering(rng.standard_normal(samples), load_n_m, LOAD_S)
     volts, x = duty(rng, samples, (6, 16)), np.zeros(2)
-    inputs, states = np.stack([volts, load], axis=1), np.empty((samples, 2))
+    states = np.empty((samples, 2))
     for k, kelvin in enumerate(warm_k):
         part = slice(k * step, (k + 1) * step)
-        model = discretize(apply_faults(warmed(heavy(), kelvin), faults), 1.0)
-        states[part] = moved(model.transition, model.gain, inputs[part], x)
-    shown = states + rng.standard_normal(states.shape) * (NOISE_A, NOISE_RAD_S)
-    rows = np.column_stack([np.arange(samples) + 1.0, volts, shown])
-    yield from rows.reshape(-1, n, 4)
-
-
-def lines(blocks: Iterator[Floats]) -> Iterator[bytes]:
-    """What a device prints."""
-    yield b"time_s,voltage_v,current_a,speed_rad_s\n"
-    for block in blocks:
-        for row in block.tolist():
-            yield b"%.0f,%.5g,%.5g,%.6g\n" % tuple(row)
+        motor = apply_faults(warmed(heavy(), kelvin), faults)
+        states[part] = motion(motor, 1.0, volts[part], load[part], x)
+    yield from rows_of(rng, volts, states).reshape(-1, n, 4)
 
 
 def shared(fit: Callable[..., Any], key: Callable[..., Any]) -> Callable[..., Any]:
@@ -229,10 +156,7 @@ def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
             count = lesson + int(LESSON_H * 3600.0 / WINDOW_S)
             warm_k = temperatures(rng, count, allowed=temperature == "allowed")
             blocks = list(work(rng, warm_k * (not steady), load_n_m=LOAD_N_M * (not steady)))
-            watch = Watch(Lesson(WINDOW_S, LEARN_S, steady=steady), State(), false_alarms_per_year=1.0)
-            next(event for event in watch.events(lines(iter(blocks[:lesson]))) if event.kind == "learned")
-            if not isinstance(watch.reference, WindowReference):
-                raise TypeError("nothing was learned")
+            reference = taught(blocks[:lesson], steady=steady)
             learning_s += time.process_time() - lesson_s
             at = dict.fromkeys(RATES, np.zeros(4))
             for before, samples in pairwise(blocks[lesson - 1 :]):
@@ -240,7 +164,7 @@ def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
                 for name, a_year in RATES.items():
                     rate = a_year * WINDOW_S / YEAR_S
                     half = before[len(before) // 2 :]
-                    said, at[name] = alarms(watch.reference, rate, samples, half, at[name])
+                    said, at[name] = alarms(reference, rate, samples, half, at[name])
                     counts[name].update(said)
     return {
         "seed": seed,
@@ -248,20 +172,19 @@ def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
         "hours": judged * WINDOW_S / 3600.0,
         "events": {name: dict(count) for name, count in counts.items()},
         "cpu_s": {"learning": learning_s, "watching": time.process_time() - begin_s - learning_s},
-        "faults": detected(watch.reference, rng) if temperature == "wandering" else [],
+        "faults": detected(reference, rng) if temperature == "wandering" else [],
     }
 
 
-def detected(reference: WindowReference | Lesson, rng: np.random.Generator) -> list[dict[str, Any]]:
+def detected(reference: WindowReference, rng: np.random.Generator) -> list[dict[str, Any]]:
     """Windows until the first alarm after a fault, at one false alarm an hour, under varying load and temperature."""
     rows = []
     for kind, severity in FAULTS:
         firsts: list[tuple[int, str]] = []
         for _ in range(RUNS):
-            watch = Watch(reference, State(), false_alarms_per_year=RATES["hour"])
             warm_k = temperatures(rng, MOST_WINDOWS, allowed=False)
-            stream = watch.events(lines(work(rng, warm_k, Fault(kind, severity))))
-            numbered = ((n, event.text) for n, event in enumerate(stream, 1) if event.text != "healthy")
+            stream = enumerate(events(reference, work(rng, warm_k, Fault(kind, severity))), 1)
+            numbered = ((n, event.text) for n, event in stream if event.text != "healthy")
             firsts.append(next(numbered, (MOST_WINDOWS, "none")))
         counts, names = zip(*firsts, strict=True)
         rows.append(
@@ -272,21 +195,16 @@ def detected(reference: WindowReference | Lesson, rng: np.random.Generator) -> l
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write what a run found."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--hours", type=float, default=LESSON_H)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--temperature", choices=TEMPERATURES, default="wandering")
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args(arguments)
-    found = watched(options.hours, options.seed, options.temperature)
+    asked = parser.parse_args(arguments)
+    found = watched(asked.hours, asked.seed, asked.temperature)
     print(json.dumps(found))
-    if options.out is not None:
-        others = json.loads(options.out.read_bytes()) if options.out.exists() else []
-        key = (options.seed, options.temperature)
-        runs = [*(run for run in others if (run["seed"], run["temperature"]) != key), found]
-        options.out.write_text(json.dumps(runs, indent=1) + "\n", encoding="utf-8")
+    key, kept = (asked.seed, asked.temperature), asked.out is not None and asked.out.exists()
+    others = json.loads(asked.out.read_bytes()) if kept else []
+    write([*(run for run in others if (run["seed"], run["temperature"]) != key), found], asked.out)
 
 
 if __name__ == "__main__":

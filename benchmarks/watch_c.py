@@ -9,12 +9,12 @@ fault; its threshold is found by simulation for the same number of false alarms.
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import json
 import subprocess
 import tempfile
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,15 +22,25 @@ import numpy as np
 from controllers import tool
 from numba import njit
 from numpy.typing import NDArray
-from watch import RATES, VOLTS, Floats, duty, heavy, moved, wandering, warmed
+from watch_counts import (
+    RATES,
+    VOLTS,
+    Floats,
+    delays_by_fault,
+    duty,
+    heavy,
+    motion,
+    options,
+    wandering,
+    warmed,
+    write,
+)  # fmt: skip
 
-from motor_env import Fault, FaultKind, KalmanFilter, MotorFile, SensorParameters
+from motor_env import FaultKind, KalmanFilter, MotorFile, SensorParameters
 from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of, settled
 from motor_env.embedded.source import write_library
 from motor_env.embedded.twin import readings_of
-from motor_env.motor.faults import apply_fault
-from motor_env.motor.model import discretize
 from motor_env.motor.parameters import MotorParameters
 
 RATE_HZ, INERTIA = 100.0, 10.0
@@ -130,9 +140,7 @@ def current(
     motor: MotorParameters, rng: np.random.Generator, volts: Floats, x: Floats, load: Floats | None = None
 ) -> Floats:
     """What the sensor shows of a motor; `x` is left as its last state."""
-    model = discretize(motor, 1.0 / RATE_HZ)
-    torque = np.zeros(len(volts)) if load is None else load
-    states = moved(model.transition, model.gain, np.stack([volts, torque], axis=1), x)
+    states = motion(motor, 1.0 / RATE_HZ, volts, load, x)
     shown: Floats = states[:, 0] + SENSOR.current_noise_a * rng.standard_normal(len(volts))
     return shown
 
@@ -196,53 +204,34 @@ def likelihood_ratios(z: Floats, volts: Floats, healthy: Belief, faulty: Belief)
     return out
 
 
-@njit(cache=True)
-def alarms_of(ratios: Floats, threshold: float) -> tuple[int, int]:
-    """Alarms of a CUSUM that begins anew after each, and the sample of the first or -1."""
-    total, count, first = 0.0, 0, -1
-    for k in range(len(ratios)):
-        total = max(0.0, total + ratios[k])
-        if total > threshold:
-            first = k if count == 0 else first
-            count += 1
-            total = 0.0
-    return count, first
-
-
-def best_threshold(ratios: Floats, wanted: int) -> float:
-    """Threshold at which healthy samples alarm so often, by bisection."""
-    low, high = 0.0, 40.0
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if alarms_of(ratios, middle)[0] > wanted else (low, middle)
-    return high
-
-
 def delays(codes: dict[str, Compiled], rng: np.random.Generator, *, least: float) -> list[dict[str, Any]]:
     """Median delays in seconds of codes for one false alarm an hour, and of the best CUSUM."""
     healthy, rows = Belief.of_motor(heavy(INERTIA)), []
-    volts = duty(rng, int(CALIBRATION_H * 3600.0 * RATE_HZ), HOLDS, least=least)
-    shown = current(heavy(INERTIA), rng, volts, np.zeros(2))
     onset, n = int(HEALTHY_S * RATE_HZ), int(BLOCK_S * RATE_HZ)
-    for kind, severity in FAULTS:
-        faulty = apply_fault(heavy(INERTIA), Fault(kind, severity))
-        belief = Belief.of_motor(faulty)
-        threshold = best_threshold(likelihood_ratios(shown, volts, healthy, belief), round(CALIBRATION_H))
+    beliefs = cache(Belief.of_motor)
+
+    def ratios(samples: tuple[Floats, Floats], faulty: MotorParameters) -> Floats:
+        out: Floats = likelihood_ratios(*samples, healthy, beliefs(faulty))
+        return out
+
+    volts = duty(rng, int(CALIBRATION_H * 3600.0 * RATE_HZ), HOLDS, least=least)
+    usual = (current(heavy(INERTIA), rng, volts, np.zeros(2)), volts), CALIBRATION_H
+    for row, faulty, best in delays_by_fault(heavy(INERTIA), FAULTS, usual, ratios, onset):
         found: list[list[float]] = []
         for _ in range(DELAYS):
             now, x = duty(rng, n, HOLDS, least=least), np.zeros(2)
             before = current(heavy(INERTIA), rng, now[:onset], x)
-            z = np.concatenate([before, current(faulty, rng, now[onset:], x)])
-            first = [alarms_of(likelihood_ratios(z, now, healthy, belief)[onset:], threshold)[1]]
+            after = current(faulty, rng, now[onset:], x)
+            samples = [best((np.concatenate([before, after]), now))]
             for code in codes.values():
                 monitor = code.begun()
                 code.run(monitor, before, now[:onset])
-                first.append(code.run(monitor, z[onset:], now[onset:])[1])
-            found.append([(k + 1) / RATE_HZ if k >= 0 else np.inf for k in first])
+                first = code.run(monitor, after, now[onset:])[1]
+                samples.append(first + 1 if first >= 0 else np.inf)
+            found.append([count / RATE_HZ for count in samples])
         medians = np.median(found, axis=0).tolist()
         best_s, *ours_s = [value if np.isfinite(value) else None for value in medians]  # JSON has no infinity
-        by_rule = dict(zip(codes, ours_s, strict=True))
-        rows.append({"fault": str(kind), "severity": severity, "best_s": best_s, "delay_s": by_rule})
+        rows.append(row | {"best_s": best_s, "delay_s": dict(zip(codes, ours_s, strict=True))})
     return rows
 
 
@@ -267,17 +256,13 @@ def counted(folder: Path, hours: float) -> dict[str, Any]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write what was counted."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--hours", type=float, default=50.0)
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args(arguments)
+    asked = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as name:
-        found = counted(Path(name), options.hours)
+        found = counted(Path(name), asked.hours)
     print(json.dumps(found))
-    if options.out is not None:
-        options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    write(found, asked.out)
 
 
 if __name__ == "__main__":

@@ -8,35 +8,20 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from scipy.stats import poisson
 from tables import table
+from watch_counts import NO_ALARM, RATES, alarm_row
 
 RESULTS = Path(__file__).resolve().parent / "results"
-PER_HOUR = {"hour": 1.0, "day": 1.0 / 24.0}
 TEMPERATURES = {
     "steady": "test bench, `--steady`",
     "allowed": "temperature wanders after the commissioning",
     "wandering": "temperature wanders from the begin",
 }
 _ALARMS = ("window", "early", "another_motor")
-_NO_ALARM = ("window healthy", "window unusable")
 
 
 def _read(name: str) -> Any:
     return json.loads((RESULTS / name).read_bytes())
-
-
-def _row(what: str, rate: str, hours: float, alarms: int) -> list[str]:
-    due = hours * PER_HOUR[rate]
-    low, high = (int(poisson.ppf(share, due)) for share in (0.01, 0.99))
-    return [
-        what,
-        f"one {'an' if rate == 'hour' else 'a'} {rate}",
-        f"{hours:.0f}",
-        f"{due:.0f}",
-        f"{low} to {high}",
-        str(alarms),
-    ]
 
 
 def _alarms(rows: list[list[str]]) -> str:
@@ -49,12 +34,10 @@ def watch_alarms() -> str:
     for temperature, said in TEMPERATURES.items():
         runs = [run for run in _read("watch.json") if run["temperature"] == temperature]
         hours = sum(run["hours"] for run in runs)
-        for rate in PER_HOUR if runs else ():
+        for rate in RATES if runs else ():
             counts: Counter[str] = sum((Counter(run["events"][rate]) for run in runs), Counter())
-            alarms = sum(
-                n for name, n in counts.items() if name.startswith(_ALARMS) and name not in _NO_ALARM
-            )
-            rows.append(_row(f"`watch`; {said}", rate, hours, alarms))
+            alarms = sum(n for name, n in counts.items() if name.startswith(_ALARMS) and name not in NO_ALARM)
+            rows.append(alarm_row(f"`watch`; {said}", rate, hours, alarms))
     return _alarms(rows)
 
 
@@ -64,7 +47,7 @@ def code_alarms() -> str:
     names = {name: name.split(", one a ") for name in code["alarms"]}
     return _alarms(
         [
-            _row(f"C, {arithmetic}; known motor, no load", rate, code["hours"], code["alarms"][name])
+            alarm_row(f"C, {arithmetic}; known motor, no load", rate, code["hours"], code["alarms"][name])
             for name, (arithmetic, rate) in names.items()
         ]
     )

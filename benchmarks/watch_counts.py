@@ -1,0 +1,220 @@
+"""Alarms and delays of monitors on simulated work: shared by watch, watch_delays, watch_c and watch_tables.
+
+The textbook motor with more inertia and a random duty cycle, healthy or with a fault; the lesson of `motor-env watch`
+and what it says; alarms beside those that are due; delays beside the CUSUM that knows kind and size of the fault.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.stats import poisson
+
+from motor_env import PAPER_MOTOR, Fault, FaultKind
+from motor_env.live.state import State
+from motor_env.live.watch import YEAR_S, Event, Lesson, Watch
+from motor_env.motor.data_sheet import WindowReference
+from motor_env.motor.faults import apply_fault
+from motor_env.motor.model import discretize
+from motor_env.motor.parameters import (
+    COPPER_PER_KELVIN,
+    FRICTION_PER_KELVIN,
+    MAGNET_PER_KELVIN,
+    MotorParameters,
+)
+
+Floats = NDArray[np.float64]
+Samples = TypeVar("Samples")
+FLYWHEEL = 1000.0  # times the rotor's inertia
+VOLTS, NOISE_A, NOISE_RAD_S = 12.0, 0.02, 1.0
+WINDOW_S, LEARN_S = 600.0, 5 * 3600.0
+FAULTS = (
+    (FaultKind.BEARING, 0.25),
+    (FaultKind.BEARING, 0.5),
+    (FaultKind.BEARING, 1.0),
+    (FaultKind.WINDING_CONTACT, 0.1),
+    (FaultKind.WINDING_CONTACT, 0.25),
+)
+RATES = {"hour": YEAR_S / 3600.0, "day": YEAR_S / 86_400.0}
+"""False alarms a year that are asked for."""
+NO_ALARM = ("window healthy", "window unusable")
+
+
+def heavy(inertia: float = FLYWHEEL) -> MotorParameters:
+    """The textbook motor with a flywheel."""
+    return replace(PAPER_MOTOR, inertia_kg_m2=inertia * PAPER_MOTOR.inertia_kg_m2)
+
+
+def warmed(motor: MotorParameters, kelvin: float) -> MotorParameters:
+    """The same motor at another temperature."""
+    magnets = 1.0 + MAGNET_PER_KELVIN * kelvin
+    return replace(
+        motor,
+        resistance_ohm=motor.resistance_ohm * (1.0 + COPPER_PER_KELVIN * kelvin),
+        back_emf_constant_v_s_per_rad=motor.back_emf_constant_v_s_per_rad * magnets,
+        torque_constant_n_m_per_a=motor.torque_constant_n_m_per_a * magnets,
+        viscous_friction_n_m_s_per_rad=motor.viscous_friction_n_m_s_per_rad
+        * (1.0 + FRICTION_PER_KELVIN * kelvin),
+    )
+
+
+@njit(cache=True)
+def wandering(shocks: Floats, sd: float, memory: float) -> Floats:
+    """An Ornstein-Uhlenbeck process: standard deviation, memory in samples."""
+    out, decay = np.empty_like(shocks), math.exp(-1.0 / memory)
+    value = sd * shocks[0]
+    for k in range(len(shocks)):
+        value = decay * value + sd * math.sqrt(1.0 - decay * decay) * shocks[k]
+        out[k] = value
+    return out
+
+
+@njit(cache=True)
+def moved(transition: Floats, gain: Floats, inputs: Floats, x: Floats) -> Floats:
+    """States after each sample; `x` is left as the last of them."""
+    out = np.empty((len(inputs), 2))
+    for k in range(len(inputs)):
+        i = (
+            transition[0, 0] * x[0]
+            + transition[0, 1] * x[1]
+            + gain[0, 0] * inputs[k, 0]
+            + gain[0, 1] * inputs[k, 1]
+        )
+        w = (
+            transition[1, 0] * x[0]
+            + transition[1, 1] * x[1]
+            + gain[1, 0] * inputs[k, 0]
+            + gain[1, 1] * inputs[k, 1]
+        )
+        x[0], x[1] = i, w
+        out[k] = x
+    return out
+
+
+def duty(rng: np.random.Generator, samples: int, holds: tuple[int, int], *, least: float = -1.0) -> Floats:
+    """A random share of the voltage, least .. 1, held for a random while."""
+    lengths = rng.integers(holds[0], holds[1] + 1, samples // holds[0] + 1)
+    levels: Floats = np.repeat(VOLTS * rng.uniform(least, 1.0, len(lengths)), lengths)[:samples]
+    return levels
+
+
+def motion(motor: MotorParameters, dt_s: float, volts: Floats, load: Floats | None, x: Floats) -> Floats:
+    """Current and speed after each sample; `x` is left as the last of them."""
+    model = discretize(motor, dt_s)
+    inputs = np.stack([volts, np.zeros(len(volts)) if load is None else load], axis=1)
+    states: Floats = moved(model.transition, model.gain, inputs, x)
+    return states
+
+
+def rows_of(rng: np.random.Generator, volts: Floats, states: Floats) -> Floats:
+    """Time, voltage, current, speed at 1 Hz as sensors show them, shape (n, 4)."""
+    shown = states + rng.standard_normal(states.shape) * (NOISE_A, NOISE_RAD_S)
+    return np.column_stack([np.arange(len(volts)) + 1.0, volts, shown])
+
+
+def lines(blocks: Iterable[Floats]) -> Iterator[bytes]:
+    """What a device prints."""
+    yield b"time_s,voltage_v,current_a,speed_rad_s\n"
+    for block in blocks:
+        for row in block.tolist():
+            yield b"%.0f,%.5g,%.5g,%.6g\n" % tuple(row)
+
+
+def taught(blocks: Iterable[Floats], *, steady: bool) -> WindowReference:
+    """What the lesson of `watch` learns of a healthy motor at work, from what a device prints."""
+    watch = Watch(Lesson(WINDOW_S, LEARN_S, steady=steady), State(), false_alarms_per_year=1.0)
+    next(event for event in watch.events(lines(blocks)) if event.kind == "learned")
+    if not isinstance(watch.reference, WindowReference):
+        raise TypeError("nothing was learned")
+    return watch.reference
+
+
+def events(reference: WindowReference, blocks: Iterable[Floats]) -> Iterator[Event]:
+    """What `watch` says at one false alarm an hour."""
+    return Watch(reference, State(), false_alarms_per_year=RATES["hour"]).events(lines(blocks))
+
+
+def due(rate: str, hours: float) -> float:
+    """Alarms that are due on healthy work."""
+    return hours * 3600.0 * RATES[rate] / YEAR_S
+
+
+def alarm_row(what: str, rate: str, hours: float, alarms: int) -> list[str]:
+    """Alarms beside those that are due, and the limits of chance."""
+    expected = due(rate, hours)
+    low, high = (int(poisson.ppf(share, expected)) for share in (0.01, 0.99))
+    asked = f"one {'an' if rate == 'hour' else 'a'} {rate}"
+    return [what, asked, f"{hours:.0f}", f"{expected:.0f}", f"{low} to {high}", str(alarms)]
+
+
+@njit(cache=True)
+def alarms_of(ratios: Floats, threshold: float) -> tuple[int, int]:
+    """Alarms of a CUSUM that begins anew after each, and the sample of the first or -1."""
+    total, count, first = 0.0, 0, -1
+    for k in range(len(ratios)):
+        total = max(0.0, total + ratios[k])
+        if total > threshold:
+            first = k if count == 0 else first
+            count += 1
+            total = 0.0
+    return count, first
+
+
+def best_threshold(ratios: Floats, wanted: int) -> float:
+    """Threshold at which healthy samples alarm so often, by bisection."""
+    low, high = 0.0, 40.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if alarms_of(ratios, middle)[0] > wanted else (low, middle)
+    return high
+
+
+def delays_by_fault(
+    motor: MotorParameters,
+    faults: Iterable[tuple[FaultKind, float]],
+    usual: tuple[Samples, float],
+    ratios: Callable[[Samples, MotorParameters], Floats],
+    onset: int,
+) -> Iterator[tuple[dict[str, Any], MotorParameters, Callable[[Samples], float]]]:
+    """For each fault: its row, the faulty motor, and the samples that the best CUSUM needs for a fault in a record.
+
+    Args:
+        motor: the healthy one.
+        faults: kind and severity.
+        usual: healthy work, and how often the CUSUM may alarm in it.
+        ratios: log likelihood ratios of samples, of a faulty motor over the healthy one.
+        onset: sample of a record at which the fault begins.
+    """
+    healthy, wanted = usual
+    for kind, severity in faults:
+        faulty = apply_fault(motor, Fault(kind, severity))
+        threshold = best_threshold(ratios(healthy, faulty), round(wanted))
+
+        def best(samples: Samples, faulty: MotorParameters = faulty, threshold: float = threshold) -> float:
+            first = alarms_of(ratios(samples, faulty)[onset:], threshold)[1]
+            return first + 1 if first >= 0 else math.inf
+
+        yield {"fault": str(kind), "severity": severity}, faulty, best
+
+
+def options(description: str | None) -> argparse.ArgumentParser:
+    """The command line of every script: where to write what was found."""
+    form = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=description, formatter_class=form)
+    parser.add_argument("--out", type=Path)
+    return parser
+
+
+def write(found: Any, out: Path | None) -> None:
+    """Write what was found, if it is to be kept."""
+    if out is not None:
+        out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
