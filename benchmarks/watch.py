@@ -42,7 +42,7 @@ from watch_counts import (
     wandering,
     warmed,
     write,
-)  # fmt: skip
+)
 
 from motor_env import Fault
 from motor_env.diagnosis.running import lessons, looks as looking, windows

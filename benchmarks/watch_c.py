@@ -34,7 +34,7 @@ from watch_counts import (
     wandering,
     warmed,
     write,
-)  # fmt: skip
+)
 
 from motor_env import FaultKind, KalmanFilter, MotorFile, SensorParameters
 from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating

@@ -31,7 +31,7 @@ from watch_counts import (
     rows_of,
     taught,
     write,
-)  # fmt: skip
+)
 
 from motor_env import KalmanFilter, SensorParameters, run_filter
 from motor_env.motor.data_sheet import WindowReference

@@ -31,9 +31,6 @@ LONGEST_SENTENCE = 1500
 MOST_KB = 2_000_000  # of memory, whatever is read
 
 
-# Damage.
-
-
 def _moved(data: bytearray, at: int, size: int, rng: Random) -> None:
     begin = int(rng.integers(len(data)))
     data[begin : begin + size] = data[at : at + size]
@@ -84,7 +81,7 @@ def flips(content: bytes, rng: Random, count: int, *, within: range | None = Non
     places = within or range(len(content))
     for at in rng.integers(places.start, places.stop, size=count):
         data = bytearray(content)
-        data[at] ^= 1 << int(rng.integers(8))
+        DAMAGES["flipped"](data, int(at), 1, rng)
         yield bytes(data)
 
 
@@ -92,8 +89,6 @@ def cuts(content: bytes, count: int) -> Iterator[bytes]:
     """The content cut off at places even along it, the first of them its begin."""
     return (content[:end] for end in np.linspace(0, len(content) - 1, count).astype(int))
 
-
-# Forgery.
 
 DEEP = "a deep list"
 ABSURD: tuple[Any, ...] = (
@@ -176,9 +171,6 @@ def _toml(value: Any) -> str:
     return toml_text({"x": value}, {}).removeprefix("x = ").rstrip("\n")
 
 
-# Archives, bombs, code.
-
-
 def members_of(content: bytes) -> dict[str, bytes]:
     """Files in a zip archive."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -225,9 +217,6 @@ def odd_places(path: Path) -> Iterator[Path]:
         yield path
         (path.rmdir if path.is_dir() else path.unlink)()
     yield Path("/dev/zero")
-
-
-# What becomes of them.
 
 
 def _checked(sentence: str, path: Path, *, named: bool | str) -> str:

@@ -29,7 +29,7 @@ from hostile import (
     places,
     refused,
     zip_bombs,
-)  # fmt: skip
+)
 from safetensors.numpy import load
 from saved_models import QUICK, RECIPE, TEST, TRAIN, content, head_of, with_head
 from sklearn.linear_model import LogisticRegression
