@@ -179,6 +179,12 @@ def test_bad_requests_are_refused_in_one_sentence() -> None:
         Sprt(0.3).threshold_for(arl0=100.0)
     with pytest.raises(ValueError, match="1 <= M <= N"):
         MOfN(4, 3)
+    with pytest.raises(ValueError, match="1 <= M <= N <= 14, got 1 and 15"):
+        MOfN(1, 15)
+    with pytest.raises(ValueError, match="window must be >= 1, got 0"):
+        WindowedNis(0)
+    with pytest.raises(ValueError, match="1 <= shortest <= longest, got 5 and 4"):
+        Glr(5, 4)
     with pytest.raises(ValueError, match="shift must be finite and > 0"):
         Cusum(0.0)
     with pytest.raises(ValueError, match="whitened must have shape"):
@@ -226,6 +232,7 @@ def test_statistics_are_their_definitions() -> None:
     padded = np.concatenate([np.zeros(7), squares])
     windows = np.stack([padded[k + 1 : k + 8] for k in range(30)])
     np.testing.assert_allclose(WindowedNis(7).statistic(values), windows.sum(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(WindowedNis(1).statistic(values), squares, atol=1e-12)
     np.testing.assert_allclose(MOfN(3, 7).statistic(values), np.sort(windows, axis=1)[:, -3], rtol=1e-12)
     np.testing.assert_allclose(nis_rule().statistic(values), squares, rtol=1e-12)
     ratios = {d: np.exp(seen * (d * first - 0.5 * d * d)) for d in (0.5, -0.8)}
@@ -295,6 +302,18 @@ def test_a_simulated_threshold_is_an_order_statistic() -> None:
     assert found.value == pytest.approx(27.76592788, rel=1e-6)  # a threshold is a number: it never moves
     with pytest.raises(ValueError, match=r"runs must be >= 200 to calibrate a probability of 0\.05, got 199"):
         rule.threshold_for(false_alarm_probability=0.05, n_samples=100, runs=199)
+
+
+@pytest.mark.parametrize(("arl0", "runs"), [(1e3, 10_000), (1e5, 3_000), (1e6, 1_000)])
+def test_run_lengths_are_calibrated_on_three_hundred_million_samples(
+    monkeypatch: pytest.MonkeyPatch, arl0: float, runs: int
+) -> None:
+    """But on a thousand runs at least, and ten thousand at most."""
+    asked: list[int] = []
+    place = "motor_env.detection.rules.calibration._for_run_length"
+    monkeypatch.setattr(place, lambda *given: asked.append(given[2]))
+    Glr().threshold_for(arl0=arl0)
+    assert asked == [runs]
 
 
 @pytest.mark.parametrize("seed", [3, 4, 7])
@@ -420,14 +439,15 @@ def test_what_a_rule_cannot_have_is_refused() -> None:
             rule.threshold_for(arl0=np.inf)
         with pytest.raises(ValueError, match="false_alarm_probability must be >="):
             rule.threshold_for(false_alarm_probability=1e-310, n_samples=10)
-    with pytest.raises(ValueError, match="standard deviations high: too high for the equation"):
-        Cusum(0.01).threshold_for(arl0=1e12)
+    with pytest.raises(ValueError, match="741 standard deviations high: too high for the equation"):
+        Cusum(0.01).average_run_length(741.0)
 
 
 def test_simulations_without_end_are_refused() -> None:
     with pytest.raises(ValueError, match=r"arl0 1e\+09 needs 1e\+12 simulated samples for 1000 runs"):
         Glr().threshold_for(arl0=1e9)
-    with pytest.raises(ValueError, match="n_samples 1000000 needs"):
+    message = r"n_samples 1000000 needs 1e\+11 simulated samples for 100000 runs, more than 1e\+10"
+    with pytest.raises(ValueError, match=message):
         Glr().threshold_for(false_alarm_probability=0.01, n_samples=1_000_000)
 
 

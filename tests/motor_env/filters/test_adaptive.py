@@ -97,6 +97,7 @@ def test_sample_by_sample_it_is_the_filter_with_the_noise_so_far() -> None:
 
 
 def test_noise_moves_by_its_share() -> None:
+    assert MEMORY == 200.0
     moved = adapted_noise(np.array([[[4.0]]]), np.array([[3.0]]), np.array([[[1.0]]]), memory=3.0)
     assert moved.item() == pytest.approx(4.0 + 0.5 * (9.0 + 1.0 - 4.0))
 

@@ -149,6 +149,20 @@ def test_each_filter_does_what_its_name_says(kind: JointKind) -> None:
     assert got.statistic[0, -1] == pytest.approx(expected, rel=1e-4)
 
 
+def test_what_is_estimated_unless_told_otherwise() -> None:
+    measured, voltage = np.random.default_rng(5).standard_normal((1, 1, 8)), np.full(8, 12.0)
+    given = (PAPER_MOTOR, SensorParameters(), 1e-4, measured, voltage)
+    told = joint_filter(
+        *given,
+        names=("resistance", "friction"),
+        prior_std=0.3,
+        process_noise_std=(1e-5, 1e-3),
+        kind=JointKind.EXTENDED,
+        memory=None,
+    )
+    np.testing.assert_array_equal(joint_filter(*given).theta, told.theta)
+
+
 def test_the_threshold_at_one_sample_is_chi_square() -> None:
     assert parameter_test_threshold(2, 0.1) == pytest.approx(
         -2.0 * np.log(0.1)

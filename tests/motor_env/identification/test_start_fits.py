@@ -15,8 +15,8 @@ from motor_env.identification.commutation import (
     ripple_quantities,
 )
 from motor_env.identification.covariance import capped, unknowns_covariance
-from motor_env.identification.identify import identify
-from motor_env.identification.model_choice import evidence, identify_best
+from motor_env.identification.identify import FIT_SAMPLES, _wild_against, identify
+from motor_env.identification.model_choice import STRONG_EVIDENCE, evidence, identify_best
 from motor_env.identification.plausibility import implausible
 from motor_env.identification.residuals import Problem, _rectified_mean, absolute
 from motor_env.identification.start_model import Extension, step_start
@@ -91,6 +91,16 @@ def test_residuals_at_the_truth_are_the_noise(speed: bool) -> None:
     again = problem.residuals(truth(problem))
     assert again[:500].std() == pytest.approx(1.0)
     assert not speed or again[500:1000].std() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("speed", [False, True])
+def test_by_eye_a_motor_is_known_to_a_factor_of_three(speed: bool) -> None:
+    """Where a fit begins, and without a constant that is believed: the current alone then tells K^2/J and B/J."""
+    base = Problem(start(speed=speed), ()).base
+    assert base["K"] == pytest.approx(0.02352 if speed else 0.12, rel=0.05)
+    told = {"R": base["R"], "L": base["L"], "K^2/J": base["K"] ** 2 / base["J"], "B/J": base["B"] / base["J"]}
+    for name, value in told.items():
+        assert 1.0 / 3.0 < value / QUANTITIES[name] < 3.0, name
 
 
 @pytest.mark.parametrize(("quiet", "share"), [(True, 0.05), (False, 0.0002)])
@@ -317,6 +327,39 @@ def test_what_a_fit_says_of_itself() -> None:
     assert abs(middle(curve) - 0.64) < 4.0 * error
 
 
+def test_what_looks_like_an_inductance_is_told_to_a_factor_of_e() -> None:
+    """A ramp where the inductance is typical: its logarithm has the variance 1 beside that of the fit."""
+    measured = start(Extension(supply_rise_s=2e-3))
+    plain, typical = (
+        identify(measured, ("supply_ramp",), constant=0.02352, typical=known) for known in (None, QUANTITIES)
+    )
+    place = typical.quantity_names.index("L")
+    assert 1.0 < typical.log_covariance[place, place] < 1.1
+    assert plain.log_covariance[place, place] < 0.5
+    assert abs(typical.inductance_off) < 2.0
+    assert plain.inductance_off == 0.0
+
+
+def test_wild_samples_stand_out_of_a_fit_that_goes_through_their_neighbours() -> None:
+    """Implementation: more than ten spreads off, three times as far as both neighbours, half of it a jump to each."""
+    even = np.where(np.arange(41) % 2 == 0, 1.0, -1.0)  # a spread of 1.4826
+    for off, beside, jump, wild in (
+        (14.9, 1.0, 14.0, True),
+        (14.8, 1.0, 14.0, False),
+        (14.9, 4.4, 14.0, True),
+        (14.9, 4.5, 14.0, False),
+        (-14.9, 1.0, 14.0, True),
+        (14.9, 1.0, 7.5, True),
+        (14.9, 1.0, 7.4, False),
+    ):
+        residual, current = even.copy(), np.full(41, 3.0)
+        residual[20], residual[21] = off, -beside
+        current[20] += np.copysign(jump, off)
+        assert _wild_against(residual, current) == ([20] if wild else [])
+        current[21:] = 2.0 * current[20] - 3.0  # a slope and no spike
+        assert _wild_against(residual, current) == []
+
+
 def test_evidence_counts_independent_samples() -> None:
     """The Bayesian information criterion (Schwarz 1978), and the prior of an inductance that is known."""
     plain = identify(start(speed=True))
@@ -326,6 +369,7 @@ def test_evidence_counts_independent_samples() -> None:
     worse = replace(simple, expected=simple.expected + np.array([0.01, 5.0]))
     gain = 120.0 * np.log(worse.misfit[0] / rich.misfit[0]) + 80.0 * np.log(worse.misfit[1] / rich.misfit[1])
     assert gain > 50.0
+    assert (STRONG_EVIDENCE, FIT_SAMPLES) == (6.0, 40_000)  # Raftery (1995); what takes about a second
     assert evidence(worse, rich) == pytest.approx(gain + 8.0 - 2.0 * np.log(200.0))
 
 
@@ -365,10 +409,12 @@ def test_values_that_no_motor_has_are_named() -> None:
         assert ("R J/K^2" not in moved(J=2.0 * k - r + np.log(30.0) + log)) == inside
         assert ("R J/K^2" not in moved(J=2.0 * k - r + np.log(5e-4) - log)) == inside
     untold = fit.log_covariance.copy()
-    untold[names.index("L"), names.index("L")] = 0.31**2
+    untold[names.index("L"), names.index("L")] = 0.3003**2
     odd = replace(fit, log_values=np.where(np.array(names) == "L", 3.0, fit.log_values))
     assert len(implausible(odd)) == 2
     assert implausible(replace(odd, log_covariance=untold)) == []
+    untold[names.index("L"), names.index("L")] = 0.2997**2
+    assert len(implausible(replace(odd, log_covariance=untold))) == 2
     far = replace(fit.start, time_s=fit.start.time_s * 300.0)
     assert implausible(replace(fit, start=far))[0].startswith("sampling rate of 16.7 Hz")
     assert j < 0.0

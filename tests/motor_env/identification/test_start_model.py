@@ -87,6 +87,9 @@ def test_a_running_motor_stays_where_drop_and_friction_hold_it(sign: float) -> N
         got = driven(PAPER_MOTOR, extension, np.full(30, sign * 9.0), DT_S, from_rest=False)
         expected = sign * steady_state(PAPER_MOTOR, 8.0, coulomb)
         np.testing.assert_allclose(got, np.tile(expected, (30, 1)), rtol=1e-9)
+    below = np.array([0.5, *[9.0] * 29])
+    begun = driven(PAPER_MOTOR, Extension(brush_drop_v=1.0), sign * below, DT_S, from_rest=False)
+    assert not begun[0].any()  # a voltage below the drop: no current
     rest = driven(PAPER_MOTOR, extension, np.full(30, sign * 9.0), DT_S, from_rest=True)
     assert not rest[0].any()
 

@@ -5,7 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motor_env.inference.identifiability import Experiment, cramer_rao_bound, identifiability, isolability
+from motor_env.inference.identifiability import (
+    Experiment,
+    Identifiability,
+    cramer_rao_bound,
+    identifiability,
+    isolability,
+)
 from motor_env.inference.parametrisation import QUANTITIES, Coordinates
 from motor_env.inference.whitening import MatchedTest
 from motor_env.motor.faults import Fault, FaultKind, apply_fault, motor_kinds
@@ -107,6 +113,27 @@ def test_distances_are_what_regressions_leave_over() -> None:
         for j, other in enumerate(signatures):
             left = one if i == j else one - other * (one @ other) / (other @ other)
             assert got.isolable[i, j] == pytest.approx(np.linalg.norm(left), rel=1e-5, abs=1e-5)
+
+
+def test_a_direction_of_less_than_a_hundredth_is_open() -> None:
+    """Of a noise so large that a factor of e would move the samples by just more, and just less."""
+    loud = identifiability(PAPER_MOTOR, START, ("resistance",)).std[0]
+    for size, is_open in ((0.0101, False), (0.0099, True)):
+        sensor = SensorParameters(current_noise_a=0.02 / (loud * size))
+        got = identifiability(PAPER_MOTOR, Experiment.start(TIMING, sensor), ("resistance",))
+        assert np.isinf(got.std[0]) == is_open
+        assert got.sentences()[0] == f"resistance: {'not identifiable' if is_open else 'known to 9.9e+03 %'}"
+
+
+def test_pairs_are_told_from_a_correlation_of_nine_tenths_on() -> None:
+    correlation = np.array([[1.0, 0.901, 0.899], [0.901, 1.0, -0.95], [0.899, -0.95, 1.0]])
+    got = Identifiability(("a", "b", "c"), np.full(3, 0.01), correlation, np.array([[1.0, 0.0, -0.5]]))
+    assert got.correlated_pairs() == [("c", "b", -0.95), ("b", "a", 0.901)]
+    assert got.sentences()[3:] == [
+        "a by a, c by a^-0.5 changes no sample, for any a",
+        "c and b are hard to tell apart: correlation -0.950",
+        "b and a are hard to tell apart: correlation 0.901",
+    ]
 
 
 def test_fault_directions_are_those_of_apply_fault() -> None:

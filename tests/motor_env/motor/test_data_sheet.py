@@ -124,6 +124,41 @@ def test_a_bad_file_gets_one_sentence_that_names_it(tmp_path: Path, old: str, ne
     assert needle in refused(lambda: load_motor(path), path)
 
 
+@pytest.mark.parametrize(
+    ("kind", "quantities", "expected"),
+    [
+        ("data_sheet", None, ()),
+        ("identified", None, ()),
+        ("commissioned", '["R", "L", "K"]', ()),
+        ("commissioned", '["R", "L", "K^2/J"]', ("torque", "rotor", "viscous")),
+        ("commissioned", '["R/V", "L/V", "B/J"]', ("torque", "rotor", "viscous", "nominal")),
+    ],
+)
+def test_older_files_say_by_their_starts_what_they_assume(
+    tmp_path: Path, kind: str, quantities: str | None, expected: tuple[str, ...]
+) -> None:
+    text = SHEET.replace('name = "sheet"', f'kind = "{kind}"')
+    if quantities is not None:
+        text += f"""
+[reference]
+starts = 3
+degrees_of_freedom = 5.0
+quantities = {quantities}
+values = [1.0, 1.0, 1.0]
+log_covariance = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+log_noise = -3.0
+log_noise_sd = 0.1
+"""
+    assert tuple(key.partition("_")[0] for key in load(tmp_path, text).assumed) == expected
+    told = f"""{SHEET.replace('name = "sheet"', 'kind = "identified"')}
+[assumed]
+resistance_ohm = "guessed"
+"""
+    assert load(tmp_path, told).assumed == {"resistance_ohm": "guessed"}
+    with pytest.raises(InputError, match=r"assumed\.inductance_h is no value of the table motor"):
+        load(tmp_path, told.replace('resistance_ohm = "guessed', 'inductance_h = "guessed'))
+
+
 def test_unknown_motor_lists_the_presets() -> None:
     with pytest.raises(InputError, match="presets are paper"):
         load_motor("no-such-motor")

@@ -37,6 +37,7 @@ SILENT = SensorParameters(
             )
         },
         {"faults": (Fault(FaultKind.NOISE, 2.0),)},
+        {"faults": (Fault(FaultKind.NOISE, np.linspace(0.0, 3.0, 30)),)},
         {"process_noise_std": (0.01, 0.5)},
     ],
 )
@@ -61,6 +62,14 @@ def test_the_linear_motor_agrees_with_scipy() -> None:
     settled = steady_state(PAPER_MOTOR, 12.0, 1e-4)
     residual = model.transition @ settled + model.gain @ np.array([12.0, 1e-4])
     assert np.abs(residual / (np.abs(model.transition) @ np.abs(settled))).max() < 1e-12
+
+
+def test_effects_that_are_not_told() -> None:
+    """Recipes do not name them, so every case in the field rests on them."""
+    e = Effects()
+    told = (e.stribeck_speed_rad_s, e.commutation_per_turn, e.bearing_per_turn)
+    assert told == (5.0, 14.0, 3.1)
+    assert (e.heat_capacity_j_per_k, e.thermal_resistance_k_per_w) == (3.87, 3.1)
 
 
 def reference(effects: Effects, voltage: float, times: FloatArray) -> FloatArray:
