@@ -183,7 +183,8 @@ def test_tolerances_are_taken_out_to_second_order(monkeypatch: pytest.MonkeyPatc
         )
         factors = [getattr(motors, name) / getattr(recipe.motor, name) for name in fields]
         z = (np.stack([voltage_v[:, 0] / 12.0, *factors], axis=1) - 1.0) / recipe.spread.std
-        return (constant + z @ slope.T + 0.5 * np.einsum("ni,kij,nj->nk", z, bend, z))[..., None]
+        quadratic: FloatArray = constant + z @ slope.T + 0.5 * np.einsum("ni,kij,nj->nk", z, bend, z)
+        return quadratic[..., None]
 
     monkeypatch.setattr("motor_env.detection.rules.tolerant.noise_free_innovations", innovations)
     mean, slopes = second_order(recipe, belief)

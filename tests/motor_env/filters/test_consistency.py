@@ -59,7 +59,8 @@ def test_each_test_rejects_at_a_third_of_the_level(place: int) -> None:
     for p_value, holds in ((0.01001, True), (0.00999, False)):
         p_values = [0.5, 0.5, 0.5]
         p_values[place] = p_value
-        found = Consistency(100, *p_values, mean_square=1.2, coverage=0.95, level=0.03)
+        mean_p, nis_p, whiteness_p = p_values
+        found = Consistency(100, mean_p, nis_p, whiteness_p, mean_square=1.2, coverage=0.95, level=0.03)
         assert found.holds == holds
         assert [word in found.warning for word in words] == [n == place and not holds for n in range(3)]
 

@@ -27,7 +27,7 @@ from motor_env.recordings.start import Circuit, Start
 
 MOTOR = PAPER_MOTOR.scaled(torque_constant_n_m_per_a=0.02352 / 0.0235)
 DT_S, QUIET = 2e-4, 40
-TIME_S = (np.arange(500) - QUIET) * DT_S
+TIME_S: FloatArray = (np.arange(500.0) - QUIET) * DT_S
 TEXTBOOK = Extension()
 QUANTITIES = {
     "R": 2.18,
@@ -422,7 +422,7 @@ def test_values_that_no_motor_has_are_named() -> None:
 
 def rippled(per_turn: float, amplitude_a: float) -> Start:
     """A start of 3,000 samples whose current carries a line over the angle."""
-    time_s = (np.arange(3000) - QUIET) * DT_S
+    time_s: FloatArray = (np.arange(3000.0) - QUIET) * DT_S
     states = step_start(MOTOR, TEXTBOOK, time_s, 0.4 * DT_S, 12.0)
     angle = np.concatenate([[0.0], np.cumsum(0.5 * (states[1:, 1] + states[:-1, 1]) * DT_S)])
     line = amplitude_a * np.sin(per_turn * angle) * (time_s > 0.0)

@@ -17,7 +17,7 @@ from motor_env.motor.model import continuous_model, discretize, steady_state
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
 
 DT_S = 2e-4
-TIME_S = np.arange(-20, 200) * DT_S
+TIME_S: FloatArray = np.arange(-20.0, 200.0) * DT_S
 ONSET_S = 0.37 * DT_S
 
 
@@ -74,7 +74,7 @@ def test_a_lagging_sensor_of_a_running_motor_begins_in_its_steady_state() -> Non
     extension = Extension(sensor_lag_s=3e-4)
     got = driven(PAPER_MOTOR, extension, volts, DT_S, from_rest=False, late=0.5)
     current, speed = steady_state(PAPER_MOTOR, 12.0)
-    since = (np.arange(60) - 10) * DT_S
+    since: FloatArray = (np.arange(60.0) - 10.0) * DT_S
     expected = exact(since, -12.0, 3e-4)
     np.testing.assert_allclose(got[:, 0], current + expected[:, 2], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(got[:, 1], speed + expected[:, 1], rtol=1e-9)
@@ -115,7 +115,7 @@ def test_the_mean_of_a_supply_that_rises(shares: tuple[float, ...]) -> None:
     extension = Extension(supply_rise_s=1e-3, supply_shares=shares)
     corners = np.concatenate([[0.0], np.cumsum(shares or (1.0,))])
     places = np.linspace(0.0, 1e-3, len(corners))
-    begin = np.arange(8) * 1.7e-4
+    begin: FloatArray = np.arange(8.0) * 1.7e-4
     expected = [
         quad(lambda t: float(np.interp(t, places, corners)), b, b + 1.7e-4, points=places.tolist())[0]
         / 1.7e-4

@@ -12,6 +12,7 @@ from motor_env.inference.fit import Prior, fit
 from motor_env.inference.identifiability import Experiment, cramer_rao_bound
 from motor_env.inference.parametrisation import QUANTITIES, Coordinates
 from motor_env.inference.sensitivities import (
+    NormalEquations,
     Observed,
     common_equations,
     jacobian,
@@ -82,11 +83,11 @@ def test_normal_equations_are_squares_and_their_derivatives() -> None:
         states = simulate_states(
             motor, supply * volts[own], 1e-4, load_torque_n_m=load[own], initial_state=begin
         )
-        return ((measured[case] - states.T) / [[0.02], [2.0]]).ravel()
+        whitened: FloatArray = (measured[case] - states.T) / np.array([[0.02], [2.0]])
+        return whitened.ravel()
 
-    def check(
-        chi2: float, gradient: FloatArray, information: FloatArray, case: int, at: FloatArray, own: int
-    ) -> None:
+    def check(equations: NormalEquations, case: int, at: FloatArray, own: int) -> None:
+        chi2, gradient, information = (part[case] for part in equations)
         left, steps = residuals(case, at, own), 1e-4 * np.eye(6)
         slopes = np.stack(
             [(residuals(case, at + s, own) - residuals(case, at - s, own)) / 2e-4 for s in steps], axis=1
@@ -94,7 +95,7 @@ def test_normal_equations_are_squares_and_their_derivatives() -> None:
         assert chi2 == pytest.approx(left @ left, rel=1e-9)
         scale = np.linalg.norm(slopes, axis=0)
         np.testing.assert_allclose(
-            gradient / scale, -slopes.T @ left / scale, atol=1e-5 * np.linalg.norm(left)
+            gradient / scale, -slopes.T @ left / scale, atol=1e-5 * float(np.linalg.norm(left))
         )
         np.testing.assert_allclose(
             information / np.outer(scale, scale), slopes.T @ slopes / np.outer(scale, scale), atol=1e-5
@@ -104,7 +105,7 @@ def test_normal_equations_are_squares_and_their_derivatives() -> None:
     got = normal_equations(each, coordinates, values)
     some = normal_equations(each, coordinates, values[1:], np.array([1, 2]))
     for n in range(3):
-        check(*(part[n] for part in got), n, values[n], n)
+        check(got, n, values[n], n)
         assert n == 0 or some.chi2[n - 1] == got.chi2[n]
     shared = Observed.from_measurements(
         measured, volts[0], BOTH, 1e-4, initial_state=begin, load_torque_n_m=load[0]
@@ -112,7 +113,7 @@ def test_normal_equations_are_squares_and_their_derivatives() -> None:
     for observed, own in ((shared, (0, 0, 0)), (each, (0, 1, 2))):
         together = common_equations(observed, coordinates, values[1])
         for n in range(3):
-            check(*(part[n] for part in together), n, values[1], own[n])
+            check(together, n, values[1], own[n])
     fitted = fit(each, coordinates, Prior.from_std(np.full(6, 0.5)), max_iterations=0)
     chi2 = [np.square(residuals(n, np.zeros(6), n)).sum() for n in range(3)]
     np.testing.assert_allclose(fitted.chi2, chi2, rtol=1e-9)

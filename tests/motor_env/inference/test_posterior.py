@@ -178,7 +178,8 @@ def test_starts_of_one_motor_tell_of_its_next_one() -> None:
 
     for motor in range(2):
         best = least_squares(residuals, np.zeros(7), args=(motor,), xtol=1e-12)
-        covariance = np.linalg.inv(best.jac.T @ best.jac)[3:, 3:]
+        slopes = np.asarray(best.jac, dtype=np.float64)
+        covariance = np.linalg.inv(slopes.T @ slopes)[3:, 3:]
         std = np.sqrt(np.diag(covariance))
         np.testing.assert_allclose(got.mean[motor, 1:] / std, best.x[3:] / std, atol=0.05)
         found = np.linalg.inv(got.precision[motor])
