@@ -1,8 +1,11 @@
 """The frame of the commands: exit statuses, one sentence for bad input."""
 
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import cast
 
 import pytest
 from cyclopts import App
@@ -12,6 +15,7 @@ from motor_datasets import cli as datasets_cli
 from motor_env import cli, console
 from motor_env.console import ExitStatus
 from motor_env.errors import InputError, require_extra
+from motor_env.files import replacing, write_text
 
 
 def _app(error: Exception | None = None, status: int | None = None) -> App:
@@ -98,6 +102,59 @@ def test_interrupt(capsys: pytest.CaptureFixture[str]) -> None:
 
     assert console.run(app, ["work"]) == 130
     assert capsys.readouterr().err == "tool: interrupted\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_with_the_status_that_a_shell_gives_it(number: int) -> None:
+    assert console.run(_app(cast("Exception", KeyboardInterrupt(number))), ["work"]) == 128 + number
+
+
+def test_sigterm_interrupts_as_ctrl_c_does() -> None:
+    """In a process of its own, which waits."""
+    code = (
+        "import os, signal, time; from cyclopts import App; from motor_env import console; app = App(name='tool');\n"
+        "@app.command\n"
+        "def work(): os.kill(os.getpid(), signal.SIGTERM); time.sleep(30)\n"
+        "raise SystemExit(console.run(app, ['work']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (143, "tool: interrupted\n")
+
+
+def test_what_steers_a_terminal_is_shown_as_text() -> None:
+    assert console.printable("a\x1b[31mb\tc\nd\u202e é") == "a\\x1b[31mb\tc\nd\\u202e é"
+
+
+def test_examples_are_written_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = Path(console.__file__).parents[1] / "examples"
+    names = sorted(file.name for file in source.glob("*.*"))
+    (tmp_path / names[0]).write_text("mine")
+    assert cli.main(["examples", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.split() == [str(tmp_path / name) for name in names[1:]]
+    assert (tmp_path / names[0]).read_text() == "mine"
+    for name in names[1:]:
+        assert (tmp_path / name).read_bytes() == (source / name).read_bytes()
+    assert cli.main(["examples", str(tmp_path)]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_files_appear_whole_or_not_at_all(tmp_path: Path) -> None:
+    target = tmp_path / "deep" / "a.txt"
+
+    def fail() -> None:
+        with replacing(target) as temporary:
+            temporary.write_text("half")
+            assert temporary.parent == target.parent
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        fail()
+    assert list(target.parent.iterdir()) == []
+    write_text(target, "whole\n")
+    assert target.read_text() == "whole\n"
+    umask = os.umask(0)
+    os.umask(umask)
+    assert target.stat().st_mode & 0o777 == 0o666 & ~umask
 
 
 def test_missing_extra_names_what_to_install() -> None:

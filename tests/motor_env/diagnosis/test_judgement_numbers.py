@@ -32,6 +32,7 @@ from motor_env.diagnosis.explanations import (
     smallest_changes,
 )
 from motor_env.diagnosis.files import picture_of
+from motor_env.diagnosis.filter_check import filter_check
 from motor_env.diagnosis.healthy_motor import (
     Reference,
     beyond,
@@ -52,7 +53,8 @@ from motor_env.motor.faults import FaultKind
 from motor_env.motor.identifiable import matrix, nameable_kinds, names, visible_direction
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.periodic_lines import PeriodicLine
+from motor_env.recordings.recording import Recording, read_recording
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 SHEET = load_motor(EXAMPLES / "motor.toml")
@@ -496,6 +498,30 @@ def test_the_filter_splits_what_the_fit_leaves() -> None:
     assert check.sensor_only_nis == pytest.approx(1.0, abs=0.1)
 
 
+def test_a_ripple_of_the_supply_is_no_matter_of_the_filter() -> None:
+    """It is taken off what was measured and what was fitted."""
+    found, fit, _ = fitted()
+    before = found.filter_check
+    assert before is not None
+    start = replace(fit.start, lines=(PeriodicLine(2_000.0, 0.3, 0.1),))
+    rippled = replace(start, current_a=start.current_a + start.ripple_a)
+    expected = fit.expected + np.stack([start.ripple_a, np.zeros(len(start.time_s))], axis=1)
+    after = filter_check(replace(fit, start=rippled, expected=expected))
+    assert after.mean_nis == pytest.approx(before.mean_nis, rel=1e-6)
+    assert after.sensor_only_nis == pytest.approx(before.sensor_only_nis, rel=1e-6)
+
+
+def test_a_warning_is_allowed_for_where_there_is_a_verdict() -> None:
+    found = judged()
+    assert found.filter_check is not None
+    odd = cast("Any", SimpleNamespace(warning="it is correlated in time", holds=False))
+    warned = replace(found, filter_check=replace(found.filter_check, consistency=odd))
+    assert "  it is correlated in time; the verdict allows for it" in report.expert_lines(warned)
+    assert "  it is correlated in time" in report.expert_lines(replace(warned, reference=None))
+    assert report.as_json(warned)["warning"] == "it is correlated in time"
+    assert report.as_json(warned)["consistent"] is False
+
+
 @pytest.mark.parametrize(
     ("verdicts", "unreadable", "status"),
     [
@@ -585,19 +611,19 @@ def test_bars_stand_on_a_logarithmic_axis_a_tenth_wider_than_they_are(high: floa
     def x(ratio: float) -> float:
         return 150.0 + (480.0 - 150.0 - 64.0) * (math.log(ratio) / math.log(edge) + 1.0) / 2.0
 
-    low, end = (
-        drawn(html, "interval")[0][:2]
-        if len(drawn(html, "interval")[0]) == 2
-        else drawn(html, "interval")[0][0::2]
-    )
+    low, height, end, _ = drawn(html, "interval")[0]
     assert low == pytest.approx(x(0.995), abs=0.1)
     assert end == pytest.approx(x(high) if high < edge else end, abs=0.1)
-    assert drawn(html, "dot")[0][0] == pytest.approx(x(1.005), abs=0.1)
+    assert drawn(html, "dot")[0] == pytest.approx((x(1.005), height), abs=0.1)
+    assert [dot[1] for dot in drawn(html, "dot")] == [17.0, 51.0]
 
 
 def test_the_residuals_band_and_edge() -> None:
     """Averaged over a fiftieth; the axis reaches 1.2 times what 98 of 100 samples after the start lie within."""
     found, fit, _ = fitted()
+    ripple = PeriodicLine(30.0, 0.05, 0.02)  # so slow that the mean over a fiftieth shows it
+    fit = replace(fit, start=replace(fit.start, lines=(ripple,)))
+    found = replace(found, identified=fit)
     expected = page.reference_current(found)
     assert expected is not None
     beyond_ = fit.start.current_a - fit.start.ripple_a - expected
@@ -615,9 +641,34 @@ def test_the_residuals_band_and_edge() -> None:
     per_pixel = (v1 - v0) / (y0 - y1)
     # 194 pixels between the margins show the edges and a tenth beyond.
     assert per_pixel * 194.0 == pytest.approx(2.0 * 1.1 * 1.2 * 1e3 * largest, rel=0.01)
+    at = {float(t): float(x) for x, t in re.findall(r'x="([-\d.]+)"[^>]*>([-\d.]+) ms<', html)}
+    first, last = min(at), max(at)
+    begin_ms = first - (at[first] - 66.0) * (last - first) / (at[last] - at[first])
+    assert begin_ms == pytest.approx(
+        -0.02 * time_ms[-1], abs=0.2
+    )  # a fiftieth of the recording before the start
     corners = re.findall(r'<polygon[^>]*points="([^"]+)"', html)[0].split()
     ys = [float(corner.split(",")[1]) for corner in corners]
     assert (max(ys) - min(ys)) * per_pixel == pytest.approx(2.0 * 1e3 * noise, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("high", "ticks"),
+    [
+        (30.0, {-75, 0, 300}),
+        (4.0, {-75, -50, 0, 100, 300}),
+        (2.0, {-50, -25, 0, 50, 100}),
+        (1.5, {-25, 0, 25, 50}),
+        (1.23, {-25, 0, 25}),
+        (1.12, {-10, 0, 10}),
+        (1.03, {-10, -5, 0, 5, 10}),
+    ],
+)
+def test_ticks_of_the_bars(high: float, ticks: set[int]) -> None:
+    """The most welcome ones that lie more than 0.36 of the axis' half apart."""
+    html = page.page(replace(judged(), changes=(Change("R", 1.005, 0.995, high, False),)))
+    bars = html.split('aria-label="Deviation of each quantity')[1].split("</svg>")[0]
+    assert set(map(int, re.findall(r">([-+]\d+) %<", bars))) == ticks
 
 
 def test_words_of_the_page() -> None:
@@ -696,12 +747,14 @@ def test_options_out_of_range_are_one_sentence(
 def test_a_false_alarm_rate_reaches_the_tests(capsys: pytest.CaptureFixture[str]) -> None:
     """A smaller rate asks for larger changes: in the ratio of their limits."""
     smallest = {}
-    for rate in ("0.01", "0.2"):
+    for rate in ("0.01", "0.2", ""):
         command = ["diagnose", str(EXAMPLES / "startup_capture.csv"), "--motor", str(EXAMPLES / "motor.toml")]
-        main([*command, "--false-alarm-rate", rate, "--json"])
+        main([*command, *(["--false-alarm-rate", rate] if rate else []), "--json"])
         (told,) = json.loads(capsys.readouterr().out)
         smallest[rate] = math.log1p(told["smallest_changes"]["bearing"])
-    limits = {rate: stats.norm.isf(float(rate) / 5.0) + 1.645 for rate in smallest}
+    one = diagnose(read_recording(EXAMPLES / "startup_capture.csv"), SHEET)  # the library's own default
+    assert smallest[""] == smallest["0.01"] == math.log1p(one.smallest_changes["bearing"])
+    limits = {rate: stats.norm.isf(float(rate) / 5.0) + 1.645 for rate in ("0.01", "0.2")}
     expected = limits["0.01"] / limits["0.2"]
     assert smallest["0.01"] / smallest["0.2"] == pytest.approx(expected, rel=1e-4)
 

@@ -1,0 +1,249 @@
+"""What commands hand on, print and end with: the work behind them is put in its place by hand."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from motor_env.cli import main, options
+from motor_env.detection.rules import nis_rule
+from motor_env.diagnosis import commission as steps, diagnose as judging
+from motor_env.diagnosis.decision import Diagnosis, Verdict
+from motor_env.diagnosis.files import Outcome
+from motor_env.embedded import monitor as monitors, source
+from motor_env.embedded.arithmetic import Steps
+from motor_env.embedded.monitor import CusumBank
+from motor_env.errors import InputError
+from motor_env.identification import coastdown
+from motor_env.identification.coastdown import CoastDown
+from motor_env.motor.data_sheet import load_motor
+from motor_env.operation import logs
+from motor_env.prognosis import files as trends, page
+from motor_env.recordings.profiles import Profile, load_profile
+from motor_env.recordings.recording import Recording
+from motor_env.recordings.start import Circuit
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+MOTOR = str(EXAMPLES / "motor.toml")
+
+
+def outcome(verdict: str | None, *, is_bug: bool = False) -> Outcome:
+    """Of a file that was judged, or could not be read."""
+    path = Path(f"{verdict}.csv")
+    if verdict is None:
+        return Outcome(path, None, "None.csv: is empty", is_bug=is_bug)
+    recording = Recording(path, *2 * [EMPTY])
+    return Outcome(path, Diagnosis(recording, Verdict(verdict), ("because",)))
+
+
+EMPTY: Any = ()
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "status"),
+    [
+        (["healthy"], 0),
+        (["healthy", "bearing"], 1),
+        (["bearing", None], 2),
+        (["healthy", "unusable"], 3),
+        (["no_reference"], 3),
+    ],
+)
+def test_diagnose_ends_with_the_status_of_its_verdicts(
+    verdicts: list[str | None],
+    status: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    given: dict[str, Any] = {}
+
+    def diagnosed(files: list[Path], **more: Any) -> list[Outcome]:
+        given.update(more, files=files)
+        return [outcome(verdict) for verdict in verdicts]
+
+    monkeypatch.setattr("motor_env.diagnosis.files.diagnose_files", diagnosed)
+    command = ["diagnose", "a.csv", "b.csv", "--false-alarm-rate", "0.05", "--shunt-ohm", "0.3"]
+    assert main([*command, "--temperature-c", "31", "--start", "2", "--healthy", "h.csv", "i.csv"]) == status
+    printed = capsys.readouterr()
+    said = [verdict for verdict in verdicts if verdict]
+    assert [line.split(": ")[1] for line in printed.out.splitlines() if line[0] != " "] == said
+    assert printed.err.count("is empty") == verdicts.count(None)
+    assert given["files"] == [Path("a.csv"), Path("b.csv")]
+    assert (given["false_alarm_rate"], given["temperature_c"], given["start"]) == (0.05, 31.0, 2)
+    assert (given["healthy"], given["circuit"]) == ([Path("h.csv"), Path("i.csv")], Circuit(0.3, 0.0))
+    assert main([*command, "--json"]) == status
+    assert [one["verdict"] for one in json.loads(capsys.readouterr().out)] == [
+        v or "unusable" for v in verdicts
+    ]
+    monkeypatch.setattr(
+        "motor_env.diagnosis.files.diagnose_files", lambda *_, **__: [outcome(None, is_bug=True)]
+    )
+    assert main(command) == 70
+
+
+@pytest.mark.parametrize(
+    ("explained", "works", "status"),
+    [([True, True], None, 0), ([True, False], None, 3), ([True], 0, 0), ([], 3, 3), ([False], 0, 3)],
+)
+def test_identify_ends_with_3_where_no_motor_explains_a_start_or_the_logs(
+    explained: list[bool],
+    works: int | None,
+    status: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    work = SimpleNamespace(
+        as_text=lambda: ["logs"], as_json=lambda: [{"logs": 1}], exit_status=lambda: works or 0
+    )
+    found = [("log", "reason")] if works is not None else []
+    monkeypatch.setattr(logs, "sorted_files", lambda *_, **__: (found, [Path("a.csv")]))
+    monkeypatch.setattr(logs, "identify_logs", lambda *_, **__: work)
+    monkeypatch.setattr(steps, "identify_file", lambda *_, **__: [("a", is_told) for is_told in explained])
+    monkeypatch.setattr(judging, "unusable_reason", lambda fit: None if fit else "poor")
+    monkeypatch.setattr(steps, "identified_text", lambda _, fit, periods: f"start {fit} {periods}")
+    monkeypatch.setattr(steps, "identified_json", lambda _, fit, __: {"start": fit})
+    assert main(["identify", "a.csv", "--ripple-periods-per-turn", "14"]) == status
+    lines = [f"start {is_told} 14.0" for is_told in explained] + (["logs"] if found else [])
+    assert capsys.readouterr().out.splitlines() == lines
+    assert main(["identify", "a.csv", "--json"]) == status
+    objects: list[dict[str, Any]] = [{"start": is_told} for is_told in explained]
+    assert json.loads(capsys.readouterr().out) == objects + ([{"logs": 1}] if found else [])
+
+
+@pytest.mark.parametrize(
+    ("states", "status"),
+    [(["steady", "unknown"], 0), (["steady", "trending"], 1), (["reached"], 1), (["unknown"], 0)],
+)
+def test_trend_ends_with_1_where_a_limit_matters(
+    states: list[str],
+    status: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    given: dict[str, Any] = {}
+
+    def judged(paths: list[Path], limits: Any, **more: Any) -> tuple[list[str], list[str]]:
+        given.update(more, paths=paths, limits=limits)
+        return states, ["a note"]
+
+    monkeypatch.setattr(trends, "trends_of", judged)
+    monkeypatch.setattr(page, "status", lambda one: one)
+    monkeypatch.setattr(page, "page", lambda *_: "<page>")
+    monkeypatch.setattr(trends, "as_text", " ".join)
+    out = tmp_path / "t.html"
+    command = ["trend", "a.csv", "--limit", "R=0.9,1.1", "--level", "0.7", "--reference-count", "5"]
+    assert main([*command, "--voltage", "12", "--out", str(out)]) == status
+    printed = capsys.readouterr()
+    assert printed.out == f"{' '.join(states)}\n{out}\n"
+    assert printed.err == "motor-env: a note\n"
+    assert out.read_text() == "<page>"
+    assert (given["level"], given["reference_count"], given["voltage_v"]) == (0.7, 5, 12.0)
+    assert (given["limits"], given["date"]) == ({"R": (0.9, 1.1)}, "name")
+
+
+@pytest.fixture
+def exported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
+    """What `export-c` asks for."""
+    found: dict[str, Any] = {}
+
+    def monitor_of(known: Any, rate_hz: float, **more: Any) -> Any:
+        found.update(more, rate_hz=rate_hz)
+        return SimpleNamespace(limits="limits")
+
+    def write_library(_: Any, out: Path, **more: Any) -> list[Path]:
+        found.update(more)
+        return [out / "a.c"]
+
+    monkeypatch.setattr(monitors, "monitor_of", monitor_of)
+    monkeypatch.setattr(source, "write_library", write_library)
+    monkeypatch.setattr(Steps, "suited", lambda *counts: counts)
+    return found
+
+
+def test_export_c_hands_on_what_was_asked_for(
+    exported: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["export-c", MOTOR, "--out", str(tmp_path), "--rate-hz", "2000"]
+    assert main(command) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'a.c'}\n"
+    known = load_motor(MOTOR)
+    assert (exported["rate_hz"], exported["voltage_v"]) == (2000.0, known.nominal_voltage_v)
+    assert (exported["rule"], exported["scheduled"], exported["stuck_after"]) == (CusumBank(), False, 100)
+    assert exported["steps"] == ("limits", None, None, None)
+    assert exported["wanted"] == "1 false alarms a year"
+    more = ["--rule", "nis", "--gain", "scheduled", "--arithmetic", "float", "--voltage", "9"]
+    assert main([*command, *more, "--false-alarms-per-year", "2.5", "--stuck-after", "7"]) == 0
+    assert type(exported["rule"]) is type(nis_rule())
+    assert (exported["voltage_v"], exported["scheduled"], exported["steps"]) == (9.0, True, None)
+    assert (exported["false_alarms_per_year"], exported["stuck_after"]) == (2.5, 7)
+    assert main([*command, "--shift", "3", "--current-count", "0.01"]) == 0
+    assert exported["rule"] == CusumBank((3.0,), ())
+    assert exported["steps"] == ("limits", 0.01, None, None)
+
+
+def test_coastdown_says_the_same_as_text_and_json(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    friction = CoastDown(viscous_per_s=0.5, coulomb_rad_s2=3.25, r2=0.999, r2_viscous=0.98, evidence=12.0)
+    monkeypatch.setattr(coastdown, "fit_coastdown", lambda _: friction)
+    file = str(EXAMPLES / "startup_capture.csv")
+    assert main(["coastdown", file]) == 0
+    assert capsys.readouterr().out.split("\n")[:2] == [
+        f"{file}: viscous friction B/J 0.5 1/s, Coulomb friction Tc/J 3.25 rad/s2".replace(
+            "viscous friction ", ""
+        ),
+        "  R2 0.9990; with viscous friction alone 0.9800; evidence 12",
+    ]
+    assert main(["coastdown", file, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "viscous_per_s": 0.5,
+        "coulomb_rad_s2": 3.25,
+        "r2": 0.999,
+        "r2_viscous": 0.98,
+        "evidence": 12.0,
+    }
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        (["--false-alarm-rate", "0.5"], "false-alarm-rate must lie between 0 and 0.5, got 0.5"),
+        (["--false-alarm-rate", "0"], "false-alarm-rate must lie between 0 and 0.5, got 0"),
+        (["--torque-constant", "0"], "torque-constant must be > 0, got 0"),
+        (["--no-load-current", "-1"], "no-load-current must be > 0, got -1"),
+        (["--no-load-current", "inf"], "no-load-current must be > 0, got inf"),
+        (["--steady"], "--steady belongs to --window"),
+        (["--window", "2", "--temperature-c", "20"], "--temperature-c belongs to starts"),
+        (["--window", "2", "--sensor-lag", "0.1"], "--sensor-lag belongs to starts"),
+        (["--window", "0"], "window must be > 0, got 0"),
+    ],
+)
+def test_options_of_commission_are_checked(
+    more: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["commission", "a.csv", "-o", "m.toml", *more]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_choices_of_a_command_are_kept_and_come_before_those_of_a_profile(tmp_path: Path) -> None:
+    kept = tmp_path / "p.toml"
+    said = options.Measurement(column=["current=2:mA"], sampling_rate=5e3, voltage=12.0, save_profile=kept)
+    said.keep()
+    assert load_profile(kept) == Profile(("current=2:mA",), 5e3, 12.0)
+    again = options.Measurement(profile=kept, voltage=24.0, shunt_ohm=0.1, sensor_lag=1e-3, start=3)
+    assert again.options["voltage_v"] == 24.0
+    assert again.options["circuit"] == Circuit(0.1, 1e-3)
+    assert again.options["start"] == 3
+    assert [one.quantity for one in again.options["columns"]] == ["current", "time"]
+    windows = replace(again, start=None, sensor_lag=0.0)
+    assert set(windows.for_windows()) == {"voltage_v", "columns", "circuit"}
+    with pytest.raises(InputError, match="--start belongs to starts"):
+        again.for_windows()
+    assert options.positive("x", 1e-300) == 1e-300
+    assert options.positive("x", None) is None
