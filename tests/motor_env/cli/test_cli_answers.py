@@ -183,7 +183,8 @@ def test_export_c_hands_on_what_was_asked_for(
     assert (exported["voltage_v"], exported["scheduled"], exported["steps"]) == (9.0, True, None)
     assert (exported["false_alarms_per_year"], exported["stuck_after"]) == (2.5, 7)
     assert main([*command, "--shift", "3", "--current-count", "0.01"]) == 0
-    assert exported["rule"] == CusumBank((3.0,), ())
+    shifted: Any = CusumBank((3.0,), ())
+    assert exported["rule"] == shifted
     assert exported["steps"] == ("limits", 0.01, None, None)
 
 

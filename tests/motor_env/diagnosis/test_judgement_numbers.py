@@ -228,7 +228,7 @@ def test_probabilities_by_integration(off: tuple[float, ...], told: tuple[str, .
     covariance, at = 4.0 * spread(4), np.array(off)
     given = replace(difference(at, covariance), degrees_of_freedom=9.7)
     healthy = stats.multivariate_t(np.zeros(4), covariance, df=9)
-    weights = {"healthy": 0.8 * healthy.pdf(at)}
+    weights: dict[str, Any] = {"healthy": 0.8 * healthy.pdf(at)}
     for kind in told:
         g = visible_direction(FaultKind(kind), EXPONENTS)
 
@@ -304,7 +304,7 @@ def test_healthy_starts_teach_the_next_one() -> None:
     assert learned.duration_s == pytest.approx(0.2, abs=1e-3)
     assert learned.quiet_s == pytest.approx(0.03, abs=1e-3)
     assert (learned.ripple_hz, learned.ripple_log_sd, learned.temperature_k) == (None, None, 15.0)
-    left = np.var(given[0].residual_a[start.alignment.onset_index :])
+    left = float(np.var(given[0].residual_a[start.alignment.onset_index :]))
     np.testing.assert_allclose(error, given[0].log_covariance * min(given[0].noise_a ** 2 / left, 1.0))
     extended = [replace(fit, model=("coulomb",), fitted_extension={"coulomb": (size, 0.1)}) for fit, size in
                 zip(given, (2.0, 1.0, 3.0), strict=True)]  # fmt: skip
@@ -396,7 +396,7 @@ def border(kind: str, freedom: float) -> tuple[FloatArray, float]:
     covariance = covariance_at_one_temperature(fit, replace(reference, includes_fit_error=True))
     g = visible_direction(FaultKind(kind), EXPONENTS)
     sd = (g @ np.linalg.inv(covariance) @ g) ** -0.5
-    return stats.t.isf(RATE / 5.0, freedom) * sd * g, sd
+    return stats.t.isf(RATE / 5.0, freedom) * sd * g, float(sd)
 
 
 @pytest.mark.parametrize(

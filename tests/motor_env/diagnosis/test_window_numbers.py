@@ -80,11 +80,7 @@ def test_windows_are_cut_at_exact_samples() -> None:
     assert averaged(long, 0.6) is long  # 6,000 samples are kept as they are
     pairs = averaged(long, 0.61)
     assert len(pairs.time_s) == 12_000
-    assert (pairs.current_a[0], pairs.time_s[0], pairs.dt_s) == (
-        0.5,
-        pytest.approx(5e-5),
-        pytest.approx(2e-4),
-    )
+    assert (pairs.current_a[0], pairs.time_s[0], pairs.dt_s) == pytest.approx((0.5, 5e-5, 2e-4))
     assert averaged(long, 1.21).current_a[0] == 1.0
     assert rms_volts(recording(400, 3.0)) == pytest.approx(3.0)
     with pytest.raises(UnusableError, match="only where voltage, current and speed"):
@@ -227,7 +223,7 @@ def test_warmth_widens_what_is_healthy() -> None:
         found = windows._straightened(np.log1p(kelvin * WARMTH), tight, 1e3)
         slope = np.linalg.solve(tight, WARMTH)
         least = slope @ np.log1p(kelvin * WARMTH) / (slope @ WARMTH + 1e-6)
-        kept = min(least, 100.0) * WARMTH
+        kept = min(float(least), 100.0) * WARMTH
         np.testing.assert_allclose(found, np.log1p(kelvin * WARMTH) + kept - np.log1p(kept), rtol=1e-9)
 
 
@@ -311,7 +307,8 @@ def test_a_look_ends_with_its_recording(monkeypatch: pytest.MonkeyPatch) -> None
     found = looks().at_end(recording(300), [1, 2, 3])
     assert lengths == [[250, 125, 62]]
     assert found is not None
-    assert (found.verdict, found.begin_s) == ("bearing", pytest.approx(0.299 - 0.062))
+    assert found.verdict == "bearing"
+    assert found.begin_s == pytest.approx(0.299 - 0.062)
     assert looks().at_end(recording(300), [1, 2]) is None
     assert looks().at_end(recording(30), [1, 2, 3]) is None  # no record
     assert looks().at_end(recording(61), [3]) is None  # no part
@@ -383,11 +380,8 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     covariance = (scatter + 4.0 * prior) / 9.0 * 7.0 / 6.0
     np.testing.assert_allclose(found.values, np.exp(centre))
     np.testing.assert_allclose(found.log_covariance, covariance)
-    assert (found.windows, found.window_s, found.degrees_of_freedom, found.dt_s) == (
-        6,
-        0.5,
-        9.0,
-        pytest.approx(1e-3),
+    assert (found.windows, found.window_s, found.degrees_of_freedom, found.dt_s) == pytest.approx(
+        (6, 0.5, 9.0, 1e-3)
     )
     assert found.temperature_k == (0.0 if steady else 15.0)
     assert found.terms == (("R", "K") if steady else ("R", "K", "offset_speed"))

@@ -20,7 +20,7 @@ from motor_env.console import ExitStatus
 from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.running.windows import WindowVerdict
 from motor_env.errors import InputError
-from motor_env.live import command, sources, watch as watching
+from motor_env.live import command, watch as watching
 from motor_env.live.screen import showing
 from motor_env.live.sources import NEW_FILE, SILENCE, Notice, Piece, lines
 from motor_env.live.state import State
@@ -185,7 +185,9 @@ def test_looks_follow_a_healthy_window_and_reach_back_into_it(judge: Judge, look
     watch = Watch(REFERENCE, State(), false_alarms_per_year=1.0)
     events = list(watch.events([HEADER, *samples(202)]))
     assert [event.kind for event in events] == ["window", "window"]
-    assert looks.made == [(watch.rate, pytest.approx(np.log([1.01, 0.98, 1.02, 1.0])))]
+    ((rate, at),) = looks.made
+    assert rate == watch.rate
+    assert at == pytest.approx(np.log([1.01, 0.98, 1.02, 1.0]))
     # The second window begins at 101 ms: looks at 126, (151 has none due), 176 and 201, where the window ends instead.
     ends = [float(one.time_s[-1]) for one in looks.seen]
     assert ends == pytest.approx([0.126, 0.176])
@@ -214,7 +216,7 @@ def test_an_alarm_of_a_look_is_said_once_with_its_span(judge: Judge, looks: type
 def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
     moved = changes(1.0, 1.4, 1.8, 1.0, significant=True)
     without_k = (moved[0], replace(moved[1], significant=False), *moved[2:])
-    verdicts = [
+    verdicts: list[WindowVerdict | Exception] = [
         WindowVerdict(0.0, "bearing", changes(1.0, 1.0, 1.0, 1.34567)),
         WindowVerdict(0.0, "other", moved),
         WindowVerdict(0.0, "other", without_k),
@@ -322,7 +324,7 @@ def test_a_lesson_takes_as_many_windows_as_were_asked_for(monkeypatch: pytest.Mo
 
 def test_silence_is_said_after_five_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
-    monkeypatch.setattr(sources.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr("motor_env.live.sources.time.monotonic", lambda: now[0])
 
     def pieces() -> Any:
         for at, piece in (

@@ -106,7 +106,7 @@ def test_the_voltage_between_samples_by_hand() -> None:
     }
     for (hold, delay), expected in pairs.items():
         held = replace(record, hold=cast("Hold", hold))
-        np.testing.assert_allclose(held.between(delay), expected)
+        np.testing.assert_allclose(held.between(delay), np.array(expected))
 
 
 def test_parts_of_a_record_by_hand() -> None:
@@ -175,7 +175,7 @@ def test_records_hold_the_means_of_their_recordings() -> None:
     np.testing.assert_allclose(record.readings[:n, 0], 0.5 * (current[0:100:2] + current[1:100:2]))
     np.testing.assert_allclose(record.readings[n:, 1], np.arange(0.5, 100.0, 2.0))
     assert np.flatnonzero(record.begins).tolist() == [0, 50]
-    assert (record.averaged, record.dt_s) == (2, pytest.approx(2e-3))
+    assert (record.averaged, record.dt_s) == pytest.approx((2, 2e-3))
     assert block_means(np.arange(7.0), 3).tolist() == [1.0, 4.0]
     assert len(from_recordings([recorded(current[:40])]).voltage_v) == 40
     with pytest.raises(UnusableError, match="only 39 samples; at least 40 are needed"):
@@ -459,18 +459,22 @@ def walked(rho: float, n: int = 600) -> Line:
     return Line(drawn[:, :3] * [1.0, 3.0, 1.0], drawn[:, 3], ("R", "K", "noise_current"))
 
 
+def least_squares(line: Line) -> FloatArray:
+    return np.asarray(np.linalg.lstsq(line.design, line.target, rcond=None)[0], dtype=np.float64)
+
+
 def test_errors_of_white_residuals_are_those_of_least_squares() -> None:
     line = walked(0.0)
-    theta = np.linalg.lstsq(line.design, line.target, rcond=None)[0]
+    theta = least_squares(line)
     found = information_covariance(cast("Any", line), theta)
     left = line.residuals(theta)
     expected = np.linalg.inv(line.design[:, :2].T @ line.design[:, :2]) * (left @ left) / 600
     np.testing.assert_allclose(found, expected, rtol=1e-9)
     assert motor_places(cast("Any", line)) == [0, 1]
     line.design *= [1e6, 1e-3, 1.0]
-    units = np.array([1e-6, 1e3])
+    units, scaled = np.array([1e-6, 1e3]), theta * np.array([1e-6, 1e3, 1.0])
     np.testing.assert_allclose(
-        information_covariance(cast("Any", line), theta / [1e6, 1e-3, 1.0]), expected * np.outer(units, units)
+        information_covariance(cast("Any", line), scaled), expected * np.outer(units, units)
     )
 
 
@@ -479,7 +483,7 @@ def test_errors_of_residuals_that_remember_are_those_of_newey_and_west(
     rho: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     line = walked(rho)
-    theta = np.linalg.lstsq(line.design, line.target, rcond=None)[0]
+    theta = least_squares(line)
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
     best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=0.0)
     found = uncertainty.covariance(cast("Any", best), {})
@@ -500,7 +504,7 @@ def test_errors_of_residuals_that_remember_are_those_of_newey_and_west(
 
 def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     line = walked(0.0)
-    theta = np.linalg.lstsq(line.design, line.target, rcond=None)[0]
+    theta = least_squares(line)
     tests = {"delay": ScoreTest(4.0, 0.5, 0.2, np.array([0.1, -0.3, 9.0]))}
     every = {"delay": SimpleNamespace(usual=0.6)}
     best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=10.0)
@@ -656,7 +660,8 @@ def intervals(found: Operation) -> None:
     moves = {"B": w, "coulomb": 1.0, "load_square": w * w}
     gradient = np.array([moves.get(term.name, 0.0) * term.unit for term in free])
     sd = math.sqrt(gradient @ spread @ gradient)
-    assert (drag.name, drag.value) == ("drag", pytest.approx(torque))
+    assert drag.name == "drag"
+    assert drag.value == pytest.approx(torque)
     expected = (max(torque - 1.959964 * sd, 0.0), torque + 1.959964 * sd)
     assert (drag.low, drag.high) == pytest.approx(expected, rel=1e-4)
     assert drag.log_sd == pytest.approx(sd / torque)
@@ -751,7 +756,7 @@ def test_only_what_a_motor_can_be_is_told(identified: Operation) -> None:
 
     for r2, is_refused in ((0.499, True), (0.501, False), (math.nan, True)):
         for name in ("r2_current", "r2_speed"):
-            poor = replace(identified, **{name: r2})
+            poor = replace(identified, **cast("Any", {name: r2}))
             if is_refused:
                 with pytest.raises(UnusableError, match="no motor model explains"):
                     _refuse_poor(poor)

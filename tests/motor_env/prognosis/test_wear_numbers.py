@@ -146,7 +146,7 @@ def test_the_life_of_a_known_drift_is_inverse_gaussian() -> None:
         np.testing.assert_allclose([life.low, life.median, life.high], expected, rtol=0.01)
         assert life.level == level
     assert one.remaining_life() == one.remaining_life(0.9)
-    assert (life.probability_reached, life.probability_ever) == (0.0, pytest.approx(1.0))
+    assert (life.probability_reached, life.probability_ever) == pytest.approx((0.0, 1.0))
     away = wear(drift=array(-0.01), diffusion=0.03).remaining_life()
     assert away.probability_ever == pytest.approx(math.exp(-2.0 * 0.01 * 0.5 / 0.03**2), rel=1e-6)
     assert (away.median, away.high) == (math.inf, math.inf)
@@ -235,7 +235,7 @@ def test_a_jump_is_a_step_of_six_robust_deviations(error: float) -> None:
     found = last_jump(above)
     assert found is not None
     _, place, height = largest_step(above)
-    assert found == (place, pytest.approx(height, rel=1e-9))
+    assert found == pytest.approx((place, height), rel=1e-9)
 
 
 def test_of_two_jumps_the_last_counts_and_few_estimates_have_none() -> None:
@@ -354,7 +354,7 @@ def test_a_trend_is_judged_from_five_estimates_on_relative_to_the_first() -> Non
     found = judge(series(values, 1e-4), (1.5,))
     assert found.reference == pytest.approx(2.02)
     (forecast,) = found.forecasts
-    assert (forecast.limit, forecast.factor) == (pytest.approx(3.03), 1.5)
+    assert (forecast.limit, forecast.factor) == pytest.approx((3.03, 1.5))
     assert forecast.wear.mean_drift == pytest.approx(0.02 / 2.02, rel=0.01)
     assert judge(series(values, 1e-4), (1.5,), reference_count=1).reference == 2.0
     assert judge(series(values, 1e-4), (1.5,), level=0.5).forecasts[0].life.level == 0.5
