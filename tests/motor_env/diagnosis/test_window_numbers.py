@@ -217,6 +217,11 @@ def test_warmth_widens_what_is_healthy() -> None:
     assert decided(ratios, covariance, 0.01, 1e3, 0.0)[0] != "healthy"
     assert decided(ratios, covariance, 0.01, 1e3, 15.0)[0] == "healthy"
     assert decided(ratios, covariance, 0.01, 1e3, 2.0)[0] != "healthy"
+    # What is taken for warmth is drawn towards none by the temperature that is believed beforehand.
+    pull = np.linalg.solve(spread(), WARMTH)
+    kelvin = float(pull @ ratios / (pull @ WARMTH + 5.0**-2))
+    found = windows._straightened(ratios, spread(), 5.0)
+    np.testing.assert_allclose(found, ratios + kelvin * WARMTH - np.log1p(kelvin * WARMTH), rtol=1e-9)
     # At most 100 K are taken for warmth when logarithms are straightened.
     tight = np.diag([1e-5, 1e-5, 1.0, 1e-5]) ** 2
     for kelvin in (99.0, 101.0, 130.0):
@@ -338,7 +343,10 @@ LOGS = np.random.default_rng(6).normal(0.0, 0.03, (6, 4))
 class Lesson:
     """Instead of fits: windows with these logarithms, errors and noises."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, load_sd: float = 0.2) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, *, load_sd: float = 0.2, scatter: float = 1.0
+    ) -> None:
+        self.logs = scatter * LOGS
         self.wanted: list[tuple[str, ...]] = []
         self.joint: list[int] = []
         self.error = np.diag([1e-4, 1e-4, 1e-4, load_sd**2])
@@ -363,7 +371,7 @@ class Lesson:
         values = self.values.copy()
         values[kernel.NOISE_I] = [1.0, 2.0, 3.0, 4.0, 5.0, 9.0][number % 6]
         error = self.error.copy() if len(self.wanted) <= 6 else np.diag([1e-4, 1e-4, 1e-4, 1e-4])
-        return WindowFit(LOGS[number % 6], error, values)
+        return WindowFit(self.logs[number % 6], error, values)
 
     def steps(self, parts: Sequence[Record], _: WindowReference, at: FloatArray) -> Iterator[Any]:
         n = len(parts)
@@ -420,6 +428,9 @@ def test_a_lesson_needs_four_windows_and_chooses_some_of_many(monkeypatch: pytes
     with pytest.raises(UnusableError, match=r"3 windows of 0\.5 s; at least 4 are needed"):
         learn_windows([recording(1999)], 0.5)
     assert learn_windows([recording(1000), recording(1000)], 0.5).windows == 4
+    first = learn_windows([recording(500), recording(1500, dt_s=1.004e-3)], 0.5)
+    assert (first.windows, first.dt_s) == pytest.approx((4, 1e-3))
+    lesson.joint.pop()
     learn_windows([recording(10_000)], 0.5)
     learn_windows([recording(10_500)], 0.5)
     learn_windows([recording(30_000)], 0.5)
@@ -439,8 +450,9 @@ def test_parts_are_looked_at_down_to_eight_samples_and_a_fifth_of_a_second(
         Lesson(monkeypatch)
         found = learn_windows([recording(round(4.2 * window_s / dt_s), dt_s=dt_s)], window_s)
         assert len(found.excess) == count, window_s
-    Lesson(monkeypatch)
-    assert len(learn_windows([recording(4 * 2000, dt_s=0.1)], 200.0).excess) == 6
+    Lesson(monkeypatch, scatter=0.01)
+    found = learn_windows([recording(4 * 2000, dt_s=0.1)], 200.0)
+    assert found.excess == (1.0,) * 6  # parts that scatter less than is believed are believed as they are
 
 
 CHANGES = tuple(Change(name, ratio, ratio - 0.1, ratio + 0.1, False) for name, ratio in

@@ -250,6 +250,60 @@ def test_a_start_is_aligned_to_the_sample(sign: float) -> None:
     assert (early.onset_index, early.n_quiet, early.offset_a) == (0, 0, 0.0)
 
 
+def still(*pieces: tuple[int, float]) -> Recording:
+    """Levels of so many samples, nearly without noise."""
+    current = np.concatenate([np.full(n, level) for n, level in pieces])
+    current = current + 1e-6 * np.random.default_rng(4).standard_normal(len(current))
+    return Recording(Path("x"), 1e-3 * np.arange(float(len(current))), current)
+
+
+@pytest.mark.parametrize(
+    ("before", "onset"),
+    [
+        (((5, 0.0795), (50, 0.0)), 2055),  # a bump below 0.08 of the peak is no start
+        (((5, 0.0805), (50, 0.0)), 2000),
+        (((2, 0.5), (50, 0.0)), 2052),  # nor is one of two samples
+        (((3, 0.5), (50, 0.0)), 2000),
+        (((7, 0.00505),), 2000),  # its foot reaches down to 0.005 of the peak
+        (((7, 0.00495),), 2007),
+    ],
+)
+def test_borders_of_an_onset(before: tuple[tuple[int, float], ...], onset: int) -> None:
+    assert align(still((2000, 0.0), *before, (40_000, 1.0))).onset_index == onset
+
+
+@pytest.mark.parametrize(("odd", "onset"), [(0.5995, 2000), (0.6005, 0)])
+def test_the_level_before_a_start_is_believed_where_it_is_quiet(odd: float, onset: int) -> None:
+    """It moves by less than a tenth of the whole; else the sensor's zero is believed."""
+    pieces = ((3, 0.5), (6, odd), (1991, 0.5), (40_000, 1.5))
+    assert align(still(*pieces)).onset_index == onset
+
+
+def test_a_rectifier_leaves_a_fifth_of_zeros_before_the_start() -> None:
+    for zeros, is_rectified in ((40, False), (41, True)):
+        given = noisy(offset=0.0)
+        given.current_a[:200] = np.where(
+            np.arange(200) % 200 < zeros, 0.0, np.maximum(given.current_a[:200], 1e-3)
+        )
+        given.current_a[200:] = np.abs(given.current_a[200:])
+        found = align(given)
+        assert found.onset_index == 200
+        assert found.rectified is is_rectified
+
+
+@pytest.mark.parametrize(
+    ("drop", "run", "is_clipped"), [(0.05, 9, True), (0.04, 9, False), (0.05, 5, True), (0.05, 4, False)]
+)
+def test_a_clipped_top_falls_by_more_than_four_and_a_half_steps(
+    drop: float, run: int, is_clipped: bool
+) -> None:
+    """Of 0.01; and five samples or more stand there."""
+    rise = np.concatenate([np.zeros(100), 0.7 + 0.01 * np.arange(30.0)])
+    current = np.concatenate([rise, np.full(run, 1.0), np.full(60, 1.0 - drop)])
+    found = align(Recording(Path("x"), 1e-3 * np.arange(float(len(current))), np.round(current, 2)))
+    assert (found.saturation is not None) is is_clipped
+
+
 def test_fifteen_samples_follow_a_start() -> None:
     for count, is_enough in ((15, True), (14, False)):
         short = noisy(n=200 + count)
@@ -391,6 +445,8 @@ def test_lines_of_the_spectrum_have_their_frequency_and_amplitude() -> None:
     slow = PeriodicLine(600.0, 0.5, 0.0).current_a(time_s)  # below a sixteenth of the sampling rate
     assert periodic_lines(slow + noise, time_s) == ()
     assert len(periodic_lines(PeriodicLine(640.0, 0.5, 0.0).current_a(time_s) + noise, time_s)) == 1
+    (fast,) = periodic_lines(PeriodicLine(4_995.0, 0.5, 0.2).current_a(time_s) + noise, time_s)
+    assert fast.frequency_hz == pytest.approx(4_995.0, abs=1.0)  # no alias beyond half of the sampling rate
     assert line_share(ripple[:63], time_s[:63]) == 0.0
     assert line_share(ripple[:64], time_s[:64]) > 0.5
 
@@ -455,6 +511,14 @@ def test_borders_of_a_motor_at_work() -> None:
         work_seen(replace(driven(start), voltage_v=None, duty=np.tile([0.5, -0.5], 5000)))
         == "the voltage reverses"
     )
+
+
+def test_the_largest_voltage_leaves_one_sample_in_a_thousand_out() -> None:
+    """A tenth of it counts as off: behind spikes of 120 V a voltage of 12 V is none."""
+    for spikes, is_work in ((8, True), (15, False)):
+        volts = np.tile(np.repeat([12.0, -12.0], 500), 10)
+        volts[100 : 100 + spikes] = 120.0
+        assert (work_seen(driven(volts)) == "the voltage reverses") is is_work
 
 
 def test_a_motor_that_still_turns_when_it_is_switched_on_is_at_work() -> None:
