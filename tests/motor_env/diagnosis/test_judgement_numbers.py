@@ -55,6 +55,7 @@ from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.periodic_lines import PeriodicLine
 from motor_env.recordings.recording import Recording, read_recording
+from motor_env.recordings.start import Circuit
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 SHEET = load_motor(EXAMPLES / "motor.toml")
@@ -472,6 +473,49 @@ def test_another_temperature_is_told_from_eight_kelvin_on() -> None:
         assert found.verdict is Verdict.HEALTHY
         said = " ".join(found.reasons[1:])
         assert (word in said) if word else said == ""
+
+
+def test_another_temperature_is_told_beyond_two_of_its_deviations() -> None:
+    """Where it is known to 6 K only."""
+    _, fit, _ = fitted()
+    warmth, error = np.array([0.00393, 0.0, -0.002, -0.003]), white_error(fit)
+    low, high = 1e-3, 1.0
+    for _ in range(60):
+        middle = math.sqrt(low * high)
+        covariance = np.diag([middle, 1.0, middle, 1.0]) ** 2
+        pull = warmth @ np.linalg.inv(covariance + beyond(covariance, error)) @ warmth
+        low, high = (middle, high) if (pull + 15.0**-2) ** -0.5 < 6.0 else (low, middle)
+    for kelvin, is_told in ((11.9, False), (12.1, True)):
+        shrunk = pull / (pull + 15.0**-2)
+        found = moved(*(kelvin / shrunk * warmth), log_covariance=covariance, temperature_k=15.0)
+        assert ("12 K warmer" in " ".join(found.reasons)) is is_told
+
+
+def test_a_shunt_is_in_series_with_the_healthy_motor() -> None:
+    """The current that it would have drawn is that of a motor with so much more resistance."""
+    found, fit, reference = fitted()
+    behind = replace(fit, start=replace(fit.start, circuit=Circuit(shunt_ohm=0.5)))
+    logs = reference.log_values.copy()
+    logs[0] = math.log(math.exp(logs[0]) + 0.5)
+    larger = page.reference_current(replace(found, reference=replace(reference, log_values=logs)))
+    assert larger is not None
+    ours = page.reference_current(replace(found, identified=behind))
+    np.testing.assert_allclose(np.asarray(ours), larger, rtol=1e-9, atol=1e-12)
+
+
+def test_units_of_the_extensions() -> None:
+    _, fit, _ = fitted()
+    units = {
+        "supply_ramp": "s", "supply_curve": "of the rise (its middle)", "sensor_lag": "s", "speed_lag": "s",
+        "dead_zone": "A", "coulomb": "N m", "brush_drop": "V",
+    }  # fmt: skip
+    extended = replace(fit, fitted_extension=dict.fromkeys(units, (0.5, 0.1)))
+    told = report.extensions_json(extended)
+    assert {name: row["unit"] for name, row in told.items()} == units
+    assert told["coulomb"] == {"value": 0.5, "standard_error": 0.1, "unit": "N m"}
+    unknown = replace(extended, start=replace(fit.start, voltage_known=False))
+    per_volt = units | {"coulomb": "N m/V", "brush_drop": "of the supply"}
+    assert {name: row["unit"] for name, row in report.extensions_json(unknown).items()} == per_volt
 
 
 def test_a_fit_that_explains_too_little_is_unusable() -> None:
