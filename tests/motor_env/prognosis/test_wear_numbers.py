@@ -159,21 +159,24 @@ def test_the_life_of_a_known_drift_is_inverse_gaussian() -> None:
 
 def test_an_uncertain_level_is_integrated_by_seven_points() -> None:
     nodes, weights = np.polynomial.hermite_e.hermegauss(7)
-    sd, correlation, drift_sd = 0.2, -0.4, 0.02
+    sd, correlation, drift_sd = 0.2, -0.8, 0.06
     covariance = np.array([[sd**2, correlation * sd * drift_sd], [correlation * sd * drift_sd, drift_sd**2]])
     one = wear(level=array(1.4), drift=array(0.05), covariance=covariance[None])
     reached = weights[1.4 + sd * nodes >= 1.5].sum() / weights.sum()
     assert one.remaining_life().probability_reached == pytest.approx(reached)
-    # By simulation: level and drift are drawn together, then the first passage of a known drift.
-    rng = np.random.default_rng(3)
-    levels, drifts = rng.multivariate_normal([1.4, 0.05], covariance, 200_000).T
-    life, distance = 4.0, 1.5 - levels
-    with np.errstate(over="ignore", invalid="ignore"):
-        root = 0.1 * math.sqrt(life)
-        passed = norm.cdf((drifts * life - distance) / root)
-        passed += np.exp(2.0 * drifts * distance / 0.01) * norm.cdf((-drifts * life - distance) / root)
-    passed = np.where(distance <= 0.0, 1.0, passed)
-    assert float(one.cdf(life)) == pytest.approx(passed.mean(), abs=0.01)
+    # At each point the drift is still uncertain; the first passage of each drift is known.
+    life, grid = 4.0, np.linspace(-8.0, 8.0, 4001)
+    share, root = np.exp(-0.5 * grid**2) / np.exp(-0.5 * grid**2).sum(), 0.1 * math.sqrt(life)
+    expected = 0.0
+    for node, weight in zip(nodes, weights / weights.sum(), strict=True):
+        distance = 1.5 - (1.4 + sd * node)
+        drifts = 0.05 + correlation * drift_sd * node + math.sqrt(1.0 - correlation**2) * drift_sd * grid
+        passed = np.ones(len(grid))
+        if distance > 0.0:
+            passed = norm.cdf((drifts * life - distance) / root)
+            passed += np.exp(2.0 * drifts * distance / 0.01) * norm.cdf((-drifts * life - distance) / root)
+        expected += weight * float(share @ passed)
+    assert float(one.cdf(life)) == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_axis_of_lives_spans_seven_decades_about_the_reach_over_the_pace() -> None:
