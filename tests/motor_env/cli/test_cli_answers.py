@@ -21,6 +21,7 @@ from motor_env.embedded.monitor import CusumBank
 from motor_env.errors import InputError
 from motor_env.identification import coastdown
 from motor_env.identification.coastdown import CoastDown
+from motor_env.live import command
 from motor_env.motor.data_sheet import load_motor
 from motor_env.operation import logs
 from motor_env.prognosis import files as trends, page
@@ -248,3 +249,41 @@ def test_choices_of_a_command_are_kept_and_come_before_those_of_a_profile(tmp_pa
         again.for_windows()
     assert options.positive("x", 1e-300) == 1e-300
     assert options.positive("x", None) is None
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the command hands to `command.run`."""
+    found: dict[str, Any] = {}
+
+    def run(*places: Any, **options: Any) -> int:
+        found.update(options, places=places)
+        return 3
+
+    monkeypatch.setattr(command, "run", run)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("options", "window_s", "learn_s"),
+    [
+        (["--learn", "10min"], 30.0, 600.0),
+        (["--learn", "1h", "--window", "20s"], 20.0, 3600.0),
+        (["--learn", "90", "--window", "1500ms"], 1.5, 90.0),
+    ],
+)
+def test_durations_of_the_command(
+    asked: dict[str, Any], options: list[str], window_s: float, learn_s: float
+) -> None:
+    assert main(["watch", "m.toml", "log.csv", *options, "--steady", "--false-alarms-per-year", "7"]) == 3
+    lesson = asked["lesson"]
+    assert (lesson.window_s, lesson.learn_s, lesson.steady) == (window_s, learn_s, True)
+    assert asked["places"] == (Path("m.toml"), "log.csv")
+    assert asked["false_alarms_per_year"] == 7.0
+    assert main(["watch", "m.toml"]) == 3
+    assert (asked["lesson"], asked["false_alarms_per_year"], asked["baud"]) == (None, 1.0, 1_000_000)
+
+
+def test_a_time_that_is_none_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["watch", "m.toml", "--learn", "soon"]) == 2
+    assert "must be a time such as 20s or 10min, got 'soon'" in capsys.readouterr().err

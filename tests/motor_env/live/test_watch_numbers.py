@@ -344,44 +344,6 @@ def test_silence_is_said_after_five_seconds(monkeypatch: pytest.MonkeyPatch) -> 
     assert SILENCE.text == "no line for 5 s: is the cable in?"
 
 
-@pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """What the command hands to `command.run`."""
-    found: dict[str, Any] = {}
-
-    def run(*places: Any, **options: Any) -> int:
-        found.update(options, places=places)
-        return 3
-
-    monkeypatch.setattr(command, "run", run)
-    return found
-
-
-@pytest.mark.parametrize(
-    ("options", "window_s", "learn_s"),
-    [
-        (["--learn", "10min"], 30.0, 600.0),
-        (["--learn", "1h", "--window", "20s"], 20.0, 3600.0),
-        (["--learn", "90", "--window", "1500ms"], 1.5, 90.0),
-    ],
-)
-def test_durations_of_the_command(
-    asked: dict[str, Any], options: list[str], window_s: float, learn_s: float
-) -> None:
-    assert main(["watch", "m.toml", "log.csv", *options, "--steady", "--false-alarms-per-year", "7"]) == 3
-    lesson = asked["lesson"]
-    assert (lesson.window_s, lesson.learn_s, lesson.steady) == (window_s, learn_s, True)
-    assert asked["places"] == (Path("m.toml"), "log.csv")
-    assert asked["false_alarms_per_year"] == 7.0
-    assert main(["watch", "m.toml"]) == 3
-    assert (asked["lesson"], asked["false_alarms_per_year"], asked["baud"]) == (None, 1.0, 1_000_000)
-
-
-def test_a_time_that_is_none_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["watch", "m.toml", "--learn", "soon"]) == 2
-    assert "must be a time such as 20s or 10min, got 'soon'" in capsys.readouterr().err
-
-
 def test_the_command_reads_keeps_and_ends_with_its_status(
     judge: Judge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
