@@ -61,7 +61,7 @@ def test_a_serial_port_and_its_cable() -> None:
     told = next(heard)
     assert isinstance(told, Notice)
     assert told.kind == "unplugged"
-    with pytest.raises(InputError, match="serial port /dev/none"):
+    with pytest.raises(InputError, match="serial port /dev/none: no such file or directory"):
         opened("serial:/dev/none")
 
 
