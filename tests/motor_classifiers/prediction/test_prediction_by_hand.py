@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from sklearn.base import BaseEstimator
 
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork, SeverityEstimate
 from motor_classifiers.prediction import alignment, opinions as opinions_module
 from motor_classifiers.prediction.alignment import aligned_case
 from motor_classifiers.prediction.opinions import (
@@ -187,8 +188,8 @@ def test_at_equal_rates_the_residual_is_put_on_the_fitted_start(
     recipe = replace(RECIPE, timing=timing)
     assert (timing.n_samples, timing.n_quiet) == (length + quiet, quiet)
     started(20, best=0)
-    monkeypatch.setattr(alignment, "_check_comparable", lambda *_: None)
     if not fits:
+        monkeypatch.setattr(alignment, "_check_comparable", lambda *_: None)
         with pytest.raises(
             UnusableError, match=f"wants {timing.quiet_s:g} s before the start and {timing.duration_s:g} s"
         ):
@@ -205,7 +206,7 @@ class Told(BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
     """Gives the probabilities that stand in its cases."""
 
     classes_ = np.array(sorted(RECIPE.class_names))
-    n_features_in_ = 5
+    n_features_in_ = 100
 
     def predict_proba(self, X: Any) -> FloatArray:
         values: FloatArray = np.asarray(X, dtype=np.float64).reshape(len(X), 5)
@@ -287,6 +288,40 @@ def test_a_conformal_model_names_its_candidates() -> None:
     assert [one.candidates for one in opinions(model, RECIPE, GIVEN)] == [
         tuple(name for name, share in zip(Told.classes_, row, strict=True) if share >= 0.25) for row in GIVEN
     ]
+
+
+class Network(PosteriorNetwork):
+    """Made probabilities, and severities that tell their kind."""
+
+    def __init__(self) -> None:
+        super().__init__(RECIPE, noise_range=(0.25, 4.0))
+        self.classes_, self.n_features_in_ = Told.classes_, 100
+        self.severity_: Any = object()
+
+    def predict_proba(self, X: Any) -> FloatArray:
+        return Told().predict_proba(X)
+
+    def predict_severity(self, X: Any, kind: str | None = None, coverage: float = 0.9) -> SeverityEstimate:
+        at = np.arange(len(X)) / 16.0 + {"bearing": 1.0, "winding_contact": 2.0}[str(kind)]
+        return SeverityEstimate(np.full(len(X), kind), at, at - 0.5, at + 0.25)
+
+
+def test_a_network_tells_the_severity_of_the_most_probable_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    got = opinions(Network(), RECIPE, GIVEN)
+    assert [one.severity for one in got] == [1.0, 0.0, 2.125, 1.1875]
+    assert [one.severity_interval for one in got] == [(0.5, 1.25), None, (1.625, 2.375), (0.6875, 1.4375)]
+    asked: list[Any] = []
+
+    def refuse(given: Recording, recipe: Recipe, noise_range: Any) -> FloatArray:
+        asked.append(noise_range)
+        raise UnusableError("too short")
+
+    monkeypatch.setattr(opinions_module, "aligned_case", refuse)
+    for model in (Network(), Told()):
+        assert predict_recording(model, RECIPE, recording(10_000.0, 20)) == Opinion(
+            UNDECIDED, reason="too short"
+        )
+    assert asked == [(0.25, 4.0), None]
 
 
 def test_a_model_with_references_cannot_judge_a_recording_alone() -> None:
