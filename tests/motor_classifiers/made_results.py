@@ -1,5 +1,7 @@
 """A benchmark's results from made answers, for the tests of scores, tables and pages: nothing is trained."""
 
+from typing import Any
+
 import numpy as np
 
 from motor_classifiers.scoring.benchmark import CellResult, run_plan
@@ -32,10 +34,10 @@ def decisions(wrong: slice) -> IntArray:
 
 def made_results(limit: Answer, **methods: Answer) -> tuple[Plan, CellResult]:
     """Results of the one setting, as if a run had had these answers; `residual_qda` is residual-qda."""
-    by_name = {name.replace("_", "-"): one for name, one in methods.items()}
+    by_name: dict[str, Any] = {name.replace("_", "-"): one for name, one in methods.items()}
     plan, store = Plan((CELL,), tuple(by_name)), AnswerStore()
     for unit in units(plan):
         left_out = {"counts": {}, **{name: {"reason": "made"} for name in SECTIONS}}
-        store.put(unit, {LIMIT: limit, TRUST: left_out, **by_name}[unit.name])
+        store.put(unit, (by_name | {LIMIT: limit, TRUST: left_out})[unit.name])
     (result,) = run_plan(plan, store)
     return plan, result

@@ -153,7 +153,7 @@ def test_many_cases_are_drawn_in_parts_without_a_seam(monkeypatch: pytest.Monkey
 
 
 def entry(**changes: Any) -> Entry:
-    plain = {
+    plain: dict[str, Any] = {
         "path": "data/train-000000.parquet",
         "split": "train",
         "rows": 3,

@@ -6,6 +6,7 @@ import json
 import zlib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,8 @@ def test_probabilities_at_their_bounds() -> None:
         else:
             with pytest.raises(InputError, match="case 1: its probabilities must sum to 1"):
                 bench.check(answers)
+    with pytest.raises(InputError, match=r"case 0: healthy must be a probability from 0 to 1, got 1\.0005"):
+        bench.check(np.array([[1.0005, 0.0, 0.0, 0.0, 0.0]]))
     with pytest.raises(InputError, match=r"case 0: bearing_10 must be a probability from 0 to 1, got 1\.5"):
         bench.check(np.array([[-0.5, 1.5, 0.0, 0.0, 0.0]])[:, [1, 1, 2, 3, 4]] * [0, 1, 1, 1, 1])
 
@@ -98,7 +101,7 @@ def test_the_frozen_digests_are_the_shipped_ones() -> None:
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    few = {name: replace(task, n_train=60, n_test=40) for name, task in TASKS.items()}
+    few = {name: replace(task, n_train=60, n_test=120) for name, task in TASKS.items()}
     monkeypatch.setattr(tasks, "TASKS", few)
     monkeypatch.setattr("motor_classifiers.contest.leaderboard.TASKS", few)
 
@@ -109,21 +112,21 @@ def test_a_score_is_the_mean_cost_with_its_paired_interval(tmp_path: Path) -> No
     cases = task.test()
     best = task.limit(cases.X)
     assert best is not None
-    answers = np.eye(5)[np.where(np.arange(40) < 10, (cases.truth + 1) % 5, cases.truth)]
+    answers = np.eye(5)[np.where(np.arange(120) < 30, (cases.truth + 1) % 5, cases.truth)]
     write_submission(tmp_path, task, answers, {"method": "m" * 200, "authors": "a"})
     scored = score_submission(tmp_path)
     assert scored["value"] == pytest.approx(25.0)
-    weights = resampling_weights(40, 0, groups=cases.motor)
-    figures = 100.0 * weights[:, :10].sum(axis=1) / 40
+    weights = resampling_weights(120, 0, groups=cases.motor)
+    figures = 100.0 * weights[:, :30].sum(axis=1) / 120
     assert (scored["low"], scored["high"]) == pytest.approx(tuple(np.quantile(figures[1:], [0.025, 0.975])))
     right = best.argmax(axis=1) == cases.truth
     assert scored["limit"] == pytest.approx(100.0 * (1.0 - right.mean()))
-    gain = (np.arange(40) < 10).astype(float) - ~right
-    differences = 100.0 * weights @ gain / 40
+    gain = (np.arange(120) < 30).astype(float) - ~right
+    differences = 100.0 * weights @ gain / 120
     assert scored["above_limit"] == pytest.approx(differences[0])
     ends = np.quantile(differences[1:], [0.025, 0.975])
     assert (scored["above_limit_low"], scored["above_limit_high"]) == pytest.approx(tuple(ends))
-    assert unpacked_costs(scored).tolist() == (np.arange(40) < 10).astype(float).tolist()
+    assert unpacked_costs(scored).tolist() == (np.arange(120) < 30).astype(float).tolist()
     with pytest.raises(InputError, match="method of the card must be one line of at most 200 characters"):
         write_submission(tmp_path, task, answers, {"method": "m" * 201, "authors": "a"})
 
@@ -131,7 +134,7 @@ def test_a_score_is_the_mean_cost_with_its_paired_interval(tmp_path: Path) -> No
 @pytest.mark.usefixtures("small")
 def test_a_table_may_be_as_large_as_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = load_task("bench")
-    write_submission(tmp_path, task, np.full((40, 5), 0.2), {"method": "m", "authors": "a"})
+    write_submission(tmp_path, task, np.full((120, 5), 0.2), {"method": "m", "authors": "a"})
     path = tmp_path / "answers.parquet"
     meta = pq.ParquetFile(path).metadata
     unpacked = sum(meta.row_group(n).total_byte_size for n in range(meta.num_row_groups))
@@ -149,12 +152,12 @@ def test_a_table_may_be_as_large_as_is_said(tmp_path: Path, monkeypatch: pytest.
 @pytest.mark.usefixtures("small")
 def test_rows_may_come_in_any_order(tmp_path: Path) -> None:
     task = load_task("severity")
-    answers = np.linspace(0.0, 0.3, 40)
+    answers = np.linspace(0.0, 0.3, 120)
     write_submission(tmp_path, task, answers, {"method": "m", "authors": "a"})
     before = score_submission(tmp_path)["value"]
     table = pq.read_table(tmp_path / "answers.parquet")
     pq.write_table(
-        table.take(pa.array(np.random.default_rng(0).permutation(40))), tmp_path / "answers.parquet"
+        table.take(pa.array(np.random.default_rng(0).permutation(120))), tmp_path / "answers.parquet"
     )
     assert score_submission(tmp_path)["value"] == before
 
@@ -189,16 +192,32 @@ def test_the_next_group_begins_with_the_first_that_is_told_apart() -> None:
     got = ranks(task, [shuffled[name] for name in "edcba"])
     assert [rank for rank, _ in got] == [1, 1, 3, 3, 5]
     weights = resampling_weights(400, 0)
-    value, low, high = paired(task, *(unpacked_costs(shuffled[name]) for name in "ba"), weights)
-    assert (value, low <= 0.0 < high) == (pytest.approx(1.0), True)
+    value, low, high = paired(task, unpacked_costs(shuffled["b"]), unpacked_costs(shuffled["a"]), weights)
+    assert value == pytest.approx(1.0)
+    assert low <= 0.0 < high
+
+
+def test_motors_with_several_starts_are_drawn_whole() -> None:
+    """Errors on 10 motors of 100 and on 18 others: four starts that always agree are worth one, and tell less apart."""
+    motor = np.repeat(np.arange(100), 4)
+    made = [kept("a", (motor < 10).astype(float)), kept("b", ((motor >= 10) & (motor < 28)).astype(float))]
+
+    def ranked(starts: int) -> list[int]:
+        task: Any = SimpleNamespace(
+            n_test=400, recipe=SimpleNamespace(starts_per_motor=starts), test=lambda: SimpleNamespace(motor=motor),
+            figures=TASKS["bench"].figures,
+        )  # fmt: skip
+        return [rank for rank, _ in ranks(task, made)]
+
+    assert (ranked(1), ranked(4), ranked(2)) == ([1, 2], [1, 1], [1, 1])
 
 
 @pytest.mark.usefixtures("small")
 def test_a_page_has_what_stands_above_the_limit(tmp_path: Path) -> None:
     above = {"limit": 4.5, "above_limit": 5.25, "above_limit_low": -0.004, "above_limit_high": 7.125}
-    costs = (np.arange(40) % 10 == 0).astype(float)
+    costs = (np.arange(120) % 10 == 0).astype(float)
     text = page({"bench": [kept("mine", costs, **above)]})
-    assert "40 cases, motor-bench 1.0. The best possible on the same cases: 4.50." in text
+    assert "120 cases, motor-bench 1.0. The best possible on the same cases: 4.50." in text
     assert "| rank | method | by | error rate, % | above the best possible | what it is |" in text
     assert "| 1 | mine | who | 10.00 (9.00 to 11.50) | 5.25 (0.00 to 7.12) | what |" in text
     plain = page({"bench": [kept("mine", costs)]})

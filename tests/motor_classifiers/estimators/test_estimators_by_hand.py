@@ -297,7 +297,7 @@ def test_the_last_batches_of_a_training_are_larger() -> None:
         begun.append((part, size))
         return iter([(part, n) for n in range(100)])
 
-    batches = list(growing(make, 8, 10))
+    batches: list[Any] = list(growing(make, 8, 10))
     assert begun == [(0, 8), (1, 32)]
     assert batches == [(0, n) for n in range(7)] + [(1, n) for n in range(3)]
     assert total_cases(8, 10) == 8 * 7 + 32 * 3
@@ -326,7 +326,7 @@ def test_the_rate_warms_up_and_falls_and_weights_are_averaged() -> None:
     for done, weight in enumerate(weights[2:], start=1):
         kept = min(0.999, done / (done + 20))
         average = kept * average + (1.0 - kept) * weight
-    assert float(made.network[0].weight.detach()[0, 0]) == pytest.approx(average, rel=1e-6)
+    assert float(next(made.network.parameters()).detach()[0, 0]) == pytest.approx(average, rel=1e-6)
 
 
 def test_a_perceptron_has_the_layers_that_it_is_asked_for() -> None:
@@ -347,6 +347,7 @@ def test_a_perceptron_has_the_layers_that_it_is_asked_for() -> None:
 def test_inputs_are_standardised_by_the_training_cases() -> None:
     X = np.random.default_rng(2).normal(size=(30, 8)) * np.arange(1.0, 9.0)
     model = PerceptronClassifier(n_components=3, epochs=1, random_state=0).fit(X, np.repeat([0, 1], 15))
+    assert model.projection_ is not None
     features = model.projection_.transform(X)
     np.testing.assert_allclose(model._inputs(features).mean(axis=0), 0.0, atol=1e-9)
     np.testing.assert_allclose(model._inputs(features).std(axis=0), 1.0)

@@ -3,7 +3,6 @@
 import hashlib
 import io
 import zipfile
-from collections.abc import Callable
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -57,28 +56,29 @@ def test_vectors_have_an_offset_for_each_pair_of_classes(n_classes: int, n_pairs
     _check_vectors(model)
     assert model._intercept_.shape == (n_pairs,)
 
-    def refused(change: Callable[[SVC], object]) -> None:
+    def refused(**changes: Any) -> None:
         other = deepcopy(model)
-        change(other)
+        for name, value in changes.items():
+            setattr(other, name, value)
         with pytest.raises(ValueError, match="do not fit each other"):
             _check_vectors(other)
 
     for count in (n_pairs - 1, n_pairs + 1):
-        refused(lambda one, count=count: setattr(one, "_intercept_", np.zeros(count)))
+        refused(_intercept_=np.zeros(count))
     scaled = deepcopy(model)
     scaled._probA = scaled._probB = np.zeros(n_pairs)
     _check_vectors(scaled)
-    refused(lambda one: setattr(one, "_probA", np.zeros(n_pairs)))
+    refused(_probA=np.zeros(n_pairs))
     for count in (n_pairs - 1, n_pairs + 1) if n_pairs > 1 else (2,):
-        refused(lambda one, count=count: vars(one).update(_probA=np.zeros(count), _probB=np.zeros(count)))
-    refused(lambda one: setattr(one, "_dual_coef_", one._dual_coef_[:, 1:]))
-    refused(lambda one: setattr(one, "_dual_coef_", np.vstack([one._dual_coef_, one._dual_coef_[:1]])))
-    refused(lambda one: setattr(one, "_n_support", one._n_support - np.eye(n_classes, dtype=np.int32)[0]))
-    refused(lambda one: setattr(one, "support_", one.support_[1:]))
-    refused(lambda one: setattr(one, "support_vectors_", one.support_vectors_[:, 1:]))
+        refused(_probA=np.zeros(count), _probB=np.zeros(count))
+    refused(_dual_coef_=model._dual_coef_[:, 1:])
+    refused(_dual_coef_=np.vstack([model._dual_coef_, model._dual_coef_[:1]]))
+    refused(_n_support=model._n_support - np.eye(n_classes, dtype=np.int32)[0])
+    refused(support_=model.support_[1:])
+    refused(support_vectors_=model.support_vectors_[:, 1:])
     shifted = np.zeros(n_classes, dtype=np.int32)
     shifted[:2] = len(model.support_) + 1, -1
-    refused(lambda one: setattr(one, "_n_support", shifted))
+    refused(_n_support=shifted)
 
 
 def test_children_lie_behind_their_parents_and_within_the_tree() -> None:

@@ -181,8 +181,13 @@ def test_at_equal_rates_the_residual_is_put_on_the_fitted_start(
     )  # fmt: skip
     asked: list[Any] = []
     prepared = SimpleNamespace()
-    monkeypatch.setattr(alignment, "prepare", lambda given, level: (asked.append(level), prepared)[1])
-    monkeypatch.setattr(alignment, "replace", lambda one, **changes: (asked.append(changes), one)[1])
+
+    def noted(given: Any, *level: float, **changes: Any) -> Any:
+        asked.extend([*level, *([changes] if changes else [])])
+        return prepared
+
+    monkeypatch.setattr(alignment, "prepare", noted)
+    monkeypatch.setattr(alignment, "replace", noted)
     monkeypatch.setattr(alignment, "identify", lambda _: fitted)
     timing = Timing(1_000.0, 1e-3 * length, 1e-3 * quiet + 1e-9 if quiet else 0.0)
     recipe = replace(RECIPE, timing=timing)

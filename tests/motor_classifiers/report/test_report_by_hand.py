@@ -292,7 +292,12 @@ def test_the_page_is_given_what_was_scored(
 
         monkeypatch.setattr(page, target, noted)
     words: dict[str, Any] = {}
-    monkeypatch.setattr(page, "render", lambda *_, **context: words.update(context) or "page")
+
+    def rendered(*_: Any, **context: Any) -> str:
+        words.update(context)
+        return "page"
+
+    monkeypatch.setattr(page, "render", rendered)
     plan, plain = made
     spread = plain.limit.answer._replace(severity=np.random.default_rng(0).uniform(0.0, 0.3, 60))
     peers = tuple(
@@ -308,7 +313,7 @@ def test_the_page_is_given_what_was_scored(
     assert (both[1][:2], both[2][1]) == ((words["severity_methods"][0], "s1"), "s4")
     assert both[2][0] in ("quant", "peer")
     assert page.render_report(plan, [alone, alone], "a machine") == "page"
-    assert words["sweep"] is not None
+    assert words["sweep"]["settings"][0][0] == CELL
     for calls in given.values():
         calls.clear()
     result = alone

@@ -309,7 +309,7 @@ def test_costs_are_those_of_the_process(monkeypatch: pytest.MonkeyPatch, tmp_pat
     """Peaks from /proc in units of 1,024 bytes, told in millions of bytes."""
     monkeypatch.setattr(progress, "_PROCESS", tmp_path)
     clock = iter([2.0, 5.5])
-    monkeypatch.setattr(progress.time, "process_time", lambda: next(clock))
+    monkeypatch.setattr("time.process_time", lambda: next(clock))
 
     def status(kilobytes: int) -> None:
         (tmp_path / "status").write_text(f"Name:\tx\nVmHWM:\t{kilobytes} kB\nVmRSS:\t1 kB\n")
@@ -320,7 +320,9 @@ def test_costs_are_those_of_the_process(monkeypatch: pytest.MonkeyPatch, tmp_pat
         status(4000)
         return "done"
 
-    assert with_cost(work) == ("done", Cost(3.5, pytest.approx(3.072)))
+    done, cost = with_cost(work)
+    assert (done, cost.seconds) == ("done", 3.5)
+    assert cost.memory_mb == pytest.approx(3.072)
     assert (tmp_path / "clear_refs").read_text() == "5"
     monkeypatch.setattr(progress, "_PROCESS", tmp_path / "none")
     clock = iter([2.0, 2.5])
@@ -355,7 +357,7 @@ def test_foreign_faults_are_found_above_the_threshold(monkeypatch: pytest.Monkey
         lambda recipe, fault, seed, cases: made(recipe, seed, cases).X + 15.0,
     )
     got = foreign_scores(
-        RECIPE, {"limit": lambda X: 0.5 + np.stack([X[:, 0, -1], -X[:, 0, -1]], axis=1) / 100.0},
+        RECIPE, {"limit": lambda X: 0.5 + np.stack([X[:, 0, -1], -X[:, 0, -1]], axis=1).astype(np.float64) / 100.0},
         UNKNOWN_FAULTS[:1], seed=1, first_case=0, n_threshold=50, n_known=20, n_foreign=10,
     )  # fmt: skip
     # Thresholds come from cases 20 .. 69: 99 % of them lie below 68.5; the judged ones are 0 .. 19.
@@ -407,7 +409,12 @@ def test_a_race_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
         SimpleNamespace(X=test, class_index=faulty.astype(int), case_id=np.arange(700, 710)), SimpleNamespace(X=quiet),
     ])  # fmt: skip
     asked: list[tuple[Any, ...]] = []
-    monkeypatch.setattr(verdict_times, "judged_starts", lambda *given: (asked.append(given), next(told))[1])
+
+    def starts(*given: Any) -> Any:
+        asked.append(given)
+        return next(told)
+
+    monkeypatch.setattr(verdict_times, "judged_starts", starts)
     tolerant = SimpleNamespace(from_recipe=lambda _: SimpleNamespace(white=lambda X: X))
     rule = SimpleNamespace(statistic=lambda white: white[:, 0])
     monkeypatch.setattr(verdict_times, "TolerantFilter", tolerant)
@@ -500,7 +507,8 @@ def test_peers_answers_are_scaled_to_the_starts_shown(tmp_path: Path) -> None:
         if peers is not None:
             got: Answer = peers.answers["quant"]
             assert got.probabilities[0].tolist() == [0.5, 0.25, 0.0, 0.0, 0.25]
-            assert (got.train, got.inference) == (Cost(7.0, 3.0), Cost(pytest.approx(0.015), 4.0))
+            assert (got.train, got.inference.memory_mb) == (Cost(7.0, 3.0), 4.0)
+            assert got.inference.seconds == pytest.approx(0.015)
             assert got.severity[0] == pytest.approx(0.25 * 0.1 + 0.25 * 0.25)
             assert peers.origin == "d, m, aeon a, c"
 
@@ -520,7 +528,7 @@ def test_lines_of_an_evaluation() -> None:
         )
         for end, value in (("", 0.5), ("_low", 0.25), ("_high", 0.75))
     }
-    told = {
+    told: dict[str, Any] = {
         **intervals, "winding": None, "bayes_is_estimate": False, "bayes_accuracy": 0.8125, "below_bayes": 0.0325,
         "below_bayes_low": -0.01, "below_bayes_high": 0.075, "only_method_right": 3, "only_bayes_right": 8,
         "p_above_bayes": 0.9673, "confusion": (10 * np.eye(5, dtype=int) + 1).tolist(),
