@@ -306,14 +306,15 @@ def test_the_page_is_given_what_was_scored(
     alone = plain._replace(limit=plain.limit._replace(answer=spread))
     result = alone._replace(methods=plain.methods + peers)
     assert page.render_report(plan, [result], "a machine") == "page"
-    assert words["sweep"] is None
+    assert not words["sweep"]
     assert (words["best_peer"].name, words["origins"]) == ("peer", ["elsewhere"])
     both = given["severity"][-1][2]
     assert len(both) == 3
     assert (both[1][:2], both[2][1]) == ((words["severity_methods"][0], "s1"), "s4")
     assert both[2][0] in ("quant", "peer")
     assert page.render_report(plan, [alone, alone], "a machine") == "page"
-    assert words["sweep"]["settings"][0][0] == CELL
+    sweep: Any = words["sweep"]
+    assert sweep["settings"][0][0] == CELL
     for calls in given.values():
         calls.clear()
     result = alone
