@@ -19,6 +19,7 @@ from motor_datasets import (
     generate_arrays,
     generate_dataset,
     layout,
+    load,
     parquet,
     split_of,
     stream,
@@ -214,6 +215,35 @@ def test_row_groups_are_of_the_stated_size(tmp_path: Path, monkeypatch: pytest.M
     groups = pq.ParquetFile(tmp_path / "parts.parquet").metadata
     assert [groups.row_group(n).num_rows for n in range(groups.num_row_groups)] == [10, 10, 10, 10]
     assert groups.row_group(0).column(groups.num_columns - 1).compression == "ZSTD"
+
+
+def test_a_file_unpacks_to_twice_its_cases_and_an_overhead(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    generate_dataset(SHORT, 60, 1, tmp_path / "set")
+    (one,) = (each for each in read_manifest(tmp_path / "set").files if each.split == "test")
+    metadata = pq.ParquetFile(tmp_path / "set" / one.path).metadata
+    unpacked = sum(metadata.row_group(n).total_byte_size for n in range(metadata.num_row_groups))
+    size = one.rows * bytes_of_case(SHORT)
+    assert unpacked < size + 2**20  # what is read of ours is far from the bound
+    for least, fits in ((unpacked - 2 * size, True), (unpacked - 2 * size - 1, False)):
+        monkeypatch.setattr(parquet, "_OVERHEAD", least)
+        if fits:
+            assert len(load(tmp_path / "set", "test")) == one.rows
+        else:
+            with pytest.raises(
+                InputError, match=f"unpacks to {unpacked:,} bytes, more than {one.rows} cases have"
+            ):
+                load(tmp_path / "set", "test")
+    monkeypatch.undo()
+    monkeypatch.setattr(parquet, "_ALWAYS_READ_BYTES", 0)
+    for times, fits in ((size / one.bytes, True), (0.999 * size / one.bytes, False)):
+        monkeypatch.setattr(parquet, "_MOST_TIMES", times)
+        if fits:
+            load(tmp_path / "set", "test")
+        else:
+            with pytest.raises(InputError, match="are no data set of ours"):
+                load(tmp_path / "set", "test")
 
 
 def test_the_disk_must_hold_three_tenths_of_the_samples(
