@@ -271,6 +271,9 @@ def test_more_noise_by_hand() -> None:
     along, outside = with_more_noise(torch.zeros(2, 3), torch.tensor([4.0, 4.0]), 6, factor, Stubborn())
     np.testing.assert_allclose(along, [[0.0] * 3, [np.sqrt(3.0)] * 3], rtol=1e-6)
     np.testing.assert_allclose(outside, [4.0, (2.0 + np.sqrt(3.0)) ** 2 + 3.0 * 5.0], rtol=1e-6)
+    for freedom in (1, 2):  # one value is left outside, or two
+        few = with_more_noise(torch.zeros(1, 3), torch.tensor([4.0]), freedom, factor[1:], Stubborn())[1]
+        np.testing.assert_allclose(few, (2.0 + np.sqrt(3.0)) ** 2 + 3.0 * (freedom - 1), rtol=1e-6)
 
 
 def test_fresh_batches_are_the_next_cases_with_noise_up_to_the_largest() -> None:
