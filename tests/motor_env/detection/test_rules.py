@@ -403,6 +403,9 @@ def test_bank_posterior_is_bayes_rule_over_all_onsets() -> None:
             weights[j, onset] = hazard / 2 * (1.0 - hazard) ** onset * likelihood
     total = sum(weights.values())
     expected = [sum(w for (model, _), w in weights.items() if model == j) / total for j in (-1, 0, 1)]
+    for wrong in (0.0, 1.0):
+        with pytest.raises(ValueError, match=f"hazard must lie between 0 and 1, got {wrong:g}"):
+            ModelBank(shifts).probabilities(values[:, None], wrong)
     found = ModelBank(shifts).probabilities(values[:, None], hazard)[-1]
     np.testing.assert_allclose(found, expected, rtol=1e-10)
 
