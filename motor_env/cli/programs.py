@@ -74,13 +74,14 @@ def examples(folder: Path = Path("examples")) -> int:
 
 
 def warm_up() -> int:
-    """Compile the environments for this machine, so that no program has to wait for it later.
+    """Compile what commands and environments use for this machine, so that nothing has to wait for it later.
 
     Example: motor-env warm-up
     """
-    from motor_env.envs.compiling import warm_up as compile_steps
+    from motor_env.apps import warming
 
-    print(f"the environments are compiled ({compile_steps():.1f} s)")
+    seconds = warming.warm_up(said=lambda part, took: print(f"{took:6.1f} s  {part}", flush=True))
+    print(f"{sum(seconds.values()):6.1f} s  all; nothing is compiled from now on")
     return 0
 
 

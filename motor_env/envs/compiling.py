@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import logging
-import time
 
-import gymnasium as gym
-import numpy as np
 from numba.core import event
 
 from motor_env.motor.compiled import njit
@@ -48,19 +45,3 @@ def announce() -> None:
 
 _NOTICE = _Notice()
 _registered: list[bool] = []
-
-
-def warm_up() -> float:
-    """Compile the steps of all environments in their default precision into numba's cache; how many seconds it took."""
-    start = time.perf_counter()
-    for name in (
-        "motor_env/Probe-v0",
-        "motor_env/ProbeContinuous-v0",
-        "motor_env/Drive-v0",
-    ):  # Monitor-v0 runs the code of Probe-v0
-        for env in (gym.make(name), gym.make_vec(name, num_envs=2)):
-            env.reset(seed=0)
-            space = env.action_space
-            env.step(np.zeros(space.shape or (), dtype=space.dtype))
-            env.close()
-    return time.perf_counter() - start
