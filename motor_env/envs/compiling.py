@@ -12,7 +12,7 @@ from motor_env.motor.compiled import njit
 # the step does without, and a function of it that makes arrays (with the counting) must not call one that returns some.
 compiled = njit(cache=True, error_model="numpy", _nrt=False)
 compiled_with_arrays = njit(cache=True, error_model="numpy", _nrt=True)
-inlined = njit(cache=True, forceinline=True, error_model="numpy", _nrt=False)
+inlined = njit(forceinline=True, error_model="numpy", _nrt=False)
 
 _LOG = logging.getLogger("motor_env")
 

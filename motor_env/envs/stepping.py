@@ -253,7 +253,7 @@ def lay_discrete(lanes: Lanes, actions: NDArray[np.int64], offsets_v: FloatArray
     return True
 
 
-@inlined
+@compiled
 def decode_continuous(action: FloatArray, reach_v: float) -> tuple[float, int]:
     """Offset of the voltage, and declaration, of an action (offset, then one entry a kind), clipped to -1 .. 1."""
     best, declared = DECLARE_ABOVE, 0

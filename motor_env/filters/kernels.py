@@ -53,6 +53,28 @@ def covariance_step(
     return k00, k01, k10, k11, s00, s01, s11, u00, u01, u11
 
 
+# Entry by entry: numba takes seconds to compile an array that is set as a whole.
+@njit(forceinline=True)
+def _leave_out(
+    missing: NDArray[np.bool_], lost: int, c: FloatArray, r: FloatArray, cc: FloatArray, rr: FloatArray
+) -> None:
+    """Write C and R of a sample: a missing channel has a zero row, and no noise in common with the other."""
+    for m in range(2):
+        is_lost = m < len(missing) and missing[m]
+        for j in range(2):
+            cc[m, j] = 0.0 if is_lost else c[m, j]
+            rr[m, j] = 0.0 if lost > 0 and m != j else r[m, j]
+
+
+@njit(forceinline=True)
+def _repeat(values: FloatArray, begin: int) -> None:
+    """Hold the last entry before `begin` to the end."""
+    for k in range(begin, values.shape[0]):
+        for i in range(values.shape[1]):
+            for j in range(values.shape[2]):
+                values[k, i, j] = values[begin - 1, i, j]
+
+
 @njit(cache=True)
 def fill_schedules(
     a: FloatArray,
@@ -81,11 +103,8 @@ def fill_schedules(
             for m in range(missing.shape[2]):
                 lost += (m + 1) * missing[n, k, m]
             if lost != known:
-                cc[:], rr[:], known = c, r, lost
-                for m in range(missing.shape[2]):
-                    if missing[n, k, m]:
-                        cc[m] = 0.0
-                        rr[0, 1] = rr[1, 0] = 0.0
+                known = lost
+                _leave_out(missing[n, k], lost, c, r, cc, rr)
             k00, k01, k10, k11, s00, s01, s11, u00, u01, u11 = covariance_step(t, q, cc, rr, p00, p01, p11)
             g, s, u = gain[n, k], innovation_covariance[n, k], covariance[n, k]
             g[0, 0], g[1, 0], s[0, 0] = k00, k10, s00
@@ -101,11 +120,10 @@ def fill_schedules(
             )
             p00, p01, p11 = u00, u01, u11
             if still:
-                gain[n, k + 1 :] = g
-                innovation_covariance[n, k + 1 :] = s
-                covariance[n, k + 1 :] = u
                 held_from = k + 1
                 break
+        for values in (gain[n], innovation_covariance[n], covariance[n]):
+            _repeat(values, held_from)
     return int(held_from)
 
 

@@ -34,9 +34,7 @@ _COLDEST_K, _GRID_K, _GRID = -20.0, 10.0, 22
 _WILD = 6.0
 _SATURATED = 5.0  # knees: beyond them brush drop and dry friction hardly change
 _SLOW = 0.02  # of the largest speed: where dry friction is larger
-_inlined = njit(
-    cache=True, error_model="numpy", forceinline=True
-)  # a call with arrays costs as much as a step
+_inlined = njit(error_model="numpy", forceinline=True)  # a call with arrays costs as much as a step
 
 
 @_inlined
