@@ -100,6 +100,9 @@ def printable(text: str) -> str:
 @contextmanager
 def working(words: str) -> Iterator[Callable[[object], None]]:
     """A line on the terminal that says what is worked on; yields the function that changes it."""
+    if sys.stderr is None or not sys.stderr.isatty():
+        yield lambda now: None
+        return
     from rich.console import Console
     from rich.text import Text
 

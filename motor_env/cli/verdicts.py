@@ -47,11 +47,12 @@ def diagnose(
     """
     from motor_env.diagnosis import report
     from motor_env.diagnosis.files import diagnose_files
-    from motor_env.diagnosis.running import logs
     from motor_env.motor.data_sheet import load_motor
 
     known = None if motor is None else load_motor(motor)
     if known is not None and known.operation is not None:
+        from motor_env.diagnosis.running import logs
+
         options = measurement.for_windows(temperature_c=temperature_c, healthy=healthy)
         records = logs.diagnose_running(files, known, false_alarm_rate, out, **options)
         show(json_, lambda: [r.as_json() for r in records], lambda: "\n".join(r.as_text() for r in records))

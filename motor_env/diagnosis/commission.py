@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import unusable_reason
@@ -255,7 +255,7 @@ def commissioned_text(result: Commissioned, rate: float) -> str:
     if reference is None:
         return ""
     freedom = reference.degrees_of_freedom
-    half = float(stats.t.isf(rate / 2.0, freedom)) * np.sqrt(np.diag(reference.log_covariance))
+    half = -float(stdtrit(freedom, rate / 2.0)) * np.sqrt(np.diag(reference.log_covariance))
     explained = [fit.r2_current for fit in result.fits]
     smallest = ", ".join(f"{kind} {severity:.1%}" for kind, severity in result.smallest.items())
     interval = f"({1.0 - rate:.0%}, Student t, {freedom:.0f} degrees)"

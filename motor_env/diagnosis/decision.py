@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtr, stdtrit
 
 from motor_env.diagnosis.explanations import (
     Change,
@@ -192,7 +192,7 @@ def _with_fault(
     load: str | None,
 ) -> Diagnosis:
     """The diagnosis of a known fault; the interval of its severity is that of Student's t."""
-    verdict, half = Verdict(fault.kind.verdict), float(stats.t.isf(0.025, freedom)) * fault.step_sd
+    verdict, half = Verdict(fault.kind.verdict), -float(stdtrit(freedom, 0.025)) * fault.step_sd
     own = unit_of(fault.kind, None if healthy.reference is None else healthy.reference.own_friction)
     return replace(
         healthy,
@@ -226,7 +226,7 @@ def _with_noise(healthy: Diagnosis, fit: Identified, reference: Reference, limit
         return healthy
     ratio = math.exp(z * reference.log_noise_sd)
     reason = f"the parameters are as expected, but the current's noise is {ratio:.2f} times the reference's"
-    confidence = float(stats.t.cdf(z, reference.degrees_of_freedom))
+    confidence = float(stdtr(reference.degrees_of_freedom, z))
     return replace(
         healthy, verdict=Verdict.NOISE, reasons=(reason,), severity=ratio**2 - 1.0, confidence=confidence
     )

@@ -8,11 +8,12 @@ quantiles are Student's and Fisher's.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy import optimize, special, stats
+from scipy import linalg, optimize, special
 
 from motor_env.diagnosis.healthy_motor import NORMAL_DOF
 from motor_env.motor import identifiable as quantities
@@ -28,6 +29,7 @@ _LARGEST_LOG = 30.0
 _IMITATED = [quantities.PARAMETERS.index(name) for name in "KJB"]
 _LEAST = 1e-3  # length of a direction; a fault that shows has about 1
 _DIRECTIONS = 4096
+_ROUNDING = 1e6 * float(np.finfo(np.float64).eps)  # of the largest: a smaller variance is none
 _NOISE_AND_OMNIBUS = 2  # tests beside those of the faults
 
 
@@ -117,7 +119,7 @@ def alarm_share(rate: float, exponents: FloatArray) -> float:
 
 def significance_limit(rate: float, exponents: FloatArray, degrees_of_freedom: float) -> float:
     """Standard deviations beyond which one of these tests alarms."""
-    return float(stats.t.isf(alarm_share(rate, exponents), degrees_of_freedom))
+    return -float(special.stdtrit(degrees_of_freedom, alarm_share(rate, exponents)))
 
 
 @lru_cache(maxsize=16)
@@ -144,7 +146,7 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
     def excess(log_share: float) -> float:
         share = math.exp(log_share)
         limit = -float(special.stdtrit(freedom, share)) / np.maximum(along, 1e-9)
-        least = np.minimum(limit, math.sqrt(n * float(stats.f.isf(share, n, freedom))))
+        least = np.minimum(limit, math.sqrt(n * float(special.fdtri(n, freedom, 1.0 - share))))
         return math.log(float(np.mean(special.fdtrc(n, freedom, least**2 / n))) / rate)
 
     return math.exp(
@@ -213,7 +215,7 @@ def compare(
         freedom: degrees of freedom of the covariance.
         limit: standard deviations beyond which a difference is significant; infinite where there is no alarm.
     """
-    half = float(stats.t.isf(0.025, freedom))
+    half = -float(special.stdtrit(freedom, 0.025))
     sigma = np.sqrt(np.diag(covariance))
     return tuple(
         Change(name, _factor(d), _factor(d - half * s), _factor(d + half * s), bool(abs(d) > limit * s))
@@ -221,24 +223,42 @@ def compare(
     )
 
 
+def _student(covariance: FloatArray, freedom: int) -> Callable[[FloatArray], FloatArray]:
+    """Log density of Student's t with a covariance, shape (n, n), at rows of n, on the axes that it has."""
+    n = len(covariance)
+    sizes, axes = linalg.eigh(covariance)
+    seen = sizes > _ROUNDING * np.max(np.abs(sizes))
+    whiten = axes[:, seen] / np.sqrt(sizes[seen])
+    constant = (
+        special.gammaln(0.5 * (freedom + n))
+        - special.gammaln(0.5 * freedom)
+        - 0.5 * n * math.log(freedom * math.pi)
+        - 0.5 * float(np.sum(np.log(sizes[seen])))
+    )
+
+    def log_density(points: FloatArray) -> FloatArray:
+        squared = np.square(points @ whiten).sum(axis=-1)
+        return np.asarray(constant - 0.5 * (freedom + n) * np.log(1.0 + squared / freedom))
+
+    return log_density
+
+
 def probabilities(difference: Difference, faults: list[Explanation]) -> dict[str, float]:
     """Posterior probabilities of `healthy`, of each fault by its kind, and of `other`."""
     log_ratios, covariance, n = difference.log_ratios, difference.covariance, len(difference.log_ratios)
     # Degrees of freedom are rounded down: towards wider tails.
     freedom = max(int(min(difference.degrees_of_freedom, NORMAL_DOF)), 1)
-    healthy = stats.multivariate_t(loc=np.zeros(n), shape=covariance, df=freedom)
-    logs: dict[str, float] = {"healthy": float(healthy.logpdf(log_ratios))}
+    healthy = _student(covariance, freedom)
+    logs: dict[str, float] = {"healthy": float(healthy(log_ratios))}
     for fault in faults:
         steps = max(fault.step, 0.0) + fault.step_sd * _STEP_NODES
         steps = steps[steps >= 0.0]
-        prior = stats.halfcauchy.logpdf(steps, scale=_SEVERITY_PRIOR)
-        along = healthy.logpdf(log_ratios - steps[:, None] * fault.direction)
+        prior = math.log(2.0 / (math.pi * _SEVERITY_PRIOR)) - np.log1p((steps / _SEVERITY_PRIOR) ** 2)
+        along = healthy(log_ratios - steps[:, None] * fault.direction)
         width = math.log(fault.step_sd * (_STEP_NODES[1] - _STEP_NODES[0]))
         logs[fault.kind] = width + float(np.logaddexp.reduce(along + prior))
-    anything = stats.multivariate_t(
-        loc=np.zeros(n), shape=covariance + _OTHER_PRIOR**2 * np.eye(n), df=freedom
-    )
-    logs["other"] = float(anything.logpdf(log_ratios))
+    anything = _student(covariance + _OTHER_PRIOR**2 * np.eye(n), freedom)
+    logs["other"] = float(anything(log_ratios))
     faulty = math.log((1.0 - _HEALTHY_PRIOR) / (len(logs) - 1))
     logs = {
         name: log + (math.log(_HEALTHY_PRIOR) if name == "healthy" else faulty) for name, log in logs.items()

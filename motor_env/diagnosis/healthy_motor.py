@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 from motor_env.identification.commutation import ripple_quantities
 from motor_env.identification.identify import Identified, identify
@@ -80,7 +80,7 @@ def warmer(covariance: FloatArray, warmth: FloatArray, rate: float, freedom: flo
         rate: of one test.
         freedom: degrees of freedom of the covariance.
     """
-    ratio = float(stats.norm.isf(rate) / stats.t.isf(rate, freedom))
+    ratio = float(ndtri(rate) / stdtrit(freedom, rate))
     return np.asarray(covariance + np.outer(ratio * warmth, ratio * warmth), dtype=np.float64)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from scipy import stats
+from scipy.special import stdtrit
 
 from motor_env.console import printable
 from motor_env.diagnosis.report import model_words
@@ -81,7 +81,7 @@ def plot_commissioned(
 
 def _spread(axes: Axes, fits: Sequence[Identified], reference: StartReference, rate: float) -> None:
     """A bar a quantity, the interval of the next healthy start, and a point a start."""
-    half = float(stats.t.isf(rate / 2.0, reference.degrees_of_freedom))
+    half = -float(stdtrit(reference.degrees_of_freedom, rate / 2.0))
     for row in range(len(reference.quantities)):
         width = half * math.sqrt(reference.log_covariance[row, row])
         low, high = 100.0 * math.expm1(-width), 100.0 * math.expm1(width)

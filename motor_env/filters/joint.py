@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from motor_env.filters.adaptive import adapted_noise
 from motor_env.filters.kalman import checked_series, measurement_update, score
@@ -195,4 +195,4 @@ def parameter_test_threshold(n_parameters: int, false_alarm_probability: float) 
 
     Exact for normal estimates whose prior is wide; watching it all along alarms more often.
     """
-    return float(chi2.isf(false_alarm_probability, n_parameters))
+    return float(chdtri(n_parameters, false_alarm_probability))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from motor_env.filters.batch import run_filter
 from motor_env.filters.consistency import Consistency, check_consistency
@@ -43,7 +43,7 @@ def matched_power(separation: float, false_alarm_probability: float) -> float:
 
     It holds where the noise is that of the belief, as `choose_process_noise` sees to.
     """
-    return float(norm.sf(norm.isf(false_alarm_probability) - separation))
+    return float(ndtr(separation + ndtri(false_alarm_probability)))
 
 
 @dataclass(frozen=True, slots=True)

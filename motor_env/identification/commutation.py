@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from motor_env.identification.identify import Identified
 from motor_env.recordings.periodic_lines import over_angle
@@ -63,6 +62,8 @@ def find_ripple(fit: Identified) -> CommutationRipple | None:
     seen = (frequency > _FEWEST_PERIODS / even[-1]) & (frequency < 0.45 / start.dt_s)
     if not seen.any():
         return None
+    from scipy.ndimage import median_filter  # it takes long to import, and few need it
+
     # The median of the power of noise is log 2 of its mean.
     background = median_filter(power, _BACKGROUND_BINS, mode="nearest") / math.log(2.0)
     strength = np.where(seen, power / np.maximum(background, 1e-300), 0.0)

@@ -8,7 +8,7 @@ never the textbook one from white noise.
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import fftconvolve
+from scipy import fft
 
 from motor_env.identification.residuals import Problem
 from motor_env.motor.parameters import FloatArray
@@ -45,7 +45,9 @@ def unknowns_covariance(
     for begin in range(0, n_measured, n):
         series = residuals[begin : begin + n] - residuals[begin : begin + n].mean()
         lags = max(n // 10, 2)
-        full = fftconvolve(series, series[::-1])[n - 1 : n - 1 + lags] / n
+        length = fft.next_fast_len(2 * n - 1, real=True)
+        spectrum = fft.rfft(series, length) * fft.rfft(series[::-1], length)
+        full = fft.irfft(spectrum, length)[n - 1 : n - 1 + lags] / n
         taper = full * (1.0 - np.arange(lags) / lags)
         part = jacobian[begin : begin + n]
         meat = meat + part.T @ _coloured(

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.signal import lfilter
 from scipy.special import ndtr
 
 from motor_env.motor.compiled import njit
@@ -101,6 +100,16 @@ def _run(
         else:
             current, speed = _step(a, b, current, speed, voltage[k], drop, coulomb, fan)
         out[k, 0], out[k, 1] = current, speed
+
+
+@njit(cache=True)
+def _lagged(entering: FloatArray, decay: float, shown: float) -> FloatArray:
+    """What a first-order lag shows of what enters it, beginning after `shown`."""
+    out = np.empty_like(entering)
+    for k in range(len(entering)):
+        shown = entering[k] + decay * shown
+        out[k] = shown
+    return out
 
 
 def mean_rise(extension: Extension, begin_s: FloatArray, end_s: FloatArray) -> FloatArray:
@@ -239,7 +248,7 @@ def _integrate(
         # A first-order lag, exact for a curve that is straight between the samples' means.
         decay, speed = math.exp(-model.dt_s / extension.speed_lag_s), out[:, 1]
         means = 0.5 * (speed[:-1] + speed[1:])
-        out[1:, 1] = lfilter([1.0 - decay], [1.0, -decay], means, zi=[decay * speed[0]])[0]
+        out[1:, 1] = _lagged((1.0 - decay) * means, decay, float(speed[0]))
     return out
 
 
@@ -278,5 +287,5 @@ def _sensed(
         step = np.array([before[0], before[1], states[begin, 0]])
         entering[begin] = step @ _lag_row(parameters, first, lag_s) + math.exp(-first.dt_s / lag_s) * steady
     shown = np.full(len(states), steady)
-    shown[begin:] = lfilter([1.0], [1.0, -decay], entering[begin:])
+    shown[begin:] = _lagged(entering[begin:], decay, 0.0)
     return shown

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
-
 
 def render(
     package: str,
@@ -23,6 +21,8 @@ def render(
         filters: functions that the template applies to its values.
         **values: what the template names.
     """
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
+
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader("motor_env.pages")]),
         autoescape=select_autoescape(["html.j2"]),

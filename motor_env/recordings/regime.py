@@ -110,8 +110,6 @@ def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
 
 def _explains_steps(voltage_v: FloatArray, current_a: FloatArray) -> bool:
     """Whether the current moves with the steps of a voltage of two levels; true for any other voltage."""
-    import pandas as pd
-
     low, high = np.quantile(voltage_v, (0.02, 0.98))
     off = np.minimum(np.abs(voltage_v - low), np.abs(voltage_v - high))
     is_noise = float(np.ptp(voltage_v)) < _NOISE_SPAN * difference_noise(voltage_v)
@@ -125,9 +123,15 @@ def _explains_steps(voltage_v: FloatArray, current_a: FloatArray) -> bool:
     following = [current_a[jumps + later] - current_a[jumps + later - 1] for later in (0, 1, 2)]
     rises = [*(each[:-1] for each in following), np.diff(current_a[jumps])]
     # Of two signs the ranks are a straight line: this is Spearman's correlation.
-    ranks = pd.DataFrame(np.transpose(rises)).rank().to_numpy()
-    known = max((abs(np.corrcoef(signs, each)[0, 1]) for each in ranks.T if np.ptp(each) > 0.0), default=0.0)
+    ranks = [_ranks(rise) for rise in rises]
+    known = max((abs(np.corrcoef(signs, each)[0, 1]) for each in ranks if np.ptp(each) > 0.0), default=0.0)
     return bool(known > min(max(_CHANCE / math.sqrt(len(signs)), _UNKNOWN), _KNOWN))
+
+
+def _ranks(values: FloatArray) -> FloatArray:
+    """Rank of each value; equal ones share the mean of theirs."""
+    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(counts) - 0.5 * (counts - 1))[which])
 
 
 def changes(share: FloatArray) -> int:

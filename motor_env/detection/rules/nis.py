@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.stats import chi2, ncx2
+from scipy.special import chdtrc
 
 from motor_env.detection.rules import kernels
 from motor_env.detection.rules.base import ExactRule
@@ -50,8 +50,11 @@ class MOfN(ExactRule):
 
     def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
         """By the chain of the last hits, for innovations whose mean has the length `shift`."""
-        squares = ncx2(n_channels, shift**2) if shift else chi2(n_channels)
-        return HitChain(float(squares.sf(threshold)), self.needed, self.among)
+        if not shift:
+            return HitChain(float(chdtrc(n_channels, threshold)), self.needed, self.among)
+        from scipy.stats import ncx2  # it takes long to import, and the tail of this law stands nowhere else
+
+        return HitChain(float(ncx2.sf(threshold, n_channels, shift**2)), self.needed, self.among)
 
 
 def nis_rule() -> MOfN:

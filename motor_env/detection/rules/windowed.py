@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from motor_env.detection.rules import glr_kernels, kernels
 from motor_env.detection.rules.base import Rule
@@ -45,7 +45,7 @@ class WindowedNis(Rule):
 
     def one_look(self, false_alarm_probability: float, n_channels: int = 1) -> Threshold:
         """Exact threshold for one look at a full window."""
-        value = float(chi2.isf(false_alarm_probability, self.window * n_channels))
+        value = float(chdtri(self.window * n_channels, false_alarm_probability))
         return Threshold(value, 0.0, "exact: chi-square, one look")
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from motor_env.console import ExitStatus
 from motor_env.diagnosis.files import picture_of, why_not
@@ -151,7 +151,7 @@ def commissioned(reference: WindowReference, name: str) -> MotorFile:
 
 def commissioned_text(reference: WindowReference, rate: float) -> str:
     """What was learned, with the interval of the next healthy window."""
-    half = float(stats.t.isf(rate / 2.0, reference.degrees_of_freedom))
+    half = -float(stdtrit(reference.degrees_of_freedom, rate / 2.0))
     lines = [
         f"{reference.windows} healthy windows of {reference.window_s:g} s; the next one lies within ({1 - rate:.0%})"
     ]
