@@ -1,6 +1,6 @@
 """Compiling ahead: all that commands and environments use, for this machine, so that nobody has to wait for it later.
 
-Each room has a module `warming` with its parts: small calls that have everything compiled which that part needs.
+Each room has a module `small_calls`: calls that have everything compiled which a part of it needs.
 """
 
 from __future__ import annotations
@@ -10,15 +10,19 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 
 _HOMES = {
-    "starts": "diagnosis",
     "Monitor and Probe": "envs",
+    "logs of a motor at work": "diagnosis",
+    "starts": "diagnosis",
     "Drive": "envs",
+    "policies": "envs",
     "Maintain": "envs",
+    "lab": "apps",
+    "trends": "prognosis",
 }
-"""Parts, and the room in whose module `warming` the small calls of each stand."""
+"""Parts, and the room whose module has the small calls of each."""
 
 PARTS = tuple(_HOMES)
-"""Names of the parts, the longest first where they are shared among processes in turn."""
+"""Names of the parts, those that take longest first."""
 
 
 def warm_up(
@@ -42,7 +46,10 @@ def warm_up(
     seconds = {}
     for part in wanted:
         begin = time.perf_counter()
-        import_module(f"motor_env.{_HOMES[part]}.warming").CALLS[part]()
+        from motor_env.motor.compiled import in_silence
+
+        with in_silence():
+            import_module(f"motor_env.{_HOMES[part]}.small_calls").CALLS[part]()
         seconds[part] = time.perf_counter() - begin
         said(part, seconds[part])
     return seconds

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from motor_env.envs import kernel
-from motor_env.envs.compiling import announce
 from motor_env.envs.drawing import make_prior, motor_table
 from motor_env.envs.layout import TaskNumbers
 from motor_env.envs.options import Drive, MonitorOptions, Start
@@ -79,7 +78,6 @@ def make_setup(options: MonitorOptions) -> Setup:
     Raises:
         ValueError: the recipe has no fault, or a feature cannot be observed with its sensor.
     """
-    announce()
     recipe = options.task
     kinds = tuple(dict.fromkeys(kind.verdict for kind in recipe.kinds))
     require(bool(kinds), f"recipe {recipe.name} must have a class with a fault, got healthy only")

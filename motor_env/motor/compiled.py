@@ -10,8 +10,8 @@ from __future__ import annotations
 import hashlib
 import inspect
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from enum import EnumType
 from functools import cache
 from types import ModuleType
@@ -19,6 +19,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.core import event
 from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
@@ -90,6 +91,57 @@ class _KeptCache(FunctionCache):
             super().save_overload(sig, data)
         except Exception:  # noqa: BLE001  # see above
             _say_once()
+
+
+_WAITS = {
+    "motor_env.envs.maintain.": ("the environment Maintain", "about 5 seconds"),
+    "motor_env.envs.drive.": ("the environment Drive", "about 5 seconds"),
+    "motor_env.envs.": ("its environments", "about half a minute"),
+    "motor_env.operation.": ("the fit of a motor at work", "about 10 seconds"),
+    "motor_env.identification.": ("the fit of a start", "about 5 seconds"),
+    "motor_env.prognosis.": ("the fit of a trend", "about 5 seconds"),
+    "motor_env.filters.": ("the filter", "about 3 seconds"),
+    "motor_env.simulation.": ("the simulation", "about 5 seconds"),
+}
+"""What is waited for, and how long on an ordinary machine, by the beginning of a module's name; others take less."""
+
+
+class _Notice(event.Listener):
+    """Says once a process what is compiled, before the wait. What stands in the cache is not."""
+
+    said = False
+
+    def on_start(self, event: event.Event) -> None:
+        """Something begins to be compiled."""
+        dispatcher = event.data["dispatcher"]
+        if self.said or sys.stderr is None or not isinstance(dispatcher._cache, _KeptCache):  # noqa: SLF001
+            return
+        module = dispatcher.py_func.__module__
+        known = next((wait for start, wait in _WAITS.items() if module.startswith(start)), None)
+        if known is not None:
+            self.said = True
+            sys.stderr.write(
+                f"motor-env compiles {known[0]} for this machine: {known[1]}, once"
+                " (`motor-env warm-up` does it beforehand)\n"
+            )
+            sys.stderr.flush()
+
+    def on_end(self, event: event.Event) -> None:
+        """Something has been compiled."""
+
+
+_NOTICE = _Notice()
+event.register("numba:compile", _NOTICE)
+
+
+@contextmanager
+def in_silence() -> Iterator[None]:
+    """Without that notice: for what says itself what it compiles."""
+    before, _NOTICE.said = _NOTICE.said, True
+    try:
+        yield
+    finally:
+        _NOTICE.said = before
 
 
 class _Part(CPUDispatcher):

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.envs.compiling import announce
 from motor_env.envs.drive import kernel
 from motor_env.envs.drive.options import DriveOptions
 from motor_env.envs.layout import empty_streams
@@ -71,7 +70,6 @@ def faulty(options: DriveOptions, label: str, severity: float) -> MotorParameter
 
 def make_setup(options: DriveOptions) -> DriveSetup:
     """Everything that follows from the options."""
-    announce()
     current, top = options.current_limit_a, options.top_speed_rad_s
     bound = {
         "measured_current": (current, -ROOM, ROOM),

@@ -1,4 +1,4 @@
-"""What has the environments' steps compiled: each of them once, alone and in a vector, from reset to reset."""
+"""What has the environments and their best policies compiled: a step of each alone and in a vector, and an episode."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from functools import partial
 
 import gymnasium as gym
 import numpy as np
+
+from motor_env.envs.offline.behaviours import TASKS, Behaviour
+from motor_env.envs.offline.recording import episodes_of
 
 
 def _steps(*names: str) -> None:
@@ -18,8 +21,15 @@ def _steps(*names: str) -> None:
             env.close()
 
 
+def _policies() -> None:
+    for task in TASKS:
+        for behaviour in (Behaviour.RULE, Behaviour.BEST):
+            episodes_of(task, behaviour, 1, 0)
+
+
 CALLS: dict[str, Callable[[], None]] = {
     "Monitor and Probe": partial(_steps, "Monitor", "Probe", "ProbeContinuous"),
     "Drive": partial(_steps, "Drive"),
     "Maintain": partial(_steps, "Maintain"),
+    "policies": _policies,
 }
