@@ -1,4 +1,4 @@
-"""`warm-up` compiles what commands and environments use, so that nothing is compiled afterwards; what must be is said."""
+"""`warm-up` compiles what commands and environments use; nothing is compiled after it, and what must be is said."""
 
 from __future__ import annotations
 
