@@ -307,7 +307,7 @@ class Told(_Handler):
     def __init__(self, length: str, body: bytes = b"") -> None:
         self.headers = http.client.HTTPMessage()
         self.headers["Content-Length"] = length
-        self.rfile = io.BytesIO(body)  # type: ignore[assignment]  # what a request would be read from
+        self.rfile = io.BytesIO(body)
 
 
 def test_requests_are_read_in_pieces_and_up_to_their_largest_length() -> None:

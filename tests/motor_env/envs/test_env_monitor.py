@@ -142,7 +142,7 @@ def test_observations_are_those_of_the_filter_in_their_units(recipe: Recipe) -> 
         predicted_covariance,
     )
     result = run_filter(settled, measured[None], np.full(measured.shape[1], 12.0), 0.0147)
-    result = type(result)(*(value if value is None else value.squeeze() for value in result))
+    result = type(result)(*(value.squeeze() for value in result))
     np.testing.assert_allclose(result.gain[-1], gain.squeeze(), rtol=1e-6)
     np.testing.assert_allclose(result.innovation_covariance[-1], covariance.squeeze(), rtol=1e-9)
     white = result.whitened.reshape(-1, len(channels))

@@ -149,7 +149,7 @@ def test_a_picture_shows_the_evidence_and_changes_nothing() -> None:
     seed = next(k for k in range(20) if plain.reset(seed=k)[1]["onset_sample"] in range(1000))
     shown.reset(seed=seed)
     plain.reset(seed=seed)
-    seen = [plain.unwrapped.reset(seed=seed)[0]]  # type: ignore[attr-defined]
+    seen = [plain.unwrapped.reset(seed=seed)[0]]
     for _ in range(1100):
         seen.append(plain.step(0)[0])
         assert np.array_equal(shown.step(0)[0], seen[-1])

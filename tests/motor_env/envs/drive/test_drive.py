@@ -176,7 +176,7 @@ def follow_truth(env: DriveEnv, actions: Iterable[Any]) -> Iterator[tuple[Any, A
 def test_every_price_alone(kind: int) -> None:
     """At the default prices, from the motor's true state, as docs/decisions.md has them."""
     weights = tuple(float(k == kind) for k in range(3))
-    env = DriveEnv(weights=weights, mean_onset_s=0.0, warm_k=1.0, burn_k=1e3, growth_per_s=(1.2, 1.2))  # type: ignore[arg-type]
+    env = DriveEnv(weights=weights, mean_onset_s=0.0, warm_k=1.0, burn_k=1e3, growth_per_s=(1.2, 1.2))
     env.reset(seed=3)
     profile, limps = env._profile[0], 0.0
     rng = np.random.default_rng(2)
@@ -203,7 +203,7 @@ def test_every_price_alone(kind: int) -> None:
 @pytest.mark.parametrize("kind", [0, 1, 2])
 def test_heat_and_wear_follow_their_equations(kind: int) -> None:
     weights = tuple(float(k == kind) for k in range(3))
-    env = DriveEnv(weights=weights, mean_onset_s=0.0)  # type: ignore[arg-type]
+    env = DriveEnv(weights=weights, mean_onset_s=0.0)
     _, first = env.reset(seed=3)
     assert first["onset_step"] == (50 if kind else -1)
     options, motor, believed = env.options, env.options.driven, 0.0
