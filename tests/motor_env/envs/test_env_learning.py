@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Box
 
 from motor_env.envs import (
     BayesPolicy,
@@ -49,6 +50,9 @@ def test_a_posterior_view_pays_the_true_reward_on_average(confirm: int) -> None:
     view, rng = PosteriorView(envs), np.random.default_rng(0)
     seen, _ = view.reset(seed=5)
     assert view.single_observation_space.contains(seen[0])
+    for space in (view.observation_space, view.single_observation_space):
+        assert isinstance(space, Box)
+        assert (set(space.low.ravel().tolist()), set(space.high.ravel().tolist())) == ({-4.0}, {4.0})
     told, true = np.zeros((2, count))
     step, paid = envs.step, np.zeros(count)
 

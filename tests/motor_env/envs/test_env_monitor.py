@@ -205,6 +205,8 @@ def test_an_onset_is_the_draw_of_its_stream() -> None:
     assert 20.0 < wanted.mean() - 100.0 < 60.0
     at_once = MonitorVectorEnv(60, mean_onset_s=0.0)
     np.testing.assert_array_equal(at_once.reset(seed=9)[1]["onset_sample"], np.where(faulty, 100, -1))
+    far = MonitorVectorEnv(60, mean_onset_s=1e9).reset(seed=9)[1]["onset_sample"]
+    np.testing.assert_array_equal(far, np.where(faulty, 2**31 - 1, -1))
     active = [at_once.step(np.zeros(60, dtype=np.int64))[4]["fault_active"] for _ in range(102)]
     np.testing.assert_array_equal(active[99], np.zeros(60, dtype=bool))
     np.testing.assert_array_equal(active[100], faulty)

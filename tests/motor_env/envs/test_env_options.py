@@ -325,6 +325,17 @@ def test_limits_of_the_options_are_exact(good: dict[str, Any], bad: dict[str, An
         make(**bad, **drive)
 
 
+def test_a_seed_of_ones_own_is_any_of_63_bits() -> None:
+    env, envs = MonitorEnv(), MonitorVectorEnv(2)
+    seed = int(np.random.default_rng(5).integers(2**63))
+    wanted = env.reset(seed=seed)[0]
+    for one in (env, envs):
+        one._np_random = np.random.default_rng(5)
+    env._seed = None  # as before the first reset
+    np.testing.assert_array_equal(env.reset()[0], wanted)
+    np.testing.assert_array_equal(envs.reset()[0][0], wanted)
+
+
 def test_counts_that_follow_from_the_options() -> None:
     options = MonitorOptions(horizon_s=0.02, samples_per_step=4)
     assert (options.n_samples, options.n_steps, options.n_levels) == (200, 50, 1)

@@ -61,12 +61,15 @@ def test_silence_costs_what_the_truth_says() -> None:
     assert found.detected_share == found.false_alarm_share == 0.0
 
 
-@pytest.mark.parametrize("name", ["bank", "cusum", "bayes", "open loop", "on demand"])
+@pytest.mark.parametrize("name", ["bank", "bank at once", "cusum", "bayes", "open loop", "on demand"])
 def test_a_sweep_gives_what_every_threshold_gives_alone(name: str) -> None:
     envs = monitor(100) if name in ("bank", "cusum", "bayes") else ProbeVectorEnv(100, **PROBE)
+    if name == "bank at once":  # all onsets at sample 0
+        envs = MonitorVectorEnv(30, **MONITOR | {"earliest_onset_s": 0.0, "mean_onset_s": 0.0})
     setup = envs.setup
     cases: dict[str, Callable[[], tuple[ThresholdPolicy, tuple[float, ...]]]] = {
         "bank": lambda: (BankPolicy(setup, 0.0), (0.5, 3.0, 30.0)),
+        "bank at once": lambda: (BankPolicy(setup, 0.0), (0.5, 3.0)),
         "cusum": lambda: (RulePolicy(setup, Cusum(0.5, two_sided=True), threshold=0.0), (2.0, 8.0, 1e9)),
         "bayes": lambda: (BayesPolicy(setup, 0.0), (0.0, 0.8, 0.97)),
         "open loop": lambda: (
@@ -381,6 +384,8 @@ def test_the_posterior_is_bayes_rule_over_all_classes_and_onsets() -> None:
     chance = envs.options.task.class_probabilities
     assert chance == pytest.approx([0.5, 0.125, 0.125, 0.125, 0.125])
     stay = 20.0 / 21.0
+    fine = make_setup(ProbeOptions(samples_per_step=1))
+    assert (policy._signature.shape, ProbeBelief(fine)._n_ages) == ((4, 200), 400)  # 20 ms and 40 ms
     for seen in range(1, n + 1):
         value, action = policy.judge(observed[seen - 1])
         quiet, classes = chance[0] + (1.0 - chance[0]) * stay ** max(seen - 1 - first, 0), np.zeros(4)

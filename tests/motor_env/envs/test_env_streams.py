@@ -108,13 +108,13 @@ def specification(name: str) -> dict[str, Any]:
 
 
 def acted(env: Any, step: int) -> Any:
-    """What is done in the middle of an episode: the same everywhere, and something of everything."""
+    """What is done in the middle of an episode: something of everything, up to where it would mean another."""
     if "Maintain" in type(env).__name__:
         return 1 if step % 17 == 5 else 2 if step % 40 == 39 else 0
     if "Drive" in type(env).__name__:
-        return np.array([0.6 + 0.45 * math.sin(0.05 * step), 0.25 if step % 200 > 150 else -1.0])
+        return np.array([0.6 + 0.45 * math.sin(0.05 * step), 0.5 if step % 200 > 150 else 0.0])
     if isinstance(env.action_space, gym.spaces.Box):
-        return np.array([1.1 * math.sin(0.37 * step), *[0.4] * (env.action_space.shape[0] - 1)])
+        return np.array([1.1 * math.sin(0.37 * step), *[0.5] * (env.action_space.shape[0] - 1)])
     offsets = env.action_space.n - len(env.setup.kinds)
     return (0, 1, 0, 2, 2)[step % 5] % offsets
 
@@ -122,9 +122,9 @@ def acted(env: Any, step: int) -> Any:
 def said(env: Any, kind: int) -> Any:
     """The action that declares the kind of that number, or stops the motor."""
     if "Drive" in type(env).__name__:
-        return np.array([0.0, 0.9])
+        return np.array([0.0, 0.502])
     if isinstance(env.action_space, gym.spaces.Box):
-        return np.eye(env.action_space.shape[0])[1 + kind] * 0.6
+        return np.eye(env.action_space.shape[0])[1 + kind] * 0.502
     return env.action_space.n - len(env.setup.kinds) + kind
 
 
@@ -234,7 +234,7 @@ def driven(policy: Any) -> list[list[float]]:
 def upkeep() -> list[Any]:
     """What the plan thinks every action is worth, at some places of its grid, and the bound."""
     options = MaintainOptions(days=4, drift_per_day=0.05, rate_spread=0.5)
-    values = PlannedUpkeep(options)._values[:, :, ::2, ::70]
+    values = PlannedUpkeep(options)._values[:, :, ::2, ::37]
     return [values.tolist(), maintenance_bound(options)]
 
 
@@ -332,4 +332,5 @@ if __name__ == "__main__":
         for name in NAMES
     }
     table["policies"] = rounded({name: policy() for name, policy in POLICIES.items()}, 7)
-    KEPT.write_text(json.dumps(table, separators=(",", ":")).replace('],"', '],\n"') + "\n", encoding="utf-8")
+    lines = [f"{json.dumps(name)}:{json.dumps(each, separators=(',', ':'))}" for name, each in table.items()]
+    KEPT.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")

@@ -212,6 +212,7 @@ def test_a_plan_is_looked_up_between_its_points() -> None:
     """Worths that are linear in rate, mean and deviation are told exactly; the action changes where they say."""
     policy, stds = PlannedUpkeep(MaintainOptions(days=3, rate_spread=0.5)), np.array(STDS)
     pace = make_tables(MaintainOptions(rate_spread=0.5)).rates / 0.01
+    assert stds.tolist() == [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0]
     grid = np.zeros((4, 3, 5, LEVELS, 12))
 
     def chosen(run: Any, replace: float, left: int = 2, **features: float) -> int:

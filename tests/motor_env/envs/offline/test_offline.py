@@ -95,6 +95,7 @@ def test_mixed_episodes_are_of_each_behaviour_in_turn() -> None:
         (["Drone-v0"], "task must be one of"),
         (["Probe-v0", "--episodes", "0"], "episodes must be >= 1"),
         (["Probe-v0", "--seed", "-1"], "seed in 0"),
+        (["Probe-v0", "--seed", "4294967296"], "seed in 0"),
     ],
 )
 def test_bad_orders_get_one_sentence(
@@ -107,6 +108,7 @@ def test_bad_orders_get_one_sentence(
 
 def test_a_data_set_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["offline", "Maintain-v0", "--behaviour", "rule", "--episodes", "2", "--out", str(tmp_path)]
+    command += ["--seed", "4294967295"]
     assert main(command) == 0
     assert main(command) == 2
     assert "is there already" in capsys.readouterr().err
