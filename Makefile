@@ -59,12 +59,12 @@ imports: $(READY) ## import-linter: imports go one way
 	$(BIN)/lint-imports
 
 unit: $(READY) ## the quick tests; PYTEST_ARGS="-k kalman" narrows them
-	$(BIN)/python -m pytest -n $(JOBS) -m "not long" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal --durations 10 -m "not long" $(PYTEST_ARGS)
 
 test: lint types imports unit ## everything quick: lint, types, imports, tests; what CI runs
 
 test-long: test ## the same and the tests marked long
-	$(BIN)/python -m pytest -n $(JOBS) -m long $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m long $(PYTEST_ARGS)
 
 benchmark: $(READY) ## compare the classifiers; the report goes to out/benchmark
 	$(BIN)/python -m motor_classifiers benchmark --out out/benchmark
