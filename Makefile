@@ -7,15 +7,18 @@ PYTEST_ARGS ?=
 
 BIN := .venv/bin
 READY := .venv/.ready
+DOCS_READY := .venv/.ready-docs
 BENCH_READY := .venv-bench/.ready
 AEON_READY := .venv-aeon/.ready
 PINS_READY := .venv-pins/.ready
 
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
+# Tests start many processes: without bytecode each would compile what it imports.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup lint types imports unit test test-long benchmark peers peers-anew bench docs format constraints clean distclean
+.PHONY: help setup hand lint types imports unit test test-long benchmark peers peers-anew bench docs format constraints clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -28,7 +31,12 @@ endef
 
 $(READY): pyproject.toml constraints.txt
 	$(call make_environment,.venv)
-	$(BIN)/python -m pip install --quiet --no-input -c constraints.txt -e ".[all,dev]"
+	$(BIN)/python -m pip install --quiet --no-input --no-compile -c constraints.txt -e ".[all,dev]"
+	$(BIN)/python -m compileall -qq -j 0 .venv/lib || true # on all cores; a few files are of other Pythons
+	touch $@
+
+$(DOCS_READY): $(READY)
+	$(BIN)/python -m pip install --quiet --no-input -c constraints.txt -e ".[docs]"
 	touch $@
 
 $(BENCH_READY): pyproject.toml benchmarks/requirements.txt benchmarks/constraints.txt
@@ -47,6 +55,9 @@ $(PINS_READY): Makefile
 	touch $@
 
 setup: $(READY) ## make .venv with pinned versions (the other targets do so by themselves)
+
+hand: $(READY) ## also install what is used by hand: pre-commit, pytest-cov
+	$(BIN)/python -m pip install --quiet --no-input -c constraints.txt -e ".[hand]"
 
 lint: $(READY) ## ruff: rules and format
 	$(BIN)/python -m ruff check
@@ -77,7 +88,7 @@ peers-anew: $(READY) $(AEON_READY) ## let them judge the benchmark's starts agai
 bench: $(BENCH_READY) $(READY) $(AEON_READY) ## speed against peers, in an environment of its own; writes out/bench.json
 	.venv-bench/bin/python benchmarks/run.py --out out/bench.json $(BENCH_ARGS)
 
-docs: $(READY) ## build the documentation into docs/_build/html; warnings are errors
+docs: $(DOCS_READY) ## build the documentation into docs/_build/html; warnings are errors
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 
 format: $(READY) ## let ruff format and fix what it can
