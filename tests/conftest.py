@@ -3,8 +3,12 @@
 Whole runs on several processes begin with compiling, each process its share: otherwise all would compile the same.
 """
 
+import hashlib
 import os
 import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +18,7 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 
+import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
@@ -24,6 +29,9 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 MANY_TESTS = 500
 """Fewer need little of what could be compiled before them."""
+
+KEPT = "motor_env/compiled"
+"""Place in pytest's cache of what is compiled."""
 
 
 COMPILING: list[float] = []
@@ -54,22 +62,54 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist waits until each process has told it its tests
-def pytest_collection_finish(session: pytest.Session) -> None:
-    """Compile this process's share."""
-    listen()
-    worker = getattr(session.config, "workerinput", None)
-    if worker is None or len(session.items) < MANY_TESTS:
-        return
+def compile_share(config: pytest.Config) -> None:
+    """Compile what no other process of this run has begun: the parts of `motor-env warm-up`, and what tests use."""
     from motor_env.apps.warming import PARTS, warm_up
 
-    warm_up(PARTS[int(worker["workerid"][2:]) :: worker["workercount"]])
+    from motor_env.envs import MonitorEnv, MonitorVectorEnv
+
+    def in_double_precision() -> None:
+        envs = MonitorEnv(precision="float64"), MonitorVectorEnv(2, precision="float64")
+        for env, action in zip(envs, (0, np.zeros(2, dtype=np.int64)), strict=True):
+            env.reset(seed=0)
+            env.step(action)
+
+    parts: dict[str, Callable[[], object]] = {part: partial(warm_up, [part]) for part in PARTS}
+    begun = config._tmp_path_factory.getbasetemp().parent / "compiling"  # type: ignore[attr-defined]  # of all processes
+    begun.mkdir(exist_ok=True)
+    for part, small_calls in (parts | {"double precision": in_double_precision}).items():
+        with suppress(FileExistsError):
+            (begun / part).mkdir()
+            small_calls()
+
+
+def version() -> dict[str, object]:
+    """What the compiled code was made of, and where it is; no files where numba keeps it elsewhere."""
+    package = Path(__file__).parents[1] / "motor_env"
+    sources = b"".join(path.read_bytes() for path in sorted(package.rglob("*.py")))
+    return {
+        "sources": hashlib.sha256(sources).hexdigest(),
+        "files": sorted(str(path) for path in package.rglob("*.nbi")),
+    }
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist waits until each process has told it its tests
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Compile before the first test, where that has not been done in an earlier run."""
+    listen()
+    if not hasattr(session.config, "workerinput") or len(session.items) < MANY_TESTS:
+        return
+    kept, now = session.config.cache.get(KEPT, {}), version()  # type: ignore[union-attr]
+    if kept.get("sources") != now["sources"] or not set(kept["files"]) <= set(now["files"]):
+        compile_share(session.config)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """A worker tells what it has spent."""
     if (output := getattr(session.config, "workeroutput", None)) is not None:
         output["compiling_s"] = sum(COMPILING)
+        if len(session.items) >= MANY_TESTS and (now := version())["files"]:
+            session.config.cache.set(KEPT, now)  # type: ignore[union-attr]
 
 
 @pytest.hookimpl(optionalhook=True)
