@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recording_csv import write_csv
+from sklearn.base import BaseEstimator
 
 from motor_classifiers.estimators.methods import make_method
 from motor_classifiers.prediction.opinions import UNDECIDED, predict_recording
@@ -38,12 +39,18 @@ def capture(
     return write_csv(path, columns)
 
 
+@pytest.fixture(scope="module")
+def model() -> BaseEstimator:
+    training = generate_arrays(RECIPE, 3, 1400)
+    return make_method("residual-qda", RECIPE, 0).fit(training.X, training.class_name)
+
+
 @pytest.mark.parametrize(
     ("position", "with_voltage"), [(0.0, False), (0.2, False), (0.5, False), (0.8, False), (0.2, True)]
 )
-def test_the_step_may_fall_between_samples(position: float, with_voltage: bool, tmp_path: Path) -> None:
-    training = generate_arrays(RECIPE, 3, 1400)
-    model = make_method("residual-qda", RECIPE, 0).fit(training.X, training.class_name)
+def test_the_step_may_fall_between_samples(
+    position: float, with_voltage: bool, model: BaseEstimator, tmp_path: Path
+) -> None:
     truth = draw(RECIPE, 77, np.arange(N_STARTS)).class_index
     generator = np.random.default_rng(5)
     found = [
