@@ -120,8 +120,7 @@ def test_without_a_ripple_there_is_no_speed() -> None:
 
 
 def test_the_ripple_compares_speeds_between_recordings() -> None:
-    healthy = [rippled()[0]] * 3
-    learned = learn_reference(fit_healthy(healthy))
+    learned = learn_reference(fit_healthy([rippled()[0]]) * 3)  # three alike
     assert learned.ripple_hz is not None
     found = diagnose(rippled(1.2)[0], None, learned)
     moved = {change.name: change.ratio for change in found.changes if change.significant}
