@@ -310,6 +310,7 @@ def test_the_page_is_given_what_was_scored(
     assert (words["best_peer"].name, words["origins"]) == ("peer", ["elsewhere"])
     both = given["severity"][-1][2]
     assert len(both) == 3
+    assert len(words["severity_methods"]) == 2
     assert (both[1][:2], both[2][1]) == ((words["severity_methods"][0], "s1"), "s4")
     assert both[2][0] in ("quant", "peer")
     assert page.render_report(plan, [alone, alone], "a machine") == "page"

@@ -402,7 +402,7 @@ def test_a_race_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rules whose statistic is the start itself; of 101 quiet starts the largest statistics are 0 .. 100."""
     heights = [69.0, 75.0, 85.0, 93.0, 96.5, 98.5, 99.25, 99.75, 60.0, 98.5]
     test = np.zeros((10, 1, 40), dtype=np.float32)
-    test[:, 0, 20:] = np.array(heights)[:, None] * np.linspace(0.05, 1.0, 20)
+    test[:, 0, 20:] = np.array(heights)[:, None] * np.minimum(np.linspace(0.1, 2.0, 20), 1.0)
     quiet = np.tile(np.arange(101.0)[:, None, None], (1, 1, 40))
     faulty = np.arange(10) < 8
     told = iter([
