@@ -68,9 +68,13 @@ Path("trend.csv").write_text("\\n".join(table))
 assert main(["trend", "trend.csv", "--limit", "R=1.5"]) in (0, 1)
 for name in ("Monitor", "Probe", "ProbeContinuous", "Drive", "Maintain", "MonitorHard", "MonitorSpeedLoop"):
     for env in (gym.make(f"motor_env/{{name}}-v0"), gym.make_vec(f"motor_env/{{name}}-v0", num_envs=3)):
-        env.reset(seed=1)
-        for _ in range(30):
+        env.action_space.seed(1)
+        for seed in range(3):
+            env.reset(seed=seed)
             env.step(env.action_space.sample())
+        if "num_envs" in dir(env):
+            for _ in range(30):
+                env.step(env.action_space.sample())
 """
 
 
@@ -114,7 +118,8 @@ def test_nothing_is_compiled_after_the_warm_up(tmp_path: Path) -> None:
     again = run(f"{LISTEN}{USE}\nprint(compiled)", tmp_path)
     assert again.stdout.splitlines()[-1] == "[]"
     assert "compiles" not in again.stderr
-    alone = run(LISTEN + DIAGNOSE, tmp_path / "..")
+    (tmp_path / "alone").mkdir()
+    alone = run(LISTEN + DIAGNOSE, tmp_path / "alone")
     assert alone.stderr.count("motor-env compiles") == 1
 
 
