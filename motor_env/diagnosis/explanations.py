@@ -146,7 +146,8 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
     def excess(log_share: float) -> float:
         share = math.exp(log_share)
         limit = -float(special.stdtrit(freedom, share)) / np.maximum(along, 1e-9)
-        least = np.minimum(limit, math.sqrt(n * float(special.fdtri(n, freedom, 1.0 - share))))
+        # The quantile of the inverse: exact for small shares, where 1 - share is not.
+        least = np.minimum(limit, math.sqrt(n / float(special.fdtri(freedom, n, share))))
         return math.log(float(np.mean(special.fdtrc(n, freedom, least**2 / n))) / rate)
 
     return math.exp(
