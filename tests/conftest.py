@@ -42,7 +42,7 @@ def listen() -> None:
     """From now on add up what compiling takes; a function compiled on the way to another counts once."""
     from numba.core import event
 
-    class Listener(event.Listener):
+    class Listener(event.Listener):  # type: ignore[misc]  # numba carries no types
         def __init__(self) -> None:
             self.begins: list[float] = []
 
@@ -65,14 +65,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def compile_share(config: pytest.Config) -> None:
     """Compile what no other process of this run has begun: the parts of `motor-env warm-up`, and what tests use."""
     from motor_env.apps.warming import PARTS, warm_up
-
     from motor_env.envs import MonitorEnv, MonitorVectorEnv
 
     def in_double_precision() -> None:
-        envs = MonitorEnv(precision="float64"), MonitorVectorEnv(2, precision="float64")
-        for env, action in zip(envs, (0, np.zeros(2, dtype=np.int64)), strict=True):
-            env.reset(seed=0)
-            env.step(action)
+        single, vector = MonitorEnv(precision="float64"), MonitorVectorEnv(2, precision="float64")
+        single.reset(seed=0)
+        single.step(0)
+        vector.reset(seed=0)
+        vector.step(np.zeros(2, dtype=np.int64))
 
     parts: dict[str, Callable[[], object]] = {part: partial(warm_up, [part]) for part in PARTS}
     begun = config._tmp_path_factory.getbasetemp().parent / "compiling"  # type: ignore[attr-defined]  # of all processes
@@ -83,7 +83,7 @@ def compile_share(config: pytest.Config) -> None:
             small_calls()
 
 
-def version() -> dict[str, object]:
+def version() -> dict[str, Any]:
     """What the compiled code was made of, and where it is; no files where numba keeps it elsewhere."""
     package = Path(__file__).parents[1] / "motor_env"
     sources = b"".join(path.read_bytes() for path in sorted(package.rglob("*.py")))
@@ -99,7 +99,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     listen()
     if not hasattr(session.config, "workerinput") or len(session.items) < MANY_TESTS:
         return
-    kept, now = session.config.cache.get(KEPT, {}), version()  # type: ignore[union-attr]
+    kept, now = session.config.cache.get(KEPT, {}), version()
     if kept.get("sources") != now["sources"] or not set(kept["files"]) <= set(now["files"]):
         compile_share(session.config)
 
@@ -109,7 +109,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     if (output := getattr(session.config, "workeroutput", None)) is not None:
         output["compiling_s"] = sum(COMPILING)
         if len(session.items) >= MANY_TESTS and (now := version())["files"]:
-            session.config.cache.set(KEPT, now)  # type: ignore[union-attr]
+            session.config.cache.set(KEPT, now)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -22,7 +22,7 @@ from hostile import (
 )
 from verdict_tables import Counts, How, Said, counted, shares
 
-from motor_env.errors import InputError
+from motor_env import InputError
 
 
 def said(sentence: str, status: int = 2, *, error: bool = False) -> Callable[[], int]:

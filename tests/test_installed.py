@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from motor_env import RECIPES, cli
-from motor_env.errors import InputError
+from motor_env import RECIPES, InputError, cli
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,18 @@ import gymnasium as gym
 import pytest
 from recording_csv import write_csv
 
-from motor_env import Fault, FaultKind, Scenario, SensorParameters, Timing, simulate
-from motor_env.motor.parameters import PAPER_MOTOR, Channel
-from motor_env.simulation.recipes import FaultClass, Recipe
+from motor_env import (
+    PAPER_MOTOR,
+    Channel,
+    Fault,
+    FaultKind,
+    Recipe,
+    Scenario,
+    SensorParameters,
+    Timing,
+    simulate,
+)
+from motor_env.simulation.recipes import FaultClass
 
 PAGE = Path(__file__).parents[1] / "docs" / "new-fault.md"
 BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)

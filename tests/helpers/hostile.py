@@ -22,7 +22,7 @@ from typing import Any, Self, TypeVar
 
 import numpy as np
 
-from motor_env.errors import InputError
+from motor_env import InputError
 from motor_env.motor.toml_files import toml_text
 
 T = TypeVar("T")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from motor_env.recordings.recording import Recording
+from motor_env import Recording
 
 QUANTITIES = ("time_s", "voltage_v", "current_a", "speed_rad_s")
 

@@ -4,15 +4,14 @@ from typing import Any
 
 import numpy as np
 
-from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers import PosteriorNetwork
 from motor_classifiers.scoring.calibration import calibration_scores
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.metrics import IntArray
 from motor_classifiers.scoring.severities import severity_figures
-from motor_datasets.generate import generate_arrays
-from motor_env.inference.posterior import class_probabilities, excess_over_limit
+from motor_datasets import generate_arrays
+from motor_env import Recipe, class_probabilities, excess_over_limit
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.recipes import Recipe
 
 FIRST_CASE = 1_000_000_000
 

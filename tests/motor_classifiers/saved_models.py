@@ -10,11 +10,10 @@ from hostile import json_of
 from safetensors.numpy import load, save
 from sklearn.base import BaseEstimator
 
-from motor_classifiers.estimators.methods import METHODS, make_method
-from motor_classifiers.model_files.persistence import FORMAT, save_model
+from motor_classifiers import METHODS, make_method, save_model
+from motor_classifiers.model_files.persistence import FORMAT
 from motor_datasets import generate_arrays
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.simulate import Timing
+from motor_env import Timing, named_recipe
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 TRAIN, TEST = generate_arrays(RECIPE, 1, 200), generate_arrays(RECIPE, 2, 20)

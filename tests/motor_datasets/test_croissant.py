@@ -11,7 +11,8 @@ import torch
 from motor_datasets import generate_arrays, generate_dataset, to_torch, to_torch_iterable
 from motor_datasets.arrays import columns
 from motor_datasets.cli import main
-from motor_env.simulation.named_recipes import changed_recipe, named_recipe
+from motor_env import named_recipe
+from motor_env.simulation.named_recipes import changed_recipe
 
 FIELD = changed_recipe(named_recipe("field"), sampling_rate_hz=1_000.0)
 

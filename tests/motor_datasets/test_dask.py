@@ -10,8 +10,7 @@ import joblib
 import pytest
 
 from motor_datasets import generate_dataset, layout
-from motor_env.simulation.named_recipes import RECIPES
-from motor_env.simulation.simulate import Timing
+from motor_env import RECIPES, Timing
 
 
 @pytest.mark.long

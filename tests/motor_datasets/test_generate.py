@@ -19,12 +19,8 @@ from motor_datasets import (
 )
 from motor_datasets.cli import main
 from motor_datasets.export import export
-from motor_env.errors import InputError
-from motor_env.motor.faults import FaultKind
-from motor_env.motor.parameters import Channel, SensorParameters
-from motor_env.simulation.named_recipes import RECIPES
+from motor_env import RECIPES, Channel, FaultKind, InputError, SensorParameters, Timing
 from motor_env.simulation.recipes import FaultClass
-from motor_env.simulation.simulate import Timing
 
 SHORT = replace(RECIPES["bench"], timing=Timing(duration_s=0.01))
 

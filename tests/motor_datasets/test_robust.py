@@ -18,9 +18,7 @@ import pytest
 
 from motor_datasets import generate_dataset, layout, load
 from motor_datasets.cli import main
-from motor_env.errors import InputError
-from motor_env.simulation.named_recipes import RECIPES
-from motor_env.simulation.simulate import Timing
+from motor_env import RECIPES, InputError, Timing
 
 SHORT = replace(RECIPES["bench"], timing=Timing(duration_s=0.01))
 

@@ -12,9 +12,9 @@ from cyclopts import App
 
 from motor_classifiers.cli import main as classifiers_cli
 from motor_datasets import cli as datasets_cli
-from motor_env import cli, console
+from motor_env import InputError, cli, console
 from motor_env.console import ExitStatus
-from motor_env.errors import InputError, require_extra
+from motor_env.errors import require_extra
 from motor_env.files import replacing, write_text
 
 

@@ -10,19 +10,17 @@ import numpy as np
 import pytest
 from made_results import CELL, RECIPE, answer, decisions, made_results
 
+from motor_classifiers import METHODS, Opinion
 from motor_classifiers.cli.main import main
 from motor_classifiers.cli.opinions import opinion_lines
 from motor_classifiers.cli.options import numbers, require_writable, whole_numbers
 from motor_classifiers.cli.sweep import plan_lines, table_lines
 from motor_classifiers.cli.training import network_recipe, noise_factors
 from motor_classifiers.contest.task import SEED
-from motor_classifiers.estimators.methods import AT_WORK, METHODS
-from motor_classifiers.prediction.opinions import Opinion
+from motor_classifiers.estimators.methods import AT_WORK
 from motor_classifiers.scoring.plan import AnswerStore, Plan, units
 from motor_classifiers.scoring.progress import Cost
-from motor_env.errors import InputError
-from motor_env.motor.data_sheet import load_motor
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import InputError, load_motor, named_recipe
 
 ROOT = Path(__file__).resolve().parents[3]
 

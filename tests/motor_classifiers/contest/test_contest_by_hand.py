@@ -22,7 +22,7 @@ from motor_classifiers.contest.submissions import interval, paired, unpacked_cos
 from motor_classifiers.contest.task import SEED, VERSION
 from motor_classifiers.contest.tasks import TASKS, frozen_digests
 from motor_classifiers.scoring.metrics import resampling_weights
-from motor_env.errors import InputError
+from motor_env import InputError
 
 
 def test_an_interval_leaves_the_first_figure_out() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from motor_classifiers.cli.main import main
 from motor_classifiers.contest.recordings import score_recordings
-from motor_env.errors import InputError
+from motor_env import InputError
 
 TRUTH = "file,motor,verdict\na.csv,1,healthy\nb.csv,1,bearing\nc.csv,2,winding\nd.csv,3,healthy\n"
 SAID = [

@@ -5,15 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motor_classifiers.estimators.features import PhysicalFeatures
-from motor_classifiers.estimators.methods import AT_WORK, METHODS, make_method
-from motor_classifiers.model_files.persistence import load_model, save_model
-from motor_classifiers.scoring.evaluation import evaluate_model
-from motor_datasets import load
-from motor_datasets.folder import generate_dataset
-from motor_datasets.generate import generate_arrays
+from motor_classifiers import METHODS, PhysicalFeatures, evaluate_model, load_model, make_method, save_model
+from motor_classifiers.estimators.methods import AT_WORK
+from motor_datasets import generate_arrays, generate_dataset, load
 from motor_datasets.remote import folder_of
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import named_recipe
 
 OPERATION = named_recipe("operation")
 

@@ -7,14 +7,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from motor_classifiers.estimators.confirmation import ThresholdConfirmationClassifier
+from motor_classifiers import ThresholdConfirmationClassifier
 from motor_classifiers.estimators.threshold_rule import window_features
-from motor_env.motor.faults import FaultKind
+from motor_env import FaultKind, Recipe, Timing, draw, named_recipe, simulate
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.drawing import draw
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.recipes import FaultClass, Recipe
-from motor_env.simulation.simulate import Timing, simulate
+from motor_env.simulation.recipes import FaultClass
 
 Tuned = tuple[Recipe, ThresholdConfirmationClassifier]
 

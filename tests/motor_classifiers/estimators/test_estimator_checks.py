@@ -11,16 +11,21 @@ import pytest
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from motor_classifiers.estimators.confirmation import ThresholdConfirmationClassifier
-from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProjection, RuleStatistics
-from motor_classifiers.estimators.networks.epoch_classifier import PerceptronClassifier
-from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
-from motor_classifiers.estimators.networks.resnet import ResNetClassifier
-from motor_classifiers.estimators.networks.torch_classifier import TorchClassifier
+from motor_classifiers import (
+    ConformalClassifier,
+    EarlyClassifier,
+    FaultFamilyDetector,
+    OpenSetClassifier,
+    PerceptronClassifier,
+    PhysicalFeatures,
+    PosteriorNetwork,
+    ResidualProjection,
+    ResNetClassifier,
+    RuleStatistics,
+    ThresholdConfirmationClassifier,
+    TorchClassifier,
+)
 from motor_classifiers.estimators.reference_starts import RecentredStarts
-from motor_classifiers.wrappers.conformal import ConformalClassifier
-from motor_classifiers.wrappers.early import EarlyClassifier
-from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClassifier
 
 ESTIMATORS = [
     ThresholdConfirmationClassifier(),

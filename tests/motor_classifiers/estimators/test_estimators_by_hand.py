@@ -14,29 +14,27 @@ from scipy.stats import norm
 from sklearn.linear_model import LogisticRegression
 from torch import nn
 
-from motor_classifiers.estimators.confirmation import ThresholdConfirmationClassifier, class_filter
-from motor_classifiers.estimators.features import (
+from motor_classifiers import (
+    PerceptronClassifier,
+    PosteriorNetwork,
     ResidualProjection,
-    affine_map,
-    residual_map,
-    signal_family,
-    whitened_residual,
+    ThresholdConfirmationClassifier,
+    load_model,
 )
+from motor_classifiers.estimators.confirmation import class_filter
+from motor_classifiers.estimators.features import affine_map, residual_map, signal_family, whitened_residual
 from motor_classifiers.estimators.networks import severity_density
-from motor_classifiers.estimators.networks.epoch_classifier import PerceptronClassifier, perceptron
+from motor_classifiers.estimators.networks.epoch_classifier import perceptron
 from motor_classifiers.estimators.networks.posterior import Posterior, growing, total_cases
-from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.severity_density import severity_priors, severity_recipe
 from motor_classifiers.estimators.networks.signal_space import SignalSpace, fresh_cases, with_more_noise
 from motor_classifiers.estimators.reference_starts import referenced_starts, split_starts
 from motor_classifiers.estimators.threshold_rule import ThresholdRule, window_features
-from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_datasets.generate import generate_arrays
-from motor_env.motor.faults import FaultKind
+from motor_classifiers.model_files.persistence import PRETRAINED
+from motor_datasets import generate_arrays
+from motor_env import FaultKind, Timing, named_recipe
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
-from motor_env.simulation.simulate import Timing
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 

@@ -8,12 +8,9 @@ from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
 from sklearn.pipeline import Pipeline
 
-from motor_classifiers.estimators.methods import METHODS, make_method
-from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
-from motor_classifiers.estimators.networks.resnet import ResNetClassifier
-from motor_datasets.generate import generate_arrays
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.simulate import Timing
+from motor_classifiers import METHODS, PosteriorNetwork, ResNetClassifier, make_method
+from motor_datasets import generate_arrays
+from motor_env import Timing, named_recipe
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 TRAIN = generate_arrays(RECIPE, 5, 300)
@@ -98,7 +95,7 @@ def test_a_residual_network_keeps_the_level() -> None:
 def test_two_channels_are_two_channels() -> None:
     from dataclasses import replace
 
-    from motor_env.motor.parameters import Channel
+    from motor_env import Channel
 
     sensor = replace(RECIPE.sensor, channels=(Channel.CURRENT, Channel.SPEED), speed_noise_rad_s=1.0)
     both = replace(RECIPE, sensor=sensor)

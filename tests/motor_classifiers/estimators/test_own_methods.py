@@ -21,9 +21,7 @@ from motor_classifiers.estimators import own_methods
 from motor_classifiers.estimators.own_methods import answered, fed, find_method
 from motor_classifiers.scoring.judging import Cell, answer_key, judge, judge_apart
 from motor_datasets import generate_arrays
-from motor_env.errors import InputError
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.simulate import Timing
+from motor_env import InputError, Timing, named_recipe
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 TRAIN = generate_arrays(RECIPE, 1, range(150))

@@ -11,18 +11,14 @@ from limit_cells import limit_cell
 from scipy.stats import ks_2samp, kstest, truncnorm
 from sklearn.base import clone
 
+from motor_classifiers import PosteriorNetwork
 from motor_classifiers.estimators.networks import severity_density
-from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.severity_density import severity_priors, severity_recipe
 from motor_classifiers.estimators.networks.signal_space import SignalSpace, with_more_noise
 from motor_classifiers.estimators.networks.training import one_thread
-from motor_datasets.generate import generate_arrays
-from motor_env.inference.severity import severity_posterior
-from motor_env.motor.faults import FaultKind
-from motor_env.motor.parameters import Channel, SensorParameters
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.recipes import FaultClass, Recipe
-from motor_env.simulation.simulate import Timing
+from motor_datasets import generate_arrays
+from motor_env import Channel, FaultKind, Recipe, SensorParameters, Timing, named_recipe, severity_posterior
+from motor_env.simulation.recipes import FaultClass
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 FULL = named_recipe("bench-full", timing=Timing(1_000.0, 0.1))

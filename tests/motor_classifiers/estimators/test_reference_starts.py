@@ -9,22 +9,27 @@ from sklearn.base import clone
 from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis
 from sklearn.pipeline import make_pipeline
 
-from motor_classifiers.estimators.features import ResidualProjection
-from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers import PosteriorNetwork, ResidualProjection
 from motor_classifiers.estimators.reference_starts import (
     RecentredStarts,
     referenced_probabilities,
     referenced_starts,
     split_starts,
 )
-from motor_datasets.generate import generate_arrays
-from motor_env.inference.posterior import class_probabilities, prior_from_starts
-from motor_env.motor.faults import apply_faults
-from motor_env.motor.parameters import FloatArray, MotorParameters
+from motor_datasets import generate_arrays
+from motor_env import (
+    MotorParameters,
+    Recipe,
+    Timing,
+    apply_faults,
+    class_probabilities,
+    named_recipe,
+    simulate_states,
+)
+from motor_env.inference.posterior import prior_from_starts
+from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.drawing import apply_factors
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.recipes import FaultClass, Recipe, Spread
-from motor_env.simulation.simulate import Timing, simulate_states
+from motor_env.simulation.recipes import FaultClass, Spread
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 

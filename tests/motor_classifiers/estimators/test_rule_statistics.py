@@ -6,15 +6,10 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from motor_classifiers.estimators.features import RuleStatistics
-from motor_datasets.generate import generate_arrays
-from motor_env.detection.rules import Cusum
+from motor_classifiers import RuleStatistics
+from motor_datasets import generate_arrays
+from motor_env import Cusum, Fault, FaultKind, MatchedTest, Timing, class_probabilities, named_recipe
 from motor_env.detection.rules.tolerant import TolerantFilter
-from motor_env.inference.posterior import class_probabilities
-from motor_env.inference.whitening import MatchedTest
-from motor_env.motor.faults import Fault, FaultKind
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.simulate import Timing
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 

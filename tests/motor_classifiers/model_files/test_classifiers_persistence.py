@@ -10,11 +10,8 @@ from saved_models import RECIPE, TEST, TRAIN, content, fitted
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.pipeline import make_pipeline
 
-from motor_classifiers.estimators.features import ResidualProjection
-from motor_classifiers.estimators.methods import METHODS
-from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers import METHODS, PosteriorNetwork, ResidualProjection, load_model, save_model
 from motor_classifiers.estimators.reference_starts import RecentredStarts, referenced_starts
-from motor_classifiers.model_files.persistence import load_model, save_model
 
 
 @pytest.mark.parametrize("name", METHODS)

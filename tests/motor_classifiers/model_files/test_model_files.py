@@ -20,17 +20,21 @@ from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn.tree import DecisionTreeClassifier
 
+from motor_classifiers import (
+    ConformalClassifier,
+    OpenSetClassifier,
+    load_model,
+    make_method,
+    opinions,
+    save_model,
+)
 from motor_classifiers.cli.main import main
-from motor_classifiers.estimators.methods import make_method
 from motor_classifiers.estimators.reference_starts import RecentredStarts
-from motor_classifiers.model_files.persistence import FORMAT, load_model, save_model
-from motor_classifiers.prediction.opinions import opinions
+from motor_classifiers.model_files.persistence import FORMAT
 from motor_classifiers.scoring.unknown_faults import ForeignFault, foreign_starts
-from motor_classifiers.wrappers.conformal import ConformalClassifier
-from motor_classifiers.wrappers.open_set import OpenSetClassifier
 from motor_datasets import generate_arrays, generate_dataset
+from motor_env import FaultKind
 from motor_env.console import ExitStatus
-from motor_env.motor.faults import FaultKind
 from motor_env.simulation.recipes import FaultClass
 
 CALLING = Pipeline([("call", FunctionTransformer(os.getcwd))])

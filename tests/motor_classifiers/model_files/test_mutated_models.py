@@ -37,10 +37,8 @@ from sklearn.naive_bayes import GaussianNB
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import MinMaxScaler, RobustScaler
 
-from motor_classifiers.estimators.features import ResidualProjection
-from motor_classifiers.estimators.methods import METHODS, make_method
+from motor_classifiers import METHODS, ResidualProjection, load_model, make_method, save_model
 from motor_classifiers.model_files.containers import LARGEST_FILE_BYTES
-from motor_classifiers.model_files.persistence import load_model, save_model
 from motor_datasets import generate_arrays
 
 TWO = replace(RECIPE, classes=RECIPE.classes[:2])

@@ -9,14 +9,12 @@ import onnxruntime
 import pytest
 import torch
 
+from motor_classifiers import PosteriorNetwork, load_model, make_method, save_model
 from motor_classifiers.cli.main import main
-from motor_classifiers.estimators.methods import make_method
-from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.onnx_export import INPUT, OUTPUTS, Deployed
-from motor_classifiers.model_files.persistence import PRETRAINED, load_model, save_model
-from motor_datasets.generate import generate_arrays
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.simulate import Timing
+from motor_classifiers.model_files.persistence import PRETRAINED
+from motor_datasets import generate_arrays
+from motor_env import Timing, named_recipe
 
 SHORT = named_recipe("bench-full", timing=Timing(1_000.0, 0.02))
 

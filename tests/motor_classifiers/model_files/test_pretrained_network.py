@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from limit_cells import limit_cell
 
+from motor_classifiers import PosteriorNetwork, load_model
 from motor_classifiers.cli.main import main
 from motor_classifiers.cli.training import network_recipe
-from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
-from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_env.motor.data_sheet import load_motor
-from motor_env.simulation.named_recipes import named_recipe
+from motor_classifiers.model_files.persistence import PRETRAINED
+from motor_env import load_motor, named_recipe
 
 ROOT = Path(__file__).resolve().parents[3]
 CAPTURE = str(ROOT / "examples" / "startup_capture.csv")

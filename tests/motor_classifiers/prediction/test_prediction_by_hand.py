@@ -10,28 +10,26 @@ import numpy as np
 import pytest
 from sklearn.base import BaseEstimator
 
-from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork, SeverityEstimate
+from motor_classifiers import (
+    ConformalClassifier,
+    ConformalSets,
+    OpenSetClassifier,
+    Opinion,
+    PosteriorNetwork,
+    opinions,
+    predict_recording,
+)
+from motor_classifiers.estimators.networks.posterior_network import SeverityEstimate
 from motor_classifiers.prediction import alignment, opinions as opinions_module
 from motor_classifiers.prediction.alignment import aligned_case
-from motor_classifiers.prediction.opinions import (
-    UNDECIDED,
-    Opinion,
-    opinions,
-    overall_status,
-    predict_recording,
-    second_opinion,
-)
-from motor_classifiers.wrappers.conformal import ConformalClassifier, ConformalSets
-from motor_classifiers.wrappers.open_set import OpenSetClassifier, Verdicts
+from motor_classifiers.prediction.opinions import UNDECIDED, overall_status, second_opinion
+from motor_classifiers.wrappers.open_set import Verdicts
+from motor_env import Channel, FaultKind, Recipe, Recording, Timing, named_recipe, simulate_states
 from motor_env.console import ExitStatus
 from motor_env.inference.features import FEATURE_NAMES
-from motor_env.motor.faults import FaultKind
-from motor_env.motor.parameters import Channel, FloatArray
+from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.recipes import FaultClass, Recipe
-from motor_env.simulation.simulate import Timing, simulate_states
+from motor_env.simulation.recipes import FaultClass
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 LOUD = replace(RECIPE, classes=(*RECIPE.classes, FaultClass(FaultKind.NOISE, 0.5)))

@@ -7,13 +7,10 @@ import pytest
 from recording_csv import write_csv
 from sklearn.base import BaseEstimator
 
-from motor_classifiers.estimators.methods import make_method
-from motor_classifiers.prediction.opinions import UNDECIDED, predict_recording
-from motor_datasets.generate import generate_arrays
-from motor_env.motor.faults import apply_faults
-from motor_env.simulation.drawing import draw
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.simulate import simulate_states
+from motor_classifiers import make_method, predict_recording
+from motor_classifiers.prediction.opinions import UNDECIDED
+from motor_datasets import generate_arrays
+from motor_env import apply_faults, draw, named_recipe, simulate_states
 
 RECIPE = named_recipe("bench")
 FINE = 10  # simulated steps in a sampling interval

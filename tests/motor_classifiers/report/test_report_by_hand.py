@@ -27,9 +27,9 @@ from motor_classifiers.scoring.calibration import Reliability
 from motor_classifiers.scoring.judging import Cell
 from motor_classifiers.scoring.metrics import Score
 from motor_classifiers.scoring.unknown_faults import FALSE_ALARM_RATES
-from motor_datasets.generate import generate_arrays
+from motor_datasets import generate_arrays
+from motor_env import simulate_states
 from motor_env.pages.svg import Axis
-from motor_env.simulation.simulate import simulate_states
 
 
 def shapes(chart: str, tag: str, style: str | None = None) -> list[list[float]]:

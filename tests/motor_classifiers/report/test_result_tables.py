@@ -6,7 +6,7 @@ import leaderboard
 import pytest
 import result_tables
 
-from motor_classifiers.contest.tasks import load_task
+from motor_classifiers import load_task
 
 
 def test_tables_of_readme_and_docs_come_from_their_files() -> None:

@@ -6,14 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motor_classifiers import load_model, make_method, save_model
 from motor_classifiers.cli.main import main
-from motor_classifiers.estimators.methods import make_method
-from motor_classifiers.model_files.persistence import load_model, save_model
 from motor_classifiers.scoring.judging import in_recipe_order
-from motor_datasets import generate_dataset
-from motor_datasets.loaders import load
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.simulate import Timing
+from motor_datasets import generate_dataset, load
+from motor_env import Timing, named_recipe
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 

@@ -13,7 +13,7 @@ from sklearn.metrics import (
     recall_score,
 )
 
-from motor_classifiers.estimators.networks.epoch_classifier import PerceptronClassifier
+from motor_classifiers import PerceptronClassifier
 from motor_classifiers.scoring.metrics import (
     compare,
     level_distance,
@@ -21,9 +21,8 @@ from motor_classifiers.scoring.metrics import (
     root_mean_square,
     scores,
 )
-from motor_datasets.generate import generate_arrays
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.simulate import Timing
+from motor_datasets import generate_arrays
+from motor_env import Timing, named_recipe
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 

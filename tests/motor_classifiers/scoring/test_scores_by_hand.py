@@ -14,6 +14,7 @@ from made_results import CELL, RECIPE, answer, decisions, made_results
 from scipy.stats import binom
 from sklearn.metrics import brier_score_loss, log_loss
 
+from motor_classifiers import FaultFamilyDetector
 from motor_classifiers.scoring import progress, trust as trust_module, unknown_faults, verdict_times
 from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability, reliability
 from motor_classifiers.scoring.evaluation import evaluation_lines
@@ -46,11 +47,8 @@ from motor_classifiers.scoring.trust import Counts, expected_seconds, set_figure
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, foreign_scores, foreign_starts
 from motor_classifiers.scoring.verdict_times import STATED_ERRORS, accuracy_by_moment, moments
 from motor_classifiers.wrappers.fault_family import FamilyFit
-from motor_classifiers.wrappers.open_set import FaultFamilyDetector
-from motor_env.motor.faults import FaultKind
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import FaultKind, Timing, named_recipe
 from motor_env.simulation.recipes import FACTORS, FaultClass, Spread
-from motor_env.simulation.simulate import Timing
 
 
 def identity(values: list[float]) -> Any:
@@ -375,7 +373,7 @@ def test_foreign_faults_are_found_above_the_threshold(monkeypatch: pytest.Monkey
 
 def test_a_foreign_fault_is_applied_to_a_healthy_motor() -> None:
     certain = replace(RECIPE, spread=Spread(), sensor=replace(RECIPE.sensor, current_noise_a=1e-9))
-    from motor_env.simulation.simulate import simulate_states
+    from motor_env import simulate_states
 
     for fault in UNKNOWN_FAULTS:
         motor = certain.motor.scaled(

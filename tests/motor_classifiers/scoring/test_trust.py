@@ -11,6 +11,7 @@ from shifts import shift_scores, textbook_shifts
 from sklearn.metrics import roc_auc_score
 from trust import plot_roc
 
+from motor_classifiers import ConformalSets, FaultFamilyDetector
 from motor_classifiers.scoring import trust as trust_module
 from motor_classifiers.scoring.judging import Cell
 from motor_classifiers.scoring.trust import (
@@ -31,13 +32,9 @@ from motor_classifiers.scoring.unknown_faults import (
     foreign_scores,
     foreign_starts,
 )
-from motor_classifiers.wrappers.conformal import ConformalSets
-from motor_classifiers.wrappers.open_set import FaultFamilyDetector
-from motor_datasets.generate import generate_arrays
-from motor_env.inference.posterior import class_probabilities
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.recipes import FaultClass, Recipe, Spread
-from motor_env.simulation.simulate import Timing
+from motor_datasets import generate_arrays
+from motor_env import Recipe, Timing, class_probabilities, named_recipe
+from motor_env.simulation.recipes import FaultClass, Spread
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 

@@ -14,10 +14,8 @@ from motor_classifiers.scoring.verdict_times import (
     stopping_rows,
 )
 from motor_classifiers.wrappers.early import stop_when_sure, stopping_score
-from motor_env.motor.faults import FaultKind
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import FaultKind, Timing, named_recipe
 from motor_env.simulation.recipes import FaultClass
-from motor_env.simulation.simulate import Timing
 
 
 def test_moments_count_from_the_step() -> None:

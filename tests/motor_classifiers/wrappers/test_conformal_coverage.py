@@ -8,13 +8,9 @@ from scipy.stats import binom
 from sklearn.frozen import FrozenEstimator
 from sklearn.linear_model import LogisticRegression
 
+from motor_classifiers import ConformalClassifier, ConformalIntervals, ConformalSets
 from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability, reliability
-from motor_classifiers.wrappers.conformal import (
-    ConformalClassifier,
-    ConformalIntervals,
-    ConformalSets,
-    measured_coverage,
-)
+from motor_classifiers.wrappers.conformal import measured_coverage
 
 N_CLASSES = 4
 

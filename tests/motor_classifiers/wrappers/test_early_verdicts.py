@@ -6,18 +6,10 @@ from scipy.special import expit
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis, QuadraticDiscriminantAnalysis
 from sklearn.pipeline import make_pipeline
 
-from motor_classifiers.estimators.features import ResidualProjection
-from motor_classifiers.wrappers.early import (
-    EarlyClassifier,
-    limit_by_samples,
-    shortened,
-    stop_when_sure,
-    stopping_score,
-)
-from motor_datasets.generate import generate_arrays
-from motor_env.inference.posterior import class_probabilities
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.simulate import Timing
+from motor_classifiers import EarlyClassifier, ResidualProjection
+from motor_classifiers.wrappers.early import limit_by_samples, shortened, stop_when_sure, stopping_score
+from motor_datasets import generate_arrays
+from motor_env import Timing, class_probabilities, named_recipe
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 

@@ -10,32 +10,26 @@ from scipy.stats import binomtest, norm
 from sklearn.frozen import FrozenEstimator
 from sklearn.linear_model import LogisticRegression
 
-from motor_classifiers.estimators.state import State
-from motor_classifiers.wrappers.conformal import (
+from motor_classifiers import (
     ConformalClassifier,
     ConformalIntervals,
     ConformalSets,
-    measured_coverage,
-)
-from motor_classifiers.wrappers.early import (
     EarlyClassifier,
-    Stopped,
-    shortened,
-    stop_when_sure,
-    stopping_score,
+    FaultFamilyDetector,
+    OpenSetClassifier,
 )
+from motor_classifiers.estimators.state import State
+from motor_classifiers.wrappers.conformal import measured_coverage
+from motor_classifiers.wrappers.early import Stopped, shortened, stop_when_sure, stopping_score
 from motor_classifiers.wrappers.fault_family import (  # the two last: closed forms hold them, not only rates
     FamilyFit,
     _along,
     _hypotheses,
     family_fit,
 )
-from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClassifier
-from motor_env.motor.faults import FaultKind
-from motor_env.motor.parameters import Channel, FloatArray
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import Channel, FaultKind, Timing, named_recipe, simulate_states
+from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass, Spread
-from motor_env.simulation.simulate import Timing, simulate_states
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 # Strangeness of the true class: 1/8, 1/4 and 1/2, which are exact in binary.

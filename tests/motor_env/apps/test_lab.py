@@ -17,18 +17,27 @@ import numpy as np
 import pytest
 from running_lab import running_lab, write_start
 
+from motor_env import (
+    CATALOGUE,
+    Cusum,
+    Fault,
+    FaultKind,
+    InputError,
+    KalmanFilter,
+    MOfN,
+    Scenario,
+    SensorParameters,
+    Timing,
+    in_a_row,
+    run_filter,
+    simulate,
+    simulate_states,
+)
 from motor_env.apps import lab, lab_shelf
 from motor_env.apps.lab_server import _Handler, make_server  # its reading is tested without a connection
 from motor_env.apps.lab_shelf import LARGEST_UPLOAD_BYTES
 from motor_env.cli import main
-from motor_env.detection.rules import Cusum, MOfN, in_a_row
-from motor_env.errors import InputError
-from motor_env.filters.batch import run_filter
-from motor_env.filters.kalman import KalmanFilter
-from motor_env.motor.faults import Fault, FaultKind
-from motor_env.motor.parameters import CATALOGUE, SensorParameters
 from motor_env.motor.toml_files import from_dict
-from motor_env.simulation.simulate import Scenario, Timing, simulate, simulate_states
 
 
 @pytest.fixture(scope="module")

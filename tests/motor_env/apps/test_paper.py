@@ -6,12 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motor_env import cli
+from motor_env import (
+    PAPER_MOTOR,
+    Fault,
+    FaultKind,
+    InputError,
+    MotorParameters,
+    cli,
+    continuous_model,
+    discretize,
+    steady_state,
+)
 from motor_env.apps import paper, reproduce as reproduction
-from motor_env.errors import InputError
-from motor_env.motor.faults import Fault, FaultKind
-from motor_env.motor.model import continuous_model, discretize, steady_state
-from motor_env.motor.parameters import PAPER_MATRICES_DT_S, PAPER_MATRICES_MOTOR, PAPER_MOTOR, MotorParameters
+from motor_env.motor.parameters import PAPER_MATRICES_DT_S, PAPER_MATRICES_MOTOR
 
 ROOT = Path(__file__).parents[3]
 

@@ -10,23 +10,19 @@ from typing import Any
 
 import pytest
 
+from motor_env import Diagnosis, InputError, Recording, Verdict, load_motor, nis_rule
 from motor_env.cli import main, options
-from motor_env.detection.rules import nis_rule
 from motor_env.diagnosis import commission as steps, diagnose as judging
-from motor_env.diagnosis.decision import Diagnosis, Verdict
 from motor_env.diagnosis.files import Outcome
 from motor_env.embedded import monitor as monitors, source
 from motor_env.embedded.arithmetic import Steps
 from motor_env.embedded.monitor import CusumBank
-from motor_env.errors import InputError
 from motor_env.identification import coastdown
 from motor_env.identification.coastdown import CoastDown
 from motor_env.live import command
-from motor_env.motor.data_sheet import load_motor
 from motor_env.operation import logs
 from motor_env.prognosis import files as trends, page
 from motor_env.recordings.profiles import Profile, load_profile
-from motor_env.recordings.recording import Recording
 from motor_env.recordings.start import Circuit
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.stats import binom, chi2
 
-from motor_env.detection.rules import (
+from motor_env import (
     Cusum,
     Glr,
     ModelBank,
@@ -17,8 +17,8 @@ from motor_env.detection.rules import (
     WindowedNis,
     in_a_row,
     nis_rule,
-    run_lengths,
 )
+from motor_env.detection.rules import run_lengths
 from motor_env.detection.run_length import (
     HitChain,
     TwoSided,

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from motor_env.detection.plots import plot_bank, plot_rules
-from motor_env.detection.rules import Cusum, ModelBank, nis_rule
+from motor_env import Cusum, ModelBank, nis_rule, plot_bank, plot_rules
 
 
 def test_pictures_hold_thresholds_and_alarms() -> None:

@@ -4,28 +4,31 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, norm
 
-from motor_env.detection.rules import (
+from motor_env import (
+    Channel,
     Cusum,
     Glr,
+    KalmanFilter,
     ModelBank,
     MOfN,
+    MotorParameters,
+    Recipe,
     Rule,
+    SensorParameters,
     ShiryaevRoberts,
     Sprt,
+    Timing,
     TolerantFilter,
     WindowedNis,
     in_a_row,
+    named_recipe,
     nis_rule,
     recipe_thresholds,
-    run_lengths,
 )
+from motor_env.detection.rules import run_lengths
 from motor_env.detection.rules.calibration import healthy_measurements
 from motor_env.detection.rules.tolerant import second_order
-from motor_env.filters.kalman import KalmanFilter
-from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, SensorParameters
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.recipes import Recipe
-from motor_env.simulation.simulate import Timing
+from motor_env.motor.parameters import FloatArray
 
 WANTED = 0.01
 SEED = 2  # of the motors that are tested: not that of the calibration

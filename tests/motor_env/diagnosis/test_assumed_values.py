@@ -10,23 +10,24 @@ from recording_csv import write_csv
 
 from motor_env import (
     PAPER_MOTOR,
+    RECIPES,
+    Channel,
     Fault,
+    FaultKind,
+    InputError,
     Scenario,
     SensorParameters,
     Timing,
     cli,
     diagnose,
+    load_motor,
     read_recording,
     simulate,
 )
 from motor_env.diagnosis.commission import identify_file, to_motor
 from motor_env.envs.tasks import with_motor
-from motor_env.errors import InputError
 from motor_env.motor.assumptions import usable_parameters
-from motor_env.motor.data_sheet import load_motor, to_toml
-from motor_env.motor.faults import FaultKind
-from motor_env.motor.parameters import Channel
-from motor_env.simulation.named_recipes import RECIPES
+from motor_env.motor.data_sheet import to_toml
 
 SENSOR = SensorParameters(
     current_noise_a=0.02, speed_noise_rad_s=0.2, channels=(Channel.CURRENT, Channel.SPEED)

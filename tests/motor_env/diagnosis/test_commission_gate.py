@@ -10,9 +10,8 @@ import pytest
 from recording_csv import write_recording
 from simulated_captures import DEFECTS, captures
 
+from motor_env import PAPER_MOTOR, Recording
 from motor_env.cli import main
-from motor_env.motor.parameters import PAPER_MOTOR
-from motor_env.recordings.recording import Recording
 from motor_env.recordings.splitting import split_starts
 
 DT_S = 1e-4

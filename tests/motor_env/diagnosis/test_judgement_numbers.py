@@ -13,11 +13,30 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from motor_env import PAPER_MOTOR, Scenario, SensorParameters, Timing, load_motor, simulate
+from motor_env import (
+    PAPER_MOTOR,
+    Diagnosis,
+    FaultKind,
+    Identified,
+    InputError,
+    MotorFile,
+    Recording,
+    Scenario,
+    SensorParameters,
+    Timing,
+    Verdict,
+    diagnose,
+    load_motor,
+    read_recording,
+    reference_from_motor,
+    reference_from_starts,
+    simulate,
+    steady_state,
+)
 from motor_env.cli import main
 from motor_env.diagnosis import commission, page, report
-from motor_env.diagnosis.decision import Diagnosis, Verdict, decide
-from motor_env.diagnosis.diagnose import diagnose, unusable_reason
+from motor_env.diagnosis.decision import decide
+from motor_env.diagnosis.diagnose import unusable_reason
 from motor_env.diagnosis.explanations import (
     Change,
     Difference,
@@ -39,22 +58,14 @@ from motor_env.diagnosis.healthy_motor import (
     disagreement,
     learn_reference,
     odd_one_out,
-    reference_from_motor,
-    reference_from_starts,
     the_next,
     warmer,
     white_error,
 )
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
-from motor_env.errors import InputError
-from motor_env.identification.identify import Identified
-from motor_env.motor.data_sheet import MotorFile
-from motor_env.motor.faults import FaultKind
 from motor_env.motor.identifiable import matrix, nameable_kinds, names, visible_direction
-from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.periodic_lines import PeriodicLine
-from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.start import Circuit
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

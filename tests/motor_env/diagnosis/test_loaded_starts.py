@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 from recording_csv import write_csv
 
+from motor_env import MotorParameters, Recording, diagnose, load_motor
 from motor_env.cli import main
-from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
 from motor_env.identification.start_model import Extension, step_start
-from motor_env.motor.data_sheet import load_motor
-from motor_env.motor.parameters import FloatArray, MotorParameters
-from motor_env.recordings.recording import Recording
+from motor_env.motor.parameters import FloatArray
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml").parameters
 TIME_S: FloatArray = np.linspace(-0.02, 0.0999, 1200)

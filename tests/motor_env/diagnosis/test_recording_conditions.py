@@ -8,14 +8,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motor_env import Fault, FaultKind, Scenario, SensorParameters, SupplyParameters, Timing
-from motor_env.diagnosis.decision import Diagnosis, Verdict
-from motor_env.diagnosis.diagnose import diagnose
+from motor_env import (
+    Diagnosis,
+    Fault,
+    FaultKind,
+    MotorParameters,
+    Recording,
+    Scenario,
+    SensorParameters,
+    SupplyParameters,
+    Timing,
+    Verdict,
+    diagnose,
+    identify,
+    load_motor,
+)
 from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
-from motor_env.identification.identify import identify
-from motor_env.motor.data_sheet import StartReference, load_motor
-from motor_env.motor.parameters import FloatArray, MotorParameters
-from motor_env.recordings.recording import Recording
+from motor_env.motor.data_sheet import StartReference
+from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.start import prepare
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.nonlinear import Effects

@@ -10,25 +10,34 @@ import numpy as np
 import pytest
 from simulated_captures import DEFECTS, Defect, captures
 
-from motor_env import PAPER_MOTOR, Fault, FaultKind, Timing
-from motor_env.diagnosis.decision import Diagnosis, Verdict
-from motor_env.diagnosis.diagnose import diagnose
+from motor_env import (
+    PAPER_MOTOR,
+    Channel,
+    Diagnosis,
+    Fault,
+    FaultKind,
+    InputError,
+    Recording,
+    Scenario,
+    SensorParameters,
+    Timing,
+    Verdict,
+    diagnose,
+    identify,
+    load_motor,
+)
 from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
 from motor_env.diagnosis.report import ripple_json
-from motor_env.errors import InputError
 from motor_env.identification.commutation import find_ripple
-from motor_env.identification.identify import TEXTBOOK, identify
+from motor_env.identification.identify import TEXTBOOK
 from motor_env.identification.model_choice import identify_best
 from motor_env.identification.start_model import Extension, driven
-from motor_env.motor.data_sheet import load_motor
-from motor_env.motor.parameters import Channel, FloatArray, SensorParameters
+from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import DefectKind
 from motor_env.recordings.noise import difference_noise
-from motor_env.recordings.recording import Recording
 from motor_env.recordings.splitting import chosen_starts, split_starts
 from motor_env.recordings.start import Circuit, prepare
 from motor_env.simulation.fast_path import measure
-from motor_env.simulation.simulate import Scenario
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml")
 FAULTS = {

@@ -10,19 +10,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motor_env import Fault, FaultKind, Scenario, SensorParameters, SupplyParameters, Timing, cli, simulate
+from motor_env import (
+    RECIPES,
+    Diagnosis,
+    Fault,
+    FaultKind,
+    Recording,
+    Scenario,
+    SensorParameters,
+    SupplyParameters,
+    Timing,
+    Verdict,
+    cli,
+    diagnose,
+    identify,
+    load_motor,
+    read_recording,
+    simulate,
+)
 from motor_env.diagnosis.commission import identify_file
-from motor_env.diagnosis.decision import Diagnosis, Verdict
-from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.files import diagnose_files
 from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
-from motor_env.identification.identify import identify
-from motor_env.motor.data_sheet import load_motor
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.start import prepare
 from motor_env.simulation.drawing import apply_factors
-from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.random_streams import Stream, normals
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

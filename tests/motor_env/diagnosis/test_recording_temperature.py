@@ -7,15 +7,22 @@ from pathlib import Path
 
 import pytest
 
-from motor_env import Fault, FaultKind
-from motor_env.diagnosis.decision import Verdict
-from motor_env.diagnosis.diagnose import diagnose
+from motor_env import (
+    Fault,
+    FaultKind,
+    MotorParameters,
+    Recording,
+    Scenario,
+    SensorParameters,
+    SupplyParameters,
+    Timing,
+    Verdict,
+    diagnose,
+    load_motor,
+)
 from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
-from motor_env.motor.data_sheet import StartReference, load_motor
-from motor_env.motor.parameters import MotorParameters, SensorParameters, SupplyParameters
-from motor_env.recordings.recording import Recording
+from motor_env.motor.data_sheet import StartReference
 from motor_env.simulation.fast_path import measure
-from motor_env.simulation.simulate import Scenario, Timing
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml").parameters
 TIMING = Timing(10_000.0, 0.2, 0.05)

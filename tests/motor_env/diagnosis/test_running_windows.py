@@ -13,14 +13,13 @@ import pytest
 from recording_csv import write_recording
 from scipy import stats
 
+from motor_env import InputError, Recording
 from motor_env.cli import main
 from motor_env.diagnosis.explanations import alarm_share, joint_share
 from motor_env.diagnosis.running import logs, windows
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.running.windows import WindowVerdict
-from motor_env.errors import InputError
 from motor_env.motor import identifiable as quantities
-from motor_env.recordings.recording import Recording
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 from operation_simulator import Motor, draw_motor, simulate

@@ -12,7 +12,9 @@ import pytest
 
 from motor_env import (
     PAPER_MOTOR,
+    Diagnosis,
     Fault,
+    FaultKind,
     Recording,
     Scenario,
     SensorParameters,
@@ -21,9 +23,7 @@ from motor_env import (
     load_motor,
     simulate,
 )
-from motor_env.diagnosis.decision import Diagnosis
 from motor_env.diagnosis.page import page, reference_current
-from motor_env.motor.faults import FaultKind
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 MOTOR = load_motor(EXAMPLES / "motor.toml")

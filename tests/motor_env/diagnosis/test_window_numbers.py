@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from motor_env import FaultKind, InputError, Recording
 from motor_env.cli import main
 from motor_env.diagnosis.explanations import Change, joint_share
 from motor_env.diagnosis.running import lessons, logs, looks as looking, windows
@@ -31,16 +32,13 @@ from motor_env.diagnosis.running.windows import (
     spread_of,
     windows_of,
 )
-from motor_env.errors import InputError
 from motor_env.motor.data_sheet import WindowReference
-from motor_env.motor.faults import FaultKind
 from motor_env.motor.identifiable import matrix, visible_direction
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
 from motor_env.operation.record import Record
 from motor_env.operation.window import WindowFit, first_steps
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
 
 EXPONENTS = matrix(NAMES)
 REFERENCE = WindowReference(

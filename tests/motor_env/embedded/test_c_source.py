@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 
 from motor_env import (
     PAPER_MOTOR,
+    Channel,
     Fault,
     FaultKind,
+    InputError,
     MotorFile,
     Scenario,
     SensorParameters,
@@ -32,8 +34,6 @@ from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import write_library
 from motor_env.embedded.twin import Answers, SampleVerdict, answers, readings_of
-from motor_env.errors import InputError
-from motor_env.motor.parameters import Channel
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]

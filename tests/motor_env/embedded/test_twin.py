@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from motor_env import (
     PAPER_MOTOR,
+    Channel,
     Cusum,
     Fault,
     FaultKind,
@@ -19,9 +20,11 @@ from motor_env import (
     MotorFile,
     Scenario,
     SensorParameters,
+    Transients,
     nis_rule,
     run_filter,
     simulate,
+    steady_state,
 )
 from motor_env.cli import main
 from motor_env.detection.rules.base import first_above
@@ -30,9 +33,6 @@ from motor_env.embedded.monitor import CusumBank, Limits, Monitor, monitor_of
 from motor_env.embedded.source import checks, write_library
 from motor_env.embedded.twin import Answers, SampleVerdict, answers, readings_of
 from motor_env.filters.kalman import schedule
-from motor_env.motor.model import steady_state
-from motor_env.motor.parameters import Channel
-from motor_env.simulation.simulate import Transients
 
 RULES: dict[str, CusumBank | MOfN] = {
     "cusum": CusumBank(),

@@ -12,11 +12,11 @@ from motor_env.envs import (
     BayesPolicy,
     MonitorVectorEnv,
     PosteriorView,
+    ProbeBelief,
     ProbeVectorEnv,
     Summarised,
     run_episodes,
 )
-from motor_env.envs.baselines.belief import ProbeBelief
 
 OPTIONS: dict[str, Any] = {"observe": ("innovation_current", "voltage"), "horizon_s": 0.1}
 EXAMPLES = Path(__file__).parents[3] / "examples"

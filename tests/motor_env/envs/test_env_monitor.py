@@ -12,22 +12,31 @@ from gymnasium.utils.env_checker import check_env
 from scipy.signal import lfilter
 
 import motor_env  # noqa: F401  # registers the environments
-from motor_env.envs import kernel
+from motor_env import (
+    PAPER_MOTOR,
+    Channel,
+    Fault,
+    FaultKind,
+    KalmanFilter,
+    Recipe,
+    SensorParameters,
+    State,
+    apply_fault,
+    discretize,
+    draw,
+    run_filter,
+    simulate_states,
+    steady_state,
+)
+from motor_env.envs import MonitorEnv, MonitorVectorEnv, kernel
 from motor_env.envs.base import Info
 from motor_env.envs.kernel import LANES
-from motor_env.envs.monitor import MonitorEnv, MonitorVectorEnv
 from motor_env.envs.noise import case_of
 from motor_env.envs.setup import converged_gain
 from motor_env.envs.tasks import MEDIUM
-from motor_env.filters.batch import run_filter
-from motor_env.filters.kalman import KalmanFilter, schedule
-from motor_env.motor.faults import Fault, FaultKind, apply_fault
-from motor_env.motor.model import State, discretize, steady_state
-from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, SensorParameters
-from motor_env.simulation.drawing import draw
+from motor_env.filters.kalman import schedule
+from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, normals, uniforms
-from motor_env.simulation.recipes import Recipe
-from motor_env.simulation.simulate import simulate_states
 
 WAIT = 0
 

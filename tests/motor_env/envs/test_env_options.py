@@ -13,13 +13,17 @@ import pytest
 from gymnasium.wrappers import RecordEpisodeStatistics
 from hypothesis import given, settings, strategies as st
 
-from motor_env.envs.monitor import MonitorEnv, MonitorVectorEnv
-from motor_env.envs.options import MonitorOptions
-from motor_env.envs.probe import ProbeContinuousEnv, ProbeEnv, ProbeOptions, ProbeVectorEnv
+from motor_env import Channel, MotorParameters, Recipe, SensorParameters, SupplyParameters, Timing
+from motor_env.envs import (
+    MonitorEnv,
+    MonitorOptions,
+    MonitorVectorEnv,
+    ProbeContinuousEnv,
+    ProbeEnv,
+    ProbeOptions,
+    ProbeVectorEnv,
+)
 from motor_env.envs.tasks import TASKS
-from motor_env.motor.parameters import Channel, MotorParameters, SensorParameters, SupplyParameters
-from motor_env.simulation.recipes import Recipe
-from motor_env.simulation.simulate import Timing
 
 POSITIVE = st.floats(-4.0, 2.0).map(lambda exponent: 10.0**exponent)
 MOTORS = st.builds(MotorParameters, *[POSITIVE] * 5, viscous_friction_n_m_s_per_rad=POSITIVE | st.just(0.0))

@@ -12,34 +12,45 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from motor_env.detection.rules import Cusum
-from motor_env.envs import kernel
+from motor_env import Cusum, FaultKind, Recipe, apply_faults, discretize
+from motor_env.envs import (
+    BankPolicy,
+    BayesPolicy,
+    Bursts,
+    LookAhead,
+    MonitorOptions,
+    MonitorVectorEnv,
+    Never,
+    OnDemand,
+    OpenLoop,
+    ProbeBelief,
+    ProbeOptions,
+    ProbeVectorEnv,
+    Random,
+    RatioTest,
+    RulePolicy,
+    Runs,
+    ThresholdPolicy,
+    TolerancePolicy,
+    WorthTest,
+    baseline_features,
+    kernel,
+    run_episodes,
+    score,
+    sweep,
+)
 from motor_env.envs.baselines import bounds
-from motor_env.envs.baselines.belief import ProbeBelief, final_worth, worth
-from motor_env.envs.baselines.evaluation import Runs, interval, joined, run_episodes, score, sweep
+from motor_env.envs.baselines.belief import final_worth, worth
+from motor_env.envs.baselines.evaluation import interval, joined
 from motor_env.envs.baselines.looks import LOG_ODDS, PROBABILITY, look_matrix
 from motor_env.envs.baselines.pairs import declared_worth, silent_worth
-from motor_env.envs.baselines.policies import (
-    BankPolicy,
-    Never,
-    Random,
-    RulePolicy,
-    ThresholdPolicy,
-    baseline_features,
-    column,
-)
-from motor_env.envs.baselines.posterior_policies import BayesPolicy, signatures
-from motor_env.envs.baselines.probing import Bursts, LookAhead, OnDemand, OpenLoop, RatioTest, WorthTest
-from motor_env.envs.baselines.tolerances import TolerancePolicy, level_std
-from motor_env.envs.monitor import MonitorVectorEnv
-from motor_env.envs.options import MonitorOptions
-from motor_env.envs.probe import ProbeOptions, ProbeVectorEnv
+from motor_env.envs.baselines.policies import column
+from motor_env.envs.baselines.posterior_policies import signatures
+from motor_env.envs.baselines.tolerances import level_std
 from motor_env.envs.setup import converged_gain, make_setup
 from motor_env.envs.tasks import EASY, HARD, MEDIUM, SMALL
-from motor_env.motor.faults import FaultKind, apply_faults
-from motor_env.motor.model import discretize
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.recipes import FaultClass, Recipe
+from motor_env.simulation.recipes import FaultClass
 
 MONITOR: dict[str, Any] = {"recipe": "easy", "horizon_s": 0.05, "observe": baseline_features(EASY)}
 PROBE: dict[str, Any] = {"recipe": "small", "horizon_s": 0.1}

@@ -11,9 +11,8 @@ from gymnasium.wrappers import RecordEpisodeStatistics, RecordVideo
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordVectorStatistics
 
 import motor_env  # noqa: F401  # registers the environments
-from motor_env.envs.monitor import MonitorVectorEnv
-from motor_env.envs.probe import ProbeEnv, ProbeVectorEnv
-from motor_env.motor.parameters import PAPER_MOTOR
+from motor_env import PAPER_MOTOR
+from motor_env.envs import MonitorVectorEnv, ProbeEnv, ProbeVectorEnv
 
 IDS = ("motor_env/Monitor-v0", "motor_env/Probe-v0", "motor_env/ProbeContinuous-v0")
 ALL_IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
@@ -104,7 +103,7 @@ def test_stable_baselines_checker_is_content(name: str) -> None:
 
 def test_ppo_learns_through_the_adapter() -> None:
     stable = pytest.importorskip("stable_baselines3", reason="extra rl")
-    from motor_env.envs.adapters import StableBaselinesVecEnv
+    from motor_env.envs import StableBaselinesVecEnv
 
     envs = StableBaselinesVecEnv(ProbeVectorEnv(8, autoreset_mode="SameStep", samples_per_step=5, **SHORT))
     model = stable.PPO("MlpPolicy", envs, n_steps=64, batch_size=128, n_epochs=2, seed=0, device="cpu")

@@ -12,14 +12,18 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from motor_env.envs import kernel
-from motor_env.envs.monitor import MonitorEnv, MonitorVectorEnv
+from motor_env import Fault, FaultKind, apply_faults, discretize, draw
+from motor_env.envs import (
+    MonitorEnv,
+    MonitorVectorEnv,
+    ProbeContinuousEnv,
+    ProbeContinuousVectorEnv,
+    ProbeEnv,
+    ProbeVectorEnv,
+    kernel,
+)
 from motor_env.envs.noise import case_of
-from motor_env.envs.probe import ProbeContinuousEnv, ProbeContinuousVectorEnv, ProbeEnv, ProbeVectorEnv
 from motor_env.envs.tasks import TASKS
-from motor_env.motor.faults import Fault, FaultKind, apply_faults
-from motor_env.motor.model import discretize
-from motor_env.simulation.drawing import draw
 from motor_env.simulation.recipes import FaultClass
 
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))

@@ -5,11 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motor_env.filters.adaptive import MEMORY, adapted_noise, adaptive_filter
-from motor_env.filters.batch import run_filter
-from motor_env.filters.kalman import KalmanFilter
-from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, SensorParameters
-from motor_env.simulation.simulate import Scenario, Timing, simulate
+from motor_env import (
+    PAPER_MOTOR,
+    Channel,
+    KalmanFilter,
+    Scenario,
+    SensorParameters,
+    Timing,
+    adaptive_filter,
+    run_filter,
+    simulate,
+)
+from motor_env.filters.adaptive import MEMORY, adapted_noise
+from motor_env.motor.parameters import FloatArray
 
 TIMING = Timing(duration_s=0.2)
 BOTH = SensorParameters(

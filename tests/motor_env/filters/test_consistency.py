@@ -7,14 +7,26 @@ import pytest
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import chi2, norm
 
-from motor_env.detection.rules import Cusum
-from motor_env.filters.batch import run_filter
-from motor_env.filters.consistency import Consistency, check_consistency
-from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, KalmanFilter
-from motor_env.filters.process_noise import choose_process_noise, matched_power, signature_energy
-from motor_env.motor.faults import Fault, FaultKind, apply_fault
-from motor_env.motor.parameters import PAPER_MOTOR, FloatArray, SensorParameters
-from motor_env.simulation.simulate import Scenario, Timing, simulate
+from motor_env import (
+    PAPER_MOTOR,
+    Cusum,
+    Fault,
+    FaultKind,
+    KalmanFilter,
+    Scenario,
+    SensorParameters,
+    Timing,
+    apply_fault,
+    check_consistency,
+    choose_process_noise,
+    matched_power,
+    run_filter,
+    simulate,
+)
+from motor_env.filters.consistency import Consistency
+from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD
+from motor_env.filters.process_noise import signature_energy
+from motor_env.motor.parameters import FloatArray
 
 SENSOR = SensorParameters()
 

@@ -3,12 +3,23 @@
 import numpy as np
 import pytest
 
-from motor_env.filters.joint import FREE, JointKind, coulomb_unit_n_m, joint_filter, parameter_test_threshold
-from motor_env.motor.faults import Fault, FaultKind
-from motor_env.motor.model import discretize
-from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, MotorParameters, SensorParameters
+from motor_env import (
+    PAPER_MOTOR,
+    Channel,
+    Fault,
+    FaultKind,
+    MotorParameters,
+    Scenario,
+    SensorParameters,
+    Timing,
+    discretize,
+    joint_filter,
+    parameter_test_threshold,
+    simulate,
+)
+from motor_env.filters.joint import FREE, JointKind, coulomb_unit_n_m
+from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.nonlinear import Effects, Sampling, integrate, substeps
-from motor_env.simulation.simulate import Scenario, Timing, simulate
 
 TIMING = Timing()
 FAULTS = (Fault(FaultKind.WINDING_CONTACT, 0.1), Fault(FaultKind.BEARING, 0.25))

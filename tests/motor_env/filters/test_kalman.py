@@ -9,18 +9,22 @@ from filterpy.kalman import KalmanFilter as FilterpyFilter
 from hypothesis import given, strategies as st
 from scipy.stats import chi2, multivariate_normal
 
-from motor_env.filters.batch import filter_residuals, run_filter
-from motor_env.filters.kalman import (
-    DEFAULT_PROCESS_NOISE_STD,
+from motor_env import (
+    PAPER_MOTOR,
+    Channel,
+    FilterStream,
     KalmanFilter,
-    gain_and_covariance,
-    schedule,
+    Scenario,
+    SensorParameters,
+    Timing,
+    filter_residuals,
+    run_filter,
+    simulate,
+    smooth,
 )
+from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, gain_and_covariance, schedule
 from motor_env.filters.kernels import covariance_step
-from motor_env.filters.smoothing import smooth
-from motor_env.filters.stream import FilterStream
-from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, SensorParameters
-from motor_env.simulation.simulate import Scenario, Timing, simulate
+from motor_env.motor.parameters import FloatArray
 
 BOTH = SensorParameters(
     channels=(Channel.CURRENT, Channel.SPEED), current_noise_a=0.02, speed_noise_rad_s=2.0

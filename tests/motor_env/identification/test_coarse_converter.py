@@ -10,12 +10,9 @@ import numpy as np
 import pytest
 from simulated_captures import Defect, captures
 
-from motor_env.diagnosis.decision import Verdict
-from motor_env.diagnosis.diagnose import diagnose
-from motor_env.motor.data_sheet import load_motor
+from motor_env import Recording, Verdict, diagnose, load_motor
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.alignment import align
-from motor_env.recordings.recording import Recording
 from motor_env.simulation.sensor import SensorChain
 
 

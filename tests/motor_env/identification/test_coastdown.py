@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
+from motor_env import Recording, read_recording
 from motor_env.cli import main
 from motor_env.identification.coastdown import fit_coastdown
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording, read_recording
 
 recordings_path = os.environ.get("MOTOR_ENV_RECORDINGS")
 

@@ -8,6 +8,7 @@ from scipy.integrate import quad
 from scipy.linalg import circulant
 from scipy.stats import norm
 
+from motor_env import PAPER_MOTOR, identify
 from motor_env.identification.commutation import (
     back_emf_v,
     constants_at,
@@ -15,12 +16,12 @@ from motor_env.identification.commutation import (
     ripple_quantities,
 )
 from motor_env.identification.covariance import capped, unknowns_covariance
-from motor_env.identification.identify import FIT_SAMPLES, _wild_against, identify
+from motor_env.identification.identify import FIT_SAMPLES, _wild_against
 from motor_env.identification.model_choice import STRONG_EVIDENCE, evidence, identify_best
 from motor_env.identification.plausibility import implausible
 from motor_env.identification.residuals import Problem, _rectified_mean, absolute
 from motor_env.identification.start_model import Extension, step_start
-from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
+from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.alignment import Alignment
 from motor_env.recordings.noise import difference_noise
 from motor_env.recordings.start import Circuit, Start

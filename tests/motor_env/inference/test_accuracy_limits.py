@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 from accuracy_limits import class_limits, severity_limit
 
-from motor_env.inference.severity import SeverityPrior
-from motor_env.motor.faults import FaultKind
-from motor_env.motor.parameters import SensorParameters
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.simulate import Timing
+from motor_env import FaultKind, SensorParameters, SeverityPrior, Timing, named_recipe
 
 BENCH = named_recipe("bench")
 BENCH_1KHZ = replace(BENCH, timing=Timing(1_000.0, 0.1))

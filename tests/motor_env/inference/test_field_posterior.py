@@ -7,6 +7,7 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
+from motor_env import FaultKind, Recipe, Timing, class_probabilities, draw, named_recipe
 from motor_env.inference.class_model import ClassModel
 from motor_env.inference.field_posterior import (
     Linear,
@@ -16,15 +17,12 @@ from motor_env.inference.field_posterior import (
     sampled_evidence,
     sampled_probabilities,
 )
-from motor_env.inference.posterior import class_log_evidence, class_probabilities
+from motor_env.inference.posterior import class_log_evidence
 from motor_env.inference.truncated_normal import TruncatedNormal
-from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.drawing import draw, measure_draw
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.drawing import measure_draw
 from motor_env.simulation.random_streams import Stream, normals, uniforms
-from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
-from motor_env.simulation.simulate import Timing
+from motor_env.simulation.recipes import FACTORS, FaultClass
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 FIELD = replace(

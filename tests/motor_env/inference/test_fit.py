@@ -7,9 +7,23 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
+from motor_env import (
+    PAPER_MOTOR,
+    Channel,
+    Experiment,
+    MotorParameters,
+    Scenario,
+    SensorParameters,
+    SupplyParameters,
+    Timing,
+    cramer_rao_bound,
+    draw,
+    named_recipe,
+    simulate,
+    simulate_states,
+)
 from motor_env.inference.features import FEATURE_FREE, FEATURE_NAMES, physical_features
 from motor_env.inference.fit import Prior, fit
-from motor_env.inference.identifiability import Experiment, cramer_rao_bound
 from motor_env.inference.parametrisation import QUANTITIES, Coordinates
 from motor_env.inference.sensitivities import (
     NormalEquations,
@@ -18,17 +32,7 @@ from motor_env.inference.sensitivities import (
     jacobian,
     normal_equations,
 )
-from motor_env.motor.parameters import (
-    PAPER_MOTOR,
-    Channel,
-    FloatArray,
-    MotorParameters,
-    SensorParameters,
-    SupplyParameters,
-)
-from motor_env.simulation.drawing import draw
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.simulate import Scenario, Timing, simulate, simulate_states
+from motor_env.motor.parameters import FloatArray
 
 TIMING = Timing(10_000.0, 0.1)
 SENSOR = SensorParameters()

@@ -5,20 +5,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motor_env.inference.identifiability import (
+from motor_env import (
+    PAPER_MOTOR,
+    Channel,
     Experiment,
-    Identifiability,
+    Fault,
+    FaultKind,
+    MatchedTest,
+    SensorParameters,
+    Timing,
+    apply_fault,
     cramer_rao_bound,
     identifiability,
     isolability,
+    named_recipe,
+    simulate_states,
 )
+from motor_env.inference.identifiability import Identifiability
 from motor_env.inference.parametrisation import QUANTITIES, Coordinates
-from motor_env.inference.whitening import MatchedTest
-from motor_env.motor.faults import Fault, FaultKind, apply_fault, motor_kinds
-from motor_env.motor.parameters import PAPER_MOTOR, Channel, SensorParameters
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env.motor.faults import motor_kinds
 from motor_env.simulation.recipes import Spread
-from motor_env.simulation.simulate import Timing, simulate_states
 
 TIMING = Timing(10_000.0, 0.1)
 CURRENT = SensorParameters()

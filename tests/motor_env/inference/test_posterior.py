@@ -9,24 +9,33 @@ from scipy.optimize import least_squares
 from scipy.special import gammaln, logsumexp
 from scipy.stats import norm
 
+from motor_env import (
+    Channel,
+    FaultKind,
+    Recipe,
+    SensorParameters,
+    Timing,
+    apply_faults,
+    class_probabilities,
+    draw,
+    excess_over_limit,
+    named_recipe,
+    simulate,
+    simulate_states,
+)
 from motor_env.inference.fit import Prior, fit
 from motor_env.inference.posterior import (
     Excess,
     class_coordinates,
     class_log_evidence,
-    class_probabilities,
-    excess_over_limit,
     prior_from_starts,
     recipe_observed,
     variance_factor,
 )
 from motor_env.inference.sensitivities import fitted_residuals
-from motor_env.motor.faults import FaultKind, apply_faults
-from motor_env.motor.parameters import Channel, FloatArray, SensorParameters
-from motor_env.simulation.drawing import Draw, draw
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.recipes import FaultClass, Recipe
-from motor_env.simulation.simulate import Timing, simulate, simulate_states
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.drawing import Draw
+from motor_env.simulation.recipes import FaultClass
 
 BENCH_1KHZ = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 ALL_KINDS = (

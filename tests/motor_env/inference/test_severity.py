@@ -7,14 +7,24 @@ import pytest
 from scipy.integrate import cumulative_simpson, simpson
 from scipy.stats import norm
 
+from motor_env import (
+    Fault,
+    FaultKind,
+    Recipe,
+    SensorParameters,
+    SeverityPrior,
+    Timing,
+    apply_fault,
+    draw,
+    named_recipe,
+    severity_posterior,
+    simulate,
+    simulate_states,
+)
 from motor_env.inference.posterior import class_log_evidence
-from motor_env.inference.severity import SeverityPosterior, SeverityPrior, severity_posterior
-from motor_env.motor.faults import Fault, FaultKind, apply_fault
-from motor_env.motor.parameters import FloatArray, SensorParameters
-from motor_env.simulation.drawing import draw
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.recipes import FaultClass, Recipe
-from motor_env.simulation.simulate import Timing, simulate, simulate_states
+from motor_env.inference.severity import SeverityPosterior
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import FaultClass
 
 BENCH = named_recipe("bench", classes=(FaultClass(),))
 

@@ -6,20 +6,23 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, norm
 
-from motor_env.filters.batch import run_filter
-from motor_env.filters.kalman import KalmanFilter
-from motor_env.inference.whitening import (
-    MarginalWhitener,
+from motor_env import (
+    Channel,
+    Fault,
+    FaultKind,
+    KalmanFilter,
     MatchedTest,
-    StatisticLaw,
-    innovation_slopes,
+    Recipe,
+    SensorParameters,
+    Timing,
+    draw,
+    named_recipe,
+    run_filter,
+    simulate,
 )
-from motor_env.motor.faults import Fault, FaultKind
-from motor_env.motor.parameters import Channel, FloatArray, SensorParameters
-from motor_env.simulation.drawing import draw
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.recipes import FaultClass, Recipe
-from motor_env.simulation.simulate import Timing, simulate
+from motor_env.inference.whitening import MarginalWhitener, StatisticLaw, innovation_slopes
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import FaultClass
 
 BENCH = named_recipe("bench")
 PAPER = named_recipe("paper")

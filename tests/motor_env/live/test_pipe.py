@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motor_env import PAPER_MOTOR, MotorFile, save_motor
+from motor_env import PAPER_MOTOR, MotorFile, discretize, save_motor
 from motor_env.motor.data_sheet import WindowReference
-from motor_env.motor.model import discretize
 from motor_env.operation import kernel
 from motor_env.operation.terms import NOISES
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from motor_env.errors import InputError
+from motor_env import InputError
 from motor_env.live import sources
 from motor_env.live.sources import SILENCE, Notice, Piece, lines, source
 

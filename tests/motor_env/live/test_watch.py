@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 from operation_simulator import draw_motor, simulate
 
+from motor_env import InputError, Recording
 from motor_env.cli import main
-from motor_env.errors import InputError
 from motor_env.live.sources import SILENCE, Piece
 from motor_env.live.state import State
 from motor_env.live.watch import STUCK_AFTER, Lesson, Watch
 from motor_env.motor.data_sheet import WindowReference
-from motor_env.recordings.recording import Recording
 
 HEADER = b"t_ms,voltage_v,current_ma,speed_rad_s\n"
 REFERENCE = WindowReference(

@@ -15,11 +15,11 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from motor_env import InputError, Recording
 from motor_env.cli import main
 from motor_env.console import ExitStatus
 from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.running.windows import WindowVerdict
-from motor_env.errors import InputError
 from motor_env.live import command, watch as watching
 from motor_env.live.screen import showing
 from motor_env.live.sources import NEW_FILE, SILENCE, Notice, Piece, lines
@@ -28,7 +28,6 @@ from motor_env.live.watch import Event, Lesson, Watch
 from motor_env.motor.data_sheet import WindowReference
 from motor_env.motor.parameters import RAD_S_PER_RPM
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
 
 HEADER = b"speed_rpm,t_ms,voltage_mv,current_ma\n"
 REFERENCE = WindowReference(

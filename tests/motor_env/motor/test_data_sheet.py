@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from hostile import refused
 
-from motor_env.errors import InputError
-from motor_env.motor.data_sheet import MotorFile, StartReference, Tolerance, load_motor, save_motor
-from motor_env.motor.parameters import PAPER_MOTOR
+from motor_env import PAPER_MOTOR, InputError, MotorFile, load_motor, save_motor
+from motor_env.motor.data_sheet import StartReference, Tolerance
 
 SHEET = """
 name = "sheet"

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from motor_env import PAPER_MOTOR, Fault, FaultKind, MotorFile, MotorParameters, apply_fault
 from motor_env.motor import identifiable
 from motor_env.motor.assumptions import assumptions, usable_parameters
-from motor_env.motor.data_sheet import MotorFile, Tolerance
-from motor_env.motor.faults import Fault, FaultKind, apply_fault, motor_kinds
-from motor_env.motor.parameters import PAPER_MOTOR, FloatArray, MotorParameters
+from motor_env.motor.data_sheet import Tolerance
+from motor_env.motor.faults import motor_kinds
+from motor_env.motor.parameters import FloatArray
 
 VOLTAGE = 9.0
 

@@ -8,16 +8,17 @@ from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from motor_env.motor.model import (
-    Input,
+from motor_env import (
+    PAPER_MOTOR,
+    MotorParameters,
     State,
     continuous_model,
     discretize,
-    exponential_and_phi,
+    simulate_states,
     steady_state,
 )
-from motor_env.motor.parameters import PAPER_MOTOR, FloatArray, MotorParameters
-from motor_env.simulation.simulate import simulate_states
+from motor_env.motor.model import Input, exponential_and_phi
+from motor_env.motor.parameters import FloatArray
 
 
 def motors() -> st.SearchStrategy[MotorParameters]:

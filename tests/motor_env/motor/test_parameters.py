@@ -6,23 +6,25 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from motor_env.motor.parameters import (
+from motor_env import (
     CATALOGUE,
-    COPPER_PER_KELVIN,
-    FRICTION_PER_KELVIN,
-    MAGNET_PER_KELVIN,
-    PAPER_MATRICES_DT_S,
-    PAPER_MATRICES_MOTOR,
     PAPER_MOTOR,
-    RAD_S_PER_RPM,
     Channel,
     MotorParameters,
     SensorParameters,
     SupplyParameters,
     catalogue_motor,
+    named_recipe,
+)
+from motor_env.motor.parameters import (
+    COPPER_PER_KELVIN,
+    FRICTION_PER_KELVIN,
+    MAGNET_PER_KELVIN,
+    PAPER_MATRICES_DT_S,
+    PAPER_MATRICES_MOTOR,
+    RAD_S_PER_RPM,
     require_plausible,
 )
-from motor_env.simulation.named_recipes import named_recipe
 
 FIELDS = (
     "resistance_ohm",

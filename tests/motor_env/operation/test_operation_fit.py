@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motor_env import Recording, read_recording
 from motor_env.operation.identify import Operation, _refuse_poor, identify_operation
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording, read_recording
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 from operation_simulator import Motor, draw_motor, simulate

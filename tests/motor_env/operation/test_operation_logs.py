@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from recording_csv import write_recording
 
+from motor_env import Recording, load_motor
 from motor_env.cli import main
-from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
 from motor_env.recordings.regime import refuse_aliased, work_seen
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))

@@ -10,9 +10,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from motor_env import InputError, Recording, load_motor
 from motor_env.cli import main
-from motor_env.errors import InputError
-from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import fit as fitting, kernel, logs, report, uncertainty
 from motor_env.operation.beginnings import beginnings
@@ -34,7 +33,6 @@ from motor_env.operation.terms import terms
 from motor_env.operation.uncertainty import information_covariance, motor_places
 from motor_env.operation.window import first_steps, fit_window
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
 from motor_env.recordings.start import Circuit
 
 DT_S = 2e-3

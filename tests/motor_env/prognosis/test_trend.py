@@ -9,8 +9,8 @@ import pytest
 from run_to_failure import WearRecipe, observe, remaining_life_coverage, run_to_failure
 from scipy.stats import invgauss, multivariate_normal
 
+from motor_env import InputError
 from motor_env.cli import main
-from motor_env.errors import InputError
 from motor_env.prognosis.estimates import Series, build_series, date_of, read_estimates
 from motor_env.prognosis.page import page
 from motor_env.prognosis.trend import judge, parse_limits
@@ -183,8 +183,7 @@ def test_command_writes_page_and_json(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_a_folder_of_dated_recordings_becomes_a_trend(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from motor_env import PAPER_MOTOR, Scenario, SensorParameters, Timing, simulate
-    from motor_env.motor.faults import Fault, FaultKind
+    from motor_env import PAPER_MOTOR, Fault, FaultKind, Scenario, SensorParameters, Timing, simulate
 
     timing = Timing(sampling_rate_hz=5_000.0, duration_s=0.06, quiet_s=0.01)
     for day in range(8):

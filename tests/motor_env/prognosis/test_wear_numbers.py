@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scipy.stats import invgauss, norm
 
+from motor_env import InputError
 from motor_env.cli import main
-from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.prognosis.estimates import Series, build_series, read_estimates
 from motor_env.prognosis.laws import at_one_temperature, earliest, last_jump, withheld

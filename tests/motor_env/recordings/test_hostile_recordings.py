@@ -17,12 +17,9 @@ from hostile import archive_of, damaged, odd_places, refused, refused_or_same
 from recording_csv import csv_text
 from scipy.io import savemat
 
-from motor_env import cli
-from motor_env.errors import InputError
+from motor_env import ColumnChoice, InputError, Recording, cli, read_recording
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings import array_parser, tables
-from motor_env.recordings.headers import ColumnChoice
-from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.splitting import chosen_starts, split_starts
 from motor_env.recordings.text import block
 

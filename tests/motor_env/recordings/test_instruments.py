@@ -13,8 +13,7 @@ import pytest
 from hostile import refused_or_same
 from instrument_files import INSTRUMENTS, Capture, InstrumentFile, bare, capture, serial_monitor
 
-from motor_env.recordings.headers import ColumnChoice
-from motor_env.recordings.recording import Recording, read_recording
+from motor_env import ColumnChoice, Recording, read_recording
 
 Random = np.random.Generator
 _HINT = re.compile(r'--column "([^"]+)"')

@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from recording_csv import write_csv
 
-from motor_env.errors import InputError
+from motor_env import ColumnChoice, InputError, Recording, read_recording
 from motor_env.operation.record import from_recordings, liveliest
 from motor_env.recordings import array_parser, tables
-from motor_env.recordings.headers import ColumnChoice
-from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.text import pieces
 
 ROWS, RATE_HZ = 5_000, 1_000.0

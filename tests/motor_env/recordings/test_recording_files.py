@@ -9,10 +9,8 @@ from hostile import Poison, refused
 from recording_csv import csv_text, write_csv
 from scipy.io import savemat
 
-from motor_env import cli
-from motor_env.motor.data_sheet import load_motor
-from motor_env.recordings.headers import ColumnChoice, understand
-from motor_env.recordings.recording import Recording, read_recording
+from motor_env import ColumnChoice, Recording, cli, load_motor, read_recording
+from motor_env.recordings.headers import understand
 
 TIME = np.linspace(0.0, 0.049, 50)
 CURRENT = np.sin(50.0 * TIME) + 1.0

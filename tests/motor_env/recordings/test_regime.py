@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motor_env import Recording
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
 from motor_env.recordings.regime import refuse_aliased, work_seen
 from motor_env.recordings.splitting import chosen_starts
 

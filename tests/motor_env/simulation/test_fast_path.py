@@ -7,16 +7,28 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from motor_env.motor.faults import Fault, FaultKind
-from motor_env.motor.model import continuous_model, steady_state
-from motor_env.motor.parameters import PAPER_MOTOR, Channel, FloatArray, SensorParameters, SupplyParameters
-from motor_env.simulation.drawing import draw, measure_draw
+from motor_env import (
+    PAPER_MOTOR,
+    RECIPES,
+    Channel,
+    Fault,
+    FaultKind,
+    Scenario,
+    SensorParameters,
+    SupplyParameters,
+    Timing,
+    continuous_model,
+    draw,
+    simulate,
+    simulate_states,
+    steady_state,
+)
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.drawing import measure_draw
 from motor_env.simulation.fast_path import measure
-from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.nonlinear import Effects, Sampling, integrate, substeps
 from motor_env.simulation.random_streams import Stream, uniforms
 from motor_env.simulation.sensor import SensorChain
-from motor_env.simulation.simulate import Scenario, Timing, simulate, simulate_states
 
 BOTH = SensorParameters(channels=(Channel.SPEED, Channel.CURRENT))
 SILENT = SensorParameters(

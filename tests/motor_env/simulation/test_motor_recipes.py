@@ -6,12 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motor_env import PAPER_MOTOR
-from motor_env.errors import InputError
-from motor_env.motor.data_sheet import MotorFile, StartReference, Tolerance, load_motor, save_motor
-from motor_env.simulation.drawing import draw, measure_draw
+from motor_env import PAPER_MOTOR, InputError, MotorFile, Timing, draw, load_motor, save_motor
+from motor_env.motor.data_sheet import StartReference, Tolerance
+from motor_env.simulation.drawing import measure_draw
 from motor_env.simulation.motor_recipes import motor_recipe, settling_timing
-from motor_env.simulation.simulate import Timing
 
 SHEET = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml")
 REFERENCE = StartReference(

@@ -5,10 +5,8 @@ from pathlib import Path
 import pytest
 from hostile import refused
 
-from motor_env.motor.faults import FaultKind
-from motor_env.motor.parameters import Channel
-from motor_env.simulation.named_recipes import RECIPES
-from motor_env.simulation.recipe_files import load_recipe, recipe_from_dict, recipe_to_dict
+from motor_env import RECIPES, Channel, FaultKind, load_recipe
+from motor_env.simulation.recipe_files import recipe_from_dict, recipe_to_dict
 
 EXAMPLE = """
 base = "bench"

@@ -4,10 +4,22 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from motor_env.motor.faults import Fault, FaultKind, NoiseSource, apply_fault
-from motor_env.motor.model import State, discretize
-from motor_env.motor.parameters import PAPER_MOTOR, Channel, SensorParameters, SupplyParameters
-from motor_env.simulation.simulate import Scenario, Timing, simulate, simulate_states
+from motor_env import (
+    PAPER_MOTOR,
+    Channel,
+    Fault,
+    FaultKind,
+    Scenario,
+    SensorParameters,
+    State,
+    SupplyParameters,
+    Timing,
+    apply_fault,
+    discretize,
+    simulate,
+    simulate_states,
+)
+from motor_env.motor.faults import NoiseSource
 
 DT_S = 1e-4
 QUIET_SENSOR = SensorParameters(current_noise_a=0.0, speed_noise_rad_s=0.0)

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from hostile import forged, refused, refused_or_same, toml_of
 
-from motor_env.motor.data_sheet import load_motor
-from motor_env.simulation.drawing import draw, measure_draw
+from motor_env import Recipe, draw, load_motor, load_recipe
+from motor_env.simulation.drawing import measure_draw
 from motor_env.simulation.motor_recipes import motor_recipe
 from motor_env.simulation.named_recipes import changed_recipe
-from motor_env.simulation.recipe_files import load_recipe
-from motor_env.simulation.recipes import Recipe
 
 N_MUTATIONS = 300
 N_QUICK = 40

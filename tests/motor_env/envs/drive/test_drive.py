@@ -10,15 +10,25 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from motor_env import discretize
+from motor_env.envs import (
+    PI,
+    DriveEnv,
+    DriveOptions,
+    DriveVectorEnv,
+    Lqg,
+    clairvoyant_returns,
+    drive_episodes,
+)
 from motor_env.envs.drive import evaluation, kernel
-from motor_env.envs.drive.env import REWARDS, DriveEnv, DriveVectorEnv
-from motor_env.envs.drive.evaluation import clairvoyant_returns, drive_episodes, joined_drives
-from motor_env.envs.drive.options import LABELS, DriveOptions
-from motor_env.envs.drive.policies import LIMP, PI, RUN, STOP, Lqg, make_bank
+from motor_env.envs.drive.env import REWARDS
+from motor_env.envs.drive.evaluation import joined_drives
+from motor_env.envs.drive.options import LABELS
+from motor_env.envs.drive.policies import LIMP, RUN, STOP, make_bank
 from motor_env.envs.drive.setup import drive_filter, faulty
 from motor_env.envs.setup import converged_gain
 from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD
-from motor_env.motor.model import Input, discretize
+from motor_env.motor.model import Input
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 
 SHORT: dict[str, Any] = {"horizon_s": 0.6, "earliest_onset_s": 0.1, "mean_onset_s": 0.1}
