@@ -55,7 +55,13 @@ VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "speed loop, confirmed, other prices": (
         "motor_env/Probe-v0",
-        {"drive": "speed_loop", "loop_time_s": 0.003, "confirm_steps": 2, "energy_cost_per_j": 0.7},
+        {
+            "recipe": "hard",  # a supply that is not the nominal one: energy counts it
+            "drive": "speed_loop",
+            "loop_time_s": 0.003,
+            "confirm_steps": 2,
+            "energy_cost_per_j": 0.7,
+        },
     ),
     "fast failures": (
         "motor_env/Drive-v0",
