@@ -56,7 +56,10 @@ def test_thresholds_are_those_that_were_tuned() -> None:
     for name, task in TASKS.items():
         options: Any = task.options
         envs = gym.make_vec(f"motor_env/{name}", num_envs=1, **options).unwrapped
-        found[name] = [getattr(make(envs), "threshold", None) for make in (task.rule, task.best)]
+        makers = (
+            [task.rule] if name.startswith("Maintain") else [task.rule, task.best]
+        )  # a plan takes a second
+        found[name] = [getattr(make(envs), "threshold", None) for make in makers]
         if name == "Monitor-v0":
             rule: Any = task.rule(envs)
             assert (rule.rule.shift, rule.rule.two_sided) == (0.25, True)
@@ -66,8 +69,8 @@ def test_thresholds_are_those_that_were_tuned() -> None:
     assert found == {
         "Monitor-v0": [30.0, 0.9609],
         "Probe-v0": [0.93, 0.97],
-        "Maintain-v0": [0.84, None],
-        "MaintainUnknownRate-v0": [0.84, None],
+        "Maintain-v0": [0.84],
+        "MaintainUnknownRate-v0": [0.84],
         "Drive-v0": [None, None],
     }
 
