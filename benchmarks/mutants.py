@@ -43,6 +43,7 @@ WORK = ROOT / "out" / "mutants"
 PACKAGES = {"motor_env": "", "motor_datasets": "datasets", "motor_classifiers": "classifiers"}
 SEED = 30
 A_ROOM = 4
+KEPT = {"__pycache__", ".pytest_cache"}
 LIMIT_S = 1800.0
 QUANTILE = re.compile(r"quantile|percentile|ppf|isf|ndtri|chdtri|gammaincc?inv|stdtrit", re.IGNORECASE)
 LEVEL = re.compile(r"LEVEL|RATE|QUANTILE|CONFIDENCE|COVERAGE|POSTERIOR|CERTAIN|SURE|SHARE|CHANCE|rate|level")
@@ -310,7 +311,7 @@ def copy_tree(target: Path) -> str:
     present = {
         name: (ROOT / name).read_bytes() for name in sorted(filter(None, names)) if (ROOT / name).is_file()
     }
-    for path in [path for path in target.rglob("*") if path.is_file() and "__pycache__" not in path.parts]:
+    for path in [path for path in target.rglob("*") if path.is_file() and not KEPT & {*path.parts}]:
         if str(path.relative_to(target)) not in present:
             path.unlink()
     for name, content in present.items():
@@ -334,8 +335,6 @@ def run_tests(tree: Path, tests: Iterable[str], *options: str) -> tuple[bool, li
         "-q",
         "-m",
         "not long",
-        "-p",
-        "no:cacheprovider",
         "--tb=no",
         *options,
     ]
