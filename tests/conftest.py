@@ -104,11 +104,12 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         compile_share(session.config)
 
 
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """A worker tells what it has spent."""
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """A worker tells what it has spent, and writes down that all is compiled, unless something ended it before."""
     if (output := getattr(session.config, "workeroutput", None)) is not None:
         output["compiling_s"] = sum(COMPILING)
-        if len(session.items) >= MANY_TESTS and (now := version())["files"]:
+        is_whole = exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)
+        if is_whole and len(session.items) >= MANY_TESTS and (now := version())["files"]:
             session.config.cache.set(KEPT, now)
 
 
