@@ -10,12 +10,12 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 
 _HOMES = {
-    "Monitor and Probe": "envs",
+    "Monitor and Probe": "envs.offline",
     "logs of a motor at work": "diagnosis",
     "starts": "diagnosis",
-    "Drive": "envs",
-    "policies": "envs",
-    "Maintain": "envs",
+    "Drive": "envs.offline",
+    "policies": "envs.offline",
+    "Maintain": "envs.offline",
     "lab": "apps",
     "trends": "prognosis",
 }
