@@ -13,6 +13,7 @@ _HOMES = {
     "Monitor and Probe": "envs.offline",
     "logs of a motor at work": "diagnosis",
     "starts": "diagnosis",
+    "data sets and classifiers": "inference",
     "Drive": "envs.offline",
     "policies": "envs.offline",
     "Maintain": "envs.offline",

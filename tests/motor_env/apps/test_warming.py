@@ -42,6 +42,8 @@ import gymnasium as gym
 import numpy as np
 
 import motor_env
+from motor_classifiers.cli.main import main as classifiers
+from motor_datasets.cli import main as data_sets
 
 sys.path.insert(0, {str(EXAMPLES)!r})
 from make_running_logs import log
@@ -66,6 +68,8 @@ assert main(["watch", "work.toml", "log_1.csv"]) in (0, 1, 3)
 table = ["time,R,R_se", *(f"{{n}},{{2.0 + 0.02 * n}},0.01" for n in range(12))]
 Path("trend.csv").write_text("\\n".join(table))
 assert main(["trend", "trend.csv", "--limit", "R=1.5"]) in (0, 1)
+assert data_sets(["generate", "field", "--cases", "20", "--seed", "1", "--out", "set"]) == 0
+assert classifiers(["predict", start]) in (0, 1)
 for name in ("Monitor", "Probe", "ProbeContinuous", "Drive", "Maintain", "MonitorHard", "MonitorSpeedLoop"):
     for env in (gym.make(f"motor_env/{{name}}-v0"), gym.make_vec(f"motor_env/{{name}}-v0", num_envs=3)):
         env.action_space.seed(1)
