@@ -22,7 +22,7 @@ def _recipes() -> None:
         measured = np.empty((3, len(recipe.channels), recipe.timing.n_samples), np.float32)
         measure_draw(drawn, recipe, 0, measured)
         if recipe.duty is not None:
-            work_features(recipe, measured)
+            work_features(recipe, measured.astype(np.float64))
         else:
             physical_features(recipe, measured)
         if recipe.field is None:
