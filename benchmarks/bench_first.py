@@ -1,7 +1,7 @@
 """The first answers: CPU seconds of whole processes, against one that imports numpy, scipy.stats and pandas.
 
 That one took 1.4 s where a diagnosis of the README's example took 3.1 with compiled code in the cache and 14.4 without.
-The bars are 2.3 and 9.1 of those seconds for the diagnosis, 0.5 for `--help` and 0.25 for `import motor_env`.
+The bars are 2.0 and 9.1 of those seconds for the diagnosis, 0.5 for `--help` and 0.25 for `import motor_env`.
 """
 
 import os
