@@ -89,7 +89,7 @@ def model_slopes(coordinates: Coordinates, values: FloatArray, dt_s: float) -> t
     shifted = values[:, None, :] + np.concatenate([np.zeros((1, size)), np.diag(steps), -np.diag(steps)])
     motors, supply = coordinates.motors(shifted)
     model = discretize(motors, dt_s)
-    transition = np.broadcast_to(model.transition, (*supply.shape, N_STATES, N_STATES))
+    transition = np.broadcast_to(model.transition, (*supply.shape, N_STATES, N_STATES)).copy()
     gain = np.broadcast_to(model.gain, (*supply.shape, N_STATES, N_INPUTS)).copy()
     gain[..., Input.VOLTAGE] *= supply[..., None]
     steps = 2.0 * steps[:, None, None]
