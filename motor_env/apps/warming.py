@@ -44,11 +44,11 @@ def warm_up(
     wanted = PARTS if parts is None else tuple(parts)
     if unknown := [part for part in wanted if part not in _HOMES]:
         raise ValueError(f"there is no part {unknown[0]!r}; there are {', '.join(PARTS)}")
+    from motor_env.motor.compiled import in_silence
+
     seconds = {}
     for part in wanted:
         begin = time.perf_counter()
-        from motor_env.motor.compiled import in_silence
-
         with in_silence():
             import_module(f"motor_env.{_HOMES[part]}.small_calls").CALLS[part]()
         seconds[part] = time.perf_counter() - begin
