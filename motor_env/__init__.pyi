@@ -19,16 +19,13 @@ from .detection.rules import (
     nis_rule as nis_rule,
     recipe_thresholds as recipe_thresholds,
 )
-from .diagnosis.decision import (
-    Diagnosis as Diagnosis,
-    Verdict as Verdict,
-)
 from .diagnosis.diagnose import (
     diagnose as diagnose,
 )
-from .diagnosis.healthy_motor import (
-    reference_from_motor as reference_from_motor,
-    reference_from_starts as reference_from_starts,
+from .diagnosis.verdict import (
+    Diagnosis as Diagnosis,
+    Judgement as Judgement,
+    Verdict as Verdict,
 )
 from .errors import (
     InputError as InputError,

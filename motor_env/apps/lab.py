@@ -15,11 +15,11 @@ import numpy as np
 
 from motor_env.apps import lab_shelf
 from motor_env.detection.rules import Cusum, MOfN, Rule, first_above, in_a_row
-from motor_env.diagnosis.decision import Diagnosis
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.files import diagnose_files
 from motor_env.diagnosis.page import reference_current
 from motor_env.diagnosis.report import as_json, headline
+from motor_env.diagnosis.verdict import Diagnosis
 from motor_env.errors import InputError
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
@@ -220,7 +220,7 @@ def recording_verdict(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"recording{lab_shelf.ending_of(shown)}"
         path.write_bytes(content)
-        (outcome,) = diagnose_files([path], motor=known, healthy=healthy, voltage_v=voltage_v, start=1)
+        (outcome,) = diagnose_files([path], motor=known, healthy=healthy, voltage_v=voltage_v)
         if outcome.diagnosis is None:
             raise InputError((outcome.error or "cannot be read").replace(str(path), shown))
         document = _as_document(outcome.diagnosis)
@@ -231,13 +231,13 @@ def recording_verdict(
 def _as_document(diagnosis: Diagnosis) -> dict[str, Any]:
     """The diagnosis as JSON, its headline, and the curves to draw."""
     document = as_json(diagnosis)
-    document["headline"] = headline(diagnosis)
+    document["headline"] = headline(diagnosis.telling)
     document["curves"] = None
-    fit = diagnosis.identified
+    fit = diagnosis.telling.identified
     if fit is not None:
         begin = max(int(np.searchsorted(fit.start.time_s, fit.onset_s)) - 20, 0)
         step = max((len(fit.start.time_s) - begin) // MOST_POINTS, 1)
-        some, expected = slice(begin, None, step), reference_current(diagnosis)
+        some, expected = slice(begin, None, step), reference_current(diagnosis.telling)
         document["curves"] = {
             "time_ms": _short(1e3 * (fit.start.time_s[some] - fit.onset_s)),
             "measured_a": _short(fit.start.current_a[some]),

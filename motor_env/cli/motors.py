@@ -55,7 +55,8 @@ def identify(
             save_motor(work.motor(name), output)
         if out is not None:
             work.plot(out)
-    fits = [pair for path in starts for pair in steps.identify_file(path, **given, constant=constant)]
+    told = {key: value for key, value in given.items() if key != "columns"}
+    fits = [pair for one in starts for pair in steps.identify_starts(one, **told, constant=constant)]
     usable = [fit for _, fit in fits if unusable_reason(fit) is None]
     if output is not None and usable:
         save_motor(steps.to_motor(usable, name, constant=constant), output)
@@ -85,66 +86,56 @@ def commission(
     out: Path | None = None,
     measurement: options.Measurement = options.MEASUREMENT,
     temperature_c: float | None = None,
+    regime: str = "auto",
     window: float | None = None,
     steady: bool = False,
     torque_constant: float | None = None,
     no_load_current: float | None = None,
     name: str = "commissioned motor",
 ) -> int:
-    """Learn a motor from three or more healthy starts, for `motor-env diagnose --motor`.
+    """Learn a motor from three or more healthy starts, or from logs of it at work, for `motor-env diagnose --motor`.
 
     Example: motor-env commission healthy_1.csv healthy_2.csv healthy_3.csv -o out/motor.toml
 
     Args:
-        files: Recordings of healthy starts of one motor; a file may hold several.
+        files: Healthy recordings of one motor: all starts, of which a file may hold several, or all logs.
         output: Motor file to write (TOML).
         false_alarm_rate: For the intervals that are printed.
         out: Folder for the picture: starts, fits, residuals and the spread of each quantity.
         measurement: How they were measured.
-        temperature_c: Temperature of the motor at these starts, where known.
-        window: Length in seconds of the windows into which logs of the motor at work are cut, instead of starts.
-        steady: With --window: only a fault moves this motor. Load, temperature and offsets stay, as on a test bench.
+        temperature_c: Temperature of the motor at these recordings, where known.
+        regime: start, operation (a motor at work), or auto: decided by what the voltage does.
+        window: Length in seconds of the windows into which logs are cut; a twentieth of all logs by default.
+        steady: For logs: only a fault moves this motor. Load, temperature and offsets stay, as on a test bench.
         torque_constant: In N m/A, where known and the speed was not recorded: the current alone does not tell it.
         no_load_current: In A, of the motor uncoupled from its load: tells its own friction from the load.
         name: Name of the motor in that file.
     """
     from motor_env.diagnosis import commission as steps
-    from motor_env.diagnosis.running import logs
+    from motor_env.identification.identify import Identified
     from motor_env.motor.data_sheet import save_motor
 
     if not 0.0 < false_alarm_rate < 0.5:
         raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
-    if window is not None:
-        given = measurement.for_windows(
-            temperature_c=temperature_c,
-            out=out,
-            torque_constant=torque_constant,
-            no_load_current=no_load_current,
-        )
-        known = logs.commission_running(files, window, name, **given, steady=steady)
-        save_motor(known, output)
-        if known.operation is not None:
-            print(logs.commissioned_text(known.operation, false_alarm_rate))
-        print(f"written: {output}")
-        measurement.keep()
-        return 0
-    if steady:
-        raise InputError("--steady belongs to --window")
-    result = steps.commission(
+    result = steps.learn(
         files,
         name,
         false_alarm_rate=false_alarm_rate,
         temperature_c=temperature_c,
+        regime=regime,
+        window_s=window,
+        steady=steady,
         **measurement.options,
         constant=options.positive("torque-constant", torque_constant),
         no_load_current_a=options.positive("no-load-current", no_load_current),
     )
     save_motor(result.motor, output)
-    if out is not None and result.motor.reference is not None:
+    starts = [fit for fit in result.fits if isinstance(fit, Identified)]
+    if out is not None and starts and result.motor.healthy is not None:
         from motor_env.diagnosis.pictures import plot_commissioned
 
         picture = out / f"{output.stem}.png"
-        plot_commissioned(result.fits, result.motor.reference, result.smallest, false_alarm_rate, picture)
+        plot_commissioned(starts, result.motor.healthy, result.smallest, false_alarm_rate, picture)
     print(steps.commissioned_text(result, false_alarm_rate))
     print(printable(f"written: {output}"))
     measurement.keep()

@@ -101,16 +101,6 @@ class Measurement(Reading):
         """The same as the functions behind the commands take it."""
         return self.chosen.options | {"start": self.start}
 
-    def for_windows(self, **others: object) -> dict[str, Any]:
-        """The same for windows of a motor at work; options that belong to starts are refused, not ignored."""
-        others |= {"start": self.start, "sensor_lag": self.chosen.sensor_lag or None}
-        for name, value in others.items():
-            if value is not None:
-                raise InputError(
-                    f"--{name.replace('_', '-')} belongs to starts, not to windows of a motor at work"
-                )
-        return {name: value for name, value in self.options.items() if name != "start"}
-
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)

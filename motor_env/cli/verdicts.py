@@ -22,14 +22,15 @@ def diagnose(
     out: Path | None = None,
     measurement: StartMeasurement = START,
     temperature_c: float | None = None,
+    regime: str = "auto",
     verbose: bool = False,
     json_: bool = False,
 ) -> int:
-    """Verdict on recorded starts: healthy, bearing, winding, magnet, noise, other, no_reference or unusable.
+    """Verdict on recordings of a motor: healthy, bearing, winding, magnet, noise, other, no_reference or unusable.
 
     Example: motor-env diagnose examples/startup_capture.csv --motor examples/motor.toml
 
-    A motor that was commissioned with --window is judged by windows of its logs.
+    A recording is one start, several, or a log of the motor at work, which is judged by windows.
 
     Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
 
@@ -39,25 +40,15 @@ def diagnose(
         motor: Motor file (TOML), or the name of a catalogue motor.
         healthy: Recordings of the healthy motor to compare with, after the option: --healthy A.csv B.csv C.csv
         false_alarm_rate: How often a healthy recording may be called faulty.
-        out: Folder for one HTML page a start: verdict, what to do first, and what it rests on.
+        out: Folder for one HTML page a recording: verdict, what to do first, and what it rests on.
         measurement: How it was measured.
         temperature_c: Temperature of the motor; it counts where `commission` was told one too.
+        regime: start, operation (a motor at work), or auto: decided by what the voltage does.
         verbose: Print how well model and filter fit, too.
-        json_: Print one array with one object a start.
+        json_: Print one array with one object a file.
     """
-    from motor_env.diagnosis import report
-    from motor_env.diagnosis.files import diagnose_files
-    from motor_env.motor.data_sheet import load_motor
+    from motor_env.diagnosis.files import diagnose_files, exit_status
 
-    known = None if motor is None else load_motor(motor)
-    if known is not None and known.operation is not None:
-        from motor_env.diagnosis.running import logs
-
-        options = measurement.for_windows(temperature_c=temperature_c, healthy=healthy)
-        records = logs.diagnose_running(files, known, false_alarm_rate, out, **options)
-        show(json_, lambda: [r.as_json() for r in records], lambda: "\n".join(r.as_text() for r in records))
-        measurement.keep()
-        return logs.exit_status(records)
     with console.working("reading") as say:
         outcomes = diagnose_files(
             files,
@@ -67,6 +58,7 @@ def diagnose(
             out=out,
             periods_per_turn=measurement.ripple_periods_per_turn,
             temperature_c=temperature_c,
+            regime=regime,
             **measurement.options,
             progress=lambda path: say(f"diagnosing {path}"),
         )
@@ -75,12 +67,13 @@ def diagnose(
             print(f"motor-env: {printable(outcome.error)}", file=sys.stderr)
     judged = [outcome for outcome in outcomes if outcome.diagnosis is not None]
     if json_ or judged:
-        show(json_, lambda: [o.as_json() for o in outcomes], lambda: "\n".join(o.as_text() for o in judged))
+        show(
+            json_,
+            lambda: [o.as_json() for o in outcomes],
+            lambda: "\n".join(o.as_text(verbose=verbose) for o in judged),
+        )
     measurement.keep()
-    if any(outcome.is_bug for outcome in outcomes):
-        return int(console.ExitStatus.BUG)
-    diagnoses = [outcome.diagnosis for outcome in outcomes if outcome.diagnosis is not None]
-    return report.exit_status(diagnoses, unreadable=len(diagnoses) < len(outcomes))
+    return exit_status(outcomes)
 
 
 def trend(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,11 +12,16 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
+from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide, limits_of
 from motor_env.diagnosis.diagnose import unusable_reason
-from motor_env.diagnosis.explanations import significance_limit
-from motor_env.diagnosis.files import fit_files
-from motor_env.diagnosis.healthy_motor import learn_reference, reference_from_starts
+from motor_env.diagnosis.healthy_motor import Reference, reference_of
+from motor_env.diagnosis.learning import (
+    disagreement,
+    fit_healthy,
+    learn_starts,
+    odd_one_out,
+    without,
+)
 from motor_env.diagnosis.report import (
     UNITS,
     extensions_json,
@@ -28,18 +34,23 @@ from motor_env.diagnosis.report import (
     ripple_lines,
     warnings_of,
 )
-from motor_env.diagnosis.views import smallest_of, views_of
+from motor_env.diagnosis.running.lessons import learn_windows
+from motor_env.diagnosis.views import Fitted, smallest_of, views_of
 from motor_env.errors import InputError
 from motor_env.identification.identify import Identified
 from motor_env.identification.model_choice import EXTENSIONS, identify_best
 from motor_env.identification.residuals import AMBIGUOUS
 from motor_env.motor.assumptions import assumptions, lines as lines_of
-from motor_env.motor.data_sheet import MotorFile, StartReference
+from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import MotorParameters
+from motor_env.operation.record import at_terminals
+from motor_env.operation.report import motor_of
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, read_recording
+from motor_env.recordings.regime import taken_for
 from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit, prepare
 
@@ -47,81 +58,202 @@ FEWEST_STARTS = 3
 _DIFFERENT = 2.0  # standard errors
 _NO_LOAD = 1.2  # of the current with the load: the same motor, within its friction's changes
 _WARMTH = "R +0.39 %, K -0.1 % and friction -0.3 % a kelvin come on top of that"
-_SPREAD = (
-    "  the spread between starts is believed to be 2 % before any start is seen, worth 4 starts: few starts give wide"
-    " intervals, more starts narrow them"
-)
+_SPREAD = "  few {0}s give wide intervals, more {0}s narrow them"
 
 
 @dataclass(frozen=True, slots=True)
 class Commissioned:
-    """A commissioned motor, the fits that it comes from, and the smallest changes that it will show."""
+    """A commissioned motor, what it was learned from, and what later recordings will show.
+
+    Attributes:
+        motor: with what its healthy pieces have taught.
+        fits: of the healthy pieces.
+        smallest: severity of each fault that the next piece shows in 95 of 100 cases.
+        undecided: of so many healthy pieces, judged by the others, each quantity was undecided; by its name.
+    """
 
     motor: MotorFile
-    fits: tuple[Identified, ...]
+    fits: tuple[Fitted, ...]
     smallest: dict[str, float]
+    undecided: dict[str, int]
 
 
-def identify_file(
-    path: Path,
-    columns: Sequence[ColumnChoice] = (),
+def identify_starts(
+    recording: Recording,
     *,
     voltage_v: float | None = None,
     circuit: Circuit | None = None,
     start: int | None = None,
     constant: float | None = None,
 ) -> list[tuple[Recording, Identified]]:
-    """Read a recording and fit each of its starts, or one of them, with the model that the evidence prefers.
-
-    It is taken for starts, whatever its voltage does.
+    """Fit each start of a recording, or one of them, with the model that the evidence prefers.
 
     Raises:
-        InputError: it cannot be read, or holds no start.
+        InputError: there is no start.
     """
-    parts = chosen_starts(read_recording(path, columns), start, also_work=True)
     try:
         return [
             (part, identify_best(prepare(part, voltage_v, circuit), EXTENSIONS, constant=constant))
-            for part in parts
+            for part in chosen_starts(recording, start)
         ]
     except UnusableError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(f"{recording.path}: {error}") from None
 
 
-def commission(
+def learn(
     paths: Sequence[Path],
     name: str,
     columns: Sequence[ColumnChoice] = (),
     *,
-    voltage_v: float | None = None,
-    false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
-    circuit: Circuit | None = None,
-    temperature_c: float | None = None,
+    word: str = "start",
+    fewest: int = FEWEST_STARTS,
+    regime: str = "auto",
     start: int | None = None,
+    voltage_v: float | None = None,
+    circuit: Circuit | None = None,
     constant: float | None = None,
+    temperature_c: float | None = None,
+    window_s: float | None = None,
+    steady: bool = False,
     no_load_current_a: float | None = None,
+    false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
 ) -> Commissioned:
-    """Learn a motor from healthy starts; a file may hold several, of which `start` chooses one.
+    """Learn a motor from healthy recordings: all starts, or all logs of it at work.
 
-    Where the speed was not recorded, `constant` is the torque constant that the user knows. `no_load_current_a` is
-    what the motor draws uncoupled from its load; it tells which share of the drag is the motor's own friction.
+    Args:
+        paths: recordings; a file may hold several starts.
+        name: of the motor.
+        columns: columns named by the user.
+        word: what the user calls one of them.
+        fewest: number of starts that are needed.
+        regime: start, operation, or auto: decided by what the voltage does, or by a length of windows.
+        start: which one of a file with several.
+        voltage_v: level of the supply where none was recorded.
+        circuit: what is known of the measuring circuit.
+        constant: torque constant in N m/A, where known and the speed was not recorded.
+        temperature_c: of the motor at these recordings, where known.
+        window_s: length of the windows into which logs are cut; a tenth of the shortest unless given.
+        steady: of logs: nothing but a fault moves the motor, as on a test bench.
+        no_load_current_a: of starts: what the motor draws uncoupled from its load. It tells which share of the drag is
+            the motor's own friction.
+        false_alarm_rate: for the smallest changes.
 
     Raises:
-        InputError: fewer than three, one that cannot be read or fitted, or such that hold different columns.
+        InputError: too few, one that cannot be read or used, or such as do not go together.
     """
     if len({path.resolve() for path in paths}) < len(paths):
-        raise InputError("a healthy start is given twice: it would make the spread look smaller than it is")
-    circumstances: dict[str, Any] = {"voltage_v": voltage_v, "circuit": circuit, "constant": constant}
-    fits = fit_files(paths, "start", columns, fewest=FEWEST_STARTS, start=start, **circumstances)
-    reference = replace(learn_reference(fits), temperature_c=temperature_c)
-    if no_load_current_a is not None:
-        reference = replace(reference, own_friction=_own_friction(fits, no_load_current_a))
-    motor = to_motor(fits, name, kind="commissioned", reference=reference, constant=constant)
-    known = reference_from_starts(reference, reference.quantities, name, temperature_c)
-    limit = significance_limit(false_alarm_rate, fits[0].exponents, reference.degrees_of_freedom)
-    views = [] if known is None else views_of(fits[0], known, false_alarm_rate)
-    smallest = smallest_of(views, reference.own_friction, limit)
-    return Commissioned(motor, tuple(fits), smallest)
+        raise InputError(f"a healthy {word} is given twice: it would make the spread look smaller than it is")
+    if window_s is not None and not 0.0 < window_s < math.inf:
+        raise InputError(f"window must be > 0, got {window_s:g}")
+    recordings = [read_recording(path, columns) for path in paths]
+    if regime == "auto" and window_s is not None:
+        regime = "operation"
+    regimes = {taken_for(recording, regime, start).regime for recording in recordings}
+    if len(regimes) > 1:
+        raise InputError(
+            f"some are starts, and some logs of a motor at work: give {word}s of one kind, or --regime"
+        )
+    if regimes == {"operation"}:
+        given = {"start": start, "sensor-lag": (circuit.sensor_lag_s if circuit else 0.0) or None}
+        given |= {"torque-constant": constant, "no-load-current": no_load_current_a}
+        for option, value in given.items():
+            if value is not None:
+                raise InputError(f"--{option} belongs to starts, and these are logs of a motor at work")
+        fits: Sequence[Fitted]
+        healthy, fits = _learn_logs(recordings, voltage_v, circuit, window_s, steady=steady)
+        healthy = replace(healthy, temperature_c=temperature_c)
+        motor = motor_of_windows(healthy, name)
+    else:
+        if steady or window_s is not None:
+            raise InputError("--steady and --window belong to logs of a motor at work, and these are starts")
+        starts = fit_starts(
+            recordings, word, fewest, start=start, voltage_v=voltage_v, circuit=circuit, constant=constant
+        )
+        healthy = replace(learn_starts(starts), temperature_c=temperature_c)
+        if no_load_current_a is not None:
+            healthy = replace(healthy, own_friction=_own_friction(starts, no_load_current_a))
+        motor = to_motor(starts, name, kind="commissioned", healthy=healthy, constant=constant)
+        fits = starts
+    return Commissioned(motor, tuple(fits), *_promise(motor, fits, temperature_c, false_alarm_rate))
+
+
+def _learn_logs(
+    recordings: Sequence[Recording],
+    voltage_v: float | None,
+    circuit: Circuit | None,
+    window_s: float | None,
+    *,
+    steady: bool,
+) -> tuple[Healthy, Sequence[Fitted]]:
+    try:
+        whole = [at_terminals(recording, voltage_v, circuit) for recording in recordings]
+        return learn_windows(whole, window_s, steady=steady)
+    except UnusableError as error:
+        raise InputError(f"the logs cannot be used: {error}") from None
+
+
+def motor_of_windows(healthy: Healthy, name: str) -> MotorFile:
+    """The motor that windows have taught."""
+    if healthy.windows is None:
+        raise ValueError("healthy holds no windows")
+    return replace(motor_of(healthy.windows.physical, name, "commissioned"), healthy=healthy)
+
+
+def _promise(
+    motor: MotorFile, fits: Sequence[Fitted], temperature_c: float | None, rate: float
+) -> tuple[dict[str, float], dict[str, int]]:
+    """Smallest changes that the next piece shows; and how many pieces, judged by the others, leave what undecided."""
+    reference = _reference(motor, fits[0], temperature_c)
+    views = views_of(fits[0], reference, rate)
+    limits = limits_of(views, rate, tests_noise=reference.log_noise is not None)
+    undecided: Counter[str] = Counter()
+    assert motor.healthy is not None  # noqa: S101  # it was just learned
+    for n in range(len(fits) if len(fits) > 1 else 0):
+        others = replace(motor, healthy=without(motor.healthy, fits, n))
+        judged = decide(fits[n], _reference(others, fits[n], temperature_c), rate)
+        undecided.update(change.name for change in judged.changes if change.verdict == "undecided")
+    return smallest_of(views, reference.own_friction, limits.z), dict(undecided)
+
+
+def _reference(motor: MotorFile, fit: Fitted, temperature_c: float | None) -> Reference:
+    found = reference_of(
+        motor, fit.quantity_names, are_starts=isinstance(fit, Identified), temperature_c=temperature_c
+    )
+    assert found is not None  # noqa: S101  # it was learned from these quantities
+    return found
+
+
+def fit_starts(
+    recordings: Sequence[Recording],
+    word: str = "start",
+    fewest: int = 1,
+    *,
+    start: int | None = None,
+    **options: Any,
+) -> list[Identified]:
+    """Fit the healthy starts of recordings as `fit_healthy` does; a recording may hold several.
+
+    Raises:
+        InputError: one of them cannot be used, or no motor explains it; they are fewer than `fewest`, or hold different
+            columns. `word` is what the user calls them.
+    """
+    starts = [part for recording in recordings for part in chosen_starts(recording, start)]
+    if len(starts) < fewest:
+        raise InputError(f"commissioning needs at least {fewest} healthy starts, got {len(starts)}")
+    try:
+        fits = fit_healthy(starts, **options)
+    except UnusableError as error:
+        raise InputError(f"a healthy {word} cannot be used: {error}") from None
+    if len({fit.quantity_names for fit in fits}) > 1:
+        raise InputError(f"the healthy {word}s hold different columns; give such that agree")
+    for number, part in enumerate(starts):
+        reason = unusable_reason(fits[number]) or odd_one_out(fits, number)
+        if reason is not None:
+            raise InputError(f"{part.path}: a healthy {word} cannot be used: {reason}")
+    reason = disagreement(fits)
+    if reason is not None:
+        raise InputError(f"the healthy {word}s cannot be used: {reason}")
+    return fits
 
 
 def _own_friction(fits: Sequence[Identified], no_load_current_a: float) -> float:
@@ -144,7 +276,7 @@ def to_motor(
     name: str,
     *,
     kind: Any = "identified",
-    reference: StartReference | None = None,
+    healthy: Healthy | None = None,
     constant: float | None = None,
 ) -> MotorFile:
     """Motor file of fits of one motor: the geometric mean of their parameters.
@@ -167,7 +299,7 @@ def to_motor(
         current_noise_a=float(np.exp(np.mean([math.log(max(fit.noise_a, 1e-12)) for fit in fits]))),
         coulomb_friction_n_m=_if_told(fits, "coulomb"),
         brush_drop_v=_if_told(fits, "brush_drop"),
-        reference=reference,
+        healthy=healthy,
         notes=() if known and fits[0].start.speed_rad_s is not None else tuple(not_told(fits[0])),
         assumed=assumed,
     )
@@ -250,26 +382,37 @@ def identified_json(
 
 
 def commissioned_text(result: Commissioned, rate: float) -> str:
-    """What was learned, with the interval of the next healthy start."""
-    reference = result.motor.reference
-    if reference is None:
+    """What was learned, with the interval of the next healthy piece."""
+    healthy = result.motor.healthy
+    if healthy is None:
         return ""
-    freedom = reference.degrees_of_freedom
-    half = -float(stdtrit(freedom, rate / 2.0)) * np.sqrt(np.diag(reference.log_covariance))
-    explained = [fit.r2_current for fit in result.fits]
+    freedom = healthy.degrees_of_freedom
+    half = -float(stdtrit(freedom, rate / 2.0)) * np.sqrt(np.diag(healthy.log_covariance))
     smallest = ", ".join(f"{kind} {severity:.1%}" for kind, severity in result.smallest.items())
     interval = f"({1.0 - rate:.0%}, Student t, {freedom:.0f} degrees)"
-    head = f"{reference.starts} healthy starts, model {model_words(reference.model)}"
+    if healthy.starts is not None:
+        head, piece = f"{healthy.pieces} healthy starts, model {model_words(healthy.starts.model)}", "start"
+    else:
+        length = 0.0 if healthy.windows is None else healthy.windows.window_s
+        head, piece = f"{healthy.pieces} healthy windows of {length:g} s", "window"
+    starts = [fit for fit in result.fits if isinstance(fit, Identified)]
+    explained = [fit.r2_current for fit in starts]
+    quality = [f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}"] if explained else []
+    warm = f"  a motor that is warmer or colder by {healthy.temperature_k:.0f} K (1 sd) is healthy too: {_WARMTH}"
     lines = [
-        f"{head}; prediction interval of the next healthy start {interval}",
+        f"{head}; prediction interval of the next healthy {piece} {interval}",
         *(
             f"  {name:<12} {value:11.4g} {UNITS[name]:<12} {math.exp(-h) - 1.0:+.1%} to {math.exp(h) - 1.0:+.1%}"
-            for name, value, h in zip(reference.quantities, reference.values, half, strict=True)
+            for name, value, h in zip(healthy.quantities, healthy.values, half, strict=True)
         ),
-        f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}",
-        f"  smallest change that is found in 95 of 100 cases: {smallest} ({of_the_drag(reference.own_friction)})",
-        f"  a motor that is warmer or colder by {reference.temperature_k:.0f} K (1 sd) is healthy too: {_WARMTH}",
-        _SPREAD,
+        *quality,
+        f"  smallest change that is found in 95 of 100 cases: {smallest} ({of_the_drag(healthy.own_friction)})",
+        *(
+            f"  {name} is left undecided by {count} of these {len(result.fits)} {piece}s: a doubling would not show"
+            for name, count in result.undecided.items()
+        ),
+        *([warm] if healthy.temperature_k else []),
+        _SPREAD.format(piece),
         *lines_of(result.motor.assumed),
     ]
     return "\n".join(lines)

@@ -1,8 +1,8 @@
-"""The decision on a fitted recording: its quantities against a reference, with every uncertainty in the balance.
+"""The decision on a fitted piece: its quantities against a reference, with every uncertainty in the balance.
 
-The fit gives the logarithms of what the recording can tell, with a covariance that knows of the model's error; the
+The fit gives the logarithms of what the piece can tell, with a covariance that knows of the model's error; the
 reference gives where a healthy motor lies, with the covariance of its tolerances, the temperature and the supply, or
-of the spread between healthy starts. Their difference has the sum of both covariances. After an alarm the most
+of the spread between healthy pieces. Their difference has the sum of both covariances. After an alarm the most
 probable fault is named, unless what it leaves unexplained is itself significant or "other" is more probable still. The
 confidence is the posterior probability of the verdict.
 """
@@ -10,8 +10,8 @@ confidence is the posterior probability of the verdict.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
@@ -23,99 +23,78 @@ from motor_env.diagnosis.explanations import (
     compare,
     explain,
     is_its_own,
+    joint_share,
     probabilities,
     severity_of,
-    significance_limit,
     smallest_changes,
 )
-from motor_env.diagnosis.filter_check import FilterCheck
 from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.loaded import LOADS
-from motor_env.diagnosis.views import View, covariance_at_one_temperature, smallest_of, unit_of, views_of
+from motor_env.diagnosis.verdict import Judgement, Verdict
+from motor_env.diagnosis.views import (
+    Fitted,
+    View,
+    covariance_at_one_temperature,
+    shared,
+    smallest_of,
+    unit_of,
+    views_of,
+)
 from motor_env.identification.identify import Identified
 from motor_env.motor.faults import FaultKind, motor_kinds
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.recording import Recording
 
 DEFAULT_FALSE_ALARM_RATE = 0.01
 _TELLING_WARMTH_K = 8.0
 _DOUBLED = 1.0
 
 
-class Verdict(StrEnum):
-    """What is said of a recording."""
+class Limits(NamedTuple):
+    """How far healthy pieces go.
 
-    HEALTHY = "healthy"
-    BEARING = "bearing"
-    WINDING = "winding"
-    MAGNET = "magnet"
-    NOISE = "noise"
-    OTHER = "other"
-    NO_REFERENCE = "no_reference"
-    UNUSABLE = "unusable"
-
-    @property
-    def is_fault(self) -> bool:
-        """Whether it calls for action."""
-        return self not in (Verdict.HEALTHY, Verdict.NO_REFERENCE, Verdict.UNUSABLE)
-
-    @classmethod
-    def _missing_(cls, value: object) -> Verdict | None:
-        """The word of a fault kind that was registered from outside the package."""
-        if value not in {kind.verdict for kind in FaultKind}:
-            return None
-        word = str.__new__(cls, value)
-        word._name_, word._value_ = str(value).upper(), str(value)
-        return _REGISTERED.setdefault(str(value), word)
-
-
-_REGISTERED: dict[str, Verdict] = {}
-
-
-@dataclass(frozen=True, slots=True)
-class Diagnosis:
-    """The verdict on one recording, and what it rests on."""
-
-    recording: Recording
-    verdict: Verdict
-    reasons: tuple[str, ...]
-    severity: float | None = None
-    severity_low: float | None = None
-    severity_high: float | None = None
-    confidence: float | None = None
-    fault_kind: FaultKind | None = None
-    identified: Identified | None = None
-    reference: Reference | None = None
-    changes: tuple[Change, ...] = ()
-    smallest_changes: dict[str, float] = field(default_factory=dict)
-    filter_check: FilterCheck | None = None
-
-    @property
-    def warning(self) -> str:
-        """That the recording is not consistent with the fitted model, in one sentence; empty where it is."""
-        if self.filter_check is None or self.filter_check.consistency is None:
-            return ""
-        return self.filter_check.consistency.warning
-
-
-def decide(
-    recording: Recording, fit: Identified, reference: Reference, check: FilterCheck, rate: float
-) -> Diagnosis:
-    """The diagnosis of a fit against a reference, at a rate of false alarms per healthy recording.
-
-    Nobody may have told what makes the drag: an alarm is one only if it is one whatever the drag is.
+    Attributes:
+        share: rate of false alarms of one test of the motor: faults and the whole, together at the rate left.
+        z: standard deviations beyond which a fault alarms.
+        noise_z: standard deviations beyond which the noise alarms.
     """
-    freedom, share = reference.degrees_of_freedom, alarm_share(rate, fit.exponents)
-    limit = significance_limit(rate, fit.exponents, freedom)
+
+    share: float
+    z: float
+    noise_z: float
+
+
+def limits_of(views: list[View], rate: float, *, tests_noise: bool) -> Limits:
+    """Limits of the tests that together alarm at a rate; where the noise is tested too, it has an equal share."""
+    difference = views[0].difference
+    noise = alarm_share(rate, difference.exponents)
+    freedom = difference.degrees_of_freedom
+    share = joint_share(
+        rate - noise if tests_noise else rate, difference.covariance, difference.exponents, freedom
+    )
+    return Limits(share, -float(stdtrit(freedom, share)), -float(stdtrit(freedom, noise)))
+
+
+def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
+    """The judgement on a fit against a reference, at a rate of false alarms per healthy piece.
+
+    The load may be unknown: there is an alarm only if every load that is believed possible leaves one.
+    """
     views = views_of(fit, reference, rate)
+    limits = limits_of(views, rate, tests_noise=reference.log_noise is not None)
     # A data sheet speaks of a motor without a load; there, loads only help to name what stands out.
     believed = views if reference.includes_fit_error else views[:1]
-    quiet = next((view for view in believed if not view.is_alarm(limit, share)), None)
+    quiet = next((view for view in believed if not view.is_alarm(limits.z, limits.share)), None)
     view = quiet or views[0]
     same_warmth, log_ratios = covariance_at_one_temperature(fit, reference), views[0].difference.log_ratios
-    changes = compare(fit.quantity_names, log_ratios, same_warmth, freedom, math.inf if quiet else limit)
-    healthy = Diagnosis(
-        recording,
+    changes = compare(
+        reference.names,
+        log_ratios,
+        same_warmth,
+        reference.degrees_of_freedom,
+        limits.z,
+        is_alarm=quiet is None,
+    )
+    healthy = Judgement(
         Verdict.HEALTHY,
         (
             f"no quantity has moved further than {reference.source} and the fit's own error allow",
@@ -123,23 +102,25 @@ def decide(
         ),
         severity=0.0,
         confidence=probabilities(view.difference, view.faults)["healthy"],
-        identified=fit,
+        fit=fit,
         reference=reference,
         changes=changes,
-        filter_check=check,
-        smallest_changes=smallest_of(believed, reference.own_friction, limit),
+        smallest_changes=smallest_of(believed, reference.own_friction, limits.z),
     )
     if quiet is None:
-        return _with_alarm(healthy, views, limit, rate)
-    # Healthy starts may scatter by their load; that is no defect of this recording.
-    spread = fit.log_covariance if reference.includes_fit_error else view.difference.covariance
-    unseen = _unseen_fault(smallest_changes(replace(view.difference, covariance=spread), limit))
-    if unseen is not None:
-        return replace(healthy, verdict=Verdict.UNUSABLE, reasons=(unseen,), severity=None, confidence=None)
-    return _with_noise(healthy, fit, reference, limit)
+        return _with_alarm(healthy, views, limits.z, rate)
+    # Healthy pieces may scatter by their load; that is no defect of this one.
+    spread = view.difference.covariance
+    if reference.includes_fit_error:
+        spread = fit.log_covariance[np.ix_(shared(fit, reference), shared(fit, reference))]
+    unseen, tested = _unseen(smallest_changes(replace(view.difference, covariance=spread), limits.z))
+    if len(unseen) == tested:
+        return replace(healthy, verdict=Verdict.UNUSABLE, reasons=unseen, severity=None, confidence=None)
+    healthy = replace(healthy, reasons=(*healthy.reasons, *unseen))
+    return _with_noise(healthy, fit, reference, limits.noise_z)
 
 
-def _with_alarm(healthy: Diagnosis, views: list[View], limit: float, rate: float) -> Diagnosis:
+def _with_alarm(healthy: Judgement, views: list[View], limit: float, rate: float) -> Judgement:
     """The fault that explains an alarm, or that none does; a load is thought of where nothing does without one.
 
     The warmth is that of a motor without a load: where the load is open as well, too much would explain too much.
@@ -176,21 +157,21 @@ def _warmth_reason(view: View, same_warmth: FloatArray, reference: Reference) ->
         return ()
     word = "warmer" if kelvin > 0.0 else "colder"
     return (
-        f"the motor is some {abs(kelvin):.0f} K {word} than at the healthy starts: that explains its R, K and friction",
+        f"the motor is some {abs(kelvin):.0f} K {word} than when it was healthy: that explains its R, K and friction",
     )
 
 
-def _source(diagnosis: Diagnosis) -> str:
-    return "nothing" if diagnosis.reference is None else diagnosis.reference.source
+def _source(judgement: Judgement) -> str:
+    return "nothing" if judgement.reference is None else judgement.reference.source
 
 
 def _with_fault(
-    healthy: Diagnosis,
+    healthy: Judgement,
     fault: Explanation,
     freedom: float,
     probability: dict[str, float],
     load: str | None,
-) -> Diagnosis:
+) -> Judgement:
     """The diagnosis of a known fault; the interval of its severity is that of Student's t."""
     verdict, half = Verdict(fault.kind.verdict), -float(stdtrit(freedom, 0.025)) * fault.step_sd
     own = unit_of(fault.kind, None if healthy.reference is None else healthy.reference.own_friction)
@@ -207,12 +188,13 @@ def _with_fault(
         severity_high=severity_of(fault.kind, fault.step + half) / own,
         confidence=sum(probability.get(kind, 0.0) for kind in motor_kinds() if kind.verdict == verdict),
         fault_kind=fault.kind,
+        kind_probability=probability[fault.kind],
     )
 
 
-def _with_noise(healthy: Diagnosis, fit: Identified, reference: Reference, limit: float) -> Diagnosis:
+def _with_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: float) -> Judgement:
     """The diagnosis of a noisy current, where it is noisier than the reference's by more than `limit`."""
-    if reference.log_noise is None:
+    if reference.log_noise is None or not isinstance(fit, Identified):
         return healthy
     # Coarse steps, a rectifier, a dead zone and a converter's ripple change the noise seen: it tells nothing. Healthy
     # starts were recorded with the same sensor, and hold the same.
@@ -232,15 +214,19 @@ def _with_noise(healthy: Diagnosis, fit: Identified, reference: Reference, limit
     )
 
 
-def _unseen_fault(smallest: dict[str, float]) -> str | None:
-    """Why a recording cannot be called healthy: a doubled friction or resistance would not show in it."""
-    for kind, quantity in ((FaultKind.BEARING, "friction"), (FaultKind.WINDING_CONTACT, "resistance")):
-        if smallest[str(kind)] > _DOUBLED:
-            return (
-                f"the recording is too coarse, too noisy or too short to tell the {quantity}: only a rise of"
-                f" {smallest[str(kind)]:.0%} would show"
-            )
-    return None
+_SEEN = {FaultKind.BEARING: "friction", FaultKind.WINDING_CONTACT: "resistance"}
+
+
+def _unseen(smallest: dict[str, float]) -> tuple[tuple[str, ...], int]:
+    """What a piece leaves undecided, a doubling would not show in it, in sentences; and of how many quantities."""
+    severities = {_SEEN[kind]: smallest[str(kind)] for kind in _SEEN if str(kind) in smallest}
+    sentences = (
+        f"the {quantity} is undecided: the recording is too coarse, too noisy or too short to tell it, only a rise of"
+        f" {severity:.0%} would show"
+        for quantity, severity in severities.items()
+        if severity > _DOUBLED
+    )
+    return tuple(sentences), len(severities)
 
 
 def _alike_reason(fault: Explanation) -> str:

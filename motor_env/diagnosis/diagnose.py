@@ -1,4 +1,4 @@
-"""From a recording to its verdict: prepare, fit, filter, and decide against a data sheet or healthy starts."""
+"""From a recording to its verdict: cut into pieces, fit each, and decide against a data sheet or healthy pieces."""
 
 from __future__ import annotations
 
@@ -6,54 +6,85 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import stdtrit
 
-from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, Diagnosis, Verdict, decide
-from motor_env.diagnosis.explanations import compare, significance_limit
+from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
+from motor_env.diagnosis.explanations import alarm_share, compare
 from motor_env.diagnosis.filter_check import filter_check
-from motor_env.diagnosis.healthy_motor import Reference, reference_from_motor, reference_from_starts
+from motor_env.diagnosis.healthy_motor import Reference, reference_of
+from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
 from motor_env.identification.commutation import ripple_quantities
 from motor_env.identification.identify import Identified, identify
 from motor_env.identification.model_choice import EXTENSIONS, NUISANCES, identify_best
 from motor_env.motor import identifiable as quantities
-from motor_env.motor.data_sheet import MotorFile, StartReference
+from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.healthy import Starts
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
-from motor_env.recordings.regime import refuse_work
+from motor_env.recordings.regime import taken_for
+from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit, Start, prepare
 
-_POOR_FIT = 0.75
+POOR_FIT = 0.75
 _ANOTHER_ORDER = math.log(1.5)
+_NOTHING = "there is nothing to compare with: give a motor file or healthy recordings"
 
 
 def diagnose(
     recording: Recording,
     motor: MotorFile | None = None,
-    learned: StartReference | None = None,
     *,
     voltage_v: float | None = None,
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
     circuit: Circuit | None = None,
     temperature_c: float | None = None,
+    regime: str = "auto",
+    start: int | None = None,
 ) -> Diagnosis:
-    """Fit, filter, compare, decide.
+    """Cut into starts or windows, fit, compare, decide.
 
     Args:
         recording: as read.
         motor: data sheet, identified or commissioned motor.
-        learned: what healthy recordings taught; it comes before the motor.
         voltage_v: level of the supply where the recording has none; the motor's nominal voltage otherwise.
-        false_alarm_rate: per healthy recording.
+        false_alarm_rate: per healthy recording; its pieces share it.
         circuit: what is known of the measuring circuit.
-        temperature_c: of the motor, where measured; it counts where that of the healthy starts is known too.
+        temperature_c: of the motor, where measured; it counts where that of the healthy pieces is known too.
+        regime: start, operation, or auto: decided by what the voltage does.
+        start: which one, counted from 1, of a recording of several; all of them unless given.
+
+    Raises:
+        InputError: an unknown regime, no such start, or too many of them.
     """
-    if voltage_v is None and motor is not None and motor.reference is None:
+    taken = taken_for(recording, regime, start)
+    if taken.regime == "operation":
+        from motor_env.diagnosis.running.judge import judge_log
+
+        pieces, count = judge_log(recording, motor, false_alarm_rate, voltage_v, circuit, temperature_c)
+        return Diagnosis(recording, taken, tuple(pieces), count)
+    if voltage_v is None and motor is not None and motor.healthy is None:
         voltage_v = motor.nominal_voltage_v
+    parts = chosen_starts(recording, start)
+    judged = tuple(
+        judge_start(part, motor, false_alarm_rate / len(parts), voltage_v, circuit, temperature_c).on(part)
+        for part in parts
+    )
+    return Diagnosis(recording, taken, judged, len(judged))
+
+
+def judge_start(
+    recording: Recording,
+    motor: MotorFile | None,
+    rate: float,
+    voltage_v: float | None = None,
+    circuit: Circuit | None = None,
+    temperature_c: float | None = None,
+) -> Judgement:
+    """The judgement on one start, see `diagnose`."""
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
     try:
-        if learned is not None or (motor is not None and motor.reference is not None):
-            refuse_work(recording)
         start = prepare(recording, voltage_v, circuit)
-        reference = _reference(start, motor, learned, temperature_c)
+        reference = _reference(start, motor, temperature_c)
         typical = None if reference is None else reference.values
         if start.alignment.saturation:
             fit = identify(start, constant=constant)
@@ -64,56 +95,48 @@ def diagnose(
         else:
             fit = identify(start, reference.model, constant=constant, typical=typical)
     except UnusableError as error:
-        return Diagnosis(recording, Verdict.UNUSABLE, (str(error),))
+        return Judgement(Verdict.UNUSABLE, (str(error),))
     check = filter_check(fit)
     trouble = unusable_reason(fit)
     if trouble:
-        return Diagnosis(recording, Verdict.UNUSABLE, (trouble,), identified=fit, filter_check=check)
+        return Judgement(Verdict.UNUSABLE, (trouble,), fit=fit, filter_check=check)
     if reference is None:
-        given = motor is not None or learned is not None
-        reason = (
-            f"this recording tells {', '.join(fit.quantity_names)}, and the reference speaks of other quantities"
-            if given
-            else "there is nothing to compare with: give a motor file or healthy recordings"
-        )
-        return Diagnosis(recording, Verdict.NO_REFERENCE, (reason,), identified=fit, filter_check=check)
-    diagnosis = decide(recording, fit, reference, check, false_alarm_rate)
-    starts = learned or (None if motor is None else motor.reference)
-    return diagnosis if starts is None else _with_ripple(diagnosis, fit, starts, false_alarm_rate)
+        told = f"this recording tells {', '.join(fit.quantity_names)}, and the reference speaks of other quantities"
+        reason = _NOTHING if motor is None else told
+        return Judgement(Verdict.NO_REFERENCE, (reason,), fit=fit, filter_check=check)
+    judgement = replace(decide(fit, reference, rate), filter_check=check)
+    starts = None if motor is None or motor.healthy is None else motor.healthy.starts
+    return judgement if starts is None else _with_ripple(judgement, fit, starts, rate)
 
 
-def _with_ripple(diagnosis: Diagnosis, fit: Identified, starts: StartReference, rate: float) -> Diagnosis:
+def _with_ripple(judgement: Judgement, fit: Identified, starts: Starts, rate: float) -> Judgement:
     """What the commutation ripple says of speed and K, beside the verdict: it takes no part in it."""
     ripple = ripple_quantities(fit)
     if ripple is None or not (starts.ripple_hz and starts.ripple_constant_v_s and starts.ripple_log_sd):
-        return diagnosis
+        return judgement
     logs = np.log(ripple) - np.log([starts.ripple_hz, starts.ripple_constant_v_s])
     if abs(float(logs[0])) > _ANOTHER_ORDER:
-        return diagnosis  # another of the ripple's orders is the strongest now: nothing to compare
-    freedom = starts.degrees_of_freedom
-    limit = significance_limit(rate, fit.exponents, freedom)
+        return judgement  # another of the ripple's orders is the strongest now: nothing to compare
+    freedom = 1.0 if judgement.reference is None else judgement.reference.degrees_of_freedom
+    limit = -float(stdtrit(freedom, alarm_share(rate, fit.exponents)))
     names = ("speed", "K" if fit.start.voltage_known else "K/V")
-    changes = compare(names, logs, np.eye(2) * starts.ripple_log_sd**2, freedom, limit)
+    changes = compare(names, logs, np.eye(2) * starts.ripple_log_sd**2, freedom, limit, is_alarm=True)
     moved = [c for c in changes if c.significant]
-    reasons = diagnosis.reasons
-    if moved and diagnosis.verdict.is_fault:
+    reasons = judgement.reasons
+    if moved and judgement.verdict.is_fault:
         words = " and ".join(
             f"{c.name} {'up' if c.ratio > 1.0 else 'down'} by {abs(c.ratio - 1.0):.0%}" for c in moved
         )
         reasons = (*reasons, f"the commutation ripple of {ripple[0]:.4g} Hz shows {words}")
-    return replace(diagnosis, changes=(*diagnosis.changes, *changes), reasons=reasons)
+    return replace(judgement, changes=(*judgement.changes, *changes), reasons=reasons)
 
 
-def _reference(
-    start: Start, motor: MotorFile | None, learned: StartReference | None, temperature_c: float | None
-) -> Reference | None:
+def _reference(start: Start, motor: MotorFile | None, temperature_c: float | None) -> Reference | None:
     """What there is to compare a start with."""
-    which = {"has_voltage": start.voltage_known, "has_speed": start.speed_rad_s is not None}
-    if learned is not None:
-        return reference_from_starts(learned, quantities.names(**which), "this motor", temperature_c)
     if motor is None:
         return None
-    return reference_from_motor(motor, **which, temperature_c=temperature_c)
+    names = quantities.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
+    return reference_of(motor, names, temperature_c=temperature_c)
 
 
 def unusable_reason(fit: Identified) -> str | None:
@@ -121,12 +144,10 @@ def unusable_reason(fit: Identified) -> str | None:
     clipped = fit.start.alignment.saturation
     if clipped:
         return f"the recording is clipped, {clipped}"
-    if fit.r2_current < _POOR_FIT:
-        return (
-            f"no motor model explains the current (R2 {fit.r2_current:.2f}; at least {_POOR_FIT} is needed)"
-        )
-    if fit.r2_speed is not None and fit.r2_speed < _POOR_FIT:
-        return f"no motor model explains the speed (R2 {fit.r2_speed:.2f}; at least {_POOR_FIT} is needed)"
+    if fit.r2_current < POOR_FIT:
+        return f"no motor model explains the current (R2 {fit.r2_current:.2f}; at least {POOR_FIT} is needed)"
+    if fit.r2_speed is not None and fit.r2_speed < POOR_FIT:
+        return f"no motor model explains the speed (R2 {fit.r2_speed:.2f}; at least {POOR_FIT} is needed)"
     worst = float(np.sqrt(np.diag(fit.log_covariance)).min())
     if worst > 1.0:
         return "the recording is too short or too noisy: no quantity is known to a factor of e"

@@ -11,11 +11,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 from scipy import linalg, optimize, special
 
-from motor_env.diagnosis.healthy_motor import NORMAL_DOF
+from motor_env.diagnosis.spread import NORMAL_DOF
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
@@ -35,7 +36,7 @@ _NOISE_AND_OMNIBUS = 2  # tests beside those of the faults
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How far a start lies from a healthy one.
+    """How far a piece lies from a healthy one.
 
     Attributes:
         log_ratios: of the quantities, shape (n,).
@@ -76,14 +77,20 @@ class Change:
         name: the quantity.
         ratio: fitted over reference.
         low, high: interval of the ratio, 95 %, the reference's uncertainty included.
-        significant: whether there is an alarm, and 1 lies outside the interval at the wanted rate of false alarms.
+        verdict: `moved` where there is an alarm and 1 lies outside the interval at the wanted rate of false alarms;
+            `undecided` where a doubling would not be found in 95 of 100 cases; else `healthy`.
     """
 
     name: str
     ratio: float
     low: float
     high: float
-    significant: bool
+    verdict: Literal["healthy", "moved", "undecided"]
+
+    @property
+    def significant(self) -> bool:
+        """Whether the quantity has moved."""
+        return self.verdict == "moved"
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,11 +122,6 @@ class Explanation:
 def alarm_share(rate: float, exponents: FloatArray) -> float:
     """Rate of false alarms of one test: those of the faults, of the noise and of the whole share it (Bonferroni)."""
     return rate / (len(quantities.nameable_kinds(exponents)) + _NOISE_AND_OMNIBUS)
-
-
-def significance_limit(rate: float, exponents: FloatArray, degrees_of_freedom: float) -> float:
-    """Standard deviations beyond which one of these tests alarms."""
-    return -float(special.stdtrit(degrees_of_freedom, alarm_share(rate, exponents)))
 
 
 @lru_cache(maxsize=16)
@@ -205,7 +207,13 @@ def _factor(log: float) -> float:
 
 
 def compare(
-    names: tuple[str, ...], difference: FloatArray, covariance: FloatArray, freedom: float, limit: float
+    names: tuple[str, ...],
+    difference: FloatArray,
+    covariance: FloatArray,
+    freedom: float,
+    limit: float,
+    *,
+    is_alarm: bool,
 ) -> tuple[Change, ...]:
     """How far quantities lie from their reference.
 
@@ -214,14 +222,19 @@ def compare(
         difference: of their logarithms, shape (n,).
         covariance: of the difference, shape (n, n).
         freedom: degrees of freedom of the covariance.
-        limit: standard deviations beyond which a difference is significant; infinite where there is no alarm.
+        limit: standard deviations beyond which a difference is significant.
+        is_alarm: without an alarm no quantity has moved.
     """
     half = -float(special.stdtrit(freedom, 0.025))
-    sigma = np.sqrt(np.diag(covariance))
-    return tuple(
-        Change(name, _factor(d), _factor(d - half * s), _factor(d + half * s), bool(abs(d) > limit * s))
-        for name, d, s in zip(names, difference, sigma, strict=True)
-    )
+    changes = []
+    for name, d, s in zip(names, difference, np.sqrt(np.diag(covariance)), strict=True):
+        verdict: Literal["healthy", "moved", "undecided"] = "healthy"
+        if is_alarm and abs(d) > limit * s:
+            verdict = "moved"
+        elif (limit + _POWER_QUANTILE) * s > math.log(2.0):
+            verdict = "undecided"
+        changes.append(Change(name, _factor(d), _factor(d - half * s), _factor(d + half * s), verdict))
+    return tuple(changes)
 
 
 def _student(covariance: FloatArray, freedom: int) -> Callable[[FloatArray], FloatArray]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from motor_env.console import printable
-from motor_env.diagnosis.decision import Diagnosis, Verdict
 from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.report import as_text, warnings_of
+from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
+from motor_env.identification.identify import Identified
 from motor_env.identification.residuals import absolute, started
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, MotorParameters
@@ -92,16 +95,17 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
         diagnosis: what was judged.
         periods_per_turn: periods of the commutation ripple in a turn, for the lines of the experts.
     """
-    verdict, fit = diagnosis.verdict, diagnosis.identified
+    telling, verdict = diagnosis.telling, diagnosis.verdict
+    fit = telling.identified
     tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
-    expected, is_short = reference_current(diagnosis), diagnosis.fault_kind is FaultKind.WINDING_SHORT
+    expected, is_short = reference_current(telling), telling.kind is FaultKind.WINDING_SHORT
     return render(
         "motor_env.diagnosis",
         "diagnosis.html.j2",
         title="Winding: shorted turns" if is_short else _TITLE.get(verdict, str(verdict).capitalize()),
         file=printable(diagnosis.recording.path.name),
         tone=tone,
-        size=_size(diagnosis),
+        size=_size(telling),
         sure=_sure(diagnosis.confidence),
         first=_SHORT_FIRST if is_short else _FIRST.get(verdict, ()),
         reasons=[f"{reason[0].upper()}{reason[1:]}." for reason in diagnosis.reasons],
@@ -109,21 +113,23 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
             f"{sentence[0].upper()}{sentence[1:]}." for sentence in warnings_of(diagnosis.recording, fit)
         ],
         read=[printable(note) for note in diagnosis.recording.columns],
+        taken=str(diagnosis.taken),
+        history=pieces_chart(diagnosis.pieces) if len(diagnosis.pieces) > 1 else "",
         bars=_bars(diagnosis.changes) if diagnosis.changes else "",
-        current=_current(diagnosis, expected) if fit is not None else "",
+        current=_current(fit, expected) if fit is not None else "",
         has_expected=expected is not None,
-        residual=_residual(diagnosis, expected) if expected is not None else "",
+        residual=_residual(fit, expected) if fit is not None and expected is not None else "",
         smallest=[
-            (_KIND.get(kind, kind), f"{share:.0%}") for kind, share in diagnosis.smallest_changes.items()
+            (_KIND.get(kind, kind), f"{share:.0%}") for kind, share in telling.smallest_changes.items()
         ],
         expert=printable(as_text(diagnosis, periods_per_turn, verbose=True)),
     )
 
 
-def _size(diagnosis: Diagnosis) -> str:
+def _size(judgement: Judgement) -> str:
     """How far it moved, with its interval, in words; empty without a size."""
-    low, high, size = diagnosis.severity_low, diagnosis.severity_high, diagnosis.severity
-    if not size or not diagnosis.verdict.is_fault:
+    low, high, size = judgement.severity_low, judgement.severity_high, judgement.severity
+    if not size or not judgement.verdict.is_fault or judgement.fault_kind is None:
         return ""
     between = "" if low is None or high is None else f", between {low:.0%} and {high:.0%}"
     what = {
@@ -131,7 +137,7 @@ def _size(diagnosis: Diagnosis) -> str:
         FaultKind.WINDING_CONTACT: f"Winding resistance up by {size:.0%}{between}",
         FaultKind.WINDING_SHORT: f"{size:.0%} of the turns shorted{between}",
     }
-    return what.get(diagnosis.fault_kind, f"Size {size:.0%}{between}") if diagnosis.fault_kind else ""
+    return what.get(judgement.fault_kind, f"Size {size:.0%}{between}")
 
 
 def _sure(confidence: float | None) -> str:
@@ -140,16 +146,18 @@ def _sure(confidence: float | None) -> str:
     return "over 99 % sure" if confidence > 0.99 else f"{confidence:.0%} sure"
 
 
-def reference_current(diagnosis: Diagnosis) -> FloatArray | None:
+def reference_current(judgement: Judgement) -> FloatArray | None:
     """The current that the reference's motor would have drawn in this start; None without a reference.
 
     K is that of the fit where the current alone is told: the current depends on K^2/J and B/J only.
     """
-    fit, reference = diagnosis.identified, diagnosis.reference
+    fit, reference = judgement.identified, judgement.reference
     if fit is None or reference is None:
         return None
     believed = float(np.max(fit.parameters.back_emf_constant_v_s_per_rad))
-    value = absolute(reference.values, believed)
+    value = absolute(
+        dict(zip(fit.quantity_names, fit.values.tolist(), strict=True)) | reference.values, believed
+    )
     ohm, constant = value["R"] + fit.start.circuit.shunt_ohm, value["K"]
     motor = MotorParameters(ohm, value["L"], constant, constant, value["J"], value["B"])
     states = started(fit.start, motor, fit.extension, fit.onset_s)
@@ -187,10 +195,8 @@ def _bars(changes: tuple[Change, ...]) -> str:
     return chart.svg()
 
 
-def _shown(diagnosis: Diagnosis) -> tuple[FloatArray, slice]:
+def _shown(fit: Identified) -> tuple[FloatArray, slice]:
     """Times in ms after the start, and which samples are drawn."""
-    fit = diagnosis.identified
-    assert fit is not None  # noqa: S101  # callers have a fit
     time_ms = 1e3 * (fit.start.time_s - fit.onset_s)
     begin = int(np.searchsorted(time_ms, -_SHOWN_SHARE * time_ms[-1]))
     step = max((len(time_ms) - begin) // _MOST_POINTS, 1)
@@ -202,11 +208,9 @@ def _time_axis(time_ms: FloatArray) -> Axis:
     return Axis("", low, high, round_ticks(low, high, 5), lambda value: f"{value:g} ms")
 
 
-def _current(diagnosis: Diagnosis, expected: FloatArray | None) -> str:
+def _current(fit: Identified, expected: FloatArray | None) -> str:
     """The measured current beside the healthy motor's."""
-    fit = diagnosis.identified
-    assert fit is not None  # noqa: S101  # the caller has looked
-    time_ms, shown = _shown(diagnosis)
+    time_ms, shown = _shown(fit)
     curves = [("measured", fit.start.current_a[shown])]
     if expected is not None:
         curves.append(("healthy", expected[shown]))
@@ -217,12 +221,9 @@ def _current(diagnosis: Diagnosis, expected: FloatArray | None) -> str:
     return _chart(time_ms[shown], curves, (low, high), "A", "Measured current and that of the healthy motor")
 
 
-def _residual(diagnosis: Diagnosis, expected: FloatArray | None) -> str:
+def _residual(fit: Identified, expected: FloatArray) -> str:
     """Measured less healthy current, averaged over a fiftieth of the recording, with the sensor's noise as a band."""
-    fit = diagnosis.identified
-    assert fit is not None  # noqa: S101  # the caller has looked
-    assert expected is not None  # noqa: S101  # the caller has looked
-    time_ms, shown = _shown(diagnosis)
+    time_ms, shown = _shown(fit)
     beyond = fit.start.current_a - fit.start.ripple_a - expected
     span = max(len(beyond) // 50, 1)
     padded = np.pad(beyond, (span // 2, span - 1 - span // 2), "reflect")
@@ -261,4 +262,44 @@ def _chart(
     chart.x_numbers()
     for style, values in curves:
         chart.curve(style, time_ms, values)
+    return chart.svg()
+
+
+def pieces_chart(pieces: Sequence[Judgement]) -> str:
+    """How far each quantity lies from the healthy motor, piece by piece, in per cent over the recording's time."""
+    fitted = [piece for piece in pieces if piece.changes]
+    if not fitted:
+        return ""
+    names = [
+        change.name for change in fitted[0].changes if any(c.name == change.name for c in fitted[-1].changes)
+    ]
+    return "\n".join(_history(name, fitted) for name in names)
+
+
+def _history(name: str, pieces: Sequence[Judgement]) -> str:
+    """One quantity: a dot and its interval for each piece."""
+    changes = [(piece, change) for piece in pieces for change in piece.changes if change.name == name]
+    ends = [piece.begin_s + piece.duration_s for piece, _ in changes]
+    widest = max(1.1 * max(max(c.high, 1.0 / max(c.low, 1e-9)) for _, c in changes), 1.1)
+    edge = min(widest, 8.0)
+    ticks = [
+        tick for tick in (1.0 / 4.0, 0.5, 0.8, 0.9, 1.0, 1.1, 1.25, 2.0, 4.0) if 1.0 / edge <= tick <= edge
+    ]
+    begin, end = changes[0][0].begin_s, max(ends)
+    chart = Chart(
+        Axis("", begin, end, round_ticks(begin, end, 5), lambda value: f"{value:g} s"),
+        Axis("", 1.0 / edge, edge, ticks, lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %", is_log=True),
+        size=(_WIDTH, 130.0),
+        margins=(66.0, 32.0, 24.0, 28.0),
+        label=f"{_QUANTITY.get(name, name)} over time, with 95 % intervals",
+    )
+    chart.y_numbers()
+    chart.x_numbers()
+    chart.text((66.0, 14.0), _QUANTITY.get(name, name), "name")
+    for piece, change in changes:
+        middle = chart.x(piece.begin_s + 0.5 * piece.duration_s)
+        with chart.group("moved" if change.significant else "still", f"{change.ratio - 1.0:+.1%}"):
+            low, high = (min(max(value, 1.0 / edge), edge) for value in (change.low, change.high))
+            chart.line("interval", (middle, chart.y(low)), (middle, chart.y(high)))
+            chart.dot("dot", (middle, chart.y(min(max(change.ratio, 1.0 / edge), edge))), 4.0)
     return chart.svg()

@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 from motor_env.console import printable
 from motor_env.diagnosis.report import model_words
 from motor_env.identification.identify import Identified
-from motor_env.motor.data_sheet import StartReference
+from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
 from motor_env.plotting import COLOUR, drawing, save, subplots
 
@@ -47,7 +47,7 @@ def plot_identified(fit: Identified, name: str, path: Path) -> None:
 
 def plot_commissioned(
     fits: Sequence[Identified],
-    reference: StartReference,
+    healthy: Healthy,
     smallest: Mapping[str, float],
     rate: float,
     path: Path,
@@ -69,32 +69,32 @@ def plot_commissioned(
             middle.plot(time_ms, fit.residual_a, linewidth=0.6, color=COLOUR["healthy"], alpha=0.6)
         top.set_ylabel("current (A)")
         top.legend(loc="upper right")
-        top.set_title(f"{reference.starts} healthy starts")
+        top.set_title(f"{healthy.pieces} healthy starts")
         middle.set_ylabel("residual (A)")
         middle.set_xlabel("time after the start (ms)")
         middle.set_xlim(top.get_xlim())
-        _spread(bottom, fits, reference, rate)
+        _spread(bottom, fits, healthy, rate)
         told = ", ".join(f"{kind.replace('_', ' ')} {severity:.0%}" for kind, severity in smallest.items())
         bottom.set_xlabel(f"off the mean (%)\nsmallest change found in 95 of 100 cases: {told}")
         save(figure, path)
 
 
-def _spread(axes: Axes, fits: Sequence[Identified], reference: StartReference, rate: float) -> None:
+def _spread(axes: Axes, fits: Sequence[Identified], healthy: Healthy, rate: float) -> None:
     """A bar a quantity, the interval of the next healthy start, and a point a start."""
-    half = -float(stdtrit(reference.degrees_of_freedom, rate / 2.0))
-    for row in range(len(reference.quantities)):
-        width = half * math.sqrt(reference.log_covariance[row, row])
+    half = -float(stdtrit(healthy.degrees_of_freedom, rate / 2.0))
+    for row in range(len(healthy.quantities)):
+        width = half * math.sqrt(healthy.log_covariance[row, row])
         low, high = 100.0 * math.expm1(-width), 100.0 * math.expm1(width)
         axes.barh(row, high - low, left=low, height=0.55, color=COLOUR["healthy"], alpha=0.18)
         # Beyond the axis the bar is cut: its ends are said.
         ends = f"{low:+.0f} … {high:+.0f} %"
         axes.annotate(ends, (1.005, row), xycoords=("axes fraction", "data"), va="center", fontsize=10)
-        off = [100.0 * (math.exp(fit.log_values[row]) / reference.values[row] - 1.0) for fit in fits]
+        off = [100.0 * (math.exp(fit.log_values[row]) / healthy.values[row] - 1.0) for fit in fits]
         axes.plot(off, [row] * len(off), "o", color=COLOUR["healthy"], markersize=5)
-    widths = half * np.sqrt(np.diag(reference.log_covariance))
+    widths = half * np.sqrt(np.diag(healthy.log_covariance))
     room = 100.0 * 1.3 * float(np.median(np.expm1(np.minimum(widths, 1.0))))
     axes.set_xlim(-room, room)
-    axes.set_yticks(range(len(reference.quantities)), list(reference.quantities))
+    axes.set_yticks(range(len(healthy.quantities)), list(healthy.quantities))
     axes.set_title(f"Interval of the next healthy start ({1.0 - rate:.0%})")
 
 

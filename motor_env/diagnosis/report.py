@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from motor_env import console
-from motor_env.diagnosis.decision import Diagnosis, Verdict
 from motor_env.diagnosis.explanations import Change
+from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
+from motor_env.diagnosis.views import Fitted
 from motor_env.identification.commutation import constants_at, find_ripple
 from motor_env.identification.identify import Identified
 from motor_env.identification.plausibility import implausible
 from motor_env.motor.parameters import RAD_S_PER_RPM
 from motor_env.recordings.recording import Recording
 
+TWO_SIDED = 1.96
+_LARGEST_LOG = 700.0
 UNITS = {
     "R": "ohm",
     "L": "H",
@@ -32,38 +37,30 @@ UNITS = {
 }
 
 
-def exit_status(diagnoses: list[Diagnosis], *, unreadable: bool) -> int:
-    """0: all healthy; 1: any fault; 2: any input unreadable; 3: no fault, but some undecided."""
-    verdicts = {d.verdict for d in diagnoses}
+def exit_status(verdicts: Iterable[Verdict], *, unreadable: bool = False) -> int:
+    """0: all healthy; 1: any fault; 2: any input unreadable; 3: no fault, but some undecided or nothing judged."""
+    said = set(verdicts)
     if unreadable:
         return int(console.ExitStatus.BAD_INPUT)
-    if any(verdict.is_fault for verdict in verdicts):
+    if any(verdict.is_fault for verdict in said):
         return int(console.ExitStatus.FAULT)
-    return int(console.ExitStatus.UNDECIDED if verdicts - {Verdict.HEALTHY} else console.ExitStatus.HEALTHY)
+    return int(console.ExitStatus.HEALTHY if said == {Verdict.HEALTHY} else console.ExitStatus.UNDECIDED)
 
 
 def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict[str, Any]:
-    """One object: file, verdict, severity, confidence, parameters, r2_current, and what they rest on."""
-    fit, check = diagnosis.identified, diagnosis.filter_check
-    parameters: dict[str, Any] = {}
+    """One object: what the recording was taken for, its verdict by the piece that it rests on, and all pieces."""
+    recording, telling = diagnosis.recording, diagnosis.telling
+    fit, check = telling.identified, telling.filter_check
+    parameters: dict[str, Any] = {} if telling.fit is None else quantities_json(telling.fit)
     if fit is not None:
         onset, offset = {"value": fit.onset_s, "unit": "s"}, {"value": fit.offset_a, "unit": "A"}
-        parameters = quantities_json(fit) | extensions_json(fit) | {"onset_s": onset, "offset_a": offset}
+        parameters |= extensions_json(fit) | {"onset_s": onset, "offset_a": offset}
     return {
-        "file": str(diagnosis.recording.path),
-        "verdict": str(diagnosis.verdict),
-        "fault_kind": None if diagnosis.fault_kind is None else str(diagnosis.fault_kind),
-        "severity": _number(diagnosis.severity),
-        "severity_interval": _interval(diagnosis.severity_low, diagnosis.severity_high),
-        "confidence": _number(diagnosis.confidence),
-        "reasons": list(diagnosis.reasons),
+        "file": str(recording.path),
+        "taken_for": diagnosis.taken._asdict(),
+        **_said(telling),
         "parameters": parameters,
-        "changes": {
-            c.name: {"ratio": c.ratio, "interval": [c.low, c.high], "significant": c.significant}
-            for c in diagnosis.changes
-        },
-        "smallest_changes": diagnosis.smallest_changes,
-        "reference": None if diagnosis.reference is None else diagnosis.reference.source,
+        "reference": None if telling.reference is None else telling.reference.source,
         "model": None if fit is None else ["textbook", *fit.model],
         "r2_current": None if fit is None else _number(fit.r2_current),
         "r2_speed": None if fit is None else _number(fit.r2_speed),
@@ -72,11 +69,34 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
         "sensor_noise_a": None if check is None else _number(check.sensor_noise_a),
         "model_error_a": None if check is None else _number(check.model_error_a),
         "consistent": None if check is None or check.consistency is None else check.consistency.holds,
-        "warning": diagnosis.warning or None,
-        "warnings": warnings_of(diagnosis.recording, fit),
+        "warning": telling.warning or None,
+        "warnings": warnings_of(recording, fit),
         "commutation": None if fit is None else ripple_json(fit, periods_per_turn),
-        "columns": list(diagnosis.recording.columns),
+        "columns": list(recording.columns),
         "defects": [] if fit is None else [str(defect) for defect in fit.defects],
+        "pieces_of_recording": diagnosis.of,
+        "pieces": [
+            {"begin_s": piece.begin_s, "duration_s": piece.duration_s} | _said(piece)
+            for piece in diagnosis.pieces
+        ],
+    }
+
+
+def _said(judgement: Judgement) -> dict[str, Any]:
+    """What is said of a piece."""
+    low, high = judgement.severity_low, judgement.severity_high
+    return {
+        "verdict": str(judgement.verdict),
+        "kind": None if judgement.kind is None else str(judgement.kind),
+        "severity": _number(judgement.severity),
+        "severity_interval": None if low is None or high is None else [_number(low), _number(high)],
+        "confidence": _number(judgement.confidence),
+        "reasons": list(judgement.reasons),
+        "changes": {
+            c.name: {"verdict": c.verdict, "ratio": c.ratio, "interval": [c.low, c.high]}
+            for c in judgement.changes
+        },
+        "smallest_changes": {kind: _number(value) for kind, value in judgement.smallest_changes.items()},
     }
 
 
@@ -114,18 +134,38 @@ def ripple_lines(fit: Identified, periods_per_turn: float | None) -> list[str]:
     return [f"{line}: {speed:.5g} rad/s ({speed / RAD_S_PER_RPM:.0f} rpm), so {words}"]
 
 
-def quantities_json(fit: Identified) -> dict[str, Any]:
-    """The quantities with their standard errors."""
+def quantities_json(fit: Fitted) -> dict[str, Any]:
+    """The quantities with their standard errors and intervals, 95 %."""
+    deviations = np.sqrt(np.diag(fit.log_covariance))
+    rows = zip(fit.quantity_names, fit.log_values, deviations, strict=True)
     return {
-        name: {"value": float(value), "standard_error": float(error), "unit": UNITS[name]}
-        for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True)
+        name: {
+            "value": math.exp(log),
+            "standard_error": _number(math.exp(log) * sd),
+            "interval": [
+                _number(exp_or_none(log - TWO_SIDED * sd)),
+                _number(exp_or_none(log + TWO_SIDED * sd)),
+            ],
+            "unit": UNITS[name],
+        }
+        for name, log, sd in rows
     }
 
 
+def exp_or_none(log: float) -> float | None:
+    """The factor of a logarithm; None beyond what a number holds."""
+    return math.exp(log) if log < _LARGEST_LOG else None
+
+
 def extensions_json(fit: Identified) -> dict[str, Any]:
-    """The extensions with their standard errors."""
+    """The extensions with their standard errors and intervals, 95 %."""
     return {
-        name: {"value": value, "standard_error": error, "unit": _extension_unit(fit, name)}
+        name: {
+            "value": value,
+            "standard_error": _number(error),
+            "interval": [_number(value - TWO_SIDED * error), _number(value + TWO_SIDED * error)],
+            "unit": _extension_unit(fit, name),
+        }
         for name, (value, error) in fit.fitted_extension.items()
     }
 
@@ -174,38 +214,68 @@ def _number(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-def _interval(low: float | None, high: float | None) -> list[float] | None:
-    return None if low is None or high is None else [low, high]
-
-
 def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None, *, verbose: bool = False) -> str:
     """What a maintenance engineer reads; `verbose` adds how well model and filter fit."""
-    lines = [f"{diagnosis.recording.path}: {headline(diagnosis)}"]
-    lines += [f"  {reason}." for reason in diagnosis.reasons]
-    lines.append("  read: " + "; ".join(diagnosis.recording.columns))
-    fit = diagnosis.identified
-    lines += [f"  warning: {sentence}" for sentence in warnings_of(diagnosis.recording, fit)]
+    recording, telling, fit = diagnosis.recording, diagnosis.telling, diagnosis.telling.identified
+    several = len(diagnosis.pieces) > 1
+    among = "" if not several else f"; {_among(diagnosis)}"
+    lines = [f"{recording.path}: {headline(telling)}{among}"]
+    lines += [f"  {reason}." for reason in telling.reasons]
+    lines.append(f"  taken for {diagnosis.taken}")
+    if recording.columns:
+        lines.append("  read: " + "; ".join(recording.columns))
+    lines += [f"  warning: {sentence}" for sentence in warnings_of(recording, fit)]
+    if several:
+        lines += [_piece_line(diagnosis, piece) for piece in diagnosis.pieces]
+    lines += piece_lines(telling)
     if fit is not None:
-        moved = {c.name: f"{c.ratio - 1.0:+6.1%} from the reference ({_span(c)})" for c in diagnosis.changes}
-        lines += quantity_lines(quantities_json(fit), moved)
-        lines += [
-            f"  {name:<12} {words}, by the commutation ripple"
-            for name, words in moved.items()
-            if name not in fit.quantity_names
-        ]
         lines += ripple_lines(fit, periods_per_turn)
         lines += [f"  noticed: {defect}" for defect in fit.defects]
     if verbose:
-        lines += expert_lines(diagnosis)
-    if diagnosis.smallest_changes:
-        lines.append(f"  {smallest_words(diagnosis)}")
+        lines += expert_lines(telling)
+    if telling.smallest_changes:
+        lines.append(f"  {smallest_words(telling)}")
     return "\n".join(lines)
 
 
-def smallest_words(diagnosis: Diagnosis) -> str:
+def _among(diagnosis: Diagnosis) -> str:
+    """How many of its pieces say so."""
+    same = sum(piece.verdict is diagnosis.verdict for piece in diagnosis.pieces)
+    word = "windows" if diagnosis.taken.regime == "operation" else "starts"
+    judged = "" if len(diagnosis.pieces) == diagnosis.of else f" judged, of {diagnosis.of}"
+    return f"{same} of {len(diagnosis.pieces)} {word}{judged}"
+
+
+def _piece_line(diagnosis: Diagnosis, piece: Judgement) -> str:
+    """One piece of several: when, what, and how far its quantities lie from the healthy ones."""
+    moved = ", ".join(f"{c.name} {c.ratio - 1.0:+.1%}" for c in piece.changes)
+    said = f"{moved}" if piece.changes else "; ".join(piece.reasons)
+    mark = " <" if piece is diagnosis.telling else ""
+    return f"  from {piece.begin_s:.6g} s: {headline(piece)}; {said}{mark}"
+
+
+def piece_lines(judgement: Judgement) -> list[str]:
+    """Quantities of a fitted piece, beside how far they lie from the reference."""
+    fit = judgement.fit
+    if fit is None:
+        return []
+    moved = {
+        c.name: f"{c.ratio - 1.0:+6.1%} from the reference ({_span(c)})"
+        + (", undecided" if c.verdict == "undecided" else "")
+        for c in judgement.changes
+    }
+    lines = quantity_lines(quantities_json(fit), moved)
+    return lines + [
+        f"  {name:<12} {words}, by the commutation ripple"
+        for name, words in moved.items()
+        if name not in fit.quantity_names
+    ]
+
+
+def smallest_words(judgement: Judgement) -> str:
     """What this comparison would have found."""
-    smallest = ", ".join(f"{kind} {severity:.0%}" for kind, severity in diagnosis.smallest_changes.items())
-    own = None if diagnosis.reference is None else diagnosis.reference.own_friction
+    smallest = ", ".join(f"{kind} {severity:.0%}" for kind, severity in judgement.smallest_changes.items())
+    own = None if judgement.reference is None else judgement.reference.own_friction
     return f"smallest change that this comparison finds in 95 of 100 cases: {smallest} ({of_the_drag(own)})"
 
 
@@ -216,9 +286,9 @@ def of_the_drag(own: float | None) -> str:
     return "bearing: of the motor's own friction" + (f", {own:.0%} of the drag" if own < 1.0 else "")
 
 
-def expert_lines(diagnosis: Diagnosis) -> list[str]:
+def expert_lines(judgement: Judgement) -> list[str]:
     """How well model and filter fit, and what the verdict allows for."""
-    fit, check = diagnosis.identified, diagnosis.filter_check
+    fit, check = judgement.identified, judgement.filter_check
     lines = []
     if fit is not None:
         lines += quantity_lines(extensions_json(fit))
@@ -228,10 +298,10 @@ def expert_lines(diagnosis: Diagnosis) -> list[str]:
             f"  filter: sensor noise {check.sensor_noise_a:.3g} A, model error {check.model_error_a:.3g} A,"
             f" mean NIS {check.mean_nis:.2f} (with the sensor's noise alone {check.sensor_only_nis:.2f})"
         )
-    if diagnosis.warning:
+    if judgement.warning:
         # The fit's errors come from the autocorrelated residual, not from the filter.
-        allowed = "; the verdict allows for it" if diagnosis.reference is not None else ""
-        lines.append(f"  {diagnosis.warning}{allowed}")
+        allowed = "; the verdict allows for it" if judgement.reference is not None else ""
+        lines.append(f"  {judgement.warning}{allowed}")
     return lines
 
 
@@ -239,13 +309,13 @@ def _span(change: Change) -> str:
     return f"95 %: {change.low - 1.0:+.1%} to {change.high - 1.0:+.1%}"
 
 
-def headline(diagnosis: Diagnosis) -> str:
+def headline(judgement: Judgement) -> str:
     """Verdict, severity and confidence in one line."""
-    words = str(diagnosis.verdict)
-    if diagnosis.severity and diagnosis.verdict.is_fault:
-        words += f" {diagnosis.severity:+.0%}"
-        if diagnosis.severity_low is not None and diagnosis.severity_high is not None:
-            words += f" (95 %: {diagnosis.severity_low:+.0%} to {diagnosis.severity_high:+.0%})"
-    if diagnosis.confidence is not None:
-        words += f", confidence {diagnosis.confidence:.2f}"
+    words = str(judgement.verdict)
+    if judgement.severity and judgement.verdict.is_fault:
+        words += f" {judgement.severity:+.0%}"
+        if judgement.severity_low is not None and judgement.severity_high is not None:
+            words += f" (95 %: {judgement.severity_low:+.0%} to {judgement.severity_high:+.0%})"
+    if judgement.confidence is not None:
+        words += f", confidence {judgement.confidence:.2f}"
     return words

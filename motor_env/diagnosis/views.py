@@ -1,8 +1,11 @@
-"""A start against a healthy motor, for each idea of what its drag is: nobody may have told of a load."""
+"""A fitted piece against a healthy motor, for each idea of what its drag is: nobody may have told of a load."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
 
 from motor_env.diagnosis.explanations import (
     Difference,
@@ -11,15 +14,42 @@ from motor_env.diagnosis.explanations import (
     explain,
     smallest_changes,
 )
-from motor_env.diagnosis.healthy_motor import Reference, beyond, warmer, white_error
+from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.loaded import Drag, drags
+from motor_env.diagnosis.spread import beyond, warmer
 from motor_env.identification.identify import Identified
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 
+_HOTTEST_K = 100.0
+
+
+class Fitted(Protocol):
+    """A fitted piece of a recording."""
+
+    @property
+    def quantity_names(self) -> tuple[str, ...]:
+        """What it tells."""
+
+    @property
+    def log_values(self) -> FloatArray:
+        """Logarithms of these quantities, shape (n,)."""
+
+    @property
+    def log_covariance(self) -> FloatArray:
+        """Their covariance, shape (n, n)."""
+
+    @property
+    def white_covariance(self) -> FloatArray:
+        """The same from white noise alone: what differs between pieces of one motor, shape (n, n)."""
+
+    @property
+    def exponents(self) -> FloatArray:
+        """Exponents of (R, L, K, J, B, V) in each quantity, shape (n, 6)."""
+
 
 class View(NamedTuple):
-    """A start against its reference, for one idea of what its drag is; `faults` are what may explain it."""
+    """A piece against its reference, for one idea of what its drag is; `faults` are what may explain it."""
 
     drag: Drag
     difference: Difference
@@ -32,16 +62,43 @@ class View(NamedTuple):
         return any(fault.z > limit for fault in self.faults) or p_value < share
 
 
-def views_of(fit: Identified, reference: Reference, rate: float) -> list[View]:
-    """A fit against a reference at a rate of false alarms: without a load, and as it looks under each load."""
-    same_warmth, share = covariance_at_one_temperature(fit, reference), alarm_share(rate, fit.exponents)
-    freedom, views = reference.degrees_of_freedom, []
-    for drag in drags(fit, reference.own_friction):
-        log_ratios = fit.log_values - reference.log_values - reference.warmer_k * drag.warmth
+def views_of(fit: Fitted, reference: Reference, rate: float) -> list[View]:
+    """A fit against a reference at a rate of false alarms: without a load, and as it looks under each load.
+
+    Only a start is looked at under loads: the fit of a motor at work has terms for them.
+    """
+    rows, same_warmth = shared(fit, reference), covariance_at_one_temperature(fit, reference)
+    exponents, freedom, views = fit.exponents[rows], reference.degrees_of_freedom, []
+    share = alarm_share(rate, exponents)
+    if isinstance(fit, Identified):
+        found = drags(fit, reference.own_friction)
+    else:
+        found = [Drag(None, fit.exponents, reference.own_friction or 1.0)]
+    for each in found:
+        drag = replace(each, response=each.response[rows])
+        ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * drag.warmth
+        straight = _straightened(ratios, same_warmth, drag.warmth, reference.temperature_k)
         covariance = warmer(same_warmth, reference.temperature_k * drag.warmth, share, freedom)
-        difference = Difference(log_ratios, covariance, fit.exponents, freedom, drag.response)
+        difference = Difference(straight, covariance, exponents, freedom, drag.response)
         views.append(View(drag, difference, explain(difference)))
     return views
+
+
+def _straightened(
+    ratios: FloatArray, spread: FloatArray, warmth: FloatArray, temperature_k: float
+) -> FloatArray:
+    """Logarithms that move in proportion to the temperature: the factors do, their logarithms a little less."""
+    if temperature_k == 0.0:
+        return ratios
+    slope = np.linalg.solve(spread, warmth)
+    kelvin = float(slope @ ratios / (slope @ warmth + temperature_k**-2))
+    warm = warmth * min(max(kelvin, -_HOTTEST_K), _HOTTEST_K)
+    return np.asarray(ratios + warm - np.log1p(warm), dtype=np.float64)
+
+
+def shared(fit: Fitted, reference: Reference) -> list[int]:
+    """Rows of the fit's quantities of which the reference speaks."""
+    return [fit.quantity_names.index(name) for name in reference.names]
 
 
 def smallest_of(views: list[View], own: float | None, limit: float) -> dict[str, float]:
@@ -61,13 +118,14 @@ def unit_of(kind: str, own: float | None) -> float:
     return own if own is not None and kind == FaultKind.BEARING else 1.0
 
 
-def covariance_at_one_temperature(fit: Identified, reference: Reference) -> FloatArray:
-    """Covariance of the difference between this start and a healthy motor that is as warm.
+def covariance_at_one_temperature(fit: Fitted, reference: Reference) -> FloatArray:
+    """Covariance of the difference between this piece and a healthy motor that is as warm.
 
-    Healthy starts hold errors of fits like this one. Where this start tells less than they did, being shorter or
+    Healthy pieces hold errors of fits like this one. Where this one tells less than they did, being shorter or
     noisier, what its own error is beyond theirs is added.
     """
-    healthy = reference.log_covariance
-    if not reference.includes_fit_error:
-        return healthy + fit.log_covariance
-    return healthy + beyond(healthy, white_error(fit))
+    healthy, rows = reference.log_covariance, shared(fit, reference)
+    own = fit.white_covariance if reference.includes_fit_error else fit.log_covariance
+    error = own[np.ix_(rows, rows)]
+    added = beyond(healthy, error) if reference.includes_fit_error else error
+    return np.asarray((healthy + added) * reference.excess, dtype=np.float64)

@@ -127,6 +127,12 @@ class Identified:
         return out
 
     @property
+    def white_covariance(self) -> FloatArray:
+        """Covariance of the logarithms from white noise alone: what differs between starts of one motor."""
+        left = float(np.var(self.residual_a[self.start.alignment.onset_index :]))
+        return self.log_covariance * min(self.noise_a**2 / max(left, 1e-300), 1.0)
+
+    @property
     def exponents(self) -> FloatArray:
         """Exponents of (R, L, K, J, B, V) in each quantity, shape (n, 6)."""
         return quantities.matrix(self.quantity_names)

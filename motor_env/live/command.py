@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from motor_env.diagnosis.running.logs import commissioned
+from motor_env.diagnosis.commission import motor_of_windows
 from motor_env.errors import InputError
 from motor_env.live.screen import showing
 from motor_env.live.sources import lines, source
 from motor_env.live.state import State
 from motor_env.live.watch import Lesson, Watch
-from motor_env.motor.data_sheet import WindowReference, load_motor, save_motor
+from motor_env.motor.data_sheet import load_motor, save_motor
+from motor_env.motor.healthy import Healthy
 
 _KEPT = ("window", "learned")
 
@@ -38,14 +39,14 @@ def run(
         seen.header = columns
     if name is None:
         seen.offset = 0
-    watch = Watch(_reference(motor, lesson), seen, false_alarms_per_year=false_alarms_per_year)
+    watch = Watch(_healthy(motor, lesson), seen, false_alarms_per_year=false_alarms_per_year)
     pieces = source(name, follow=follow, offset=seen.offset, baud=baud)
     try:
         with showing(seen.counts) as show:
             for event in watch.events(lines(pieces, rest=not follow)):
                 show(event)
-                if event.kind == "learned" and isinstance(watch.reference, WindowReference):
-                    save_motor(commissioned(watch.reference, motor.stem), motor)
+                if event.kind == "learned" and watch.healthy is not None:
+                    save_motor(motor_of_windows(watch.healthy, motor.stem), motor)
                 if state is not None and event.kind in _KEPT:
                     seen.save(state)
     except KeyboardInterrupt:  # the usual end of a watch
@@ -53,11 +54,11 @@ def run(
     return int(seen.exit_status)
 
 
-def _reference(motor: Path, lesson: Lesson | None) -> WindowReference | Lesson:
+def _healthy(motor: Path, lesson: Lesson | None) -> Healthy | Lesson:
     """Of the motor file; where there is none yet and the stream shall teach, what is to be learned."""
     if lesson is not None and not motor.exists():
         return lesson
-    reference = load_motor(motor).operation
-    if reference is None:
-        raise InputError(f"{motor}: was not commissioned with --window")
-    return reference
+    healthy = load_motor(motor).healthy
+    if healthy is None or healthy.windows is None:
+        raise InputError(f"{motor}: was not commissioned by windows of the motor at work")
+    return healthy

@@ -18,11 +18,12 @@ import numpy as np
 
 from motor_env.diagnosis.running.lessons import FEWEST_WINDOWS, learn_windows
 from motor_env.diagnosis.running.looks import Looks
-from motor_env.diagnosis.running.windows import WindowVerdict, averaged, judge_windows
+from motor_env.diagnosis.running.windows import WindowJudge, averaged, judge_of
+from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.live.sources import NEW_FILE, Notice, Piece
 from motor_env.live.state import State
-from motor_env.motor.data_sheet import WindowReference
+from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import understand
@@ -46,6 +47,7 @@ class Event:
         ratios: quantities of the window over the healthy ones.
         reason: why a window is unusable.
         span_s: of a verdict before the window's end: how many seconds it is about.
+        fault_kind: kind of the fault, where it can be told from others of its family.
     """
 
     time_s: float
@@ -54,6 +56,7 @@ class Event:
     ratios: dict[str, float] = field(default_factory=dict)
     reason: str = ""
     span_s: float | None = None
+    fault_kind: str | None = None
 
     @property
     def name(self) -> str:
@@ -63,7 +66,9 @@ class Event:
     def as_json(self) -> str:
         """One line."""
         words = (
-            {"verdict": self.text, "reason": self.reason} if self.kind == "window" else {"reason": self.text}
+            {"verdict": self.text, "kind": self.fault_kind, "reason": self.reason}
+            if self.kind == "window"
+            else {"reason": self.text}
         )
         ratios = {name: round(ratio, 4) for name, ratio in self.ratios.items()}
         said: dict[str, Any] = {"time_s": self.time_s, "event": self.kind, **words, "ratios": ratios}
@@ -120,19 +125,24 @@ class Watch:
     """Takes lines, gives events.
 
     Args:
-        reference: what windows of the healthy motor have taught, or what is to be learned from the stream.
+        healthy: what windows of the healthy motor have taught, or what is to be learned from the stream.
         state: what has been seen so far.
         false_alarms_per_year: of a healthy motor that always runs; each window has its share, half of it
             for what is said before the window ends.
     """
 
-    def __init__(
-        self, reference: WindowReference | Lesson, state: State, *, false_alarms_per_year: float
-    ) -> None:
+    def __init__(self, healthy: Healthy | Lesson, state: State, *, false_alarms_per_year: float) -> None:
         if not 0.0 < false_alarms_per_year < math.inf:
             raise InputError(f"false-alarms-per-year must be > 0, got {false_alarms_per_year:g}")
-        self.reference, self.state = reference, state
-        self.rate = min(false_alarms_per_year * reference.window_s / YEAR_S, 0.5) / 2.0
+        self.state = state
+        self.healthy: Healthy | None = None
+        self._lesson: Lesson | None = None
+        self._judge: WindowJudge | None = None
+        if isinstance(healthy, Lesson):
+            self._lesson = healthy
+        else:
+            self._know(healthy)
+        self.rate = min(false_alarms_per_year * self._pace.window_s / YEAR_S, 0.5) / 2.0
         self._columns: list[tuple[int, float]] = []
         self._window, self._before = array("d"), array("d")
         self._looks: Looks | None = None
@@ -142,6 +152,16 @@ class Watch:
         self._same = 0
         if state.header:
             self._read_header(state.header)
+
+    def _know(self, healthy: Healthy) -> None:
+        self.healthy, self._judge, self._lesson = healthy, judge_of(healthy), None
+
+    @property
+    def _pace(self) -> Windows | Lesson:
+        """What tells the length of a window and the sampling interval."""
+        known = self._lesson if self._judge is None else self._judge.windows
+        assert known is not None  # noqa: S101  # one of them is always there
+        return known
 
     def events(self, lines: Iterable[Piece]) -> Iterator[Event]:
         """Events of lines and of what their source says."""
@@ -180,7 +200,7 @@ class Watch:
             step = sample[0] - last[0]
             if step <= 0.0:
                 events = [self._broken("time_jump", f"{-step:.6g} s back")]
-            elif step > _GAP_STEPS * self.reference.dt_s:
+            elif step > _GAP_STEPS * self._pace.dt_s:
                 events = [self._broken("gap", f"{step:.6g} s without a sample")]
             self._same = self._same + 1 if last[2] == sample[2] and sample[1] else 0
             if self._same > STUCK_AFTER:
@@ -190,7 +210,7 @@ class Watch:
         if not self._window:
             self._begin_looks(sample[0])
         self._window.extend(sample)
-        if sample[0] - self._window[0] >= self.reference.window_s:
+        if sample[0] - self._window[0] >= self._pace.window_s:
             self._before, self._window = self._window, array("d")
             events.append(self._ended(_columns(self._before)))
         elif self._looks and sample[0] >= self._next_look_s:
@@ -200,8 +220,8 @@ class Watch:
     def _begin_looks(self, time_s: float) -> None:
         """It looks after a healthy window only: behind a gap another motor may run."""
         self._looks, self._looked, self._next_look_s = None, 0, math.inf
-        if isinstance(self.reference, WindowReference) and self._at is not None:
-            self._looks = Looks(self.reference, self.rate, self._at)
+        if self._judge is not None and self._at is not None:
+            self._looks = Looks(self._judge, self.rate, self._at)
             self._next_look_s = time_s + self._looks.every_s
 
     def _look(self, looks: Looks) -> Iterator[Event]:
@@ -232,10 +252,11 @@ class Watch:
                     self._time_s, "stuck_sensor", f"the {name} of a whole window is {columns[name][0]:.6g}"
                 )
         recording = _recording(columns)
-        if isinstance(self.reference, Lesson):
-            return self._taught(recording, self.reference)
+        if self._lesson is not None:
+            return self._taught(recording, self._lesson)
+        assert self._judge is not None  # noqa: S101  # without a lesson it knows the motor
         try:
-            return self._judged(judge_windows(recording, self.reference, self.rate)[0])
+            return self._judged(self._judge.judge(recording, self.rate)[0][0])
         except UnusableError as error:
             return Event(self._time_s, "window", "unusable", reason=str(error))
 
@@ -243,23 +264,24 @@ class Watch:
         if not lesson.add(recording):
             return Event(self._time_s, "learning", str(lesson))
         try:
-            self.reference = learn_windows(lesson.recordings, lesson.window_s, steady=lesson.steady)
+            self._know(learn_windows(lesson.recordings, lesson.window_s, steady=lesson.steady)[0])
         except UnusableError as error:
             lesson.recordings.clear()
             return Event(self._time_s, "not_learned", str(error))
         return Event(self._time_s, "learned", str(lesson))
 
-    def _judged(self, window: WindowVerdict) -> Event:
+    def _judged(self, window: Judgement) -> Event:
         moved = {change.name for change in window.changes if change.significant}
         ratios = {change.name: change.ratio for change in window.changes}
-        if window.verdict == "healthy":
+        if window.verdict is Verdict.HEALTHY:
             self._at = np.log(list(ratios.values()))
-        if window.verdict == "other" and {"K", "J"} <= moved:  # no wear moves both
+        if window.verdict is Verdict.OTHER and {"K", "J"} <= moved:  # no wear moves both
             return Event(
                 self._time_s, "another_motor", "constants and inertia are those of another motor", ratios
             )
-        reason = "" if ratios else "no motor explains it"
-        return Event(self._time_s, "window", window.verdict, ratios, reason)
+        reason = window.reasons[0] if window.verdict is Verdict.UNUSABLE else ""
+        kind = None if window.kind is None else str(window.kind)
+        return Event(self._time_s, "window", str(window.verdict), ratios, reason, fault_kind=kind)
 
     def _broken(self, kind: str, text: str) -> Event:
         self._window, self._before, self._at = array("d"), array("d"), None

@@ -23,17 +23,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
-
-import numpy as np
-from pydantic import Field
+from typing import ClassVar, Literal
 
 from motor_env.errors import InputError
 from motor_env.files import write_text
-from motor_env.motor.parameters import CATALOGUE, RAD_S_PER_RPM, FloatArray, MotorParameters, require
+from motor_env.motor.healthy import Healthy
+from motor_env.motor.parameters import CATALOGUE, RAD_S_PER_RPM, MotorParameters, require
 from motor_env.motor.toml_files import (
-    ArrayOf,
-    Finite,
     NotNegative,
     OneLine,
     Positive,
@@ -101,106 +97,6 @@ class _SensorTable:
 
 
 @dataclass(frozen=True, slots=True)
-class StartReference:
-    """What healthy starts have taught: where the identifiable quantities lie, and how far the next start may be off.
-
-    Attributes:
-        starts: number of starts.
-        degrees_of_freedom: of the spread below (Student t); it counts the starts and the prior.
-        quantities: names of the quantities (see `motor_env.motor.identifiable`).
-        values: their medians over the starts, SI, shape (n,).
-        log_covariance: covariance of the logarithm of the *next* start's quantities about these, shape (n, n).
-        log_noise: mean logarithm of the noise of the current in A.
-        log_noise_sd: standard deviation of the next start's logarithm of the noise.
-        model: extensions of the textbook model that the fits used.
-        model_low: smallest value of each extension over the starts.
-        model_high: largest value of each.
-        sampling_rate_hz: of the starts; None where unknown.
-        duration_s: what the shortest start holds after its onset.
-        quiet_s: what the shortest start holds before it.
-        ripple_hz: commutation ripple at the last speed; None where not every start shows it.
-        ripple_constant_v_s: K times the ripple's periods a turn, from that ripple; over volt where V is unknown.
-        ripple_log_sd: standard deviation of the next start's logarithm of either.
-        temperature_k: how much warmer or colder than those a healthy motor may be, one standard deviation.
-        temperature_c: temperature of the motor at those starts, where known.
-        own_friction: share of the drag that is the motor's own friction, the rest being a load; None if not told.
-    """
-
-    starts: Annotated[int, Field(ge=1)]
-    degrees_of_freedom: Positive
-    quantities: tuple[str, ...]
-    values: Annotated[FloatArray, ArrayOf(tuple[Positive, ...])]
-    log_covariance: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
-    log_noise: Finite
-    log_noise_sd: Positive
-    model: tuple[str, ...] = ()
-    model_low: tuple[Positive, ...] = ()
-    model_high: tuple[Positive, ...] = ()
-    sampling_rate_hz: Positive | None = None
-    duration_s: Positive | None = None
-    quiet_s: NotNegative | None = None
-    ripple_hz: Positive | None = None
-    ripple_constant_v_s: Positive | None = None
-    ripple_log_sd: Positive | None = None
-    temperature_k: NotNegative = 15.0
-    temperature_c: Finite | None = None
-    own_friction: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-
-    def __post_init__(self) -> None:
-        n, covariance = len(self.quantities), self.log_covariance
-        require(
-            np.shape(self.values) == (n,) and np.shape(covariance) == (n, n),
-            f"reference names {n} quantities; values and log_covariance must have that size",
-        )
-        require(
-            all(len(bound) in (0, len(self.model)) for bound in (self.model_low, self.model_high)),
-            "reference.model_low and model_high must have one value for each of reference.model",
-        )
-        require(
-            np.allclose(covariance, covariance.T) and np.linalg.eigvalsh(covariance)[0] > 0.0,
-            "reference.log_covariance must be symmetric and positive definite",
-        )
-
-
-@dataclass(frozen=True)
-class WindowReference:
-    """What windows of a healthy motor at work have taught: R, K, J and the drag of the next window.
-
-    Attributes:
-        windows: number of windows.
-        window_s: their length.
-        degrees_of_freedom: of the spread below (Student t); it counts the windows and the prior.
-        values: geometric means of R, K, J, SI, and of the factor on the friction, shape (4,).
-        log_covariance: covariance of the logarithms of the *next* window's values about these, shape (4, 4).
-        terms: of the joint fit, see `motor_env.operation.terms`.
-        physical: values of the joint fit, in the order of `motor_env.operation.kernel`.
-        hold: what the voltage does between two samples.
-        dt_s: sampling interval of the fit.
-        rms_volts: least and largest effective voltage of a window.
-        temperature_k: how much warmer or colder a healthy motor may be, one standard deviation.
-        peaks: largest voltage, current and speed of the healthy windows; without them no part of a window is judged.
-        window_excess: by which factor windows scatter more than is believed of them: what they have taught, or
-            their own errors where these are larger (variance).
-        excess: by which factor halves, quarters, ... of a window scatter more than is believed of them (variance).
-    """
-
-    windows: Annotated[int, Field(ge=1)]
-    window_s: Positive
-    degrees_of_freedom: Positive
-    values: Annotated[FloatArray, ArrayOf(tuple[Positive, ...])]
-    log_covariance: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
-    terms: tuple[str, ...]
-    physical: Annotated[FloatArray, ArrayOf(tuple[Finite, ...])]
-    hold: Literal["held", "straight", "late"]
-    dt_s: Positive
-    rms_volts: tuple[Positive, Positive]
-    temperature_k: NotNegative = 15.0
-    peaks: tuple[Positive, Positive, Positive] | None = None
-    window_excess: Positive = 1.0
-    excess: tuple[Positive, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class MotorFile:
     """A motor as its file describes it.
 
@@ -214,9 +110,8 @@ class MotorFile:
         speed_noise_rad_s: standard deviation of a speed sample, where known.
         coulomb_friction_n_m: Coulomb friction torque.
         brush_drop_v: voltage drop of the brushes.
-        reference: what commissioning learned, for a commissioned motor.
+        healthy: what healthy starts, or windows of logs, have taught; for a commissioned motor.
         notes: sentences for the reader of the file.
-        operation: what commissioning learned from windows of the motor at work.
         assumed: keys of the file's table `motor` whose values were not measured, each with its source.
     """
 
@@ -229,9 +124,8 @@ class MotorFile:
     speed_noise_rad_s: float | None = None
     coulomb_friction_n_m: float = 0.0
     brush_drop_v: float = 0.0
-    reference: StartReference | None = None
+    healthy: Healthy | None = None
     notes: tuple[str, ...] = ()
-    operation: WindowReference | None = None
     assumed: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -245,9 +139,8 @@ class _File:
     notes: tuple[OneLine, ...] = ()
     tolerance: Tolerance = field(default_factory=Tolerance)
     sensor: _SensorTable = field(default_factory=_SensorTable)
-    reference: StartReference | None = None
-    operation: WindowReference | None = None
-    assumed: dict[OneLine, OneLine] | None = None
+    healthy: Healthy | None = None
+    assumed: dict[OneLine, OneLine] = field(default_factory=dict)
 
     __pydantic_config__: ClassVar = {"extra": "forbid"}  # for the tables too
 
@@ -293,27 +186,17 @@ def _to_motor(file: _File) -> MotorFile:
         **asdict(file.sensor),
         coulomb_friction_n_m=si.get("coulomb_friction_n_m", 0.0),
         brush_drop_v=si.get("brush_drop_v", 0.0),
-        reference=file.reference,
-        operation=file.operation,
+        healthy=file.healthy,
         notes=file.notes,
         assumed=_assumed(file),
     )
 
 
 def _assumed(file: _File) -> dict[str, str]:
-    """What the file says to be assumed; older files do not say it, their references and notes do."""
-    if file.assumed is not None:
-        unknown = [key for key in file.assumed if getattr(file.motor, key, None) is None]
-        require(not unknown, f"assumed.{', '.join(unknown)} is no value of the table motor")
-        return file.assumed
-    told = file.reference.quantities if file.reference is not None else ()
-    has_speed = file.operation is not None or "K" in told or (not told and not file.notes)
-    if file.kind == "data_sheet" or has_speed:
-        return {}
-    source = "written by a version that did not say: its starts may not tell it"
-    names = ("torque_constant_n_m_per_a", "rotor_inertia_kg_m2", "viscous_friction_n_m_s_per_rad")
-    per_volt = ("nominal_voltage_v",) if any("/V" in name for name in told) else ()
-    return dict.fromkeys((*names, *per_volt), source)
+    """Values of the table `motor` that were not measured, each with its source."""
+    unknown = [key for key in file.assumed if getattr(file.motor, key, None) is None]
+    require(not unknown, f"assumed.{', '.join(unknown)} is no value of the table motor")
+    return file.assumed
 
 
 def _constants(si: Mapping[str, float]) -> dict[str, float]:
@@ -372,8 +255,9 @@ def to_toml(motor: MotorFile) -> str:
     }
     if motor.kind != "data_sheet":
         tables["assumed"] = content["assumed"]
-    if motor.reference is not None:
-        tables["reference"] = content["reference"]
-    if motor.operation is not None:
-        tables["operation"] = content["operation"]
+    if motor.healthy is not None:
+        whole = content["healthy"]
+        parts = {name: whole.pop(name) for name in ("starts", "windows")}
+        tables["healthy"] = whole
+        tables |= {f"healthy.{name}": part for name, part in parts.items() if part is not None}
     return toml_text(top, tables)

@@ -16,7 +16,7 @@ from motor_env.operation.record import at_terminals
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, read_recording
-from motor_env.recordings.regime import REGIMES, work_seen
+from motor_env.recordings.regime import taken_for
 from motor_env.recordings.start import Circuit
 
 
@@ -70,24 +70,20 @@ class Work:
 
 def sorted_files(
     files: Sequence[Path], columns: Sequence[ColumnChoice], *, regime: str, start: int | None
-) -> tuple[list[tuple[Recording, str]], list[Path]]:
-    """Logs of a motor at work with the reason, and files that hold starts.
+) -> tuple[list[tuple[Recording, str]], list[Recording]]:
+    """Logs of a motor at work with the reason, and recordings of starts.
 
     Raises:
         InputError: an unknown regime, or a file that cannot be read.
     """
-    if regime not in REGIMES:
-        raise InputError(f"regime must be one of {', '.join(REGIMES)}, got {regime!r}")
-    if regime == "start" or (regime == "auto" and start is not None):
-        return [], list(files)
     works, starts = [], []
     for path in files:
         recording = read_recording(path, columns)
-        reason = "as asked" if regime == "operation" else work_seen(recording)
-        if reason is None:
-            starts.append(path)
+        taken = taken_for(recording, regime, start)
+        if taken.regime == "start":
+            starts.append(recording)
         else:
-            works.append((recording, reason))
+            works.append((recording, taken.why))
     return works, starts
 
 

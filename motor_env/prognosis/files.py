@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from motor_env.console import printable
 from motor_env.diagnosis.files import why_not
-from motor_env.diagnosis.healthy_motor import fit_healthy
+from motor_env.diagnosis.learning import fit_healthy
 from motor_env.errors import InputError
 from motor_env.identification.identify import Identified, identify
 from motor_env.prognosis.estimates import SECONDS_PER_DAY, Series, build_series, date_of, read_estimates

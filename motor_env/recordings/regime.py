@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.noise import difference_noise
 from motor_env.recordings.recording import Recording
 
-Regime = Literal["auto", "start", "operation"]
-REGIMES: tuple[Regime, ...] = ("auto", "start", "operation")
+REGIMES = ("auto", "start", "operation")
 _OFF, _ON = 0.1, 0.8
 _REVERSED_SHARE = 0.005
 _BETWEEN_SHARE = 0.1
@@ -30,6 +30,41 @@ _CHANCE, _UNKNOWN, _KNOWN = (
 )  # rank correlation with the current's: standard errors, and its bounds
 _NOISE_SPAN = 10.0  # a voltage that is only noise spans so many standard deviations
 _LEVEL, _OFF_LEVEL = 0.05, 0.02  # of the way between two levels; share of the samples that may lie off them
+
+
+class Taken(NamedTuple):
+    """What a recording is taken for.
+
+    Attributes:
+        regime: start (one or several), or a motor at work.
+        why: in words.
+    """
+
+    regime: Literal["start", "operation"]
+    why: str
+
+    def __str__(self) -> str:
+        word = "a motor at work" if self.regime == "operation" else "a start"
+        return f"{word} ({self.why})"
+
+
+def taken_for(recording: Recording, regime: str = "auto", start: int | None = None) -> Taken:
+    """What a recording is: as asked, or by what its voltage does; a `start` that is chosen makes it one.
+
+    Raises:
+        InputError: an unknown regime.
+    """
+    if regime not in REGIMES:
+        raise InputError(f"regime must be one of {', '.join(REGIMES)}, got {regime!r}")
+    if regime == "start" or (regime == "auto" and start is not None):
+        return Taken("start", "as asked")
+    if regime == "operation":
+        return Taken("operation", "as asked")
+    work = work_seen(recording)
+    if work is not None:
+        return Taken("operation", work)
+    unknown = recording.voltage_v is None and recording.duty is None
+    return Taken("start", "no voltage was recorded" if unknown else "the voltage goes on and stays")
 
 
 def work_seen(recording: Recording) -> str | None:
@@ -75,20 +110,6 @@ def _restarted_while_turning(recording: Recording, share: FloatArray, is_off: ND
     begins = np.append(on[0], restarts)
     inrush = np.maximum.reduceat(without_wild, begins) / np.maximum.reduceat(share, begins)
     return bool(np.median(inrush[1:]) < _INRUSH * inrush.max())
-
-
-def refuse_work(recording: Recording) -> None:
-    """Refuse a log of a motor at work where a start is wanted.
-
-    Raises:
-        UnusableError: the voltage shows that the recording is no plain start.
-    """
-    reason = work_seen(recording)
-    if reason is not None:
-        raise UnusableError(
-            f"a log of a motor at work ({reason}), and no start: learn its motor from healthy logs with"
-            " `motor-env commission --window SECONDS`"
-        )
 
 
 def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:

@@ -13,7 +13,7 @@ from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import wild_samples, without_wild
 from motor_env.recordings.recording import Recording, cut
-from motor_env.recordings.regime import BOUNCE_S, refuse_work
+from motor_env.recordings.regime import BOUNCE_S
 
 _HIGH, _LOW, _REST = 0.5, 0.25, 0.05
 _FEWEST = 3  # samples
@@ -47,17 +47,12 @@ def split_starts(recording: Recording) -> list[Recording]:
     return parts
 
 
-def chosen_starts(
-    recording: Recording, number: int | None = None, *, also_work: bool = False
-) -> list[Recording]:
-    """All starts, or the one with that number; with `also_work` those of a log of a motor at work, too.
+def chosen_starts(recording: Recording, number: int | None = None) -> list[Recording]:
+    """All starts, or the one with that number.
 
     Raises:
-        UnusableError: it is a log of a motor at work, and no start of it is chosen.
         InputError: there is no such start, or there are more than 200 of them and none is chosen.
     """
-    if number is None and not also_work:
-        refuse_work(recording)
     parts = split_starts(recording)
     if number is None:
         if len(parts) > MOST_STARTS:

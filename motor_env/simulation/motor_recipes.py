@@ -16,7 +16,8 @@ import re
 import numpy as np
 
 from motor_env.errors import InputError
-from motor_env.motor.data_sheet import MotorFile, StartReference
+from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.identifiable import tolerance_std
 from motor_env.motor.parameters import Channel, SensorParameters, SupplyParameters
 from motor_env.simulation.disturbances import NOTHING, Field, Range
@@ -57,13 +58,13 @@ def motor_recipe(
     Raises:
         InputError: no voltage is known, or a tolerance is larger than a recipe can draw.
     """
-    reference = motor.reference
+    starts = None if motor.healthy is None else motor.healthy.starts
     voltage = motor.nominal_voltage_v if voltage_v is None else voltage_v
     if voltage is None:
         raise InputError(f"{motor.name}: gives no nominal_voltage_v; say --voltage")
     noise = motor.current_noise_a
-    if noise is None and reference is not None:
-        noise = math.exp(reference.log_noise)
+    if noise is None and starts is not None:
+        noise = math.exp(starts.log_noise)
     if noise is None:
         noise = _two_digits(_NOISE_SHARE * voltage / float(np.mean(motor.parameters.resistance_ohm)))
     speed_noise = motor.speed_noise_rad_s
@@ -75,7 +76,7 @@ def motor_recipe(
         spread=_spread(motor),
         classes=classes,
         sensor=SensorParameters(channels, noise, speed_noise or SensorParameters().speed_noise_rad_s),
-        timing=timing or _start_timing(reference) or settling_timing(motor),
+        timing=timing or _start_timing(starts) or settling_timing(motor),
         field=_field(motor, voltage),
     )
 
@@ -87,10 +88,10 @@ def settling_timing(motor: MotorFile, duration_s: float | None = None) -> Timing
     return Timing(round(_SAMPLES / duration_s), duration_s)
 
 
-def _start_timing(reference: StartReference | None) -> Timing | None:
-    if reference is None or reference.sampling_rate_hz is None or reference.duration_s is None:
+def _start_timing(starts: Starts | None) -> Timing | None:
+    if starts is None or starts.sampling_rate_hz is None or starts.duration_s is None:
         return None
-    return Timing(reference.sampling_rate_hz, reference.duration_s, reference.quiet_s or 0.0)
+    return Timing(starts.sampling_rate_hz, starts.duration_s, starts.quiet_s or 0.0)
 
 
 def _two_digits(value: float) -> float:
@@ -100,8 +101,8 @@ def _two_digits(value: float) -> float:
 def _spread(motor: MotorFile) -> Spread:
     std = tolerance_std(motor.tolerance)
     values = {name: std[name] for name in FACTORS}
-    if motor.reference is not None:
-        values = _start_spread(motor.reference, values["supply"])
+    if motor.healthy is not None:
+        values |= _learned_spread(motor.healthy, values["supply"])
     for name, value in values.items():
         if value > LARGEST_SPREAD:
             raise InputError(
@@ -111,14 +112,14 @@ def _spread(motor: MotorFile) -> Spread:
     return Spread(**values)
 
 
-def _start_spread(reference: StartReference, supply: float) -> dict[str, float]:
+def _learned_spread(healthy: Healthy, supply: float) -> dict[str, float]:
     """Standard deviations of the next start's factors."""
     # The standard deviation of a Student t exceeds its scale.
-    freedom = max(reference.degrees_of_freedom, 3.0)
-    std = np.sqrt(np.diag(reference.log_covariance) * freedom / (freedom - 2.0))
-    per_volt = any("V" in name for name in reference.quantities)
+    freedom = max(healthy.degrees_of_freedom, 3.0)
+    std = np.sqrt(np.diag(healthy.log_covariance) * freedom / (freedom - 2.0))
+    per_volt = any("V" in name for name in healthy.quantities)
     values = {"supply": 0.0 if per_volt else supply}
-    for name, value in zip(reference.quantities, std.tolist(), strict=True):
+    for name, value in zip(healthy.quantities, std.tolist(), strict=True):
         quantity = name.replace("(J V)", "J").removesuffix("/V")
         if quantity in _FACTOR_OF:
             factor, share = _FACTOR_OF[quantity]
@@ -128,11 +129,11 @@ def _start_spread(reference: StartReference, supply: float) -> dict[str, float]:
 
 def _field(motor: MotorFile, voltage_v: float) -> Field | None:
     """Coulomb friction, brush drop, supply ramp and sensor lag of the motor's starts; None for none of them."""
-    reference, p = motor.reference, motor.parameters
+    starts, p = None if motor.healthy is None else motor.healthy.starts, motor.parameters
     ranges: dict[str, Range] = {}
-    if reference is not None and reference.model_low and reference.model_high:
-        bounds = zip(reference.model_low, reference.model_high, strict=True)
-        ranges = dict(zip(reference.model, bounds, strict=True))
+    if starts is not None and starts.model_low and starts.model_high:
+        bounds = zip(starts.model_low, starts.model_high, strict=True)
+        ranges = dict(zip(starts.model, bounds, strict=True))
     no_load = float(
         np.max(p.viscous_friction_n_m_s_per_rad) * voltage_v / np.max(p.back_emf_constant_v_s_per_rad)
     )

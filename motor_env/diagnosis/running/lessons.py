@@ -8,17 +8,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.healthy_motor import the_next
+from motor_env.diagnosis.learning import SPREAD_PRIOR, next_piece
 from motor_env.diagnosis.running.windows import (
+    MOST_SAMPLES,
     NAMES,
     NEEDED,
-    from_healthy,
+    FittedWindow,
     is_closed,
+    judge_of,
+    over_speed,
     rms_volts,
-    spread_of,
     windows_of,
 )
-from motor_env.motor.data_sheet import WindowReference
+from motor_env.diagnosis.spread import beyond
+from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
 from motor_env.operation.identify import Operation, identify_operation
@@ -29,7 +32,7 @@ from motor_env.recordings.recording import Recording
 
 FEWEST_WINDOWS = 4
 MOST_LEARNED = 40
-SPREAD_PRIOR = 0.01
+_DEFAULT_WINDOWS, _SHORTEST = 20, 400  # samples
 TEMPERATURE_K = 15.0
 _LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1  # standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart
@@ -40,21 +43,23 @@ _SHORTEST_LOOK_S = 0.2  # so that there are 20 looks a second at most, which tak
 
 
 def learn_windows(
-    recordings: Sequence[Recording], window_s: float, *, steady: bool = False
-) -> WindowReference:
-    """What windows of a healthy motor at work teach about its next window.
+    recordings: Sequence[Recording], window_s: float | None = None, *, steady: bool = False
+) -> tuple[Healthy, list[FittedWindow]]:
+    """What windows of a healthy motor at work teach about its next window, and their fits.
 
-    The spread is that of windows beyond their own errors, with a prior of 1 % on every quantity worth 4 windows.
+    The spread is that of windows beyond their own errors, with a prior on every quantity worth 4 windows.
 
     Args:
         recordings: of the healthy motor at work.
-        window_s: length of a window.
+        window_s: length of a window; by default a twentieth of all recordings.
         steady: nothing but a fault moves the motor, as on a test bench: no prior spread, no other temperature, the
             load and the sensors' offsets as in the recordings.
 
     Raises:
         UnusableError: no current and speed, too few windows, or no motor explains them.
     """
+    if window_s is None:
+        window_s = _twentieth_s(recordings)
     parts = [part for recording in recordings for part in windows_of(recording, window_s)]
     if len(parts) < FEWEST_WINDOWS:
         raise UnusableError(f"{len(parts)} windows of {window_s:g} s; at least {FEWEST_WINDOWS} are needed")
@@ -66,7 +71,7 @@ def learn_windows(
     joint = identify_operation(chosen, most=max(MOST, sum(len(one.time_s) for one in chosen)))
     if not joint.record.seen.all():
         raise UnusableError(NEEDED)
-    known, wanted, hold = _known(joint), joint.solution.names, joint.record.hold
+    known, wanted, hold = known_of(joint), joint.solution.names, joint.record.hold
     if steady:
         wanted = tuple(name for name in wanted if not name.startswith("offset"))
     records = [replace(from_recordings([part]), hold=hold) for part in parts]
@@ -77,29 +82,41 @@ def learn_windows(
     # A window's noise is less than that of all windows in one fit: it is where the fit of the next one begins.
     known[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)
     fits = [fit_window(record, known, wanted) for record in records]
-    logs, errors = np.array([fit.logs for fit in fits]), np.mean([fit.covariance for fit in fits], axis=0)
-    prior = np.eye(len(NAMES)) * (0.0 if steady else SPREAD_PRIOR) ** 2 + errors
-    centre, covariance, freedom = the_next(logs, prior)
     volts = [rms_volts(part) for part in parts]
-    reference = WindowReference(
-        windows=len(fits),
+    speed = effective_speed(joint)
+    found = [over_speed(fit, known, speed) for fit in fits]
+    centre, covariance, freedom = next_piece(found, 0.0 if steady else SPREAD_PRIOR)
+    windows = Windows(
         window_s=window_s,
-        degrees_of_freedom=freedom,
-        values=np.exp(centre),
-        log_covariance=covariance,
         terms=wanted,
         physical=known,
         hold=hold,
         dt_s=parts[0].dt_s,
+        speed_rad_s=speed,
         rms_volts=(min(volts), max(volts)),
-        temperature_k=0.0 if steady else TEMPERATURE_K,
         peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
     )
-    ratios = list(logs - centre)
-    believed = _squares(ratios, [spread_of(fit.covariance, reference) for fit in fits])
+    warm = 0.0 if steady else TEMPERATURE_K
+    healthy = Healthy(len(found), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows)
+    ratios = [fit.log_values - centre for fit in found]
+    believed = _squares(ratios, [covariance + beyond(covariance, fit.covariance) for fit in fits])
     taught = _squares(ratios, [covariance] * len(fits))
-    reference = replace(reference, window_excess=sum(believed) / sum(taught))
-    return replace(reference, excess=tuple(_excess(records, ratios, reference)))
+    windows = replace(windows, window_excess=sum(believed) / sum(taught))
+    windows = replace(windows, excess=tuple(_excess(records, ratios, healthy, window_s)))
+    return replace(healthy, windows=windows), found
+
+
+def _twentieth_s(recordings: Sequence[Recording]) -> float:
+    """A window of a twentieth of all recordings, but no longer than one that is fitted whole."""
+    dt_s = recordings[0].dt_s
+    whole_s = sum(len(recording.time_s) * recording.dt_s for recording in recordings)
+    shortest_s = min(len(recording.time_s) * recording.dt_s for recording in recordings)
+    return min(max(min(whole_s / _DEFAULT_WINDOWS, MOST_SAMPLES * dt_s), _SHORTEST * dt_s), shortest_s)
+
+
+def effective_speed(joint: Operation) -> float:
+    """Root mean square of the speed, at which the drag is told best."""
+    return max(float(np.sqrt(np.mean(np.square(joint.expected[:, 1])))), 1e-9)
 
 
 def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> list[float]:
@@ -109,23 +126,23 @@ def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> lis
 
 
 def _excess(
-    records: Sequence[Record], ratios: Sequence[FloatArray], reference: WindowReference
+    records: Sequence[Record], ratios: Sequence[FloatArray], healthy: Healthy, window_s: float
 ) -> Iterator[float]:
     """By how much parts of windows scatter more than is believed of them: halves, quarters, and so on."""
-    some = slice(None, None, math.ceil(len(records) / MOST_LEARNED))
+    judge, some = judge_of(healthy), slice(None, None, math.ceil(len(records) / MOST_LEARNED))
     samples = min(len(record.voltage_v) for record in records)
-    shares = (2.0**_MOST_HALVINGS, samples / _FEWEST_OF_A_LOOK, reference.window_s / _SHORTEST_LOOK_S)
+    shares = (2.0**_MOST_HALVINGS, samples / _FEWEST_OF_A_LOOK, window_s / _SHORTEST_LOOK_S)
     for k in range(1, int(math.log2(max(min(shares), 1.0))) + 1):
         length, squares = samples >> k, []
         for record, at in zip(records[some], ratios[some], strict=True):
             parts = [record.part(n * length, length) for n in range(2**k)]
-            found = from_healthy(parts, reference, at)
+            found = judge.first_steps(parts, at)
             closed = [one for part, one in zip(parts, found, strict=True) if is_closed(part)]
             squares += _squares(*zip(*closed, strict=True)) if closed else []
         yield max(float(np.mean(squares or 1.0)), 1.0)
 
 
-def _known(joint: Operation) -> FloatArray:
+def known_of(joint: Operation) -> FloatArray:
     """Physical values of the joint fit, without warmth: each window is taken at its own temperature."""
     known = joint.solution.values
     known[[kernel.HEATING, kernel.COOLING]] = 0.0

@@ -12,18 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from motor_env.diagnosis.explanations import Change
+from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.running.lessons import MOST_LEARNED
 from motor_env.diagnosis.running.windows import (
     NAMES,
     WARMTH,
-    WindowVerdict,
+    FittedWindow,
+    WindowJudge,
     averaged,
-    decided,
-    from_healthy,
     is_closed,
 )
-from motor_env.motor.data_sheet import WindowReference
+from motor_env.diagnosis.spread import PRIOR_WEIGHT
+from motor_env.diagnosis.verdict import Judgement
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation.record import FEWEST, Record, from_recordings
 from motor_env.recordings.defects import UnusableError
@@ -40,63 +40,62 @@ class Looks:
     """Looks at the last samples of a running motor.
 
     Attributes:
-        reference: what windows of the healthy motor taught.
+        judge: the healthy motor, learned from windows.
         rate: of false alarms of all looks while a window passes.
         at: how far R, K, J and the drag were from the healthy ones in the last window, logarithms, shape (4,).
     """
 
-    reference: WindowReference
+    judge: WindowJudge
     rate: float
     at: FloatArray
 
     @property
     def every_s(self) -> float:
         """Time from one look to the next; infinite where the commissioning has taught nothing of looks."""
-        halvings = len(self.reference.excess)
-        return float(self.reference.window_s) / math.ldexp(_LOOKS, halvings) if halvings else math.inf
+        halvings = len(self.judge.windows.excess)
+        return float(self.judge.windows.window_s) / math.ldexp(_LOOKS, halvings) if halvings else math.inf
 
     def due(self, number: int) -> list[int]:
         """How often the window is halved for look number 1, 2, ...: one length or several, the longest first."""
-        most = len(self.reference.excess)
+        most = len(self.judge.windows.excess)
         return [k for k in range(1, most + 1) if number % 2 ** (most - k) == 0]
 
     def needed_s(self, halvings: int) -> float:
         """How many seconds a look needs."""
-        return max(math.ldexp(self.reference.window_s, -halvings), (FEWEST + 2) * self.reference.dt_s)
+        return max(math.ldexp(self.judge.windows.window_s, -halvings), (FEWEST + 2) * self.judge.windows.dt_s)
 
-    def at_end(self, recording: Recording, due: Sequence[int]) -> WindowVerdict | None:
+    def at_end(self, recording: Recording, due: Sequence[int]) -> Judgement | None:
         """The first alarm of looks at the end of a recording; None where all is well."""
         try:
-            record = from_recordings([averaged(recording, self.reference.window_s)])
+            record = from_recordings([averaged(recording, self.judge.windows.window_s)])
         except UnusableError:
             return None
-        record = replace(record, hold=self.reference.hold)
-        lengths = [round(self.reference.window_s / 2**k / record.dt_s) for k in due]
+        record = replace(record, hold=self.judge.windows.hold)
+        lengths = [round(self.judge.windows.window_s / 2**k / record.dt_s) for k in due]
         samples = len(record.voltage_v)
         parts = [record.part(samples - n, n) for n in lengths if n <= samples]
         if not parts:
             return None
-        for part, (verdict, changes) in zip(parts, self.verdicts(parts, due[-len(parts) :]), strict=True):
-            if verdict != "healthy":
-                begin_s = float(recording.time_s[-1]) - len(part.voltage_v) * record.dt_s
-                return WindowVerdict(begin_s, verdict, changes)
+        for part, judged in zip(parts, self.judgements(parts, due[-len(parts) :]), strict=True):
+            if judged is not None:
+                span_s = len(part.voltage_v) * record.dt_s
+                return replace(judged, begin_s=float(recording.time_s[-1]) - span_s, duration_s=span_s)
         return None
 
-    def verdicts(
-        self, parts: Sequence[Record], halvings: Sequence[int]
-    ) -> Iterator[tuple[str, tuple[Change, ...]]]:
-        """Of looks at parts, by how often the window is halved for each.
+    def judgements(self, parts: Sequence[Record], halvings: Sequence[int]) -> Iterator[Judgement | None]:
+        """Yield the alarm of each part, or None; part i has the window's length over 2**halvings[i].
 
         The first step of a fit tells nearly always that all is well. Else the motor may only be warmer than it was: the
         steps go on to the healthy motor that explains the part best, and one more from there. An alarm is confirmed,
         and gets its name, where steps end that may go anywhere.
         """
-        healthy = self.reference.log_covariance
-        warm = np.outer(WARMTH, WARMTH) * self.reference.temperature_k**2
-        for part, k, first in zip(parts, halvings, from_healthy(parts, self.reference, self.at), strict=True):
-            found = self._decided(*first, k) if is_closed(part) else ("healthy", ())
+        healthy = self.judge.reference.log_covariance
+        warm = np.outer(WARMTH, WARMTH) * self.judge.reference.temperature_k**2
+        firsts = self.judge.first_steps(parts, self.at)
+        for part, k, first in zip(parts, halvings, firsts, strict=True):
+            found = self._decided(*first, k) if is_closed(part) else None
             for prior in (healthy + warm, np.eye(len(NAMES)) * _ANYWHERE**2):
-                if found[0] != "healthy":
+                if found is not None:
                     found = self._decided(*self._settled(part, prior), k)
             yield found
 
@@ -104,20 +103,25 @@ class Looks:
         """A step from where several steps lead under a belief about the logarithms, with its spread."""
         at = self.at
         for _ in range(_STEPS):
-            ((ratios, spread),) = from_healthy([part], self.reference, at)
+            ((ratios, spread),) = self.judge.first_steps([part], at)
             at = prior @ np.linalg.solve(prior + spread, ratios)
-        ((ratios, spread),) = from_healthy([part], self.reference, at)
+        ((ratios, spread),) = self.judge.first_steps([part], at)
         return ratios, spread
 
-    def _decided(
-        self, ratios: FloatArray, spread: FloatArray, halvings: int
-    ) -> tuple[str, tuple[Change, ...]]:
-        spread, rate = spread * self.reference.excess[halvings - 1], self._rate(halvings)
+    def _decided(self, ratios: FloatArray, spread: FloatArray, halvings: int) -> Judgement | None:
+        spread, rate = spread * self.judge.windows.excess[halvings - 1], self._rate(halvings)
         # No test stands out farther than the whole; most looks end here.
         if ratios @ np.linalg.solve(spread, ratios) < special.ndtri(rate) ** 2:
-            return "healthy", ()
-        freedom = self._freedom(spread, halvings)
-        return decided(ratios, spread, rate, freedom, self.reference.temperature_k)
+            return None
+        reference = replace(
+            self.judge.reference,
+            log_covariance=spread,
+            degrees_of_freedom=self._freedom(spread, halvings),
+            excess=1.0,
+        )
+        fit = FittedWindow(reference.log_values + ratios, spread)
+        judged = decide(fit, reference, rate)
+        return judged if judged.verdict.is_fault else None
 
     def _rate(self, halvings: int) -> float:
         """Of one look. All lengths have an equal share.
@@ -126,7 +130,7 @@ class Looks:
         simulation (0.65 to 0.94 for rates of 1/6 to 2e-5).
         """
         together: float = 1.0 - 0.5 * self.rate**0.2
-        return self.rate / together / len(self.reference.excess) / math.ldexp(_LOOKS, halvings)
+        return self.rate / together / len(self.judge.windows.excess) / math.ldexp(_LOOKS, halvings)
 
     def _freedom(self, spread: FloatArray, halvings: int) -> float:
         """Degrees of freedom of a look's spread, of which a share was learned from windows (Satterthwaite 1946).
@@ -134,7 +138,9 @@ class Looks:
         What parts of windows teach counts for at most _TAILS: the innovations of a motor that is known by a fit have
         heavier tails than normal ones.
         """
-        learned = self.reference.log_covariance * self.reference.excess[halvings - 1]
+        learned = self.judge.reference.log_covariance * self.judge.windows.excess[halvings - 1]
         share = float(np.trace(np.linalg.solve(spread, learned))) / len(NAMES)
-        parts = math.ldexp(len(NAMES) * min(self.reference.windows, MOST_LEARNED), halvings)
-        return 1.0 / (share**2 / self.reference.degrees_of_freedom + 1.0 / min(parts, _TAILS))
+        freedom = self.judge.reference.degrees_of_freedom
+        pieces = freedom + 1.0 - PRIOR_WEIGHT
+        parts = math.ldexp(len(NAMES) * min(pieces, MOST_LEARNED), halvings)
+        return 1.0 / (share**2 / freedom + 1.0 / min(parts, _TAILS))

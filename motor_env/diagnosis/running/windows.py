@@ -1,4 +1,4 @@
-"""A running motor by windows of its logs: the verdict on each window and on a record.
+"""A motor at work, window by window: each is fitted, and compared with a healthy motor.
 
 All windows are fitted with the terms that the healthy ones were identified with jointly. What windows of one motor
 share is held there: brush drop, inductance, and how the drag divides into viscous and dry friction, so that regimes
@@ -14,23 +14,17 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
 
-from motor_env.diagnosis.explanations import (
-    Change,
-    Difference,
-    alarm_share,
-    compare,
-    explain,
-    joint_share,
-)
-from motor_env.diagnosis.healthy_motor import beyond, warmer
+from motor_env.diagnosis.decision import decide
+from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
+from motor_env.diagnosis.spread import beyond
+from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.motor import identifiable as quantities
-from motor_env.motor.data_sheet import WindowReference
+from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
 from motor_env.operation.record import Record, block_means, from_recordings
-from motor_env.operation.window import first_steps, fit_window
+from motor_env.operation.window import WindowFit, first_steps, fit_window
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut
 
@@ -38,20 +32,39 @@ MOST_SAMPLES = 6_000
 MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 NAMES = ("R", "K", "J", "B")
-_HOTTEST_K = 100.0
 _REGIME = 2.0
 NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
-_EXPONENTS = np.array([[1.0 if name == other else 0.0 for other in quantities.PARAMETERS] for name in NAMES])
-WARMTH = quantities.warmth_direction(_EXPONENTS)
+EXPONENTS = quantities.matrix(NAMES)
+WARMTH = quantities.warmth_direction(EXPONENTS)
 
 
 @dataclass(frozen=True, slots=True)
-class WindowVerdict:
-    """One window: when it begins, what it says, how far R, K, J and the drag lie from the healthy ones."""
+class FittedWindow:
+    """A fitted window: logarithms of R, K, J and of the drag over the speed, shape (4,), and their covariance."""
 
-    begin_s: float
-    verdict: str
-    changes: tuple[Change, ...]
+    log_values: FloatArray
+    log_covariance: FloatArray
+
+    @property
+    def quantity_names(self) -> tuple[str, ...]:
+        """R, K, J and B."""
+        return NAMES
+
+    @property
+    def exponents(self) -> FloatArray:
+        """Exponents of (R, L, K, J, B, V) in each of them, shape (4, 6)."""
+        return EXPONENTS
+
+    @property
+    def white_covariance(self) -> FloatArray:
+        """The covariance, which is that of white residuals."""
+        return self.log_covariance
+
+
+def viscous(physical: FloatArray, speed_rad_s: float) -> float:
+    """Drag over the speed of a motor of these physical values, at a speed."""
+    dry, fan = physical[kernel.COULOMB] / speed_rad_s, physical[kernel.SQUARE] * speed_rad_s
+    return float(max(physical[kernel.B] + dry + fan, 1e-300))
 
 
 def averaged(recording: Recording, window_s: float) -> Recording:
@@ -72,121 +85,109 @@ def windows_of(recording: Recording, window_s: float) -> list[Recording]:
     return [cut(recording, slice(n * length, (n + 1) * length)) for n in range(count)]
 
 
-def spread_of(error: FloatArray, reference: WindowReference) -> FloatArray:
-    """Of the logarithms of a healthy window whose fit has that error."""
-    healthy = reference.log_covariance
-    return (healthy + beyond(healthy, error)) * reference.window_excess
-
-
 def is_closed(part: Record) -> bool:
     """Whether the circuit seems closed throughout: a few samples without a current may only look open."""
     return kernel.OPEN not in part.marks
 
 
-def from_healthy(
-    parts: Sequence[Record], reference: WindowReference, at: FloatArray
-) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """How far parts of windows seem to be from the healthy motor, and its spread: logarithms of R, K, J, drag.
+def over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: float) -> FittedWindow:
+    """A window's fit with the drag over the speed instead of a factor on the drag of the physical values."""
+    drag = math.log(viscous(physical, speed_rad_s))
+    return FittedWindow(fit.logs + np.array([0.0, 0.0, 0.0, drag]), fit.covariance)
 
-    Args:
-        parts: of one window or several.
-        reference: what healthy windows taught.
-        at: where the motor is thought to be by now, shape (4,): the nearer, the better a linear step.
+
+@dataclass(frozen=True, slots=True)
+class WindowJudge:
+    """A healthy motor at work, as its windows are fitted and compared.
+
+    Attributes:
+        windows: how healthy windows were recorded and fitted.
+        reference: distribution of R, K, J and B of a healthy window.
     """
-    known, healthy = _values(reference), reference.log_covariance
-    known[[kernel.R, kernel.K, kernel.J, kernel.DRAG]] = reference.values * np.exp(at)
-    peaks = reference.peaks or (1.0, 1.0, 1.0)
-    for step, error in first_steps(parts, known, reference.terms, peaks):
-        yield at + step, healthy + beyond(healthy, error)
+
+    windows: Windows
+    reference: Reference
+
+    def physical(self, at: FloatArray | None = None) -> FloatArray:
+        """Physical values of the healthy motor; with logarithms of factors on R, K, J and the drag, shape (4,)."""
+        known = self.windows.physical.copy()
+        values = np.exp(self.reference.log_values if at is None else self.reference.log_values + at)
+        known[[kernel.R, kernel.K, kernel.J]] = values[:3]
+        known[kernel.DRAG] = values[3] / viscous(self.windows.physical, self.windows.speed_rad_s)
+        return known
+
+    def fitted(self, record: Record) -> FittedWindow:
+        """The fit of a window."""
+        fit = fit_window(replace(record, hold=self.windows.hold), self.physical(), self.windows.terms)
+        return over_speed(fit, self.windows.physical, self.windows.speed_rad_s)
+
+    def first_steps(self, parts: Sequence[Record], at: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """How far parts of windows seem to be from the healthy motor, and its spread: logarithms of R, K, J, drag.
+
+        Args:
+            parts: of one window or several.
+            at: where the motor is thought to be by now, shape (4,): the nearer, the better a linear step.
+        """
+        spread, peaks = self.reference.log_covariance, self.windows.peaks or (1.0, 1.0, 1.0)
+        for step, error in first_steps(parts, self.physical(at), self.windows.terms, peaks):
+            yield at + step, spread + beyond(spread, error)
+
+    def judge(self, recording: Recording, rate: float) -> tuple[list[Judgement], int]:
+        """A judgement on each window, and how many windows there are; together they alarm at the rate (Bonferroni).
+
+        Of more than MANY windows MOST_JUDGED are judged: half of them evenly spread, half those that the healthy motor
+        explains worst. The rate is still shared by all.
+
+        Raises:
+            UnusableError: the record is outside the commissioned regime, or shorter than a window.
+        """
+        parts = windows_of(recording, self.windows.window_s)
+        if not parts:
+            raise UnusableError(f"the record is shorter than a window of {self.windows.window_s:g} s")
+        volts = rms_volts(recording)
+        low, high = self.windows.rms_volts or (volts, volts)
+        if not low / _REGIME <= volts <= high * _REGIME:
+            raise UnusableError(
+                f"outside the commissioned regime: {volts:.3g} V effective, commissioned {low:.3g} to {high:.3g} V"
+            )
+        if not 1.0 / _REGIME <= parts[0].dt_s / self.windows.dt_s <= _REGIME:
+            raise UnusableError("outside the commissioned regime: another sampling interval")
+        chosen = range(len(parts)) if len(parts) <= MANY else self._chosen(recording, parts)
+        return [self._judged(parts[n], rate / len(parts)).on(parts[n]) for n in chosen], len(parts)
+
+    def _chosen(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
+        """Places of the windows that are judged, of many."""
+        values, length = self.physical(), len(parts[0].time_s)
+        values[kernel.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
+        misfits, whole = np.zeros(len(parts)), averaged(recording, self.windows.window_s)
+        for first in range(0, len(parts), _TOGETHER):
+            some = slice(first, min(first + _TOGETHER, len(parts)))
+            stretch = cut(whole, slice(some.start * length, some.stop * length))
+            with suppress(UnusableError):  # as at rest
+                record = from_recordings([stretch], most=len(stretch.time_s))
+                squares = replace(record, hold=self.windows.hold).predict(values)[0][:, :2] ** 2
+                misfits[some] = squares.reshape(-1, 2 * length).mean(axis=1)
+        evenly = np.linspace(0, len(parts) - 1, MOST_JUDGED // 2).round().astype(int)
+        return sorted({*evenly.tolist(), *np.argsort(misfits)[-MOST_JUDGED // 2 :].tolist()})
+
+    def _judged(self, part: Recording, rate: float) -> Judgement:
+        try:
+            fit = self.fitted(from_recordings([part]))
+        except UnusableError as error:
+            return Judgement(Verdict.UNUSABLE, (str(error),))
+        return decide(fit, self.reference, rate)
 
 
-def judge_windows(recording: Recording, reference: WindowReference, rate: float) -> list[WindowVerdict]:
-    """A verdict on each window; together they alarm in the stated share of healthy records (Bonferroni).
-
-    Of more than MANY windows MOST_JUDGED are judged: half of them evenly spread, half those that the healthy motor
-    explains worst. The rate is still shared by all.
+def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float | None = None) -> WindowJudge:
+    """The judge of a motor that was learned from windows.
 
     Raises:
-        UnusableError: the record is outside the commissioned regime, or shorter than a window.
+        UnusableError: the healthy pieces are no windows, or do not tell R, K, J and B.
     """
-    parts = windows_of(recording, reference.window_s)
-    if not parts:
-        raise UnusableError(f"the record is shorter than a window of {reference.window_s:g} s")
-    low, high = reference.rms_volts
-    volts = rms_volts(recording)
-    if not low / _REGIME <= volts <= high * _REGIME:
-        raise UnusableError(
-            f"outside the commissioned regime: {volts:.3g} V effective, commissioned {low:.3g} to {high:.3g} V"
-        )
-    if not 1.0 / _REGIME <= parts[0].dt_s / reference.dt_s <= _REGIME:
-        raise UnusableError("outside the commissioned regime: another sampling interval")
-    chosen = range(len(parts)) if len(parts) <= MANY else _chosen(recording, parts, reference)
-    return [_judged(parts[n], reference, rate / len(parts)) for n in chosen]
-
-
-def _chosen(recording: Recording, parts: Sequence[Recording], reference: WindowReference) -> list[int]:
-    """Places of the windows that are judged, of many."""
-    values, length = _values(reference), len(parts[0].time_s)
-    values[kernel.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
-    misfits, whole = np.zeros(len(parts)), averaged(recording, reference.window_s)
-    for first in range(0, len(parts), _TOGETHER):
-        some = slice(first, min(first + _TOGETHER, len(parts)))
-        stretch = cut(whole, slice(some.start * length, some.stop * length))
-        with suppress(UnusableError):  # as at rest
-            record = replace(from_recordings([stretch], most=len(stretch.time_s)), hold=reference.hold)
-            squares = record.predict(values)[0][:, :2] ** 2
-            misfits[some] = squares.reshape(-1, 2 * length).mean(axis=1)
-    evenly = np.linspace(0, len(parts) - 1, MOST_JUDGED // 2).round().astype(int)
-    return sorted({*evenly.tolist(), *np.argsort(misfits)[-MOST_JUDGED // 2 :].tolist()})
-
-
-def _judged(part: Recording, reference: WindowReference, rate: float) -> WindowVerdict:
-    try:
-        record = replace(from_recordings([part]), hold=reference.hold)
-        fit = fit_window(record, _values(reference), reference.terms)
-    except UnusableError:
-        return WindowVerdict(float(part.time_s[0]), "unusable", ())
-    ratios, spread = fit.logs - np.log(reference.values), spread_of(fit.covariance, reference)
-    verdict, changes = decided(ratios, spread, rate, reference.degrees_of_freedom, reference.temperature_k)
-    return WindowVerdict(float(part.time_s[0]), verdict, changes)
-
-
-def decided(
-    ratios: FloatArray, spread: FloatArray, rate: float, freedom: float, temperature_k: float
-) -> tuple[str, tuple[Change, ...]]:
-    """What logarithms of R, K, J and the drag over the healthy ones say at a rate of false alarms.
-
-    Args:
-        ratios: the logarithms, shape (4,).
-        spread: covariance of a healthy motor's, at one temperature, shape (4, 4).
-        rate: of false alarms of all tests together.
-        freedom: degrees of freedom of the spread.
-        temperature_k: how much warmer or colder the motor may be, one standard deviation.
-    """
-    share, warmth = alarm_share(rate, _EXPONENTS), temperature_k * WARMTH
-    straight = _straightened(ratios, spread, temperature_k) if temperature_k else ratios
-    difference = Difference(straight, warmer(spread, warmth, share, freedom), _EXPONENTS, freedom)
-    faults, whole = explain(difference), difference.p_value(difference.squared_distance, len(NAMES))
-    # Each test has less than the whole rate: else none of them can alarm.
-    if whole < rate or max(fault.z for fault in faults) > -special.stdtrit(freedom, rate):
-        share = joint_share(rate, difference.covariance, _EXPONENTS, freedom)
-    limit = -float(special.stdtrit(freedom, share))
-    alarms = [fault for fault in faults if fault.z > limit]
-    is_alarm = bool(alarms) or whole < share
-    changes = compare(NAMES, ratios, difference.covariance, freedom, limit if is_alarm else math.inf)
-    if not is_alarm:
-        return "healthy", changes
-    fitting = [fault for fault in alarms if fault.p_left_over > rate]
-    best = max(fitting, key=lambda fault: fault.z, default=None)
-    return "other" if best is None else str(best.kind), changes
-
-
-def _straightened(ratios: FloatArray, spread: FloatArray, temperature_k: float) -> FloatArray:
-    """Logarithms that move in proportion to the temperature: the factors do, their logarithms a little less."""
-    slope = np.linalg.solve(spread, WARMTH)
-    kelvin = float(slope @ ratios / (slope @ WARMTH + temperature_k**-2))
-    warm = WARMTH * min(max(kelvin, -_HOTTEST_K), _HOTTEST_K)
-    return ratios + warm - np.log1p(warm)
+    reference = reference_of_pieces(healthy, NAMES, motor, are_starts=False, temperature_c=temperature_c)
+    if healthy.windows is None or reference is None or reference.names != NAMES:
+        raise UnusableError(f"the healthy pieces of {motor} do not tell {', '.join(NAMES)} of windows")
+    return WindowJudge(healthy.windows, reference)
 
 
 def needed_columns(recording: Recording) -> tuple[FloatArray, FloatArray]:
@@ -203,10 +204,3 @@ def needed_columns(recording: Recording) -> tuple[FloatArray, FloatArray]:
 def rms_volts(recording: Recording) -> float:
     """Effective voltage."""
     return float(np.sqrt(np.mean(np.square(needed_columns(recording)[0]))))
-
-
-def _values(reference: WindowReference) -> FloatArray:
-    """Physical values of a motor file, which may be older than the last of them."""
-    values = np.zeros(kernel.N_VALUES)
-    values[: len(reference.physical)] = reference.physical
-    return values

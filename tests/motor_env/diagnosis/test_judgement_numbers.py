@@ -54,14 +54,12 @@ from motor_env.diagnosis.files import picture_of
 from motor_env.diagnosis.filter_check import filter_check
 from motor_env.diagnosis.healthy_motor import (
     Reference,
-    beyond,
     disagreement,
     learn_reference,
     odd_one_out,
-    the_next,
-    warmer,
     white_error,
 )
+from motor_env.diagnosis.spread import beyond, the_next, warmer
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
 from motor_env.motor.identifiable import matrix, nameable_kinds, names, visible_direction
 from motor_env.motor.parameters import FloatArray

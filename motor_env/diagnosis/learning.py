@@ -1,0 +1,134 @@
+"""What healthy starts of one motor teach about its next start."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from motor_env.diagnosis.spread import next_sd, the_next
+from motor_env.diagnosis.views import Fitted
+from motor_env.identification.commutation import ripple_quantities
+from motor_env.identification.identify import Identified, identify
+from motor_env.identification.model_choice import NUISANCES, identify_best
+from motor_env.motor.healthy import Healthy, Starts
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.recording import Recording
+from motor_env.recordings.start import Circuit, prepare
+
+SPREAD_PRIOR = 0.02
+NOISE_SPREAD_PRIOR = 0.10
+_DISAGREE = 0.5  # standard deviation of a logarithm between healthy starts
+_SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm from start to start, and how many are odd
+
+
+def fit_healthy(
+    recordings: Sequence[Recording],
+    *,
+    voltage_v: float | None = None,
+    constant: float | None = None,
+    circuit: Circuit | None = None,
+) -> list[Identified]:
+    """Fit healthy starts with one common model: the one that the evidence prefers in most of them.
+
+    All are fitted twice, the second time from the median of the first fits, so that no start is left in an optimum
+    of its own, and an ambiguous inductance is the same in all.
+
+    Raises:
+        UnusableError: a recording cannot be judged.
+    """
+    starts = [prepare(recording, voltage_v, circuit) for recording in recordings]
+    chosen = [identify_best(start, NUISANCES, constant=constant).model for start in starts[:3]]
+    model = tuple(
+        name for name in NUISANCES if sum(name in candidate for candidate in chosen) > 0.5 * len(chosen)
+    )
+    first = [identify(start, model, constant=constant) for start in starts]
+    if len({fit.quantity_names for fit in first}) > 1:
+        return first
+    middle = np.exp(np.median([fit.log_values for fit in first], axis=0))
+    typical = dict(zip(first[0].quantity_names, middle.tolist(), strict=True))
+    return [identify(start, model, constant=constant, typical=typical) for start in starts]
+
+
+def next_piece(fits: Sequence[Fitted], prior_sd: float) -> tuple[FloatArray, FloatArray, float]:
+    """Mean, covariance and degrees of freedom of the next healthy piece's logarithms.
+
+    The fit's own error is white between pieces; it is the least that the next one will differ by.
+
+    Args:
+        fits: healthy pieces with the same quantities.
+        prior_sd: of each logarithm from piece to piece, as believed before any is seen.
+    """
+    logs = np.array([fit.log_values for fit in fits])
+    error = np.mean([fit.white_covariance for fit in fits], axis=0)
+    return the_next(logs, np.eye(logs.shape[1]) * prior_sd**2 + error)
+
+
+def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
+    """What all healthy pieces but one teach, fitted with the same model."""
+    others = [fit for n, fit in enumerate(fits) if n != number]
+    steady = healthy.windows is not None and healthy.temperature_k == 0.0
+    centre, covariance, freedom = next_piece(others, 0.0 if steady else SPREAD_PRIOR)
+    return replace(
+        healthy,
+        pieces=len(others),
+        degrees_of_freedom=freedom,
+        values=np.exp(centre),
+        log_covariance=covariance,
+    )
+
+
+def learn_starts(fits: Sequence[Identified]) -> Healthy:
+    """What healthy starts of one motor teach about its next start, with a prior of 2 % (1 sd) on every quantity.
+
+    Args:
+        fits: healthy starts, fitted with the same model, one or more.
+    """
+    n = len(fits)
+    centre, covariance, freedom = next_piece(fits, SPREAD_PRIOR)
+    noise = np.log([max(fit.noise_a, 1e-12) for fit in fits])
+    ripples = [ripple_quantities(fit) for fit in fits]
+    ripple = np.log([pair for pair in ripples if pair is not None])
+    has_ripple = len(ripple) == n
+    starts = Starts(
+        log_noise=float(noise.mean()),
+        log_noise_sd=next_sd(noise, NOISE_SPREAD_PRIOR),
+        model=fits[0].model,
+        model_low=tuple(min(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
+        model_high=tuple(max(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
+        sampling_rate_hz=1.0 / float(np.mean([fit.start.dt_s for fit in fits])),
+        duration_s=min(float(fit.start.time_s[-1]) - fit.onset_s for fit in fits),
+        quiet_s=max(min(fit.onset_s - float(fit.start.time_s[0]) for fit in fits), 0.0),
+        ripple_hz=float(np.exp(ripple[:, 0].mean())) if has_ripple else None,
+        ripple_constant_v_s=float(np.exp(ripple[:, 1].mean())) if has_ripple else None,
+        ripple_log_sd=max(next_sd(row, SPREAD_PRIOR) for row in ripple.T) if has_ripple else None,
+    )
+    return Healthy(n, freedom, fits[0].quantity_names, np.exp(centre), covariance, starts=starts)
+
+
+def disagreement(fits: Sequence[Identified]) -> str | None:
+    """Which quantity differs so much between healthy starts that they teach nothing; None where they agree."""
+    logs = np.array([fit.log_values for fit in fits])
+    for name, column in zip(fits[0].quantity_names, logs.T, strict=True):
+        if name[0] in "RKJ" and float(np.std(column)) > _DISAGREE:
+            low, high = np.exp(column.min()), np.exp(column.max())
+            return f"their {name} lies between {low:.3g} and {high:.3g}: are they starts of one motor, from rest?"
+    return None
+
+
+def odd_one_out(fits: Sequence[Identified], number: int) -> str | None:
+    """Why one of the healthy starts is of another motor than the others; None where it agrees with them."""
+    others = np.array([fit.log_values for n, fit in enumerate(fits) if n != number])
+    if len(others) < 2:
+        return None
+    middle = np.median(others, axis=0)
+    scatter = np.median(np.abs(others - middle), axis=0)
+    off = fits[number].log_values - middle
+    sd = np.sqrt(np.diag(fits[number].log_covariance) + scatter**2 + _SAME_MOTOR**2)
+    worst = int(np.argmax(np.abs(off) / sd))
+    if abs(off[worst]) <= _ODD * sd[worst]:
+        return None
+    name = fits[number].quantity_names[worst]
+    return f"its {name} is {math.exp(off[worst]):.3g} times that of the others"

@@ -1,0 +1,78 @@
+"""Windows of a log whose motor was not commissioned at work: by its data sheet, or by its healthy starts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motor_env.diagnosis.healthy_motor import reference_of
+from motor_env.diagnosis.running.lessons import effective_speed, known_of
+from motor_env.diagnosis.running.windows import MOST_SAMPLES, NAMES, NEEDED, WindowJudge, judge_of, viscous
+from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.healthy import Windows
+from motor_env.motor.model import steady_state
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation.identify import identify_operation
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import Recording
+
+_WINDOWS = 10  # of a log
+_SHORTEST, _SHORTEST_SAMPLES = 40.0, 400  # a window: mechanical time constants, samples
+
+
+def judge_for(recording: Recording, motor: MotorFile, temperature_c: float | None = None) -> WindowJudge:
+    """What judges the windows of a log.
+
+    A motor that was commissioned by windows says so itself. Any other motor's file tells R, K, J and the drag at one
+    speed. The terms, the hold of the voltage and how the drag divides into viscous and dry friction then come from a
+    fit of the whole log.
+
+    Raises:
+        UnusableError: no current and speed, or no motor explains the log.
+    """
+    if motor.healthy is not None and motor.healthy.windows is not None:
+        return judge_of(motor.healthy, motor.name, temperature_c)
+    joint = identify_operation([recording])
+    if not joint.record.seen.all():
+        raise UnusableError(NEEDED)
+    physical, speed = known_of(joint), effective_speed(joint)
+    reference = reference_of(
+        motor,
+        NAMES,
+        are_starts=False,
+        temperature_c=temperature_c,
+        friction=_friction(motor, physical, speed),
+    )
+    if reference is None or reference.names != NAMES:
+        raise UnusableError(
+            f"{motor.name} does not tell {', '.join(NAMES)}, which a motor at work is judged by"
+        )
+    r, k, j = np.exp(reference.log_values[:3]).tolist()
+    windows = Windows(
+        window_s=_window_s(recording, r * j / k**2),
+        terms=joint.solution.names,
+        physical=physical,
+        hold=joint.record.hold,
+        dt_s=recording.dt_s,
+        speed_rad_s=speed,
+    )
+    return WindowJudge(windows, reference)
+
+
+def _friction(motor: MotorFile, physical: FloatArray, speed_rad_s: float) -> float:
+    """Drag over the speed in this log, over the friction of the motor's file, for the same healthy motor.
+
+    The file's friction is that at the no-load speed. Between two speeds the drag divides as in the log.
+    """
+    p = motor.parameters
+    if motor.nominal_voltage_v is None:
+        return 1.0
+    no_load = float(steady_state(p, motor.nominal_voltage_v)[1])
+    dry = motor.coulomb_friction_n_m / (no_load * float(np.mean(p.viscous_friction_n_m_s_per_rad)) or np.inf)
+    return (1.0 + dry) * viscous(physical, speed_rad_s) / viscous(physical, no_load)
+
+
+def _window_s(recording: Recording, settles_s: float) -> float:
+    """A tenth of the log, but neither shorter than the motor settles nor longer than it is fitted whole."""
+    dt_s, duration_s = recording.dt_s, len(recording.time_s) * recording.dt_s
+    shortest = max(_SHORTEST * settles_s, _SHORTEST_SAMPLES * dt_s)
+    return min(max(min(duration_s / _WINDOWS, MOST_SAMPLES * dt_s), shortest), duration_s)

@@ -1,0 +1,176 @@
+"""What is said of a recording: a judgement on each of its pieces, and the verdict that follows from them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+from motor_env.diagnosis.explanations import Change
+from motor_env.diagnosis.filter_check import FilterCheck
+from motor_env.diagnosis.healthy_motor import Reference
+from motor_env.diagnosis.views import Fitted
+from motor_env.identification.identify import Identified
+from motor_env.motor.faults import FaultKind
+from motor_env.recordings.recording import Recording
+from motor_env.recordings.regime import Taken
+
+SURE_OF_KIND = 0.95
+"""Posterior probability below which a verdict does not say which kind of its family it is."""
+
+
+class Verdict(StrEnum):
+    """What is said of a recording."""
+
+    HEALTHY = "healthy"
+    BEARING = "bearing"
+    WINDING = "winding"
+    MAGNET = "magnet"
+    NOISE = "noise"
+    OTHER = "other"
+    NO_REFERENCE = "no_reference"
+    UNUSABLE = "unusable"
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether it calls for action."""
+        return self not in (Verdict.HEALTHY, Verdict.NO_REFERENCE, Verdict.UNUSABLE)
+
+    @classmethod
+    def _missing_(cls, value: object) -> Verdict | None:
+        """The word of a fault kind that was registered from outside the package."""
+        if value not in {kind.verdict for kind in FaultKind}:
+            return None
+        word = str.__new__(cls, value)
+        word._name_, word._value_ = str(value).upper(), str(value)
+        return _REGISTERED.setdefault(str(value), word)
+
+
+_REGISTERED: dict[str, Verdict] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """The verdict on one piece of a recording, and what it rests on.
+
+    Attributes:
+        verdict: family of the fault, or healthy, or why there is none.
+        reasons: sentences.
+        severity: size of the fault, as a fraction; 0 for a healthy motor.
+        severity_low, severity_high: its interval, 95 %.
+        confidence: posterior probability of the verdict.
+        fault_kind: the most probable kind of the family.
+        kind_probability: posterior probability of that kind.
+        fit: the fitted piece; None where there is no fit.
+        reference: what it was compared with.
+        changes: how far each quantity lies from the reference.
+        smallest_changes: severity of each fault that is found in 95 of 100 cases.
+        filter_check: what the Kalman filter makes of a start.
+        begin_s: begin of the piece, a start or a window of a motor at work, on the recording's clock.
+        duration_s: length of the piece.
+    """
+
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    severity: float | None = None
+    severity_low: float | None = None
+    severity_high: float | None = None
+    confidence: float | None = None
+    fault_kind: FaultKind | None = None
+    kind_probability: float = 0.0
+    fit: Fitted | None = None
+    reference: Reference | None = None
+    changes: tuple[Change, ...] = ()
+    smallest_changes: dict[str, float] = field(default_factory=dict)
+    filter_check: FilterCheck | None = None
+    begin_s: float = 0.0
+    duration_s: float = 0.0
+
+    def on(self, piece: Recording) -> Judgement:
+        """The same, on a piece of a recording."""
+        return replace(self, begin_s=float(piece.time_s[0]), duration_s=len(piece.time_s) * piece.dt_s)
+
+    @property
+    def kind(self) -> FaultKind | None:
+        """Kind of the fault, where it can be told from the others of its family."""
+        return self.fault_kind if self.kind_probability >= SURE_OF_KIND else None
+
+    @property
+    def identified(self) -> Identified | None:
+        """The fit of a start; None for other pieces."""
+        return self.fit if isinstance(self.fit, Identified) else None
+
+    @property
+    def warning(self) -> str:
+        """That the recording is not consistent with the fitted model, in one sentence; empty where it is."""
+        if self.filter_check is None or self.filter_check.consistency is None:
+            return ""
+        return self.filter_check.consistency.warning
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The verdict on a recording, by judgements on its pieces.
+
+    Attributes:
+        recording: as read.
+        taken: what it was taken for, and why.
+        pieces: judgements, in the order of time.
+        of: number of pieces of the recording; of many some are judged.
+    """
+
+    recording: Recording
+    taken: Taken
+    pieces: tuple[Judgement, ...]
+    of: int = 1
+
+    @property
+    def telling(self) -> Judgement:
+        """The piece that the verdict rests on.
+
+        Of pieces with a fault it is the surest one of the most frequent verdict. Without a fault a healthy one, else
+        the first.
+        """
+        faults = Counter(one.verdict for one in self.pieces if one.verdict.is_fault)
+        if faults:
+            most = max(faults.values())
+            frequent = [one for one in self.pieces if faults[one.verdict] == most]
+            return max(frequent, key=lambda one: one.confidence or 0.0)
+        healthy = (one for one in self.pieces if one.verdict is Verdict.HEALTHY)
+        return next(healthy, self.pieces[0])
+
+    @property
+    def verdict(self) -> Verdict:
+        """Of the recording."""
+        return self.telling.verdict
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Sentences."""
+        return self.telling.reasons
+
+    @property
+    def severity(self) -> float | None:
+        """Size of the fault."""
+        return self.telling.severity
+
+    @property
+    def severity_interval(self) -> tuple[float, float] | None:
+        """Interval of the severity, 95 %."""
+        low, high = self.telling.severity_low, self.telling.severity_high
+        return None if low is None or high is None else (low, high)
+
+    @property
+    def confidence(self) -> float | None:
+        """Posterior probability of the verdict."""
+        return self.telling.confidence
+
+    @property
+    def kind(self) -> FaultKind | None:
+        """Kind of the fault, where it can be told."""
+        return self.telling.kind
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """How far each quantity lies from the reference."""
+        return self.telling.changes

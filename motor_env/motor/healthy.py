@@ -1,0 +1,123 @@
+"""What healthy pieces of one motor's recordings have taught: the table `healthy` of a motor file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from motor_env.motor.parameters import FloatArray, require
+from motor_env.motor.toml_files import ArrayOf, Finite, NotNegative, Positive
+
+
+@dataclass(frozen=True, slots=True)
+class Starts:
+    """How the healthy pieces were recorded and fitted, where they are starts.
+
+    Attributes:
+        log_noise: mean logarithm of the noise of the current in A.
+        log_noise_sd: standard deviation of the next start's logarithm of the noise.
+        model: extensions of the textbook model that the fits used.
+        model_low: smallest value of each extension over the starts.
+        model_high: largest value of each.
+        sampling_rate_hz: of the starts; None where unknown.
+        duration_s: what the shortest start holds after its onset.
+        quiet_s: what the shortest start holds before it.
+        ripple_hz: commutation ripple at the last speed; None where not every start shows it.
+        ripple_constant_v_s: K times the ripple's periods a turn, from that ripple; over volt where V is unknown.
+        ripple_log_sd: standard deviation of the next start's logarithm of either.
+    """
+
+    log_noise: Finite
+    log_noise_sd: Positive
+    model: tuple[str, ...] = ()
+    model_low: tuple[Positive, ...] = ()
+    model_high: tuple[Positive, ...] = ()
+    sampling_rate_hz: Positive | None = None
+    duration_s: Positive | None = None
+    quiet_s: NotNegative | None = None
+    ripple_hz: Positive | None = None
+    ripple_constant_v_s: Positive | None = None
+    ripple_log_sd: Positive | None = None
+
+    def __post_init__(self) -> None:
+        require(
+            all(len(bound) in (0, len(self.model)) for bound in (self.model_low, self.model_high)),
+            "healthy.starts.model_low and model_high must have one value for each of healthy.starts.model",
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """How the healthy pieces were recorded and fitted, where they are windows of the motor at work.
+
+    Attributes:
+        window_s: their length.
+        terms: of the joint fit, see `motor_env.operation.terms`.
+        physical: values of the joint fit, in the order of `motor_env.operation.kernel`.
+        hold: what the voltage does between two samples.
+        dt_s: sampling interval of the fit.
+        speed_rad_s: effective speed, at which the drag over the speed is the quantity B.
+        rms_volts: least and largest effective voltage of a window; None where none was commissioned.
+        peaks: largest voltage, current and speed of the windows; without them no part of a window is judged.
+        window_excess: by which factor windows scatter more than is believed of them: what they have taught, or
+            their own errors where these are larger (variance).
+        excess: by which factor halves, quarters, ... of a window scatter more than is believed of them (variance).
+    """
+
+    window_s: Positive
+    terms: tuple[str, ...]
+    physical: Annotated[FloatArray, ArrayOf(tuple[Finite, ...])]
+    hold: Literal["held", "straight", "late"]
+    dt_s: Positive
+    speed_rad_s: Positive
+    rms_volts: tuple[Positive, Positive] | None = None
+    peaks: tuple[Positive, Positive, Positive] | None = None
+    window_excess: Positive = 1.0
+    excess: tuple[Positive, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Healthy:
+    """Where the quantities of a healthy motor lie, and how far those of its next healthy piece may be off.
+
+    Attributes:
+        pieces: number of healthy starts, or of windows.
+        degrees_of_freedom: of the spread below (Student t); it counts the pieces and the prior.
+        quantities: their names (see `motor_env.motor.identifiable`).
+        values: their geometric means over the pieces, SI, shape (n,).
+        log_covariance: covariance of the logarithms of the *next* piece's quantities about these, shape (n, n).
+        temperature_k: how much warmer or colder than those a healthy motor may be, one standard deviation.
+        temperature_c: temperature of the motor at those pieces, where known.
+        own_friction: share of the drag that is the motor's own friction, the rest being a load; None if not told.
+        starts: how starts were recorded and fitted; None for windows.
+        windows: how windows were recorded and fitted; None for starts.
+    """
+
+    pieces: Annotated[int, Field(ge=1)]
+    degrees_of_freedom: Positive
+    quantities: tuple[str, ...]
+    values: Annotated[FloatArray, ArrayOf(tuple[Positive, ...])]
+    log_covariance: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
+    temperature_k: NotNegative = 15.0
+    temperature_c: Finite | None = None
+    own_friction: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+    starts: Starts | None = None
+    windows: Windows | None = None
+
+    def __post_init__(self) -> None:
+        n, covariance = len(self.quantities), self.log_covariance
+        require(
+            np.shape(self.values) == (n,) and np.shape(covariance) == (n, n),
+            f"healthy names {n} quantities; values and log_covariance must have that size",
+        )
+        require(
+            np.allclose(covariance, covariance.T) and np.linalg.eigvalsh(covariance)[0] > 0.0,
+            "healthy.log_covariance must be symmetric and positive definite",
+        )
+        require(
+            (self.starts is None) != (self.windows is None),
+            "healthy must have one of the tables starts and windows",
+        )
