@@ -76,13 +76,14 @@ _SERIES_NORM = 0.25
 _SERIES_ORDER = 12  # 0.25^13 / 14! is below 1e-18: the series ends under the rounding error
 
 
-@njit(cache=True)
-def exponential_and_phi(
+@njit(forceinline=True)  # so that who does not use phi2 does not compute it
+def exponential_and_phis(
     a: float, b: float, c: float, d: float
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """exp(X) and phi1(X) = X^-1 (exp(X) - 1) of X = [[a, b], [c, d]], row by row, by series and doubling.
+) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """exp(X), phi1(X) = X^-1 (exp(X) - 1), phi2(X) = X^-1 (phi1(X) - 1) of X = [[a, b], [c, d]], row by row.
 
-    phi1(X) = sum X^k / (k+1)!, exp(X) = 1 + X phi1(X), phi1(2X) = (exp(X) + 1) phi1(X) / 2 (Higham 2008, ch. 10.7).
+    By series and doubling: phi1(X) = sum X^k / (k+1)!, phi2(X) = sum X^k / (k+2)!, exp(X) = 1 + X phi1(X),
+    phi1(2X) = (exp(X) + 1) phi1(X) / 2, phi2(2X) = (phi1(X)^2 + 2 phi2(X)) / 4 (Higham 2008, ch. 10.7).
     No difference of nearly equal numbers, no division by a small eigenvalue: full accuracy for any step and damping.
     """
     # The similarity diag(1, scale) evens out b and c, so that the norm is free of the units.
@@ -90,13 +91,14 @@ def exponential_and_phi(
     b, c = b / scale, c * scale
     norm = max(abs(a) + abs(b), abs(c) + abs(d))
     doublings, shrink = 0, 1.0
-    while norm > _SERIES_NORM:
+    while _SERIES_NORM < norm < np.inf:
         norm, shrink = norm * 0.5, shrink * 0.5
         doublings += 1
     a, b, c, d = a * shrink, b * shrink, c * shrink, d * shrink
     p, q, r, s = 1.0, 0.0, 0.0, 1.0
-    for k in range(_SERIES_ORDER, 0, -1):  # Horner: phi <- 1 + X phi / (k + 1)
+    for k in range(_SERIES_ORDER, 0, -1):  # Horner: phi1 <- 1 + X phi1 / (k + 1)
         f = 1.0 / (k + 1.0)
+        t, u, v, w = f * p, f * q, f * r, f * s  # phi2 in the end: phi1 = 1 + X phi2
         p, q, r, s = (
             1.0 + f * (a * p + b * r),
             f * (a * q + b * s),
@@ -105,6 +107,12 @@ def exponential_and_phi(
         )
     e, g, h, j = 1.0 + a * p + b * r, a * q + b * s, c * p + d * r, 1.0 + c * q + d * s
     for _ in range(doublings):
+        t, u, v, w = (
+            0.5 * t + 0.25 * (p * p + q * r),
+            0.5 * u + 0.25 * q * (p + s),
+            0.5 * v + 0.25 * r * (p + s),
+            0.5 * w + 0.25 * (q * r + s * s),
+        )
         p, q, r, s = (
             0.5 * ((e + 1.0) * p + g * r),
             0.5 * ((e + 1.0) * q + g * s),
@@ -112,7 +120,16 @@ def exponential_and_phi(
             0.5 * (h * q + (j + 1.0) * s),
         )
         e, g, h, j = e * e + g * h, g * (e + j), h * (e + j), j * j + g * h
-    return (e, g * scale, h / scale, j), (p, q * scale, r / scale, s)
+    return (e, g * scale, h / scale, j), (p, q * scale, r / scale, s), (t, u * scale, v / scale, w)
+
+
+@njit(cache=True)
+def exponential_and_phi(
+    a: float, b: float, c: float, d: float
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """exp(X) and phi1(X), for inputs that are held: see `exponential_and_phis`."""
+    exponential, phi, _ = exponential_and_phis(a, b, c, d)
+    return exponential, phi
 
 
 @njit(cache=True)

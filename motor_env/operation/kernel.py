@@ -1,9 +1,9 @@
 """Kalman filter of a motor at work, compiled: exact steps of the linear part, dry friction and brush drop with events.
 
 State: [current, speed, load torque, shown current, shown speed]; the last ones only where a model has them. Between
-two samples the linear motor is solved exactly (matrix exponential, Van Loan 1978) for a voltage that is a straight
-line. Coulomb friction and the brush drop are constant inputs as long as motion and current keep their signs; an
-interval in which one of them changes is cut into parts in which both brake to zero and never beyond it.
+two samples the linear motor is solved exactly (`motor_env.motor.model`) for a voltage that is a straight line. Coulomb
+friction and the brush drop are constant inputs as long as motion and current keep their signs; an interval in which one
+of them changes is cut into parts in which both brake to zero and never beyond it.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from motor_env.motor.compiled import njit
+from motor_env.motor.model import exponential_and_phis
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
 
 (R, L, K, J, B, COULOMB, DROP, LOAD, SQUARE, OFFSET_I, OFFSET_W, HEATING, COOLING, LAG_I, LAG_W, DELAY) = (
@@ -38,32 +39,20 @@ _inlined = njit(error_model="numpy", forceinline=True)  # a call with arrays cos
 
 
 @_inlined
-def _exponential(matrix: FloatArray) -> FloatArray:
-    """Matrix exponential by scaling, Taylor and squaring."""
-    norm = np.max(np.sum(np.abs(matrix), axis=1))
-    squarings = max(0, math.ceil(math.log2(norm + 1e-300)) + 1)
-    scaled = matrix / 2.0**squarings
-    total = np.eye(matrix.shape[0])
-    term = np.eye(matrix.shape[0])
-    for n in range(1, 13):
-        term = term @ scaled / n
-        total = total + term
-    for _ in range(squarings):
-        total = total @ total
-    return total
-
-
-@_inlined
 def _discretized(p: FloatArray, warm_k: float, dt_s: float) -> FloatArray:
     """Rows current and speed; columns current, speed, voltage before, its rise over the interval, torque."""
     resistance = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k)
     constant = p[K] * (1.0 + MAGNET_PER_KELVIN * warm_k)
     drag = p[B] * (1.0 + FRICTION_PER_KELVIN * warm_k)
-    m = np.zeros((5, 5))
-    m[0, 0], m[0, 1], m[0, 2] = -resistance / p[L], -constant / p[L], 1.0 / p[L]
-    m[1, 0], m[1, 1], m[1, 4] = constant / p[J], -drag / p[J], -1.0 / p[J]
-    m[2, 3] = 1.0 / dt_s
-    rows: FloatArray = _exponential(m * dt_s)[:2].copy()
+    whole, held, rising = exponential_and_phis(
+        -resistance / p[L] * dt_s, -constant / p[L] * dt_s, constant / p[J] * dt_s, -drag / p[J] * dt_s
+    )
+    by_volt, by_torque = dt_s / p[L], -dt_s / p[J]
+    rows = np.empty((2, 5))
+    for r in range(2):
+        rows[r, 0], rows[r, 1] = whole[2 * r], whole[2 * r + 1]
+        rows[r, 2], rows[r, 3] = held[2 * r] * by_volt, rising[2 * r] * by_volt
+        rows[r, 4] = held[2 * r + 1] * by_torque
     return rows
 
 

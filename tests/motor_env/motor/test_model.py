@@ -17,7 +17,7 @@ from motor_env import (
     simulate_states,
     steady_state,
 )
-from motor_env.motor.model import Input, exponential_and_phi
+from motor_env.motor.model import Input, exponential_and_phi, exponential_and_phis
 from motor_env.motor.parameters import FloatArray
 
 
@@ -70,13 +70,22 @@ def test_discretisation_against_expm(motor: MotorParameters, shift: float) -> No
     "unit", [[[-1.0, 0.0], [0.7, -0.2]], [[-1.0, 0.6], [0.0, -0.3]], [[0.4, 5.0], [-0.01, 0.1]]]
 )
 def test_exponential_and_phi_of_any_matrix(unit: list[list[float]], size: float) -> None:
-    """Matrices that no motor has, so that each entry counts: expm of [[X, 1], [0, 0]] holds both (Van Loan 1978)."""
-    matrix = np.zeros((4, 4))
-    matrix[:2, :2], matrix[:2, 2:] = size * np.array(unit), np.eye(2)
-    whole, part = exponential_and_phi(*matrix[:2, :2].ravel().tolist())
-    expected = expm(matrix)
-    np.testing.assert_allclose(np.reshape(whole, (2, 2)), expected[:2, :2], rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(np.reshape(part, (2, 2)), expected[:2, 2:], rtol=1e-12, atol=1e-15)
+    """Matrices that no motor has, so that each entry counts.
+
+    The expm of [[X, 1, 0], [0, 0, 1], [0, 0, 0]] holds all three (Van Loan 1978).
+    """
+    matrix = np.eye(6, k=2)
+    matrix[:2, :2] = size * np.array(unit)
+    entries = matrix[:2, :2].ravel().tolist()
+    found = exponential_and_phis.py_func(*entries)  # as it stands in its callers, which compile it
+    expected = expm(matrix)[:2]
+    for n, block in enumerate(np.hsplit(expected, 3)):
+        np.testing.assert_allclose(np.reshape(found[n], (2, 2)), block, rtol=1e-12, atol=1e-15)
+    assert exponential_and_phi(*entries) == found[:2]
+
+
+def test_exponential_of_what_is_infinite_comes_to_an_end() -> None:
+    assert not np.isfinite(exponential_and_phis.py_func(-np.inf, 0.0, 0.0, -1.0)).all()
 
 
 @given(motor=motors(), shift=st.floats(-5.0, 0.0))
