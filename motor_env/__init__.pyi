@@ -20,11 +20,13 @@ from .detection.rules import (
     recipe_thresholds as recipe_thresholds,
 )
 from .diagnosis.diagnose import (
+    Diagnosis as Diagnosis,
     diagnose as diagnose,
 )
+from .diagnosis.identify import (
+    identify as identify,
+)
 from .diagnosis.verdict import (
-    Diagnosis as Diagnosis,
-    Judgement as Judgement,
     Verdict as Verdict,
 )
 from .errors import (
@@ -58,10 +60,6 @@ from .filters.smoothing import (
 from .filters.stream import (
     FilterStream as FilterStream,
 )
-from .identification.identify import (
-    Identified as Identified,
-    identify as identify,
-)
 from .inference.identifiability import (
     Experiment as Experiment,
     cramer_rao_bound as cramer_rao_bound,
@@ -78,6 +76,9 @@ from .inference.severity import (
 )
 from .inference.whitening import (
     MatchedTest as MatchedTest,
+)
+from .live.command import (
+    watch as watch,
 )
 from .motor.data_sheet import (
     MotorFile as MotorFile,
@@ -105,6 +106,9 @@ from .motor.parameters import (
     SensorParameters as SensorParameters,
     SupplyParameters as SupplyParameters,
     catalogue_motor as catalogue_motor,
+)
+from .prognosis.files import (
+    trend as trend,
 )
 from .recordings.headers import (
     ColumnChoice as ColumnChoice,

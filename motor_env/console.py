@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import signal
 import sys
@@ -11,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import IntEnum
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter, Token
 
@@ -135,3 +137,17 @@ def progress_bar(total: float | None, text: str, *columns: ProgressColumn) -> It
     usual = (TextColumn("{task.description}"), BarColumn(30), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*usual, *columns, console=errors, disable=not errors.is_terminal) as bar:
         yield partial(bar.update, bar.add_task(text, total=total))
+
+
+def json_text(value: Any) -> str:
+    """A result for programs. JSON has no number for what is infinite or none: null stands there."""
+    return json.dumps(_finite(value), indent=1, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    """The same for JSON, which has no number for what is infinite or none: null."""
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -113,7 +112,7 @@ def generate(
         summary["bytes"] = manifest.bytes
         summary["seconds"] = round(time.perf_counter() - start, 3)
     if json_:
-        print(json.dumps(summary))
+        print(console.json_text(summary))
     elif dry_run:
         print(
             f"would write {_counted(plan)} of {chosen.timing.n_samples} samples in {len(plan.files)} files to"
@@ -149,7 +148,7 @@ def verify(folder: str, /, *, json_: bool = False) -> int:
 
     defects = problems(folder_of(folder))
     if json_:
-        print(json.dumps(defects))
+        print(console.json_text(defects))
     else:
         print("\n".join(defects) if defects else f"{folder}: every file is whole")
     return 1 if defects else 0

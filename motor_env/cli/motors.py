@@ -41,41 +41,23 @@ def identify(
         regime: start, operation, or auto: decided by what the voltage does.
         json_: Print one array with one object a start, and one for all logs of a motor at work.
     """
-    from motor_env.diagnosis import commission as steps
-    from motor_env.diagnosis.diagnose import unusable_reason
+    from motor_env.diagnosis.identify import identify as fitted
     from motor_env.motor.data_sheet import save_motor
-    from motor_env.operation import logs
 
-    periods, given = measurement.ripple_periods_per_turn, measurement.options
-    constant = options.positive("torque-constant", torque_constant)
-    works, starts = logs.sorted_files(files, given["columns"], regime=regime, start=measurement.start)
-    if works:
-        work = logs.identify_logs(works, voltage_v=given["voltage_v"], circuit=given["circuit"])
-        if output is not None:
-            save_motor(work.motor(name), output)
-        if out is not None:
-            work.plot(out)
-    told = {key: value for key, value in given.items() if key != "columns"}
-    fits = [pair for one in starts for pair in steps.identify_starts(one, **told, constant=constant)]
-    usable = [fit for _, fit in fits if unusable_reason(fit) is None]
-    if output is not None and usable:
-        save_motor(steps.to_motor(usable, name, constant=constant), output)
-    if out is not None:
-        from motor_env.diagnosis.files import picture_of
-        from motor_env.diagnosis.pictures import plot_identified
-
-        for number, (recording, fit) in enumerate(fits, 1):
-            plot_identified(fit, recording.path.name, picture_of(recording.path, out, number))
-    options.show(
-        json_,
-        lambda: [steps.identified_json(*one, periods) for one in fits] + (work.as_json() if works else []),
-        lambda: "\n".join(
-            [steps.identified_text(*one, periods) for one in fits] + (work.as_text() if works else [])
-        ),
+    found = fitted(
+        files,
+        **measurement.options,
+        regime=regime,
+        constant=options.positive("torque-constant", torque_constant),
+        periods_per_turn=measurement.ripple_periods_per_turn,
     )
+    if output is not None and (found.logs or found.usable):
+        save_motor(found.motor(name), output)
+    if out is not None:
+        found.plot(out)
+    options.show(json_, found.to_json, found.text)
     measurement.keep()
-    unusable = len(usable) < len(fits) or (works and work.exit_status())
-    return int(ExitStatus.UNDECIDED if unusable else ExitStatus.HEALTHY)
+    return int(ExitStatus.HEALTHY if found.is_complete else ExitStatus.UNDECIDED)
 
 
 def commission(

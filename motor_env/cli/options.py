@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter, Token
 
 from motor_env import console
-from motor_env.console import printable
+from motor_env.console import json_text, printable
 from motor_env.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ Duration = Annotated[float, Parameter(converter=_seconds)]
 
 def show(as_json: bool, objects: Callable[[], Any], text: Callable[[], str]) -> None:
     """Print a result: as JSON where that is asked for, else as text."""
-    print(json.dumps(objects(), indent=1) if as_json else printable(text()))
+    print(json_text(objects()) if as_json else printable(text()))
 
 
 @Parameter(name="*")

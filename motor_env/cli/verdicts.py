@@ -107,13 +107,12 @@ def trend(
         json_: Print one array with one object a quantity.
     """
     from motor_env.files import write_text
-    from motor_env.prognosis import files as trends
-    from motor_env.prognosis.page import page, status
+    from motor_env.prognosis.files import trend as trends_of
     from motor_env.prognosis.trend import parse_limits
 
     chosen = reading.chosen
     with console.working("reading") as say:
-        judged, notes = trends.trends_of(
+        found = trends_of(
             paths,
             parse_limits(limit or ()),
             level=level,
@@ -123,9 +122,9 @@ def trend(
             reference_count=reference_count,
             progress=lambda path: say(f"fitting {path}"),
         )
-    write_text(out, page(judged, notes))
-    for note in notes:
+    write_text(out, found.page())
+    for note in found.notes:
         print(f"motor-env: {note}", file=sys.stderr)
-    show(json_, lambda: list(map(trends.as_json, judged)), lambda: f"{trends.as_text(judged)}\n{out}")
+    show(json_, found.to_json, lambda: f"{found.text()}\n{out}")
     reading.keep()
-    return int(any(status(one) in ("reached", "trending") for one in judged))
+    return int(found.verdict in ("reached", "trending"))

@@ -1,4 +1,4 @@
-"""From recordings to motor files: `motor-env identify` and `motor-env commission`."""
+"""From healthy recordings to a motor file: `motor-env commission`."""
 
 from __future__ import annotations
 
@@ -24,21 +24,13 @@ from motor_env.diagnosis.learning import (
 )
 from motor_env.diagnosis.report import (
     UNITS,
-    extensions_json,
     model_words,
     of_the_drag,
-    quality,
-    quantities_json,
-    quantity_lines,
-    ripple_json,
-    ripple_lines,
-    warnings_of,
 )
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.views import Fitted, smallest_of, views_of
 from motor_env.errors import InputError
 from motor_env.identification.identify import Identified
-from motor_env.identification.model_choice import EXTENSIONS, identify_best
 from motor_env.identification.residuals import AMBIGUOUS
 from motor_env.motor.assumptions import assumptions, lines as lines_of
 from motor_env.motor.data_sheet import MotorFile
@@ -52,7 +44,7 @@ from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.regime import taken_for
 from motor_env.recordings.splitting import chosen_starts
-from motor_env.recordings.start import Circuit, prepare
+from motor_env.recordings.start import Circuit
 
 FEWEST_STARTS = 3
 _DIFFERENT = 2.0  # standard errors
@@ -76,28 +68,6 @@ class Commissioned:
     fits: tuple[Fitted, ...]
     smallest: dict[str, float]
     undecided: dict[str, int]
-
-
-def identify_starts(
-    recording: Recording,
-    *,
-    voltage_v: float | None = None,
-    circuit: Circuit | None = None,
-    start: int | None = None,
-    constant: float | None = None,
-) -> list[tuple[Recording, Identified]]:
-    """Fit each start of a recording, or one of them, with the model that the evidence prefers.
-
-    Raises:
-        InputError: there is no start.
-    """
-    try:
-        return [
-            (part, identify_best(prepare(part, voltage_v, circuit), EXTENSIONS, constant=constant))
-            for part in chosen_starts(recording, start)
-        ]
-    except UnusableError as error:
-        raise InputError(f"{recording.path}: {error}") from None
 
 
 def learn(
@@ -332,53 +302,6 @@ def not_told(fit: Identified) -> list[str]:
         if s > 0.5
     ]
     return sentences
-
-
-def identified_text(recording: Recording, fit: Identified, periods_per_turn: float | None = None) -> str:
-    """Parameters, correlations and what cannot be told; one sentence where the fit explains nothing."""
-    reason = unusable_reason(fit)
-    if reason is not None:
-        return f"{recording.path}: unusable: {reason}"
-    names, correlation = fit.quantity_names, fit.correlation
-    pairs = [
-        f"{names[i]} with {names[j]} {correlation[i, j]:+.2f}" for i in range(len(names)) for j in range(i)
-    ]
-    lines = [
-        f"{recording.path}: model {model_words(fit.model)}",
-        "  read: " + "; ".join(recording.columns),
-        *quantity_lines(quantities_json(fit) | extensions_json(fit)),
-        "  correlations: " + ", ".join(pairs),
-        f"  {quality(fit)}; residual's autocorrelation at one sample {fit.lag_one:.2f}",
-        *ripple_lines(fit, periods_per_turn),
-        *(f"  warning: {sentence}" for sentence in warnings_of(recording, fit)),
-        *(f"  noticed: {defect}" for defect in fit.defects),
-        *(f"  note: {sentence}" for sentence in not_told(fit)),
-    ]
-    return "\n".join(lines)
-
-
-def identified_json(
-    recording: Recording, fit: Identified, periods_per_turn: float | None = None
-) -> dict[str, Any]:
-    """The same as one object."""
-    return {
-        "file": str(recording.path),
-        "unusable": unusable_reason(fit),
-        "model": ["textbook", *fit.model],
-        "parameters": quantities_json(fit),
-        "extensions": extensions_json(fit),
-        "correlations": fit.correlation.tolist(),
-        "r2_current": fit.r2_current,
-        "r2_speed": fit.r2_speed,
-        "residual_autocorrelation": fit.lag_one,
-        "commutation": ripple_json(fit, periods_per_turn),
-        "onset_s": fit.onset_s,
-        "offset_a": fit.offset_a,
-        "columns": list(recording.columns),
-        "defects": [str(defect) for defect in fit.defects],
-        "not_told": not_told(fit),
-        "warnings": warnings_of(recording, fit),
-    }
 
 
 def commissioned_text(result: Commissioned, rate: float) -> str:

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
 
+from motor_env.diagnosis import report, verdict
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.explanations import alarm_share, compare
 from motor_env.diagnosis.filter_check import filter_check
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
-from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
+from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.identification.commutation import ripple_quantities
 from motor_env.identification.identify import Identified, identify
 from motor_env.identification.model_choice import EXTENSIONS, NUISANCES, identify_best
 from motor_env.motor import identifiable as quantities
-from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.data_sheet import MotorFile, load_motor
 from motor_env.motor.healthy import Starts
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.headers import ColumnChoice
+from motor_env.recordings.recording import Recording, recording_of
 from motor_env.recordings.regime import taken_for
 from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit, Start, prepare
@@ -30,38 +35,80 @@ _ANOTHER_ORDER = math.log(1.5)
 _NOTHING = "there is nothing to compare with: give a motor file or healthy recordings"
 
 
+@dataclass(frozen=True, slots=True)
+class Diagnosis(verdict.Diagnosis):
+    """The verdict on a recording, and how it is shown.
+
+    Attributes:
+        recording: as read.
+        taken: what it was taken for, and why.
+        pieces: judgements, in the order of time.
+        of: number of pieces of the recording; of many some are judged.
+        periods_per_turn: of the commutation ripple, where known.
+    """
+
+    periods_per_turn: float | None = None
+
+    @property
+    def parameters(self) -> dict[str, dict[str, Any]]:
+        """Quantities of the piece that the verdict rests on: value, standard error, interval (95 %) and unit."""
+        fit = self.telling.fit
+        return {} if fit is None else report.quantities_json(fit)
+
+    def to_json(self) -> dict[str, Any]:
+        """One object for programs; its schema is docs/output.schema.json."""
+        return report.as_json(self, self.periods_per_turn)
+
+    def text(self, *, verbose: bool = False) -> str:
+        """What a maintenance engineer reads; `verbose` adds how well model and filter fit."""
+        return report.as_text(self, self.periods_per_turn, verbose=verbose)
+
+    def page(self) -> str:
+        """A self-contained HTML page: the verdict, what to do first, and what it rests on."""
+        from motor_env.diagnosis.page import page
+
+        return page(self, self.periods_per_turn)
+
+
 def diagnose(
-    recording: Recording,
-    motor: MotorFile | None = None,
+    recording: Recording | str | Path,
+    motor: MotorFile | str | Path | None = None,
     *,
+    columns: Sequence[ColumnChoice] = (),
     voltage_v: float | None = None,
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
     circuit: Circuit | None = None,
     temperature_c: float | None = None,
     regime: str = "auto",
     start: int | None = None,
+    periods_per_turn: float | None = None,
 ) -> Diagnosis:
     """Cut into starts or windows, fit, compare, decide.
 
     Args:
-        recording: as read.
-        motor: data sheet, identified or commissioned motor.
+        recording: as read, or its file.
+        motor: data sheet, identified or commissioned motor, or its file, or the name of a catalogue motor.
+        columns: columns named by the user, of a file.
         voltage_v: level of the supply where the recording has none; the motor's nominal voltage otherwise.
         false_alarm_rate: per healthy recording; its pieces share it.
         circuit: what is known of the measuring circuit.
         temperature_c: of the motor, where measured; it counts where that of the healthy pieces is known too.
         regime: start, operation, or auto: decided by what the voltage does.
         start: which one, counted from 1, of a recording of several; all of them unless given.
+        periods_per_turn: periods of the commutation ripple in a turn, for the true speed.
 
     Raises:
-        InputError: an unknown regime, no such start, or too many of them.
+        InputError: an unknown regime, no such start, or too many of them; a file that cannot be read.
     """
+    recording = recording_of(recording, columns)
+    if isinstance(motor, str | Path):
+        motor = load_motor(motor)
     taken = taken_for(recording, regime, start)
     if taken.regime == "operation":
         from motor_env.diagnosis.running.judge import judge_log
 
         pieces, count = judge_log(recording, motor, false_alarm_rate, voltage_v, circuit, temperature_c)
-        return Diagnosis(recording, taken, tuple(pieces), count)
+        return Diagnosis(recording, taken, tuple(pieces), count, periods_per_turn)
     if voltage_v is None and motor is not None and motor.healthy is None:
         voltage_v = motor.nominal_voltage_v
     parts = chosen_starts(recording, start)
@@ -69,7 +116,7 @@ def diagnose(
         judge_start(part, motor, false_alarm_rate / len(parts), voltage_v, circuit, temperature_c).on(part)
         for part in parts
     )
-    return Diagnosis(recording, taken, judged, len(judged))
+    return Diagnosis(recording, taken, judged, len(judged), periods_per_turn)
 
 
 def judge_start(

@@ -14,9 +14,7 @@ from motor_env.console import ExitStatus
 from motor_env.diagnosis import report
 from motor_env.diagnosis.commission import learn
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
-from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.page import page
-from motor_env.diagnosis.verdict import Diagnosis
+from motor_env.diagnosis.diagnose import Diagnosis, diagnose
 from motor_env.errors import InputError
 from motor_env.files import write_text
 from motor_env.motor.data_sheet import MotorFile, load_motor
@@ -33,20 +31,19 @@ class Outcome:
     path: Path
     diagnosis: Diagnosis | None
     error: str | None = None
-    periods_per_turn: float | None = None
     is_bug: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """One object; a file that could not be read has the verdict unusable, and the error."""
         if self.diagnosis is not None:
-            return report.as_json(self.diagnosis, self.periods_per_turn)
+            return self.diagnosis.to_json()
         return {"file": str(self.path), "verdict": "unusable", "error": self.error, "pieces": []}
 
     def as_text(self, *, verbose: bool = False) -> str:
         """What a maintenance engineer reads; empty for a file that could not be read."""
         if self.diagnosis is None:
             return ""
-        return report.as_text(self.diagnosis, self.periods_per_turn, verbose=verbose)
+        return self.diagnosis.text(verbose=verbose)
 
 
 def diagnose_files(
@@ -97,12 +94,18 @@ def diagnose_files(
         progress(path)
         try:
             recording = read_recording(path, columns)
-            diagnosis = diagnose(recording, known, false_alarm_rate=false_alarm_rate, **options)
+            diagnosis = diagnose(
+                recording,
+                known,
+                false_alarm_rate=false_alarm_rate,
+                periods_per_turn=periods_per_turn,
+                **options,
+            )
         except Exception as error:  # noqa: BLE001  # whatever it is, it is said, and the others keep their verdicts
             sentence, is_bug = why_not(path, error)
             outcomes.append(Outcome(path, None, sentence, is_bug=is_bug))
             continue
-        outcomes.append(Outcome(path, diagnosis, None, periods_per_turn))
+        outcomes.append(Outcome(path, diagnosis))
         if out is not None:
             outcomes[-1] = _with_page(outcomes[-1], picture_of(path, out, number).with_suffix(".html"))
     return outcomes
@@ -135,7 +138,7 @@ def _with_page(outcome: Outcome, path: Path) -> Outcome:
     """
     try:
         if outcome.diagnosis is not None:
-            write_text(path, page(outcome.diagnosis, outcome.periods_per_turn))
+            write_text(path, outcome.diagnosis.page())
     except InputError:
         raise
     except Exception as error:  # noqa: BLE001  # values that cannot be drawn

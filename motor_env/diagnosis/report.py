@@ -62,12 +62,12 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
         "parameters": parameters,
         "reference": None if telling.reference is None else telling.reference.source,
         "model": None if fit is None else ["textbook", *fit.model],
-        "r2_current": None if fit is None else _number(fit.r2_current),
-        "r2_speed": None if fit is None else _number(fit.r2_speed),
-        "residual_autocorrelation": None if fit is None else _number(fit.lag_one),
-        "mean_nis": None if check is None else _number(check.mean_nis),
-        "sensor_noise_a": None if check is None else _number(check.sensor_noise_a),
-        "model_error_a": None if check is None else _number(check.model_error_a),
+        "r2_current": None if fit is None else number(fit.r2_current),
+        "r2_speed": None if fit is None else number(fit.r2_speed),
+        "residual_autocorrelation": None if fit is None else number(fit.lag_one),
+        "mean_nis": None if check is None else number(check.mean_nis),
+        "sensor_noise_a": None if check is None else number(check.sensor_noise_a),
+        "model_error_a": None if check is None else number(check.model_error_a),
         "consistent": None if check is None or check.consistency is None else check.consistency.holds,
         "warning": telling.warning or None,
         "warnings": warnings_of(recording, fit),
@@ -88,15 +88,15 @@ def _said(judgement: Judgement) -> dict[str, Any]:
     return {
         "verdict": str(judgement.verdict),
         "kind": None if judgement.kind is None else str(judgement.kind),
-        "severity": _number(judgement.severity),
-        "severity_interval": None if low is None or high is None else [_number(low), _number(high)],
-        "confidence": _number(judgement.confidence),
+        "severity": number(judgement.severity),
+        "severity_interval": None if low is None or high is None else [number(low), number(high)],
+        "confidence": number(judgement.confidence),
         "reasons": list(judgement.reasons),
         "changes": {
             c.name: {"verdict": c.verdict, "ratio": c.ratio, "interval": [c.low, c.high]}
             for c in judgement.changes
         },
-        "smallest_changes": {kind: _number(value) for kind, value in judgement.smallest_changes.items()},
+        "smallest_changes": {kind: number(value) for kind, value in judgement.smallest_changes.items()},
     }
 
 
@@ -141,10 +141,10 @@ def quantities_json(fit: Fitted) -> dict[str, Any]:
     return {
         name: {
             "value": math.exp(log),
-            "standard_error": _number(math.exp(log) * sd),
+            "standard_error": number(math.exp(log) * sd),
             "interval": [
-                _number(exp_or_none(log - TWO_SIDED * sd)),
-                _number(exp_or_none(log + TWO_SIDED * sd)),
+                number(exp_or_none(log - TWO_SIDED * sd)),
+                number(exp_or_none(log + TWO_SIDED * sd)),
             ],
             "unit": UNITS[name],
         }
@@ -162,8 +162,8 @@ def extensions_json(fit: Identified) -> dict[str, Any]:
     return {
         name: {
             "value": value,
-            "standard_error": _number(error),
-            "interval": [_number(value - TWO_SIDED * error), _number(value + TWO_SIDED * error)],
+            "standard_error": number(error),
+            "interval": [number(value - TWO_SIDED * error), number(value + TWO_SIDED * error)],
             "unit": _extension_unit(fit, name),
         }
         for name, (value, error) in fit.fitted_extension.items()
@@ -210,7 +210,8 @@ def _extension_unit(fit: Identified, name: str) -> str:
     return per_volt.get(name, _EXTENSION_UNITS[name])
 
 
-def _number(value: float | None) -> float | None:
+def number(value: float | None) -> float | None:
+    """The number; None where there is none, or an infinite one."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from motor_env.diagnosis.commission import motor_of_windows
@@ -9,8 +10,8 @@ from motor_env.errors import InputError
 from motor_env.live.screen import showing
 from motor_env.live.sources import lines, source
 from motor_env.live.state import State
-from motor_env.live.watch import Lesson, Watch
-from motor_env.motor.data_sheet import load_motor, save_motor
+from motor_env.live.watch import Event, Lesson, Watch
+from motor_env.motor.data_sheet import MotorFile, load_motor, save_motor
 from motor_env.motor.healthy import Healthy
 
 _KEPT = ("window", "learned")
@@ -39,14 +40,14 @@ def run(
         seen.header = columns
     if name is None:
         seen.offset = 0
-    watch = Watch(_healthy(motor, lesson), seen, false_alarms_per_year=false_alarms_per_year)
+    watcher = Watch(_healthy(motor, lesson), seen, false_alarms_per_year=false_alarms_per_year)
     pieces = source(name, follow=follow, offset=seen.offset, baud=baud)
     try:
         with showing(seen.counts) as show:
-            for event in watch.events(lines(pieces, rest=not follow)):
+            for event in watcher.events(lines(pieces, rest=not follow)):
                 show(event)
-                if event.kind == "learned" and watch.healthy is not None:
-                    save_motor(motor_of_windows(watch.healthy, motor.stem), motor)
+                if event.kind == "learned" and watcher.healthy is not None:
+                    save_motor(motor_of_windows(watcher.healthy, motor.stem), motor)
                 if state is not None and event.kind in _KEPT:
                     seen.save(state)
     except KeyboardInterrupt:  # the usual end of a watch
@@ -54,11 +55,36 @@ def run(
     return int(seen.exit_status)
 
 
+def watch(
+    motor: MotorFile | str | Path,
+    log: str | Path | Iterable[str],
+    *,
+    false_alarms_per_year: float = 1.0,
+) -> Iterator[Event]:
+    """Watch a motor at work: yield a verdict on each window, and what is wrong with the stream, as lines come in.
+
+    Args:
+        motor: commissioned by windows of logs, or its file.
+        log: file with a header and lines of CSV, or such lines as they come.
+        false_alarms_per_year: of a healthy motor that always runs.
+
+    Raises:
+        InputError: the motor was not learned from windows, or the log cannot be read.
+    """
+    known = motor if isinstance(motor, MotorFile) else load_motor(motor)
+    if isinstance(log, str | Path):
+        pieces = lines(source(str(log), follow=False, offset=0, baud=0))
+    else:
+        pieces = (f"{line.rstrip()}\n".encode() for line in log)
+    yield from Watch(_windows_of(known), State(), false_alarms_per_year=false_alarms_per_year).events(pieces)
+
+
 def _healthy(motor: Path, lesson: Lesson | None) -> Healthy | Lesson:
     """Of the motor file; where there is none yet and the stream shall teach, what is to be learned."""
-    if lesson is not None and not motor.exists():
-        return lesson
-    healthy = load_motor(motor).healthy
-    if healthy is None or healthy.windows is None:
-        raise InputError(f"{motor}: was not commissioned by windows of the motor at work")
-    return healthy
+    return lesson if lesson is not None and not motor.exists() else _windows_of(load_motor(motor))
+
+
+def _windows_of(motor: MotorFile) -> Healthy:
+    if motor.healthy is None or motor.healthy.windows is None:
+        raise InputError(f"{motor.name}: was not commissioned by windows of the motor at work")
+    return motor.healthy

@@ -48,6 +48,7 @@ class Event:
         reason: why a window is unusable.
         span_s: of a verdict before the window's end: how many seconds it is about.
         fault_kind: kind of the fault, where it can be told from others of its family.
+        undecided: quantities of a window of which a doubling would not show.
     """
 
     time_s: float
@@ -57,6 +58,7 @@ class Event:
     reason: str = ""
     span_s: float | None = None
     fault_kind: str | None = None
+    undecided: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -70,10 +72,11 @@ class Event:
             if self.kind == "window"
             else {"reason": self.text}
         )
-        ratios = {name: round(ratio, 4) for name, ratio in self.ratios.items()}
+        ratios = {name: round(ratio, 4) for name, ratio in self.ratios.items() if math.isfinite(ratio)}
         said: dict[str, Any] = {"time_s": self.time_s, "event": self.kind, **words, "ratios": ratios}
-        said["span_s"] = self.span_s
-        return json.dumps({name: value for name, value in said.items() if value not in ("", {}, None)})
+        said |= {"span_s": self.span_s, "undecided": list(self.undecided)}
+        kept = {name: value for name, value in said.items() if value not in ("", {}, [], None)}
+        return json.dumps(kept, allow_nan=False)
 
 
 @dataclass
@@ -237,7 +240,7 @@ class Watch:
                 self._next_look_s = math.inf
                 # Part of these samples may be healthy: how large the fault is shows only at the window's end.
                 span_s = round(self._time_s - alarm.begin_s, 6)
-                yield replace(self._judged(alarm), ratios={}, reason="", span_s=span_s)
+                yield replace(self._judged(alarm), ratios={}, reason="", undecided=(), span_s=span_s)
 
     @property
     def _step_s(self) -> float:
@@ -281,7 +284,10 @@ class Watch:
             )
         reason = window.reasons[0] if window.verdict is Verdict.UNUSABLE else ""
         kind = None if window.kind is None else str(window.kind)
-        return Event(self._time_s, "window", str(window.verdict), ratios, reason, fault_kind=kind)
+        undecided = tuple(change.name for change in window.changes if change.verdict == "undecided")
+        return Event(
+            self._time_s, "window", str(window.verdict), ratios, reason, fault_kind=kind, undecided=undecided
+        )
 
     def _broken(self, kind: str, text: str) -> Event:
         self._window, self._before, self._at = array("d"), array("d"), None

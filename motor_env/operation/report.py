@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -43,30 +42,6 @@ _HELD = {
 
 def _r2(found: Operation) -> dict[str, float | None]:
     return {"current": found.r2_current, "speed": found.r2_speed}
-
-
-def as_json(found: Operation, paths: Sequence[Path], reason: str) -> dict[str, Any]:
-    """The same as one object."""
-    return {
-        "files": [str(path) for path in paths],
-        "regime": "operation",
-        "reason": reason,
-        "model": list(found.model),
-        "voltage": found.record.hold,
-        "parameters": {
-            one.name: {
-                "value": one.value,
-                "interval": [one.low, one.high],
-                "unit": one.unit,
-                "determined": one.is_told,
-            }
-            for one in found.quantities
-        },
-        "r2_current": found.r2_current,
-        "r2_speed": found.r2_speed,
-        "warmth_k": float(found.warmth_k.max()),
-        "not_told": list(found.notes),
-    }
 
 
 def to_motor(found: Operation, name: str) -> MotorFile:

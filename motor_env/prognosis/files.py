@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -15,7 +16,7 @@ from motor_env.diagnosis.learning import fit_healthy
 from motor_env.errors import InputError
 from motor_env.identification.identify import Identified, identify
 from motor_env.prognosis.estimates import SECONDS_PER_DAY, Series, build_series, date_of, read_estimates
-from motor_env.prognosis.page import leading, status
+from motor_env.prognosis.page import leading, page, status
 from motor_env.prognosis.trend import Trend, judge
 from motor_env.prognosis.wear import RemainingLife
 from motor_env.recordings.headers import ColumnChoice
@@ -130,9 +131,41 @@ def _fits(
     return fits
 
 
-def trends_of(
-    paths: Sequence[Path],
-    limits: Mapping[str, tuple[float, ...]],
+@dataclass(frozen=True, slots=True)
+class Trends:
+    """Trends of a motor's quantities.
+
+    Attributes:
+        trends: one a quantity.
+        notes: a sentence for every recording that could not be used.
+    """
+
+    trends: tuple[Trend, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """The most urgent of `reached`, `trending`, `unknown` (too few estimates, or no limit) and `steady`."""
+        said = {status(trend) for trend in self.trends}
+        return next(word for word in ("reached", "trending", "unknown", "steady") if word in said)
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """One object a quantity."""
+        return [as_json(trend) for trend in self.trends]
+
+    def text(self) -> str:
+        """A line a quantity."""
+        width = max(len(trend.series.name) for trend in self.trends)
+        return "\n".join(f"{trend.series.name:<{width}}  {trend.sentence}" for trend in self.trends)
+
+    def page(self) -> str:
+        """A self-contained HTML page with a picture a quantity."""
+        return page(self.trends, self.notes)
+
+
+def trend(
+    paths: str | Path | Sequence[str | Path],
+    limits: Mapping[str, tuple[float, ...]] | None = None,
     *,
     level: float = 0.9,
     voltage_v: float | None = None,
@@ -140,8 +173,18 @@ def trends_of(
     date: DateSource = "name",
     reference_count: int = 3,
     progress: Callable[[Path], None] = lambda path: None,
-) -> tuple[list[Trend], list[str]]:
-    """Read and judge: what the command does before it prints.
+) -> Trends:
+    """Trends of a motor's quantities over its starts, and the time to a limit where there is a trend.
+
+    Args:
+        paths: a table of estimates (CSV or JSON), a folder of dated recordings, or several of these.
+        limits: factors on the mean of the first estimates, by quantity; 0.75 and 1.25 unless given, and none of L.
+        level: probability that the interval of the remaining life holds.
+        voltage_v: level of the supply, for recordings without a voltage.
+        columns: columns named by the user.
+        date: where the date of a recording comes from.
+        reference_count: number of first estimates whose mean is the reference.
+        progress: told each file before it is fitted.
 
     Raises:
         InputError: bad options or files.
@@ -150,14 +193,15 @@ def trends_of(
         raise InputError(f"level must lie between 0 and 1, got {level:g}")
     if reference_count < 1:
         raise InputError(f"reference-count must be >= 1, got {reference_count}")
-    series, notes = load_series(paths, voltage_v=voltage_v, columns=columns, date=date, progress=progress)
+    several = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
+    series, notes = load_series(several, voltage_v=voltage_v, columns=columns, date=date, progress=progress)
     temperature = next((one for one in series if one.name == TEMPERATURE), None)
     series = [one for one in series if one is not temperature]
-    names = {one.name for one in series}
-    if unknown := [name for name in limits if name not in names]:
+    names, wanted = {one.name for one in series}, limits or {}
+    if unknown := [name for name in wanted if name not in names]:
         raise InputError(f"--limit names {unknown[0]!r}; the quantities are {', '.join(sorted(names))}")
-    trends = [judge(one, limits.get(one.name), level, reference_count, temperature) for one in series]
-    return trends, [printable(note) for note in notes]
+    judged = (judge(one, wanted.get(one.name), level, reference_count, temperature) for one in series)
+    return Trends(tuple(judged), tuple(printable(note) for note in notes))
 
 
 def as_json(trend: Trend) -> dict[str, Any]:
@@ -194,9 +238,3 @@ def as_json(trend: Trend) -> dict[str, Any]:
 def _life(life: RemainingLife) -> dict[str, float | None]:
     names = ("low", "median", "high", "level")
     return {name: value if math.isfinite(value) else None for name, value in zip(names, life, strict=False)}
-
-
-def as_text(trends: Sequence[Trend]) -> str:
-    """A line a quantity."""
-    width = max(len(trend.series.name) for trend in trends)
-    return "\n".join(f"{trend.series.name:<{width}}  {trend.sentence}" for trend in trends)

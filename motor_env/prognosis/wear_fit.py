@@ -64,6 +64,9 @@ def _filter_grid(
         moments[h, 2], moments[h, 3], moments[h, 4] = p00, p01, p11
 
 
+_LEAST_ERROR = 1e-6
+
+
 class _Grid(NamedTuple):
     """Hypotheses, each an array (n,): those of a drift first, then those of a steady motor (onset after the end)."""
 
@@ -101,7 +104,9 @@ def degradation(
     require(distance > 0.0 and math.isfinite(limit), f"limit must differ from the first level, got {limit:g}")
     if sign is None:
         sign = 1.0 if limit > beginning else -1.0
-    grid = _grid(times, _typical_error(values, errors), distance)
+    typical = _typical_error(values, errors)
+    errors = np.maximum(errors, _LEAST_ERROR * typical)  # estimates without an error may scatter by nothing
+    grid = _grid(times, typical, distance)
     n = len(grid.onset)
     log_likelihood, moments = np.empty(n), np.empty((n, 5))
     _filter_grid(

@@ -90,6 +90,11 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
     return replace(recording, warnings=tuple(column.warning for column in columns.values() if column.warning))
 
 
+def recording_of(recording: Recording | str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
+    """A recording, or that of a file."""
+    return recording if isinstance(recording, Recording) else read_recording(recording, choices)
+
+
 def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: tuple[str, ...]) -> Recording:
     """Check the time axis and even it out."""
     time = columns["time"]

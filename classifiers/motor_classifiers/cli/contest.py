@@ -157,7 +157,7 @@ def score_recordings(truth: Path, said: Path, /, *, json_: bool = False) -> int:
 
     scored = scored_of(truth, said)
     if json_:
-        print(json.dumps(scored, indent=1))
+        print(console.json_text(scored))
         return 0
     for one in scored:
         wrong, low, high, silent = (100.0 * one[name] for name in ("wrong", "low", "high", "silent"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -93,7 +92,7 @@ def train(
         noises = training.noise_factors(noise_range, for_motor=motor is not None)
         summary = training.train_on_stream(source, noise_range=noises, steps=steps, seed=seed, out=out)
     print(
-        json.dumps(summary, indent=1)
+        console.json_text(summary)
         if json_
         else f"trained {summary['method']} on {summary['n_train']} starts: {out}"
     )
@@ -127,9 +126,8 @@ def evaluate(
         scored = evaluate_model(fitted, recipe, load(dataset, split), seed)
     if json_:
         print(
-            json.dumps(
-                {"model": str(model), "method": method, "dataset": dataset, "split": split, **scored},
-                indent=1,
+            console.json_text(
+                {"model": str(model), "method": method, "dataset": dataset, "split": split, **scored}
             )
         )
     else:
@@ -183,7 +181,7 @@ def predict(
         if not json_:
             print("\n".join(opinion_lines(path, opinions, second)))
     if json_:
-        print(json.dumps(rows, indent=1))
+        print(console.json_text(rows))
     return int(console.ExitStatus.BAD_INPUT if unreadable else overall_status(given))
 
 
@@ -304,7 +302,7 @@ def benchmark(
     results = run_with_progress(plan, AnswerStore(folder, fresh=fresh))
     page = write_results(plan, results, out)
     if json_:
-        print(json.dumps(result_rows(results), indent=1))
+        print(console.json_text(result_rows(results)))
     else:
         print("\n".join(table_lines(results[plan.reference])))
         print(f"report: {page}")

@@ -1,0 +1,262 @@
+"""`identify`: the parameters of a motor from recordings, whatever it did in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from motor_env.diagnosis.commission import not_told, to_motor
+from motor_env.diagnosis.diagnose import unusable_reason
+from motor_env.diagnosis.report import (
+    TWO_SIDED,
+    extensions_json,
+    model_words,
+    number,
+    quality,
+    quantities_json,
+    quantity_lines,
+    ripple_json,
+    ripple_lines,
+    warnings_of,
+)
+from motor_env.errors import InputError
+from motor_env.identification.identify import Identified
+from motor_env.identification.model_choice import EXTENSIONS, identify_best
+from motor_env.motor.data_sheet import MotorFile
+from motor_env.operation import report as logs
+from motor_env.operation.identify import Operation, identify_operation
+from motor_env.operation.record import at_terminals
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.headers import ColumnChoice
+from motor_env.recordings.recording import Recording, recording_of
+from motor_env.recordings.regime import Taken, taken_for
+from motor_env.recordings.splitting import chosen_starts
+from motor_env.recordings.start import Circuit, prepare
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """What recordings tell of a motor: a fit of each start, and one fit of all logs of the motor at work.
+
+    Attributes:
+        starts: each start with its fit.
+        logs: recordings of the motor at work.
+        taken: what the recordings were taken for, and why; by their paths.
+        joint: the fit of the logs; None where there are none, or no motor explains them.
+        trouble: why no motor explains the logs.
+        periods_per_turn: of the commutation ripple, where known.
+        constant: torque constant in N m/A, where known beforehand.
+    """
+
+    starts: tuple[tuple[Recording, Identified], ...]
+    logs: tuple[Recording, ...]
+    taken: Mapping[Path, Taken]
+    joint: Operation | None = None
+    trouble: str = ""
+    periods_per_turn: float | None = None
+    constant: float | None = None
+
+    @property
+    def usable(self) -> list[Identified]:
+        """Fits of the starts that a motor explains."""
+        return [fit for _, fit in self.starts if unusable_reason(fit) is None]
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether a motor explains all of it."""
+        return len(self.usable) == len(self.starts) and not self.trouble
+
+    @property
+    def parameters(self) -> dict[str, dict[str, Any]]:
+        """Quantities with value, standard error, interval (95 %), unit: of the logs, else of the first good start."""
+        if self.joint is not None:
+            return _of_logs(self.joint)
+        return quantities_json(self.usable[0]) if self.usable else {}
+
+    def motor(self, name: str = "identified motor") -> MotorFile:
+        """Motor of the logs, else of all good starts.
+
+        Raises:
+            InputError: no motor explains the recordings, or they do not tell the parameters one by one.
+        """
+        if self.joint is not None:
+            return logs.to_motor(self.joint, name)
+        if not self.usable:
+            raise InputError(f"no motor file: {self.trouble or 'no motor explains the starts'}")
+        return to_motor(self.usable, name, constant=self.constant)
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """One object a start, and one for all logs."""
+        found = [self._start_json(recording, fit) for recording, fit in self.starts]
+        if self.logs:
+            found.append(self._logs_json())
+        return found
+
+    def text(self) -> str:
+        """Tables, and what is not told."""
+        found = [self._start_text(recording, fit) for recording, fit in self.starts]
+        paths = [recording.path for recording in self.logs]
+        if self.joint is not None:
+            found.append(logs.as_text(self.joint, paths, self._why))
+        elif self.logs:
+            found.append(f"{', '.join(map(str, paths))}: unusable: {self.trouble}")
+        return "\n".join(found)
+
+    def plot(self, folder: Path) -> None:
+        """One picture a start, and one of all logs.
+
+        Raises:
+            InputError: a file cannot be written.
+        """
+        from motor_env.diagnosis.files import picture_of
+        from motor_env.diagnosis.pictures import plot_identified
+
+        for place, (recording, fit) in enumerate(self.starts, 1):
+            plot_identified(fit, recording.path.name, picture_of(recording.path, folder, place))
+        if self.joint is not None:
+            name = self.logs[0].path.name
+            logs.plot_operation(self.joint, name, picture_of(self.logs[0].path, folder, len(self.starts) + 1))
+
+    @property
+    def _why(self) -> str:
+        return "; ".join(dict.fromkeys(self.taken[recording.path].why for recording in self.logs))
+
+    def _start_text(self, recording: Recording, fit: Identified) -> str:
+        reason = unusable_reason(fit)
+        if reason is not None:
+            return f"{recording.path}: unusable: {reason}"
+        names, correlation = fit.quantity_names, fit.correlation
+        pairs = [
+            f"{names[i]} with {names[j]} {correlation[i, j]:+.2f}"
+            for i in range(len(names))
+            for j in range(i)
+        ]
+        lines = [
+            f"{recording.path}: model {model_words(fit.model)}",
+            f"  taken for {self._taken(recording)}",
+            "  read: " + "; ".join(recording.columns),
+            *quantity_lines(quantities_json(fit) | extensions_json(fit)),
+            "  correlations: " + ", ".join(pairs),
+            f"  {quality(fit)}; residual's autocorrelation at one sample {fit.lag_one:.2f}",
+            *ripple_lines(fit, self.periods_per_turn),
+            *(f"  warning: {sentence}" for sentence in warnings_of(recording, fit)),
+            *(f"  noticed: {defect}" for defect in fit.defects),
+            *(f"  note: {sentence}" for sentence in not_told(fit)),
+        ]
+        return "\n".join(lines)
+
+    def _taken(self, recording: Recording) -> Taken:
+        """Of a start: its file's."""
+        path = recording.path
+        return self.taken.get(path) or self.taken[Path(str(path).rpartition("#")[0])]
+
+    def _start_json(self, recording: Recording, fit: Identified) -> dict[str, Any]:
+        return {
+            "files": [str(recording.path)],
+            "taken_for": self._taken(recording)._asdict(),
+            "unusable": unusable_reason(fit),
+            "model": ["textbook", *fit.model],
+            "parameters": quantities_json(fit) | extensions_json(fit),
+            "correlations": fit.correlation.tolist(),
+            "r2_current": fit.r2_current,
+            "r2_speed": fit.r2_speed,
+            "residual_autocorrelation": fit.lag_one,
+            "commutation": ripple_json(fit, self.periods_per_turn),
+            "onset_s": fit.onset_s,
+            "offset_a": fit.offset_a,
+            "columns": list(recording.columns),
+            "defects": [str(defect) for defect in fit.defects],
+            "not_told": not_told(fit),
+            "warnings": warnings_of(recording, fit),
+        }
+
+    def _logs_json(self) -> dict[str, Any]:
+        head = {
+            "files": [str(recording.path) for recording in self.logs],
+            "taken_for": Taken("operation", self._why)._asdict(),
+            "unusable": self.trouble or None,
+        }
+        if self.joint is None:
+            return head | {"parameters": {}}
+        return head | {
+            "model": list(self.joint.model),
+            "voltage": self.joint.record.hold,
+            "parameters": _of_logs(self.joint),
+            "r2_current": self.joint.r2_current,
+            "r2_speed": self.joint.r2_speed,
+            "warmth_k": float(self.joint.warmth_k.max()),
+            "not_told": list(self.joint.notes),
+            "columns": list(self.logs[0].columns),
+            "warnings": [sentence for recording in self.logs for sentence in recording.warnings],
+        }
+
+
+def _of_logs(joint: Operation) -> dict[str, dict[str, Any]]:
+    return {
+        one.name: {
+            "value": one.value,
+            "standard_error": number((one.high - one.low) / (2.0 * TWO_SIDED)),
+            "interval": [number(one.low), number(one.high)],
+            "unit": one.unit,
+            "determined": one.is_told,
+        }
+        for one in joint.quantities
+    }
+
+
+def identify(
+    recordings: Recording | str | Path | Sequence[Recording | str | Path],
+    *,
+    columns: Sequence[ColumnChoice] = (),
+    voltage_v: float | None = None,
+    circuit: Circuit | None = None,
+    regime: str = "auto",
+    start: int | None = None,
+    constant: float | None = None,
+    periods_per_turn: float | None = None,
+) -> Identification:
+    """Parameters of one motor from recordings of it: each start alone, all logs of the motor at work together.
+
+    Args:
+        recordings: one or several, or their files.
+        columns: columns named by the user, of files.
+        voltage_v: level of the supply where none was recorded.
+        circuit: what is known of the measuring circuit.
+        regime: start, operation, or auto: decided by what the voltage does.
+        start: which one, counted from 1, of a recording of several; all of them unless given.
+        constant: torque constant in N m/A, where known and the speed was not recorded.
+        periods_per_turn: of the commutation ripple, where known.
+
+    Raises:
+        InputError: one cannot be read, or holds no start.
+
+    Example:
+        >>> from motor_env import identify
+        >>> found = identify("examples/startup_capture.csv")
+        >>> print({name: float(f"{one['value']:.3g}") for name, one in found.parameters.items()})
+        {'R': 2.18, 'L': 0.000238, 'K^2/J': 516.0, 'B/J': 1.48}
+    """
+    several = [recordings] if isinstance(recordings, Recording | str | Path) else recordings
+    read = [recording_of(one, columns) for one in several]
+    taken = {one.path: taken_for(one, regime, start) for one in read}
+    starts: list[tuple[Recording, Identified]] = []
+    for one in read:
+        if taken[one.path].regime == "operation":
+            continue
+        try:
+            for part in chosen_starts(one, start):
+                fit = identify_best(prepare(part, voltage_v, circuit), EXTENSIONS, constant=constant)
+                starts.append((part, fit))
+        except UnusableError as error:
+            raise InputError(f"{one.path}: {error}") from None
+    works = [one for one in read if taken[one.path].regime == "operation"]
+    at_work = tuple(at_terminals(one, voltage_v, circuit) for one in works)
+    joint, trouble = None, ""
+    if at_work:
+        try:
+            joint = identify_operation(at_work)
+        except UnusableError as error:
+            trouble = str(error)
+    return Identification(tuple(starts), at_work, taken, joint, trouble, periods_per_turn, constant)
