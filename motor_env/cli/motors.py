@@ -93,13 +93,12 @@ def commission(
         no_load_current: In A, of the motor uncoupled from its load: tells its own friction from the load.
         name: Name of the motor in that file.
     """
-    from motor_env.diagnosis import commission as steps
-    from motor_env.identification.identify import Identified
+    from motor_env.diagnosis.commission import commission as learned
     from motor_env.motor.data_sheet import save_motor
 
     if not 0.0 < false_alarm_rate < 0.5:
         raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
-    result = steps.learn(
+    result = learned(
         files,
         name,
         false_alarm_rate=false_alarm_rate,
@@ -112,13 +111,9 @@ def commission(
         no_load_current_a=options.positive("no-load-current", no_load_current),
     )
     save_motor(result.motor, output)
-    starts = [fit for fit in result.fits if isinstance(fit, Identified)]
-    if out is not None and starts and result.motor.healthy is not None:
-        from motor_env.diagnosis.pictures import plot_commissioned
-
-        picture = out / f"{output.stem}.png"
-        plot_commissioned(starts, result.motor.healthy, result.smallest, false_alarm_rate, picture)
-    print(steps.commissioned_text(result, false_alarm_rate))
+    if out is not None:
+        result.plot(out / f"{output.stem}.png")
+    print(result.text())
     print(printable(f"written: {output}"))
     measurement.keep()
     return 0

@@ -41,7 +41,7 @@ from motor_env.operation.record import at_terminals
 from motor_env.operation.report import motor_of
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
-from motor_env.recordings.recording import Recording, read_recording
+from motor_env.recordings.recording import Recording, recording_of
 from motor_env.recordings.regime import taken_for
 from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit
@@ -68,11 +68,50 @@ class Commissioned:
     fits: tuple[Fitted, ...]
     smallest: dict[str, float]
     undecided: dict[str, int]
+    false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE
+
+    @property
+    def parameters(self) -> dict[str, dict[str, Any]]:
+        """Healthy quantities with the interval of the next healthy piece at the rate of false alarms, and unit."""
+        healthy = self.healthy
+        half = -float(stdtrit(healthy.degrees_of_freedom, self.false_alarm_rate / 2.0))
+        widths = half * np.sqrt(np.diag(healthy.log_covariance))
+        rows = zip(healthy.quantities, healthy.values.tolist(), widths.tolist(), strict=True)
+        return {
+            name: {
+                "value": value,
+                "interval": [value * math.exp(-width), value * math.exp(width)],
+                "unit": UNITS[name],
+            }
+            for name, value, width in rows
+        }
+
+    @property
+    def healthy(self) -> Healthy:
+        """What the healthy pieces have taught."""
+        assert self.motor.healthy is not None  # noqa: S101  # a commissioned motor has it
+        return self.motor.healthy
+
+    def text(self) -> str:
+        """What was learned, with the interval of the next healthy piece."""
+        return commissioned_text(self, self.false_alarm_rate)
+
+    def plot(self, path: Path) -> None:
+        """A picture of starts, fits, residuals and the spread of each quantity; none of windows.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        from motor_env.diagnosis.pictures import plot_commissioned
+
+        starts = [fit for fit in self.fits if isinstance(fit, Identified)]
+        if starts:
+            plot_commissioned(starts, self.healthy, self.smallest, self.false_alarm_rate, path)
 
 
-def learn(
-    paths: Sequence[Path],
-    name: str,
+def commission(
+    recordings: Sequence[Recording | str | Path],
+    name: str = "commissioned motor",
     columns: Sequence[ColumnChoice] = (),
     *,
     word: str = "start",
@@ -91,9 +130,9 @@ def learn(
     """Learn a motor from healthy recordings: all starts, or all logs of it at work.
 
     Args:
-        paths: recordings; a file may hold several starts.
+        recordings: as read, or their files; each may hold several starts.
         name: of the motor.
-        columns: columns named by the user.
+        columns: columns named by the user, of files.
         word: what the user calls one of them.
         fewest: number of starts that are needed.
         regime: start, operation, or auto: decided by what the voltage does, or by a length of windows.
@@ -111,14 +150,15 @@ def learn(
     Raises:
         InputError: too few, one that cannot be read or used, or such as do not go together.
     """
-    if len({path.resolve() for path in paths}) < len(paths):
+    paths = [Path(one).resolve() for one in recordings if not isinstance(one, Recording)]
+    if len(set(paths)) < len(paths):
         raise InputError(f"a healthy {word} is given twice: it would make the spread look smaller than it is")
     if window_s is not None and not 0.0 < window_s < math.inf:
         raise InputError(f"window must be > 0, got {window_s:g}")
-    recordings = [read_recording(path, columns) for path in paths]
+    read = [recording_of(one, columns) for one in recordings]
     if regime == "auto" and window_s is not None:
         regime = "operation"
-    regimes = {taken_for(recording, regime, start).regime for recording in recordings}
+    regimes = {taken_for(recording, regime, start).regime for recording in read}
     if len(regimes) > 1:
         raise InputError(
             f"some are starts, and some logs of a motor at work: give {word}s of one kind, or --regime"
@@ -130,21 +170,22 @@ def learn(
             if value is not None:
                 raise InputError(f"--{option} belongs to starts, and these are logs of a motor at work")
         fits: Sequence[Fitted]
-        healthy, fits = _learn_logs(recordings, voltage_v, circuit, window_s, steady=steady)
+        healthy, fits = _learn_logs(read, voltage_v, circuit, window_s, steady=steady)
         healthy = replace(healthy, temperature_c=temperature_c)
         motor = motor_of_windows(healthy, name)
     else:
         if steady or window_s is not None:
             raise InputError("--steady and --window belong to logs of a motor at work, and these are starts")
         starts = fit_starts(
-            recordings, word, fewest, start=start, voltage_v=voltage_v, circuit=circuit, constant=constant
+            read, word, fewest, start=start, voltage_v=voltage_v, circuit=circuit, constant=constant
         )
         healthy = replace(learn_starts(starts), temperature_c=temperature_c)
         if no_load_current_a is not None:
             healthy = replace(healthy, own_friction=_own_friction(starts, no_load_current_a))
         motor = to_motor(starts, name, kind="commissioned", healthy=healthy, constant=constant)
         fits = starts
-    return Commissioned(motor, tuple(fits), *_promise(motor, fits, temperature_c, false_alarm_rate))
+    promise = _promise(motor, fits, temperature_c, false_alarm_rate)
+    return Commissioned(motor, tuple(fits), *promise, false_alarm_rate)
 
 
 def _learn_logs(

@@ -12,7 +12,7 @@ import numpy as np
 
 from motor_env.console import ExitStatus
 from motor_env.diagnosis import report
-from motor_env.diagnosis.commission import learn
+from motor_env.diagnosis.commission import commission
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import Diagnosis, diagnose
 from motor_env.errors import InputError
@@ -117,7 +117,7 @@ def _learned(
     """The motor of healthy recordings; what they do not tell is the other file's."""
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
     shared = {name: options[name] for name in ("voltage_v", "circuit", "regime") if name in options}
-    return learn(
+    return commission(
         healthy, "this motor", columns, word="recording", fewest=1, constant=constant, **shared
     ).motor
 

@@ -155,12 +155,6 @@ class Diagnosis:
         return self.telling.severity
 
     @property
-    def severity_interval(self) -> tuple[float, float] | None:
-        """Interval of the severity, 95 %."""
-        low, high = self.telling.severity_low, self.telling.severity_high
-        return None if low is None or high is None else (low, high)
-
-    @property
     def confidence(self) -> float | None:
         """Posterior probability of the verdict."""
         return self.telling.confidence
@@ -174,3 +168,18 @@ class Diagnosis:
     def changes(self) -> tuple[Change, ...]:
         """How far each quantity lies from the reference."""
         return self.telling.changes
+
+    @property
+    def severity_low(self) -> float | None:
+        """Lower end of the interval of the severity, 95 %."""
+        return self.telling.severity_low
+
+    @property
+    def severity_high(self) -> float | None:
+        """Upper end of it."""
+        return self.telling.severity_high
+
+    @property
+    def smallest_changes(self) -> dict[str, float]:
+        """Severity of each fault that is found in 95 of 100 cases."""
+        return self.telling.smallest_changes
