@@ -19,6 +19,9 @@ from .detection.rules import (
     nis_rule as nis_rule,
     recipe_thresholds as recipe_thresholds,
 )
+from .diagnosis.commission import (
+    commission as commission,
+)
 from .diagnosis.diagnose import (
     Diagnosis as Diagnosis,
     diagnose as diagnose,
