@@ -36,6 +36,7 @@ _KIND = {
     "bearing": "more friction",
     "winding_contact": "more winding resistance",
     "winding_short": "shorted turns",
+    "magnet": "weaker magnets",
 }
 _TITLE = {
     Verdict.HEALTHY: "Healthy",
@@ -169,14 +170,16 @@ def _bars(changes: tuple[Change, ...]) -> str:
     """Deviation of each quantity with its interval, in per cent on a logarithmic axis."""
     widest = max(max(change.high, 1.0 / change.low) for change in changes)
     edge = float(np.clip(1.1 * widest, 1.1, 8.0))
-    ticks: list[float] = []
-    for tick in _RATIOS:
-        apart = min((abs(np.log(tick / other)) for other in ticks), default=1.0)
-        if 1.0 / edge <= tick <= edge and apart > 0.36 * np.log(edge):
-            ticks.append(tick)
     height = 34.0 * len(changes)
     chart = Chart(
-        Axis("", 1.0 / edge, edge, ticks, lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %", is_log=True),
+        Axis(
+            "",
+            1.0 / edge,
+            edge,
+            _ratio_ticks(edge),
+            lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %",
+            is_log=True,
+        ),
         Axis("", 0.0, 1.0),
         size=(_WIDTH, height + 30.0),
         margins=(150.0, 64.0, 0.0, 30.0),
@@ -193,6 +196,16 @@ def _bars(changes: tuple[Change, ...]) -> str:
             chart.dot("dot", (chart.x(change.ratio), y), 6.0)
             chart.text((_WIDTH, y + 5.0), f"{round(change.ratio - 1.0, 2) + 0.0:+.0%}", "value", "end")
     return chart.svg()
+
+
+def _ratio_ticks(edge: float) -> list[float]:
+    """Where grid lines stand on a logarithmic axis from 1 / edge to edge, the most welcome first."""
+    ticks: list[float] = []
+    for tick in _RATIOS:
+        apart = min((abs(np.log(tick / other)) for other in ticks), default=1.0)
+        if 1.0 / edge <= tick <= edge and apart > 0.36 * np.log(edge):
+            ticks.append(tick)
+    return ticks
 
 
 def _shown(fit: Identified) -> tuple[FloatArray, slice]:
@@ -280,15 +293,19 @@ def _history(name: str, pieces: Sequence[Judgement]) -> str:
     """One quantity: a dot and its interval for each piece."""
     changes = [(piece, change) for piece in pieces for change in piece.changes if change.name == name]
     ends = [piece.begin_s + piece.duration_s for piece, _ in changes]
-    widest = max(1.1 * max(max(c.high, 1.0 / max(c.low, 1e-9)) for _, c in changes), 1.1)
-    edge = min(widest, 8.0)
-    ticks = [
-        tick for tick in (1.0 / 4.0, 0.5, 0.8, 0.9, 1.0, 1.1, 1.25, 2.0, 4.0) if 1.0 / edge <= tick <= edge
-    ]
+    widest = max(max(change.high, 1.0 / change.low) for _, change in changes)
+    edge = float(np.clip(1.1 * widest, 1.1, 8.0))
     begin, end = changes[0][0].begin_s, max(ends)
     chart = Chart(
         Axis("", begin, end, round_ticks(begin, end, 5), lambda value: f"{value:g} s"),
-        Axis("", 1.0 / edge, edge, ticks, lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %", is_log=True),
+        Axis(
+            "",
+            1.0 / edge,
+            edge,
+            _ratio_ticks(edge),
+            lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %",
+            is_log=True,
+        ),
         size=(_WIDTH, 130.0),
         margins=(66.0, 32.0, 24.0, 28.0),
         label=f"{_QUANTITY.get(name, name)} over time, with 95 % intervals",
