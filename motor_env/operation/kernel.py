@@ -39,41 +39,62 @@ _inlined = njit(error_model="numpy", forceinline=True)  # a call with arrays cos
 
 @_inlined
 def _exponential(matrix: FloatArray) -> FloatArray:
-    """Matrix exponential by scaling, Taylor and squaring."""
-    norm = np.max(np.sum(np.abs(matrix), axis=1))
+    """Matrix exponential by scaling, Taylor and squaring.
+
+    Loops over the elements here and below: whole arrays bring checks of their shapes, and the texts of errors that
+    cannot happen took a third of the time of compiling.
+    """
+    size, norm = matrix.shape[0], 0.0
+    for r in range(size):
+        row = 0.0
+        for c in range(size):
+            row += abs(matrix[r, c])
+        norm = max(norm, row)
     squarings = max(0, math.ceil(math.log2(norm + 1e-300)) + 1)
-    scaled = matrix / 2.0**squarings
-    total = np.eye(matrix.shape[0])
-    term = np.eye(matrix.shape[0])
+    scaled, total, term = np.empty((size, size)), np.zeros((size, size)), np.zeros((size, size))
+    for r in range(size):
+        total[r, r] = term[r, r] = 1.0
+        for c in range(size):
+            scaled[r, c] = matrix[r, c] / 2.0**squarings
     for n in range(1, 13):
-        term = term @ scaled / n
-        total = total + term
+        term = term @ scaled
+        for r in range(size):
+            for c in range(size):
+                term[r, c] /= n
+                total[r, c] += term[r, c]
     for _ in range(squarings):
         total = total @ total
     return total
 
 
 @_inlined
-def _discretized(p: FloatArray, warm_k: float, dt_s: float) -> FloatArray:
+def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray) -> None:
     """Rows current and speed; columns current, speed, voltage before, its rise over the interval, torque."""
     resistance = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k)
     constant = p[K] * (1.0 + MAGNET_PER_KELVIN * warm_k)
     drag = p[B] * (1.0 + FRICTION_PER_KELVIN * warm_k)
     m = np.zeros((5, 5))
-    m[0, 0], m[0, 1], m[0, 2] = -resistance / p[L], -constant / p[L], 1.0 / p[L]
-    m[1, 0], m[1, 1], m[1, 4] = constant / p[J], -drag / p[J], -1.0 / p[J]
-    m[2, 3] = 1.0 / dt_s
-    rows: FloatArray = _exponential(m * dt_s)[:2].copy()
-    return rows
+    m[0, 0], m[0, 1], m[0, 2] = -resistance / p[L] * dt_s, -constant / p[L] * dt_s, 1.0 / p[L] * dt_s
+    m[1, 0], m[1, 1], m[1, 4] = constant / p[J] * dt_s, -drag / p[J] * dt_s, -1.0 / p[J] * dt_s
+    m[2, 3] = 1.0 / dt_s * dt_s
+    exponential = _exponential(m)
+    for r in range(2):
+        for c in range(5):
+            out[r, c] = exponential[r, c]
 
 
 @_inlined
-def _table(p: FloatArray, dt_s: float) -> FloatArray:
-    """Discrete models over the winding's temperature; one alone where nothing warms."""
+def _tables(p: FloatArray, dt_s: float) -> FloatArray:
+    """Discrete models of an interval and of a part of it, over the winding's temperature; one alone where nothing warms.
+
+    Shape (2, temperatures, 2, 5).
+    """
     count = _GRID if p[HEATING] > 0.0 else 1
-    out = np.empty((count, 2, 5))
-    for g in range(count):
-        out[g] = _discretized(p, _COLDEST_K + g * _GRID_K if count > 1 else 0.0, dt_s)
+    out = np.empty((2, count, 2, 5))
+    for part in range(2):
+        for g in range(count):
+            warm_k = _COLDEST_K + g * _GRID_K if count > 1 else 0.0
+            _discretize(p, warm_k, dt_s / _PARTS if part else dt_s, out[part, g])
     return out
 
 
@@ -81,7 +102,9 @@ def _table(p: FloatArray, dt_s: float) -> FloatArray:
 def _at(table: FloatArray, warm_k: float, out: FloatArray) -> None:
     """The discrete model at one temperature, between two of the table."""
     if table.shape[0] == 1:
-        out[:] = table[0]
+        for r in range(2):
+            for c in range(5):
+                out[r, c] = table[0, r, c]
         return
     place = min(max((warm_k - _COLDEST_K) / _GRID_K, 0.0), table.shape[0] - 1.001)
     low = int(place)
@@ -223,13 +246,13 @@ def _coasting_step(
 
 
 @_inlined
-def _lag(lag_s: float, dt_s: float) -> FloatArray:
+def _lag(lag_s: float, dt_s: float) -> tuple[float, float, float]:
     """Weights of the shown value before, the true one before and the true one now; exact for a straight line."""
     if lag_s <= 0.0:
-        return np.array([0.0, 0.0, 1.0])
+        return 0.0, 0.0, 1.0
     decay = math.exp(-dt_s / lag_s)
     mean = (1.0 - decay) * lag_s / dt_s
-    return np.array([decay, mean - decay, 1.0 - mean])
+    return decay, mean - decay, 1.0 - mean
 
 
 @_inlined
@@ -357,13 +380,16 @@ def predict(
         Sum of the logarithms of the innovations' variances.
     """
     n = 5 if p[LAG_I] > 0.0 or p[LAG_W] > 0.0 else (3 if p[WALK] > 0.0 else 2)
-    lags = np.stack((_lag(p[LAG_I], dt_s), _lag(p[LAG_W], dt_s)))
-    whole, parts = _table(p, dt_s), _table(p, dt_s / _PARTS)
+    lags = np.empty((2, 3))
+    for lag in range(2):
+        lags[lag, 0], lags[lag, 1], lags[lag, 2] = _lag(p[LAG_I + lag], dt_s)
+    tables = _tables(p, dt_s)
+    whole, parts = tables[0], tables[1]
     m, x, cov, f, u = np.empty((2, 5)), np.zeros(5), np.zeros((n, n)), np.zeros((2, 4)), np.zeros(4)
     row, shown = np.zeros(n), np.zeros((2, 2))
     logs, warm_k = 0.0, 0.0
     place_i, place_w = (3, 4) if n == 5 else (0, 1)
-    reach = np.max(np.abs(voltage)) + 1e-9
+    reach = 1e-9 + max(abs(np.max(voltage)), abs(np.min(voltage)))
     u[3] = _SLOW * reach / p[K]
     for k in range(voltage.shape[0]):
         shown_i, shown_w = readings[k, 0] - p[OFFSET_I], readings[k, 1] - p[OFFSET_W]
