@@ -85,9 +85,9 @@ def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray) -> N
 
 @_inlined
 def _tables(p: FloatArray, dt_s: float) -> FloatArray:
-    """Discrete models of an interval and of a part of it, over the winding's temperature; one alone where nothing warms.
+    """Discrete models of an interval and of a part of it, over the winding's temperature.
 
-    Shape (2, temperatures, 2, 5).
+    Shape (2, temperatures, 2, 5); one temperature alone where nothing warms.
     """
     count = _GRID if p[HEATING] > 0.0 else 1
     out = np.empty((2, count, 2, 5))
@@ -246,13 +246,21 @@ def _coasting_step(
 
 
 @_inlined
-def _lag(lag_s: float, dt_s: float) -> tuple[float, float, float]:
-    """Weights of the shown value before, the true one before and the true one now; exact for a straight line."""
-    if lag_s <= 0.0:
-        return 0.0, 0.0, 1.0
-    decay = math.exp(-dt_s / lag_s)
-    mean = (1.0 - decay) * lag_s / dt_s
-    return decay, mean - decay, 1.0 - mean
+def _lags(p: FloatArray, dt_s: float) -> FloatArray:
+    """Weights of the shown value before, the true one before and the true one now; exact for a straight line.
+
+    Shape (2, 3): current, speed.
+    """
+    weights = np.zeros((2, 3))
+    for channel in range(2):
+        lag_s = p[LAG_I + channel]
+        if lag_s <= 0.0:
+            weights[channel, 2] = 1.0
+            continue
+        decay = math.exp(-dt_s / lag_s)
+        mean = (1.0 - decay) * lag_s / dt_s
+        weights[channel, 0], weights[channel, 1], weights[channel, 2] = decay, mean - decay, 1.0 - mean
+    return weights
 
 
 @_inlined
@@ -380,10 +388,7 @@ def predict(
         Sum of the logarithms of the innovations' variances.
     """
     n = 5 if p[LAG_I] > 0.0 or p[LAG_W] > 0.0 else (3 if p[WALK] > 0.0 else 2)
-    lags = np.empty((2, 3))
-    for lag in range(2):
-        lags[lag, 0], lags[lag, 1], lags[lag, 2] = _lag(p[LAG_I + lag], dt_s)
-    tables = _tables(p, dt_s)
+    lags, tables = _lags(p, dt_s), _tables(p, dt_s)
     whole, parts = tables[0], tables[1]
     m, x, cov, f, u = np.empty((2, 5)), np.zeros(5), np.zeros((n, n)), np.zeros((2, 4)), np.zeros(4)
     row, shown = np.zeros(n), np.zeros((2, 2))
