@@ -64,6 +64,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def compile_share(config: pytest.Config) -> None:
     """Compile what no other process of this run has begun: the parts of `motor-env warm-up`, and what tests use."""
+    # Reaches in: what is compiled beforehand is what `motor-env warm-up` compiles, part by part.
     from motor_env.apps.warming import PARTS, warm_up
     from motor_env.envs import MonitorVectorEnv
 

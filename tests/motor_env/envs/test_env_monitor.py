@@ -34,6 +34,8 @@ from motor_env.envs.kernel import BLOCK, LANES
 from motor_env.envs.noise import case_of
 from motor_env.envs.setup import converged_gain
 from motor_env.envs.tasks import MEDIUM
+
+# Reaches in: the converged covariance, and the numbers of each stream, which an environment draws by itself.
 from motor_env.filters.kalman import schedule
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, normals, uniforms
