@@ -170,9 +170,10 @@ class _PartLibrary(JITCodeLibrary):
 class _PartCompiler(Compiler):
     """numba's compiler, with that library."""
 
-    def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+    def __init__(self, typing: Any, *rest: Any) -> None:
+        target, library, *others = rest
         own = _PartLibrary(target.codegen(), "part") if library is None else library
-        super().__init__(typing, target, own, *rest)
+        super().__init__(typing, target, own, *others)
 
 
 class _Part(CPUDispatcher):
