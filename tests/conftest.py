@@ -64,13 +64,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def compile_share(config: pytest.Config) -> None:
     """Compile what no other process of this run has begun: the parts of `motor-env warm-up`, and what tests use."""
+    # Reaches in: what is compiled beforehand is what `motor-env warm-up` compiles, part by part.
     from motor_env.apps.warming import PARTS, warm_up
-    from motor_env.envs import MonitorEnv, MonitorVectorEnv
+    from motor_env.envs import MonitorVectorEnv
 
     def in_double_precision() -> None:
-        single, vector = MonitorEnv(precision="float64"), MonitorVectorEnv(2, precision="float64")
-        single.reset(seed=0)
-        single.step(0)
+        vector = MonitorVectorEnv(2, precision="float64")
         vector.reset(seed=0)
         vector.step(np.zeros(2, dtype=np.int64))
 

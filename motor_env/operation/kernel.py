@@ -39,7 +39,7 @@ _inlined = njit(error_model="numpy", forceinline=True)  # a call with arrays cos
 
 
 @_inlined
-def _discretized(p: FloatArray, warm_k: float, dt_s: float) -> FloatArray:
+def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray) -> None:
     """Rows current and speed; columns current, speed, voltage before, its rise over the interval, torque."""
     resistance = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k)
     constant = p[K] * (1.0 + MAGNET_PER_KELVIN * warm_k)
@@ -48,21 +48,24 @@ def _discretized(p: FloatArray, warm_k: float, dt_s: float) -> FloatArray:
         -resistance / p[L] * dt_s, -constant / p[L] * dt_s, constant / p[J] * dt_s, -drag / p[J] * dt_s
     )
     by_volt, by_torque = dt_s / p[L], -dt_s / p[J]
-    rows = np.empty((2, 5))
     for r in range(2):
-        rows[r, 0], rows[r, 1] = whole[2 * r], whole[2 * r + 1]
-        rows[r, 2], rows[r, 3] = held[2 * r] * by_volt, rising[2 * r] * by_volt
-        rows[r, 4] = held[2 * r + 1] * by_torque
-    return rows
+        out[r, 0], out[r, 1] = whole[2 * r], whole[2 * r + 1]
+        out[r, 2], out[r, 3] = held[2 * r] * by_volt, rising[2 * r] * by_volt
+        out[r, 4] = held[2 * r + 1] * by_torque
 
 
 @_inlined
-def _table(p: FloatArray, dt_s: float) -> FloatArray:
-    """Discrete models over the winding's temperature; one alone where nothing warms."""
+def _tables(p: FloatArray, dt_s: float) -> FloatArray:
+    """Discrete models of an interval and of a part of it, over the winding's temperature.
+
+    Shape (2, temperatures, 2, 5); one temperature alone where nothing warms.
+    """
     count = _GRID if p[HEATING] > 0.0 else 1
-    out = np.empty((count, 2, 5))
-    for g in range(count):
-        out[g] = _discretized(p, _COLDEST_K + g * _GRID_K if count > 1 else 0.0, dt_s)
+    out = np.empty((2, count, 2, 5))
+    for part in range(2):
+        for g in range(count):
+            warm_k = _COLDEST_K + g * _GRID_K if count > 1 else 0.0
+            _discretize(p, warm_k, dt_s / _PARTS if part else dt_s, out[part, g])
     return out
 
 
@@ -70,7 +73,9 @@ def _table(p: FloatArray, dt_s: float) -> FloatArray:
 def _at(table: FloatArray, warm_k: float, out: FloatArray) -> None:
     """The discrete model at one temperature, between two of the table."""
     if table.shape[0] == 1:
-        out[:] = table[0]
+        for r in range(2):
+            for c in range(5):
+                out[r, c] = table[0, r, c]
         return
     place = min(max((warm_k - _COLDEST_K) / _GRID_K, 0.0), table.shape[0] - 1.001)
     low = int(place)
@@ -212,13 +217,21 @@ def _coasting_step(
 
 
 @_inlined
-def _lag(lag_s: float, dt_s: float) -> FloatArray:
-    """Weights of the shown value before, the true one before and the true one now; exact for a straight line."""
-    if lag_s <= 0.0:
-        return np.array([0.0, 0.0, 1.0])
-    decay = math.exp(-dt_s / lag_s)
-    mean = (1.0 - decay) * lag_s / dt_s
-    return np.array([decay, mean - decay, 1.0 - mean])
+def _lags(p: FloatArray, dt_s: float) -> FloatArray:
+    """Weights of the shown value before, the true one before and the true one now; exact for a straight line.
+
+    Shape (2, 3): current, speed.
+    """
+    weights = np.zeros((2, 3))
+    for channel in range(2):
+        lag_s = p[LAG_I + channel]
+        if lag_s <= 0.0:
+            weights[channel, 2] = 1.0
+            continue
+        decay = math.exp(-dt_s / lag_s)
+        mean = (1.0 - decay) * lag_s / dt_s
+        weights[channel, 0], weights[channel, 1], weights[channel, 2] = decay, mean - decay, 1.0 - mean
+    return weights
 
 
 @_inlined
@@ -346,13 +359,13 @@ def predict(
         Sum of the logarithms of the innovations' variances.
     """
     n = 5 if p[LAG_I] > 0.0 or p[LAG_W] > 0.0 else (3 if p[WALK] > 0.0 else 2)
-    lags = np.stack((_lag(p[LAG_I], dt_s), _lag(p[LAG_W], dt_s)))
-    whole, parts = _table(p, dt_s), _table(p, dt_s / _PARTS)
+    lags, tables = _lags(p, dt_s), _tables(p, dt_s)
+    whole, parts = tables[0], tables[1]
     m, x, cov, f, u = np.empty((2, 5)), np.zeros(5), np.zeros((n, n)), np.zeros((2, 4)), np.zeros(4)
     row, shown = np.zeros(n), np.zeros((2, 2))
     logs, warm_k = 0.0, 0.0
     place_i, place_w = (3, 4) if n == 5 else (0, 1)
-    reach = np.max(np.abs(voltage)) + 1e-9
+    reach = 1e-9 + max(abs(np.max(voltage)), abs(np.min(voltage)))
     u[3] = _SLOW * reach / p[K]
     for k in range(voltage.shape[0]):
         shown_i, shown_w = readings[k, 0] - p[OFFSET_I], readings[k, 1] - p[OFFSET_W]

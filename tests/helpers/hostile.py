@@ -23,6 +23,8 @@ from typing import Any, Self, TypeVar
 import numpy as np
 
 from motor_env import InputError
+
+# Reaches in: a forged value stands in its file as the library itself would write it.
 from motor_env.motor.toml_files import toml_text
 
 T = TypeVar("T")

@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 
 from motor_classifiers import PosteriorNetwork
+
+# Reaches in: a network's scores are the benchmark's, one by one; public are only whole evaluations.
 from motor_classifiers.scoring.calibration import calibration_scores
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.metrics import IntArray

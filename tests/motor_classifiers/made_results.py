@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+# Reaches in: results are made up as the benchmark keeps them: to run it takes minutes.
 from motor_classifiers.scoring.benchmark import CellResult, run_plan
 from motor_classifiers.scoring.judging import LIMIT, Answer, Cell, expected_severity
 from motor_classifiers.scoring.metrics import IntArray

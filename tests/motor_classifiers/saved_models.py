@@ -11,6 +11,8 @@ from safetensors.numpy import load, save
 from sklearn.base import BaseEstimator
 
 from motor_classifiers import METHODS, make_method, save_model
+
+# Reaches in: files are forged under the entry in which the description of a model stands.
 from motor_classifiers.model_files.persistence import FORMAT
 from motor_datasets import generate_arrays
 from motor_env import Timing, named_recipe

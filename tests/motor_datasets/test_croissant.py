@@ -1,6 +1,7 @@
 """What a data set says of itself: Croissant, card, columns with units, counts that add up, one line in the shell."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,8 @@ from motor_datasets import generate_arrays, generate_dataset, to_torch, to_torch
 from motor_datasets.arrays import columns
 from motor_datasets.cli import main
 from motor_env import named_recipe
-from motor_env.simulation.named_recipes import changed_recipe
 
-FIELD = changed_recipe(named_recipe("field"), sampling_rate_hz=1_000.0)
+FIELD = named_recipe("field", timing=replace(named_recipe("field").timing, sampling_rate_hz=1_000.0))
 
 
 @pytest.fixture(scope="module")

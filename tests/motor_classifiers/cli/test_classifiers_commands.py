@@ -16,6 +16,8 @@ from motor_classifiers.cli.opinions import opinion_lines
 from motor_classifiers.cli.options import numbers, require_writable, whole_numbers
 from motor_classifiers.cli.sweep import plan_lines, table_lines
 from motor_classifiers.cli.training import network_recipe, noise_factors
+
+# Reaches in: made-up answers and costs fill a plan at once; defaults are the rooms' own.
 from motor_classifiers.contest.task import SEED
 from motor_classifiers.estimators.methods import AT_WORK
 from motor_classifiers.scoring.plan import AnswerStore, Plan, units

@@ -21,6 +21,8 @@ from motor_classifiers.contest.recordings import score_recordings
 from motor_classifiers.contest.submissions import interval, paired, unpacked_costs
 from motor_classifiers.contest.task import SEED, VERSION
 from motor_classifiers.contest.tasks import TASKS, frozen_digests
+
+# Reaches in: the intervals by hand need the very weights that cases are drawn again with.
 from motor_classifiers.scoring.metrics import resampling_weights
 from motor_env import InputError
 

@@ -24,6 +24,8 @@ from motor_classifiers.contest.questions import StrangerTask
 from motor_classifiers.contest.submissions import ANSWERS, CARD, paired, unpacked_costs
 from motor_classifiers.contest.task import Task
 from motor_classifiers.contest.tasks import TASKS, current_digests, frozen_digests
+
+# Reaches in: a comparison of two answers by hand needs the weights that cases are drawn again with.
 from motor_classifiers.scoring.metrics import resampling_weights
 
 WHO = {"method": "mine", "authors": "A Stranger"}

@@ -8,7 +8,6 @@ import pytest
 from motor_classifiers import METHODS, PhysicalFeatures, evaluate_model, load_model, make_method, save_model
 from motor_classifiers.estimators.methods import AT_WORK
 from motor_datasets import generate_arrays, generate_dataset, load
-from motor_datasets.remote import folder_of
 from motor_env import named_recipe
 
 OPERATION = named_recipe("operation")
@@ -16,7 +15,7 @@ OPERATION = named_recipe("operation")
 
 def test_a_data_set_is_written_learned_from_and_judged(tmp_path: Path) -> None:
     folder = tmp_path / "set"
-    generate_dataset(OPERATION, 400, 3, folder_of(str(folder)))
+    generate_dataset(OPERATION, 400, 3, folder)
     assert "where measured, `speed_rad_s`, and `applied_voltage_v`" in (folder / "README.md").read_text(
         "utf-8"
     )

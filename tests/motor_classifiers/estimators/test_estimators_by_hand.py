@@ -30,6 +30,8 @@ from motor_classifiers.estimators.networks.severity_density import severity_prio
 from motor_classifiers.estimators.networks.signal_space import SignalSpace, fresh_cases, with_more_noise
 from motor_classifiers.estimators.reference_starts import referenced_starts, split_starts
 from motor_classifiers.estimators.threshold_rule import ThresholdRule, window_features
+
+# Reaches in: only a command names the network that is shipped; its layers are run by hand.
 from motor_classifiers.model_files.persistence import PRETRAINED
 from motor_datasets import generate_arrays
 from motor_env import FaultKind, Timing, named_recipe

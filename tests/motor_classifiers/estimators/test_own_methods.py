@@ -19,6 +19,8 @@ from motor_classifiers import TorchClassifier, load_model, save_model
 from motor_classifiers.cli.main import main
 from motor_classifiers.estimators import own_methods
 from motor_classifiers.estimators.own_methods import answered, fed, find_method
+
+# Reaches in: no public name shows under which key answers are kept, or how a process is judged that breaks.
 from motor_classifiers.scoring.judging import Cell, answer_key, judge, judge_apart
 from motor_datasets import generate_arrays
 from motor_env import InputError, Timing, named_recipe

@@ -26,6 +26,8 @@ from motor_env import (
     named_recipe,
     simulate_states,
 )
+
+# Reaches in: pins the prior that healthy starts leave, which no public name shows.
 from motor_env.inference.posterior import prior_from_starts
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.drawing import apply_factors

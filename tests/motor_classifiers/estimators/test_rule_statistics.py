@@ -8,8 +8,16 @@ from sklearn.preprocessing import StandardScaler
 
 from motor_classifiers import RuleStatistics
 from motor_datasets import generate_arrays
-from motor_env import Cusum, Fault, FaultKind, MatchedTest, Timing, class_probabilities, named_recipe
-from motor_env.detection.rules.tolerant import TolerantFilter
+from motor_env import (
+    Cusum,
+    Fault,
+    FaultKind,
+    MatchedTest,
+    Timing,
+    TolerantFilter,
+    class_probabilities,
+    named_recipe,
+)
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 

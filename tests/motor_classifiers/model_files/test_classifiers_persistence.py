@@ -11,6 +11,8 @@ from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.pipeline import make_pipeline
 
 from motor_classifiers import METHODS, PosteriorNetwork, ResidualProjection, load_model, save_model
+
+# Reaches in: the step that centres starts on a motor's own has no public name, but stands in files.
 from motor_classifiers.estimators.reference_starts import RecentredStarts, referenced_starts
 
 

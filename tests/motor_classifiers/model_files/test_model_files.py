@@ -29,6 +29,8 @@ from motor_classifiers import (
     save_model,
 )
 from motor_classifiers.cli.main import main
+
+# Reaches in: a step that stands in files without a public name, and starts that no recipe draws.
 from motor_classifiers.estimators.reference_starts import RecentredStarts
 from motor_classifiers.model_files.persistence import FORMAT
 from motor_classifiers.scoring.unknown_faults import ForeignFault, foreign_starts

@@ -15,9 +15,9 @@ from sklearn.naive_bayes import GaussianNB
 from sklearn.svm import SVC
 
 from motor_classifiers import ConformalClassifier, load_model, save_model
-from motor_classifiers.estimators.confirmation import (
-    _check_rule,
-)  # its bounds, without tuning a rule for each
+
+# Reaches in: pins the bounds of a rule, without tuning a rule for each.
+from motor_classifiers.estimators.confirmation import _check_rule
 from motor_classifiers.model_files import containers, persistence
 from motor_classifiers.model_files.pipelines import _check_boosting, _check_grown, _check_tree, _check_vectors
 from motor_env import InputError, Timing, named_recipe

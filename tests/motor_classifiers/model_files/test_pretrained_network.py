@@ -9,6 +9,8 @@ from limit_cells import limit_cell
 
 from motor_classifiers import PosteriorNetwork, load_model
 from motor_classifiers.cli.main import main
+
+# Reaches in: pins the recipe that `train --motor` makes of a data sheet; training on it takes minutes.
 from motor_classifiers.cli.training import network_recipe
 from motor_classifiers.model_files.persistence import PRETRAINED
 from motor_env import load_motor, named_recipe

@@ -19,6 +19,8 @@ from motor_classifiers import (
     opinions,
     predict_recording,
 )
+
+# Reaches in: stand-ins for models answer in the types of real ones, with numbers chosen by hand.
 from motor_classifiers.estimators.networks.posterior_network import SeverityEstimate
 from motor_classifiers.prediction import alignment, opinions as opinions_module
 from motor_classifiers.prediction.alignment import aligned_case

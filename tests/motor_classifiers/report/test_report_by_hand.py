@@ -9,6 +9,7 @@ import pytest
 from made_results import CELL, RECIPE, answer, decisions, made_results
 from scipy.stats import norm
 
+# Reaches in: the page is drawn from results made by hand, in the types that the other rooms give it.
 from motor_classifiers.estimators.features import whitened_residual
 from motor_classifiers.report import examples as examples_module, page, sweep_page, trust_page
 from motor_classifiers.report.charts import (

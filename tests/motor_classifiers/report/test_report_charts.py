@@ -4,6 +4,8 @@ import re
 from itertools import pairwise
 
 from motor_classifiers.report.charts import Line, line_chart, share_axis
+
+# Reaches in: the axes that a chart hands to the drawing of lines.
 from motor_env.pages.svg import Axis
 
 

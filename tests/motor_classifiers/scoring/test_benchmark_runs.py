@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 
 from motor_classifiers.cli.main import main
+
+# Reaches in: a run ends with its page, which has to take the results as they come.
 from motor_classifiers.report.page import write_results
 from motor_classifiers.scoring import benchmark as benchmark_module, trust as trust_module
 from motor_classifiers.scoring.benchmark import run_plan

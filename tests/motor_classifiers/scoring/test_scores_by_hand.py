@@ -46,6 +46,8 @@ from motor_classifiers.scoring.severities import (
 from motor_classifiers.scoring.trust import Counts, expected_seconds, set_figures
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, foreign_scores, foreign_starts
 from motor_classifiers.scoring.verdict_times import STATED_ERRORS, accuracy_by_moment, moments
+
+# Reaches in: stand-ins for models answer in the types of real ones; a score is compared with the posterior below it.
 from motor_classifiers.wrappers.fault_family import FamilyFit
 from motor_env import FaultKind, Timing, named_recipe
 from motor_env.simulation.recipes import FACTORS, FaultClass, Spread

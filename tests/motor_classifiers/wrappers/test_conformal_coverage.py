@@ -9,6 +9,8 @@ from sklearn.frozen import FrozenEstimator
 from sklearn.linear_model import LogisticRegression
 
 from motor_classifiers import ConformalClassifier, ConformalIntervals, ConformalSets
+
+# Reaches in: what wrapped models promise is judged by the benchmark's scores, pinned here beside it.
 from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability, reliability
 from motor_classifiers.wrappers.conformal import measured_coverage
 

@@ -10,6 +10,8 @@ from sklearn.metrics import roc_auc_score
 from sklearn.pipeline import make_pipeline
 
 from motor_classifiers import FaultFamilyDetector, OpenSetClassifier, ResidualProjection
+
+# Reaches in: the faults that no recipe has are those on which the benchmark tries detectors.
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, ForeignFault, foreign_starts
 from motor_classifiers.wrappers.fault_family import QUANTITIES, family_fit
 from motor_datasets import generate_arrays

@@ -18,6 +18,8 @@ from motor_classifiers import (
     FaultFamilyDetector,
     OpenSetClassifier,
 )
+
+# Reaches in: pins what a wrapper makes of the state that a file holds, without a file.
 from motor_classifiers.estimators.state import State
 from motor_classifiers.wrappers.conformal import measured_coverage
 from motor_classifiers.wrappers.early import Stopped, shortened, stop_when_sure, stopping_score

@@ -37,6 +37,8 @@ from motor_env.apps import lab, lab_shelf
 from motor_env.apps.lab_server import _Handler, make_server  # its reading is tested without a connection
 from motor_env.apps.lab_shelf import LARGEST_UPLOAD_BYTES
 from motor_env.cli import main
+
+# Reaches in: settings come from a page through the reader of documents, which no public name shows.
 from motor_env.motor.toml_files import from_dict
 
 

@@ -26,6 +26,8 @@ from motor_env.detection.run_length import (
     shiryaev_roberts_chain,
 )
 from motor_env.motor.parameters import FloatArray
+
+# Reaches in: thresholds are drawn from a stream of their own; the tests draw the same numbers.
 from motor_env.simulation.random_streams import Stream, normals
 
 RULES: dict[str, Rule] = {

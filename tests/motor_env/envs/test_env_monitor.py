@@ -30,10 +30,12 @@ from motor_env import (
 )
 from motor_env.envs import MonitorEnv, MonitorVectorEnv, kernel
 from motor_env.envs.base import Info
-from motor_env.envs.kernel import LANES
+from motor_env.envs.kernel import BLOCK, LANES
 from motor_env.envs.noise import case_of
 from motor_env.envs.setup import converged_gain
 from motor_env.envs.tasks import MEDIUM
+
+# Reaches in: the converged covariance, and the numbers of each stream, which an environment draws by itself.
 from motor_env.filters.kalman import schedule
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, normals, uniforms
@@ -48,7 +50,39 @@ def test_check_env_warns_of_nothing() -> None:
         check_env(env.unwrapped, skip_render_check=find_spec("pygame") is None)
 
 
-def rollout(env: MonitorEnv, seed: int, index: int = 0) -> tuple[FloatArray, list[Info], FloatArray]:
+class Exact:
+    """The last lane of a vector in double precision, used like an environment alone.
+
+    The tests of vectors have their step compiled in double precision anyway. That of an environment alone takes seven
+    seconds more, and `test_env_vector.py` shows that the two are equal.
+    """
+
+    def __init__(self, lanes: int = 1, **options: Any) -> None:
+        self.envs = MonitorVectorEnv(lanes, precision="float64", **options)
+        self.options, self.setup, self.observed = self.envs.options, self.envs.setup, self.envs.setup.observed
+
+    @property
+    def _state(self) -> FloatArray:
+        state: FloatArray = self.envs._arrays[2][len(self.envs._arrays[2]) - BLOCK + self.envs.num_envs - 1 :]
+        return state
+
+    def _info(self, info: Info) -> Info:
+        mine = {name: values[-1] for name, values in info.items()}
+        severity = self.envs._arrays[-1][self.envs.num_envs - 1, 0]
+        return {**mine, "label": self.envs.labels[mine["class_index"]], "severity": severity}
+
+    def reset(self, *, seed: int, options: dict[str, int] | None = None) -> tuple[Any, Info]:
+        assert options is None or options["index"] == self.envs.num_envs - 1
+        observations, info = self.envs.reset(seed=seed)
+        return observations[-1], self._info(info)
+
+    def step(self, action: int) -> tuple[Any, float, bool, bool, Info]:
+        actions = np.full(self.envs.num_envs, action)
+        observations, rewards, terminated, truncated, info = self.envs.step(actions)
+        return observations[-1], rewards[-1], bool(terminated[-1]), bool(truncated[-1]), self._info(info)
+
+
+def rollout(env: MonitorEnv | Exact, seed: int, index: int = 0) -> tuple[FloatArray, list[Info], FloatArray]:
     """All observations, infos and the true states of a silent episode."""
     observation, info = env.reset(seed=seed, options={"index": index})
     observations, infos, states = [observation], [info], []
@@ -63,7 +97,7 @@ def rollout(env: MonitorEnv, seed: int, index: int = 0) -> tuple[FloatArray, lis
     return np.array(observations), infos, np.array(states)
 
 
-def faulty_episode(env: MonitorEnv, label: str) -> int:
+def faulty_episode(env: MonitorEnv | Exact, label: str) -> int:
     """A seed whose episode has that fault."""
     for seed in range(1000):
         _, info = env.reset(seed=seed)
@@ -74,7 +108,7 @@ def faulty_episode(env: MonitorEnv, label: str) -> int:
 
 @pytest.mark.parametrize("kind", [FaultKind.BEARING, FaultKind.WINDING_CONTACT])
 def test_true_states_are_those_of_the_simulation(kind: FaultKind) -> None:
-    env = MonitorEnv(precision="float64")
+    env = Exact()
     seed = faulty_episode(env, kind)
     _, infos, states = rollout(env, seed)
     dt_s, load = env.options.dt_s, env.options.load_n_m
@@ -91,8 +125,8 @@ def test_true_states_are_those_of_the_simulation(kind: FaultKind) -> None:
 
 
 def test_a_speed_loop_is_a_pi_controller_that_the_filter_is_not_told_of() -> None:
-    options: dict[str, Any] = {"precision": "float64", "observe": ("innovation_current",)}
-    env = MonitorEnv(drive="speed_loop", loop_time_s=0.002, **options)
+    options: dict[str, Any] = {"observe": ("innovation_current",)}
+    env = Exact(drive="speed_loop", loop_time_s=0.002, **options)
     seed = faulty_episode(env, FaultKind.WINDING_CONTACT)
     _, infos, states = rollout(env, seed)
     motor, rest, dt_s = PAPER_MOTOR, env.setup.rest, env.options.dt_s
@@ -107,7 +141,7 @@ def test_a_speed_loop_is_a_pi_controller_that_the_filter_is_not_told_of() -> Non
         added -= gain * dt_s * (state[State.SPEED] - rest[State.SPEED])
         expected.append(state)
     np.testing.assert_allclose(states, expected, rtol=1e-9)
-    dropped = rollout(MonitorEnv(**options), seed)[2][-1, State.SPEED] - rest[State.SPEED]
+    dropped = rollout(Exact(**options), seed)[2][-1, State.SPEED] - rest[State.SPEED]
     assert abs(states[-1, State.SPEED] - rest[State.SPEED]) < 1e-3 * abs(dropped)
 
 
@@ -181,7 +215,7 @@ def test_observations_are_those_of_the_filter_in_their_units(recipe: Recipe) -> 
 def test_evidence_is_a_cumulative_sum_of_log_likelihood_ratios() -> None:
     """Of a filter that believes in the smallest fault of a kind, which begins anew where its sum falls to zero."""
     names = ("evidence_bearing", "evidence_winding_contact")
-    env = MonitorEnv(observe=("measured_current", *names), precision="float64")
+    env = Exact(observe=("measured_current", *names))
     observations, _, _ = rollout(env, faulty_episode(env, FaultKind.WINDING_CONTACT))
     measured, belief = observations[1:, 0].astype(np.float64) * 12.0 / 2.18, env.setup.belief.model
     gain, covariance = converged_gain(env.setup.belief)
@@ -265,11 +299,11 @@ def test_delay_is_charged_from_the_onset() -> None:
 
 def test_noise_is_that_of_the_streams_and_a_start_that_of_the_simulation() -> None:
     """The environment, a data set and a recording that is simulated draw the same numbers for the same case."""
-    env = MonitorEnv(
+    env = Exact(
+        lanes=6,
         start="standstill",
         load_torque_n_m=0.0,
         horizon_s=0.05,
-        precision="float64",
         recipe="bench",
         observe=("measured_current",),
         mean_onset_s=1e9,

@@ -19,6 +19,8 @@ from motor_env import (
 )
 from motor_env.filters.joint import FREE, JointKind, coulomb_unit_n_m
 from motor_env.motor.parameters import FloatArray
+
+# Reaches in: the reference is the Runge-Kutta integrator at ten times its steps, which no public name lets choose.
 from motor_env.simulation.nonlinear import Effects, Sampling, integrate, substeps
 
 TIMING = Timing()

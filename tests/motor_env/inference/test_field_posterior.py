@@ -20,6 +20,8 @@ from motor_env.inference.field_posterior import (
 from motor_env.inference.posterior import class_log_evidence
 from motor_env.inference.truncated_normal import TruncatedNormal
 from motor_env.motor.parameters import FloatArray
+
+# Reaches in: what a draw measures, and the numbers of each stream behind it, show in no public name.
 from motor_env.simulation.drawing import measure_draw
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.recipes import FACTORS, FaultClass

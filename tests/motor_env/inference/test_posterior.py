@@ -34,6 +34,8 @@ from motor_env.inference.posterior import (
 )
 from motor_env.inference.sensitivities import fitted_residuals
 from motor_env.motor.parameters import FloatArray
+
+# Reaches in: `Draw` is the type of what the public `draw` returns.
 from motor_env.simulation.drawing import Draw
 from motor_env.simulation.recipes import FaultClass
 

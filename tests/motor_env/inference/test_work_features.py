@@ -11,6 +11,8 @@ from motor_env.inference.class_model import ClassModel
 from motor_env.inference.field_posterior import sampled_probabilities
 from motor_env.inference.work_features import work_feature_names, work_features, work_probabilities
 from motor_env.motor.parameters import FloatArray
+
+# Reaches in: `motor_datasets` keeps what is measured, not the draw; these tests compare the two.
 from motor_env.simulation.drawing import measure_draw
 from motor_env.simulation.recipes import FACTORS, FaultClass
 

@@ -27,6 +27,8 @@ from motor_env.envs.drive.options import LABELS
 from motor_env.envs.drive.policies import LIMP, RUN, STOP, make_bank
 from motor_env.envs.drive.setup import drive_filter, faulty
 from motor_env.envs.setup import converged_gain
+
+# Reaches in: the filter, noise and growth of the drive by hand, from the same streams and columns.
 from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD
 from motor_env.motor.model import Input
 from motor_env.simulation.random_streams import Stream, normals, uniforms
