@@ -104,17 +104,17 @@ def diagnose(
     if isinstance(motor, str | Path):
         motor = load_motor(motor)
     taken = taken_for(recording, regime, start)
+    known: dict[str, Any] = {"voltage_v": voltage_v, "circuit": circuit, "temperature_c": temperature_c}
     if taken.regime == "operation":
         from motor_env.diagnosis.running.judge import judge_log
 
-        pieces, count = judge_log(recording, motor, false_alarm_rate, voltage_v, circuit, temperature_c)
+        pieces, count = judge_log(recording, motor, false_alarm_rate, **known)
         return Diagnosis(recording, taken, tuple(pieces), count, periods_per_turn)
     if voltage_v is None and motor is not None and motor.healthy is None:
-        voltage_v = motor.nominal_voltage_v
+        known["voltage_v"] = motor.nominal_voltage_v
     parts = chosen_starts(recording, start)
     judged = tuple(
-        judge_start(part, motor, false_alarm_rate / len(parts), voltage_v, circuit, temperature_c).on(part)
-        for part in parts
+        judge_start(part, motor, false_alarm_rate / len(parts), **known).on(part) for part in parts
     )
     return Diagnosis(recording, taken, judged, len(judged), periods_per_turn)
 
@@ -123,6 +123,7 @@ def judge_start(
     recording: Recording,
     motor: MotorFile | None,
     rate: float,
+    *,
     voltage_v: float | None = None,
     circuit: Circuit | None = None,
     temperature_c: float | None = None,

@@ -168,18 +168,9 @@ def reference_current(judgement: Judgement) -> FloatArray | None:
 
 def _bars(changes: tuple[Change, ...]) -> str:
     """Deviation of each quantity with its interval, in per cent on a logarithmic axis."""
-    widest = max(max(change.high, 1.0 / change.low) for change in changes)
-    edge = float(np.clip(1.1 * widest, 1.1, 8.0))
     height = 34.0 * len(changes)
     chart = Chart(
-        Axis(
-            "",
-            1.0 / edge,
-            edge,
-            _ratio_ticks(edge),
-            lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %",
-            is_log=True,
-        ),
+        _ratio_axis(changes),
         Axis("", 0.0, 1.0),
         size=(_WIDTH, height + 30.0),
         margins=(150.0, 64.0, 0.0, 30.0),
@@ -198,14 +189,16 @@ def _bars(changes: tuple[Change, ...]) -> str:
     return chart.svg()
 
 
-def _ratio_ticks(edge: float) -> list[float]:
-    """Where grid lines stand on a logarithmic axis from 1 / edge to edge, the most welcome first."""
+def _ratio_axis(changes: Sequence[Change]) -> Axis:
+    """Per cent on a logarithmic axis, a tenth wider than the widest interval; the most welcome grid lines first."""
+    widest = max(max(change.high, 1.0 / change.low) for change in changes)
+    edge = float(np.clip(1.1 * widest, 1.1, 8.0))
     ticks: list[float] = []
     for tick in _RATIOS:
         apart = min((abs(np.log(tick / other)) for other in ticks), default=1.0)
         if 1.0 / edge <= tick <= edge and apart > 0.36 * np.log(edge):
             ticks.append(tick)
-    return ticks
+    return Axis("", 1.0 / edge, edge, ticks, lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %", is_log=True)
 
 
 def _shown(fit: Identified) -> tuple[FloatArray, slice]:
@@ -293,19 +286,11 @@ def _history(name: str, pieces: Sequence[Judgement]) -> str:
     """One quantity: a dot and its interval for each piece."""
     changes = [(piece, change) for piece in pieces for change in piece.changes if change.name == name]
     ends = [piece.begin_s + piece.duration_s for piece, _ in changes]
-    widest = max(max(change.high, 1.0 / change.low) for _, change in changes)
-    edge = float(np.clip(1.1 * widest, 1.1, 8.0))
+    axis = _ratio_axis([change for _, change in changes])
     begin, end = changes[0][0].begin_s, max(ends)
     chart = Chart(
         Axis("", begin, end, round_ticks(begin, end, 5), lambda value: f"{value:g} s"),
-        Axis(
-            "",
-            1.0 / edge,
-            edge,
-            _ratio_ticks(edge),
-            lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %",
-            is_log=True,
-        ),
+        axis,
         size=(_WIDTH, 130.0),
         margins=(66.0, 32.0, 24.0, 28.0),
         label=f"{_QUANTITY.get(name, name)} over time, with 95 % intervals",
@@ -316,7 +301,9 @@ def _history(name: str, pieces: Sequence[Judgement]) -> str:
     for piece, change in changes:
         middle = chart.x(piece.begin_s + 0.5 * piece.duration_s)
         with chart.group("moved" if change.significant else "still", f"{change.ratio - 1.0:+.1%}"):
-            low, high = (min(max(value, 1.0 / edge), edge) for value in (change.low, change.high))
-            chart.line("interval", (middle, chart.y(low)), (middle, chart.y(high)))
-            chart.dot("dot", (middle, chart.y(min(max(change.ratio, 1.0 / edge), edge))), 4.0)
+            low, ratio, high = (
+                chart.y(min(max(one, axis.low), axis.high)) for one in (change.low, change.ratio, change.high)
+            )
+            chart.line("interval", (middle, low), (middle, high))
+            chart.dot("dot", (middle, ratio), 4.0)
     return chart.svg()

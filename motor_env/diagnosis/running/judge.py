@@ -17,6 +17,7 @@ def judge_log(
     recording: Recording,
     motor: MotorFile | None,
     rate: float,
+    *,
     voltage_v: float | None = None,
     circuit: Circuit | None = None,
     temperature_c: float | None = None,

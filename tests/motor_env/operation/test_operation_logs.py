@@ -56,10 +56,10 @@ def test_logs_are_identified_jointly(tmp_path: Path, capsys: pytest.CaptureFixtu
     toml = tmp_path / "motor.toml"
     assert main(["identify", *logs, "--json", "-o", str(toml), "--out", str(tmp_path)]) == 0
     (found,) = json.loads(capsys.readouterr().out)
-    assert found["regime"] == "operation"
+    assert found["taken_for"]["regime"] == "operation"
     assert found["parameters"]["K"]["value"] == pytest.approx(motor.constant, rel=0.05)
     assert load_motor(toml).parameters.resistance_ohm == pytest.approx(motor.ohm, rel=0.05)
-    assert (tmp_path / "operation-reversals-csv.png").exists()
+    assert (tmp_path / "001-reversals-csv.png").exists()
 
 
 def test_noise_is_unusable_with_a_status(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,8 +12,9 @@ import pytest
 
 from motor_env import InputError, Recording, load_motor
 from motor_env.cli import main
+from motor_env.diagnosis import identify as identifying
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import fit as fitting, kernel, logs, report, uncertainty
+from motor_env.operation import fit as fitting, kernel, report, uncertainty
 from motor_env.operation.beginnings import beginnings
 from motor_env.operation.fit import ScoreTest, score_tests
 from motor_env.operation.identify import Operation, identify_operation, identify_record
@@ -33,6 +34,7 @@ from motor_env.operation.terms import terms
 from motor_env.operation.uncertainty import information_covariance, motor_places
 from motor_env.operation.window import first_steps, fit_window
 from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.regime import Taken
 from motor_env.recordings.start import Circuit
 
 DT_S = 2e-3
@@ -697,13 +699,19 @@ def test_one_channel_alone_tells_ratios_in_their_units(identified: Operation) ->
     assert all(words in found.notes[0] for words in told)
 
 
+def known(joint: Operation) -> identifying.Identification:
+    """Of one log."""
+    log = Recording(Path("log.csv"), np.arange(2.0), np.zeros(2))
+    return identifying.Identification((), (log,), {log.path: Taken("operation", "as asked")}, joint)
+
+
 def test_text_json_and_motor_file_say_the_same(identified: Operation) -> None:
-    told = report.as_json(identified, [Path("log.csv")], "as asked")
-    text = report.as_text(identified, [Path("log.csv")], "as asked").splitlines()
+    (told,), text = known(identified).to_json(), known(identified).text().splitlines()
     for one, line in zip(identified.quantities, text[2:], strict=False):
         said = told["parameters"][one.name]
         assert said == {
             "value": one.value,
+            "standard_error": pytest.approx((one.high - one.low) / 3.92),
             "interval": [one.low, one.high],
             "unit": one.unit,
             "determined": one.is_told,
@@ -713,11 +721,8 @@ def test_text_json_and_motor_file_say_the_same(identified: Operation) -> None:
     assert told["model"] == list(identified.model)
     assert (told["r2_current"], told["r2_speed"]) == identified.solution.explained()
     assert told["warmth_k"] == identified.warmth_k.max()
-    assert (told["voltage"], told["regime"], told["reason"]) == (
-        identified.record.hold,
-        "operation",
-        "as asked",
-    )
+    assert told["voltage"] == identified.record.hold
+    assert told["taken_for"] == {"regime": "operation", "why": "as asked"}
     units = {
         "R": "ohm",
         "L": "H",
@@ -744,8 +749,8 @@ def test_text_json_and_motor_file_say_the_same(identified: Operation) -> None:
     assert (motor.current_noise_a, motor.speed_noise_rad_s) == (p[kernel.NOISE_I], p[kernel.NOISE_W])
     assert motor.nominal_voltage_v == identified.record.peaks[0]
     warm = replace(identified, warmth_k=np.array([0.0, 12.4]))
-    assert "the winding warms by up to 12 K" in report.as_text(warm, [], "")
-    assert "warms" not in report.as_text(replace(identified, warmth_k=np.array([0.49])), [], "")
+    assert "the winding warms by up to 12 K" in known(warm).text()
+    assert "warms" not in known(replace(identified, warmth_k=np.array([0.49]))).text()
 
 
 def test_only_what_a_motor_can_be_is_told(identified: Operation) -> None:
@@ -782,11 +787,11 @@ def test_the_command_tells_logs_from_starts(
     log, toml = tmp_path / "log.csv", tmp_path / "motor.toml"
     np.savetxt(log, rows, delimiter=",", header="time_s,voltage_v,current_a,speed_rad_s", comments="")
     start = str(Path(__file__).parents[3] / "examples" / "startup_capture.csv")
-    monkeypatch.setattr(logs, "identify_operation", lambda _: identified)
+    monkeypatch.setattr(identifying, "identify_operation", lambda _: identified)
     assert main(["identify", str(log), start, "--json"]) == 0
     first, second = json.loads(capsys.readouterr().out)
-    assert (first["file"], second["files"]) == (start, [str(log)])
-    assert second["parameters"] == report.as_json(identified, [], "")["parameters"]
+    assert (first["files"], second["files"]) == ([start], [str(log)])
+    assert second["parameters"] == known(identified).parameters
     assert main(["identify", str(log), start, "-o", str(toml)]) == 0
     said = capsys.readouterr().out
     assert f"{start}: model textbook" in said
@@ -795,7 +800,7 @@ def test_the_command_tells_logs_from_starts(
     assert "(as asked)" in capsys.readouterr().out
     assert load_motor(toml).parameters.inertia_kg_m2 == identified.solution.values[kernel.J]
     assert main(["identify", str(log), "--regime", "rest"]) == 2
-    monkeypatch.setattr(logs, "identify_operation", lambda _: refuse())
+    monkeypatch.setattr(identifying, "identify_operation", lambda _: refuse())
     assert main(["identify", str(log), start]) == 3
     assert f"{log}: unusable: no motor" in capsys.readouterr().out
     assert main(["identify", str(log), "-o", str(toml)]) == 2
@@ -813,10 +818,8 @@ def test_a_duty_and_a_shunt_reach_the_fit(monkeypatch: pytest.MonkeyPatch) -> No
         given.extend(recordings)
         return refuse()
 
-    monkeypatch.setattr(logs, "identify_operation", identify)
+    monkeypatch.setattr(identifying, "identify_operation", identify)
     one = replace(recorded(np.full(50, 2.0)), voltage_v=None, duty=np.full(50, 0.5))
-    work = logs.identify_logs(
-        [(one, "a"), (one, "b"), (one, "a")], voltage_v=12.0, circuit=Circuit(shunt_ohm=0.25)
-    )
+    found = identifying.identify([one], voltage_v=12.0, circuit=Circuit(shunt_ohm=0.25), regime="operation")
     assert given[0].voltage_v == pytest.approx(np.full(50, 6.0 - 0.5))
-    assert (work.reason, work.exit_status()) == ("a; b", 3)
+    assert (found.is_complete, found.trouble, found.parameters) == (False, "no motor", {})
