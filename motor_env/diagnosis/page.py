@@ -301,9 +301,6 @@ def _history(name: str, pieces: Sequence[Judgement]) -> str:
     for piece, change in changes:
         middle = chart.x(piece.begin_s + 0.5 * piece.duration_s)
         with chart.group("moved" if change.significant else "still", f"{change.ratio - 1.0:+.1%}"):
-            low, ratio, high = (
-                chart.y(min(max(one, axis.low), axis.high)) for one in (change.low, change.ratio, change.high)
-            )
-            chart.line("interval", (middle, low), (middle, high))
-            chart.dot("dot", (middle, ratio), 4.0)
+            chart.line("interval", (middle, chart.y(change.low)), (middle, chart.y(change.high)))
+            chart.dot("dot", (middle, chart.y(change.ratio)), 4.0)
     return chart.svg()
