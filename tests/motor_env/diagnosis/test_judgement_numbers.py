@@ -540,6 +540,25 @@ def test_a_start_that_hides_a_doubled_friction_says_so_and_one_that_hides_all_is
             assert found.confidence is not None
 
 
+@pytest.mark.parametrize(
+    ("rows", "unseen"), [([0, 1], ["friction"]), ([3], ["resistance"]), ([1], ["friction", "resistance"])]
+)
+def test_what_cannot_be_compared_is_undecided(rows: list[int], unseen: list[str]) -> None:
+    """The reference speaks of fewer quantities than the fit tells; of L alone it is none."""
+    _, fit, reference = fitted()
+    known = replace(
+        reference,
+        names=tuple(CURRENT[row] for row in rows),
+        log_values=fit.log_values[rows],
+        log_covariance=reference.log_covariance[np.ix_(rows, rows)],
+    )
+    found = decide(fit, known, RATE)
+    said = [f"the {word} is undecided: it cannot be compared with {reference.source}" for word in unseen]
+    assert list(found.reasons[-len(unseen) :]) == said
+    assert found.verdict == ("unusable" if len(unseen) == 2 else "healthy")
+    assert [change.name for change in found.changes] == list(known.names)
+
+
 def bent(change: FloatArray) -> FloatArray:
     """By how much logarithms of factors are smaller than what they are changed by."""
     return change - np.log1p(change)
@@ -860,6 +879,59 @@ def test_the_friction_of_its_own_is_the_share_of_the_currents() -> None:
         assert commission._own_friction([fit, fit], share * running) == pytest.approx(expected)
     with pytest.raises(InputError, match="no-load-current must be at most the"):
         commission._own_friction([fit], 1.21 * running)
+
+
+@pytest.mark.parametrize("odd", [0.0, 1.2])
+def test_a_commissioning_counts_what_its_pieces_leave_undecided(odd: float) -> None:
+    """Each is judged by the others: where one has another friction, only it is judged by such as agree."""
+    given = fits([0.0] * 4, [0.0, 0.0, 0.0, 0.05], [0.0, 0.0, 0.0, -0.05], [0.0, 0.0, 0.0, odd], [0.0] * 4)
+    logs, white = np.array([fit.log_values for fit in given]), given[0].white_covariance
+    prior, warmth = np.eye(4) * 0.02**2 + white, np.array([0.00393, 0.0, -0.002, -0.003])
+    expected = 0
+    for n in range(5):
+        _, covariance, freedom = the_next(np.delete(logs, n, axis=0), prior)
+        same = covariance + beyond(covariance, white)
+        whole = warmer(same, 15.0 * warmth, RATE / 5.0, freedom)
+        limit = stats.t.isf(joint_share(0.8 * RATE, whole, EXPONENTS, freedom), freedom)
+        expected += bool((limit + 1.645) * math.sqrt(same[3, 3]) > math.log(2.0))
+    assert expected == (4 if odd else 0)
+    motor = commission.to_motor(given, "m", kind="commissioned", healthy=learn_starts(given))
+    smallest, undecided = commission._promise(motor, given, None, RATE)
+    assert undecided == ({"B/J": expected} if odd else {})
+    reference = reference_of(motor, CURRENT)
+    assert reference is not None
+    views = views_of(given[0], reference, RATE)
+    assert smallest == smallest_of(views, None, limits_of(views, RATE, tests_noise=True).z)
+    assert commission._promise(motor, given[:1], None, RATE)[1] == {}  # nothing is left to judge one by
+
+
+@pytest.mark.parametrize(
+    ("said", "telling"),
+    [
+        ([("healthy", 0.9), ("bearing", 0.8), ("winding", 0.99), ("bearing", 0.85)], 3),
+        ([("winding", 0.7), ("bearing", 0.8)], 1),
+        ([("unusable", None), ("healthy", 0.6), ("healthy", 0.9)], 1),
+        ([("no_reference", None), ("unusable", None)], 0),
+        ([("healthy", 0.9), ("other", None)], 1),
+    ],
+)
+def test_the_piece_that_a_verdict_rests_on(said: list[tuple[str, float | None]], telling: int) -> None:
+    """The surest of the most frequent fault; without a fault a healthy one, else the first."""
+    pieces = tuple(
+        replace(judged().telling, verdict=Verdict(word), confidence=sure, begin_s=float(n))
+        for n, (word, sure) in enumerate(said)
+    )
+    found = replace(judged(), pieces=pieces, of=9)
+    assert found.telling is pieces[telling]
+    assert (found.verdict, found.confidence) == (Verdict(said[telling][0]), said[telling][1])
+    told = report.as_json(found)
+    assert (told["verdict"], told["pieces_of_recording"]) == (said[telling][0], 9)
+    assert [(one["verdict"], one["confidence"]) for one in told["pieces"]] == said
+    first, *lines = report.as_text(found).splitlines()
+    same = sum(word == said[telling][0] for word, _ in said)
+    assert first.endswith(f"; {same} of {len(said)} starts judged, of 9")
+    marked = [line for line in lines if line.endswith(" <")]
+    assert [line.startswith(f"  from {telling} s: {said[telling][0]}") for line in marked] == [True]
 
 
 def test_words_of_a_commissioning() -> None:

@@ -160,6 +160,20 @@ def several(*, voltage: bool) -> Recording:
     return Recording(Path("two.csv"), time, current, volts if voltage else None)
 
 
+def test_the_starts_of_a_recording_share_its_rate() -> None:
+    both = diagnose(several(voltage=True), MOTOR, false_alarm_rate=0.02)
+    assert (both.taken.regime, both.of) == ("start", 2)
+    assert [piece.verdict for piece in both.pieces] == [Verdict.HEALTHY, Verdict.WINDING]
+    assert (both.verdict, both.telling) == (Verdict.WINDING, both.pieces[1])
+    parts = split_starts(several(voltage=True))
+    assert [piece.begin_s for piece in both.pieces] == [float(part.time_s[0]) for part in parts]
+    second = diagnose(several(voltage=True), MOTOR, false_alarm_rate=0.02, start=2)
+    assert (second.taken, second.of) == (("start", "as asked"), 1)
+    half = diagnose(parts[1], MOTOR, false_alarm_rate=0.01)
+    assert both.telling.smallest_changes == half.telling.smallest_changes
+    assert both.telling.smallest_changes["bearing"] > second.telling.smallest_changes["bearing"]
+
+
 @pytest.mark.parametrize("voltage", [True, False])
 def test_each_start_of_a_file_is_judged(voltage: bool) -> None:
     parts = split_starts(several(voltage=voltage))
