@@ -101,7 +101,7 @@ def reference(motor: MotorFile, names: tuple[str, ...], friction: float = 1.0) -
 
 
 def test_the_kind_of_the_pieces_tells_whose_errors_the_spread_holds() -> None:
-    """Errors of other fits and their excess scatter do not count for this one; the noise of starts is none of windows."""
+    """Errors and excess scatter of other fits do not count for this one; the noise of starts is none of windows."""
     spread = np.diag([0.03, 0.2, 0.02, 0.03, 0.06]) ** 2
     by_starts = reference(of_starts(("R", "L", "K", "J", "B"), spread), RKJB, 0.5)
     assert (by_starts.names, by_starts.source) == (RKJB, "5 healthy starts of started")

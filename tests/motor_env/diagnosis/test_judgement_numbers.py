@@ -149,7 +149,7 @@ def test_the_noise_has_its_share_and_the_motor_the_rest(tests_noise: bool) -> No
     found = limits_of(views, RATE, tests_noise=tests_noise)
     left = 0.8 * RATE if tests_noise else RATE
     assert found.share == joint_share(left, views[0].difference.covariance, EXPONENTS, 7.0)
-    expected = stats.t.isf([found.share, RATE / 5.0], 7.0)
+    expected = [float(stats.t.isf(share, 7.0)) for share in (found.share, RATE / 5.0)]
     assert (found.z, found.noise_z) == pytest.approx(tuple(expected))
     # Four tests of the motor share what is left: at least equally, and none has more than all of it.
     assert left / 4.0 <= found.share <= left
