@@ -543,7 +543,10 @@ def test_a_start_that_hides_a_doubled_friction_says_so_and_one_that_hides_all_is
 @pytest.mark.parametrize(
     ("rows", "unseen"), [([0, 1], ["friction"]), ([3], ["resistance"]), ([1], ["friction", "resistance"])]
 )
-def test_what_cannot_be_compared_is_undecided(rows: list[int], unseen: list[str]) -> None:
+@pytest.mark.parametrize("includes_fit_error", [False, True])
+def test_what_cannot_be_compared_is_undecided(
+    rows: list[int], unseen: list[str], includes_fit_error: bool
+) -> None:
     """The reference speaks of fewer quantities than the fit tells; of L alone it is none."""
     _, fit, reference = fitted()
     known = replace(
@@ -551,6 +554,7 @@ def test_what_cannot_be_compared_is_undecided(rows: list[int], unseen: list[str]
         names=tuple(CURRENT[row] for row in rows),
         log_values=fit.log_values[rows],
         log_covariance=reference.log_covariance[np.ix_(rows, rows)],
+        includes_fit_error=includes_fit_error,
     )
     found = decide(fit, known, RATE)
     said = [f"the {word} is undecided: it cannot be compared with {reference.source}" for word in unseen]
