@@ -10,6 +10,7 @@ confidence is the posterior probability of the verdict.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -113,8 +114,9 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
     spread = view.difference.covariance
     if reference.includes_fit_error:
         spread = fit.log_covariance[np.ix_(shared(fit, reference), shared(fit, reference))]
-    unseen, tested = _unseen(smallest_changes(replace(view.difference, covariance=spread), limits.z))
-    if len(unseen) == tested:
+    smallest = smallest_changes(replace(view.difference, covariance=spread), limits.z)
+    unseen = tuple(_unseen(smallest, reference.source))
+    if len(unseen) == len(_SEEN):
         return replace(healthy, verdict=Verdict.UNUSABLE, reasons=unseen, severity=None, confidence=None)
     healthy = replace(healthy, reasons=(*healthy.reasons, *unseen))
     return _with_noise(healthy, fit, reference, limits.noise_z)
@@ -217,16 +219,17 @@ def _with_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: fl
 _SEEN = {FaultKind.BEARING: "friction", FaultKind.WINDING_CONTACT: "resistance"}
 
 
-def _unseen(smallest: dict[str, float]) -> tuple[tuple[str, ...], int]:
-    """What a piece leaves undecided, a doubling would not show in it, in sentences; and of how many quantities."""
-    severities = {_SEEN[kind]: smallest[str(kind)] for kind in _SEEN if str(kind) in smallest}
-    sentences = (
-        f"the {quantity} is undecided: the recording is too coarse, too noisy or too short to tell it, only a rise of"
-        f" {severity:.0%} would show"
-        for quantity, severity in severities.items()
-        if severity > _DOUBLED
-    )
-    return tuple(sentences), len(severities)
+def _unseen(smallest: dict[str, float], source: str) -> Iterator[str]:
+    """What a piece leaves undecided, in sentences: a doubling would not show, or there is nothing to compare with."""
+    for kind, quantity in _SEEN.items():
+        severity = smallest.get(str(kind))
+        if severity is None:
+            yield f"the {quantity} is undecided: it cannot be compared with {source}"
+        elif severity > _DOUBLED:
+            yield (
+                f"the {quantity} is undecided: the recording is too coarse, too noisy or too short to tell it, only a"
+                f" rise of {severity:.0%} would show"
+            )
 
 
 def _alike_reason(fault: Explanation) -> str:

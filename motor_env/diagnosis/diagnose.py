@@ -23,6 +23,7 @@ from motor_env.identification.model_choice import EXTENSIONS, NUISANCES, identif
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import MotorFile, load_motor
 from motor_env.motor.healthy import Starts
+from motor_env.motor.model import steady_state
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, recording_of
@@ -184,7 +185,21 @@ def _reference(start: Start, motor: MotorFile | None, temperature_c: float | Non
     if motor is None:
         return None
     names = quantities.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
-    return reference_of(motor, names, temperature_c=temperature_c)
+    return reference_of(motor, names, temperature_c=temperature_c, friction=_friction(start, motor))
+
+
+def _friction(start: Start, motor: MotorFile) -> float:
+    """Drag over the speed that a start ends at, over that of healthy windows at theirs, for the same healthy motor.
+
+    Dry friction and fans are not in proportion to the speed. Where no voltage tells the speed, it is taken for theirs.
+    """
+    windows = None if motor.healthy is None else motor.healthy.windows
+    if windows is None or not start.voltage_known:
+        return 1.0
+    from motor_env.diagnosis.running.windows import viscous
+
+    speed = float(steady_state(motor.parameters, start.level_v)[1])
+    return viscous(windows.physical, speed) / viscous(windows.physical, windows.speed_rad_s)
 
 
 def unusable_reason(fit: Identified) -> str | None:

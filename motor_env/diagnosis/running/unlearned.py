@@ -6,7 +6,15 @@ import numpy as np
 
 from motor_env.diagnosis.healthy_motor import reference_of
 from motor_env.diagnosis.running.lessons import effective_speed, known_of
-from motor_env.diagnosis.running.windows import MOST_SAMPLES, NAMES, NEEDED, WindowJudge, judge_of, viscous
+from motor_env.diagnosis.running.windows import (
+    MOST_SAMPLES,
+    NAMES,
+    NEEDED,
+    WindowJudge,
+    judge_of,
+    needed_columns,
+    viscous,
+)
 from motor_env.motor.data_sheet import MotorFile
 from motor_env.motor.healthy import Windows
 from motor_env.motor.model import steady_state
@@ -31,6 +39,7 @@ def judge_for(recording: Recording, motor: MotorFile, temperature_c: float | Non
     """
     if motor.healthy is not None and motor.healthy.windows is not None:
         return judge_of(motor.healthy, motor.name, temperature_c)
+    needed_columns(recording)  # refuses at once what the fit of the whole log would take long to find
     joint = identify_operation([recording])
     if not joint.record.seen.all():
         raise UnusableError(NEEDED)

@@ -24,7 +24,7 @@ from motor_env import (
     read_recording,
     simulate,
 )
-from motor_env.diagnosis.commission import identify_file, to_motor
+from motor_env.diagnosis.commission import identify_starts, to_motor
 from motor_env.envs.tasks import with_motor
 from motor_env.motor.assumptions import usable_parameters
 from motor_env.motor.data_sheet import to_toml
@@ -73,11 +73,8 @@ def test_a_guessed_constant_is_marked_warned_of_and_refused_where_speeds_are_see
         with_motor(replace(recipe, sensor=SENSOR), path)
 
 
-def test_files_of_before_tell_it_by_their_quantities(current_only: Path, tmp_path: Path) -> None:
+def test_what_was_assumed_is_a_value_of_the_motor(current_only: Path, tmp_path: Path) -> None:
     path, text = tmp_path / "m.toml", current_only.read_text()
-    begin, end = text.index("[assumed]"), text.index("[reference]")
-    path.write_text(text[:begin] + text[end:])
-    assert "torque_constant_n_m_per_a" in load_motor(path).assumed
     path.write_text(text.replace("[assumed]", '[assumed]\nbrush_drop = "?"'))
     with pytest.raises(InputError, match=r"assumed\.brush_drop is no value"):
         load_motor(path)
@@ -111,11 +108,15 @@ def test_healthy_starts_with_a_speed_serve_a_start_without(tmp_path: Path) -> No
     assert faulty.severity == pytest.approx(0.4, abs=0.1)
     assert {change.name for change in healthy.changes} >= {"K^2/J", "B/J"}
     per_volt = diagnose(read_recording(write(tmp_path / "v.csv", 7, columns=2)), motor)
-    assert per_volt.verdict == "no_reference"
+    # Of what a start without a voltage tells, B/J alone follows from R, L, K, J and B.
+    assert per_volt.verdict == "healthy"
+    assert [change.name for change in per_volt.changes] == ["B/J"]
+    said = f"the resistance is undecided: it cannot be compared with 3 healthy starts of {motor.name}"
+    assert per_volt.reasons[1:] == (said,)
 
 
 def test_terms_that_are_not_different_from_0_are_not_written(tmp_path: Path) -> None:
-    ((_, fit),) = identify_file(Path(write(tmp_path / "a.csv", 8)))
+    ((_, fit),) = identify_starts(read_recording(write(tmp_path / "a.csv", 8)))
     for error, written in ((0.071, 0.0), (0.010, 0.070)):
         seen = replace(fit, fitted_extension={"brush_drop": (0.070, error)})
         assert to_motor([seen], "m").brush_drop_v == written

@@ -36,16 +36,20 @@ def test_a_log_is_no_healthy_start(
     toml = tmp_path / "motor.toml"
     assert main(["commission", *healthy, log, "-o", str(toml)]) == 2
     said = capsys.readouterr().err
-    assert "pwm.csv: a healthy start cannot be used: a log of a motor at work" in said
-    assert "--window" in said
+    assert "some are starts, and some logs of a motor at work: give starts of one kind, or --regime" in said
     assert not toml.exists()
 
 
-def test_a_log_is_not_judged_by_starts(
+def test_a_log_without_a_speed_is_undecided(
     healthy: list[str], log: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["diagnose", log, "--healthy", *healthy]) == 3
-    assert "a log of a motor at work" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert (
+        "pwm.csv: unusable\n  windows of a running motor are judged only where voltage, current and speed"
+        in said
+    )
+    assert "\n  taken for a motor at work (" in said
 
 
 def test_a_start_that_no_motor_explains_is_named(

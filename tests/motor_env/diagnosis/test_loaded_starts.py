@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from recording_csv import write_csv
 
-from motor_env import MotorParameters, Recording, diagnose, load_motor
+from motor_env import MotorFile, MotorParameters, Recording, diagnose, load_motor
 from motor_env.cli import main
-from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
+from motor_env.diagnosis.commission import to_motor
+from motor_env.diagnosis.learning import fit_healthy, learn_starts
 from motor_env.identification.start_model import Extension, step_start
 from motor_env.motor.parameters import FloatArray
 
@@ -34,29 +35,31 @@ def start(motor: MotorParameters, load: str, number: int, *, has_speed: bool = F
     return Recording(Path(f"start-{number}"), TIME_S, noisy[:, 0], None, noisy[:, 1] if has_speed else None)
 
 
+def learned_under(load: str, *, has_speed: bool = False) -> MotorFile:
+    fits = fit_healthy([start(MOTOR, load, n, has_speed=has_speed) for n in range(5)], voltage_v=12.0)
+    return to_motor(fits, "loaded", kind="commissioned", healthy=learn_starts(fits))
+
+
 @pytest.mark.parametrize("has_speed", [False, True])
 @pytest.mark.parametrize("load", LOADS)
 def test_a_winding_fault_under_a_load_is_named(load: str, has_speed: bool) -> None:
-    healthy = [start(MOTOR, load, n, has_speed=has_speed) for n in range(5)]
-    learned = learn_reference(fit_healthy(healthy, voltage_v=12.0))
-    assert (
-        diagnose(start(MOTOR, load, 6, has_speed=has_speed), None, learned, voltage_v=12.0).verdict
-        == "healthy"
-    )
+    learned = learned_under(load, has_speed=has_speed)
+    sound = start(MOTOR, load, 6, has_speed=has_speed)
+    assert diagnose(sound, learned, voltage_v=12.0).verdict == "healthy"
     faulty = start(MOTOR.scaled(resistance_ohm=1.25), load, 7, has_speed=has_speed)
-    assert diagnose(faulty, None, learned, voltage_v=12.0).verdict == "winding"
+    assert diagnose(faulty, learned, voltage_v=12.0).verdict == "winding"
 
 
 @pytest.mark.parametrize("load", LOADS)
 def test_a_load_does_not_cool_as_friction_does(load: str) -> None:
-    learned = learn_reference(fit_healthy([start(MOTOR, load, n) for n in range(5)], voltage_v=12.0))
+    learned = learned_under(load)
     magnet = 1.0 - 0.001 * 35.0
     warm = MOTOR.scaled(
         resistance_ohm=1.0 + 0.00393 * 35.0,
         back_emf_constant_v_s_per_rad=magnet,
         torque_constant_n_m_per_a=magnet,
     )
-    found = diagnose(start(warm, load, 8), None, learned, voltage_v=12.0)
+    found = diagnose(start(warm, load, 8), learned, voltage_v=12.0)
     assert found.verdict == "healthy"
     assert "K warmer" in found.reasons[-1]
 
@@ -75,7 +78,7 @@ def test_a_no_load_current_makes_the_bearing_fault_one_of_the_bearing(
     assert "of the whole drag, any load included" in whole
     assert main([*command, "--no-load-current", "0.15"]) == 0
     assert re.search(r"of the motor's own friction, \d\d% of the drag", own := capsys.readouterr().out)
-    own_friction = load_motor(tmp_path / "motor.toml").reference.own_friction  # type: ignore[union-attr]
+    own_friction = load_motor(tmp_path / "motor.toml").healthy.own_friction  # type: ignore[union-attr]
     assert own_friction is not None
     assert smallest_bearing(own) == pytest.approx(smallest_bearing(whole) / own_friction, rel=0.1)
     assert main([*command, "--no-load-current", "9"]) == 2

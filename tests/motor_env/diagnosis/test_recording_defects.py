@@ -26,7 +26,8 @@ from motor_env import (
     identify,
     load_motor,
 )
-from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
+from motor_env.diagnosis.commission import to_motor
+from motor_env.diagnosis.learning import fit_healthy, learn_starts
 from motor_env.diagnosis.report import ripple_json
 from motor_env.identification.commutation import find_ripple
 from motor_env.identification.identify import TEXTBOOK
@@ -64,8 +65,9 @@ def test_a_fault_is_seen_through_each_defect(name: str, truth: Verdict) -> None:
     defect = DEFECTS[name]
     found = judge(defect, truth, Circuit(shunt_ohm=defect.shunt_ohm))
     assert found.verdict is truth
-    assert found.identified is not None
-    assert defect.words in " ".join([*found.recording.columns, *map(str, found.identified.defects)])
+    fit = found.telling.identified
+    assert fit is not None
+    assert defect.words in " ".join([*found.recording.columns, *map(str, fit.defects)])
 
 
 @pytest.mark.parametrize(
@@ -82,11 +84,17 @@ def test_what_cannot_be_judged_is_unusable(name: str, truth: Verdict) -> None:
     assert judge(DEFECTS[name], truth).verdict is Verdict.UNUSABLE
 
 
-def test_a_converter_too_coarse_for_the_friction_is_never_healthy() -> None:
+def assert_friction_is_undecided(found: Diagnosis) -> None:
+    """A healthy resistance, and nothing of the friction: each is told."""
+    assert found.verdict is Verdict.HEALTHY
+    assert found.reasons[1].startswith("the friction is undecided: the recording is too coarse")
+    said = {change.name: change.verdict for change in found.changes}
+    assert (said["R"], said["B/J"]) == ("healthy", "undecided")
+
+
+def test_a_converter_too_coarse_for_the_friction_says_so() -> None:
     coarse = replace(DEFECTS["quantisation"], chain=replace(DEFECTS["quantisation"].chain, adc_bits=5))  # type: ignore[type-var]  # it has a chain
-    found = judge(coarse, Verdict.HEALTHY)
-    assert found.verdict is Verdict.UNUSABLE
-    assert "friction" in found.reasons[0]
+    assert_friction_is_undecided(judge(coarse, Verdict.HEALTHY))
 
 
 def test_a_known_lag_and_a_known_shunt_are_taken_off() -> None:
@@ -129,9 +137,12 @@ def test_without_a_ripple_there_is_no_speed() -> None:
 
 
 def test_the_ripple_compares_speeds_between_recordings() -> None:
-    learned = learn_reference(fit_healthy([rippled()[0]]) * 3)  # three alike
-    assert learned.ripple_hz is not None
-    found = diagnose(rippled(1.2)[0], None, learned)
+    fits = fit_healthy([rippled()[0]]) * 3  # three alike
+    motor = to_motor(fits, "rippled", kind="commissioned", healthy=learn_starts(fits))
+    assert motor.healthy is not None
+    assert motor.healthy.starts is not None
+    assert motor.healthy.starts.ripple_hz is not None
+    found = diagnose(rippled(1.2)[0], motor)
     moved = {change.name: change.ratio for change in found.changes if change.significant}
     assert moved["K"] == pytest.approx(1.2, rel=0.02)
     assert moved["speed"] == pytest.approx(1.0 / 1.2, rel=0.02)
@@ -149,6 +160,20 @@ def several(*, voltage: bool) -> Recording:
     return Recording(Path("two.csv"), time, current, volts if voltage else None)
 
 
+def test_the_starts_of_a_recording_share_its_rate() -> None:
+    both = diagnose(several(voltage=True), MOTOR, false_alarm_rate=0.02)
+    assert (both.taken.regime, both.of) == ("start", 2)
+    assert [piece.verdict for piece in both.pieces] == [Verdict.HEALTHY, Verdict.WINDING]
+    assert (both.verdict, both.telling) == (Verdict.WINDING, both.pieces[1])
+    parts = split_starts(several(voltage=True))
+    assert [piece.begin_s for piece in both.pieces] == [float(part.time_s[0]) for part in parts]
+    second = diagnose(several(voltage=True), MOTOR, false_alarm_rate=0.02, start=2)
+    assert (second.taken, second.of) == (("start", "as asked"), 1)
+    half = diagnose(parts[1], MOTOR, false_alarm_rate=0.01)
+    assert both.telling.smallest_changes == half.telling.smallest_changes
+    assert both.telling.smallest_changes["bearing"] > second.telling.smallest_changes["bearing"]
+
+
 @pytest.mark.parametrize("voltage", [True, False])
 def test_each_start_of_a_file_is_judged(voltage: bool) -> None:
     parts = split_starts(several(voltage=voltage))
@@ -161,9 +186,9 @@ def test_each_start_of_a_file_is_judged(voltage: bool) -> None:
 
 def test_a_recording_that_the_model_does_not_explain_is_said_to_be_inconsistent() -> None:
     (good,) = captures(Defect(), (), MOTOR.parameters, 5, 1)
-    assert diagnose(good, MOTOR).warning == ""
+    assert diagnose(good, MOTOR).telling.warning == ""
     wavy = replace(good, current_a=good.current_a + 0.1 * np.sin(60.0 * good.time_s))
-    assert "correlated in time" in diagnose(wavy, MOTOR).warning
+    assert "correlated in time" in diagnose(wavy, MOTOR).telling.warning
 
 
 def test_a_sensor_that_hides_small_currents_is_told_by_the_evidence() -> None:
@@ -177,9 +202,7 @@ def test_a_sensor_that_hides_small_currents_is_told_by_the_evidence() -> None:
     true = identify_best(prepare(plain))
     assert true.model == TEXTBOOK
     assert fit.log_values[0] == pytest.approx(true.log_values[0], abs=0.01)
-    found = diagnose(hiding, MOTOR)
-    assert found.verdict is Verdict.UNUSABLE
-    assert "friction" in found.reasons[0]
+    assert_friction_is_undecided(diagnose(hiding, MOTOR))
 
 
 def test_no_start_knows_the_friction_better_than_its_noise_allows() -> None:
@@ -198,7 +221,7 @@ def test_friction_that_is_not_viscous_is_tried_where_nothing_is_compared(with_re
     states = driven(PAPER_MOTOR, Extension(coulomb_friction_n_m=2e-3), voltage, 2e-4, from_rest=True)
     noise = np.random.default_rng(3).normal(0.0, 0.002, len(time_s))
     recording = Recording(Path("square"), time_s, states[:, 0] + noise, voltage)
-    found = diagnose(recording, MOTOR if with_reference else None)
+    found = diagnose(recording, MOTOR if with_reference else None, regime="start").telling
     assert found.identified is not None
     assert ("coulomb" in found.identified.model) is not with_reference
     if not with_reference:  # and the filter, which is linear, takes it as a load that it knows

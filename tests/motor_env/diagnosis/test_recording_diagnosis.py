@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,9 @@ from motor_env import (
     read_recording,
     simulate,
 )
-from motor_env.diagnosis.commission import identify_file
+from motor_env.diagnosis.commission import identify_starts, to_motor
 from motor_env.diagnosis.files import diagnose_files
-from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
+from motor_env.diagnosis.learning import fit_healthy, learn_starts
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.start import prepare
 from motor_env.simulation.drawing import apply_factors
@@ -112,7 +113,8 @@ def test_a_weak_magnet_is_other_and_names_the_direction() -> None:
 
 def test_severity_interval_holds_the_truth() -> None:
     found = [diagnose(r, MOTOR) for r in captures(6, Fault(FaultKind.WINDING_CONTACT, 0.40))]
-    inside = [(d.severity_low or 0.0) <= 0.40 <= (d.severity_high or 0.0) for d in found]
+    intervals = [d.severity_interval for d in found if d.severity_interval is not None]
+    inside = [low <= 0.40 <= high for low, high in intervals]
     assert sum(inside) >= 5
     assert np.mean([d.severity or 0.0 for d in found]) == pytest.approx(0.40, abs=0.03)
 
@@ -147,20 +149,25 @@ def test_without_a_voltage_only_ratios_are_told_and_the_sheet_is_no_reference() 
     recording = captures(1, known_voltage=False)[0]
     alone = diagnose(recording)
     assert alone.verdict is Verdict.NO_REFERENCE
-    assert alone.identified is not None
-    assert alone.identified.quantity_names == ("R/V", "L/V", "K^2/(J V)", "B/J")
-    np.testing.assert_allclose(alone.identified.values[0], 2.18 / 12.0, rtol=0.05)
+    fit = alone.telling.identified
+    assert fit is not None
+    assert fit.quantity_names == ("R/V", "L/V", "K^2/(J V)", "B/J")
+    np.testing.assert_allclose(fit.values[0], 2.18 / 12.0, rtol=0.05)
+    compared = diagnose(recording, replace(MOTOR, nominal_voltage_v=None))
+    assert compared.verdict is Verdict.NO_REFERENCE
+    assert compared.reasons[0].startswith("this recording tells R/V, L/V, K^2/(J V), B/J, and the reference")
 
 
 def test_healthy_recordings_as_reference() -> None:
-    healthy = learn_reference(fit_healthy(captures(5, known_voltage=False)))
-    assert diagnose(captures(6, known_voltage=False)[5], None, healthy).verdict is Verdict.HEALTHY
+    fits = fit_healthy(captures(5, known_voltage=False))
+    motor = to_motor(fits, "bench", kind="commissioned", healthy=learn_starts(fits))
+    assert diagnose(captures(6, known_voltage=False)[5], motor).verdict is Verdict.HEALTHY
     worn = captures(2, Fault(FaultKind.WINDING_CONTACT, 0.4), known_voltage=False)
-    assert [diagnose(r, None, healthy).verdict for r in worn] == [Verdict.WINDING] * 2
+    assert [diagnose(r, motor).verdict for r in worn] == [Verdict.WINDING] * 2
 
 
 def test_the_filter_is_consistent_with_its_belief() -> None:
-    check = diagnose(captures(1)[0], MOTOR).filter_check
+    check = diagnose(captures(1)[0], MOTOR).telling.filter_check
     assert check is not None
     assert check.mean_nis == pytest.approx(1.0, abs=0.1)
 
@@ -280,14 +287,15 @@ def test_real_starts_are_fitted(
     file: str, voltage_v: float | None, r2: float, largest_correlation: float
 ) -> None:
     """R2 of the current with the model that the evidence chooses, and how far the residual is from white."""
-    ((_, fit),) = identify_file(RECORDINGS / file, voltage_v=voltage_v)
+    ((_, fit),) = identify_starts(read_recording(RECORDINGS / file), voltage_v=voltage_v)
     assert fit.r2_current >= r2
     assert abs(fit.lag_one) <= largest_correlation
 
 
 @needs_recordings
 def test_a_wild_sample_of_a_scope_is_named() -> None:
-    ((_, fit),) = identify_file(RECORDINGS / "oscillo_lab" / "startup_F0000.csv", voltage_v=12.3)
+    recording = read_recording(RECORDINGS / "oscillo_lab" / "startup_F0000.csv")
+    ((_, fit),) = identify_starts(recording, voltage_v=12.3)
     assert "a wild sample of 13.6 A at 0.05 s, left out" in [str(defect) for defect in fit.defects]
 
 
@@ -298,7 +306,7 @@ def test_production_line_starts() -> None:
     others = [folder / f"{name}.csv" for name in ("ok_06", "ok_08", "ng_01", "ng_05")]
     found = [o.diagnosis for o in diagnose_files(others, healthy=healthy) if o.diagnosis is not None]
     assert [d.verdict.is_fault for d in found] == [False, False, True, True]
-    fits = [d.identified for d in found if d.identified is not None]
+    fits = [d.telling.identified for d in found if d.telling.identified is not None]
     assert [fit.r2_current >= 0.99 and abs(fit.lag_one) <= 0.8 for fit in fits] == [True] * 4
     for faulty in found[2:]:
         moved = {c.name: c.ratio for c in faulty.changes if c.significant}

@@ -10,6 +10,7 @@ import pytest
 from motor_env import (
     Fault,
     FaultKind,
+    MotorFile,
     MotorParameters,
     Recording,
     Scenario,
@@ -20,8 +21,8 @@ from motor_env import (
     diagnose,
     load_motor,
 )
-from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
-from motor_env.motor.data_sheet import StartReference
+from motor_env.diagnosis.commission import to_motor
+from motor_env.diagnosis.learning import fit_healthy, learn_starts
 from motor_env.simulation.fast_path import measure
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml").parameters
@@ -45,31 +46,36 @@ def starts(motor: MotorParameters, numbers: range, *faults: Fault) -> list[Recor
 
 
 @pytest.fixture(scope="module")
-def healthy() -> StartReference:
-    return learn_reference(fit_healthy(starts(MOTOR, range(5)), voltage_v=12.0))
+def healthy() -> MotorFile:
+    fits = fit_healthy(starts(MOTOR, range(5)), voltage_v=12.0)
+    return to_motor(fits, "mine", kind="commissioned", healthy=learn_starts(fits))
 
 
 @pytest.mark.parametrize("kelvin", [-20.0, 10.0, 25.0])
-def test_another_temperature_is_no_fault(healthy: StartReference, kelvin: float) -> None:
+def test_another_temperature_is_no_fault(healthy: MotorFile, kelvin: float) -> None:
     for recording in starts(warmed(kelvin), range(5, 9)):
-        found = diagnose(recording, None, healthy, voltage_v=12.0)
+        found = diagnose(recording, healthy, voltage_v=12.0)
         assert found.verdict is Verdict.HEALTHY
         if kelvin == 25.0:
             assert "K warmer" in found.reasons[-1]
 
 
 @pytest.mark.parametrize("kelvin", [0.0, 15.0])
-def test_a_bad_contact_is_still_one(healthy: StartReference, kelvin: float) -> None:
+def test_a_bad_contact_is_still_one(healthy: MotorFile, kelvin: float) -> None:
     fault = Fault(FaultKind.WINDING_CONTACT, 0.25)
     for recording in starts(warmed(kelvin), range(5, 8), fault):
-        assert diagnose(recording, None, healthy, voltage_v=12.0).verdict is Verdict.WINDING
+        assert diagnose(recording, healthy, voltage_v=12.0).verdict is Verdict.WINDING
 
 
-def test_a_measured_temperature_makes_a_smaller_change_visible(healthy: StartReference) -> None:
+def test_a_measured_temperature_makes_a_smaller_change_visible(healthy: MotorFile) -> None:
     (recording,) = starts(warmed(40.0), range(5, 6))
-    known = replace(healthy, temperature_c=20.0)
-    warm = diagnose(recording, None, known, voltage_v=12.0, temperature_c=60.0)
-    cold = diagnose(recording, None, known, voltage_v=12.0, temperature_c=20.0)
+    assert healthy.healthy is not None
+    known = replace(healthy, healthy=replace(healthy.healthy, temperature_c=20.0))
+    warm = diagnose(recording, known, voltage_v=12.0, temperature_c=60.0)
+    cold = diagnose(recording, known, voltage_v=12.0, temperature_c=20.0)
     assert warm.verdict is Verdict.HEALTHY
     assert cold.verdict is not Verdict.HEALTHY
-    assert warm.smallest_changes["winding_contact"] < cold.smallest_changes["winding_contact"] * 1.01
+    assert (
+        warm.telling.smallest_changes["winding_contact"]
+        < cold.telling.smallest_changes["winding_contact"] * 1.01
+    )

@@ -103,11 +103,11 @@ def test_numbers_of_experts_lie_behind_the_fold() -> None:
 
 
 def test_the_healthy_motors_current_is_what_was_measured_when_nothing_is_wrong() -> None:
-    fit, expected = judged("healthy").identified, reference_current(judged("healthy"))
+    healthy, bearing = judged("healthy").telling, judged("bearing").telling
+    fit, expected = healthy.identified, reference_current(healthy)
     assert fit is not None
     assert expected is not None
     np.testing.assert_allclose(expected, fit.start.current_a, atol=0.2)
-    bearing = judged("bearing")
     assert bearing.identified is not None
     beyond = bearing.identified.start.current_a - np.asarray(reference_current(bearing))
     assert 0.005 < beyond[-500:].mean() < 0.03  # half more friction than 26 mA

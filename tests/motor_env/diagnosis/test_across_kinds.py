@@ -1,0 +1,142 @@
+"""A motor that is known by windows of its work judges a start, and one that is known by starts judges windows."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from motor_env import PAPER_MOTOR, FaultKind, MotorFile, MotorParameters, Recording, Verdict, diagnose
+from motor_env.diagnosis.commission import motor_of_windows
+from motor_env.diagnosis.decision import decide
+from motor_env.diagnosis.explanations import joint_share
+from motor_env.diagnosis.healthy_motor import Reference, reference_of
+from motor_env.diagnosis.page import reference_current
+from motor_env.diagnosis.running.windows import FittedWindow
+from motor_env.identification.start_model import Extension, step_start
+from motor_env.motor.healthy import Healthy, Starts, Windows
+from motor_env.motor.identifiable import matrix, visible_direction
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation import kernel
+
+RKJB = ("R", "K", "J", "B")
+SPEED = 200.0
+TIME_S: FloatArray = np.linspace(-0.02, 0.1999, 2200)
+TRUE = np.array(
+    [
+        PAPER_MOTOR.resistance_ohm,
+        PAPER_MOTOR.back_emf_constant_v_s_per_rad,
+        PAPER_MOTOR.inertia_kg_m2,
+        PAPER_MOTOR.viscous_friction_n_m_s_per_rad,
+    ],
+    dtype=np.float64,
+)
+
+
+def of_windows(dry_n_m: float = 0.0) -> MotorFile:
+    """The motor known by twelve windows, whose effective speed is far below that of a start."""
+    physical = np.zeros(kernel.N_VALUES)
+    physical[[kernel.R, kernel.K, kernel.J, kernel.B]] = TRUE
+    physical[[kernel.L, kernel.COULOMB, kernel.DRAG]] = [float(PAPER_MOTOR.inductance_h), dry_n_m, 1.0]
+    values = TRUE + np.array([0.0, 0.0, 0.0, dry_n_m / SPEED])
+    covariance = np.diag([0.02, 0.01, 0.02, 0.05]) ** 2
+    windows = Windows(0.5, (), physical, "held", 1e-3, SPEED, window_excess=0.7)
+    return motor_of_windows(Healthy(12, 15.0, RKJB, values, covariance, windows=windows), "work")
+
+
+def of_starts(names: tuple[str, ...], covariance: FloatArray) -> MotorFile:
+    """The motor known by five starts that told these quantities."""
+    k = float(PAPER_MOTOR.back_emf_constant_v_s_per_rad)
+    told = dict(zip(RKJB, TRUE.tolist(), strict=True)) | {"L": float(PAPER_MOTOR.inductance_h)}
+    told |= {"K^2/J": k * k / told["J"], "B/J": told["B"] / told["J"]}
+    values = np.array([told[name] for name in names])
+    starts = Starts(math.log(0.02), 0.1, model=("supply_ramp",), model_low=(1e-3,), model_high=(2e-3,))
+    healthy = Healthy(5, 8.0, names, values, covariance, temperature_k=0.0, own_friction=0.8, starts=starts)
+    return MotorFile("started", "commissioned", PAPER_MOTOR, healthy=healthy)
+
+
+def start(motor: MotorParameters, dry_n_m: float, *, has_speed: bool) -> Recording:
+    states = step_start(motor, Extension(coulomb_friction_n_m=dry_n_m), TIME_S, 3e-5, 12.0)
+    noisy: FloatArray = states + np.random.default_rng(4).standard_normal(states.shape) * [0.003, 0.2]
+    return Recording(Path("start"), TIME_S, noisy[:, 0], None, noisy[:, 1] if has_speed else None)
+
+
+@pytest.mark.parametrize(("has_speed", "names"), [(False, ("R", "K^2/J", "B/J")), (True, RKJB)])
+@pytest.mark.parametrize("dry_n_m", [0.0, 4e-4])
+def test_windows_judge_a_start_without_its_inductance(
+    dry_n_m: float, has_speed: bool, names: tuple[str, ...]
+) -> None:
+    """A dry friction counts less at the start's higher speed: half of the windows' drag over their speed is left."""
+    motor = of_windows(dry_n_m)
+    found = diagnose(start(PAPER_MOTOR, dry_n_m, has_speed=has_speed), motor, voltage_v=12.0)
+    assert found.verdict is Verdict.HEALTHY
+    assert found.reasons == (
+        "no quantity has moved further than 12 healthy windows of work and the fit's own error allow",
+    )
+    assert [change.name for change in found.changes] == list(names)
+    assert [change.ratio for change in found.changes] == pytest.approx([1.0] * len(names), abs=0.06)
+    assert found.telling.reference is not None
+    assert not found.telling.reference.includes_fit_error
+    # The healthy motor's current takes the inductance, of which the windows say nothing, from the fit.
+    expected, fit = reference_current(found.telling), found.telling.identified
+    assert expected is not None
+    assert fit is not None
+    np.testing.assert_allclose(expected, fit.states[:, 0], atol=0.05)
+
+
+def test_windows_see_a_bad_contact_in_a_start() -> None:
+    worn = start(PAPER_MOTOR.scaled(resistance_ohm=1.3), 0.0, has_speed=True)
+    found = diagnose(worn, of_windows(), voltage_v=12.0)
+    assert (found.verdict, found.kind) == (Verdict.WINDING, FaultKind.WINDING_CONTACT)
+    assert found.severity == pytest.approx(0.3, abs=0.03)
+
+
+def reference(motor: MotorFile, names: tuple[str, ...], friction: float = 1.0) -> Reference:
+    found = reference_of(motor, names, are_starts=False, friction=friction)
+    assert found is not None
+    return found
+
+
+def test_the_kind_of_the_pieces_tells_whose_errors_the_spread_holds() -> None:
+    """Errors and excess scatter of other fits do not count for this one; the noise of starts is none of windows."""
+    spread = np.diag([0.03, 0.2, 0.02, 0.03, 0.06]) ** 2
+    by_starts = reference(of_starts(("R", "L", "K", "J", "B"), spread), RKJB, 0.5)
+    assert (by_starts.names, by_starts.source) == (RKJB, "5 healthy starts of started")
+    np.testing.assert_allclose(np.exp(by_starts.log_values), TRUE * [1.0, 1.0, 1.0, 0.5])
+    np.testing.assert_allclose(
+        by_starts.log_covariance, spread[np.ix_([0, 2, 3, 4], [0, 2, 3, 4])], atol=1e-12
+    )
+    assert (by_starts.includes_fit_error, by_starts.log_noise, by_starts.model) == (False, None, None)
+    same = reference_of(of_starts(("R", "L", "K", "J", "B"), spread), ("R", "B/J"))
+    assert same is not None
+    assert (same.includes_fit_error, same.log_noise, same.model) == (True, math.log(0.02), ("supply_ramp",))
+    assert same.log_covariance == pytest.approx(np.diag([0.03**2, 0.03**2 + 0.06**2]), abs=1e-12)
+    own, other = reference(of_windows(), RKJB), reference_of(of_windows(), ("R", "L", "K^2/J", "B/J"))
+    assert other is not None
+    assert other.names == ("R", "K^2/J", "B/J")
+    assert (own.includes_fit_error, other.includes_fit_error) == (True, False)
+    assert (own.excess, other.excess) == (0.7, 1.0)
+    # Of R, L, K^2/J and B/J, windows learn R alone.
+    assert reference(of_starts(("R", "L", "K^2/J", "B/J"), spread[:4, :4]), RKJB).names == ("R",)
+
+
+def test_starts_judge_a_window_by_its_own_error_beside_their_spread() -> None:
+    spread = np.diag([0.03, 0.2, 0.02, 0.03, 0.06]) ** 2
+    motor = of_starts(("R", "L", "K", "J", "B"), spread)
+    healthy, error = reference(motor, RKJB, 0.5), np.diag([0.01, 0.01, 0.02, 0.03]) ** 2
+    covariance = healthy.log_covariance + error
+    g = visible_direction(FaultKind.BEARING, matrix(RKJB))
+    sd = (g @ np.linalg.inv(covariance) @ g) ** -0.5
+    limit = stats.t.isf(joint_share(0.01, covariance, matrix(RKJB), 8.0), 8.0)  # no noise is tested
+    for size, verdict in ((0.995, Verdict.HEALTHY), (1.005, Verdict.BEARING)):
+        window = FittedWindow(np.log(TRUE * [1.0, 1.0, 1.0, 0.5]) + size * limit * sd * g, error)
+        found = decide(window, healthy, 0.01)
+        assert found.verdict is verdict
+        assert found.smallest_changes["bearing"] == pytest.approx(math.expm1((limit + 1.645) * sd) / 0.8)
+    assert found.severity == pytest.approx(
+        math.expm1(1.005 * limit * sd) / 0.8
+    )  # of the motor's own friction
+    assert [change.name for change in found.changes if change.significant] == ["B"]
