@@ -12,6 +12,7 @@ import pytest
 from motor_env import (
     PAPER_MOTOR,
     Fault,
+    FaultKind,
     MotorFile,
     Recording,
     Scenario,
@@ -35,6 +36,7 @@ from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.start import prepare
 
 P, DT_S = PAPER_MOTOR, 0.002
+FRICTION = float(P.viscous_friction_n_m_s_per_rad)
 K = float(np.sqrt(P.torque_constant_n_m_per_a * P.back_emf_constant_v_s_per_rad))
 SHEET = MotorFile("sheet", "data_sheet", P, nominal_voltage_v=12.0)
 TERMS = ("R", "K", "J", "B", "noise_current", "noise_speed", "noise_voltage")
@@ -50,7 +52,7 @@ def log(faults: tuple[Fault, ...] = (), samples: int = 1600) -> Recording:
     return Recording(Path("log"), time_s, current_a, voltage_v, speed_rad_s + rng.normal(0.0, 1.0, samples))
 
 
-HALF_WAY = (Fault("bearing", 1.0, onset_s=1.6),)
+HALF_WAY = (Fault(FaultKind.BEARING, 1.0, onset_s=1.6),)
 
 
 def true_fit(recordings: list[Recording]) -> Any:
@@ -120,7 +122,7 @@ def test_the_fit_of_the_whole_log_tells_how_its_windows_are_fitted(monkeypatch: 
 def test_the_reference_of_a_log_by_hand() -> None:
     """R, K and J are the file's; the drag over the effective speed is its friction, where all of it is viscous."""
     judge = judge_for(log(), SHEET)
-    expected = [P.resistance_ohm, K, P.inertia_kg_m2, P.viscous_friction_n_m_s_per_rad]
+    expected = np.array([P.resistance_ohm, K, P.inertia_kg_m2, FRICTION])
     assert judge.reference.names == NAMES
     np.testing.assert_allclose(np.exp(judge.reference.log_values), expected)
     assert not judge.reference.includes_fit_error
@@ -177,8 +179,8 @@ def physical(b: float, coulomb: float, square: float = 0.0) -> FloatArray:
 def test_the_friction_of_a_log_by_hand() -> None:
     """The file's friction is that of the no-load speed; to this speed it goes as the drag of the log does."""
     friction, parts = unlearned._friction, physical(2e-6, 3e-4, 1e-8)
-    b, kt, kb = P.viscous_friction_n_m_s_per_rad, P.torque_constant_n_m_per_a, P.back_emf_constant_v_s_per_rad
-    no_load = 12.0 * kt / (P.resistance_ohm * b + kt * kb)
+    b, kt = FRICTION, float(P.torque_constant_n_m_per_a)
+    no_load = 12.0 * kt / (float(P.resistance_ohm) * b + K**2)
     at = {speed: 2e-6 + 3e-4 / speed + 1e-8 * speed for speed in (100.0, no_load)}
     assert viscous(parts, 100.0) == pytest.approx(at[100.0])
     assert friction(SHEET, parts, 100.0) == pytest.approx(at[100.0] / at[no_load])
