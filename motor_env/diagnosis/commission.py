@@ -141,7 +141,7 @@ def commission(
         circuit: what is known of the measuring circuit.
         constant: torque constant in N m/A, where known and the speed was not recorded.
         temperature_c: of the motor at these recordings, where known.
-        window_s: length of the windows into which logs are cut; a tenth of the shortest unless given.
+        window_s: length of the windows into which logs are cut; a twentieth of all of them unless given.
         steady: of logs: nothing but a fault moves the motor, as on a test bench.
         no_load_current_a: of starts: what the motor draws uncoupled from its load. It tells which share of the drag is
             the motor's own friction.

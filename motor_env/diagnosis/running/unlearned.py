@@ -76,7 +76,8 @@ def _friction(motor: MotorFile, physical: FloatArray, speed_rad_s: float) -> flo
     if motor.nominal_voltage_v is None:
         return 1.0
     no_load = float(steady_state(p, motor.nominal_voltage_v)[1])
-    dry = motor.coulomb_friction_n_m / (no_load * float(np.mean(p.viscous_friction_n_m_s_per_rad)) or np.inf)
+    # No viscous friction counts as 1e-300, as in `identifiable.logarithms`.
+    dry = motor.coulomb_friction_n_m / no_load / max(float(np.mean(p.viscous_friction_n_m_s_per_rad)), 1e-300)
     return (1.0 + dry) * viscous(physical, speed_rad_s) / viscous(physical, no_load)
 
 

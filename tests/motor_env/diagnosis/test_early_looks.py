@@ -6,28 +6,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motor_env.diagnosis.running import looks as looking
 from motor_env.diagnosis.running.looks import Looks
-from motor_env.motor.data_sheet import WindowReference
+from motor_env.diagnosis.running.windows import NAMES, WindowJudge, judge_of
+from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
+from motor_env.operation import kernel
 from motor_env.operation.record import Record
 
 HALVINGS = 4
 RATE = 0.05
-REFERENCE = WindowReference(
-    windows=1000,
+WINDOWS = Windows(
     window_s=640.0,
-    degrees_of_freedom=1e6,
-    values=np.ones(4),
-    log_covariance=np.eye(4) * 1e-12,
     terms=(),
-    physical=np.zeros(1),
+    physical=np.zeros(kernel.N_VALUES),
     hold="held",
     dt_s=1.0,
-    rms_volts=(11.0, 13.0),
-    temperature_k=0.0,
+    speed_rad_s=1.0,
     excess=(1.0,) * HALVINGS,
 )
+HEALTHY = Healthy(1000, 1e6, NAMES, np.ones(4), np.eye(4) * 1e-12, temperature_k=0.0, windows=WINDOWS)
+LOOKS = Looks(judge_of(HEALTHY), RATE, np.zeros(4))
 SPREAD = 0.1  # of one block's logarithms
 
 
@@ -35,7 +33,7 @@ def record(values: FloatArray) -> Record:
     return Record(1.0, values, np.zeros((len(values), 2)), np.ones(2), np.zeros(len(values)))
 
 
-def means(parts: list[Record], _: WindowReference, at: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+def means(_: WindowJudge, parts: list[Record], at: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Instead of a motor: the logarithms of a part are the means of white noise."""
     for part in parts:
         n = len(part.voltage_v)
@@ -48,34 +46,34 @@ def looked(looks: Looks, blocks: FloatArray) -> list[tuple[int, str]]:
     for number in range(1, window):
         due = looks.due(number)
         parts = [record(blocks[: window + number][-window // 2**k :]) for k in due]
-        found += [(number, v) for v, _ in looks.verdicts(parts, due) if v != "healthy"]
+        found += [(number, str(one.verdict)) for one in looks.judgements(parts, due) if one is not None]
     return found
 
 
 def test_each_length_is_looked_at_whenever_a_quarter_of_it_is_new() -> None:
-    looks = Looks(REFERENCE, RATE, np.zeros(4))
-    assert looks.every_s == 640.0 / 16 / 4
-    assert [looks.due(n) for n in (1, 2, 3, 4, 8)] == [[4], [3, 4], [4], [2, 3, 4], [1, 2, 3, 4]]
-    assert (looks.needed_s(1), looks.needed_s(4)) == (320.0, 42.0)
+    assert LOOKS.every_s == 640.0 / 16 / 4
+    assert [LOOKS.due(n) for n in (1, 2, 3, 4, 8)] == [[4], [3, 4], [4], [2, 3, 4], [1, 2, 3, 4]]
+    assert (LOOKS.needed_s(1), LOOKS.needed_s(4)) == (320.0, 42.0)
 
 
 def test_looks_alarm_at_the_wanted_rate(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(looking, "from_healthy", means)
-    looks, rng, windows = Looks(REFERENCE, RATE, np.zeros(4)), np.random.default_rng(19), 300
+    monkeypatch.setattr(WindowJudge, "first_steps", means)
+    rng, windows = np.random.default_rng(19), 300
     alarms = sum(
-        bool(looked(looks, SPREAD * rng.standard_normal((2 * 4 * 2**HALVINGS, 4)))) for _ in range(windows)
+        bool(looked(LOOKS, SPREAD * rng.standard_normal((2 * 4 * 2**HALVINGS, 4)))) for _ in range(windows)
     )
     assert 6 <= alarms <= 28  # 1 to 99.9 % of a Poisson number about 15
 
 
 def test_a_fault_is_seen_and_named_long_before_the_window_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(looking, "from_healthy", means)
+    monkeypatch.setattr(WindowJudge, "first_steps", means)
     blocks = SPREAD * np.random.default_rng(19).standard_normal((128, 4))
     blocks[64 + 10 :, 3] += np.log(1.5)
-    (number, verdict), *_ = looked(Looks(REFERENCE, RATE, np.zeros(4)), blocks)
+    (number, verdict), *_ = looked(LOOKS, blocks)
     assert 10 < number <= 16
     assert verdict == "bearing"
 
 
 def test_without_what_a_commissioning_teaches_there_are_no_looks() -> None:
-    assert Looks(replace(REFERENCE, excess=()), RATE, np.zeros(4)).every_s == np.inf
+    untaught = judge_of(replace(HEALTHY, windows=replace(WINDOWS, excess=())))
+    assert replace(LOOKS, judge=untaught).every_s == np.inf

@@ -5,26 +5,44 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
 from recording_csv import write_recording
 from scipy import stats
 
-from motor_env import InputError, Recording
+from motor_env import InputError, Judgement, MotorFile, Recording, Verdict, diagnose, load_motor
 from motor_env.cli import main
+from motor_env.diagnosis import files
+from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import alarm_share, joint_share
-from motor_env.diagnosis.running import logs, windows
+from motor_env.diagnosis.healthy_motor import Reference
+from motor_env.diagnosis.running import windows
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.running.windows import WindowVerdict
+from motor_env.diagnosis.running.windows import (
+    EXPONENTS,
+    NAMES,
+    WARMTH,
+    FittedWindow,
+    WindowJudge,
+    judge_of,
+)
+from motor_env.diagnosis.views import covariance_at_one_temperature
 from motor_env.motor import identifiable as quantities
+from motor_env.motor.healthy import Healthy, Windows
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation import kernel
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 from operation_simulator import Motor, draw_motor, simulate
 
 COLUMNS = ("current_a", "voltage_v", "speed_rad_s")
+PHYSICAL = np.zeros(kernel.N_VALUES)
+WINDOWS = Windows(
+    window_s=0.01, terms=("R", "K"), physical=PHYSICAL, hold="held", dt_s=1e-3, speed_rad_s=100.0
+)
+HEALTHY = Healthy(12, 15.0, NAMES, np.array([2.0, 0.03, 4e-6, 1e-6]), np.eye(4) * 4e-4, windows=WINDOWS)
+MOTOR = replace(load_motor("paper"), healthy=HEALTHY)
 
 
 @pytest.mark.long
@@ -56,9 +74,17 @@ def test_faults_show_in_windows_and_warmth_does_not(
     ]
     capsys.readouterr()
     assert main(["diagnose", *logs, "--motor", toml, "--json", "--out", str(tmp_path)]) == 1
-    verdicts = [record["verdict"] for record in json.loads(capsys.readouterr().out)]
-    assert verdicts == ["healthy", "healthy", "winding_contact", "bearing", "magnet", "unusable"]
-    assert (tmp_path / "003-contact-csv.png").exists()
+    told = json.loads(capsys.readouterr().out)
+    assert [one["verdict"] for one in told] == [
+        "healthy",
+        "healthy",
+        "winding",
+        "bearing",
+        "magnet",
+        "unusable",
+    ]
+    assert [one["kind"] for one in told[2:5]] == ["winding_contact", "bearing", "magnet"]
+    assert (tmp_path / "003-contact-csv.html").exists()
     monkeypatch.setattr(windows, "MANY", 4)
     monkeypatch.setattr(windows, "MOST_JUDGED", 4)
     parts = [simulate(one, "reversals", rng, samples=1500, dt_s=dt_s) for one in (motor, friction, motor)]
@@ -68,8 +94,13 @@ def test_faults_show_in_windows_and_warmth_does_not(
         Recording(Path("long"), dt_s * np.arange(4500.0), columns[0], columns[1], columns[2]),
     )
     assert main(["diagnose", long, "--motor", toml, "--json"]) == 1
-    (record,) = json.loads(capsys.readouterr().out)
-    assert (record["verdict"], len(record["windows"]), record["windows_of_record"]) == ("bearing", 4, 15)
+    (one,) = json.loads(capsys.readouterr().out)
+    assert (one["verdict"], len(one["pieces"]), one["pieces_of_recording"]) == ("bearing", 4, 15)
+
+
+def judging(monkeypatch: pytest.MonkeyPatch, *pieces: Judgement, of: int = 1) -> None:
+    """Instead of the windows of a log, these."""
+    monkeypatch.setattr(WindowJudge, "judge", lambda *_: (list(pieces), of))
 
 
 def test_one_bad_log_costs_no_other_its_verdict(
@@ -86,72 +117,88 @@ def test_one_bad_log_costs_no_other_its_verdict(
             raise found
         return found
 
-    monkeypatch.setattr(logs, "read_recording", reading)
-    monkeypatch.setattr(logs, "judge_windows", lambda *_: [WindowVerdict(0.0, "healthy", ())])
-    motor = SimpleNamespace(operation=SimpleNamespace(window_s=10.0))
-    records = logs.diagnose_running([tmp_path / f"{n}.csv" for n in range(4)], cast("Any", motor), 0.01, None)
-    assert [record.verdict for record in records] == ["unusable", "unusable", "healthy", "unusable"]
-    assert "1 of 3 windows are judged" in records[2].as_text()
-    assert [record.is_bug for record in records] == [False, True, False, False]
-    assert logs.exit_status(records) == 70
+    def known(_: str) -> MotorFile:
+        return MOTOR
+
+    monkeypatch.setattr(files, "read_recording", reading)
+    monkeypatch.setattr(files, "load_motor", known)
+    judging(monkeypatch, *[Judgement(Verdict.HEALTHY, ())] * 2, of=3)
+    paths = [tmp_path / f"{n}.csv" for n in range(4)]
+    outcomes = files.diagnose_files(paths, motor="m.toml", regime="operation")
+    said = [None if one.diagnosis is None else one.diagnosis.verdict for one in outcomes]
+    assert said == [None, None, "healthy", None]
+    assert [one.as_json()["verdict"] for one in outcomes] == ["unusable", "unusable", "healthy", "unusable"]
+    assert "2 of 2 windows judged, of 3" in outcomes[2].as_text()
+    assert [one.is_bug for one in outcomes] == [False, True, False, False]
+    assert files.exit_status(outcomes) == 70
     assert "Traceback" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("has_levels", "reason"), [(True, "more slowly than it switches"), (False, "no motor")]
+    ("has_levels", "reason"), [(True, "more slowly than it switches"), (False, "at rest")]
 )
 def test_a_log_without_a_usable_window_says_why(
     has_levels: bool, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Of the whole log where it tells why; else of each window."""
     rng = np.random.default_rng(8)
     noise, sine = rng.standard_normal((2, 400)), 12.0 * np.sin(np.arange(400.0) / 20.0)
     volts = rng.choice([0.0, 12.0], 400) if has_levels else sine
     record = Recording(Path("a.csv"), 1e-3 * np.arange(400.0), noise[0], volts, noise[1])
-    monkeypatch.setattr(logs, "read_recording", lambda *_: record)
-    monkeypatch.setattr(logs, "judge_windows", lambda *_: [WindowVerdict(0.0, "unusable", ())])
-    motor = cast("Any", SimpleNamespace(operation=SimpleNamespace(window_s=0.1)))
-    (found,) = logs.diagnose_running([record.path], motor, 0.01, None)
-    assert reason in found.trouble
-    assert logs.exit_status([found]) == 3
+    judging(monkeypatch, *[Judgement(Verdict.UNUSABLE, ("at rest",))] * 2, of=2)
+    found = diagnose(record, MOTOR, regime="operation")
+    assert (found.verdict, found.of) == ("unusable", 1 if has_levels else 2)
+    assert reason in found.reasons[0]
+    (whole, *_) = found.pieces
+    assert whole.duration_s == (pytest.approx(0.4) if has_levels else 0.0)
+    assert files.exit_status([files.Outcome(record.path, found)]) == 3
 
 
 @pytest.mark.parametrize("rate", [0.15, 0.02])
 def test_the_tests_of_a_window_alarm_together_at_the_rate(rate: float) -> None:
     rng, freedom, n = np.random.default_rng(5), 20.0, 200_000
     root = np.tril(rng.normal(0.0, 0.02, (4, 4))) + 0.05 * np.eye(4)
-    exponents = np.array(
-        [[float(name == other) for other in quantities.PARAMETERS] for name in windows.NAMES]
-    )
-    share = joint_share(rate, root @ root.T, exponents, freedom)
+    share = joint_share(rate, root @ root.T, EXPONENTS, freedom)
     length = np.sqrt(rng.chisquare(freedom, n) / freedom)
     drawn = rng.standard_normal((n, 4)) / length[:, None]
     axes = np.linalg.inv(root) @ np.transpose(
-        [quantities.visible_direction(kind, exponents) for kind in quantities.nameable_kinds(exponents)]
+        [quantities.visible_direction(kind, EXPONENTS) for kind in quantities.nameable_kinds(EXPONENTS)]
     )
     along = drawn @ (axes / np.linalg.norm(axes, axis=0))
     alarms = (along > stats.t.isf(share, freedom)).any(axis=1)
     alarms |= np.sum(drawn**2, axis=1) / 4.0 > stats.f.isf(share, 4, freedom)
     assert alarms.mean() == pytest.approx(rate, rel=0.05)
-    assert share > 1.3 * alarm_share(rate, exponents)
+    assert share > 1.3 * alarm_share(rate, EXPONENTS)
 
 
 def test_a_much_warmer_motor_is_healthy_though_logarithms_bend() -> None:
     spread = np.eye(4) * 1e-3**2
+    reference = Reference("", NAMES, np.zeros(4), spread, 1e3, includes_fit_error=True, temperature_k=15.0)
+
+    def said(ratios: FloatArray) -> str | None:
+        return decide(FittedWindow(ratios, spread), reference, 0.01).fault_kind
+
     for kelvin in (-30.0, 45.0):
-        ratios = np.log1p(windows.WARMTH * kelvin)
-        assert windows.decided(ratios, spread, 0.01, 1e3, 15.0)[0] == "healthy"
-        assert windows.decided(windows.WARMTH * kelvin, spread, 0.01, 1e3, 15.0)[0] != "healthy"
-    hot = ratios + np.log([1.1, 1.0, 1.0, 1.0])
-    assert windows.decided(hot, spread, 0.01, 1e3, 15.0)[0] == "winding_contact"
+        ratios = np.log1p(WARMTH * kelvin)
+        assert decide(FittedWindow(ratios, spread), reference, 0.01).verdict == "healthy"
+        assert decide(FittedWindow(WARMTH * kelvin, spread), reference, 0.01).verdict.is_fault
+    assert said(ratios + np.log([1.1, 1.0, 1.0, 1.0])) == "winding_contact"
 
 
 def test_windows_are_believed_to_scatter_as_healthy_ones_did() -> None:
     recording = simulate(
         draw_motor(np.random.default_rng(3)), "reversals", np.random.default_rng(4), samples=1600
     )
-    reference = learn_windows([recording], 200 * recording.dt_s, steady=True)
-    assert 0.3 < reference.window_excess <= 1.0
-    same = windows.spread_of(reference.log_covariance, reference)
-    np.testing.assert_allclose(same, reference.log_covariance * reference.window_excess)
-    wider = windows.spread_of(4.0 * reference.log_covariance, reference)
-    np.testing.assert_allclose(wider, 4.0 * same)
+    healthy, fits = learn_windows([recording], 200 * recording.dt_s, steady=True)
+    assert len(fits) == healthy.pieces == 8
+    np.testing.assert_allclose(np.mean([fit.log_values for fit in fits], axis=0), np.log(healthy.values))
+    judge = judge_of(healthy)
+    excess = judge.windows.window_excess
+    assert 0.3 < excess <= 1.0
+
+    def believed(error: FloatArray) -> FloatArray:
+        return covariance_at_one_temperature(FittedWindow(np.zeros(4), error), judge.reference)
+
+    same = believed(healthy.log_covariance)
+    np.testing.assert_allclose(same, healthy.log_covariance * excess)
+    np.testing.assert_allclose(believed(4.0 * healthy.log_covariance), 4.0 * same)

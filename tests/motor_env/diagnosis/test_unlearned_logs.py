@@ -1,0 +1,224 @@
+"""Logs of a motor that was not commissioned at work: judged by its data sheet, or by its healthy starts."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from motor_env import (
+    PAPER_MOTOR,
+    Fault,
+    FaultKind,
+    MotorFile,
+    Recording,
+    Scenario,
+    SensorParameters,
+    Timing,
+    diagnose,
+    identify,
+    simulate,
+    simulate_states,
+)
+from motor_env.diagnosis.commission import to_motor
+from motor_env.diagnosis.learning import learn_starts
+from motor_env.diagnosis.running import unlearned
+from motor_env.diagnosis.running.unlearned import judge_for
+from motor_env.diagnosis.running.windows import NAMES, viscous
+from motor_env.motor.healthy import Healthy, Windows
+from motor_env.motor.parameters import FloatArray
+from motor_env.operation import kernel
+from motor_env.operation.identify import identify_operation
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.start import prepare
+
+P, DT_S = PAPER_MOTOR, 0.002
+FRICTION = float(P.viscous_friction_n_m_s_per_rad)
+K = float(np.sqrt(P.torque_constant_n_m_per_a * P.back_emf_constant_v_s_per_rad))
+SHEET = MotorFile("sheet", "data_sheet", P, nominal_voltage_v=12.0)
+TERMS = ("R", "K", "J", "B", "noise_current", "noise_speed", "noise_voltage")
+
+
+@cache
+def log(faults: tuple[Fault, ...] = (), samples: int = 1600) -> Recording:
+    """A controller sets another voltage every 50 ms."""
+    rng, time_s = np.random.default_rng(1), DT_S * np.arange(float(samples))
+    voltage_v = np.repeat(rng.uniform(-10.0, 10.0, samples // 25), 25)
+    current_a, speed_rad_s = simulate_states(P, voltage_v, DT_S, faults=faults).T
+    current_a = current_a + rng.normal(0.0, 0.02, samples)
+    return Recording(Path("log"), time_s, current_a, voltage_v, speed_rad_s + rng.normal(0.0, 1.0, samples))
+
+
+HALF_WAY = (Fault(FaultKind.BEARING, 1.0, onset_s=1.6),)
+
+
+def true_fit(recordings: list[Recording]) -> Any:
+    """Instead of the joint fit of a log, which takes many seconds: its motor as simulated."""
+    values = np.zeros(kernel.N_VALUES)
+    places = [kernel.R, kernel.L, kernel.K, kernel.J, kernel.B]
+    values[places] = P.resistance_ohm, P.inductance_h, K, P.inertia_kg_m2, P.viscous_friction_n_m_s_per_rad
+    values[[kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V]] = 0.02, 1.0, 0.005
+    values[[kernel.HEATING, kernel.COOLING]] = 3.0, 0.1
+    (recording,) = recordings
+    return SimpleNamespace(
+        record=SimpleNamespace(seen=np.ones(2), hold="late"),
+        solution=SimpleNamespace(values=values, names=TERMS),
+        expected=np.stack([recording.current_a, np.asarray(recording.speed_rad_s)], axis=1),
+    )
+
+
+@cache
+def of_starts() -> MotorFile:
+    """Commissioned from three simulated starts."""
+    fits = []
+    for seed in (1, 2, 3):
+        sensor = SensorParameters(channels=("current", "speed"))  # type: ignore[arg-type]  # names do as well
+        scenario = Scenario(P, sensor=sensor, timing=Timing(duration_s=0.2, quiet_s=0.02))
+        made = simulate(scenario, seed, [0])
+        current_a, speed_rad_s = made.measurements[0]
+        fits.append(
+            identify(
+                prepare(Recording(Path("start"), made.time_s, current_a, made.voltage_v[0], speed_rad_s))
+            )
+        )
+    return to_motor(fits, "m", kind="commissioned", healthy=learn_starts(fits))
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unlearned, "identify_operation", true_fit)
+
+
+def said(recording: Recording, motor: MotorFile) -> list[str]:
+    return [str(piece.verdict) for piece in diagnose(recording, motor).pieces]
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("motor", [lambda: SHEET, of_starts], ids=["sheet", "starts"])
+def test_a_log_is_judged_without_a_commissioning_at_work(motor: Any) -> None:
+    """Windows of 0.8 s; the friction doubles after two of them."""
+    assert said(log(), motor()) == ["healthy"] * 4
+    found = diagnose(log(HALF_WAY), motor())
+    assert [piece.verdict for piece in found.pieces] == ["healthy"] * 2 + ["bearing"] * 2
+    assert [piece.begin_s for piece in found.pieces] == pytest.approx([0.0, 0.8, 1.6, 2.4])
+    assert (found.verdict, found.taken.regime, found.of) == ("bearing", "operation", 4)
+    for piece in found.pieces[2:]:
+        assert (piece.severity_low or 0.0) < 1.0 < (piece.severity_high or 0.0)
+
+
+@pytest.mark.long
+def test_the_fit_of_the_whole_log_tells_how_its_windows_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its own friction doubles half-way; what the file says of the healthy motor counts."""
+    joint = cache(lambda _: identify_operation([log(HALF_WAY)]))
+    monkeypatch.setattr(unlearned, "identify_operation", lambda _: joint("once"))
+    for motor in (SHEET, of_starts()):
+        assert said(log(HALF_WAY), motor) == ["healthy"] * 2 + ["bearing"] * 2
+
+
+@pytest.mark.usefixtures("quick")
+def test_the_reference_of_a_log_by_hand() -> None:
+    """R, K and J are the file's; the drag over the effective speed is its friction, where all of it is viscous."""
+    judge = judge_for(log(), SHEET)
+    expected = np.array([P.resistance_ohm, K, P.inertia_kg_m2, FRICTION])
+    assert judge.reference.names == NAMES
+    np.testing.assert_allclose(np.exp(judge.reference.log_values), expected)
+    assert not judge.reference.includes_fit_error
+    taught = judge.windows
+    speed = float(np.sqrt(np.mean(np.square(np.asarray(log().speed_rad_s)))))
+    assert (taught.window_s, taught.speed_rad_s, taught.dt_s) == pytest.approx((0.8, speed, DT_S))
+    assert (taught.terms, taught.hold, taught.rms_volts, taught.excess) == (TERMS, "late", None, ())
+    assert taught.physical[kernel.HEATING] == taught.physical[kernel.COOLING] == 0.0
+    # Starts hold errors of other fits: the windows' own come on top, and their scatter is that of starts.
+    starts = of_starts()
+    assert starts.healthy is not None
+    by_starts = judge_for(log(), starts).reference
+    assert (by_starts.source, by_starts.includes_fit_error) == ("3 healthy starts of m", False)
+    assert (by_starts.log_noise, by_starts.excess, by_starts.temperature_k) == (None, 1.0, 15.0)
+    rows = [starts.healthy.quantities.index(name) for name in NAMES]
+    np.testing.assert_allclose(
+        by_starts.log_covariance, starts.healthy.log_covariance[np.ix_(rows, rows)], rtol=1e-9, atol=1e-12
+    )
+
+
+def test_a_motor_that_was_commissioned_at_work_says_how_its_windows_are_judged() -> None:
+    windows = Windows(0.4, TERMS, np.zeros(kernel.N_VALUES), "late", DT_S, 100.0)
+    healthy = Healthy(9, 12.0, NAMES, np.ones(4), np.eye(4), temperature_c=20.0, windows=windows)
+    judge = judge_for(log(), replace(SHEET, healthy=healthy), 45.0)
+    assert judge.windows is windows
+    assert (judge.reference.source, judge.reference.warmer_k) == ("9 healthy windows of sheet", 25.0)
+
+
+def test_what_tells_too_little_of_a_log_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unlearned, "identify_operation", true_fit)
+    current_only = ("R", "L", "K^2/J", "B/J")
+    healthy = replace(of_starts().healthy or pytest.fail("learned"), quantities=current_only, values=np.ones(4),
+                      log_covariance=np.eye(4))  # fmt: skip
+    found = diagnose(log(), replace(SHEET, healthy=healthy))
+    assert (found.verdict, found.of) == ("unusable", 1)
+    assert found.reasons[0].startswith("sheet does not tell R, K, J, B")
+
+    def unseen(recordings: list[Recording]) -> Any:
+        fit = true_fit(recordings)
+        fit.record.seen[1] = 0.0
+        return fit
+
+    monkeypatch.setattr(unlearned, "identify_operation", unseen)
+    with pytest.raises(UnusableError, match="only where voltage, current and speed"):
+        judge_for(log(), SHEET)
+
+
+def physical(b: float, coulomb: float, square: float = 0.0) -> FloatArray:
+    values = np.zeros(kernel.N_VALUES)
+    values[[kernel.B, kernel.COULOMB, kernel.SQUARE]] = b, coulomb, square
+    return values
+
+
+def test_the_friction_of_a_log_by_hand() -> None:
+    """The file's friction is that of the no-load speed; to this speed it goes as the drag of the log does."""
+    friction, parts = unlearned._friction, physical(2e-6, 3e-4, 1e-8)
+    b, kt = FRICTION, float(P.torque_constant_n_m_per_a)
+    no_load = 12.0 * kt / (float(P.resistance_ohm) * b + K**2)
+    at = {speed: 2e-6 + 3e-4 / speed + 1e-8 * speed for speed in (100.0, no_load)}
+    assert viscous(parts, 100.0) == pytest.approx(at[100.0])
+    assert friction(SHEET, parts, 100.0) == pytest.approx(at[100.0] / at[no_load])
+    assert friction(SHEET, parts, no_load) == pytest.approx(1.0)
+    # A file that gives dry friction beside the viscous one has both at its no-load speed.
+    dry = replace(SHEET, coulomb_friction_n_m=4e-4)
+    assert friction(dry, parts, no_load) == pytest.approx((b + 4e-4 / no_load) / b)
+    assert friction(dry, parts, 100.0) == pytest.approx((b + 4e-4 / no_load) / b * at[100.0] / at[no_load])
+    # Where log and file agree, the drag is the file's at any speed; and without a voltage nothing is known of a speed.
+    assert friction(dry, physical(b, 4e-4), 100.0) == pytest.approx((b + 4e-4 / 100.0) / b)
+    assert friction(replace(dry, nominal_voltage_v=None), parts, 100.0) == 1.0
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_file_may_give_dry_friction_alone() -> None:
+    only_dry = replace(
+        SHEET, parameters=replace(P, viscous_friction_n_m_s_per_rad=0.0), coulomb_friction_n_m=4e-4
+    )
+    no_load = 12.0 / P.back_emf_constant_v_s_per_rad
+    speed = judge_for(log(), only_dry).windows.speed_rad_s
+    drag = 4e-4 / no_load  # at every speed: all of this log's is viscous
+    assert np.exp(judge_for(log(), only_dry).reference.log_values[3]) == pytest.approx(drag)
+    assert unlearned._friction(only_dry, physical(0.0, 1.0), speed) * 1e-300 == pytest.approx(4e-4 / speed)
+
+
+@pytest.mark.parametrize(
+    ("samples", "dt_s", "settles_s", "window_s"),
+    [
+        (20_000, 1e-3, 0.01, 2.0),  # a tenth
+        (90_000, 1e-3, 0.01, 6.0),  # 6,000 samples at most
+        (2000, 1e-3, 0.001, 0.4),  # 400 at least
+        (20_000, 1e-3, 0.07, 2.8),  # 40 time constants at least
+        (90_000, 1e-3, 0.2, 8.0),
+        (300, 1e-3, 0.001, 0.3),  # and no more than there is
+        (20_000, 1e-3, 1.0, 20.0),
+        (10_000, 4e-3, 0.01, 4.0),
+    ],
+)
+def test_the_length_of_a_window_by_hand(samples: int, dt_s: float, settles_s: float, window_s: float) -> None:
+    recording = Recording(Path("log"), dt_s * np.arange(float(samples)), np.zeros(samples))
+    assert unlearned._window_s(recording, settles_s) == pytest.approx(window_s)
