@@ -19,7 +19,7 @@ from motor_env import InputError, Recording
 from motor_env.cli import main
 from motor_env.console import ExitStatus
 from motor_env.diagnosis.explanations import Change
-from motor_env.diagnosis.running.windows import WindowJudge
+from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.live import command, watch as watching
 from motor_env.live.screen import showing
@@ -260,6 +260,17 @@ def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
     late = Event(1.5, "window", "bearing", span_s=0.25).as_json()
     assert json.loads(late) == {"time_s": 1.5, "event": "window", "verdict": "bearing", "span_s": 0.25}
     assert json.loads(Event(0.0, "gap", "3 s").as_json()) == {"time_s": 0.0, "event": "gap", "reason": "3 s"}
+
+
+def test_ratios_are_those_of_the_fit_whatever_the_temperature_may_explain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fitted = np.array([1.25, 0.99, 1.0, 1.02])
+    fit = FittedWindow(np.log(fitted), 1e-6 * np.eye(4))
+    monkeypatch.setattr(WindowJudge, "fitted", lambda *_: fit)
+    (event,) = watched(samples(101), per_year=1e4)
+    assert (event.text, event.fault_kind) == ("winding", "winding_contact")
+    assert list(event.ratios.values()) == pytest.approx(fitted, rel=1e-12)
 
 
 @pytest.mark.parametrize(
