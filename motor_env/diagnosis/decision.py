@@ -86,7 +86,10 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
     believed = views if reference.includes_fit_error else views[:1]
     quiet = next((view for view in believed if not view.is_alarm(limits.z, limits.share)), None)
     view = quiet or views[0]
-    same_warmth, log_ratios = covariance_at_one_temperature(fit, reference), views[0].difference.log_ratios
+    same_warmth = covariance_at_one_temperature(fit, reference)
+    # As fitted: those of a view are straightened, for tests that the temperature shall not raise.
+    log_ratios = fit.log_values[shared(fit, reference)] - reference.log_values
+    log_ratios -= reference.warmer_k * views[0].drag.warmth
     changes = compare(
         reference.names,
         log_ratios,

@@ -102,7 +102,7 @@ def _spread(motor: MotorFile) -> Spread:
     std = tolerance_std(motor.tolerance)
     values = {name: std[name] for name in FACTORS}
     if motor.healthy is not None:
-        values |= _learned_spread(motor.healthy, values["supply"])
+        values = _learned_spread(motor.healthy, values["supply"])
     for name, value in values.items():
         if value > LARGEST_SPREAD:
             raise InputError(

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from recording_csv import write_csv
 
-from motor_env import Diagnosis, InputError, Recording, Verdict, load_motor, nis_rule
+from motor_env import Diagnosis, Judgement, Recording, Verdict, load_motor, nis_rule
 from motor_env.cli import main, options
 from motor_env.diagnosis import commission as steps, diagnose as judging
 from motor_env.diagnosis.files import Outcome
@@ -23,6 +24,7 @@ from motor_env.live import command
 from motor_env.operation import logs
 from motor_env.prognosis import files as trends, page
 from motor_env.recordings.profiles import Profile, load_profile
+from motor_env.recordings.regime import Taken
 from motor_env.recordings.start import Circuit
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -35,7 +37,8 @@ def outcome(verdict: str | None, *, is_bug: bool = False) -> Outcome:
     if verdict is None:
         return Outcome(path, None, "None.csv: is empty", is_bug=is_bug)
     recording = Recording(path, *2 * [EMPTY])
-    return Outcome(path, Diagnosis(recording, Verdict(verdict), ("because",)))
+    judged = Judgement(Verdict(verdict), ("because",))
+    return Outcome(path, Diagnosis(recording, Taken("start", "as asked"), (judged,)))
 
 
 EMPTY: Any = ()
@@ -65,13 +68,15 @@ def test_diagnose_ends_with_the_status_of_its_verdicts(
 
     monkeypatch.setattr("motor_env.diagnosis.files.diagnose_files", diagnosed)
     command = ["diagnose", "a.csv", "b.csv", "--false-alarm-rate", "0.05", "--shunt-ohm", "0.3"]
-    assert main([*command, "--temperature-c", "31", "--start", "2", "--healthy", "h.csv", "i.csv"]) == status
+    more = ["--temperature-c", "31", "--start", "2", "--regime", "operation"]
+    assert main([*command, *more, "--healthy", "h.csv", "i.csv"]) == status
     printed = capsys.readouterr()
     said = [verdict for verdict in verdicts if verdict]
     assert [line.split(": ")[1] for line in printed.out.splitlines() if line[0] != " "] == said
     assert printed.err.count("is empty") == verdicts.count(None)
     assert given["files"] == [Path("a.csv"), Path("b.csv")]
     assert (given["false_alarm_rate"], given["temperature_c"], given["start"]) == (0.05, 31.0, 2)
+    assert given["regime"] == "operation"
     assert (given["healthy"], given["circuit"]) == ([Path("h.csv"), Path("i.csv")], Circuit(0.3, 0.0))
     assert main([*command, "--json"]) == status
     assert [one["verdict"] for one in json.loads(capsys.readouterr().out)] == [
@@ -98,9 +103,9 @@ def test_identify_ends_with_3_where_no_motor_explains_a_start_or_the_logs(
         as_text=lambda: ["logs"], as_json=lambda: [{"logs": 1}], exit_status=lambda: works or 0
     )
     found = [("log", "reason")] if works is not None else []
-    monkeypatch.setattr(logs, "sorted_files", lambda *_, **__: (found, [Path("a.csv")]))
+    monkeypatch.setattr(logs, "sorted_files", lambda *_, **__: (found, ["a recording"]))
     monkeypatch.setattr(logs, "identify_logs", lambda *_, **__: work)
-    monkeypatch.setattr(steps, "identify_file", lambda *_, **__: [("a", is_told) for is_told in explained])
+    monkeypatch.setattr(steps, "identify_starts", lambda *_, **__: [("a", is_told) for is_told in explained])
     monkeypatch.setattr(judging, "unusable_reason", lambda fit: None if fit else "poor")
     monkeypatch.setattr(steps, "identified_text", lambda _, fit, periods: f"start {fit} {periods}")
     monkeypatch.setattr(steps, "identified_json", lambda _, fit, __: {"start": fit})
@@ -216,16 +221,55 @@ def test_coastdown_says_the_same_as_text_and_json(
         (["--torque-constant", "0"], "torque-constant must be > 0, got 0"),
         (["--no-load-current", "-1"], "no-load-current must be > 0, got -1"),
         (["--no-load-current", "inf"], "no-load-current must be > 0, got inf"),
-        (["--steady"], "--steady belongs to --window"),
-        (["--window", "2", "--temperature-c", "20"], "--temperature-c belongs to starts"),
-        (["--window", "2", "--sensor-lag", "0.1"], "--sensor-lag belongs to starts"),
         (["--window", "0"], "window must be > 0, got 0"),
+        (["--window", "inf"], "window must be > 0, got inf"),
     ],
 )
 def test_options_of_commission_are_checked(
     more: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["commission", "a.csv", "-o", "m.toml", *more]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+@pytest.fixture
+def recordings(tmp_path: Path) -> dict[str, str]:
+    """Of a start, and of a motor at work."""
+    time_s = np.arange(400) * 1e-3
+    volts = {"start": 12.0 * (time_s > 0.02), "work": 12.0 * np.sign(np.sin(40.0 * time_s) + 0.01)}
+    for name, voltage in volts.items():
+        columns = {"time_s": time_s, "current_a": voltage / 3.0, "voltage_v": voltage}
+        write_csv(tmp_path / f"{name}.csv", columns)
+    return {name: str(tmp_path / f"{name}.csv") for name in volts}
+
+
+@pytest.mark.parametrize(
+    ("files", "more", "sentence"),
+    [
+        ("start", ["--steady"], "--steady and --window belong to logs of a motor at work"),
+        ("start", ["--regime", "start", "--window", "2"], "--steady and --window belong to logs"),
+        ("work", ["--regime", "start", "--steady"], "--steady and --window belong to logs"),
+        ("work", ["--regime", "operation", "--start", "1"], "--start belongs to starts, and these are logs"),
+        ("work", ["--sensor-lag", "0.1"], "--sensor-lag belongs to starts"),
+        ("work", ["--torque-constant", "0.1"], "--torque-constant belongs to starts"),
+        ("work", ["--no-load-current", "0.1"], "--no-load-current belongs to starts"),
+        ("start", ["--window", "0.1", "--no-load-current", "0.1"], "--no-load-current belongs to starts"),
+        ("start start", [], "a healthy start is given twice"),
+        ("start work", [], "some are starts, and some logs of a motor at work"),
+        ("work", ["--regime", "both"], "regime must be one of auto, start, operation, got 'both'"),
+        ("work", ["--temperature-c", "20", "--window", "0.2"], "cannot be used: 2 windows of 0.2 s"),
+        ("work", ["--start", "1"], "commissioning needs at least 3 healthy starts, got 1"),
+    ],
+)
+def test_options_of_commission_that_do_not_belong_to_these_recordings_are_refused(
+    recordings: dict[str, str],
+    files: str,
+    more: list[str],
+    sentence: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    paths = [recordings[name] for name in files.split()]
+    assert main(["commission", *paths, "-o", "m.toml", *more]) == 2
     assert sentence in capsys.readouterr().err
 
 
@@ -239,10 +283,6 @@ def test_choices_of_a_command_are_kept_and_come_before_those_of_a_profile(tmp_pa
     assert again.options["circuit"] == Circuit(0.1, 1e-3)
     assert again.options["start"] == 3
     assert [one.quantity for one in again.options["columns"]] == ["current", "time"]
-    windows = replace(again, start=None, sensor_lag=0.0)
-    assert set(windows.for_windows()) == {"voltage_v", "columns", "circuit"}
-    with pytest.raises(InputError, match="--start belongs to starts"):
-        again.for_windows()
     assert options.positive("x", 1e-300) == 1e-300
     assert options.positive("x", None) is None
 

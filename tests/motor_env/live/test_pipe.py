@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 from motor_env import PAPER_MOTOR, MotorFile, discretize, save_motor
-from motor_env.motor.data_sheet import WindowReference
+from motor_env.diagnosis.running.windows import NAMES, viscous
+from motor_env.motor.healthy import Healthy, Windows
 from motor_env.operation import kernel
 from motor_env.operation.terms import NOISES
 
 RATE_HZ, WINDOW_S, STREAM_S = 20_000, 5.0, 60.1
+SPEED_RAD_S = 250.0
 
 
-def reference() -> WindowReference:
+def healthy() -> Healthy:
     """As the textbook motor would have taught it."""
     motor = PAPER_MOTOR
     physical = np.zeros(kernel.N_VALUES)
@@ -34,12 +36,8 @@ def reference() -> WindowReference:
         1e-3,
     )  # so that a sample in which the motor turns costs its events
     averaged = 17  # 100,000 samples of a window as at most 6,000
-    return WindowReference(
-        windows=10,
+    windows = Windows(
         window_s=WINDOW_S,
-        degrees_of_freedom=13.0,
-        values=np.array([*physical[[kernel.R, kernel.K, kernel.J]], 1.0]),
-        log_covariance=np.eye(4) * 1e-3,
         terms=(
             "R",
             "K",
@@ -54,7 +52,17 @@ def reference() -> WindowReference:
         physical=physical,
         hold="straight",
         dt_s=averaged / RATE_HZ,
+        speed_rad_s=SPEED_RAD_S,
         rms_volts=(5.0, 9.0),
+    )
+    drag = viscous(physical, SPEED_RAD_S)
+    return Healthy(
+        pieces=10,
+        degrees_of_freedom=13.0,
+        quantities=NAMES,
+        values=np.array([*physical[[kernel.R, kernel.K, kernel.J]], drag]),
+        log_covariance=np.eye(4) * 1e-3,
+        windows=windows,
     )
 
 
@@ -80,7 +88,7 @@ def stream() -> bytes:
 @pytest.mark.timeout(600)
 def test_20_khz_needs_less_than_half_a_core(tmp_path: Path) -> None:
     toml = tmp_path / "motor.toml"
-    save_motor(replace(MotorFile("textbook", "commissioned", PAPER_MOTOR), operation=reference()), toml)
+    save_motor(replace(MotorFile("textbook", "commissioned", PAPER_MOTOR), healthy=healthy()), toml)
     lines = stream()
 
     def cpu_s(data: bytes) -> tuple[float, str]:

@@ -19,38 +19,45 @@ from motor_env import InputError, Recording
 from motor_env.cli import main
 from motor_env.console import ExitStatus
 from motor_env.diagnosis.explanations import Change
-from motor_env.diagnosis.running.windows import WindowVerdict
+from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge
+from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.live import command, watch as watching
 from motor_env.live.screen import showing
 from motor_env.live.sources import NEW_FILE, SILENCE, Notice, Piece, lines
 from motor_env.live.state import State
 from motor_env.live.watch import Event, Lesson, Watch
-from motor_env.motor.data_sheet import WindowReference
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.parameters import RAD_S_PER_RPM
 from motor_env.recordings.defects import UnusableError
 
 HEADER = b"speed_rpm,t_ms,voltage_mv,current_ma\n"
-REFERENCE = WindowReference(
-    windows=10,
+WINDOWS = Windows(
     window_s=0.0995,
-    degrees_of_freedom=13.0,
-    values=np.ones(4),
-    log_covariance=np.eye(4) * 1e-4,
     terms=(),
     physical=np.zeros(1),
     hold="held",
     dt_s=1e-3,
+    speed_rad_s=50.0,
     rms_volts=(11.0, 13.0),
 )
+TAUGHT = Healthy(10, 13.0, ("R", "K", "J", "B"), np.ones(4), np.eye(4) * 1e-4, windows=WINDOWS)
 
 
-def changes(*ratios: float, significant: bool = False) -> tuple[Change, ...]:
+def changes(*ratios: float, moved: str = "") -> tuple[Change, ...]:
+    """Over R, K, J and B, of which some have moved."""
     return tuple(
-        Change(name, ratio, 0.9, 1.1, significant) for name, ratio in zip("RKJB", ratios, strict=True)
+        Change(name, ratio, 0.9, 1.1, "moved" if name in moved else "healthy")
+        for name, ratio in zip("RKJB", ratios, strict=True)
     )
 
 
-HEALTHY = WindowVerdict(0.0, "healthy", changes(1.01, 0.98, 1.02, 1.0))
+def judged(word: str, *ratios: float, begin_s: float = 0.0, **more: Any) -> Judgement:
+    """A judgement on a window."""
+    return Judgement(Verdict(word), ("because",), changes=changes(*ratios), begin_s=begin_s, **more)
+
+
+HEALTHY = judged("healthy", 1.01, 0.98, 1.02, 1.0)
 
 
 def samples(count: int, first_ms: float = 0.0) -> list[Piece]:
@@ -59,19 +66,22 @@ def samples(count: int, first_ms: float = 0.0) -> list[Piece]:
 
 
 class Judge:
-    """In the place of `judge_windows`: notes what it is given, and says what it is told to."""
+    """In the place of the judge of windows: notes what it is given, and says what it is told to."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, *verdicts: WindowVerdict | Exception) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *verdicts: Judgement | Exception) -> None:
         self.given: list[tuple[Recording, float]] = []
         self.verdicts = list(verdicts)
-        monkeypatch.setattr(watching, "judge_windows", self)
+        monkeypatch.setattr(watching, "judge_of", self.of)
 
-    def __call__(self, recording: Recording, _: WindowReference, rate: float) -> list[WindowVerdict]:
+    def of(self, healthy: Healthy) -> Any:
+        return SimpleNamespace(windows=healthy.windows, judge=self.judge)
+
+    def judge(self, recording: Recording, rate: float) -> tuple[list[Judgement], int]:
         self.given.append((recording, rate))
         verdict = self.verdicts.pop(0) if self.verdicts else HEALTHY
         if isinstance(verdict, Exception):
             raise verdict
-        return [verdict]
+        return [verdict], 1
 
 
 @pytest.fixture
@@ -82,7 +92,8 @@ def judge(monkeypatch: pytest.MonkeyPatch) -> Judge:
 def watched(
     pieces: Sequence[Piece], state: State | None = None, per_year: float = 1.0, **changed: Any
 ) -> list[Event]:
-    watch = Watch(replace(REFERENCE, **changed), state or State(), false_alarms_per_year=per_year)
+    healthy = replace(TAUGHT, windows=replace(WINDOWS, **changed))
+    watch = Watch(healthy, state or State(), false_alarms_per_year=per_year)
     return list(watch.events([HEADER, *pieces]))
 
 
@@ -94,7 +105,7 @@ def test_a_window_gets_half_of_its_share_of_the_false_alarms(
 ) -> None:
     watched(samples(101), per_year=per_year)
     assert [given for _, given in judge.given] == pytest.approx([rate], rel=1e-12)
-    assert Watch(REFERENCE, State(), false_alarms_per_year=per_year).rate == pytest.approx(rate, rel=1e-12)
+    assert Watch(TAUGHT, State(), false_alarms_per_year=per_year).rate == pytest.approx(rate, rel=1e-12)
 
 
 def test_windows_hold_the_samples_of_their_time_in_si_units(judge: Judge) -> None:
@@ -156,11 +167,11 @@ class FakeLooks:
 
     made: ClassVar[list[tuple[float, list[float]]]] = []
     seen: ClassVar[list[Recording]] = []
-    alarm: ClassVar[WindowVerdict | None] = None
+    alarm: ClassVar[Judgement | None] = None
 
-    def __init__(self, reference: WindowReference, rate: float, at: Any) -> None:
+    def __init__(self, judge: WindowJudge, rate: float, at: Any) -> None:
         self.made.append((rate, at.tolist()))
-        self.every_s, self.window_s = 0.025, reference.window_s
+        self.every_s, self.window_s = 0.025, judge.windows.window_s
 
     def due(self, number: int) -> list[int]:
         return [] if number % 4 == 2 else [1]
@@ -168,7 +179,7 @@ class FakeLooks:
     def needed_s(self, _: int) -> float:
         return 0.0595
 
-    def at_end(self, recording: Recording, _: Sequence[int]) -> WindowVerdict | None:
+    def at_end(self, recording: Recording, _: Sequence[int]) -> Judgement | None:
         FakeLooks.seen.append(recording)
         return self.alarm
 
@@ -181,7 +192,7 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> type[FakeLooks]:
 
 
 def test_looks_follow_a_healthy_window_and_reach_back_into_it(judge: Judge, looks: type[FakeLooks]) -> None:
-    watch = Watch(REFERENCE, State(), false_alarms_per_year=1.0)
+    watch = Watch(TAUGHT, State(), false_alarms_per_year=1.0)
     events = list(watch.events([HEADER, *samples(202)]))
     assert [event.kind for event in events] == ["window", "window"]
     ((rate, at),) = looks.made
@@ -195,13 +206,13 @@ def test_looks_follow_a_healthy_window_and_reach_back_into_it(judge: Judge, look
         np.testing.assert_allclose(one.voltage_v, 12.0 + one.time_s)  # type: ignore[arg-type]  # it has a voltage
     assert watched([*samples(101), SILENCE, *samples(90, 101.0)])[-1].kind == "silence"
     assert len(looks.seen) == 2
-    judge.verdicts = [replace(HEALTHY, verdict="bearing")]
+    judge.verdicts = [replace(HEALTHY, verdict=Verdict.BEARING)]
     watched(samples(190))
     assert len(looks.made) == 1  # none after a window that is not healthy
 
 
 def test_an_alarm_of_a_look_is_said_once_with_its_span(judge: Judge, looks: type[FakeLooks]) -> None:
-    looks.alarm = WindowVerdict(0.0965, "bearing", changes(1.0, 1.0, 1.0, 1.4))
+    looks.alarm = judged("bearing", 1.0, 1.0, 1.0, 1.4, begin_s=0.0965)
     events = watched(samples(202))
     assert [(event.text, event.span_s) for event in events] == [
         ("healthy", None),
@@ -213,36 +224,53 @@ def test_an_alarm_of_a_look_is_said_once_with_its_span(judge: Judge, looks: type
 
 
 def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
-    moved = changes(1.0, 1.4, 1.8, 1.0, significant=True)
-    without_k = (moved[0], replace(moved[1], significant=False), *moved[2:])
-    verdicts: list[WindowVerdict | Exception] = [
-        WindowVerdict(0.0, "bearing", changes(1.0, 1.0, 1.0, 1.34567)),
-        WindowVerdict(0.0, "other", moved),
-        WindowVerdict(0.0, "other", without_k),
-        WindowVerdict(0.0, "unusable", ()),
+    other = judged("other", 1.0, 1.4, 1.8, 1.0)
+    unsure = judged(
+        "winding", 1.2, 1.0, 1.0, 1.0, fault_kind=FaultKind.WINDING_CONTACT, kind_probability=0.949
+    )
+    verdicts: list[Judgement | Exception] = [
+        judged("bearing", 1.0, 1.0, 1.0, 1.34567),
+        replace(other, changes=changes(1.0, 1.4, 1.8, 1.0, moved="RKJB")),
+        replace(other, changes=changes(1.0, 1.4, 1.8, 1.0, moved="RJB")),
+        unsure,
+        replace(unsure, kind_probability=0.951),
+        Judgement(Verdict.UNUSABLE, ("the motor stands", "all the time")),
         UnusableError("too short"),
     ]
     Judge(monkeypatch, *verdicts)
     state = State()
-    told = [json.loads(event.as_json()) for event in watched(samples(505), state)]
+    told = [json.loads(event.as_json()) for event in watched(samples(7 * 101), state)]
     assert told[0] == {
         "time_s": pytest.approx(0.1),
         "event": "window",
         "verdict": "bearing",
         "ratios": {"R": 1.0, "K": 1.0, "J": 1.0, "B": 1.3457},
     }
-    assert [one["event"] for one in told[1:]] == ["another_motor", "window", "window", "window"]
-    assert [one.get("verdict") for one in told[2:]] == ["other", "unusable", "unusable"]
-    assert [one["reason"] for one in told[3:]] == ["no motor explains it", "too short"]
+    assert [one["event"] for one in told[1:]] == ["another_motor", *(5 * ["window"])]
+    assert [one.get("verdict") for one in told[2:]] == ["other", "winding", "winding", *(2 * ["unusable"])]
+    assert [one.get("kind") for one in told] == [*(4 * [None]), "winding_contact", None, None]
+    assert [one.get("reason") for one in told[2:]] == [None, None, None, "the motor stands", "too short"]
     assert dict(state.counts) == {
         "window bearing": 1,
         "another_motor": 1,
         "window other": 1,
+        "window winding": 2,
         "window unusable": 2,
     }
     late = Event(1.5, "window", "bearing", span_s=0.25).as_json()
     assert json.loads(late) == {"time_s": 1.5, "event": "window", "verdict": "bearing", "span_s": 0.25}
     assert json.loads(Event(0.0, "gap", "3 s").as_json()) == {"time_s": 0.0, "event": "gap", "reason": "3 s"}
+
+
+def test_ratios_are_those_of_the_fit_whatever_the_temperature_may_explain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fitted = np.array([1.25, 0.99, 1.0, 1.02])
+    fit = FittedWindow(np.log(fitted), 1e-6 * np.eye(4))
+    monkeypatch.setattr(WindowJudge, "fitted", lambda *_: fit)
+    (event,) = watched(samples(101), per_year=1e4)
+    assert (event.text, event.fault_kind) == ("winding", "winding_contact")
+    assert list(event.ratios.values()) == pytest.approx(fitted, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -273,7 +301,7 @@ def test_a_watch_goes_on_where_it_was(judge: Judge, tmp_path: Path) -> None:
     again = State.load(path)
     assert again == first
     assert again.header == HEADER.decode().strip()
-    watch = Watch(REFERENCE, again, false_alarms_per_year=1.0)
+    watch = Watch(TAUGHT, again, false_alarms_per_year=1.0)
     assert [event.name for event in watch.events(samples(101, 101.0))] == ["window healthy"]
     assert again.counts == {"window healthy": 2}
     list(watch.events([Notice(NEW_FILE, "shrunk"), b"1,2,3,4\n"]))
@@ -293,16 +321,18 @@ def test_headers_may_be_said_again_and_remarks_are_no_samples(judge: Judge) -> N
 def test_a_lesson_takes_as_many_windows_as_were_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Any] = []
 
-    def learn(recordings: list[Recording], window_s: float, *, steady: bool) -> WindowReference:
+    def learn(recordings: list[Recording], window_s: float, *, steady: bool) -> tuple[Healthy, list[Any]]:
         given.append((len(recordings), window_s, steady))
         if len(given) == 1:
             raise UnusableError("it stands still")
-        return REFERENCE
+        return TAUGHT, []
 
     monkeypatch.setattr(watching, "learn_windows", learn)
     judge = Judge(monkeypatch)
     watch = Watch(Lesson(0.0995, 0.4975, steady=True), State(), false_alarms_per_year=1.0)
+    assert watch.healthy is None
     events = list(watch.events([HEADER, *samples(11 * 101)]))
+    assert watch.healthy is TAUGHT
     learning = [f"{0.0995 * n:g} of 0.4975 s" for n in (1, 2, 3, 4)]
     assert [event.text for event in events[:4]] == learning
     assert [event.kind for event in events] == [
@@ -348,7 +378,7 @@ def test_the_command_reads_keeps_and_ends_with_its_status(
 ) -> None:
     log, state = tmp_path / "log.csv", tmp_path / "state.json"
     log.write_bytes(b"".join(piece for piece in [HEADER, *samples(150)] if isinstance(piece, bytes)))
-    monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(operation=REFERENCE))
+    monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(healthy=TAUGHT))
     run = ["watch", str(tmp_path / "m.toml"), str(log), "--state", str(state)]
     assert main(run) == 0
     assert json.loads(capsys.readouterr().out)["verdict"] == "healthy"
@@ -358,15 +388,16 @@ def test_the_command_reads_keeps_and_ends_with_its_status(
     assert kept["offset"] == len(b"".join(log.read_bytes().splitlines(keepends=True)[:102]))
     with log.open("ab") as file:
         file.write(b"".join(piece for piece in samples(60, 150.0) if isinstance(piece, bytes)))
-    judge.verdicts = [WindowVerdict(0.0, "bearing", changes(1.0, 1.0, 1.0, 1.5))]
+    judge.verdicts = [judged("bearing", 1.0, 1.0, 1.0, 1.5)]
     assert main(run) == 1
     np.testing.assert_allclose(judge.given[-1][0].time_s[[0, -1]], [0.101, 0.201])
     assert json.loads(state.read_text())["counts"] == {"window healthy": 1, "window bearing": 1}
     assert main([*run[:2], "--follow"]) == 2
     assert "--follow needs a log" in capsys.readouterr().err
-    monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(operation=None))
-    assert main(run) == 2
-    assert "was not commissioned with --window" in capsys.readouterr().err
+    for taught in (None, replace(TAUGHT, windows=None, starts=Starts(-3.0, 0.1))):
+        monkeypatch.setattr(command, "load_motor", lambda _, taught=taught: SimpleNamespace(healthy=taught))
+        assert main(run) == 2
+        assert "was not commissioned by windows of the motor at work" in capsys.readouterr().err
 
 
 def test_a_terminal_shows_the_last_events_and_all_counts(

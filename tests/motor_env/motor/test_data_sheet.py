@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,8 @@ import pytest
 from hostile import refused
 
 from motor_env import PAPER_MOTOR, InputError, MotorFile, load_motor, save_motor
-from motor_env.motor.data_sheet import StartReference, Tolerance
+from motor_env.motor.data_sheet import Tolerance
+from motor_env.motor.healthy import Healthy, Starts, Windows
 
 SHEET = """
 name = "sheet"
@@ -123,39 +125,68 @@ def test_a_bad_file_gets_one_sentence_that_names_it(tmp_path: Path, old: str, ne
     assert needle in refused(lambda: load_motor(path), path)
 
 
-@pytest.mark.parametrize(
-    ("kind", "quantities", "expected"),
-    [
-        ("data_sheet", None, ()),
-        ("identified", None, ()),
-        ("commissioned", '["R", "L", "K"]', ()),
-        ("commissioned", '["R", "L", "K^2/J"]', ("torque", "rotor", "viscous")),
-        ("commissioned", '["R/V", "L/V", "B/J"]', ("torque", "rotor", "viscous", "nominal")),
-    ],
-)
-def test_older_files_say_by_their_starts_what_they_assume(
-    tmp_path: Path, kind: str, quantities: str | None, expected: tuple[str, ...]
-) -> None:
-    text = SHEET.replace('name = "sheet"', f'kind = "{kind}"')
-    if quantities is not None:
-        text += f"""
-[reference]
-starts = 3
-degrees_of_freedom = 5.0
-quantities = {quantities}
-values = [1.0, 1.0, 1.0]
-log_covariance = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-log_noise = -3.0
-log_noise_sd = 0.1
-"""
-    assert tuple(key.partition("_")[0] for key in load(tmp_path, text).assumed) == expected
+def test_a_file_says_itself_what_it_assumes(tmp_path: Path) -> None:
+    """Nothing is guessed from its kind."""
     told = f"""{SHEET.replace('name = "sheet"', 'kind = "identified"')}
 [assumed]
 resistance_ohm = "guessed"
 """
     assert load(tmp_path, told).assumed == {"resistance_ohm": "guessed"}
+    assert load(tmp_path, told.partition("[assumed]")[0]).assumed == {}
     with pytest.raises(InputError, match=r"assumed\.inductance_h is no value of the table motor"):
         load(tmp_path, told.replace('resistance_ohm = "guessed', 'inductance_h = "guessed'))
+
+
+HEALTHY = """
+[healthy]
+pieces = 3
+degrees_of_freedom = 5.0
+quantities = ["R", "L"]
+values = [1.0, 1.0]
+log_covariance = [[1.0, 0.5], [0.5, 1.0]]
+"""
+STARTS = """
+[healthy.starts]
+log_noise = -3.0
+log_noise_sd = 0.1
+model = ["supply_ramp"]
+model_low = [0.001]
+"""
+WINDOWS = """
+[healthy.windows]
+window_s = 1.0
+terms = []
+physical = [1.0]
+hold = "held"
+dt_s = 0.001
+speed_rad_s = 100.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "needle"),
+    [
+        ("values = [1.0, 1.0]", "values = [1.0]", "healthy names 2 quantities; values and log_covariance"),
+        ("values = [1.0, 1.0]", "values = [1.0, 0.0]", "healthy.values"),
+        ("[[1.0, 0.5], [0.5, 1.0]]", "[[1.0]]", "healthy names 2 quantities; values and log_covariance"),
+        ("[[1.0, 0.5], [0.5, 1.0]]", "[[1.0, 0.5], [0.4, 1.0]]", "symmetric and positive definite"),
+        ("[[1.0, 0.5], [0.5, 1.0]]", "[[1.0, 1.0], [1.0, 1.0]]", "symmetric and positive definite"),
+        ("model_low = [0.001]", "model_low = [0.001, 0.002]", "one value for each of healthy.starts.model"),
+        (STARTS, "", "one of the tables starts and windows"),
+        (STARTS, STARTS + WINDOWS, "one of the tables starts and windows"),
+        ("[healthy]", "[reference]", "unknown key 'reference'"),
+        ("pieces = 3", "pieces = 0", "healthy.pieces"),
+    ],
+)
+def test_what_healthy_pieces_taught_must_hold_together(
+    tmp_path: Path, old: str, new: str, needle: str
+) -> None:
+    good = SHEET + HEALTHY + STARTS
+    assert old in good
+    assert load(tmp_path, good).healthy is not None
+    path = tmp_path / "motor.toml"
+    path.write_text(good.replace(old, new), encoding="utf-8")
+    assert needle in refused(lambda: load_motor(path), path)
 
 
 def test_unknown_motor_lists_the_presets() -> None:
@@ -167,20 +198,24 @@ def test_catalogue_motor_by_name() -> None:
     assert load_motor("paper").parameters == PAPER_MOTOR
 
 
-def test_a_saved_motor_is_read_back_to_the_last_bit(tmp_path: Path) -> None:
-    reference = StartReference(
-        starts=5,
+@pytest.mark.parametrize(
+    "taught",
+    [
+        Starts(log_noise=-3.2, log_noise_sd=0.1, model=("supply_ramp",)),
+        Windows(2.0 / 3.0, ("drag",), np.array([1e-4, 2.0 / 3.0]), "late", 1e-3, 300.0, excess=(1.0, 1.1)),
+    ],
+)
+def test_a_saved_motor_is_read_back_to_the_last_bit(tmp_path: Path, taught: Starts | Windows) -> None:
+    healthy = Healthy(
+        pieces=5,
         degrees_of_freedom=8.0,
         quantities=("R", "L"),
         values=np.array([2.0 / 3.0, 1e-4]),
         log_covariance=np.array([[1e-4, 2e-5], [2e-5, 3e-4]]),
-        log_noise=-3.2,
-        log_noise_sd=0.1,
-        model=("supply_ramp",),
+        starts=taught if isinstance(taught, Starts) else None,
+        windows=taught if isinstance(taught, Windows) else None,
     )
-    motor = MotorFile(
-        'with "quotes"', "commissioned", PAPER_MOTOR, 12.0, reference=reference, notes=("a", "b")
-    )
+    motor = MotorFile('with "quotes"', "commissioned", PAPER_MOTOR, 12.0, healthy=healthy, notes=("a", "b"))
     save_motor(motor, tmp_path / "deep" / "m.toml")
     back = load_motor(tmp_path / "deep" / "m.toml")
     assert back.parameters == motor.parameters
@@ -190,6 +225,13 @@ def test_a_saved_motor_is_read_back_to_the_last_bit(tmp_path: Path) -> None:
         motor.notes,
         motor.tolerance,
     )
-    assert back.reference is not None
-    np.testing.assert_array_equal(back.reference.log_covariance, reference.log_covariance)
+    assert back.healthy is not None
+    np.testing.assert_array_equal(back.healthy.log_covariance, healthy.log_covariance)
+    np.testing.assert_array_equal(back.healthy.values, healthy.values)
+    assert back.healthy.starts == healthy.starts
+    if healthy.windows is not None and back.healthy.windows is not None:
+        np.testing.assert_array_equal(back.healthy.windows.physical, healthy.windows.physical)
+        same = replace(back.healthy.windows, physical=healthy.windows.physical)
+        assert same == healthy.windows
+    assert (back.healthy.windows is None) == (healthy.windows is None)
     assert list(tmp_path.glob("deep/.*")) == []

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motor_env import Recording
+from motor_env import InputError, Recording
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.regime import refuse_aliased, work_seen
+from motor_env.recordings.regime import Taken, refuse_aliased, taken_for, work_seen
 from motor_env.recordings.splitting import chosen_starts
 
 FINE_S = 1e-4
@@ -39,8 +39,9 @@ def test_pulses_are_no_starts(pwm_hz: float, duty: float, has_speed: bool) -> No
     recording = pulsed(pwm_hz, duty, 10)
     if not has_speed:
         recording = Recording(recording.path, recording.time_s, recording.current_a, recording.voltage_v)
-    with pytest.raises(UnusableError, match="a log of a motor at work"):
-        chosen_starts(recording)
+    taken = taken_for(recording)
+    assert taken.regime == "operation"
+    assert f"{taken}" == f"a motor at work ({work_seen(recording)})"
     assert recording.voltage_v is not None
     refuse_aliased(recording.voltage_v, recording.current_a)
 
@@ -48,7 +49,20 @@ def test_pulses_are_no_starts(pwm_hz: float, duty: float, has_speed: bool) -> No
 def test_a_motor_that_brakes_to_rest_starts_again() -> None:
     recording = pulsed(1.0, 0.5, 10, coasts=False)
     assert work_seen(recording) is None
+    assert taken_for(recording) == Taken("start", "the voltage goes on and stays")
     assert len(chosen_starts(recording)) == 4
+
+
+def test_the_user_or_the_choice_of_a_start_says_what_a_recording_is() -> None:
+    at_work = pulsed(20.0, 0.95, 10, n=10_000)
+    silent = Recording(at_work.path, at_work.time_s, at_work.current_a)
+    assert taken_for(at_work).regime == "operation"
+    for regime, start in (("start", None), ("auto", 2), ("start", 2)):
+        assert taken_for(at_work, regime, start) == Taken("start", "as asked")
+    assert taken_for(silent, "operation", 2) == Taken("operation", "as asked")
+    assert str(taken_for(silent)) == "a start (no voltage was recorded)"
+    with pytest.raises(InputError, match="regime must be one of auto, start, operation, got 'work'"):
+        taken_for(silent, "work")
 
 
 @pytest.mark.parametrize("pwm_hz", [500.0, 503.0, 1000.0, 1003.0])

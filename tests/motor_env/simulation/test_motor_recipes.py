@@ -7,17 +7,13 @@ import numpy as np
 import pytest
 
 from motor_env import PAPER_MOTOR, InputError, MotorFile, Timing, draw, load_motor, save_motor
-from motor_env.motor.data_sheet import StartReference, Tolerance
+from motor_env.motor.data_sheet import Tolerance
+from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.simulation.drawing import measure_draw
 from motor_env.simulation.motor_recipes import motor_recipe, settling_timing
 
 SHEET = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml")
-REFERENCE = StartReference(
-    starts=5,
-    degrees_of_freedom=8.0,
-    quantities=("R", "L", "K^2/J", "B/J"),
-    values=np.array([2.2, 2.4e-4, 520.0, 1.1]),
-    log_covariance=np.diag(np.square([0.02, 0.05, 0.04, 0.03])),
+STARTS = Starts(
     log_noise=-4.0,
     log_noise_sd=0.1,
     model=("supply_ramp", "sensor_lag"),
@@ -27,8 +23,16 @@ REFERENCE = StartReference(
     duration_s=0.08,
     quiet_s=0.02,
 )
-STARTS = replace(REFERENCE, model=(), model_low=(), model_high=())
-COMMISSIONED = MotorFile("m", "commissioned", PAPER_MOTOR, 12.0, reference=REFERENCE)
+HEALTHY = Healthy(
+    pieces=5,
+    degrees_of_freedom=8.0,
+    quantities=("R", "L", "K^2/J", "B/J"),
+    values=np.array([2.2, 2.4e-4, 520.0, 1.1]),
+    log_covariance=np.diag(np.square([0.02, 0.05, 0.04, 0.03])),
+    starts=STARTS,
+)
+PLAIN = replace(HEALTHY, starts=replace(STARTS, model=(), model_low=(), model_high=()))
+COMMISSIONED = MotorFile("m", "commissioned", PAPER_MOTOR, 12.0, healthy=HEALTHY)
 
 
 def test_a_data_sheet_gives_its_tolerances() -> None:
@@ -57,7 +61,7 @@ def test_a_commissioned_motor_gives_the_spread_of_its_starts(tmp_path: Path) -> 
 
 
 def test_drawn_starts_scatter_as_the_commissioned_ones() -> None:
-    recipe = motor_recipe(replace(COMMISSIONED, reference=STARTS))
+    recipe = motor_recipe(replace(COMMISSIONED, healthy=PLAIN))
     drawn = draw(recipe, 1, np.arange(4000))
     resistance = drawn.factors[:, 1]
     constants = np.log(drawn.factors[:, 2] ** 2 / drawn.factors[:, 3])
@@ -96,8 +100,8 @@ def test_defaults_to_two_digits() -> None:
 
 def test_dry_friction_brushes_and_a_lag_become_a_field() -> None:
     """Dry friction relative to the viscous torque at no-load speed, the lag in the geometric middle of its range."""
-    reference = replace(REFERENCE, model_low=(0.001, 0.0001), model_high=(0.002, 0.0004))
-    motor = replace(COMMISSIONED, reference=reference, coulomb_friction_n_m=1e-4, brush_drop_v=0.3)
+    healthy = replace(HEALTHY, starts=replace(STARTS, model_low=(0.001, 0.0001), model_high=(0.002, 0.0004)))
+    motor = replace(COMMISSIONED, healthy=healthy, coulomb_friction_n_m=1e-4, brush_drop_v=0.3)
     field = motor_recipe(motor).field
     assert field is not None
     ratio = 1e-4 / (12e-7 * 12.0 / 0.02352)
@@ -110,7 +114,7 @@ def test_dry_friction_brushes_and_a_lag_become_a_field() -> None:
 
 def test_few_degrees_of_freedom_have_the_spread_of_three() -> None:
     """A Student t of two or fewer has no variance."""
-    few = motor_recipe(replace(COMMISSIONED, reference=replace(STARTS, degrees_of_freedom=2.0)))
+    few = motor_recipe(replace(COMMISSIONED, healthy=replace(PLAIN, degrees_of_freedom=2.0)))
     assert few.spread.resistance == pytest.approx(0.02 * np.sqrt(3.0))
 
 
@@ -125,6 +129,17 @@ def test_what_cannot_be_drawn_is_refused() -> None:
 def test_ratios_per_volt_hold_the_scatter_of_the_supply() -> None:
     scatter = np.array([0.003, 0.1, 0.001, 0.004, 0.02])
     names = ("R/V", "L/V", "K/V", "J/V", "B/V")
-    reference = replace(STARTS, quantities=names, values=np.ones(5), log_covariance=np.diag(scatter**2))
-    spread = motor_recipe(replace(COMMISSIONED, reference=reference)).spread
+    healthy = replace(PLAIN, quantities=names, values=np.ones(5), log_covariance=np.diag(scatter**2))
+    spread = motor_recipe(replace(COMMISSIONED, healthy=healthy)).spread
     assert spread.std / np.sqrt(8.0 / 6.0) == pytest.approx([0.0, 0.003, 0.001, 0.004, 0.02])
+
+
+def test_windows_teach_the_spread_and_nothing_of_starts() -> None:
+    windows = Windows(1.0, (), np.ones(1), "held", 1e-3, 300.0)
+    names, scatter = ("R", "K", "J", "B"), np.array([0.03, 0.01, 0.02, 0.05])
+    taught = Healthy(9, 8.0, names, np.ones(4), np.diag(scatter**2), windows=windows)
+    motor = replace(COMMISSIONED, healthy=taught)
+    recipe, sheet = motor_recipe(motor), replace(COMMISSIONED, healthy=None)
+    assert recipe.spread.std / np.sqrt(8.0 / 6.0) == pytest.approx([0.01 / np.sqrt(8.0 / 6.0), *scatter])
+    assert recipe.timing == settling_timing(motor)
+    assert (recipe.sensor, recipe.field) == (motor_recipe(sheet).sensor, None)
