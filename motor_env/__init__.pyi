@@ -12,12 +12,10 @@ from .detection.rules import (
     ShiryaevRoberts as ShiryaevRoberts,
     SignatureCusum as SignatureCusum,
     Sprt as Sprt,
-    Threshold as Threshold,
     TolerantFilter as TolerantFilter,
     WindowedNis as WindowedNis,
     in_a_row as in_a_row,
     nis_rule as nis_rule,
-    recipe_thresholds as recipe_thresholds,
 )
 from .diagnosis.commission import (
     commission as commission,
@@ -39,7 +37,6 @@ from .filters.adaptive import (
     adaptive_filter as adaptive_filter,
 )
 from .filters.batch import (
-    FilterResult as FilterResult,
     filter_residuals as filter_residuals,
     run_filter as run_filter,
 )
@@ -48,14 +45,12 @@ from .filters.consistency import (
 )
 from .filters.joint import (
     joint_filter as joint_filter,
-    parameter_test_threshold as parameter_test_threshold,
 )
 from .filters.kalman import (
     KalmanFilter as KalmanFilter,
 )
 from .filters.process_noise import (
     choose_process_noise as choose_process_noise,
-    matched_power as matched_power,
 )
 from .filters.smoothing import (
     smooth as smooth,
@@ -67,7 +62,6 @@ from .inference.identifiability import (
     Experiment as Experiment,
     cramer_rao_bound as cramer_rao_bound,
     identifiability as identifiability,
-    isolability as isolability,
 )
 from .inference.posterior import (
     class_probabilities as class_probabilities,
@@ -77,38 +71,27 @@ from .inference.severity import (
     SeverityPrior as SeverityPrior,
     severity_posterior as severity_posterior,
 )
-from .inference.whitening import (
-    MatchedTest as MatchedTest,
-)
 from .live.command import (
     watch as watch,
 )
 from .motor.data_sheet import (
-    MotorFile as MotorFile,
+    Motor as Motor,
     load_motor as load_motor,
-    save_motor as save_motor,
 )
 from .motor.faults import (
     Fault as Fault,
     FaultKind as FaultKind,
-    apply_fault as apply_fault,
-    apply_faults as apply_faults,
     register_fault_kind as register_fault_kind,
 )
 from .motor.model import (
-    State as State,
-    continuous_model as continuous_model,
     discretize as discretize,
-    steady_state as steady_state,
 )
 from .motor.parameters import (
-    CATALOGUE as CATALOGUE,
     PAPER_MOTOR as PAPER_MOTOR,
     Channel as Channel,
     MotorParameters as MotorParameters,
     SensorParameters as SensorParameters,
     SupplyParameters as SupplyParameters,
-    catalogue_motor as catalogue_motor,
 )
 from .prognosis.files import (
     trend as trend,
@@ -122,10 +105,6 @@ from .recordings.recording import (
 )
 from .simulation.drawing import (
     draw as draw,
-)
-from .simulation.named_recipes import (
-    RECIPES as RECIPES,
-    named_recipe as named_recipe,
 )
 from .simulation.recipe_files import (
     load_recipe as load_recipe,

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from motor_env import RECIPES, InputError, cli
+from motor_env import InputError, cli
+from motor_env.simulation.named_recipes import RECIPES
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ SHARED = {
     "motor_env.cli": "the command line",
     "motor_env.console": "how every command ends",
     "motor_env.errors": "what every room raises",
-    "motor_env.motor.data_sheet": "what a MotorFile is made of",
+    "motor_env.motor.data_sheet": "what a Motor is made of",
     "motor_env.motor.faults": "what a Fault is made of",
     "motor_env.motor.parameters": "the type of arrays, and constants of the paper's motor",
     "motor_env.recordings.defects": "what a recording is refused with",

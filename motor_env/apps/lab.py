@@ -23,7 +23,7 @@ from motor_env.diagnosis.verdict import Diagnosis
 from motor_env.errors import InputError
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
-from motor_env.motor.data_sheet import MotorFile, load_motor
+from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.faults import HEALTHY, Fault, FaultKind
 from motor_env.motor.parameters import CATALOGUE, FloatArray, SensorParameters
 from motor_env.recordings.recording import Recording
@@ -188,7 +188,7 @@ def verdict(settings: Settings) -> dict[str, Any]:
     """
     start = start_of(settings)
     seen = Recording(Path("simulated"), start.time_s, start.measurements[0, 0], start.voltage_v[0])
-    motor: MotorFile = replace(load_motor(settings.motor), current_noise_a=1e-3 * settings.noise_ma)
+    motor: Motor = replace(load_motor(settings.motor), current_noise_a=1e-3 * settings.noise_ma)
     return _as_document(diagnose(seen, motor, false_alarm_rate=0.01 * settings.false_alarm_percent))
 
 

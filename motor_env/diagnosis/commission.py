@@ -33,7 +33,7 @@ from motor_env.errors import InputError
 from motor_env.identification.identify import Identified
 from motor_env.identification.residuals import AMBIGUOUS
 from motor_env.motor.assumptions import assumptions, lines as lines_of
-from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import MotorParameters
@@ -64,7 +64,7 @@ class Commissioned:
         undecided: of so many healthy pieces, judged by the others, each quantity was undecided; by its name.
     """
 
-    motor: MotorFile
+    motor: Motor
     fits: tuple[Fitted, ...]
     smallest: dict[str, float]
     undecided: dict[str, int]
@@ -203,7 +203,7 @@ def _learn_logs(
         raise InputError(f"the logs cannot be used: {error}") from None
 
 
-def motor_of_windows(healthy: Healthy, name: str) -> MotorFile:
+def motor_of_windows(healthy: Healthy, name: str) -> Motor:
     """The motor that windows have taught."""
     if healthy.windows is None:
         raise ValueError("healthy holds no windows")
@@ -211,7 +211,7 @@ def motor_of_windows(healthy: Healthy, name: str) -> MotorFile:
 
 
 def _promise(
-    motor: MotorFile, fits: Sequence[Fitted], temperature_c: float | None, rate: float
+    motor: Motor, fits: Sequence[Fitted], temperature_c: float | None, rate: float
 ) -> tuple[dict[str, float], dict[str, int]]:
     """Smallest changes that the next piece shows; and how many pieces, judged by the others, leave what undecided."""
     reference = _reference(motor, fits[0], temperature_c)
@@ -226,7 +226,7 @@ def _promise(
     return smallest_of(views, reference.own_friction, limits.z), dict(undecided)
 
 
-def _reference(motor: MotorFile, fit: Fitted, temperature_c: float | None) -> Reference:
+def _reference(motor: Motor, fit: Fitted, temperature_c: float | None) -> Reference:
     found = reference_of(
         motor, fit.quantity_names, are_starts=isinstance(fit, Identified), temperature_c=temperature_c
     )
@@ -289,7 +289,7 @@ def to_motor(
     kind: Any = "identified",
     healthy: Healthy | None = None,
     constant: float | None = None,
-) -> MotorFile:
+) -> Motor:
     """Motor file of fits of one motor: the geometric mean of their parameters.
 
     Where the speed was not recorded, `constant` is the torque constant that the user knows.
@@ -302,7 +302,7 @@ def to_motor(
     assumed = assumptions(fits[0].quantity_names, has_voltage=known)
     if constant is not None:
         assumed = {key: source for key, source in assumed.items() if key == "nominal_voltage_v"}
-    return MotorFile(
+    return Motor(
         name=name,
         kind=kind,
         parameters=MotorParameters(**mean),

@@ -21,7 +21,7 @@ from motor_env.identification.commutation import ripple_quantities
 from motor_env.identification.identify import Identified, identify
 from motor_env.identification.model_choice import EXTENSIONS, NUISANCES, identify_best
 from motor_env.motor import identifiable as quantities
-from motor_env.motor.data_sheet import MotorFile, load_motor
+from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.healthy import Starts
 from motor_env.motor.model import steady_state
 from motor_env.recordings.defects import UnusableError
@@ -73,7 +73,7 @@ class Diagnosis(verdict.Diagnosis):
 
 def diagnose(
     recording: Recording | str | Path,
-    motor: MotorFile | str | Path | None = None,
+    motor: Motor | str | Path | None = None,
     *,
     columns: Sequence[ColumnChoice] = (),
     voltage_v: float | None = None,
@@ -122,7 +122,7 @@ def diagnose(
 
 def judge_start(
     recording: Recording,
-    motor: MotorFile | None,
+    motor: Motor | None,
     rate: float,
     *,
     voltage_v: float | None = None,
@@ -180,7 +180,7 @@ def _with_ripple(judgement: Judgement, fit: Identified, starts: Starts, rate: fl
     return replace(judgement, changes=(*judgement.changes, *changes), reasons=reasons)
 
 
-def _reference(start: Start, motor: MotorFile | None, temperature_c: float | None) -> Reference | None:
+def _reference(start: Start, motor: Motor | None, temperature_c: float | None) -> Reference | None:
     """What there is to compare a start with."""
     if motor is None:
         return None
@@ -188,7 +188,7 @@ def _reference(start: Start, motor: MotorFile | None, temperature_c: float | Non
     return reference_of(motor, names, temperature_c=temperature_c, friction=_friction(start, motor))
 
 
-def _friction(start: Start, motor: MotorFile) -> float:
+def _friction(start: Start, motor: Motor) -> float:
     """Drag over the speed that a start ends at, over that of healthy windows at theirs, for the same healthy motor.
 
     Dry friction and fans are not in proportion to the speed. Where no voltage tells the speed, it is taken for theirs.

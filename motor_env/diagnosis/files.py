@@ -17,7 +17,7 @@ from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import Diagnosis, diagnose
 from motor_env.errors import InputError
 from motor_env.files import write_text
-from motor_env.motor.data_sheet import MotorFile, load_motor
+from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import read_recording
 
@@ -112,8 +112,8 @@ def diagnose_files(
 
 
 def _learned(
-    healthy: Sequence[Path], motor: MotorFile | None, columns: Sequence[ColumnChoice], options: dict[str, Any]
-) -> MotorFile:
+    healthy: Sequence[Path], motor: Motor | None, columns: Sequence[ColumnChoice], options: dict[str, Any]
+) -> Motor:
     """The motor of healthy recordings; what they do not tell is the other file's."""
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
     shared = {name: options[name] for name in ("voltage_v", "circuit", "regime") if name in options}

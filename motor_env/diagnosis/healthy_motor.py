@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from motor_env.diagnosis.spread import NORMAL_DOF
 from motor_env.motor import identifiable as quantities
-from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
 
@@ -62,7 +62,7 @@ class Reference:
 
 
 def reference_of(
-    motor: MotorFile,
+    motor: Motor,
     names: tuple[str, ...],
     *,
     are_starts: bool = True,

@@ -24,7 +24,7 @@ from motor_env.diagnosis.report import (
 from motor_env.errors import InputError
 from motor_env.identification.identify import Identified
 from motor_env.identification.model_choice import EXTENSIONS, identify_best
-from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.data_sheet import Motor
 from motor_env.operation import report as logs
 from motor_env.operation.identify import Operation, identify_operation
 from motor_env.operation.record import at_terminals
@@ -75,7 +75,7 @@ class Identification:
             return _of_logs(self.joint)
         return quantities_json(self.usable[0]) if self.usable else {}
 
-    def motor(self, name: str = "identified motor") -> MotorFile:
+    def motor(self, name: str = "identified motor") -> Motor:
         """Motor of the logs, else of all good starts.
 
         Raises:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.data_sheet import Motor
 from motor_env.motor.model import State
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
 from motor_env.operation.identify import identify_operation
@@ -30,7 +30,7 @@ def _recorded(voltage_v: FloatArray) -> Recording:
 
 
 def _starts() -> None:
-    motor = MotorFile("warm-up", "data_sheet", PAPER_MOTOR, nominal_voltage_v=_LEVEL_V)
+    motor = Motor("warm-up", "data_sheet", PAPER_MOTOR, nominal_voltage_v=_LEVEL_V)
     start = _recorded(np.repeat([0.0, _LEVEL_V], [50, 250]))
     diagnose(replace(start, speed_rad_s=None), motor)
 

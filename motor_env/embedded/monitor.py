@@ -11,7 +11,7 @@ import numpy as np
 from motor_env.detection.rules.cusum import Cusum
 from motor_env.detection.rules.nis import MOfN
 from motor_env.filters.kalman import KalmanFilter, Schedule, schedule
-from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.data_sheet import Motor
 from motor_env.motor.model import Input, steady_state
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters, require, require_positive
 
@@ -144,7 +144,7 @@ def settled(kalman: KalmanFilter) -> Schedule:
 
 
 def sensor_of(
-    motor: MotorFile, current_noise_a: float | None = None, speed_noise_rad_s: float | None = None
+    motor: Motor, current_noise_a: float | None = None, speed_noise_rad_s: float | None = None
 ) -> SensorParameters:
     """The current sensor, and the speed sensor where its noise is given.
 
@@ -161,7 +161,7 @@ def sensor_of(
 
 
 def monitor_of(
-    motor: MotorFile,
+    motor: Motor,
     rate_hz: float,
     *,
     rule: CusumBank | MOfN,

@@ -11,7 +11,7 @@ from motor_env.live.screen import showing
 from motor_env.live.sources import lines, source
 from motor_env.live.state import State
 from motor_env.live.watch import Event, Lesson, Watch
-from motor_env.motor.data_sheet import MotorFile, load_motor, save_motor
+from motor_env.motor.data_sheet import Motor, load_motor, save_motor
 from motor_env.motor.healthy import Healthy
 
 _KEPT = ("window", "learned")
@@ -56,7 +56,7 @@ def run(
 
 
 def watch(
-    motor: MotorFile | str | Path,
+    motor: Motor | str | Path,
     log: str | Path | Iterable[str],
     *,
     false_alarms_per_year: float = 1.0,
@@ -71,7 +71,7 @@ def watch(
     Raises:
         InputError: the motor was not learned from windows, or the log cannot be read.
     """
-    known = motor if isinstance(motor, MotorFile) else load_motor(motor)
+    known = motor if isinstance(motor, Motor) else load_motor(motor)
     if isinstance(log, str | Path):
         pieces = lines(source(str(log), follow=False, offset=0, baud=0))
     else:
@@ -84,7 +84,7 @@ def _healthy(motor: Path, lesson: Lesson | None) -> Healthy | Lesson:
     return lesson if lesson is not None and not motor.exists() else _windows_of(load_motor(motor))
 
 
-def _windows_of(motor: MotorFile) -> Healthy:
+def _windows_of(motor: Motor) -> Healthy:
     if motor.healthy is None or motor.healthy.windows is None:
         raise InputError(f"{motor.name}: was not commissioned by windows of the motor at work")
     return motor.healthy

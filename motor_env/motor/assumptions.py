@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 
-from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.data_sheet import Motor
 from motor_env.motor.parameters import MotorParameters, require
 
 _K = ("torque_constant_n_m_per_a", "back_emf_constant_v_s_per_rad")
@@ -25,7 +25,7 @@ def assumptions(quantities: Sequence[str], *, has_voltage: bool) -> dict[str, st
     return assumed
 
 
-def usable_parameters(motor: MotorFile, *, needs_speed: bool) -> MotorParameters:
+def usable_parameters(motor: Motor, *, needs_speed: bool) -> MotorParameters:
     """The motor's parameters, for a simulation; a guess that spoils it is refused, one that does not is warned of.
 
     Raises:

@@ -97,7 +97,7 @@ class _SensorTable:
 
 
 @dataclass(frozen=True, slots=True)
-class MotorFile:
+class Motor:
     """A motor as its file describes it.
 
     Attributes:
@@ -145,7 +145,7 @@ class _File:
     __pydantic_config__: ClassVar = {"extra": "forbid"}  # for the tables too
 
 
-def load_motor(name_or_path: str | Path) -> MotorFile:
+def load_motor(name_or_path: str | Path) -> Motor:
     """Motor from a TOML file, or from the catalogue by name.
 
     Raises:
@@ -153,7 +153,7 @@ def load_motor(name_or_path: str | Path) -> MotorFile:
             or not at all.
     """
     if str(name_or_path) in CATALOGUE:
-        return MotorFile(str(name_or_path), "data_sheet", CATALOGUE[str(name_or_path)])
+        return Motor(str(name_or_path), "data_sheet", CATALOGUE[str(name_or_path)])
     path = Path(name_or_path)
     content = read_toml(path, f"no such motor file; presets are {', '.join(sorted(CATALOGUE))}")
     try:
@@ -162,7 +162,7 @@ def load_motor(name_or_path: str | Path) -> MotorFile:
         raise InputError(f"{path}: {error}") from None
 
 
-def _to_motor(file: _File) -> MotorFile:
+def _to_motor(file: _File) -> Motor:
     si: dict[str, float] = {}
     for quantity, keys in _UNITS.items():
         given = [key for key in keys if getattr(file.motor, key) is not None]
@@ -177,7 +177,7 @@ def _to_motor(file: _File) -> MotorFile:
         require(quantity in si, f"motor.{usual_key} is missing")
     si |= _constants(si)
     si["viscous_friction_n_m_s_per_rad"] = _friction(si)
-    return MotorFile(
+    return Motor(
         file.name,
         file.kind,
         MotorParameters(**{f.name: si[f.name] for f in fields(MotorParameters)}),
@@ -233,7 +233,7 @@ def _friction(si: Mapping[str, float]) -> float:
     return friction
 
 
-def save_motor(motor: MotorFile, path: str | Path) -> None:
+def save_motor(motor: Motor, path: str | Path) -> None:
     """Write a motor file in SI units; `load_motor` reads the same motor back, to the last bit.
 
     Raises:
@@ -242,7 +242,7 @@ def save_motor(motor: MotorFile, path: str | Path) -> None:
     write_text(Path(path), to_toml(motor))
 
 
-def to_toml(motor: MotorFile) -> str:
+def to_toml(motor: Motor) -> str:
     """The text of a motor file."""
     content = asdict(motor)
     content |= content.pop("parameters")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from motor_env.errors import InputError
-from motor_env.motor.data_sheet import Kind, MotorFile
+from motor_env.motor.data_sheet import Kind, Motor
 from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.operation import kernel
 from motor_env.operation.identify import Operation
@@ -44,7 +44,7 @@ def _r2(found: Operation) -> dict[str, float | None]:
     return {"current": found.r2_current, "speed": found.r2_speed}
 
 
-def to_motor(found: Operation, name: str) -> MotorFile:
+def to_motor(found: Operation, name: str) -> Motor:
     """Motor file of an identified motor.
 
     Raises:
@@ -62,9 +62,9 @@ def to_motor(found: Operation, name: str) -> MotorFile:
     )
 
 
-def motor_of(values: FloatArray, name: str, kind: Kind) -> MotorFile:
+def motor_of(values: FloatArray, name: str, kind: Kind) -> Motor:
     """A motor of a fit's physical values, shape (kernel.N_VALUES,)."""
-    return MotorFile(
+    return Motor(
         name=name,
         kind=kind,
         parameters=MotorParameters(

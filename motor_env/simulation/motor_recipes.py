@@ -16,7 +16,7 @@ import re
 import numpy as np
 
 from motor_env.errors import InputError
-from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.identifiable import tolerance_std
 from motor_env.motor.parameters import Channel, SensorParameters, SupplyParameters
@@ -41,7 +41,7 @@ _NOISE_SHARE = 0.004  # of the stall current, where the sensor's noise is not kn
 
 
 def motor_recipe(
-    motor: MotorFile,
+    motor: Motor,
     *,
     voltage_v: float | None = None,
     timing: Timing | None = None,
@@ -81,7 +81,7 @@ def motor_recipe(
     )
 
 
-def settling_timing(motor: MotorFile, duration_s: float | None = None) -> Timing:
+def settling_timing(motor: Motor, duration_s: float | None = None) -> Timing:
     """A thousand samples over 25 mechanical time constants (to two digits), or over a given duration."""
     if duration_s is None:
         duration_s = _two_digits(_SETTLED * float(np.mean(motor.parameters.mechanical_time_constant_s)))
@@ -98,7 +98,7 @@ def _two_digits(value: float) -> float:
     return float(f"{value:.2g}")
 
 
-def _spread(motor: MotorFile) -> Spread:
+def _spread(motor: Motor) -> Spread:
     std = tolerance_std(motor.tolerance)
     values = {name: std[name] for name in FACTORS}
     if motor.healthy is not None:
@@ -127,7 +127,7 @@ def _learned_spread(healthy: Healthy, supply: float) -> dict[str, float]:
     return values
 
 
-def _field(motor: MotorFile, voltage_v: float) -> Field | None:
+def _field(motor: Motor, voltage_v: float) -> Field | None:
     """Coulomb friction, brush drop, supply ramp and sensor lag of the motor's starts; None for none of them."""
     starts, p = None if motor.healthy is None else motor.healthy.starts, motor.parameters
     ranges: dict[str, Range] = {}

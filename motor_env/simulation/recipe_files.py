@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +34,8 @@ def recipe_from_dict(content: Mapping[str, Any]) -> Recipe:
     return from_dict(Recipe, content, "the recipe")
 
 
-def load_recipe(name_or_path: str | Path) -> Recipe:
-    """A named recipe, or one from a TOML file.
+def load_recipe(name_or_path: str | Path, **changes: Any) -> Recipe:
+    """A named recipe, or one from a TOML file, with fields replaced.
 
     A file holds the recipe's fields by name, SI units in the names. `base = "bench"` starts from a named recipe:
     tables then replace the entries that they name. `motor = "file.toml"` or a catalogue name stands for its table.
@@ -44,13 +44,13 @@ def load_recipe(name_or_path: str | Path) -> Recipe:
         InputError: no such recipe or file, not TOML, an unknown key, a value out of range.
     """
     if str(name_or_path) in RECIPES:
-        return RECIPES[str(name_or_path)]
+        return replace(RECIPES[str(name_or_path)], **changes)
     path = Path(name_or_path)
     if path.suffix != ".toml":
         named_recipe(str(name_or_path))
     content = read_toml(path, f"no such recipe file; named recipes are {', '.join(sorted(RECIPES))}")
     try:
-        return _from_toml(content, path)
+        return replace(_from_toml(content, path), **changes)
     except InputError:
         raise
     except (ValueError, OSError) as error:

@@ -10,7 +10,8 @@ import joblib
 import pytest
 
 from motor_datasets import generate_dataset, layout
-from motor_env import RECIPES, Timing
+from motor_env import Timing
+from motor_env.simulation.named_recipes import RECIPES
 
 
 @pytest.mark.long

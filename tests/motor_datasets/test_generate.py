@@ -19,7 +19,8 @@ from motor_datasets import (
 )
 from motor_datasets.cli import main
 from motor_datasets.export import export
-from motor_env import RECIPES, Channel, FaultKind, InputError, SensorParameters, Timing
+from motor_env import Channel, FaultKind, InputError, SensorParameters, Timing
+from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.recipes import FaultClass
 
 SHORT = replace(RECIPES["bench"], timing=Timing(duration_s=0.01))

@@ -30,7 +30,8 @@ from motor_datasets.cli import main
 from motor_datasets.describe import describe, draw_sheet
 from motor_datasets.layout import PlannedFile, bytes_of_case, make_plan
 from motor_datasets.manifest import Entry, Manifest, read_manifest
-from motor_env import RECIPES, InputError, Recipe, Timing, named_recipe
+from motor_env import InputError, Recipe, Timing
+from motor_env.simulation.named_recipes import RECIPES, named_recipe
 
 BENCH, FIELD = RECIPES["bench"], RECIPES["field"]
 SHORT = replace(BENCH, timing=Timing(duration_s=0.01))

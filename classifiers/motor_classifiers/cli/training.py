@@ -16,7 +16,7 @@ from motor_datasets.loaders import load
 from motor_env.console import progress_bar
 from motor_env.errors import InputError
 from motor_env.motor.assumptions import usable_parameters
-from motor_env.motor.data_sheet import MotorFile, load_motor
+from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import Channel
 from motor_env.simulation.motor_recipes import motor_recipe, settling_timing
@@ -46,9 +46,7 @@ def training_recipe(motor: str | None, recipe: str | None, **changes: float | No
     return changed_recipe(chosen, **changes)  # type: ignore[arg-type]  # a number for each of its names
 
 
-def network_recipe(
-    motor: MotorFile, voltage_v: float | None = None, duration_s: float | None = None
-) -> Recipe:
+def network_recipe(motor: Motor, voltage_v: float | None = None, duration_s: float | None = None) -> Recipe:
     """What a network for a motor file is trained on: its recipe with each kind of fault as one class, 5 to 30 %.
 
     It reads the current alone, over a thousand samples. Dry friction, brushes and ramps are not drawn: its exact

@@ -22,7 +22,7 @@ from motor_classifiers.wrappers.open_set import OTHER, OpenSetClassifier
 from motor_env.console import ExitStatus
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.report import as_json
-from motor_env.motor.data_sheet import MotorFile, Tolerance
+from motor_env.motor.data_sheet import Motor, Tolerance
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, read_recording
@@ -196,7 +196,7 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording
 def second_opinion(recording: Recording, recipe: Recipe) -> dict[str, Any]:
     """What `motor-env diagnose` says of the recording, with the recipe's motor and tolerances for its data sheet."""
     tolerance = Tolerance(**asdict(recipe.spread), temperature_k=0.0)
-    motor = MotorFile(
+    motor = Motor(
         recipe.name, "data_sheet", recipe.motor, float(np.asarray(recipe.supply.voltage_v)), tolerance
     )
     diagnosis = as_json(diagnose(recording, motor))

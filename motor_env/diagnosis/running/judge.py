@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.data_sheet import Motor
 from motor_env.operation.record import at_terminals, from_recordings
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
@@ -15,7 +15,7 @@ _NOTHING = "there is nothing to compare with: give a motor file, or commission o
 
 def judge_log(
     recording: Recording,
-    motor: MotorFile | None,
+    motor: Motor | None,
     rate: float,
     *,
     voltage_v: float | None = None,

@@ -15,7 +15,7 @@ from motor_env.diagnosis.running.windows import (
     needed_columns,
     viscous,
 )
-from motor_env.motor.data_sheet import MotorFile
+from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Windows
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
@@ -27,7 +27,7 @@ _WINDOWS = 10  # of a log
 _SHORTEST, _SHORTEST_SAMPLES = 40.0, 400  # a window: mechanical time constants, samples
 
 
-def judge_for(recording: Recording, motor: MotorFile, temperature_c: float | None = None) -> WindowJudge:
+def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = None) -> WindowJudge:
     """What judges the windows of a log.
 
     A motor that was commissioned by windows says so itself. Any other motor's file tells R, K, J and the drag at one
@@ -67,7 +67,7 @@ def judge_for(recording: Recording, motor: MotorFile, temperature_c: float | Non
     return WindowJudge(windows, reference)
 
 
-def _friction(motor: MotorFile, physical: FloatArray, speed_rad_s: float) -> float:
+def _friction(motor: Motor, physical: FloatArray, speed_rad_s: float) -> float:
     """Drag over the speed in this log, over the friction of the motor's file, for the same healthy motor.
 
     The file's friction is that at the no-load speed. Between two speeds the drag divides as in the log.

@@ -22,7 +22,8 @@ from motor_classifiers.contest.task import SEED
 from motor_classifiers.estimators.methods import AT_WORK
 from motor_classifiers.scoring.plan import AnswerStore, Plan, units
 from motor_classifiers.scoring.progress import Cost
-from motor_env import InputError, load_motor, named_recipe
+from motor_env import InputError, load_motor
+from motor_env.simulation.named_recipes import named_recipe
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -8,7 +8,7 @@ import pytest
 from motor_classifiers import METHODS, PhysicalFeatures, evaluate_model, load_model, make_method, save_model
 from motor_classifiers.estimators.methods import AT_WORK
 from motor_datasets import generate_arrays, generate_dataset, load
-from motor_env import named_recipe
+from motor_env.simulation.named_recipes import named_recipe
 
 OPERATION = named_recipe("operation")
 

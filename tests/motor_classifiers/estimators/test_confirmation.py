@@ -9,8 +9,9 @@ from scipy.stats import binom
 
 from motor_classifiers import ThresholdConfirmationClassifier
 from motor_classifiers.estimators.threshold_rule import window_features
-from motor_env import FaultKind, Recipe, Timing, draw, named_recipe, simulate
+from motor_env import FaultKind, Recipe, Timing, draw, simulate
 from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
 
 Tuned = tuple[Recipe, ThresholdConfirmationClassifier]

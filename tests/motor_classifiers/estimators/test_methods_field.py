@@ -10,7 +10,8 @@ from sklearn.pipeline import Pipeline
 
 from motor_classifiers import METHODS, PosteriorNetwork, ResNetClassifier, make_method
 from motor_datasets import generate_arrays
-from motor_env import Timing, named_recipe
+from motor_env import Timing
+from motor_env.simulation.named_recipes import named_recipe
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 TRAIN = generate_arrays(RECIPE, 5, 300)

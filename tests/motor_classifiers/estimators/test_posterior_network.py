@@ -17,7 +17,8 @@ from motor_classifiers.estimators.networks.severity_density import severity_prio
 from motor_classifiers.estimators.networks.signal_space import SignalSpace, with_more_noise
 from motor_classifiers.estimators.networks.training import one_thread
 from motor_datasets import generate_arrays
-from motor_env import Channel, FaultKind, Recipe, SensorParameters, Timing, named_recipe, severity_posterior
+from motor_env import Channel, FaultKind, Recipe, SensorParameters, Timing, severity_posterior
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))

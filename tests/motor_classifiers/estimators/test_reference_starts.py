@@ -17,20 +17,14 @@ from motor_classifiers.estimators.reference_starts import (
     split_starts,
 )
 from motor_datasets import generate_arrays
-from motor_env import (
-    MotorParameters,
-    Recipe,
-    Timing,
-    apply_faults,
-    class_probabilities,
-    named_recipe,
-    simulate_states,
-)
+from motor_env import MotorParameters, Recipe, Timing, class_probabilities, simulate_states
 
 # Reaches in: pins the prior that healthy starts leave, which no public name shows.
 from motor_env.inference.posterior import prior_from_starts
+from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.drawing import apply_factors
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass, Spread
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))

@@ -8,16 +8,9 @@ from sklearn.preprocessing import StandardScaler
 
 from motor_classifiers import RuleStatistics
 from motor_datasets import generate_arrays
-from motor_env import (
-    Cusum,
-    Fault,
-    FaultKind,
-    MatchedTest,
-    Timing,
-    TolerantFilter,
-    class_probabilities,
-    named_recipe,
-)
+from motor_env import Cusum, Fault, FaultKind, Timing, TolerantFilter, class_probabilities
+from motor_env.inference.whitening import MatchedTest
+from motor_env.simulation.named_recipes import named_recipe
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 

@@ -14,7 +14,8 @@ from motor_classifiers.cli.main import main
 from motor_classifiers.model_files.onnx_export import INPUT, OUTPUTS, Deployed
 from motor_classifiers.model_files.persistence import PRETRAINED
 from motor_datasets import generate_arrays
-from motor_env import Timing, named_recipe
+from motor_env import Timing
+from motor_env.simulation.named_recipes import named_recipe
 
 SHORT = named_recipe("bench-full", timing=Timing(1_000.0, 0.02))
 

@@ -13,7 +13,8 @@ from motor_classifiers.cli.main import main
 # Reaches in: pins the recipe that `train --motor` makes of a data sheet; training on it takes minutes.
 from motor_classifiers.cli.training import network_recipe
 from motor_classifiers.model_files.persistence import PRETRAINED
-from motor_env import load_motor, named_recipe
+from motor_env import load_motor
+from motor_env.simulation.named_recipes import named_recipe
 
 ROOT = Path(__file__).resolve().parents[3]
 CAPTURE = str(ROOT / "examples" / "startup_capture.csv")

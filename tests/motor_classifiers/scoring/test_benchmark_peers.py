@@ -14,7 +14,8 @@ from motor_classifiers.scoring.peers import PEERS, export_starts, read_peers, sh
 from motor_classifiers.scoring.plan import Plan
 from motor_classifiers.scoring.results import result_rows
 from motor_classifiers.scoring.trust import Counts
-from motor_env import InputError, Timing, named_recipe
+from motor_env import InputError, Timing
+from motor_env.simulation.named_recipes import named_recipe
 
 CELL = Cell(named_recipe("bench", timing=Timing(1_000.0, 0.1)), 100, 60)
 

@@ -35,7 +35,8 @@ from motor_classifiers.scoring.judging import (
 from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, make_cells, units
 from motor_classifiers.scoring.results import result_rows
 from motor_classifiers.scoring.trust import TRUST, Counts
-from motor_env import InputError, Recipe, Timing, named_recipe
+from motor_env import InputError, Recipe, Timing
+from motor_env.simulation.named_recipes import named_recipe
 
 SLOW = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 CELL = Cell(SLOW, 300, 200)

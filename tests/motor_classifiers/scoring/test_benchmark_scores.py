@@ -22,7 +22,8 @@ from motor_classifiers.scoring.metrics import (
     scores,
 )
 from motor_datasets import generate_arrays
-from motor_env import Timing, named_recipe
+from motor_env import Timing
+from motor_env.simulation.named_recipes import named_recipe
 
 RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
 

@@ -49,7 +49,8 @@ from motor_classifiers.scoring.verdict_times import STATED_ERRORS, accuracy_by_m
 
 # Reaches in: stand-ins for models answer in the types of real ones; a score is compared with the posterior below it.
 from motor_classifiers.wrappers.fault_family import FamilyFit
-from motor_env import FaultKind, Timing, named_recipe
+from motor_env import FaultKind, Timing
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FACTORS, FaultClass, Spread
 
 

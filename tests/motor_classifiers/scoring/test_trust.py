@@ -33,7 +33,8 @@ from motor_classifiers.scoring.unknown_faults import (
     foreign_starts,
 )
 from motor_datasets import generate_arrays
-from motor_env import Recipe, Timing, class_probabilities, named_recipe
+from motor_env import Recipe, Timing, class_probabilities
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass, Spread
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))

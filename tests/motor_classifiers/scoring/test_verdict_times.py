@@ -16,7 +16,8 @@ from motor_classifiers.scoring.verdict_times import (
 
 # Reaches in: the rows are the scores of the rule that stops, on probabilities that no classifier gave.
 from motor_classifiers.wrappers.early import stop_when_sure, stopping_score
-from motor_env import FaultKind, Timing, named_recipe
+from motor_env import FaultKind, Timing
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
 
 

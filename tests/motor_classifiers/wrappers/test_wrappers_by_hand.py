@@ -29,8 +29,9 @@ from motor_classifiers.wrappers.fault_family import (  # the two last: closed fo
     _hypotheses,
     family_fit,
 )
-from motor_env import Channel, FaultKind, Timing, named_recipe, simulate_states
+from motor_env import Channel, FaultKind, Timing, simulate_states
 from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass, Spread
 
 BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))

@@ -18,7 +18,6 @@ import pytest
 from running_lab import running_lab, write_start
 
 from motor_env import (
-    CATALOGUE,
     Cusum,
     Fault,
     FaultKind,
@@ -37,6 +36,7 @@ from motor_env.apps import lab, lab_shelf
 from motor_env.apps.lab_server import _Handler, make_server  # its reading is tested without a connection
 from motor_env.apps.lab_shelf import LARGEST_UPLOAD_BYTES
 from motor_env.cli import main
+from motor_env.motor.parameters import CATALOGUE
 
 # Reaches in: settings come from a page through the reader of documents, which no public name shows.
 from motor_env.motor.toml_files import from_dict

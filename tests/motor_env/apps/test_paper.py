@@ -6,18 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motor_env import (
-    PAPER_MOTOR,
-    Fault,
-    FaultKind,
-    InputError,
-    MotorParameters,
-    cli,
-    continuous_model,
-    discretize,
-    steady_state,
-)
+from motor_env import PAPER_MOTOR, Fault, FaultKind, InputError, MotorParameters, cli, discretize
 from motor_env.apps import paper, reproduce as reproduction
+from motor_env.motor.model import continuous_model, steady_state
 from motor_env.motor.parameters import PAPER_MATRICES_DT_S, PAPER_MATRICES_MOTOR
 
 ROOT = Path(__file__).parents[3]

@@ -21,14 +21,13 @@ from motor_env import (
     TolerantFilter,
     WindowedNis,
     in_a_row,
-    named_recipe,
     nis_rule,
-    recipe_thresholds,
 )
-from motor_env.detection.rules import run_lengths
+from motor_env.detection.rules import recipe_thresholds, run_lengths
 from motor_env.detection.rules.calibration import healthy_measurements
 from motor_env.detection.rules.tolerant import second_order
 from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.named_recipes import named_recipe
 
 WANTED = 0.01
 SEED = 2  # of the motors that are tested: not that of the calibration

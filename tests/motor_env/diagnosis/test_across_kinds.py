@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from motor_env import PAPER_MOTOR, FaultKind, MotorFile, MotorParameters, Recording, Verdict, diagnose
+from motor_env import PAPER_MOTOR, FaultKind, Motor, MotorParameters, Recording, Verdict, diagnose
 from motor_env.diagnosis.commission import motor_of_windows
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import joint_share
@@ -36,7 +36,7 @@ TRUE = np.array(
 )
 
 
-def of_windows(dry_n_m: float = 0.0) -> MotorFile:
+def of_windows(dry_n_m: float = 0.0) -> Motor:
     """The motor known by twelve windows, whose effective speed is far below that of a start."""
     physical = np.zeros(kernel.N_VALUES)
     physical[[kernel.R, kernel.K, kernel.J, kernel.B]] = TRUE
@@ -47,7 +47,7 @@ def of_windows(dry_n_m: float = 0.0) -> MotorFile:
     return motor_of_windows(Healthy(12, 15.0, RKJB, values, covariance, windows=windows), "work")
 
 
-def of_starts(names: tuple[str, ...], covariance: FloatArray) -> MotorFile:
+def of_starts(names: tuple[str, ...], covariance: FloatArray) -> Motor:
     """The motor known by five starts that told these quantities."""
     k = float(PAPER_MOTOR.back_emf_constant_v_s_per_rad)
     told = dict(zip(RKJB, TRUE.tolist(), strict=True)) | {"L": float(PAPER_MOTOR.inductance_h)}
@@ -55,7 +55,7 @@ def of_starts(names: tuple[str, ...], covariance: FloatArray) -> MotorFile:
     values = np.array([told[name] for name in names])
     starts = Starts(math.log(0.02), 0.1, model=("supply_ramp",), model_low=(1e-3,), model_high=(2e-3,))
     healthy = Healthy(5, 8.0, names, values, covariance, temperature_k=0.0, own_friction=0.8, starts=starts)
-    return MotorFile("started", "commissioned", PAPER_MOTOR, healthy=healthy)
+    return Motor("started", "commissioned", PAPER_MOTOR, healthy=healthy)
 
 
 def start(motor: MotorParameters, dry_n_m: float, *, has_speed: bool) -> Recording:
@@ -94,7 +94,7 @@ def test_windows_see_a_bad_contact_in_a_start() -> None:
     assert found.severity == pytest.approx(0.3, abs=0.03)
 
 
-def reference(motor: MotorFile, names: tuple[str, ...], friction: float = 1.0) -> Reference:
+def reference(motor: Motor, names: tuple[str, ...], friction: float = 1.0) -> Reference:
     found = reference_of(motor, names, are_starts=False, friction=friction)
     assert found is not None
     return found

@@ -10,7 +10,6 @@ from recording_csv import write_csv
 
 from motor_env import (
     PAPER_MOTOR,
-    RECIPES,
     Channel,
     Fault,
     FaultKind,
@@ -28,6 +27,7 @@ from motor_env.diagnosis.commission import identify_starts, to_motor
 from motor_env.envs.tasks import with_motor
 from motor_env.motor.assumptions import usable_parameters
 from motor_env.motor.data_sheet import to_toml
+from motor_env.simulation.named_recipes import RECIPES
 
 SENSOR = SensorParameters(
     current_noise_a=0.02, speed_noise_rad_s=0.2, channels=(Channel.CURRENT, Channel.SPEED)

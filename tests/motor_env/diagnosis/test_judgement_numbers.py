@@ -17,10 +17,9 @@ from motor_env import (
     PAPER_MOTOR,
     Diagnosis,
     FaultKind,
-    Identified,
     InputError,
     Judgement,
-    MotorFile,
+    Motor,
     Recording,
     Scenario,
     SensorParameters,
@@ -30,7 +29,6 @@ from motor_env import (
     load_motor,
     read_recording,
     simulate,
-    steady_state,
 )
 from motor_env.cli import main
 from motor_env.diagnosis import commission, page, report
@@ -54,7 +52,9 @@ from motor_env.diagnosis.healthy_motor import Reference, reference_of, reference
 from motor_env.diagnosis.learning import disagreement, learn_starts, odd_one_out
 from motor_env.diagnosis.spread import beyond, the_next, warmer
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
+from motor_env.identification.identify import Identified
 from motor_env.motor.identifiable import matrix, nameable_kinds, names, visible_direction
+from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.periodic_lines import PeriodicLine
 from motor_env.recordings.start import Circuit
@@ -996,7 +996,7 @@ def test_a_false_alarm_rate_reaches_the_tests(capsys: pytest.CaptureFixture[str]
 
 
 def test_a_motor_file_of_another_kind_is_named() -> None:
-    given = MotorFile("mine", "identified", SHEET.parameters)
+    given = Motor("mine", "identified", SHEET.parameters)
     found = reference_of(given, names(has_voltage=True, has_speed=True))
     assert found is not None
     assert found.source == "identified motor mine"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from recording_csv import write_csv
 
-from motor_env import MotorFile, MotorParameters, Recording, diagnose, load_motor
+from motor_env import Motor, MotorParameters, Recording, diagnose, load_motor
 from motor_env.cli import main
 from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
@@ -35,7 +35,7 @@ def start(motor: MotorParameters, load: str, number: int, *, has_speed: bool = F
     return Recording(Path(f"start-{number}"), TIME_S, noisy[:, 0], None, noisy[:, 1] if has_speed else None)
 
 
-def learned_under(load: str, *, has_speed: bool = False) -> MotorFile:
+def learned_under(load: str, *, has_speed: bool = False) -> Motor:
     fits = fit_healthy([start(MOTOR, load, n, has_speed=has_speed) for n in range(5)], voltage_v=12.0)
     return to_motor(fits, "loaded", kind="commissioned", healthy=learn_starts(fits))
 

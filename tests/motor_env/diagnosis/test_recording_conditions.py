@@ -12,7 +12,7 @@ from motor_env import (
     Diagnosis,
     Fault,
     FaultKind,
-    MotorFile,
+    Motor,
     MotorParameters,
     Recording,
     Scenario,
@@ -21,11 +21,11 @@ from motor_env import (
     Timing,
     Verdict,
     diagnose,
-    identify,
     load_motor,
 )
 from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.identification.identify import identify
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.start import prepare
 from motor_env.simulation.fast_path import measure
@@ -57,11 +57,11 @@ def recordings(time_s: FloatArray, current_a: FloatArray) -> list[Recording]:
     return [Recording(Path(f"start-{n}"), time_s, row) for n, row in enumerate(current_a)]
 
 
-def verdicts(learned: MotorFile, time_s: FloatArray, current_a: FloatArray) -> list[Diagnosis]:
+def verdicts(learned: Motor, time_s: FloatArray, current_a: FloatArray) -> list[Diagnosis]:
     return [diagnose(recording, learned) for recording in recordings(time_s, current_a)]
 
 
-def learn(time_s: FloatArray, current_a: FloatArray) -> MotorFile:
+def learn(time_s: FloatArray, current_a: FloatArray) -> Motor:
     """What healthy starts teach where the motor is always as warm: a change of 15 K would hide R +25 % at 2 kHz."""
     fits = fit_healthy(recordings(time_s, current_a))
     healthy = replace(learn_starts(fits), temperature_k=0.0)
@@ -69,7 +69,7 @@ def learn(time_s: FloatArray, current_a: FloatArray) -> MotorFile:
 
 
 @pytest.fixture(scope="module")
-def commissioned() -> MotorFile:
+def commissioned() -> Motor:
     return learn(*starts(5))
 
 
@@ -91,7 +91,7 @@ def test_inductance_is_told_wherever_a_measured_voltage_changes(delay: float, sk
     "timing", [Timing(10_000.0, 0.03, 0.01), Timing(2_000.0, 0.2, 0.05), Timing(2_000.0, 0.04, 0.01)]
 )
 def test_a_start_that_tells_less_than_the_healthy_ones_raises_no_alarm(
-    commissioned: MotorFile, timing: Timing
+    commissioned: Motor, timing: Timing
 ) -> None:
     """Its own error counts where it is larger than theirs; a fault that is larger still is found."""
     assert not any(d.verdict.is_fault for d in verdicts(commissioned, *starts(8, timing, seed=5)))

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from motor_env import (
-    RECIPES,
     Diagnosis,
     Fault,
     FaultKind,
@@ -24,7 +23,6 @@ from motor_env import (
     Verdict,
     cli,
     diagnose,
-    identify,
     load_motor,
     read_recording,
     simulate,
@@ -32,9 +30,11 @@ from motor_env import (
 from motor_env.diagnosis.commission import identify_starts, to_motor
 from motor_env.diagnosis.files import diagnose_files
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.identification.identify import identify
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.start import prepare
 from motor_env.simulation.drawing import apply_factors
+from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.random_streams import Stream, normals
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

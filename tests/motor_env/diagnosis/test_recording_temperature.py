@@ -10,7 +10,7 @@ import pytest
 from motor_env import (
     Fault,
     FaultKind,
-    MotorFile,
+    Motor,
     MotorParameters,
     Recording,
     Scenario,
@@ -46,13 +46,13 @@ def starts(motor: MotorParameters, numbers: range, *faults: Fault) -> list[Recor
 
 
 @pytest.fixture(scope="module")
-def healthy() -> MotorFile:
+def healthy() -> Motor:
     fits = fit_healthy(starts(MOTOR, range(5)), voltage_v=12.0)
     return to_motor(fits, "mine", kind="commissioned", healthy=learn_starts(fits))
 
 
 @pytest.mark.parametrize("kelvin", [-20.0, 10.0, 25.0])
-def test_another_temperature_is_no_fault(healthy: MotorFile, kelvin: float) -> None:
+def test_another_temperature_is_no_fault(healthy: Motor, kelvin: float) -> None:
     for recording in starts(warmed(kelvin), range(5, 9)):
         found = diagnose(recording, healthy, voltage_v=12.0)
         assert found.verdict is Verdict.HEALTHY
@@ -61,13 +61,13 @@ def test_another_temperature_is_no_fault(healthy: MotorFile, kelvin: float) -> N
 
 
 @pytest.mark.parametrize("kelvin", [0.0, 15.0])
-def test_a_bad_contact_is_still_one(healthy: MotorFile, kelvin: float) -> None:
+def test_a_bad_contact_is_still_one(healthy: Motor, kelvin: float) -> None:
     fault = Fault(FaultKind.WINDING_CONTACT, 0.25)
     for recording in starts(warmed(kelvin), range(5, 8), fault):
         assert diagnose(recording, healthy, voltage_v=12.0).verdict is Verdict.WINDING
 
 
-def test_a_measured_temperature_makes_a_smaller_change_visible(healthy: MotorFile) -> None:
+def test_a_measured_temperature_makes_a_smaller_change_visible(healthy: Motor) -> None:
     (recording,) = starts(warmed(40.0), range(5, 6))
     assert healthy.healthy is not None
     known = replace(healthy, healthy=replace(healthy.healthy, temperature_c=20.0))

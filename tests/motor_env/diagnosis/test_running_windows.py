@@ -11,7 +11,7 @@ import pytest
 from recording_csv import write_recording
 from scipy import stats
 
-from motor_env import InputError, Judgement, MotorFile, Recording, Verdict, diagnose, load_motor
+from motor_env import InputError, Judgement, Motor, Recording, Verdict, diagnose, load_motor
 from motor_env.cli import main
 from motor_env.diagnosis import files
 from motor_env.diagnosis.decision import decide
@@ -117,7 +117,7 @@ def test_one_bad_log_costs_no_other_its_verdict(
             raise found
         return found
 
-    def known(_: str) -> MotorFile:
+    def known(_: str) -> Motor:
         return MOTOR
 
     monkeypatch.setattr(files, "read_recording", reading)

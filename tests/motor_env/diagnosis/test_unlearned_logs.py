@@ -13,13 +13,12 @@ from motor_env import (
     PAPER_MOTOR,
     Fault,
     FaultKind,
-    MotorFile,
+    Motor,
     Recording,
     Scenario,
     SensorParameters,
     Timing,
     diagnose,
-    identify,
     simulate,
     simulate_states,
 )
@@ -28,6 +27,7 @@ from motor_env.diagnosis.learning import learn_starts
 from motor_env.diagnosis.running import unlearned
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import NAMES, viscous
+from motor_env.identification.identify import identify
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
@@ -38,7 +38,7 @@ from motor_env.recordings.start import prepare
 P, DT_S = PAPER_MOTOR, 0.002
 FRICTION = float(P.viscous_friction_n_m_s_per_rad)
 K = float(np.sqrt(P.torque_constant_n_m_per_a * P.back_emf_constant_v_s_per_rad))
-SHEET = MotorFile("sheet", "data_sheet", P, nominal_voltage_v=12.0)
+SHEET = Motor("sheet", "data_sheet", P, nominal_voltage_v=12.0)
 TERMS = ("R", "K", "J", "B", "noise_current", "noise_speed", "noise_voltage")
 
 
@@ -71,7 +71,7 @@ def true_fit(recordings: list[Recording]) -> Any:
 
 
 @cache
-def of_starts() -> MotorFile:
+def of_starts() -> Motor:
     """Commissioned from three simulated starts."""
     fits = []
     for seed in (1, 2, 3):
@@ -92,7 +92,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(unlearned, "identify_operation", true_fit)
 
 
-def said(recording: Recording, motor: MotorFile) -> list[str]:
+def said(recording: Recording, motor: Motor) -> list[str]:
     return [str(piece.verdict) for piece in diagnose(recording, motor).pieces]
 
 

@@ -17,16 +17,14 @@ from motor_env import (
     PAPER_MOTOR,
     Diagnosis,
     FaultKind,
-    Identified,
     InputError,
     Judgement,
-    MotorFile,
+    Motor,
     Recording,
     Scenario,
     Timing,
     Verdict,
     diagnose,
-    identify,
     simulate,
 )
 from motor_env.cli import main
@@ -55,6 +53,7 @@ from motor_env.diagnosis.running.windows import (
     windows_of,
 )
 from motor_env.diagnosis.views import covariance_at_one_temperature
+from motor_env.identification.identify import Identified, identify
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction
 from motor_env.motor.parameters import FloatArray
@@ -888,7 +887,7 @@ def test_the_command_counts_all_windows_of_a_log(
         given.append(rate)
         return list(pieces("healthy", "bearing")), 5
 
-    def known(_: str) -> MotorFile:
+    def known(_: str) -> Motor:
         return motor_of_windows(HEALTHY, "m")
 
     monkeypatch.setattr(WindowJudge, "judge", judge)

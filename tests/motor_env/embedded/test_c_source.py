@@ -23,7 +23,7 @@ from motor_env import (
     Fault,
     FaultKind,
     InputError,
-    MotorFile,
+    Motor,
     Scenario,
     SensorParameters,
     nis_rule,
@@ -106,7 +106,7 @@ def exported(
     folder: Path, arithmetic: str, rule: str, scheduled: bool, n_channels: int
 ) -> tuple[Monitor, Numbers]:
     believed = monitor_of(
-        MotorFile("paper */ \\", "data_sheet", PAPER_MOTOR, brush_drop_v=0.1 * (n_channels - 1)),
+        Motor("paper */ \\", "data_sheet", PAPER_MOTOR, brush_drop_v=0.1 * (n_channels - 1)),
         10_000.0,
         rule=nis_rule() if rule == "nis" else CusumBank(),
         sensor=SensorParameters((Channel.CURRENT, Channel.SPEED)[:n_channels], 0.02, 1.0),
@@ -203,7 +203,7 @@ def test_recordings_get_the_verdict_of_double_precision(path: Path, tmp_path: Pa
     except InputError as error:
         pytest.skip(str(error))
     volts = float(np.max(np.abs(fit.start.level_v if start.voltage_v is None else start.voltage_v)))
-    motor = MotorFile(path.stem, "identified", fit.parameters)
+    motor = Motor(path.stem, "identified", fit.parameters)
     sensor = SensorParameters(current_noise_a=max(fit.noise_a, 1e-3 * float(np.ptp(start.current_a))))
     believed = monitor_of(motor, 1.0 / start.dt_s, rule=CusumBank(), sensor=sensor, voltage_v=volts)
     exact = floating(believed, np.float64)

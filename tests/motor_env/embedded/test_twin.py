@@ -17,14 +17,13 @@ from motor_env import (
     Fault,
     FaultKind,
     MOfN,
-    MotorFile,
+    Motor,
     Scenario,
     SensorParameters,
     Transients,
     nis_rule,
     run_filter,
     simulate,
-    steady_state,
 )
 from motor_env.cli import main
 from motor_env.detection.rules.base import first_above
@@ -33,6 +32,7 @@ from motor_env.embedded.monitor import CusumBank, Limits, Monitor, monitor_of
 from motor_env.embedded.source import checks, write_library
 from motor_env.embedded.twin import Answers, SampleVerdict, answers, readings_of
 from motor_env.filters.kalman import schedule
+from motor_env.motor.model import steady_state
 
 RULES: dict[str, CusumBank | MOfN] = {
     "cusum": CusumBank(),
@@ -55,7 +55,7 @@ def monitor(
     rule: CusumBank | MOfN, n_channels: int = 1, *, scheduled: bool = False, rate_hz: float = 10_000.0
 ) -> Monitor:
     sensor = SensorParameters((Channel.CURRENT, Channel.SPEED)[:n_channels], 0.02, 1.0)
-    motor = MotorFile("paper", "data_sheet", PAPER_MOTOR)
+    motor = Motor("paper", "data_sheet", PAPER_MOTOR)
     made = monitor_of(motor, rate_hz, rule=nis_rule(), sensor=sensor, voltage_v=12.0, scheduled=scheduled)
     return replace(made, rule=rule, thresholds=thresholds(rule)) if isinstance(rule, CusumBank) else made
 
@@ -127,7 +127,7 @@ def test_sensor_is_watched() -> None:
 
 
 def test_brushes_and_dry_friction_are_known() -> None:
-    motor = MotorFile("dry", "identified", PAPER_MOTOR, brush_drop_v=0.4, coulomb_friction_n_m=4e-4)
+    motor = Motor("dry", "identified", PAPER_MOTOR, brush_drop_v=0.4, coulomb_friction_n_m=4e-4)
     believed = monitor_of(motor, 1e4, rule=RULES["cusum"], sensor=SensorParameters(), voltage_v=12.0)
     n = 500
     load = np.full(n, motor.coulomb_friction_n_m)
@@ -297,7 +297,7 @@ def test_thresholds_share_the_false_alarms() -> None:
         assert rates == pytest.approx([0.5 / arl0 / (1.0 - overlap)] * 2, rel=1e-4)
     [alone] = CusumBank((0.5,), ()).thresholds_for(1e4)
     assert Cusum(0.5, two_sided=True).average_run_length(alone) == pytest.approx(1e4, rel=1e-4)
-    motor, rule = MotorFile("paper", "data_sheet", PAPER_MOTOR), CusumBank((0.5,), ())
+    motor, rule = Motor("paper", "data_sheet", PAPER_MOTOR), CusumBank((0.5,), ())
     believed = monitor_of(
         motor, 1e4, rule=rule, sensor=SensorParameters(), voltage_v=12.0, false_alarms_per_year=5e6
     )

@@ -20,13 +20,10 @@ from motor_env import (
     KalmanFilter,
     Recipe,
     SensorParameters,
-    State,
-    apply_fault,
     discretize,
     draw,
     run_filter,
     simulate_states,
-    steady_state,
 )
 from motor_env.envs import MonitorEnv, MonitorVectorEnv, kernel
 from motor_env.envs.base import Info
@@ -37,6 +34,8 @@ from motor_env.envs.tasks import MEDIUM
 
 # Reaches in: the converged covariance, and the numbers of each stream, which an environment draws by itself.
 from motor_env.filters.kalman import schedule
+from motor_env.motor.faults import apply_fault
+from motor_env.motor.model import State, steady_state
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 

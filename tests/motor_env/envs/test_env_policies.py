@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from motor_env import Cusum, FaultKind, Recipe, apply_faults, discretize
+from motor_env import Cusum, FaultKind, Recipe, discretize
 from motor_env.envs import (
     BankPolicy,
     BayesPolicy,
@@ -49,6 +49,7 @@ from motor_env.envs.baselines.posterior_policies import signatures
 from motor_env.envs.baselines.tolerances import level_std
 from motor_env.envs.setup import converged_gain, make_setup
 from motor_env.envs.tasks import EASY, HARD, MEDIUM, SMALL
+from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import motor_env  # noqa: F401  # registers the environments
-from motor_env import Channel, Cusum, SensorParameters, named_recipe
+from motor_env import Channel, Cusum, SensorParameters
 from motor_env.envs import (
     PI,
     BankPolicy,
@@ -40,6 +40,7 @@ from motor_env.envs import (
     drive_episodes,
     maintenance_bound,
 )
+from motor_env.simulation.named_recipes import named_recipe
 
 KEPT = Path(__file__).with_name("env_streams.json")
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))

@@ -16,16 +16,15 @@ from motor_env import (
     Scenario,
     SensorParameters,
     Timing,
-    apply_fault,
     check_consistency,
     choose_process_noise,
-    matched_power,
     run_filter,
     simulate,
 )
 from motor_env.filters.consistency import Consistency
 from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD
-from motor_env.filters.process_noise import signature_energy
+from motor_env.filters.process_noise import matched_power, signature_energy
+from motor_env.motor.faults import apply_fault
 from motor_env.motor.parameters import FloatArray
 
 SENSOR = SensorParameters()

@@ -14,10 +14,9 @@ from motor_env import (
     Timing,
     discretize,
     joint_filter,
-    parameter_test_threshold,
     simulate,
 )
-from motor_env.filters.joint import FREE, JointKind, coulomb_unit_n_m
+from motor_env.filters.joint import FREE, JointKind, coulomb_unit_n_m, parameter_test_threshold
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: the reference is the Runge-Kutta integrator at ten times its steps, which no public name lets choose.

@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from scipy.linalg import circulant
 from scipy.stats import norm
 
-from motor_env import PAPER_MOTOR, identify
+from motor_env import PAPER_MOTOR
 from motor_env.identification.commutation import (
     back_emf_v,
     constants_at,
@@ -16,7 +16,7 @@ from motor_env.identification.commutation import (
     ripple_quantities,
 )
 from motor_env.identification.covariance import capped, unknowns_covariance
-from motor_env.identification.identify import FIT_SAMPLES, _wild_against
+from motor_env.identification.identify import FIT_SAMPLES, _wild_against, identify
 from motor_env.identification.model_choice import STRONG_EVIDENCE, evidence, identify_best
 from motor_env.identification.plausibility import implausible
 from motor_env.identification.residuals import Problem, _rectified_mean, absolute

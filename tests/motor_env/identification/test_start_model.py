@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.linalg import expm
 from scipy.special import ndtr
 
-from motor_env import PAPER_MOTOR, continuous_model, discretize, steady_state
+from motor_env import PAPER_MOTOR, discretize
 from motor_env.identification.start_model import (
     Extension,
     between_samples,
@@ -14,6 +14,7 @@ from motor_env.identification.start_model import (
     mean_rise,
     step_start,
 )
+from motor_env.motor.model import continuous_model, steady_state
 from motor_env.motor.parameters import FloatArray
 
 DT_S = 2e-4

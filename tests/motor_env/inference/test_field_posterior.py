@@ -7,7 +7,7 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
-from motor_env import FaultKind, Recipe, Timing, class_probabilities, draw, named_recipe
+from motor_env import FaultKind, Recipe, Timing, class_probabilities, draw
 from motor_env.inference.class_model import ClassModel
 from motor_env.inference.field_posterior import (
     Linear,
@@ -23,6 +23,7 @@ from motor_env.motor.parameters import FloatArray
 
 # Reaches in: what a draw measures, and the numbers of each stream behind it, show in no public name.
 from motor_env.simulation.drawing import measure_draw
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.recipes import FACTORS, FaultClass
 

@@ -18,7 +18,6 @@ from motor_env import (
     Timing,
     cramer_rao_bound,
     draw,
-    named_recipe,
     simulate,
     simulate_states,
 )
@@ -33,6 +32,7 @@ from motor_env.inference.sensitivities import (
     normal_equations,
 )
 from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.named_recipes import named_recipe
 
 TIMING = Timing(10_000.0, 0.1)
 SENSOR = SensorParameters()

@@ -11,19 +11,17 @@ from motor_env import (
     Experiment,
     Fault,
     FaultKind,
-    MatchedTest,
     SensorParameters,
     Timing,
-    apply_fault,
     cramer_rao_bound,
     identifiability,
-    isolability,
-    named_recipe,
     simulate_states,
 )
-from motor_env.inference.identifiability import Identifiability
+from motor_env.inference.identifiability import Identifiability, isolability
 from motor_env.inference.parametrisation import QUANTITIES, Coordinates
-from motor_env.motor.faults import motor_kinds
+from motor_env.inference.whitening import MatchedTest
+from motor_env.motor.faults import apply_fault, motor_kinds
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import Spread
 
 TIMING = Timing(10_000.0, 0.1)

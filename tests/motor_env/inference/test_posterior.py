@@ -15,11 +15,9 @@ from motor_env import (
     Recipe,
     SensorParameters,
     Timing,
-    apply_faults,
     class_probabilities,
     draw,
     excess_over_limit,
-    named_recipe,
     simulate,
     simulate_states,
 )
@@ -33,10 +31,12 @@ from motor_env.inference.posterior import (
     variance_factor,
 )
 from motor_env.inference.sensitivities import fitted_residuals
+from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: `Draw` is the type of what the public `draw` returns.
 from motor_env.simulation.drawing import Draw
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
 
 BENCH_1KHZ = named_recipe("bench", timing=Timing(1_000.0, 0.1))

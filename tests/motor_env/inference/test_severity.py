@@ -14,16 +14,16 @@ from motor_env import (
     SensorParameters,
     SeverityPrior,
     Timing,
-    apply_fault,
     draw,
-    named_recipe,
     severity_posterior,
     simulate,
     simulate_states,
 )
 from motor_env.inference.posterior import class_log_evidence
 from motor_env.inference.severity import SeverityPosterior
+from motor_env.motor.faults import apply_fault
 from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
 
 BENCH = named_recipe("bench", classes=(FaultClass(),))

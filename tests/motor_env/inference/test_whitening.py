@@ -11,17 +11,16 @@ from motor_env import (
     Fault,
     FaultKind,
     KalmanFilter,
-    MatchedTest,
     Recipe,
     SensorParameters,
     Timing,
     draw,
-    named_recipe,
     run_filter,
     simulate,
 )
-from motor_env.inference.whitening import MarginalWhitener, StatisticLaw, innovation_slopes
+from motor_env.inference.whitening import MarginalWhitener, MatchedTest, StatisticLaw, innovation_slopes
 from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
 
 BENCH = named_recipe("bench")

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motor_env import PAPER_MOTOR, MotorFile, discretize, save_motor
+from motor_env import PAPER_MOTOR, Motor, discretize
 from motor_env.diagnosis.running.windows import NAMES, viscous
+from motor_env.motor.data_sheet import save_motor
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.operation import kernel
 from motor_env.operation.terms import NOISES
@@ -88,7 +89,7 @@ def stream() -> bytes:
 @pytest.mark.timeout(600)
 def test_20_khz_needs_less_than_half_a_core(tmp_path: Path) -> None:
     toml = tmp_path / "motor.toml"
-    save_motor(replace(MotorFile("textbook", "commissioned", PAPER_MOTOR), healthy=healthy()), toml)
+    save_motor(replace(Motor("textbook", "commissioned", PAPER_MOTOR), healthy=healthy()), toml)
     lines = stream()
 
     def cpu_s(data: bytes) -> tuple[float, str]:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hostile import refused
 
-from motor_env import PAPER_MOTOR, InputError, MotorFile, load_motor, save_motor
-from motor_env.motor.data_sheet import Tolerance
+from motor_env import PAPER_MOTOR, InputError, Motor, load_motor
+from motor_env.motor.data_sheet import Tolerance, save_motor
 from motor_env.motor.healthy import Healthy, Starts, Windows
 
 SHEET = """
@@ -24,7 +24,7 @@ no_load_speed_rpm = 4860.0
 """
 
 
-def load(tmp_path: Path, text: str) -> MotorFile:
+def load(tmp_path: Path, text: str) -> Motor:
     path = tmp_path / "motor.toml"
     path.write_text(text, encoding="utf-8")
     return load_motor(path)
@@ -215,7 +215,7 @@ def test_a_saved_motor_is_read_back_to_the_last_bit(tmp_path: Path, taught: Star
         starts=taught if isinstance(taught, Starts) else None,
         windows=taught if isinstance(taught, Windows) else None,
     )
-    motor = MotorFile('with "quotes"', "commissioned", PAPER_MOTOR, 12.0, healthy=healthy, notes=("a", "b"))
+    motor = Motor('with "quotes"', "commissioned", PAPER_MOTOR, 12.0, healthy=healthy, notes=("a", "b"))
     save_motor(motor, tmp_path / "deep" / "m.toml")
     back = load_motor(tmp_path / "deep" / "m.toml")
     assert back.parameters == motor.parameters

@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from motor_env import PAPER_MOTOR, Fault, FaultKind, apply_fault, apply_faults
-from motor_env.motor.faults import ALWAYS, BUILT_IN_KINDS, NoiseSource, noise_variance_factor
+from motor_env import PAPER_MOTOR, Fault, FaultKind
+from motor_env.motor.faults import (
+    ALWAYS,
+    BUILT_IN_KINDS,
+    NoiseSource,
+    apply_fault,
+    apply_faults,
+    noise_variance_factor,
+)
 from motor_env.motor.parameters import QUANTITY_FIELDS
 
 GRID_S = np.arange(1000, dtype=np.float64) * 1e-4

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from motor_env import PAPER_MOTOR, Fault, FaultKind, MotorFile, MotorParameters, apply_fault
+from motor_env import PAPER_MOTOR, Fault, FaultKind, Motor, MotorParameters
 from motor_env.motor import identifiable
 from motor_env.motor.assumptions import assumptions, usable_parameters
 from motor_env.motor.data_sheet import Tolerance
-from motor_env.motor.faults import motor_kinds
+from motor_env.motor.faults import apply_fault, motor_kinds
 from motor_env.motor.parameters import FloatArray
 
 VOLTAGE = 9.0
@@ -125,15 +125,13 @@ def test_what_is_assumed_is_what_the_starts_do_not_tell(
 
 
 def test_a_guess_is_refused_where_it_spoils_a_simulation() -> None:
-    known = MotorFile("m", "identified", PAPER_MOTOR)
+    known = Motor("m", "identified", PAPER_MOTOR)
     assert usable_parameters(known, needs_speed=True) is PAPER_MOTOR
-    guessed = MotorFile("m", "identified", PAPER_MOTOR, assumed=assumptions(CURRENT_ALONE, has_voltage=True))
+    guessed = Motor("m", "identified", PAPER_MOTOR, assumed=assumptions(CURRENT_ALONE, has_voltage=True))
     with pytest.warns(UserWarning, match="Currents are right, speeds and torques are not"):
         assert usable_parameters(guessed, needs_speed=False) is PAPER_MOTOR
     with pytest.raises(ValueError, match="torque constant, inertia and friction are assumed"):
         usable_parameters(guessed, needs_speed=True)
-    unknown = MotorFile(
-        "m", "identified", PAPER_MOTOR, assumed=assumptions(("R/V", "K/V"), has_voltage=False)
-    )
+    unknown = Motor("m", "identified", PAPER_MOTOR, assumed=assumptions(("R/V", "K/V"), has_voltage=False))
     with pytest.raises(ValueError, match="its voltage is unknown"):
         usable_parameters(unknown, needs_speed=False)

@@ -8,16 +8,15 @@ from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from motor_env import (
-    PAPER_MOTOR,
-    MotorParameters,
+from motor_env import PAPER_MOTOR, MotorParameters, discretize, simulate_states
+from motor_env.motor.model import (
+    Input,
     State,
     continuous_model,
-    discretize,
-    simulate_states,
+    exponential_and_phi,
+    exponential_and_phis,
     steady_state,
 )
-from motor_env.motor.model import Input, exponential_and_phi, exponential_and_phis
 from motor_env.motor.parameters import FloatArray
 
 

@@ -6,25 +6,19 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from motor_env import (
-    CATALOGUE,
-    PAPER_MOTOR,
-    Channel,
-    MotorParameters,
-    SensorParameters,
-    SupplyParameters,
-    catalogue_motor,
-    named_recipe,
-)
+from motor_env import PAPER_MOTOR, Channel, MotorParameters, SensorParameters, SupplyParameters
 from motor_env.motor.parameters import (
+    CATALOGUE,
     COPPER_PER_KELVIN,
     FRICTION_PER_KELVIN,
     MAGNET_PER_KELVIN,
     PAPER_MATRICES_DT_S,
     PAPER_MATRICES_MOTOR,
     RAD_S_PER_RPM,
+    catalogue_motor,
     require_plausible,
 )
+from motor_env.simulation.named_recipes import named_recipe
 
 FIELDS = (
     "resistance_ohm",

@@ -7,15 +7,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from motor_env import (
-    KalmanFilter,
-    MotorParameters,
-    continuous_model,
-    discretize,
-    run_filter,
-    simulate_states,
-)
+from motor_env import KalmanFilter, MotorParameters, discretize, run_filter, simulate_states
 from motor_env.filters.kalman import measurement_update
+from motor_env.motor.model import continuous_model
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
 

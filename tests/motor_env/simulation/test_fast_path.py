@@ -9,7 +9,6 @@ from scipy.signal import lsim
 
 from motor_env import (
     PAPER_MOTOR,
-    RECIPES,
     Channel,
     Fault,
     FaultKind,
@@ -17,15 +16,15 @@ from motor_env import (
     SensorParameters,
     SupplyParameters,
     Timing,
-    continuous_model,
     draw,
     simulate,
     simulate_states,
-    steady_state,
 )
+from motor_env.motor.model import continuous_model, steady_state
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.drawing import measure_draw
 from motor_env.simulation.fast_path import measure
+from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.nonlinear import Effects, Sampling, integrate, substeps
 from motor_env.simulation.random_streams import Stream, uniforms
 from motor_env.simulation.sensor import SensorChain

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motor_env import PAPER_MOTOR, InputError, MotorFile, Timing, draw, load_motor, save_motor
-from motor_env.motor.data_sheet import Tolerance
+from motor_env import PAPER_MOTOR, InputError, Motor, Timing, draw, load_motor
+from motor_env.motor.data_sheet import Tolerance, save_motor
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.simulation.drawing import measure_draw
 from motor_env.simulation.motor_recipes import motor_recipe, settling_timing
@@ -32,7 +32,7 @@ HEALTHY = Healthy(
     starts=STARTS,
 )
 PLAIN = replace(HEALTHY, starts=replace(STARTS, model=(), model_low=(), model_high=()))
-COMMISSIONED = MotorFile("m", "commissioned", PAPER_MOTOR, 12.0, healthy=HEALTHY)
+COMMISSIONED = Motor("m", "commissioned", PAPER_MOTOR, 12.0, healthy=HEALTHY)
 
 
 def test_a_data_sheet_gives_its_tolerances() -> None:
@@ -78,7 +78,7 @@ def test_its_starts_can_be_measured() -> None:
 
 def test_a_slow_motor_without_a_noise() -> None:
     heavy = PAPER_MOTOR.scaled(inertia_kg_m2=100.0)
-    recipe = motor_recipe(MotorFile("big one!", "data_sheet", heavy, nominal_voltage_v=12.0))
+    recipe = motor_recipe(Motor("big one!", "data_sheet", heavy, nominal_voltage_v=12.0))
     assert recipe.name == "big_one"
     assert recipe.timing.duration_s == pytest.approx(10.0, rel=0.1)
     assert recipe.sensor.current_noise_a == pytest.approx(0.022)
@@ -87,14 +87,14 @@ def test_a_slow_motor_without_a_noise() -> None:
 def test_defaults_to_two_digits() -> None:
     """0.4 % of the stall current and 25 mechanical time constants, just below where the next digit begins."""
     volts = 2.18 * 0.02249 / 0.004
-    sheet = MotorFile("m", "data_sheet", PAPER_MOTOR, volts)
+    sheet = Motor("m", "data_sheet", PAPER_MOTOR, volts)
     assert motor_recipe(sheet).sensor.current_noise_a == 0.022
     assert motor_recipe(sheet, voltage_v=volts * 1.001).sensor.current_noise_a == 0.023
     slow = PAPER_MOTOR.scaled(inertia_kg_m2=2.49 / 25.0 / PAPER_MOTOR.mechanical_time_constant_s)
-    timing = settling_timing(MotorFile("m", "data_sheet", slow))
+    timing = settling_timing(Motor("m", "data_sheet", slow))
     assert timing == Timing(400.0, 2.5)
     slower = slow.scaled(inertia_kg_m2=2.551 / 2.49)
-    assert settling_timing(MotorFile("m", "data_sheet", slower)).duration_s == 2.6
+    assert settling_timing(Motor("m", "data_sheet", slower)).duration_s == 2.6
     assert settling_timing(sheet, 0.3) == Timing(3333.0, 0.3)
 
 
@@ -119,7 +119,7 @@ def test_few_degrees_of_freedom_have_the_spread_of_three() -> None:
 
 
 def test_what_cannot_be_drawn_is_refused() -> None:
-    loose = MotorFile("loose", "data_sheet", PAPER_MOTOR, 12.0, Tolerance(friction=0.2))
+    loose = Motor("loose", "data_sheet", PAPER_MOTOR, 12.0, Tolerance(friction=0.2))
     with pytest.raises(InputError, match=r"a tolerance of 0\.2 on friction"):
         motor_recipe(loose)
     with pytest.raises(InputError, match=r"gives no nominal_voltage_v; say --voltage"):

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 from hostile import refused
 
-from motor_env import RECIPES, Channel, FaultKind, load_recipe
+from motor_env import Channel, FaultKind, load_recipe
+from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.recipe_files import recipe_from_dict, recipe_to_dict
 
 EXAMPLE = """

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motor_env import PAPER_MOTOR, RECIPES, FaultKind, Recipe, Timing, apply_faults, draw, named_recipe
+from motor_env import PAPER_MOTOR, FaultKind, Recipe, Timing, draw
+from motor_env.motor.faults import apply_faults
 from motor_env.simulation import recipes
 from motor_env.simulation.disturbances import PER_MOTOR, PRIORS, Field
 from motor_env.simulation.drawing import apply_factors, measure_draw
-from motor_env.simulation.named_recipes import changed_recipe
+from motor_env.simulation.named_recipes import RECIPES, changed_recipe, named_recipe
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import FACTORS, FaultClass, Spread

@@ -11,15 +11,14 @@ from motor_env import (
     FaultKind,
     Scenario,
     SensorParameters,
-    State,
     SupplyParameters,
     Timing,
-    apply_fault,
     discretize,
     simulate,
     simulate_states,
 )
-from motor_env.motor.faults import NoiseSource
+from motor_env.motor.faults import NoiseSource, apply_fault
+from motor_env.motor.model import State
 
 DT_S = 1e-4
 QUIET_SENSOR = SensorParameters(current_noise_a=0.0, speed_noise_rad_s=0.0)

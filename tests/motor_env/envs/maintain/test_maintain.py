@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from scipy.stats import norm
 
-from motor_env import Experiment, cramer_rao_bound, named_recipe
+from motor_env import Experiment, cramer_rao_bound
 from motor_env.envs import (
     MaintainEnv,
     MaintainOptions,
@@ -26,6 +26,7 @@ from motor_env.envs.maintain.policies import (  # the grid of the plan, filled b
     _STDS as STDS,
     clairvoyant_value,
 )
+from motor_env.simulation.named_recipes import named_recipe
 
 SPREAD = MaintainOptions(rate_spread=0.5)
 
