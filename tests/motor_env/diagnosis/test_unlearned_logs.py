@@ -137,6 +137,9 @@ def test_the_reference_of_a_log_by_hand() -> None:
     by_starts = judge_for(log(), starts).reference
     assert (by_starts.source, by_starts.includes_fit_error) == ("3 healthy starts of m", False)
     assert (by_starts.log_noise, by_starts.excess, by_starts.temperature_k) == (None, 1.0, 15.0)
+    at_20 = replace(starts, healthy=replace(starts.healthy, temperature_c=20.0))
+    measured = judge_for(log(), at_20, 45.0).reference
+    assert (measured.temperature_k, measured.warmer_k) == (4.0, 25.0)
     rows = [starts.healthy.quantities.index(name) for name in NAMES]
     np.testing.assert_allclose(
         by_starts.log_covariance, starts.healthy.log_covariance[np.ix_(rows, rows)], rtol=1e-9, atol=1e-12

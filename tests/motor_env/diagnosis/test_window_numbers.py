@@ -388,6 +388,10 @@ def test_a_window_is_judged_as_anything_else_that_tells_the_same(
         white_covariance=window.log_covariance,
         exponents=matrix(NAMES),
     )
+    (view,) = views.views_of(window, reference, 0.01)
+    np.testing.assert_allclose(
+        view.drag.warmth, [0.00393, -0.001, 0.0, -0.003 * 0.8]
+    )  # no load falls with it
     found = [decide(one, reference, 0.01) for one in (window, cast("FittedWindow", other))]
     assert found[0].verdict == verdict
     assert replace(found[0], fit=None, reference=None) == replace(found[1], fit=None, reference=None)
@@ -514,6 +518,23 @@ def test_a_look_alarms_from_its_own_limit_on(monkeypatch: pytest.MonkeyPatch) ->
     (said,) = found.judgements([part(100, open_at=50)], [k])
     assert said is None
     assert is_closed(part(9)) is True
+
+
+def test_the_steps_of_a_look_lead_to_a_warmer_motor_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As far as 15 K (1 sd) beside the spread of healthy windows make it believable."""
+    off, error, asked = np.array([0.0, 0.0, 0.0, 3.0]), np.eye(4) * 4e-4, list[FloatArray]()
+
+    def steps(
+        _: WindowJudge, parts: Sequence[Record], at: FloatArray
+    ) -> Iterator[tuple[FloatArray, FloatArray]]:
+        asked.append(at)
+        yield from ((off, error) for _ in parts)
+
+    monkeypatch.setattr(WindowJudge, "first_steps", steps)
+    (said,) = looks(replace(HEALTHY, temperature_k=15.0)).judgements([part(100)], [2])
+    assert said is not None
+    prior = HEALTHY.log_covariance + 15.0**2 * np.outer(WARMTH, WARMTH)
+    np.testing.assert_allclose(asked[2], prior @ np.linalg.solve(prior + error, off), rtol=1e-9)
 
 
 def test_a_look_ends_with_its_recording(monkeypatch: pytest.MonkeyPatch) -> None:
