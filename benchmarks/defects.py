@@ -12,8 +12,8 @@ from cyclopts import run
 from simulated_captures import DEFECTS, captures
 from verdict_tables import HERE, Counts, How, Said, counted
 
-from motor_env.diagnosis.decision import Verdict
 from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.verdict import Verdict
 from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.recordings.start import Circuit
@@ -34,7 +34,8 @@ def judge(number: int, names: Sequence[str], starts: int, seed: int) -> Said:
     said: Said = []
     for recording in captures(defect, CASES[truth], motor.parameters, seed, starts):
         found = diagnose(recording, motor, circuit=circuit)
-        told = found.identified.defects if found.identified else found.reasons
+        fit = found.telling.identified
+        told = fit.defects if fit else found.reasons
         text = " ".join([*found.recording.columns, *map(str, told)])
         said += [((name, truth), found.verdict), ((name, "noticed"), str(defect.words in text))]
     return said

@@ -19,10 +19,11 @@ from operation_simulator import Motor, draw_motor, simulate
 from tables import KEPT, keep_table
 from verdict_tables import Counts, How, Said, counted, words_of
 
-from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, Diagnosis
+from motor_env.diagnosis.commission import to_motor
+from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, limits_of
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.explanations import significance_limit
-from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
+from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.verdict import Diagnosis
 from motor_env.diagnosis.views import views_of
 from motor_env.motor.identifiable import PARAMETERS
 from motor_env.recordings.recording import Recording
@@ -77,7 +78,7 @@ class Bench:
 
     def shows(self, change: str, found: Diagnosis) -> bool:
         """Whether a test of this change alone finds it in 99.5 of 100 starts, by the covariance that was learned."""
-        fit, reference, rate = found.identified, found.reference, DEFAULT_FALSE_ALARM_RATE
+        fit, reference, rate = found.telling.fit, found.telling.reference, DEFAULT_FALSE_ALARM_RATE
         if fit is None or reference is None:
             return False
         factors = CHANGES[change]
@@ -88,25 +89,26 @@ class Bench:
             "B": 1.0 + self.own * (factors.get("viscous", 1.0) - 1.0),
         }
         logs = np.log([by_parameter.get(name, 1.0) for name in PARAMETERS])
-        needed = significance_limit(rate, fit.exponents, reference.degrees_of_freedom) + SURE
-        steps = [
-            (view.drag.response @ logs, view.difference.inverse) for view in views_of(fit, reference, rate)
-        ]
+        views = views_of(fit, reference, rate)
+        needed = limits_of(views, rate, tests_noise=reference.log_noise is not None).z + SURE
+        steps = [(view.drag.response @ logs, view.difference.inverse) for view in views]
         return all(step @ inverse @ step > needed**2 for step, inverse in steps)
 
 
 def judge(number: int, seed: int) -> Said:
     """What one motor's starts are called, by load, channels, scatter, whether told, change, and whether it shows."""
     bench = Bench(seed, number)
-    learned = learn_reference(fit_healthy([bench.start(bench.healthy, 0.0) for _ in range(COMMISSIONED)]))
+    fits = fit_healthy([bench.start(bench.healthy, 0.0) for _ in range(COMMISSIONED)])
+    learned = learn_starts(fits)
     if bench.told:
         learned = replace(learned, own_friction=bench.own)
+    known = to_motor(fits, "this motor", kind="commissioned", healthy=learned)
     channels = "current and speed" if bench.has_speed else "current"
     said: Said = []
     for change in [*[HEALTHY] * JUDGED, *CHANGES]:
         factors = CHANGES.get(change, {}).items()
         motor = replace(bench.healthy, **{key: getattr(bench.healthy, key) * by for key, by in factors})
-        found = diagnose(bench.start(motor, float(bench.rng.uniform(0.0, WARMEST_K))), None, learned)
+        found = diagnose(bench.start(motor, float(bench.rng.uniform(0.0, WARMEST_K))), known)
         shows = "shows" if change != HEALTHY and bench.shows(change, found) else "may not show"
         cell = (bench.load, channels, str(bench.spread), str(bench.told), change, shows)
         said.append((cell, found.verdict))

@@ -11,9 +11,10 @@ from cyclopts import run
 from tables import table
 from verdict_tables import HERE, Counts, How, Said, counted, words_of
 
-from motor_env.diagnosis.decision import Diagnosis, Verdict
+from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.healthy_motor import fit_healthy, learn_reference
+from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.verdict import Diagnosis, Verdict
 from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, SupplyParameters
 from motor_env.recordings.recording import Recording
 from motor_env.simulation.fast_path import measure
@@ -107,15 +108,16 @@ def starts(rng: np.random.Generator) -> list[Recording]:
 def said(found: Diagnosis) -> str:
     """The verdict; where a change of friction was missed also whether the diagnosis had said that it might not show."""
     missed = found.recording.path.name == "friction +50 %" and found.verdict is Verdict.HEALTHY
-    stated = missed and found.smallest_changes["bearing"] > FRICTION - 1.0
+    stated = missed and found.telling.smallest_changes["bearing"] > FRICTION - 1.0
     return f"{found.verdict} (+50 % might not show, it said)" if stated else str(found.verdict)
 
 
 def judge(number: int, seed: int) -> Said:
     """Verdicts on the starts of one motor, by what has changed."""
     recordings = starts(np.random.default_rng([seed, number]))
-    learned = learn_reference(fit_healthy(recordings[:HEALTHY]))
-    return [((r.path.name,), said(diagnose(r, None, learned))) for r in recordings[HEALTHY:]]
+    fits = fit_healthy(recordings[:HEALTHY])
+    motor = to_motor(fits, "this motor", kind="commissioned", healthy=learn_starts(fits))
+    return [((r.path.name,), said(diagnose(r, motor))) for r in recordings[HEALTHY:]]
 
 
 def main(*, motors: int = 60, seed: int = 0, how: How = HERE) -> None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from cyclopts import run
@@ -19,9 +18,9 @@ from operation_simulator import PROFILES, Motor, draw_motor, simulate
 from tables import keep_table
 from verdict_tables import HERE, Counts, How, Said, counted
 
+from motor_env.diagnosis.commission import motor_of_windows
+from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.running.logs import RunningRecord
-from motor_env.diagnosis.running.windows import judge_windows
 from motor_env.recordings.defects import UnusableError
 
 WINDOW, LEARNED, JUDGED, RATE = 400, 10, 3, 0.01
@@ -34,7 +33,7 @@ def changed(motor: Motor) -> dict[str, tuple[Motor, str]]:
     return {
         "nothing changed": (motor, "healthy"),
         f"{WARM_K:.0f} K more": (motor, "healthy"),
-        "R +25 %": (replace(motor, ohm=1.25 * motor.ohm), "winding_contact"),
+        "R +25 %": (replace(motor, ohm=1.25 * motor.ohm), "winding"),
         "friction +50 %": (
             replace(motor, viscous=1.5 * motor.viscous, coulomb=1.5 * motor.coulomb),
             "bearing",
@@ -51,17 +50,14 @@ def judge(number: int, seed: int) -> Said:
     dt_s = DT * motor.mechanical_s
     recorded = partial(simulate, profile=profile, rng=rng, dt_s=dt_s)
     try:
-        reference = learn_windows([recorded(motor, samples=LEARNED * WINDOW)], WINDOW * dt_s)
+        healthy, _ = learn_windows([recorded(motor, samples=LEARNED * WINDOW)], WINDOW * dt_s)
     except UnusableError as error:
         return [(("commissioning", profile), str(error))]
-    said: Said = []
+    known, said = motor_of_windows(healthy, "this motor"), Said()
     for name, (other, _) in changed(motor).items():
         log = recorded(other, samples=JUDGED * WINDOW, warm_k=WARM_K if "K more" in name else 0.0)
-        try:
-            record = RunningRecord(Path(), tuple(judge_windows(log, reference, RATE)))
-        except UnusableError as error:
-            record = RunningRecord(Path(), (), trouble=str(error))
-        said.append(((name, profile), record.verdict))
+        found = diagnose(log, known, false_alarm_rate=RATE, regime="operation")
+        said.append(((name, profile), found.verdict))
     return said
 
 

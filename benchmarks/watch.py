@@ -45,12 +45,13 @@ from watch_counts import (
 )
 
 from motor_env import Fault
-from motor_env.diagnosis.running import lessons, looks as looking, windows
+from motor_env.diagnosis.running import lessons, windows
 from motor_env.diagnosis.running.looks import Looks
-from motor_env.diagnosis.running.windows import from_healthy, judge_windows
+from motor_env.diagnosis.running.windows import WindowJudge, judge_of
+from motor_env.diagnosis.verdict import Verdict
 from motor_env.live.watch import YEAR_S
-from motor_env.motor.data_sheet import WindowReference
 from motor_env.motor.faults import apply_faults
+from motor_env.motor.healthy import Healthy
 from motor_env.operation.identify import identify_operation
 from motor_env.operation.record import from_recordings
 from motor_env.operation.window import fit_window
@@ -114,20 +115,21 @@ def recording_of(samples: Floats) -> Recording:
 
 
 def alarms(
-    reference: WindowReference, rate: float, samples: Floats, before: Floats, at: Floats
+    judge: WindowJudge, rate: float, samples: Floats, before: Floats, at: Floats
 ) -> tuple[list[str], Floats]:
     """What `watch` says of a window, and before that of its looks, which are made at once here; where it is."""
-    record = replace(from_recordings([recording_of(np.concatenate([before, samples]))]), hold=reference.hold)
-    looks = Looks(reference, rate / 2.0, at)
+    record = from_recordings([recording_of(np.concatenate([before, samples]))])
+    record = replace(record, hold=judge.windows.hold)
+    looks = Looks(judge, rate / 2.0, at)
     each = looks.every_s
     places = [(n, k) for n in range(1, round(WINDOW_S / each)) for k in looks.due(n)]
     counts = [round(WINDOW_S / 2**k) for _, k in places]
     ends = [len(before) + int(n * each) for n, _ in places]
     parts = [record.part(end - count, count) for end, count in zip(ends, counts, strict=True)]
-    verdicts = looks.verdicts(parts, [k for _, k in places])
-    early = next((f"early {verdict}" for verdict, _ in verdicts if verdict != "healthy"), None)
-    (window,) = judge_windows(recording_of(samples), reference, rate / 2.0)
-    if window.verdict == "healthy":
+    judgements = looks.judgements(parts, [k for _, k in places])
+    early = next((f"early {one.verdict}" for one in judgements if one is not None), None)
+    ((window,), _) = judge.judge(recording_of(samples), rate / 2.0)
+    if window.verdict is Verdict.HEALTHY:
         at = np.log([change.ratio for change in window.changes])
     return [f"window {window.verdict}", *([early] if early else [])], at
 
@@ -142,21 +144,23 @@ def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
     once = shared(identify_operation, key=lambda _: None)
     # Both rates judge the same windows: the fits and steps, which are the work, are made once for them.
     fits = shared(fit_window, key=lambda record, *_: record.readings.tobytes())
+    first_steps = WindowJudge.first_steps
     steps = shared(
-        lambda *given: list(from_healthy(*given)),
-        key=lambda parts, _, at: (len(parts), parts[0].readings.tobytes(), at.tobytes()),
+        lambda *given: list(first_steps(*given)),
+        key=lambda _, parts, at: (len(parts), parts[0].readings.tobytes(), at.tobytes()),
     )
     with (
         mock.patch.object(lessons, "identify_operation", once),
         mock.patch.object(windows, "fit_window", fits),
-        mock.patch.object(looking, "from_healthy", steps),
+        mock.patch.object(WindowJudge, "first_steps", steps),
     ):
         for _ in range(round(hours / LESSON_H)):
             lesson_s = time.process_time()
             count = lesson + int(LESSON_H * 3600.0 / WINDOW_S)
             warm_k = temperatures(rng, count, allowed=temperature == "allowed")
             blocks = list(work(rng, warm_k * (not steady), load_n_m=LOAD_N_M * (not steady)))
-            reference = taught(blocks[:lesson], steady=steady)
+            healthy = taught(blocks[:lesson], steady=steady)
+            judge = judge_of(healthy)
             learning_s += time.process_time() - lesson_s
             at = dict.fromkeys(RATES, np.zeros(4))
             for before, samples in pairwise(blocks[lesson - 1 :]):
@@ -164,7 +168,7 @@ def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
                 for name, a_year in RATES.items():
                     rate = a_year * WINDOW_S / YEAR_S
                     half = before[len(before) // 2 :]
-                    said, at[name] = alarms(reference, rate, samples, half, at[name])
+                    said, at[name] = alarms(judge, rate, samples, half, at[name])
                     counts[name].update(said)
     return {
         "seed": seed,
@@ -172,18 +176,18 @@ def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
         "hours": judged * WINDOW_S / 3600.0,
         "events": {name: dict(count) for name, count in counts.items()},
         "cpu_s": {"learning": learning_s, "watching": time.process_time() - begin_s - learning_s},
-        "faults": detected(reference, rng) if temperature == "wandering" else [],
+        "faults": detected(healthy, rng) if temperature == "wandering" else [],
     }
 
 
-def detected(reference: WindowReference, rng: np.random.Generator) -> list[dict[str, Any]]:
+def detected(healthy: Healthy, rng: np.random.Generator) -> list[dict[str, Any]]:
     """Windows until the first alarm after a fault, at one false alarm an hour, under varying load and temperature."""
     rows = []
     for kind, severity in FAULTS:
         firsts: list[tuple[int, str]] = []
         for _ in range(RUNS):
             warm_k = temperatures(rng, MOST_WINDOWS, allowed=False)
-            stream = enumerate(events(reference, work(rng, warm_k, Fault(kind, severity))), 1)
+            stream = enumerate(events(healthy, work(rng, warm_k, Fault(kind, severity))), 1)
             numbered = ((n, event.text) for n, event in stream if event.text != "healthy")
             firsts.append(next(numbered, (MOST_WINDOWS, "none")))
         counts, names = zip(*firsts, strict=True)

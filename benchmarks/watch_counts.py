@@ -22,8 +22,8 @@ from scipy.stats import poisson
 from motor_env import PAPER_MOTOR, Fault, FaultKind
 from motor_env.live.state import State
 from motor_env.live.watch import YEAR_S, Event, Lesson, Watch
-from motor_env.motor.data_sheet import WindowReference
 from motor_env.motor.faults import apply_fault
+from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import discretize
 from motor_env.motor.parameters import (
     COPPER_PER_KELVIN,
@@ -129,18 +129,18 @@ def lines(blocks: Iterable[Floats]) -> Iterator[bytes]:
             yield b"%.0f,%.5g,%.5g,%.6g\n" % tuple(row)
 
 
-def taught(blocks: Iterable[Floats], *, steady: bool) -> WindowReference:
+def taught(blocks: Iterable[Floats], *, steady: bool) -> Healthy:
     """What the lesson of `watch` learns of a healthy motor at work, from what a device prints."""
     watch = Watch(Lesson(WINDOW_S, LEARN_S, steady=steady), State(), false_alarms_per_year=1.0)
     next(event for event in watch.events(lines(blocks)) if event.kind == "learned")
-    if not isinstance(watch.reference, WindowReference):
+    if watch.healthy is None:
         raise TypeError("nothing was learned")
-    return watch.reference
+    return watch.healthy
 
 
-def events(reference: WindowReference, blocks: Iterable[Floats]) -> Iterator[Event]:
+def events(healthy: Healthy, blocks: Iterable[Floats]) -> Iterator[Event]:
     """What `watch` says at one false alarm an hour."""
-    return Watch(reference, State(), false_alarms_per_year=RATES["hour"]).events(lines(blocks))
+    return Watch(healthy, State(), false_alarms_per_year=RATES["hour"]).events(lines(blocks))
 
 
 def due(rate: str, hours: float) -> float:

@@ -34,7 +34,7 @@ from watch_counts import (
 )
 
 from motor_env import KalmanFilter, SensorParameters, run_filter
-from motor_env.motor.data_sheet import WindowReference
+from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import Channel, MotorParameters
 
 SENSOR = SensorParameters((Channel.CURRENT, Channel.SPEED), NOISE_A, NOISE_RAD_S)
@@ -64,11 +64,11 @@ def ratios(samples: Floats, faulty: MotorParameters) -> Floats:
     return logs(faulty, samples) - logs(heavy(), samples)
 
 
-def first_alarm(reference: WindowReference, samples: Floats, onset_s: float) -> tuple[float, str]:
+def first_alarm(healthy: Healthy, samples: Floats, onset_s: float) -> tuple[float, str]:
     """From the fault's begin to the first alarm, and its kind; infinite where there is none."""
     alarms = (
-        (event.time_s - onset_s, event.text)
-        for event in events(reference, [samples])
+        (event.time_s - onset_s, event.fault_kind or event.text)
+        for event in events(healthy, [samples])
         if event.time_s > onset_s and event.name not in NO_ALARM
     )
     return next(alarms, (np.inf, "none"))
@@ -77,7 +77,7 @@ def first_alarm(reference: WindowReference, samples: Floats, onset_s: float) -> 
 def compared(runs: int) -> list[dict[str, Any]]:
     """Median delays of both, by fault."""
     rng, rows = np.random.default_rng([77, 3]), []
-    reference = taught([work(rng, (heavy(), int(LEARN_S + WINDOW_S)))], steady=True)
+    healthy = taught([work(rng, (heavy(), int(LEARN_S + WINDOW_S)))], steady=True)
     usual = work(rng, (heavy(), CALIBRATION_H * 3600)), float(CALIBRATION_H)
     for row, faulty, best in delays_by_fault(heavy(), FAULTS, usual, ratios, HEALTHY_S):
         firsts, ours = [], []
@@ -85,7 +85,7 @@ def compared(runs: int) -> list[dict[str, Any]]:
             samples = work(rng, (heavy(), HEALTHY_S), (faulty, FAULTY_S))
             firsts.append(best(samples))
             late = samples[rng.integers(int(WINDOW_S)) :]
-            ours.append(first_alarm(reference, late, HEALTHY_S))
+            ours.append(first_alarm(healthy, late, HEALTHY_S))
         delays, names = zip(*ours, strict=True)
         medians = {"best_s": float(np.median(firsts)), "watch_s": float(np.median(delays))}
         rows.append(row | medians | {"named": names.count(row["fault"]) / runs})

@@ -161,6 +161,6 @@ def test_diagnose_names_it_where_the_speed_is_recorded(folder: Path) -> None:
     starts = [(_start(folder, kind, 0.1) / "start.csv").rename(folder / f"{kind}.csv").name for kind in kinds]
     answer = run("-m", "motor_env", "diagnose", *starts, "--motor", "paper", "--json", cwd=folder, status=1)
     for kind, found in zip(kinds, json.loads(answer), strict=True):
-        assert (found["verdict"], found["fault_kind"]) == (kind, kind)
+        assert (found["verdict"], found["kind"]) == (kind, kind)
         assert found["severity"] == pytest.approx(0.1, abs=0.04)
         assert kind in found["smallest_changes"]

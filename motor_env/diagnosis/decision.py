@@ -112,7 +112,7 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
         smallest_changes=smallest_of(believed, reference.own_friction, limits.z),
     )
     if quiet is None:
-        return _with_alarm(healthy, views, limits.z, rate)
+        return _with_alarm(healthy, views, log_ratios, limits.z, rate)
     # Healthy pieces may scatter by their load; that is no defect of this one.
     spread = view.difference.covariance
     if reference.includes_fit_error:
@@ -125,7 +125,9 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
     return _with_noise(healthy, fit, reference, limits.noise_z)
 
 
-def _with_alarm(healthy: Judgement, views: list[View], limit: float, rate: float) -> Judgement:
+def _with_alarm(
+    healthy: Judgement, views: list[View], log_ratios: FloatArray, limit: float, rate: float
+) -> Judgement:
     """The fault that explains an alarm, or that none does; a load is thought of where nothing does without one.
 
     The warmth is that of a motor without a load: where the load is open as well, too much would explain too much.
@@ -141,7 +143,8 @@ def _with_alarm(healthy: Judgement, views: list[View], limit: float, rate: float
         probability = probabilities(difference, faults)
         best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
         if best is not None and probability[best.kind] >= probability["other"]:
-            return _with_fault(healthy, best, difference.degrees_of_freedom, probability, view.drag.load)
+            (as_fitted,) = explain(replace(difference, log_ratios=log_ratios), (best.kind,))
+            return _with_fault(healthy, as_fitted, difference.degrees_of_freedom, probability, view.drag.load)
     named = {fault.kind for fault in first.faults}
     unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
     alike = map(_alike_reason, filter(suffices, explain(first.difference, unnamed)))

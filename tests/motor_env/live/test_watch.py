@@ -128,7 +128,7 @@ def test_it_learns_by_itself_and_goes_on_after_it_was_killed(
     assert [event["event"] for event in told] == [*7 * ["learning"], "learned", "window", "window"]
     assert [event.get("verdict") for event in told[8:]] == ["healthy", "healthy"]
 
-    worn = replace(motor, ohm=1.4 * motor.ohm)
+    worn = replace(motor, ohm=1.25 * motor.ohm)
     other = replace(motor, constant=0.7 * motor.constant, inertia=2.0 * motor.inertia, ohm=0.8 * motor.ohm)
     with log.open("a", encoding="utf-8") as file:
         # The fault comes with a jump of the speed, at a window's border: one with both may be called anything.
@@ -140,8 +140,7 @@ def test_it_learns_by_itself_and_goes_on_after_it_was_killed(
     early = [event.get("verdict", event["event"]) for event in told if "span_s" in event]
     windows = [*3 * ["healthy"], *3 * ["winding"], "gap", *3 * ["another_motor"]]
     assert names[names.index("gap") :] == ["gap", *windows]
-    assert len(early) == 3
-    assert early[1:] == 2 * ["winding"]  # the first look sees the jump, too
+    assert early[1:] == ["winding"]  # the first look sees the jump, too
     counts = json.loads((tmp_path / "state.json").read_text(encoding="utf-8"))["counts"]
     assert (counts["learned"], counts["window healthy"]) == (1, 7)
 

@@ -18,8 +18,9 @@ import pytest
 from motor_env import InputError, Recording
 from motor_env.cli import main
 from motor_env.console import ExitStatus
+from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import Change
-from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge
+from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.live import command, watch as watching
 from motor_env.live.screen import showing
@@ -265,12 +266,14 @@ def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_ratios_are_those_of_the_fit_whatever_the_temperature_may_explain(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    fitted = np.array([1.25, 0.99, 1.0, 1.02])
+    fitted = np.array([1.25, 1.0, 1.0, 1.0])
     fit = FittedWindow(np.log(fitted), 1e-6 * np.eye(4))
     monkeypatch.setattr(WindowJudge, "fitted", lambda *_: fit)
     (event,) = watched(samples(101), per_year=1e4)
     assert (event.text, event.fault_kind) == ("winding", "winding_contact")
     assert list(event.ratios.values()) == pytest.approx(fitted, rel=1e-12)
+    judged = decide(fit, judge_of(TAUGHT).reference, 0.01)
+    assert judged.severity == pytest.approx(0.25, rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -330,7 +333,6 @@ def test_a_lesson_takes_as_many_windows_as_were_asked_for(monkeypatch: pytest.Mo
     monkeypatch.setattr(watching, "learn_windows", learn)
     judge = Judge(monkeypatch)
     watch = Watch(Lesson(0.0995, 0.4975, steady=True), State(), false_alarms_per_year=1.0)
-    assert watch.healthy is None
     events = list(watch.events([HEADER, *samples(11 * 101)]))
     assert watch.healthy is TAUGHT
     learning = [f"{0.0995 * n:g} of 0.4975 s" for n in (1, 2, 3, 4)]
