@@ -17,8 +17,8 @@ from motor_env.apps import lab_shelf
 from motor_env.detection.rules import Cusum, MOfN, Rule, first_above, in_a_row
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.files import diagnose_files
-from motor_env.diagnosis.page import reference_current
-from motor_env.diagnosis.report import as_json, headline
+from motor_env.diagnosis.shown.page import reference_current
+from motor_env.diagnosis.shown.report import as_json, headline
 from motor_env.diagnosis.verdict import Diagnosis
 from motor_env.errors import InputError
 from motor_env.filters.batch import run_filter

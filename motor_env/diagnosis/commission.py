@@ -22,12 +22,12 @@ from motor_env.diagnosis.learning import (
     odd_one_out,
     without,
 )
-from motor_env.diagnosis.report import (
+from motor_env.diagnosis.running.lessons import learn_windows
+from motor_env.diagnosis.shown.report import (
     UNITS,
     model_words,
     of_the_drag,
 )
-from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.views import Fitted, smallest_of, views_of
 from motor_env.errors import InputError
 from motor_env.identification.identify import Identified
@@ -102,7 +102,7 @@ class Commissioned:
         Raises:
             InputError: the file cannot be written.
         """
-        from motor_env.diagnosis.pictures import plot_commissioned
+        from motor_env.diagnosis.shown.pictures import plot_commissioned
 
         starts = [fit for fit in self.fits if isinstance(fit, Identified)]
         if starts:

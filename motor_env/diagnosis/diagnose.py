@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from motor_env.diagnosis import report, verdict
+from motor_env.diagnosis import verdict
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.explanations import alarm_share, compare
 from motor_env.diagnosis.filter_check import filter_check
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
+from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement, Verdict
+from motor_env.errors import InputError
 from motor_env.identification.commutation import ripple_quantities
 from motor_env.identification.identify import Identified, identify
 from motor_env.identification.model_choice import EXTENSIONS, NUISANCES, identify_best
@@ -66,7 +68,7 @@ class Diagnosis(verdict.Diagnosis):
 
     def page(self) -> str:
         """A self-contained HTML page: the verdict, what to do first, and what it rests on."""
-        from motor_env.diagnosis.page import page
+        from motor_env.diagnosis.shown.page import page
 
         return page(self, self.periods_per_turn)
 
@@ -107,6 +109,11 @@ def diagnose(
     taken = taken_for(recording, regime, start)
     known: dict[str, Any] = {"voltage_v": voltage_v, "circuit": circuit, "temperature_c": temperature_c}
     if taken.regime == "operation":
+        for option, value in (("start", start), ("sensor-lag", circuit and circuit.sensor_lag_s)):
+            if value:
+                raise InputError(
+                    f"{recording.path}: --{option} belongs to starts, and this is a motor at work ({taken.why})"
+                )
         from motor_env.diagnosis.running.judge import judge_log
 
         pieces, count = judge_log(recording, motor, false_alarm_rate, **known)

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from motor_env.console import ExitStatus
-from motor_env.diagnosis import report
 from motor_env.diagnosis.commission import commission
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import Diagnosis, diagnose
+from motor_env.diagnosis.shown import report
 from motor_env.errors import InputError
 from motor_env.files import write_text
 from motor_env.motor.data_sheet import Motor, load_motor

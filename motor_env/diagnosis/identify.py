@@ -9,7 +9,7 @@ from typing import Any
 
 from motor_env.diagnosis.commission import not_told, to_motor
 from motor_env.diagnosis.diagnose import unusable_reason
-from motor_env.diagnosis.report import (
+from motor_env.diagnosis.shown.report import (
     TWO_SIDED,
     extensions_json,
     model_words,
@@ -111,7 +111,7 @@ class Identification:
             InputError: a file cannot be written.
         """
         from motor_env.diagnosis.files import picture_of
-        from motor_env.diagnosis.pictures import plot_identified
+        from motor_env.diagnosis.shown.pictures import plot_identified
 
         for place, (recording, fit) in enumerate(self.starts, 1):
             plot_identified(fit, recording.path.name, picture_of(recording.path, folder, place))

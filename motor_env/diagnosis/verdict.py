@@ -170,6 +170,12 @@ class Diagnosis:
         return self.telling.changes
 
     @property
+    def severity_interval(self) -> tuple[float, float] | None:
+        """Interval of the severity, 95 %; None without one."""
+        low, high = self.severity_low, self.severity_high
+        return None if low is None or high is None else (low, high)
+
+    @property
     def severity_low(self) -> float | None:
         """Lower end of the interval of the severity, 95 %."""
         return self.telling.severity_low

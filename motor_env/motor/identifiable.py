@@ -7,6 +7,8 @@ volt: every one of the parameters over V.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from motor_env.motor.data_sheet import Tolerance
@@ -104,11 +106,15 @@ def nameable_kinds(exponents: FloatArray) -> tuple[FaultKind, ...]:
 
     From the current alone a weak magnet cannot be named: K down by 10 % looks exactly like J and B up by 23.5 %.
     """
-    load = exponents @ np.array([float(name in "JB") for name in PARAMETERS])
+    return _nameable(np.ascontiguousarray(exponents, dtype=np.float64).tobytes(), motor_kinds())
+
+
+@lru_cache(maxsize=64)
+def _nameable(exponents: bytes, kinds: tuple[FaultKind, ...]) -> tuple[FaultKind, ...]:
+    powers: FloatArray = np.frombuffer(exponents).reshape(-1, len(PARAMETERS))
+    load = powers @ np.array([float(name in "JB") for name in PARAMETERS])
     return tuple(
-        kind
-        for kind in motor_kinds()
-        if not np.allclose(_unit(visible_direction(kind, exponents)), _unit(load))
+        kind for kind in kinds if not np.allclose(_unit(visible_direction(kind, powers)), _unit(load))
     )
 
 

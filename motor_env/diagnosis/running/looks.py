@@ -24,6 +24,7 @@ from motor_env.diagnosis.running.windows import (
 )
 from motor_env.diagnosis.spread import PRIOR_WEIGHT
 from motor_env.diagnosis.verdict import Judgement
+from motor_env.diagnosis.views import views_of
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation.record import FEWEST, Record, from_recordings
 from motor_env.recordings.defects import UnusableError
@@ -120,6 +121,10 @@ class Looks:
             excess=1.0,
         )
         fit = FittedWindow(reference.log_values + ratios, spread)
+        # Each test has less than the whole rate: else none of them can alarm.
+        whole = -float(special.stdtrit(reference.degrees_of_freedom, rate))
+        if not views_of(fit, reference, rate)[0].is_alarm(whole, rate):
+            return None
         judged = decide(fit, reference, rate)
         return judged if judged.verdict.is_fault else None
 

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from recording_csv import write_csv
 
-from motor_env import Diagnosis, Judgement, Recording, Verdict, load_motor, nis_rule
+from motor_env import Diagnosis, Recording, Verdict, load_motor, nis_rule
 from motor_env.cli import main, options
-from motor_env.diagnosis import commission as steps, diagnose as judging
+from motor_env.diagnosis import identify as identifying
 from motor_env.diagnosis.files import Outcome
+from motor_env.diagnosis.verdict import Judgement
 from motor_env.embedded import monitor as monitors, source
 from motor_env.embedded.arithmetic import Steps
 from motor_env.embedded.monitor import CusumBank
 from motor_env.identification import coastdown
 from motor_env.identification.coastdown import CoastDown
 from motor_env.live import command
-from motor_env.operation import logs
-from motor_env.prognosis import files as trends, page
+from motor_env.prognosis import files as trends
 from motor_env.recordings.profiles import Profile, load_profile
 from motor_env.recordings.regime import Taken
 from motor_env.recordings.start import Circuit
@@ -99,22 +100,27 @@ def test_identify_ends_with_3_where_no_motor_explains_a_start_or_the_logs(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    work = SimpleNamespace(
-        as_text=lambda: ["logs"], as_json=lambda: [{"logs": 1}], exit_status=lambda: works or 0
-    )
-    found = [("log", "reason")] if works is not None else []
-    monkeypatch.setattr(logs, "sorted_files", lambda *_, **__: (found, ["a recording"]))
-    monkeypatch.setattr(logs, "identify_logs", lambda *_, **__: work)
-    monkeypatch.setattr(steps, "identify_starts", lambda *_, **__: [("a", is_told) for is_told in explained])
-    monkeypatch.setattr(judging, "unusable_reason", lambda fit: None if fit else "poor")
-    monkeypatch.setattr(steps, "identified_text", lambda _, fit, periods: f"start {fit} {periods}")
-    monkeypatch.setattr(steps, "identified_json", lambda _, fit, __: {"start": fit})
+    """Of fits that a motor explains or not, and of logs that have none (3) or one (0)."""
+    given: dict[str, Any] = {}
+    start = Recording(Path("a"), np.arange(2.0), np.zeros(2))
+    trouble = "no motor" if works else ""
+    logs = () if works is None else (replace(start, path=Path("b")),)
+    fits = cast("Any", tuple((start, is_told) for is_told in explained))
+    found = identifying.Identification(fits, logs, {}, None, trouble)
+
+    def fitted(files: list[Path], **more: Any) -> identifying.Identification:
+        given.update(more, files=files)
+        return found
+
+    monkeypatch.setattr(identifying, "identify", fitted)
+    monkeypatch.setattr(identifying, "unusable_reason", lambda fit: None if fit else "poor")
+    monkeypatch.setattr(identifying.Identification, "text", lambda _: "words")
+    monkeypatch.setattr(identifying.Identification, "to_json", lambda _: [{"start": 1}])
     assert main(["identify", "a.csv", "--ripple-periods-per-turn", "14"]) == status
-    lines = [f"start {is_told} 14.0" for is_told in explained] + (["logs"] if found else [])
-    assert capsys.readouterr().out.splitlines() == lines
+    assert (given["files"], given["periods_per_turn"], given["regime"]) == ([Path("a.csv")], 14.0, "auto")
+    assert capsys.readouterr().out == "words\n"
     assert main(["identify", "a.csv", "--json"]) == status
-    objects: list[dict[str, Any]] = [{"start": is_told} for is_told in explained]
-    assert json.loads(capsys.readouterr().out) == objects + ([{"logs": 1}] if found else [])
+    assert json.loads(capsys.readouterr().out) == [{"start": 1}]
 
 
 @pytest.mark.parametrize(
@@ -130,14 +136,14 @@ def test_trend_ends_with_1_where_a_limit_matters(
 ) -> None:
     given: dict[str, Any] = {}
 
-    def judged(paths: list[Path], limits: Any, **more: Any) -> tuple[list[str], list[str]]:
+    def judged(paths: list[Path], limits: Any, **more: Any) -> trends.Trends:
         given.update(more, paths=paths, limits=limits)
-        return states, ["a note"]
+        return trends.Trends(cast("Any", tuple(states)), ("a note",))
 
-    monkeypatch.setattr(trends, "trends_of", judged)
-    monkeypatch.setattr(page, "status", lambda one: one)
-    monkeypatch.setattr(page, "page", lambda *_: "<page>")
-    monkeypatch.setattr(trends, "as_text", " ".join)
+    monkeypatch.setattr(trends, "trend", judged)
+    monkeypatch.setattr(trends, "status", lambda one: one)
+    monkeypatch.setattr(trends.Trends, "page", lambda _: "<page>")
+    monkeypatch.setattr(trends.Trends, "text", lambda one: " ".join(one.trends))
     out = tmp_path / "t.html"
     command = ["trend", "a.csv", "--limit", "R=0.9,1.1", "--level", "0.7", "--reference-count", "5"]
     assert main([*command, "--voltage", "12", "--out", str(out)]) == status

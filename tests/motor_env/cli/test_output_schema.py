@@ -11,7 +11,7 @@ import pytest
 
 from motor_classifiers.cli.main import main as classifiers
 from motor_datasets.cli import main as datasets
-from motor_env import PAPER_MOTOR, Fault, simulate_states
+from motor_env import PAPER_MOTOR, Fault, FaultKind, simulate_states
 from motor_env.cli import main
 
 ROOT = Path(__file__).parents[3]
@@ -49,7 +49,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A motor at work whose friction doubles half-way: 4 s, another voltage every 50 ms."""
     path, rng = tmp_path_factory.mktemp("log") / "log.csv", np.random.default_rng(5)
     volts = np.repeat(rng.uniform(-10.0, 10.0, 80), 25)
-    states = simulate_states(PAPER_MOTOR, volts, 2e-3, faults=(Fault("bearing", 1.0, onset_s=2.0),))
+    states = simulate_states(PAPER_MOTOR, volts, 2e-3, faults=(Fault(FaultKind.BEARING, 1.0, onset_s=2.0),))
     states = states + rng.normal(size=states.shape) * [0.02, 1.0]
     rows = np.column_stack([2e-3 * np.arange(len(volts)), volts, states])
     head = "time_s,voltage_v,current_a,speed_rad_s"

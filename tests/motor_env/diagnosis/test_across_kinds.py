@@ -14,8 +14,8 @@ from motor_env.diagnosis.commission import motor_of_windows
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import joint_share
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
-from motor_env.diagnosis.page import reference_current
 from motor_env.diagnosis.running.windows import FittedWindow
+from motor_env.diagnosis.shown.page import reference_current
 from motor_env.identification.start_model import Extension, step_start
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction

@@ -19,11 +19,12 @@ from motor_env import (
     Timing,
     cli,
     diagnose,
+    identify,
     load_motor,
     read_recording,
     simulate,
 )
-from motor_env.diagnosis.commission import identify_starts, to_motor
+from motor_env.diagnosis.commission import to_motor
 from motor_env.envs.tasks import with_motor
 from motor_env.motor.assumptions import usable_parameters
 from motor_env.motor.data_sheet import to_toml
@@ -116,7 +117,7 @@ def test_healthy_starts_with_a_speed_serve_a_start_without(tmp_path: Path) -> No
 
 
 def test_terms_that_are_not_different_from_0_are_not_written(tmp_path: Path) -> None:
-    ((_, fit),) = identify_starts(read_recording(write(tmp_path / "a.csv", 8)))
+    ((_, fit),) = identify(read_recording(write(tmp_path / "a.csv", 8)), regime="start").starts
     for error, written in ((0.071, 0.0), (0.010, 0.070)):
         seen = replace(fit, fitted_extension={"brush_drop": (0.070, error)})
         assert to_motor([seen], "m").brush_drop_v == written

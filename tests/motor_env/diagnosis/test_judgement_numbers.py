@@ -18,7 +18,6 @@ from motor_env import (
     Diagnosis,
     FaultKind,
     InputError,
-    Judgement,
     Motor,
     Recording,
     Scenario,
@@ -31,7 +30,7 @@ from motor_env import (
     simulate,
 )
 from motor_env.cli import main
-from motor_env.diagnosis import commission, page, report
+from motor_env.diagnosis import commission
 from motor_env.diagnosis.decision import decide, limits_of
 from motor_env.diagnosis.diagnose import unusable_reason
 from motor_env.diagnosis.explanations import (
@@ -50,7 +49,9 @@ from motor_env.diagnosis.files import picture_of
 from motor_env.diagnosis.filter_check import filter_check
 from motor_env.diagnosis.healthy_motor import Reference, reference_of, reference_of_pieces
 from motor_env.diagnosis.learning import disagreement, learn_starts, odd_one_out
+from motor_env.diagnosis.shown import page, report
 from motor_env.diagnosis.spread import beyond, the_next, warmer
+from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
 from motor_env.identification.identify import Identified
 from motor_env.motor.identifiable import matrix, nameable_kinds, names, visible_direction

@@ -27,7 +27,7 @@ from motor_env import (
 )
 from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
-from motor_env.diagnosis.report import ripple_json
+from motor_env.diagnosis.shown.report import ripple_json
 from motor_env.identification.commutation import find_ripple
 from motor_env.identification.identify import TEXTBOOK, identify
 from motor_env.identification.model_choice import identify_best

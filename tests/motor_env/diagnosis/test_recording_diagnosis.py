@@ -27,8 +27,9 @@ from motor_env import (
     read_recording,
     simulate,
 )
-from motor_env.diagnosis.commission import identify_starts, to_motor
+from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.files import diagnose_files
+from motor_env.diagnosis.identify import identify as identified
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
 from motor_env.identification.identify import identify
 from motor_env.recordings.defects import UnusableError
@@ -287,7 +288,7 @@ def test_real_starts_are_fitted(
     file: str, voltage_v: float | None, r2: float, largest_correlation: float
 ) -> None:
     """R2 of the current with the model that the evidence chooses, and how far the residual is from white."""
-    ((_, fit),) = identify_starts(read_recording(RECORDINGS / file), voltage_v=voltage_v)
+    ((_, fit),) = identified(read_recording(RECORDINGS / file), voltage_v=voltage_v, regime="start").starts
     assert fit.r2_current >= r2
     assert abs(fit.lag_one) <= largest_correlation
 
@@ -295,7 +296,7 @@ def test_real_starts_are_fitted(
 @needs_recordings
 def test_a_wild_sample_of_a_scope_is_named() -> None:
     recording = read_recording(RECORDINGS / "oscillo_lab" / "startup_F0000.csv")
-    ((_, fit),) = identify_starts(recording, voltage_v=12.3)
+    ((_, fit),) = identified(recording, voltage_v=12.3, regime="start").starts
     assert "a wild sample of 13.6 A at 0.05 s, left out" in [str(defect) for defect in fit.defects]
 
 

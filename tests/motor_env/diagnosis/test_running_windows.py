@@ -11,7 +11,7 @@ import pytest
 from recording_csv import write_recording
 from scipy import stats
 
-from motor_env import InputError, Judgement, Motor, Recording, Verdict, diagnose, load_motor
+from motor_env import InputError, Motor, Recording, Verdict, diagnose, load_motor
 from motor_env.cli import main
 from motor_env.diagnosis import files
 from motor_env.diagnosis.decision import decide
@@ -27,6 +27,7 @@ from motor_env.diagnosis.running.windows import (
     WindowJudge,
     judge_of,
 )
+from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
@@ -34,7 +35,7 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
-from operation_simulator import Motor, draw_motor, simulate
+from operation_simulator import Motor as SimulatedMotor, draw_motor, simulate
 
 COLUMNS = ("current_a", "voltage_v", "speed_rad_s")
 PHYSICAL = np.zeros(kernel.N_VALUES)
@@ -53,7 +54,7 @@ def test_faults_show_in_windows_and_warmth_does_not(
     motor = draw_motor(rng)
     dt_s = motor.mechanical_s / 10.0
 
-    def log(name: str, changed: Motor = motor, samples: int = 800, warm_k: float = 0.0) -> str:
+    def log(name: str, changed: SimulatedMotor = motor, samples: int = 800, warm_k: float = 0.0) -> str:
         recording = simulate(changed, "reversals", rng, samples=samples, dt_s=dt_s, warm_k=warm_k)
         return write_recording(tmp_path / f"{name}.csv", recording)
 

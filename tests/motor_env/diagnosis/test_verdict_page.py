@@ -23,7 +23,7 @@ from motor_env import (
     load_motor,
     simulate,
 )
-from motor_env.diagnosis.page import page, reference_current
+from motor_env.diagnosis.shown.page import page, reference_current
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 MOTOR = load_motor(EXAMPLES / "motor.toml")

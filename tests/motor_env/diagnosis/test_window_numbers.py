@@ -18,7 +18,6 @@ from motor_env import (
     Diagnosis,
     FaultKind,
     InputError,
-    Judgement,
     Motor,
     Recording,
     Scenario,
@@ -28,8 +27,8 @@ from motor_env import (
     simulate,
 )
 from motor_env.cli import main
-from motor_env.diagnosis import diagnose as diagnosing, files, report, views
-from motor_env.diagnosis.commission import Commissioned, commissioned_text, learn, motor_of_windows
+from motor_env.diagnosis import diagnose as diagnosing, files, views
+from motor_env.diagnosis.commission import Commissioned, commission, commissioned_text, motor_of_windows
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import Change, joint_share
 from motor_env.diagnosis.files import Outcome
@@ -52,6 +51,8 @@ from motor_env.diagnosis.running.windows import (
     viscous,
     windows_of,
 )
+from motor_env.diagnosis.shown import report
+from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature
 from motor_env.identification.identify import Identified, identify
 from motor_env.motor.healthy import Healthy, Starts, Windows
@@ -931,16 +932,16 @@ def test_the_command_counts_all_windows_of_a_log(
 )
 def test_logs_refuse_what_belongs_to_starts(option: str, given: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"--{option} belongs to starts"):
-        learn([log_file(tmp_path)], "m", window_s=0.5, **given)
+        commission([log_file(tmp_path)], "m", window_s=0.5, **given)
 
 
 @pytest.mark.parametrize("given", [{"steady": True}, {"window_s": 0.5}])
 def test_starts_refuse_what_belongs_to_logs(given: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--steady and --window belong to logs"):
-        learn([log_file(tmp_path)], "m", regime="start", **given)
+        commission([log_file(tmp_path)], "m", regime="start", **given)
 
 
 @pytest.mark.parametrize("window_s", [0.0, math.inf, -1.0])
 def test_a_window_has_a_length(window_s: float) -> None:
     with pytest.raises(InputError, match="window must be > 0"):
-        learn([], "m", window_s=window_s)
+        commission([], "m", window_s=window_s)

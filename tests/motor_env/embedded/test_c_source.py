@@ -26,11 +26,10 @@ from motor_env import (
     Motor,
     Scenario,
     SensorParameters,
+    identify,
     nis_rule,
-    read_recording,
     simulate,
 )
-from motor_env.diagnosis.commission import identify_starts
 from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import write_library
@@ -199,7 +198,7 @@ def test_10000_starts_alarm_as_in_double_precision(arithmetic: str, severity: fl
 @pytest.mark.parametrize("path", RECORDINGS, ids=lambda path: f"{path.parent.name}-{path.stem}")
 def test_recordings_get_the_verdict_of_double_precision(path: Path, tmp_path: Path) -> None:
     try:
-        start, fit = identify_starts(read_recording(path), start=1)[0]
+        start, fit = identify(path, start=1).starts[0]
     except InputError as error:
         pytest.skip(str(error))
     volts = float(np.max(np.abs(fit.start.level_v if start.voltage_v is None else start.voltage_v)))

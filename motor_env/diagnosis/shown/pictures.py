@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from scipy.special import stdtrit
 
 from motor_env.console import printable
-from motor_env.diagnosis.report import model_words
+from motor_env.diagnosis.shown.report import model_words
 from motor_env.identification.identify import Identified
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray

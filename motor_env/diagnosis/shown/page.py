@@ -8,7 +8,7 @@ import numpy as np
 
 from motor_env.console import printable
 from motor_env.diagnosis.explanations import Change
-from motor_env.diagnosis.report import as_text, warnings_of
+from motor_env.diagnosis.shown.report import as_text, warnings_of
 from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
 from motor_env.identification.identify import Identified
 from motor_env.identification.residuals import absolute, started
@@ -101,7 +101,7 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
     tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
     expected, is_short = reference_current(telling), telling.kind is FaultKind.WINDING_SHORT
     return render(
-        "motor_env.diagnosis",
+        "motor_env.diagnosis.shown",
         "diagnosis.html.j2",
         title="Winding: shorted turns" if is_short else _TITLE.get(verdict, str(verdict).capitalize()),
         file=printable(diagnosis.recording.path.name),
