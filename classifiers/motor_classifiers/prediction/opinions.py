@@ -200,5 +200,5 @@ def second_opinion(recording: Recording, recipe: Recipe) -> dict[str, Any]:
         recipe.name, "data_sheet", recipe.motor, float(np.asarray(recipe.supply.voltage_v)), tolerance
     )
     diagnosis = as_json(diagnose(recording, motor))
-    kept = ("verdict", "fault_kind", "severity", "severity_interval", "confidence", "reasons")
+    kept = ("verdict", "kind", "severity", "severity_interval", "confidence", "reasons")
     return {name: diagnosis[name] for name in kept}
