@@ -33,7 +33,7 @@ from watch_counts import (
     write,
 )
 
-from motor_env import KalmanFilter, SensorParameters, run_filter
+from motor_env import FaultKind, KalmanFilter, SensorParameters, run_filter
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import Channel, MotorParameters
 
@@ -65,9 +65,9 @@ def ratios(samples: Floats, faulty: MotorParameters) -> Floats:
 
 
 def first_alarm(healthy: Healthy, samples: Floats, onset_s: float) -> tuple[float, str]:
-    """From the fault's begin to the first alarm, and its kind; infinite where there is none."""
+    """From the fault's begin to the first alarm, and its verdict; infinite where there is none."""
     alarms = (
-        (event.time_s - onset_s, event.fault_kind or event.text)
+        (event.time_s - onset_s, event.text)
         for event in events(healthy, [samples])
         if event.time_s > onset_s and event.name not in NO_ALARM
     )
@@ -88,7 +88,7 @@ def compared(runs: int) -> list[dict[str, Any]]:
             ours.append(first_alarm(healthy, late, HEALTHY_S))
         delays, names = zip(*ours, strict=True)
         medians = {"best_s": float(np.median(firsts)), "watch_s": float(np.median(delays))}
-        rows.append(row | medians | {"named": names.count(row["fault"]) / runs})
+        rows.append(row | medians | {"named": names.count(FaultKind(row["fault"]).verdict) / runs})
         print(json.dumps(rows[-1]), flush=True)
     return rows
 

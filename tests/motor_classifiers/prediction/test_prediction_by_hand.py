@@ -344,7 +344,7 @@ def test_a_model_with_references_cannot_judge_a_recording_alone() -> None:
 
 def test_the_diagnosis_beside_it_has_the_recipes_tolerances(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Any] = []
-    kept = {"verdict": "bearing", "fault_kind": "bearing", "severity": 0.2, "severity_interval": [0.1, 0.3]}
+    kept = {"verdict": "bearing", "kind": "bearing", "severity": 0.2, "severity_interval": [0.1, 0.3]}
     more = {"confidence": 0.9, "reasons": ["r"], "left": "out"}
     monkeypatch.setattr(opinions_module, "diagnose", lambda _, motor: asked.append(motor))
     monkeypatch.setattr(opinions_module, "as_json", lambda _: kept | more)
