@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from motor_env import PAPER_MOTOR, MotorFile, Scenario, SensorParameters, nis_rule, simulate
+from motor_env import PAPER_MOTOR, Motor, Scenario, SensorParameters, nis_rule, simulate
 from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import literal, write_library
@@ -94,7 +94,7 @@ def paper_monitor(*, n_channels: int = 1, rule: str = "cusum") -> Monitor:
     """The textbook motor at 1 kHz."""
     channels = (Channel.CURRENT, Channel.SPEED)[:n_channels]
     return monitor_of(
-        MotorFile("paper", "data_sheet", PAPER_MOTOR),
+        Motor("paper", "data_sheet", PAPER_MOTOR),
         1000.0,
         rule=nis_rule() if rule == "nis" else CusumBank(),
         sensor=SensorParameters(channels, 0.02, 1.0),

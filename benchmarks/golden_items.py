@@ -30,6 +30,10 @@ from numpy.typing import NDArray
 import motor_datasets
 import motor_env
 from motor_env import Fault, FaultKind, Rule, Scenario, SensorParameters, Timing
+from motor_env.detection.rules import recipe_thresholds
+from motor_env.motor.faults import apply_fault
+from motor_env.motor.model import steady_state
+from motor_env.simulation.named_recipes import RECIPES, named_recipe
 
 MEASURED_COST = ("microseconds_per_transient", "inference_memory_mb", "train_s", "train_memory_mb")
 BOTH = SensorParameters(("current", "speed"))  # type: ignore[arg-type]  # names become channels
@@ -75,7 +79,7 @@ def command(scratch: Path, package: str, *arguments: str) -> dict[str, Any]:
 
 def datasets(scratch: Path) -> Items:
     """Every recipe with its shifts, and a data set on disk."""
-    for name, recipe in motor_env.RECIPES.items():
+    for name, recipe in RECIPES.items():
         shifted = {f"{name}-{shift.name}": recipe.shifted(shift.name) for shift in recipe.shifts}
         for title, one in {name: recipe, **shifted}.items():
             cases = motor_datasets.generate_arrays(one, SEED, 64 if one.field is None else 20)
@@ -85,13 +89,13 @@ def datasets(scratch: Path) -> Items:
     command(scratch, "motor_datasets", "generate", "bench", "--cases", "64", "--seed", "1", "--out", folder)
     yield "datasets/files", digests(Path(folder), "*")
     yield "datasets/loaded", digest(motor_datasets.load(folder, "train").X)
-    for name in motor_env.RECIPES:
+    for name in RECIPES:
         yield f"datasets/described-{name}", command(scratch, "motor_datasets", "describe", name)
 
 
 def environments(scratch: Path) -> Items:
     """Steps of every environment alone and as a vector, the agent mostly waiting, or acting at random."""
-    two_channels = motor_env.named_recipe("bench-full", sensor=BOTH)
+    two_channels = named_recipe("bench-full", sensor=BOTH)
     settings: dict[str, dict[str, Any]] = {
         "usual": {},
         "hard": {"recipe": "hard"},
@@ -149,7 +153,7 @@ def filters(scratch: Path) -> Items:
     grown = Fault(FaultKind.WINDING_CONTACT, 0.2, 0.03, 0.02)
     transients = {}
     for title, sensor in {"current": SensorParameters(), "speed": BOTH}.items():
-        drawn = motor_env.draw(motor_env.named_recipe("bench-full", sensor=sensor), SEED, np.arange(4))
+        drawn = motor_env.draw(named_recipe("bench-full", sensor=sensor), SEED, np.arange(4))
         transients[title] = motor_env.simulate(drawn.scenario, SEED, drawn.cases)
         yield f"filters/simulated-{title}", transients[title].measurements[..., ::10]
         belief = motor_env.KalmanFilter.from_parameters(nominal, sensor, timing.dt_s)
@@ -165,11 +169,11 @@ def filters(scratch: Path) -> Items:
             yield f"filters/{kind}-{title}", thinned(found._asdict(), timing.n_samples)
     scenario = Scenario(nominal, (grown,), timing=timing, process_noise_std=(1e-3, 0.1), load_torque_n_m=0.01)
     yield "filters/grown", motor_env.simulate(scenario, SEED, [0, 1]).states[:, ::10]
-    model = motor_env.discretize(motor_env.apply_fault(nominal, grown), timing.dt_s)
-    rest = motor_env.steady_state(nominal, 12.0, 0.01)
+    model = motor_env.discretize(apply_fault(nominal, grown), timing.dt_s)
+    rest = steady_state(nominal, 12.0, 0.01)
     yield "filters/model", {"transition": model.transition, "gain": model.gain, "rest": rest}
     of_recipe = next(name for name in ("from_recipe", "of") if hasattr(motor_env.TolerantFilter, name))
-    tolerant = getattr(motor_env.TolerantFilter, of_recipe)(motor_env.RECIPES["bench"])
+    tolerant = getattr(motor_env.TolerantFilter, of_recipe)(RECIPES["bench"])
     white = tolerant.white(transients["current"].measurements)
     yield "filters/tolerant", white[:, ::10]
     yield from rules(white)
@@ -213,7 +217,7 @@ def rules(white: NDArray[Any]) -> Items:
             except ValueError as error:
                 found[title] = str(error)
         yield f"filters/rule-{name}", found
-    tolerances = motor_env.recipe_thresholds(list(some.values()), motor_env.RECIPES["bench"], 0.05, runs=1000)
+    tolerances = recipe_thresholds(list(some.values()), RECIPES["bench"], 0.05, runs=1000)
     yield "filters/recipe-thresholds", dict(zip(some, tolerances, strict=True))
 
 

@@ -12,8 +12,7 @@ from pathlib import Path
 from cyclopts import run
 from verdict_tables import HERE, Counts, How, Said, counted
 
-from motor_env.diagnosis.commission import learn
-from motor_env.diagnosis.diagnose import diagnose
+from motor_env import commission, diagnose
 from motor_env.recordings.recording import Recording, read_recording
 
 
@@ -33,7 +32,7 @@ def judge(number: int, choices: int, skip: int, seed: int) -> Said:
     every = list(combinations(good, 5))
     some = random.Random(seed).sample(every, min(choices, len(every)))  # noqa: S311 - no secret
     chosen = some[skip + number]
-    motor = learn(list(chosen), "motor 5499").motor
+    motor = commission(list(chosen), "motor 5499").motor
     said: Said = []
     for kind, paths in (("good", good.keys() - chosen), ("bad", bad.keys())):
         for path in sorted(paths):

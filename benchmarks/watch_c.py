@@ -36,7 +36,7 @@ from watch_counts import (
     write,
 )
 
-from motor_env import FaultKind, KalmanFilter, MotorFile, SensorParameters
+from motor_env import FaultKind, KalmanFilter, Motor, SensorParameters
 from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of, settled
 from motor_env.embedded.source import write_library
@@ -126,7 +126,7 @@ def exported(folder: Path, arithmetic: str, a_year: float, rule: CusumBank = RUL
     """The C code of the motor for a number of false alarms a year."""
     folder.mkdir()
     monitor = monitor_of(
-        MotorFile("textbook", "data_sheet", heavy(INERTIA)),
+        Motor("textbook", "data_sheet", heavy(INERTIA)),
         RATE_HZ,
         rule=rule,
         sensor=SENSOR,

@@ -397,7 +397,9 @@ def test_the_command_reads_keeps_and_ends_with_its_status(
     assert main([*run[:2], "--follow"]) == 2
     assert "--follow needs a log" in capsys.readouterr().err
     for taught in (None, replace(TAUGHT, windows=None, starts=Starts(-3.0, 0.1))):
-        monkeypatch.setattr(command, "load_motor", lambda _, taught=taught: SimpleNamespace(name="m", healthy=taught))
+        monkeypatch.setattr(
+            command, "load_motor", lambda _, taught=taught: SimpleNamespace(name="m", healthy=taught)
+        )
         assert main(run) == 2
         assert "was not commissioned by windows of the motor at work" in capsys.readouterr().err
 
