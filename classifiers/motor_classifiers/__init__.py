@@ -5,9 +5,9 @@ Example:
 
     >>> from motor_classifiers import make_method
     >>> from motor_datasets import generate_arrays
-    >>> from motor_env import RECIPES
-    >>> starts = generate_arrays(RECIPES["bench"], seed=1, cases=range(600))
-    >>> model = make_method("residual-qda", RECIPES["bench"], 0).fit(starts.X[:400], starts.class_name[:400])
+    >>> from motor_env import load_recipe
+    >>> starts = generate_arrays(load_recipe("bench"), seed=1, cases=range(600))
+    >>> model = make_method("residual-qda", load_recipe("bench"), 0).fit(starts.X[:400], starts.class_name[:400])
     >>> print(f"{model.score(starts.X[400:], starts.class_name[400:]):.0%} of 200 other motors are right")
     92% of 200 other motors are right
 """

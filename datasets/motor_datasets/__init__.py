@@ -2,8 +2,8 @@
 
 Example:
     >>> from motor_datasets import generate_arrays, to_pandas
-    >>> from motor_env import RECIPES
-    >>> starts = generate_arrays(RECIPES["bench"], seed=1, cases=range(4))
+    >>> from motor_env import load_recipe
+    >>> starts = generate_arrays(load_recipe("bench"), seed=1, cases=range(4))
     >>> print(starts.X.shape, to_pandas(starts)["class_name"].tolist())
     (4, 1, 1000) ['winding_contact_25', 'healthy', 'winding_contact_25', 'bearing_25']
 """

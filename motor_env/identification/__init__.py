@@ -1,9 +1,8 @@
 """A real motor's parameters, fitted to recorded starts and coast-downs.
 
 Example:
-    >>> from motor_env import identify, read_recording
-    >>> from motor_env.recordings.start import prepare
-    >>> fit = identify(prepare(read_recording("examples/startup_capture.csv")))
+    >>> from motor_env import identify
+    >>> ((_, fit),) = identify("examples/startup_capture.csv").starts
     >>> print(f"the fit explains {fit.r2_current:.2%} of the current")
     the fit explains 99.81% of the current
 """

@@ -1,7 +1,9 @@
 """The motor: parameters, equations, faults, and the file that holds its data sheet.
 
 Example:
-    >>> from motor_env import PAPER_MOTOR, Fault, apply_fault, steady_state
+    >>> from motor_env import PAPER_MOTOR, Fault
+    >>> from motor_env.motor.faults import apply_fault
+    >>> from motor_env.motor.model import steady_state
     >>> worn = apply_fault(PAPER_MOTOR, Fault("bearing", 0.25))
     >>> for motor in (PAPER_MOTOR, worn):
     ...     current_a, speed_rad_s = steady_state(motor, 12.0)

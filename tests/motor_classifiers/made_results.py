@@ -11,10 +11,9 @@ from motor_classifiers.scoring.metrics import IntArray
 from motor_classifiers.scoring.plan import AnswerStore, Plan, units
 from motor_classifiers.scoring.progress import Cost
 from motor_classifiers.scoring.trust import SECTIONS, TRUST
-from motor_env import Timing
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import Timing, load_recipe
 
-RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 CELL = Cell(RECIPE, 100, 60)
 
 

@@ -15,10 +15,9 @@ from motor_classifiers import METHODS, make_method, save_model
 # Reaches in: files are forged under the entry in which the description of a model stands.
 from motor_classifiers.model_files.persistence import FORMAT
 from motor_datasets import generate_arrays
-from motor_env import Timing
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import Timing, load_recipe
 
-RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 TRAIN, TEST = generate_arrays(RECIPE, 1, 200), generate_arrays(RECIPE, 2, 20)
 QUICK: dict[str, dict[str, Any]] = {
     "posterior-network": {"steps": 3, "batch_size": 32},

@@ -12,9 +12,9 @@ import torch
 from motor_datasets import generate_arrays, generate_dataset, to_torch, to_torch_iterable
 from motor_datasets.arrays import columns
 from motor_datasets.cli import main
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import load_recipe
 
-FIELD = named_recipe("field", timing=replace(named_recipe("field").timing, sampling_rate_hz=1_000.0))
+FIELD = load_recipe("field", timing=replace(load_recipe("field").timing, sampling_rate_hz=1_000.0))
 
 
 @pytest.fixture(scope="module")

@@ -20,11 +20,10 @@ from hostile import Child, damaged, deep, flips, forged, json_of, odd_places, re
 
 from motor_datasets import generate_dataset, layout, load, parquet
 from motor_datasets.cli import main
-from motor_env import InputError, Timing
-from motor_env.simulation.named_recipes import RECIPES
+from motor_env import InputError, Timing, load_recipe
 from motor_env.simulation.recipes import Shift
 
-SHORT = replace(RECIPES["bench"], timing=Timing(duration_s=0.01))
+SHORT = replace(load_recipe("bench"), timing=Timing(duration_s=0.01))
 
 
 @pytest.fixture(autouse=True)

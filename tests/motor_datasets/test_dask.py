@@ -10,8 +10,7 @@ import joblib
 import pytest
 
 from motor_datasets import generate_dataset, layout
-from motor_env import Timing
-from motor_env.simulation.named_recipes import RECIPES
+from motor_env import Timing, load_recipe
 
 
 @pytest.mark.long
@@ -19,7 +18,7 @@ from motor_env.simulation.named_recipes import RECIPES
 def test_a_killed_dask_worker_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
     monkeypatch.setattr(layout, "_SHARD_BYTES", 2 * 2**20)
-    recipe = replace(RECIPES["bench"], timing=Timing(duration_s=0.05))
+    recipe = replace(load_recipe("bench"), timing=Timing(duration_s=0.05))
     whole = generate_dataset(recipe, 30_000, 3, tmp_path / "one")
     cluster = distributed.LocalCluster(
         n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None

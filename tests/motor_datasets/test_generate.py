@@ -19,11 +19,10 @@ from motor_datasets import (
 )
 from motor_datasets.cli import main
 from motor_datasets.export import export
-from motor_env import Channel, FaultKind, InputError, SensorParameters, Timing
-from motor_env.simulation.named_recipes import RECIPES
+from motor_env import Channel, FaultKind, InputError, SensorParameters, Timing, load_recipe
 from motor_env.simulation.recipes import FaultClass
 
-SHORT = replace(RECIPES["bench"], timing=Timing(duration_s=0.01))
+SHORT = replace(load_recipe("bench"), timing=Timing(duration_s=0.01))
 
 
 def test_a_case_does_not_depend_on_its_neighbours() -> None:
@@ -43,7 +42,7 @@ def test_splits_are_dealt_exactly_and_by_motor_alone() -> None:
 def test_the_truth_explains_the_transient() -> None:
     """Without noise, the level of the current follows from the stored parameters and the fault."""
     recipe = replace(
-        RECIPES["bench"], sensor=SensorParameters(current_noise_a=0.0), timing=Timing(duration_s=0.2)
+        load_recipe("bench"), sensor=SensorParameters(current_noise_a=0.0), timing=Timing(duration_s=0.2)
     )
     data = generate_arrays(recipe, 1, 60)
     p = data.parameters
@@ -114,7 +113,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
 
 
 def test_the_starts_of_a_motor_share_its_parameters_and_begin_healthy() -> None:
-    recipe = replace(RECIPES["field"], timing=Timing(duration_s=0.002))
+    recipe = replace(load_recipe("field"), timing=Timing(duration_s=0.002))
     data = generate_arrays(recipe, 1, 400)
     by_motor = data.motor_id.reshape(80, 5)
     assert (by_motor == by_motor[:, :1]).all()
@@ -132,7 +131,7 @@ def test_the_starts_of_a_motor_share_its_parameters_and_begin_healthy() -> None:
 
 
 def test_shifts_have_their_own_conditions_motors_and_files(tmp_path: Path) -> None:
-    recipe = replace(RECIPES["field"], timing=Timing(duration_s=0.002))
+    recipe = replace(load_recipe("field"), timing=Timing(duration_s=0.002))
     generate_dataset(recipe, 200, 1, tmp_path / "set")
     main, hot = load(tmp_path / "set"), load(tmp_path / "set", "shift_hotter")
     assert len(hot) == 20
@@ -147,7 +146,7 @@ def test_shifts_have_their_own_conditions_motors_and_files(tmp_path: Path) -> No
 def test_continuous_and_joint_severities() -> None:
     wide = FaultClass(FaultKind.BEARING, 0.05, severity_to=0.3)
     joint = FaultClass(FaultKind.BEARING, 0.1, also=(FaultClass(FaultKind.WINDING_CONTACT, 0.25),))
-    recipe = replace(SHORT, classes=(FaultClass(), wide, joint), spread=RECIPES["paper"].spread)
+    recipe = replace(SHORT, classes=(FaultClass(), wide, joint), spread=load_recipe("paper").spread)
     data = generate_arrays(recipe, 1, 3000)
     bearings = data.severity[data.class_name == "bearing"]
     assert 0.05 <= bearings.min() < 0.06 < 0.29 < bearings.max() <= 0.3

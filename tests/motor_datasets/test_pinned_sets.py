@@ -30,10 +30,9 @@ from motor_datasets.cli import main
 from motor_datasets.describe import describe, draw_sheet
 from motor_datasets.layout import PlannedFile, bytes_of_case, make_plan
 from motor_datasets.manifest import Entry, Manifest, read_manifest
-from motor_env import InputError, Recipe, Timing
-from motor_env.simulation.named_recipes import RECIPES, named_recipe
+from motor_env import InputError, Recipe, Timing, load_recipe
 
-BENCH, FIELD = RECIPES["bench"], RECIPES["field"]
+BENCH, FIELD = load_recipe("bench"), load_recipe("field")
 SHORT = replace(BENCH, timing=Timing(duration_s=0.01))
 LETTER = {"train": ".", "validation": "v", "test": "t"}
 
@@ -67,7 +66,7 @@ def test_a_case_is_in_the_split_of_its_motor() -> None:
 def test_files_of_32_mb_and_a_tenth_of_the_cases_for_each_shift() -> None:
     """Sizes by hand: 4 bytes a sample, 8 a number or index."""
     assert bytes_of_case(BENCH) == 4 * 1000 + 8 * (7 + 4) == 4088
-    assert bytes_of_case(RECIPES["operation"]) == 4 * 2 * 500 + 8 * (7 + 11 + 2 + 2 + 4)
+    assert bytes_of_case(load_recipe("operation")) == 4 * 2 * 500 + 8 * (7 + 11 + 2 + 2 + 4)
     plan = make_plan(BENCH, 100_000, 1)
     per_file = 32 * 2**20 // 4088
     assert plan.bytes_uncompressed == 408_800_000
@@ -322,7 +321,7 @@ def test_a_dry_run_tells_cases_by_the_time_of_one(
 
 
 def test_the_card_counts_and_names_its_size() -> None:
-    recipe = named_recipe("operation")
+    recipe = load_recipe("operation")
     files = (
         entry(rows=700, bytes=1_250_000),
         entry(path="data/train-000001.parquet", rows=50, bytes=1_250_000),
@@ -366,7 +365,7 @@ def test_croissant_tells_types_units_and_counts() -> None:
 
 def test_a_recipe_is_described_in_its_units() -> None:
     """Numbers as docs/recipes.md gives them: shares in per cent, the rest in SI."""
-    lines = describe(RECIPES["bench-full"]).splitlines()
+    lines = describe(load_recipe("bench-full")).splitlines()
     assert lines[0] == "recipe bench-full"
     for line in (
         "  resistance_ohm = 2.18",
@@ -390,7 +389,7 @@ def test_a_recipe_is_described_in_its_units() -> None:
     assert "  coulomb_ratio: 0.3 to 0.4, each motor" in field
     assert "  adc_bits = 12" in field
     assert "shifts: hotter, loaded, other_sensor, unseen_severity, unseen_kind" in field
-    work = describe(RECIPES["operation"]).splitlines()
+    work = describe(load_recipe("operation")).splitlines()
     assert (
         "supply: up to 12 V, each of these profiles as often: steps, reversals, staircase, binary, sine, speed_loop"
         in work

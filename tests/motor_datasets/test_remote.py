@@ -16,10 +16,9 @@ from upath import UPath
 
 from motor_datasets import generate_dataset, layout, load
 from motor_datasets.cli import main
-from motor_env import InputError, Timing
-from motor_env.simulation.named_recipes import RECIPES
+from motor_env import InputError, Timing, load_recipe
 
-SHORT = replace(RECIPES["bench"], timing=Timing(duration_s=0.01))
+SHORT = replace(load_recipe("bench"), timing=Timing(duration_s=0.01))
 OPTIONS = ["generate", "bench", "--cases", "30", "--seed", "2", "--duration-s", "0.01"]
 
 

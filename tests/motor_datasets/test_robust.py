@@ -18,10 +18,9 @@ import pytest
 
 from motor_datasets import generate_dataset, layout, load
 from motor_datasets.cli import main
-from motor_env import InputError, Timing
-from motor_env.simulation.named_recipes import RECIPES
+from motor_env import InputError, Timing, load_recipe
 
-SHORT = replace(RECIPES["bench"], timing=Timing(duration_s=0.01))
+SHORT = replace(load_recipe("bench"), timing=Timing(duration_s=0.01))
 
 
 def files_of(folder: Path) -> dict[str, bytes]:

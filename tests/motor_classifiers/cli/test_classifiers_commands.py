@@ -22,8 +22,7 @@ from motor_classifiers.contest.task import SEED
 from motor_classifiers.estimators.methods import AT_WORK
 from motor_classifiers.scoring.plan import AnswerStore, Plan, units
 from motor_classifiers.scoring.progress import Cost
-from motor_env import InputError, load_motor
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import InputError, load_motor, load_recipe
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -84,7 +83,7 @@ def test_a_plan_tells_what_is_there_and_the_minutes_left() -> None:
         ["0", "of", "2", "answers", "there"],
     ]
     assert lines[2] == f"2 settings, 6 answers, about {left / 60:.0f} minutes of one core to go"
-    slow = replace(CELL, recipe=named_recipe("field"))
+    slow = replace(CELL, recipe=load_recipe("field"))
     (*_, last) = plan_lines(Plan((slow,), ("posterior-network",)), AnswerStore(), as_json=False)
     assert last == "1 settings, 2 answers, about 10 minutes of one core to go"
 

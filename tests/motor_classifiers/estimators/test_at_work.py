@@ -8,9 +8,9 @@ import pytest
 from motor_classifiers import METHODS, PhysicalFeatures, evaluate_model, load_model, make_method, save_model
 from motor_classifiers.estimators.methods import AT_WORK
 from motor_datasets import generate_arrays, generate_dataset, load
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import load_recipe
 
-OPERATION = named_recipe("operation")
+OPERATION = load_recipe("operation")
 
 
 def test_a_data_set_is_written_learned_from_and_judged(tmp_path: Path) -> None:

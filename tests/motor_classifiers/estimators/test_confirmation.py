@@ -9,9 +9,8 @@ from scipy.stats import binom
 
 from motor_classifiers import ThresholdConfirmationClassifier
 from motor_classifiers.estimators.threshold_rule import window_features
-from motor_env import FaultKind, Recipe, Timing, draw, simulate
+from motor_env import FaultKind, Recipe, Timing, draw, load_recipe, simulate
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
 
 Tuned = tuple[Recipe, ThresholdConfirmationClassifier]
@@ -28,7 +27,7 @@ def names(recipe: Recipe, labels: NDArray[np.int64]) -> NDArray[np.str_]:
 
 @pytest.fixture(scope="module")
 def tuned() -> Tuned:
-    recipe = named_recipe("bench", timing=Timing(sampling_rate_hz=10_000.0))
+    recipe = load_recipe("bench", timing=Timing(sampling_rate_hz=10_000.0))
     measurements, labels = cases(recipe, 1, 1000)
     rule = ThresholdConfirmationClassifier(recipe, false_alarm_rate=0.05)
     return recipe, rule.fit(measurements, names(recipe, labels))
@@ -73,7 +72,7 @@ def test_a_case_is_decided_alike_alone_and_in_company(tuned: Tuned) -> None:
 
 def test_a_rise_of_the_noise_is_told_from_a_bearing() -> None:
     classes = (FaultClass(), FaultClass(FaultKind.BEARING, 0.25), FaultClass(FaultKind.NOISE, 0.5))
-    recipe = named_recipe("paper", classes=classes)
+    recipe = load_recipe("paper", classes=classes)
     measurements, labels = cases(recipe, 1, 300)
     rule = ThresholdConfirmationClassifier(recipe).fit(measurements, names(recipe, labels))
     measurements, labels = cases(recipe, 2, 300)
@@ -82,7 +81,7 @@ def test_a_rise_of_the_noise_is_told_from_a_bearing() -> None:
 
 
 def test_bad_training_cases_are_refused_in_one_sentence() -> None:
-    recipe = named_recipe("bench")
+    recipe = load_recipe("bench")
     measurements, labels = cases(recipe, 1, 60)
     classes = names(recipe, labels)
     with pytest.raises(ValueError, match=r"false_alarm_rate 0\.01 needs at least 99 healthy training cases"):

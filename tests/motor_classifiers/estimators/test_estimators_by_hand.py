@@ -34,12 +34,11 @@ from motor_classifiers.estimators.threshold_rule import ThresholdRule, window_fe
 # Reaches in: only a command names the network that is shipped; its layers are run by hand.
 from motor_classifiers.model_files.persistence import PRETRAINED
 from motor_datasets import generate_arrays
-from motor_env import FaultKind, Timing
+from motor_env import FaultKind, Timing, load_recipe
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
 
-RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 
 
 def rule(**changes: Any) -> ThresholdRule:

@@ -10,10 +10,9 @@ from sklearn.pipeline import Pipeline
 
 from motor_classifiers import METHODS, PosteriorNetwork, ResNetClassifier, make_method
 from motor_datasets import generate_arrays
-from motor_env import Timing
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import Timing, load_recipe
 
-RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 TRAIN = generate_arrays(RECIPE, 5, 300)
 TEST = generate_arrays(RECIPE, 6, 200)
 
@@ -117,7 +116,7 @@ def test_a_method_with_a_stream_does_not_look_at_the_given_starts() -> None:
 
 
 def test_classes_may_be_far_narrower_than_the_spread_of_all() -> None:
-    recipe = named_recipe("paper")  # no tolerances: a winding fault is hundreds of noises away
+    recipe = load_recipe("paper")  # no tolerances: a winding fault is hundreds of noises away
     train, test = generate_arrays(recipe, 5, 200), generate_arrays(recipe, 6, 200)
     model = make_method("residual-qda", recipe, 0).fit(train.X, train.class_name)
     assert (model.predict(test.X) == test.class_name).mean() > 0.9

@@ -23,10 +23,9 @@ from motor_classifiers.estimators.own_methods import answered, fed, find_method
 # Reaches in: no public name shows under which key answers are kept, or how a process is judged that breaks.
 from motor_classifiers.scoring.judging import Cell, answer_key, judge, judge_apart
 from motor_datasets import generate_arrays
-from motor_env import InputError, Timing
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import InputError, Timing, load_recipe
 
-RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 TRAIN = generate_arrays(RECIPE, 1, range(150))
 SOURCE = '''
 from sklearn.ensemble import ExtraTreesClassifier

@@ -17,12 +17,11 @@ from motor_classifiers.estimators.networks.severity_density import severity_prio
 from motor_classifiers.estimators.networks.signal_space import SignalSpace, with_more_noise
 from motor_classifiers.estimators.networks.training import one_thread
 from motor_datasets import generate_arrays
-from motor_env import Channel, FaultKind, Recipe, SensorParameters, Timing, severity_posterior
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import Channel, FaultKind, Recipe, SensorParameters, Timing, load_recipe, severity_posterior
 from motor_env.simulation.recipes import FaultClass
 
-RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
-FULL = named_recipe("bench-full", timing=Timing(1_000.0, 0.1))
+RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
+FULL = load_recipe("bench-full", timing=Timing(1_000.0, 0.1))
 QUICK: dict[str, Any] = {"steps": 400, "batch_size": 256, "n_hidden": 32}
 
 
@@ -99,7 +98,7 @@ def test_it_repeats_itself_to_the_bit_and_leaves_torch_alone() -> None:
 
 def test_a_recipe_with_more_nuisances_is_seen_along_more_directions() -> None:
     seen = {
-        name: SignalSpace.from_recipe(named_recipe(name), None, sees_noise=False).n_coordinates
+        name: SignalSpace.from_recipe(load_recipe(name), None, sees_noise=False).n_coordinates
         for name in ("bench", "field")
     }
     assert seen == {"bench": 10, "field": 28}
@@ -199,8 +198,8 @@ def test_the_noise_may_be_unknown() -> None:
 
 def recipes() -> Iterator[Recipe]:
     yield replace(RECIPE, sensor=SensorParameters(channels=(Channel.CURRENT, Channel.SPEED)))
-    yield named_recipe("field", timing=Timing(1_000.0, 0.05, quiet_s=0.01))
-    yield named_recipe("paper", timing=Timing(1_000.0, 0.006))
+    yield load_recipe("field", timing=Timing(1_000.0, 0.05, quiet_s=0.01))
+    yield load_recipe("paper", timing=Timing(1_000.0, 0.006))
     joint = FaultClass(FaultKind.BEARING, 0.1, also=(FaultClass(FaultKind.NOISE, 1.0),))
     yield replace(RECIPE, classes=(FaultClass(), joint, FaultClass(FaultKind.BEARING, 0.05, severity_to=0.5)))
 

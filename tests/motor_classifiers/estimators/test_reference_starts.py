@@ -17,17 +17,16 @@ from motor_classifiers.estimators.reference_starts import (
     split_starts,
 )
 from motor_datasets import generate_arrays
-from motor_env import MotorParameters, Recipe, Timing, class_probabilities, simulate_states
+from motor_env import MotorParameters, Recipe, Timing, class_probabilities, load_recipe, simulate_states
 
 # Reaches in: pins the prior that healthy starts leave, which no public name shows.
 from motor_env.inference.posterior import prior_from_starts
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.drawing import apply_factors
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass, Spread
 
-BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+BENCH = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 
 
 def _current(recipe: Recipe, motor: MotorParameters, own: FloatArray, supply: float) -> FloatArray:
@@ -109,7 +108,7 @@ def test_the_limit_rises_towards_that_of_a_known_motor() -> None:
 
 
 def test_a_plain_classifier_uses_references_by_recentred_starts() -> None:
-    recipe = named_recipe("bench", timing=Timing(5_000.0, 0.1))
+    recipe = load_recipe("bench", timing=Timing(5_000.0, 0.1))
     train, test = (referenced_starts(recipe, 6, np.arange(1500) + first, 3) for first in (0, 10_000))
     alone = make_pipeline(ResidualProjection(recipe, 6), QuadraticDiscriminantAnalysis())
     given = make_pipeline(RecentredStarts(recipe), clone(alone))
@@ -153,6 +152,6 @@ def test_a_network_learns_from_the_stream_of_referenced_starts() -> None:
     assert np.abs(told.mean - test.severity)[contact].mean() < 0.03
     with pytest.raises(ValueError, match="a case must be 2 starts, got 1"):
         model.fit(test.X[:, :1], test.class_name)
-    full = named_recipe("bench-full", timing=BENCH.timing)
+    full = load_recipe("bench-full", timing=BENCH.timing)
     with pytest.raises(ValueError, match="n_references must be 0 for a recipe with a noise fault"):
         PosteriorNetwork(full, n_references=1).fit_stream()

@@ -20,10 +20,9 @@ from motor_classifiers import ConformalClassifier, load_model, save_model
 from motor_classifiers.estimators.confirmation import _check_rule
 from motor_classifiers.model_files import containers, persistence
 from motor_classifiers.model_files.pipelines import _check_boosting, _check_grown, _check_tree, _check_vectors
-from motor_env import InputError, Timing
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import InputError, Timing, load_recipe
 
-RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.01))
+RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.01))
 NAMES = np.array(sorted(RECIPE.class_names))
 
 

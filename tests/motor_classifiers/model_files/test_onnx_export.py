@@ -14,10 +14,9 @@ from motor_classifiers.cli.main import main
 from motor_classifiers.model_files.onnx_export import INPUT, OUTPUTS, Deployed
 from motor_classifiers.model_files.persistence import PRETRAINED
 from motor_datasets import generate_arrays
-from motor_env import Timing
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import Timing, load_recipe
 
-SHORT = named_recipe("bench-full", timing=Timing(1_000.0, 0.02))
+SHORT = load_recipe("bench-full", timing=Timing(1_000.0, 0.02))
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +69,7 @@ def test_a_network_that_looks_at_the_noise(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_exported_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recipe = named_recipe("bench", timing=Timing(1_000.0, 0.02))
+    recipe = load_recipe("bench", timing=Timing(1_000.0, 0.02))
     train = generate_arrays(recipe, 1, 100)
     model = make_method("residual-qda", recipe, 0).fit(train.X, train.class_name)
     save_model(model, recipe, "residual-qda", tmp_path / "qda.model")

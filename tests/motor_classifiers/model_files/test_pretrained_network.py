@@ -13,8 +13,7 @@ from motor_classifiers.cli.main import main
 # Reaches in: pins the recipe that `train --motor` makes of a data sheet; training on it takes minutes.
 from motor_classifiers.cli.training import network_recipe
 from motor_classifiers.model_files.persistence import PRETRAINED
-from motor_env import load_motor
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import load_motor, load_recipe
 
 ROOT = Path(__file__).resolve().parents[3]
 CAPTURE = str(ROOT / "examples" / "startup_capture.csv")
@@ -25,7 +24,7 @@ def test_the_shipped_network_is_small_and_near_the_limit() -> None:
     assert PRETRAINED.stat().st_size < 300_000
     model, recipe, method = load_model(PRETRAINED)
     assert isinstance(model, PosteriorNetwork)
-    assert (recipe, method) == (named_recipe("bench"), "posterior-network")
+    assert (recipe, method) == (load_recipe("bench"), "posterior-network")
     cell = limit_cell(model, recipe, 1000, 100)
     assert abs(cell["excess"]) < 0.003 + 2.0 * cell["excess_standard_error"]
     assert cell["log_loss"] < 1.02 * cell["limit_log_loss"]

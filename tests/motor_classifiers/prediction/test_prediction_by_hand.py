@@ -26,15 +26,14 @@ from motor_classifiers.prediction import alignment, opinions as opinions_module
 from motor_classifiers.prediction.alignment import aligned_case
 from motor_classifiers.prediction.opinions import UNDECIDED, overall_status, second_opinion
 from motor_classifiers.wrappers.open_set import Verdicts
-from motor_env import Channel, FaultKind, Recipe, Recording, Timing, simulate_states
+from motor_env import Channel, FaultKind, Recipe, Recording, Timing, load_recipe, simulate_states
 from motor_env.console import ExitStatus
 from motor_env.inference.features import FEATURE_NAMES
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
 
-RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 LOUD = replace(RECIPE, classes=(*RECIPE.classes, FaultClass(FaultKind.NOISE, 0.5)))
 
 

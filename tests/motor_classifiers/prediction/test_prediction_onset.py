@@ -10,11 +10,10 @@ from sklearn.base import BaseEstimator
 from motor_classifiers import make_method, predict_recording
 from motor_classifiers.prediction.opinions import UNDECIDED
 from motor_datasets import generate_arrays
-from motor_env import draw, simulate_states
+from motor_env import draw, load_recipe, simulate_states
 from motor_env.motor.faults import apply_faults
-from motor_env.simulation.named_recipes import named_recipe
 
-RECIPE = named_recipe("bench")
+RECIPE = load_recipe("bench")
 FINE = 10  # simulated steps in a sampling interval
 N_STARTS = 20
 

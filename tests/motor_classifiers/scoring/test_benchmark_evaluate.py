@@ -10,10 +10,9 @@ from motor_classifiers import load_model, make_method, save_model
 from motor_classifiers.cli.main import main
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_datasets import generate_dataset, load
-from motor_env import Timing
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import Timing, load_recipe
 
-RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,9 @@ from motor_classifiers.scoring.peers import PEERS, export_starts, read_peers, sh
 from motor_classifiers.scoring.plan import Plan
 from motor_classifiers.scoring.results import result_rows
 from motor_classifiers.scoring.trust import Counts
-from motor_env import InputError, Timing
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import InputError, Timing, load_recipe
 
-CELL = Cell(named_recipe("bench", timing=Timing(1_000.0, 0.1)), 100, 60)
+CELL = Cell(load_recipe("bench", timing=Timing(1_000.0, 0.1)), 100, 60)
 
 
 def _answers(cases: Path, target: Path, **changes: Any) -> None:
@@ -86,7 +85,7 @@ def test_answers_to_other_starts_are_left_out(peers: Path) -> None:
         Cell(recipe, 101, 60),
         Cell(recipe, 100, 61),
         Cell(recipe, 100, 60, seed=1),
-        Cell(named_recipe("bench", timing=Timing(2_000.0, 0.1)), 100, 60),
+        Cell(load_recipe("bench", timing=Timing(2_000.0, 0.1)), 100, 60),
     ):
         assert read_peers(peers, other) is None
 
@@ -122,10 +121,10 @@ def test_poisoned_and_damaged_files_are_refused(
 
 
 def test_shipped_answers_are_those_of_the_default_setting() -> None:
-    found = read_peers(shipped_peers(), Cell(named_recipe("bench")))
+    found = read_peers(shipped_peers(), Cell(load_recipe("bench")))
     assert found is not None
     assert set(found.answers) == set(PEERS)
-    truth = Cell(named_recipe("bench")).test().class_index
+    truth = Cell(load_recipe("bench")).test().class_index
     accuracy = {name: (answer.decided == truth).mean() for name, answer in found.answers.items()}
     # Measured before: QUANT 0.932, MiniRocket 0.817, MultiRocket-Hydra 0.828 on other starts of the recipe.
     assert accuracy["quant"] == pytest.approx(0.935, abs=0.02)

@@ -35,10 +35,9 @@ from motor_classifiers.scoring.judging import (
 from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, make_cells, units
 from motor_classifiers.scoring.results import result_rows
 from motor_classifiers.scoring.trust import TRUST, Counts
-from motor_env import InputError, Recipe, Timing
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import InputError, Recipe, Timing, load_recipe
 
-SLOW = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+SLOW = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 CELL = Cell(SLOW, 300, 200)
 FAST = ["benchmark", "--sampling-rate-hz", "1000", "--n-train", "300", "--n-test", "200"]
 
@@ -182,7 +181,7 @@ def test_answers_survive_and_damaged_ones_are_had_again(tmp_path: Path) -> None:
 
 
 def test_the_key_holds_all_that_an_answer_depends_on() -> None:
-    other = named_recipe("bench", timing=Timing(2_000.0, 0.1))
+    other = load_recipe("bench", timing=Timing(2_000.0, 0.1))
     cells = [CELL, Cell(SLOW, 301, 200), Cell(SLOW, 300, 201), Cell(SLOW, 300, 200, 1), Cell(other, 300, 200)]
     assert len({answer_key("residual-qda", cell) for cell in cells}) == len(cells)
     assert answer_key(LIMIT, cells[0]) == answer_key(LIMIT, cells[1])
@@ -298,7 +297,7 @@ def test_dry_run_tells_what_is_there_and_makes_nothing(
 
 
 def test_commissioning_starts_are_not_judged() -> None:
-    field = named_recipe("field")
+    field = load_recipe("field")
     cases = judged_cases(field, 0, 5)
     assert cases.tolist() == [3, 4, 8, 9, 13]
     assert (judged_cases(SLOW, 7, 3) == [7, 8, 9]).all()
@@ -306,7 +305,7 @@ def test_commissioning_starts_are_not_judged() -> None:
 
 
 def _field_cell() -> Cell:
-    recipe: Recipe = named_recipe("field", timing=Timing(1_000.0, 0.1, 0.02))
+    recipe: Recipe = load_recipe("field", timing=Timing(1_000.0, 0.1, 0.02))
     return Cell(recipe, 200, 100)
 
 

@@ -22,10 +22,9 @@ from motor_classifiers.scoring.metrics import (
     scores,
 )
 from motor_datasets import generate_arrays
-from motor_env import Timing
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import Timing, load_recipe
 
-RECIPE = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 
 
 def test_scores_agree_with_scikit_learn() -> None:

@@ -49,8 +49,7 @@ from motor_classifiers.scoring.verdict_times import STATED_ERRORS, accuracy_by_m
 
 # Reaches in: stand-ins for models answer in the types of real ones; a score is compared with the posterior below it.
 from motor_classifiers.wrappers.fault_family import FamilyFit
-from motor_env import FaultKind, Timing
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import FaultKind, Timing, load_recipe
 from motor_env.simulation.recipes import FACTORS, FaultClass, Spread
 
 
@@ -290,7 +289,7 @@ def test_a_sweep_tries_sizes_at_the_usual_noise() -> None:
 
 def test_times_that_are_expected() -> None:
     """What progress bars go by, in seconds: measured once on two cores, and linear in the work."""
-    usual = Cell(named_recipe("bench"))
+    usual = Cell(load_recipe("bench"))
     by_name = {
         unit.name: unit.seconds for unit in units(Plan((usual,), ("residual-qda", "posterior-network")))
     }
@@ -301,7 +300,7 @@ def test_times_that_are_expected() -> None:
     assert slow == pytest.approx(
         {LIMIT: 0.5 + 0.006, "residual-qda": 1.0 + 0.5 * 160 / 2000 * (0.2 + 0.08), "trust": 5.0 + 3.0}
     )
-    field = Cell(named_recipe("field"))
+    field = Cell(load_recipe("field"))
     assert unit_of(field, "posterior-network").seconds == pytest.approx(600.0)
     assert expected_seconds(field, with_network=True) == 1.0
 
@@ -454,7 +453,7 @@ def test_early_verdicts_need_two_moments(
     n_samples: int, has_figures: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trust_module, "COUNTS", Counts(early=60, healthy=60))
-    short = named_recipe("bench", timing=Timing(1_000.0, 0.001 * n_samples))
+    short = load_recipe("bench", timing=Timing(1_000.0, 0.001 * n_samples))
     early = trust_module._early(Cell(short, 150, 60))  # the section alone: all of them train a network
     assert early.get("time_s") == ([0.010, 0.011] if has_figures else None)
     raced = trust_module._race(Cell(short, 150, 60))
@@ -557,7 +556,7 @@ def test_motors_at_work_have_the_posterior_around_their_fit() -> None:
     from motor_datasets import generate_arrays
     from motor_env.inference.work_features import work_probabilities
 
-    recipe = named_recipe("operation")
+    recipe = load_recipe("operation")
     X = generate_arrays(recipe, 1, 3).X
     np.testing.assert_array_equal(
         best_probabilities(recipe, X), work_probabilities(recipe, X.astype(np.float64))

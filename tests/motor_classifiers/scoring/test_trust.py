@@ -33,11 +33,10 @@ from motor_classifiers.scoring.unknown_faults import (
     foreign_starts,
 )
 from motor_datasets import generate_arrays
-from motor_env import Recipe, Timing, class_probabilities
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import Recipe, Timing, class_probabilities, load_recipe
 from motor_env.simulation.recipes import FaultClass, Spread
 
-BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+BENCH = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 
 
 class Posterior:
@@ -83,7 +82,7 @@ def test_the_posterior_keeps_its_word_and_loses_it_under_shifts() -> None:
 def test_a_field_needs_a_reference() -> None:
     model = Posterior(BENCH)
     still = replace(
-        named_recipe("field").shifted("hotter"), motor=BENCH.motor, timing=BENCH.timing,
+        load_recipe("field").shifted("hotter"), motor=BENCH.motor, timing=BENCH.timing,
         starts_per_motor=1, healthy_starts=0,
     )  # fmt: skip
     sets = calibrated(model)
@@ -187,7 +186,7 @@ def test_figures_are_json_and_survive(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_the_shipped_network_is_taken_where_the_recipe_is_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trust_module, "COUNTS", FEW)
-    recipe = named_recipe("bench")
+    recipe = load_recipe("bench")
     assert shipped_network(recipe) is not None
     assert shipped_network(BENCH) is None
     told = trust_module._severity(Cell(recipe), shipped_network(recipe))
@@ -200,7 +199,7 @@ def test_the_shipped_network_is_taken_where_the_recipe_is_its_own(monkeypatch: p
 
 def test_what_a_setting_cannot_have_is_left_out_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trust_module, "COUNTS", FEW)
-    told = trust_figures(Cell(named_recipe("field"), 100, 100), with_network=True)
+    told = trust_figures(Cell(load_recipe("field"), 100, 100), with_network=True)
     assert all("no closed form" in told[name]["reason"] for name in SECTIONS)
     no_bearing = replace(BENCH, classes=(BENCH.classes[0], BENCH.classes[3]))
     assert "bearing" in trust_module._race(Cell(no_bearing))["reason"]

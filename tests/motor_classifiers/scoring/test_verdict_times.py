@@ -16,8 +16,7 @@ from motor_classifiers.scoring.verdict_times import (
 
 # Reaches in: the rows are the scores of the rule that stops, on probabilities that no classifier gave.
 from motor_classifiers.wrappers.early import stop_when_sure, stopping_score
-from motor_env import FaultKind, Timing
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import FaultKind, Timing, load_recipe
 from motor_env.simulation.recipes import FaultClass
 
 
@@ -54,7 +53,7 @@ def test_rows_are_the_scores_of_the_stopping_rule() -> None:
 
 
 def test_stopping_when_sure_is_sooner_than_a_fixed_time_and_than_the_rules() -> None:
-    recipe = named_recipe("bench", timing=Timing(2_000.0, 0.1))
+    recipe = load_recipe("bench", timing=Timing(2_000.0, 0.1))
     fault = FaultClass(FaultKind.BEARING, 0.4)
     curves = race(recipe, fault, seed=1, first_case=0, n_cases=400, n_healthy=800)
 

@@ -9,10 +9,9 @@ from sklearn.pipeline import make_pipeline
 from motor_classifiers import EarlyClassifier, ResidualProjection
 from motor_classifiers.wrappers.early import limit_by_samples, shortened, stop_when_sure, stopping_score
 from motor_datasets import generate_arrays
-from motor_env import Timing, class_probabilities
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import Timing, class_probabilities, load_recipe
 
-BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+BENCH = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 
 
 def walks(rng: np.random.Generator, n: int, boast: float = 1.0) -> tuple[np.ndarray, np.ndarray]:

@@ -15,13 +15,12 @@ from motor_classifiers import FaultFamilyDetector, OpenSetClassifier, ResidualPr
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, ForeignFault, foreign_starts
 from motor_classifiers.wrappers.fault_family import QUANTITIES, family_fit
 from motor_datasets import generate_arrays
-from motor_env import PAPER_MOTOR, Fault, FaultKind, Recipe, Timing, simulate_states
+from motor_env import PAPER_MOTOR, Fault, FaultKind, Recipe, Timing, load_recipe, simulate_states
 from motor_env.motor.faults import apply_fault, motor_kinds
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
 
-BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+BENCH = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 FIELDS = {
     "resistance": "resistance_ohm",
     "constants": "torque_constant_n_m_per_a",

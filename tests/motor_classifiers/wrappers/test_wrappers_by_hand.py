@@ -29,12 +29,11 @@ from motor_classifiers.wrappers.fault_family import (  # the two last: closed fo
     _hypotheses,
     family_fit,
 )
-from motor_env import Channel, FaultKind, Timing, simulate_states
+from motor_env import Channel, FaultKind, Timing, load_recipe, simulate_states
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass, Spread
 
-BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+BENCH = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 # Strangeness of the true class: 1/8, 1/4 and 1/2, which are exact in binary.
 KNOWN = np.array([[0.875, 0.125], [0.75, 0.25], [0.5, 0.5]])
 

@@ -21,13 +21,13 @@ from motor_env import (
     TolerantFilter,
     WindowedNis,
     in_a_row,
+    load_recipe,
     nis_rule,
 )
 from motor_env.detection.rules import recipe_thresholds, run_lengths
 from motor_env.detection.rules.calibration import healthy_measurements
 from motor_env.detection.rules.tolerant import second_order
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.named_recipes import named_recipe
 
 WANTED = 0.01
 SEED = 2  # of the motors that are tested: not that of the calibration
@@ -63,7 +63,7 @@ def holm(p_values: dict[str, float], level: float = 0.01) -> dict[str, float]:
 
 def false_alarms(recipe_name: str, timing: Timing, tested: int) -> dict[str, int]:
     """Alarms of each rule on healthy motors of a recipe, simulated thresholds from ten times as many others."""
-    recipe = named_recipe(recipe_name, timing=timing)
+    recipe = load_recipe(recipe_name, timing=timing)
     thresholds = recipe_thresholds(list(RULES.values()), recipe, WANTED, runs=10 * tested)
     tolerant, counts = TolerantFilter.from_recipe(recipe), dict.fromkeys(RULES, 0)
     for cases in np.array_split(np.arange(tested), max(1, tested // 500)):
@@ -137,13 +137,13 @@ def test_delays_at_ten_thousand_are_near_the_matched_cusums(shift: float) -> Non
 
 
 def test_a_recipe_without_tolerances_gets_the_exact_threshold() -> None:
-    recipe = named_recipe("paper")
+    recipe = load_recipe("paper")
     exact = Cusum(0.5).threshold_for(false_alarm_probability=WANTED, n_samples=recipe.timing.n_samples)
     assert Cusum(0.5).threshold_for(false_alarm_probability=WANTED, recipe=recipe) == exact
 
 
 def test_a_recipe_with_tolerances_raises_the_threshold() -> None:
-    recipe = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+    recipe = load_recipe("bench", timing=Timing(1_000.0, 0.1))
     threshold = Sprt(0.3).threshold_for(false_alarm_probability=WANTED, recipe=recipe, runs=20_000)
     exact = Sprt(0.3).threshold_for(false_alarm_probability=WANTED, n_samples=100)
     assert threshold.standard_error > 0.0
@@ -164,7 +164,7 @@ def test_run_lengths_do_not_depend_on_the_other_runs_and_follow_the_mean() -> No
 
 def test_tolerances_are_taken_out_to_second_order(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of residuals that are exactly quadratic in the tolerances: r = c + G z + z'Hz / 2 with z standard normal."""
-    recipe = named_recipe("bench", timing=Timing(1_000.0, 0.006))
+    recipe = load_recipe("bench", timing=Timing(1_000.0, 0.006))
     belief = KalmanFilter.from_parameters(recipe.motor, recipe.sensor, 1e-3)
     rng = np.random.default_rng(2)
     constant, slope, bend = (
@@ -208,7 +208,7 @@ def test_the_tolerant_stream_gives_what_the_batch_gives() -> None:
     both = SensorParameters(
         channels=(Channel.CURRENT, Channel.SPEED), current_noise_a=0.02, speed_noise_rad_s=2.0
     )
-    recipe = named_recipe("bench", timing=Timing(1_000.0, 0.05), sensor=both)
+    recipe = load_recipe("bench", timing=Timing(1_000.0, 0.05), sensor=both)
     measurements = healthy_measurements(recipe, 3, np.arange(4)).astype(np.float64)
     measurements[1, 0, 20:25] = np.nan
     measurements[2, :, 30] = np.nan
@@ -223,7 +223,7 @@ def test_the_tolerant_stream_gives_what_the_batch_gives() -> None:
 
 
 def test_bad_requests_for_a_recipe_are_refused() -> None:
-    recipe = named_recipe("bench")
+    recipe = load_recipe("bench")
     with pytest.raises(ValueError, match="recipe goes with false_alarm_probability alone"):
         nis_rule().threshold_for(arl0=100.0, recipe=recipe)
     with pytest.raises(ValueError, match=r"runs must be >= 1000 to calibrate a probability of 0.01, got 50"):

@@ -21,6 +21,7 @@ from motor_env import (
     diagnose,
     identify,
     load_motor,
+    load_recipe,
     read_recording,
     simulate,
 )
@@ -28,7 +29,6 @@ from motor_env.diagnosis.commission import to_motor
 from motor_env.envs.tasks import with_motor
 from motor_env.motor.assumptions import usable_parameters
 from motor_env.motor.data_sheet import to_toml
-from motor_env.simulation.named_recipes import RECIPES
 
 SENSOR = SensorParameters(
     current_noise_a=0.02, speed_noise_rad_s=0.2, channels=(Channel.CURRENT, Channel.SPEED)
@@ -67,7 +67,7 @@ def test_a_guessed_constant_is_marked_warned_of_and_refused_where_speeds_are_see
     assert motor.parameters.torque_constant_n_m_per_a == pytest.approx(0.12)
     with pytest.warns(UserWarning, match="Currents are right, speeds and torques are not"):
         usable_parameters(motor, needs_speed=False)
-    recipe = RECIPES["bench"]
+    recipe = load_recipe("bench")
     with pytest.warns(UserWarning, match="--torque-constant"):
         with_motor(recipe, path)
     with pytest.raises(ValueError, match="commission or identify it with a speed"):

@@ -24,6 +24,7 @@ from motor_env import (
     cli,
     diagnose,
     load_motor,
+    load_recipe,
     read_recording,
     simulate,
 )
@@ -35,7 +36,6 @@ from motor_env.identification.identify import identify
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.start import prepare
 from motor_env.simulation.drawing import apply_factors
-from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.random_streams import Stream, normals
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -57,7 +57,7 @@ def captures(
     known_voltage: bool = True,
     offset_a: float = 0.0,
 ) -> list[Recording]:
-    recipe = RECIPES["bench"]
+    recipe = load_recipe("bench")
     factors = 1.0 + recipe.spread.std * normals(seed, Stream.MOTOR, np.arange(count), 5)
     scenario = Scenario(
         apply_factors(MOTOR.parameters, factors),

@@ -839,7 +839,7 @@ def test_exit_status_of_records(said: list[tuple[str, ...] | None], status: int)
 def test_starts_of_a_recording_share_its_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     rates: list[float] = []
 
-    def judge(part: Recording, motor: object, rate: float, *_: object) -> Judgement:
+    def judge(part: Recording, motor: object, rate: float, **_: object) -> Judgement:
         rates.append(rate)
         return Judgement(Verdict.HEALTHY, ())
 

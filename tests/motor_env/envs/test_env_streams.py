@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import motor_env  # noqa: F401  # registers the environments
-from motor_env import Channel, Cusum, SensorParameters
+from motor_env import Channel, Cusum, SensorParameters, load_recipe
 from motor_env.envs import (
     PI,
     BankPolicy,
@@ -40,11 +40,10 @@ from motor_env.envs import (
     drive_episodes,
     maintenance_bound,
 )
-from motor_env.simulation.named_recipes import named_recipe
 
 KEPT = Path(__file__).with_name("env_streams.json")
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
-BOTH = replace(named_recipe("bench"), sensor=SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 0.5))
+BOTH = replace(load_recipe("bench"), sensor=SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 0.5))
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "two sensors, from standstill": (
         "motor_env/Monitor-v0",

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from accuracy_limits import class_limits, severity_limit
 
-from motor_env import FaultKind, SensorParameters, SeverityPrior, Timing
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env import FaultKind, SensorParameters, SeverityPrior, Timing, load_recipe
 
-BENCH = named_recipe("bench")
+BENCH = load_recipe("bench")
 BENCH_1KHZ = replace(BENCH, timing=Timing(1_000.0, 0.1))
 
 

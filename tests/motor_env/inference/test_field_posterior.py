@@ -7,7 +7,7 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
-from motor_env import FaultKind, Recipe, Timing, class_probabilities, draw
+from motor_env import FaultKind, Recipe, Timing, class_probabilities, draw, load_recipe
 from motor_env.inference.class_model import ClassModel
 from motor_env.inference.field_posterior import (
     Linear,
@@ -23,13 +23,12 @@ from motor_env.motor.parameters import FloatArray
 
 # Reaches in: what a draw measures, and the numbers of each stream behind it, show in no public name.
 from motor_env.simulation.drawing import measure_draw
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.recipes import FACTORS, FaultClass
 
-BENCH = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+BENCH = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 FIELD = replace(
-    named_recipe("field"), starts_per_motor=1, healthy_starts=0, timing=Timing(2_000.0, 0.05, 0.01)
+    load_recipe("field"), starts_per_motor=1, healthy_starts=0, timing=Timing(2_000.0, 0.05, 0.01)
 )
 
 
@@ -247,7 +246,7 @@ def test_shares_of_the_converter_sum_to_one() -> None:
 
 def test_a_class_whose_first_fit_is_far_away_is_not_given_up() -> None:
     """Begun at the nominal motor, the fit of its true class, winding_contact_10, ends 16 below the best."""
-    recipe = replace(named_recipe("field"), starts_per_motor=1, healthy_starts=0)
+    recipe = replace(load_recipe("field"), starts_per_motor=1, healthy_starts=0)
     (start,) = measure_draw(draw(recipe, 41, [1828]), recipe, 41)
     probabilities, effective = sampled_probabilities(recipe, start, np.random.default_rng([41, 0, 1828]))
     assert probabilities[3] == pytest.approx(0.5, abs=0.1)

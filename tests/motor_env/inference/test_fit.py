@@ -18,6 +18,7 @@ from motor_env import (
     Timing,
     cramer_rao_bound,
     draw,
+    load_recipe,
     simulate,
     simulate_states,
 )
@@ -32,7 +33,6 @@ from motor_env.inference.sensitivities import (
     normal_equations,
 )
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.named_recipes import named_recipe
 
 TIMING = Timing(10_000.0, 0.1)
 SENSOR = SensorParameters()
@@ -212,7 +212,7 @@ def test_the_null_direction_of_current_alone_is_refused_and_speed_opens_it() -> 
 
 
 def test_physical_features_see_the_faults() -> None:
-    recipe = named_recipe("bench")
+    recipe = load_recipe("bench")
     drawn = draw(recipe, 5, np.arange(200))
     measured = simulate(drawn.scenario, 5, drawn.cases).measurements
     features = physical_features(recipe, measured)

@@ -15,13 +15,13 @@ from motor_env import (
     Timing,
     cramer_rao_bound,
     identifiability,
+    load_recipe,
     simulate_states,
 )
 from motor_env.inference.identifiability import Identifiability, isolability
 from motor_env.inference.parametrisation import QUANTITIES, Coordinates
 from motor_env.inference.whitening import MatchedTest
 from motor_env.motor.faults import apply_fault, motor_kinds
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import Spread
 
 TIMING = Timing(10_000.0, 0.1)
@@ -31,7 +31,7 @@ BOTH = SensorParameters(
 )
 START = Experiment.start(TIMING, CURRENT)
 STEADY = replace(Experiment.start(Timing(10_000.0, 0.2), CURRENT), first_sample=1000)
-BENCH = named_recipe("bench")
+BENCH = load_recipe("bench")
 
 
 def test_bounds_are_those_of_cramer_and_rao() -> None:

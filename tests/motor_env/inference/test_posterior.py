@@ -18,6 +18,7 @@ from motor_env import (
     class_probabilities,
     draw,
     excess_over_limit,
+    load_recipe,
     simulate,
     simulate_states,
 )
@@ -36,10 +37,9 @@ from motor_env.motor.parameters import FloatArray
 
 # Reaches in: `Draw` is the type of what the public `draw` returns.
 from motor_env.simulation.drawing import Draw
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
 
-BENCH_1KHZ = named_recipe("bench", timing=Timing(1_000.0, 0.1))
+BENCH_1KHZ = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 ALL_KINDS = (
     FaultClass(),
     FaultClass(FaultKind.BEARING, 0.25),
@@ -115,7 +115,7 @@ def test_laplace_agrees_with_importance_sampling(classes: tuple[FaultClass, ...]
     ],
 )
 def test_limit_of_the_bench_recipe(rate_hz: float, noise_a: float, expected: float) -> None:
-    recipe = named_recipe(
+    recipe = load_recipe(
         "bench", sensor=SensorParameters(current_noise_a=noise_a), timing=Timing(rate_hz, 0.1)
     )
     drawn, measured = drawn_measurements(recipe, 400)
@@ -128,7 +128,7 @@ def test_limit_of_the_bench_recipe(rate_hz: float, noise_a: float, expected: flo
 
 
 def test_without_spread_the_evidence_is_the_likelihood() -> None:
-    recipe = named_recipe("paper", classes=ALL_KINDS, timing=Timing(1_000.0, 0.05, quiet_s=0.01))
+    recipe = load_recipe("paper", classes=ALL_KINDS, timing=Timing(1_000.0, 0.05, quiet_s=0.01))
     _, measured = drawn_measurements(recipe, 20)
     expected = np.empty((20, len(ALL_KINDS)))
     voltage = np.where(recipe.timing.interval_start_s >= -1e-12, 12.0, 0.0)
@@ -144,7 +144,7 @@ def test_without_spread_the_evidence_is_the_likelihood() -> None:
 def test_two_known_signals_reach_the_matched_filter() -> None:
     """Two equally likely known signals in white noise: best accuracy Phi(d' / 2)."""
     classes = (FaultClass(), FaultClass(FaultKind.BEARING, 0.10))
-    recipe = named_recipe("paper", classes=classes)
+    recipe = load_recipe("paper", classes=classes)
     _, measured = drawn_measurements(recipe, 2000)
     dt = recipe.timing.dt_s
     voltage = np.full(recipe.timing.n_samples, 12.0)

@@ -15,6 +15,7 @@ from motor_env import (
     SeverityPrior,
     Timing,
     draw,
+    load_recipe,
     severity_posterior,
     simulate,
     simulate_states,
@@ -23,10 +24,9 @@ from motor_env.inference.posterior import class_log_evidence
 from motor_env.inference.severity import SeverityPosterior
 from motor_env.motor.faults import apply_fault
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
 
-BENCH = named_recipe("bench", classes=(FaultClass(),))
+BENCH = load_recipe("bench", classes=(FaultClass(),))
 
 
 def graded(recipe: Recipe, kind: FaultKind, n: int, seed: int = 9) -> tuple[FloatArray, FloatArray]:
@@ -40,7 +40,7 @@ def graded(recipe: Recipe, kind: FaultKind, n: int, seed: int = 9) -> tuple[Floa
 @pytest.mark.parametrize("kind", list(FaultKind))
 @pytest.mark.parametrize("noise_a", [0.002, 0.05])
 def test_known_motor_posterior_is_the_integral(kind: FaultKind, noise_a: float) -> None:
-    recipe = named_recipe(
+    recipe = load_recipe(
         "paper",
         classes=(FaultClass(),),
         sensor=SensorParameters(current_noise_a=noise_a),

@@ -15,16 +15,16 @@ from motor_env import (
     SensorParameters,
     Timing,
     draw,
+    load_recipe,
     run_filter,
     simulate,
 )
 from motor_env.inference.whitening import MarginalWhitener, MatchedTest, StatisticLaw, innovation_slopes
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass
 
-BENCH = named_recipe("bench")
-PAPER = named_recipe("paper")
+BENCH = load_recipe("bench")
+PAPER = load_recipe("paper")
 BEARING_10 = Fault(FaultKind.BEARING, 0.10)
 CONTACT_5 = Fault(FaultKind.WINDING_CONTACT, 0.05)
 

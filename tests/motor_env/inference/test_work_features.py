@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import log_softmax
 
-from motor_env import FaultKind, draw
+from motor_env import FaultKind, draw, load_recipe
 from motor_env.inference.class_model import ClassModel
 from motor_env.inference.field_posterior import sampled_probabilities
 from motor_env.inference.work_features import work_feature_names, work_features, work_probabilities
@@ -14,10 +14,9 @@ from motor_env.motor.parameters import FloatArray
 
 # Reaches in: `motor_datasets` keeps what is measured, not the draw; these tests compare the two.
 from motor_env.simulation.drawing import measure_draw
-from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FACTORS, FaultClass
 
-OPERATION = named_recipe("operation")
+OPERATION = load_recipe("operation")
 DRAWN = draw(OPERATION, 5, np.arange(150))
 CASES = measure_draw(DRAWN, OPERATION, 5).astype(np.float64)
 

@@ -6,7 +6,7 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from motor_env import PAPER_MOTOR, Channel, MotorParameters, SensorParameters, SupplyParameters
+from motor_env import PAPER_MOTOR, Channel, MotorParameters, SensorParameters, SupplyParameters, load_recipe
 from motor_env.motor.parameters import (
     CATALOGUE,
     COPPER_PER_KELVIN,
@@ -18,7 +18,6 @@ from motor_env.motor.parameters import (
     catalogue_motor,
     require_plausible,
 )
-from motor_env.simulation.named_recipes import named_recipe
 
 FIELDS = (
     "resistance_ohm",
@@ -128,7 +127,7 @@ def test_the_papers_motor_and_the_constants_of_physics_stand_as_printed() -> Non
 
 @pytest.mark.parametrize("field", FIELDS)
 def test_numbers_beyond_every_motor_are_refused(field: str) -> None:
-    recipe = named_recipe("paper")
+    recipe = load_recipe("paper")
     for value in (1e-15, 1e12):
         require_plausible(replace(PAPER_MOTOR, **{field: value}), "motor")
     for value in (0.999e-15, 1.001e12):

@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from scipy.stats import norm
 
-from motor_env import Experiment, cramer_rao_bound
+from motor_env import Experiment, cramer_rao_bound, load_recipe
 from motor_env.envs import (
     MaintainEnv,
     MaintainOptions,
@@ -26,7 +26,6 @@ from motor_env.envs.maintain.policies import (  # the grid of the plan, filled b
     _STDS as STDS,
     clairvoyant_value,
 )
-from motor_env.simulation.named_recipes import named_recipe
 
 SPREAD = MaintainOptions(rate_spread=0.5)
 
@@ -124,7 +123,7 @@ def test_wear_follows_its_law_and_failures_come_where_they_must() -> None:
 
 
 def test_an_estimate_errs_as_a_start_of_the_bench_does() -> None:
-    recipe = named_recipe("bench")
+    recipe = load_recipe("bench")
     start = Experiment.start(recipe.timing, recipe.sensor, float(recipe.supply.voltage_v))
     names, spread = ("friction", "supply", "resistance", "constants", "inertia"), recipe.spread
     prior = [np.inf, *(getattr(spread, name) for name in names[1:])]
