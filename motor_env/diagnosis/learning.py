@@ -18,7 +18,9 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.recording import Recording
 from motor_env.recordings.start import Circuit, prepare
 
-SPREAD_PRIOR = 0.02
+START_SPREAD, WINDOW_SPREAD = 0.02, 0.01
+"""Standard deviation of a logarithm from piece to piece, as believed before any is seen. A window averages over what
+changes from one start to the next: the supply, the rotor's position, the first turns of the bearings."""
 NOISE_SPREAD_PRIOR = 0.10
 _DISAGREE = 0.5  # standard deviation of a logarithm between healthy starts
 _SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm from start to start, and how many are odd
@@ -69,8 +71,7 @@ def next_piece(fits: Sequence[Fitted], prior_sd: float) -> tuple[FloatArray, Flo
 def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
     """What all healthy pieces but one teach, fitted with the same model."""
     others = [fit for n, fit in enumerate(fits) if n != number]
-    steady = healthy.windows is not None and healthy.temperature_k == 0.0
-    centre, covariance, freedom = next_piece(others, 0.0 if steady else SPREAD_PRIOR)
+    centre, covariance, freedom = next_piece(others, _prior(healthy))
     return replace(
         healthy,
         pieces=len(others),
@@ -80,6 +81,13 @@ def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
     )
 
 
+def _prior(healthy: Healthy) -> float:
+    """Spread that was believed of its pieces beforehand."""
+    if healthy.windows is None:
+        return START_SPREAD
+    return WINDOW_SPREAD if healthy.temperature_k else 0.0  # of a steady motor: none
+
+
 def learn_starts(fits: Sequence[Identified]) -> Healthy:
     """What healthy starts of one motor teach about its next start, with a prior of 2 % (1 sd) on every quantity.
 
@@ -87,7 +95,7 @@ def learn_starts(fits: Sequence[Identified]) -> Healthy:
         fits: healthy starts, fitted with the same model, one or more.
     """
     n = len(fits)
-    centre, covariance, freedom = next_piece(fits, SPREAD_PRIOR)
+    centre, covariance, freedom = next_piece(fits, START_SPREAD)
     noise = np.log([max(fit.noise_a, 1e-12) for fit in fits])
     ripples = [ripple_quantities(fit) for fit in fits]
     ripple = np.log([pair for pair in ripples if pair is not None])
@@ -103,7 +111,7 @@ def learn_starts(fits: Sequence[Identified]) -> Healthy:
         quiet_s=max(min(fit.onset_s - float(fit.start.time_s[0]) for fit in fits), 0.0),
         ripple_hz=float(np.exp(ripple[:, 0].mean())) if has_ripple else None,
         ripple_constant_v_s=float(np.exp(ripple[:, 1].mean())) if has_ripple else None,
-        ripple_log_sd=max(next_sd(row, SPREAD_PRIOR) for row in ripple.T) if has_ripple else None,
+        ripple_log_sd=max(next_sd(row, START_SPREAD) for row in ripple.T) if has_ripple else None,
     )
     return Healthy(n, freedom, fits[0].quantity_names, np.exp(centre), covariance, starts=starts)
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.learning import SPREAD_PRIOR, next_piece
+from motor_env.diagnosis.learning import WINDOW_SPREAD, next_piece
 from motor_env.diagnosis.running.windows import (
     MOST_SAMPLES,
     NAMES,
@@ -85,7 +85,7 @@ def learn_windows(
     volts = [rms_volts(part) for part in parts]
     speed = effective_speed(joint)
     found = [over_speed(fit, known, speed) for fit in fits]
-    centre, covariance, freedom = next_piece(found, 0.0 if steady else SPREAD_PRIOR)
+    centre, covariance, freedom = next_piece(found, 0.0 if steady else WINDOW_SPREAD)
     windows = Windows(
         window_s=window_s,
         terms=wanted,

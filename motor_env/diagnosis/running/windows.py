@@ -19,6 +19,7 @@ from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
 from motor_env.diagnosis.spread import beyond
 from motor_env.diagnosis.verdict import Judgement, Verdict
+from motor_env.errors import InputError
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
@@ -183,10 +184,16 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
 
     Raises:
         UnusableError: the healthy pieces are no windows, or do not tell R, K, J and B.
+        InputError: their physical values are not as many as the fit has.
     """
     reference = reference_of_pieces(healthy, NAMES, motor, are_starts=False, temperature_c=temperature_c)
     if healthy.windows is None or reference is None or reference.names != NAMES:
         raise UnusableError(f"the healthy pieces of {motor} do not tell {', '.join(NAMES)} of windows")
+    if len(healthy.windows.physical) != kernel.N_VALUES:
+        raise InputError(
+            f"{motor}: healthy.windows.physical must have {kernel.N_VALUES} values,"
+            f" got {len(healthy.windows.physical)}"
+        )
     return WindowJudge(healthy.windows, reference)
 
 

@@ -91,17 +91,30 @@ nominal_voltage_v = 12.0
 resistance = 0.02
 [sensor]
 current_noise_a = 0.01
-[reference]
-starts = 5
+[healthy]
+pieces = 5
 degrees_of_freedom = 8.0
 quantities = ["R", "L"]
 values = [2.2, 2.4e-4]
 log_covariance = [[4e-4, 0.0], [0.0, 2.5e-3]]
+"""
+STARTS = """
+[healthy.starts]
 log_noise = -4.0
 log_noise_sd = 0.1
 sampling_rate_hz = 6000.0
 duration_s = 0.08
 """
+WINDOWS = """
+[healthy.windows]
+window_s = 2.0
+terms = ["R"]
+physical = [2.2]
+hold = "held"
+dt_s = 1e-3
+speed_rad_s = 300.0
+"""
+MOTORS = (MOTOR + STARTS, MOTOR + WINDOWS)
 
 ABSURD = [
     *[value for value in hostile.ABSURD if value is not None and value != "\ud800"],  # TOML has neither
@@ -133,7 +146,7 @@ def check_mutations(folder: Path, seeds: range) -> None:
     refusals = 0
     for seed in seeds:
         is_motor, path = seed % 3 == 0, folder / f"{seed}.toml"
-        text = strange(MOTOR if is_motor else RECIPES[seed % 2], np.random.default_rng(seed))
+        text = strange(MOTORS[seed % 2] if is_motor else RECIPES[seed % 2], np.random.default_rng(seed))
         path.write_text(text, encoding="utf-8")
 
         def drawn(path: Path = path, is_motor: bool = is_motor) -> None:
@@ -141,6 +154,13 @@ def check_mutations(folder: Path, seeds: range) -> None:
 
         refusals += refused_or_same(drawn, path, named=False, error=ValueError) != ""
     assert 0.3 * len(seeds) < refusals < len(seeds)
+
+
+@pytest.mark.parametrize("text", MOTORS)
+def test_the_motor_files_are_good_until_they_are_made_strange(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "motor.toml"
+    path.write_text(text, encoding="utf-8")
+    check_data(motor_recipe(load_motor(path)))
 
 
 def test_strange_files_give_finite_data_or_one_sentence(tmp_path: Path) -> None:
@@ -191,17 +211,17 @@ def test_a_strange_recipe_is_one_sentence(tmp_path: Path, text: str, sentence: s
         ("resistance_ohm = 2.18", "resistance_ohm = true"),
         ("torque_constant_mnm_per_a = 23.5", "torque_constant_mnm_per_a = 1e300"),
         ("rotor_inertia_g_cm2 = 10.7", "rotor_inertia_g_cm2 = 1e-310"),
-        ("starts = 5", "starts = true"),
-        ("starts = 5", "starts = 5.5"),
+        ("pieces = 5", "pieces = true"),
+        ("pieces = 5", "pieces = 5.5"),
         ("values = [2.2, 2.4e-4]", "values = [2.2]"),
         ("[4e-4, 0.0]", "[4e-4]"),
         ("degrees_of_freedom = 8.0", "degrees_of_freedom = 1e300"),
     ],
 )
 def test_a_strange_motor_is_one_sentence(tmp_path: Path, old: str, new: str) -> None:
-    path = tmp_path / "strange.toml"
-    assert old in MOTOR
-    path.write_text(MOTOR.replace(old, new))
+    path, good = tmp_path / "strange.toml", MOTORS[0]
+    assert old in good
+    path.write_text(good.replace(old, new))
     refused(lambda: load_motor(path), path)
 
 
