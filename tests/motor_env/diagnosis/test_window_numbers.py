@@ -628,7 +628,7 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     logs = LOGS + np.log([1.0, 1.0, 1.0, 5e-6])
     np.testing.assert_allclose([fit.log_values for fit in learned], logs)
     centre, error = logs.mean(axis=0), np.eye(4) * 1e-4
-    prior = error + (0.0 if steady else 4e-4) * np.eye(4)
+    prior = error + (0.0 if steady else 1e-4) * np.eye(4)
     scatter = (logs - centre).T @ (logs - centre)
     covariance = (scatter + 4.0 * prior) / 9.0 * 7.0 / 6.0
     np.testing.assert_allclose(found.values, np.exp(centre))
