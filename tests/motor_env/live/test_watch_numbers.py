@@ -30,13 +30,14 @@ from motor_env.live.watch import Event, Lesson, Watch
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.parameters import RAD_S_PER_RPM
+from motor_env.operation import kernel
 from motor_env.recordings.defects import UnusableError
 
 HEADER = b"speed_rpm,t_ms,voltage_mv,current_ma\n"
 WINDOWS = Windows(
     window_s=0.0995,
     terms=(),
-    physical=np.zeros(1),
+    physical=np.zeros(kernel.N_VALUES),
     hold="held",
     dt_s=1e-3,
     speed_rad_s=50.0,
