@@ -44,14 +44,6 @@ _STEPS = {
 _TREES = (DecisionTreeClassifier, ExtraTreeClassifier)
 _FORESTS = (RandomForestClassifier, ExtraTreesClassifier)
 _SCHEMA = "schema.json"
-_OLD_MODULES = {
-    "PhysicalFeatures": "motor_classifiers.features",
-    "ResidualProjection": "motor_classifiers.features",
-    "RecentredStarts": "motor_classifiers.reference",
-    "RuleStatistics": "motor_classifiers.rule_statistics",
-}
-"""Where these classes were when older files were written."""
-
 _OWN = {made.__name__: made.__module__ for made in _WITH_RECIPE}
 TRUSTED = [
     *(f"{module}.{name}" for name, module in _OWN.items()),
@@ -143,7 +135,7 @@ def load_pipeline(members: dict[str, bytes], recipe: Recipe) -> Pipeline:
     """
     import skops.io
 
-    schema = parsed(members[_SCHEMA], object_hook=_with_new_name)
+    schema = parsed(members[_SCHEMA])
     foreign = _foreign_types(schema)
     if foreign:
         raise InputError(
@@ -187,14 +179,6 @@ def with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
         for name in ("_random_state", "_optimizer"):  # of the training alone, and not safe to load
             vars(changed).pop(name, None)
     return changed
-
-
-def _with_new_name(node: dict[str, Any]) -> dict[str, Any]:
-    """A part of a schema with our class named by the module in which it is now."""
-    name = node.get("__class__")
-    if isinstance(name, str) and name in _OLD_MODULES and node.get("__module__") == _OLD_MODULES[name]:
-        node["__module__"] = _OWN[name]
-    return node
 
 
 def _steps(model: BaseEstimator) -> Iterator[BaseEstimator]:

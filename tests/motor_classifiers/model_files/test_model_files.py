@@ -24,14 +24,12 @@ from motor_classifiers import (
     ConformalClassifier,
     OpenSetClassifier,
     load_model,
-    make_method,
     opinions,
     save_model,
 )
 from motor_classifiers.cli.main import main
 
 # Reaches in: a step that stands in files without a public name, and starts that no recipe draws.
-from motor_classifiers.estimators.reference_starts import RecentredStarts
 from motor_classifiers.model_files.persistence import FORMAT
 from motor_classifiers.scoring.unknown_faults import ForeignFault, foreign_starts
 from motor_datasets import generate_arrays, generate_dataset
@@ -181,25 +179,6 @@ def renamed(file: bytes, names: dict[str, str]) -> bytes:
         assert name.encode() in members["schema.json"]
         members["schema.json"] = members["schema.json"].replace(name.encode(), other.encode())
     return archive_of(members)
-
-
-def test_pipelines_with_the_old_names_of_their_classes_load(tmp_path: Path) -> None:
-    """Files from before the classes moved into packages."""
-    features = {"motor_classifiers.estimators.features": "motor_classifiers.features"}
-    starts = {"motor_classifiers.estimators.reference_starts": "motor_classifiers.reference"}
-    rules = {"motor_classifiers.estimators.features": "motor_classifiers.rule_statistics"}
-    with_starts = make_pipeline(RecentredStarts(RECIPE), make_method("rules", RECIPE, 0))
-    with_starts.fit(TRAIN.X, TRAIN.class_name)
-    for file, names, model in (
-        (content("physical-forest"), features, fitted("physical-forest")),
-        (file_of(with_starts, "rules"), starts | rules, with_starts),
-    ):
-        old = tmp_path / "old.model"
-        old.write_bytes(renamed(file, names))
-        loaded = load_model(old)[0]
-        np.testing.assert_array_equal(loaded.predict_proba(TRAIN.X[:9]), model.predict_proba(TRAIN.X[:9]))
-    other = renamed(content("residual-qda"), {"ResidualProjection": "whitened_residual"} | features)
-    assert "motor_classifiers.features.whitened_residual" in refusal(other, tmp_path)
 
 
 def test_a_step_of_another_type_is_neither_saved_nor_loaded(tmp_path: Path) -> None:
