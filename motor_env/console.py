@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import IntEnum
 from functools import partial
@@ -46,6 +46,20 @@ class ExitStatus(IntEnum):
     BAD_INPUT = 2
     UNDECIDED = 3
     BUG = 70  # EX_SOFTWARE of sysexits.h; Python's own 1 would read as a fault of the motor
+
+
+_WORST_FIRST = (
+    ExitStatus.BUG,
+    ExitStatus.BAD_INPUT,
+    ExitStatus.FAULT,
+    ExitStatus.UNDECIDED,
+    ExitStatus.HEALTHY,
+)
+
+
+def worst(statuses: Iterable[ExitStatus]) -> ExitStatus:
+    """The exit status of several files or pieces; undecided where there is none."""
+    return min(statuses, key=_WORST_FIRST.index, default=ExitStatus.UNDECIDED)
 
 
 def run(app: App, arguments: Sequence[str] | None = None) -> int:

@@ -47,7 +47,7 @@ def diagnose(
         verbose: Print how well model and filter fit, too.
         json_: Print one array with one object a file.
     """
-    from motor_env.diagnosis.files import diagnose_files, exit_status
+    from motor_env.diagnosis.files import diagnose_files
 
     with console.working("reading") as say:
         outcomes = diagnose_files(
@@ -73,7 +73,7 @@ def diagnose(
             lambda: "\n".join(o.as_text(verbose=verbose) for o in judged),
         )
     measurement.keep()
-    return exit_status(outcomes)
+    return int(console.worst(outcome.status for outcome in outcomes))
 
 
 def trend(

@@ -14,7 +14,6 @@ from motor_env.console import ExitStatus
 from motor_env.diagnosis.commission import commission
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import Diagnosis, diagnose
-from motor_env.diagnosis.shown import report
 from motor_env.errors import InputError
 from motor_env.files import write_text
 from motor_env.motor.data_sheet import Motor, load_motor
@@ -32,6 +31,13 @@ class Outcome:
     diagnosis: Diagnosis | None
     error: str | None = None
     is_bug: bool = False
+
+    @property
+    def status(self) -> ExitStatus:
+        """Exit status that it alone gives."""
+        if self.diagnosis is None or self.is_bug:
+            return ExitStatus.BUG if self.is_bug else ExitStatus.BAD_INPUT
+        return self.diagnosis.verdict.status
 
     def as_json(self) -> dict[str, Any]:
         """One object; a file that could not be read has the verdict unusable, and the error."""
@@ -120,14 +126,6 @@ def _learned(
     return commission(
         healthy, "this motor", columns, word="recording", fewest=1, constant=constant, **shared
     ).motor
-
-
-def exit_status(outcomes: Sequence[Outcome]) -> int:
-    """As of the verdicts; 2 where a file could not be read, 70 for a bug."""
-    if any(outcome.is_bug for outcome in outcomes):
-        return int(ExitStatus.BUG)
-    verdicts = [outcome.diagnosis.verdict for outcome in outcomes if outcome.diagnosis is not None]
-    return report.exit_status(verdicts, unreadable=len(verdicts) < len(outcomes))
 
 
 def _with_page(outcome: Outcome, path: Path) -> Outcome:

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
+from motor_env.console import ExitStatus
 from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.filter_check import FilterCheck
 from motor_env.diagnosis.healthy_motor import Reference
@@ -35,6 +36,13 @@ class Verdict(StrEnum):
     def is_fault(self) -> bool:
         """Whether it calls for action."""
         return self not in (Verdict.HEALTHY, Verdict.NO_REFERENCE, Verdict.UNUSABLE)
+
+    @property
+    def status(self) -> ExitStatus:
+        """Exit status that it alone gives."""
+        if self.is_fault:
+            return ExitStatus.FAULT
+        return ExitStatus.HEALTHY if self is Verdict.HEALTHY else ExitStatus.UNDECIDED
 
     @classmethod
     def _missing_(cls, value: object) -> Verdict | None:

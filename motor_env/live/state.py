@@ -7,11 +7,13 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from motor_env.console import ExitStatus
+from motor_env.console import ExitStatus, worst
+from motor_env.diagnosis.verdict import Verdict
 from motor_env.errors import InputError
 from motor_env.files import write_text
 
-_NO_FAULT = ("window healthy", "window unusable")
+WINDOW = "window "
+"""How the counts of verdicts on windows are named: this, and the verdict."""
 
 
 @dataclass
@@ -50,8 +52,8 @@ class State:
 
     @property
     def exit_status(self) -> ExitStatus:
-        """1: any fault; 3: a window that cannot be judged, or none; 0: all healthy."""
-        if any(n for name, n in self.counts.items() if name.startswith("window ") and name not in _NO_FAULT):
-            return ExitStatus.FAULT
-        judged = self.counts["window healthy"] and not self.counts["window unusable"]
-        return ExitStatus.HEALTHY if judged else ExitStatus.UNDECIDED
+        """Of the verdicts on windows; undecided where there is none."""
+        words = [
+            name.removeprefix(WINDOW) for name, n in self.counts.items() if n and name.startswith(WINDOW)
+        ]
+        return worst(Verdict(word).status for word in words)

@@ -22,7 +22,7 @@ from motor_env.diagnosis.running.windows import WindowJudge, averaged, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.live.sources import NEW_FILE, Notice, Piece
-from motor_env.live.state import State
+from motor_env.live.state import WINDOW, State
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -63,7 +63,7 @@ class Event:
     @property
     def name(self) -> str:
         """By which it is counted."""
-        return f"window {self.text}" if self.kind == "window" else self.kind
+        return f"{WINDOW}{self.text}" if self.kind == "window" else self.kind
 
     def as_json(self) -> str:
         """One line."""

@@ -5,15 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
 from motor_env import __version__, console
 from motor_env.errors import InputError, require_extra
-
-if TYPE_CHECKING:
-    from motor_classifiers.prediction.opinions import Opinion
 
 app = App(
     name="motor-classifiers",
@@ -160,21 +157,20 @@ def predict(
     _require_extras()
     from motor_classifiers.cli.opinions import opinion_lines, opinions_of
     from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-    from motor_classifiers.prediction.opinions import overall_status
+    from motor_classifiers.prediction.opinions import UNDECIDED
 
     fitted, recipe, _ = load_model(PRETRAINED if model is None else model)
     rows: list[dict[str, Any]] = []
-    given: list[Opinion] = []
-    unreadable = False
+    statuses: list[console.ExitStatus] = []
     for path in files:
         try:
             opinions, second = opinions_of(fitted, recipe, path, split)
         except InputError as error:
             print(f"motor-classifiers: {error}", file=sys.stderr)
-            rows.append({"file": str(path), "error": str(error)})
-            unreadable = True
+            rows.append({"file": str(path), "verdict": UNDECIDED, "error": str(error)})
+            statuses.append(console.ExitStatus.BAD_INPUT)
             continue
-        given += opinions
+        statuses += [opinion.status for opinion in opinions]
         for n, opinion in enumerate(opinions):
             beside = {"row": n} if path.is_dir() else {"model_based": second}
             rows.append({"file": str(path), **opinion.as_json(), **beside})
@@ -182,7 +178,7 @@ def predict(
             print("\n".join(opinion_lines(path, opinions, second)))
     if json_:
         print(console.json_text(rows))
-    return int(console.ExitStatus.BAD_INPUT if unreadable else overall_status(given))
+    return int(console.worst(statuses))
 
 
 @app.command

@@ -149,13 +149,6 @@ def _network_severities(
     return severities
 
 
-def overall_status(given: list[Opinion]) -> ExitStatus:
-    """Fault before undecided before healthy."""
-    statuses = {opinion.status for opinion in given}
-    worst = (ExitStatus.FAULT, ExitStatus.UNDECIDED)
-    return next((status for status in worst if status in statuses), ExitStatus.HEALTHY)
-
-
 def predict(recording: Recording | Path | str, model: Path | str | None = None) -> Opinion:
     """Opinion on one recording.
 

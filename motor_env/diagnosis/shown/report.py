@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from motor_env import console
 from motor_env.diagnosis.explanations import Change
-from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
+from motor_env.diagnosis.verdict import Diagnosis, Judgement
 from motor_env.diagnosis.views import Fitted
 from motor_env.identification.commutation import constants_at, find_ripple
 from motor_env.identification.identify import Identified
@@ -35,16 +34,6 @@ UNITS = {
     "J/V": "A s3",
     "B/V": "A s2",
 }
-
-
-def exit_status(verdicts: Iterable[Verdict], *, unreadable: bool = False) -> int:
-    """0: all healthy; 1: any fault; 2: any input unreadable; 3: no fault, but some undecided or nothing judged."""
-    said = set(verdicts)
-    if unreadable:
-        return int(console.ExitStatus.BAD_INPUT)
-    if any(verdict.is_fault for verdict in said):
-        return int(console.ExitStatus.FAULT)
-    return int(console.ExitStatus.HEALTHY if said == {Verdict.HEALTHY} else console.ExitStatus.UNDECIDED)
 
 
 def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from motor_classifiers import (
 from motor_classifiers.estimators.networks.posterior_network import SeverityEstimate
 from motor_classifiers.prediction import alignment, opinions as opinions_module
 from motor_classifiers.prediction.alignment import aligned_case
-from motor_classifiers.prediction.opinions import UNDECIDED, overall_status, second_opinion
+from motor_classifiers.prediction.opinions import UNDECIDED, second_opinion
 from motor_classifiers.wrappers.open_set import Verdicts
 from motor_env import Channel, FaultKind, Recipe, Recording, Timing, load_recipe, simulate_states
 from motor_env.console import ExitStatus
@@ -256,9 +256,8 @@ def test_an_opinion_adds_up_the_classes_of_its_verdict() -> None:
 
 def test_the_worst_opinion_is_the_status() -> None:
     fault, sound, unsure = Opinion("bearing", "b", 0.9), Opinion("healthy", "h", 0.9), Opinion(UNDECIDED)
-    assert overall_status([sound, unsure, fault]) is ExitStatus.FAULT
-    assert overall_status([sound, unsure]) is ExitStatus.UNDECIDED
-    assert overall_status([sound]) is overall_status([]) is ExitStatus.HEALTHY
+    statuses = [one.status for one in (sound, unsure, fault)]
+    assert statuses == [ExitStatus.HEALTHY, ExitStatus.UNDECIDED, ExitStatus.FAULT]
 
 
 class Open(OpenSetClassifier):

@@ -30,6 +30,7 @@ from motor_env import (
     simulate,
 )
 from motor_env.cli import main
+from motor_env.console import ExitStatus, worst
 from motor_env.diagnosis import commission
 from motor_env.diagnosis.decision import decide, limits_of
 from motor_env.diagnosis.diagnose import unusable_reason
@@ -693,7 +694,8 @@ def test_a_warning_is_allowed_for_where_there_is_a_verdict() -> None:
     ],
 )
 def test_exit_status_of_verdicts(verdicts: list[str], unreadable: bool, status: int) -> None:
-    assert report.exit_status(map(Verdict, verdicts), unreadable=unreadable) == status
+    statuses = [Verdict(verdict).status for verdict in verdicts]
+    assert worst([*statuses, ExitStatus.BAD_INPUT] if unreadable else statuses) == status
 
 
 def faulty() -> Diagnosis:

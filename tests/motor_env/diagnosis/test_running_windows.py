@@ -13,6 +13,7 @@ from scipy import stats
 
 from motor_env import InputError, Motor, Recording, Verdict, diagnose, load_motor
 from motor_env.cli import main
+from motor_env.console import worst
 from motor_env.diagnosis import files
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import alarm_share, joint_share
@@ -131,7 +132,7 @@ def test_one_bad_log_costs_no_other_its_verdict(
     assert [one.as_json()["verdict"] for one in outcomes] == ["unusable", "unusable", "healthy", "unusable"]
     assert "2 of 2 windows judged, of 3" in outcomes[2].as_text()
     assert [one.is_bug for one in outcomes] == [False, True, False, False]
-    assert files.exit_status(outcomes) == 70
+    assert worst(one.status for one in outcomes) == 70
     assert "Traceback" in capsys.readouterr().err
 
 
@@ -152,7 +153,7 @@ def test_a_log_without_a_usable_window_says_why(
     assert reason in found.reasons[0]
     (whole, *_) = found.pieces
     assert whole.duration_s == (pytest.approx(0.4) if has_levels else 0.0)
-    assert files.exit_status([files.Outcome(record.path, found)]) == 3
+    assert files.Outcome(record.path, found).status == 3
 
 
 @pytest.mark.parametrize("rate", [0.15, 0.02])

@@ -27,6 +27,7 @@ from motor_env import (
     simulate,
 )
 from motor_env.cli import main
+from motor_env.console import worst
 from motor_env.diagnosis import diagnose as diagnosing, files, views
 from motor_env.diagnosis.commission import Commissioned, commission, commissioned_text, motor_of_windows
 from motor_env.diagnosis.decision import decide
@@ -832,8 +833,8 @@ def test_exit_status_of_records(said: list[tuple[str, ...] | None], status: int)
         Outcome(Path("a"), None, "no file") if one is None else Outcome(Path("a"), record(*one))
         for one in said
     ]
-    assert files.exit_status(given) == status
-    assert files.exit_status([*given, BUG]) == 70
+    assert worst(one.status for one in given) == status
+    assert worst([*(one.status for one in given), BUG.status]) == 70
 
 
 def test_starts_of_a_recording_share_its_rate(monkeypatch: pytest.MonkeyPatch) -> None:
