@@ -31,7 +31,7 @@ def watch(
     with Ctrl-C: 0 all healthy, 1 any fault, 3 no fault but a window that cannot be judged, or none that was.
 
     Args:
-        motor: Motor file that `commission --window` wrote, or that --learn writes.
+        motor: Motor file that `commission` wrote from logs, or that --learn writes.
         source: A file, serial:/dev/ttyACM0, mqtt://host/topic; standard input without it.
         false_alarms_per_year: Of a healthy motor that always runs.
         state: File that keeps what was seen, so that a new start goes on where the last window ended.
