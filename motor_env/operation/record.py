@@ -24,7 +24,7 @@ HOLDS: tuple[Hold, ...] = ("held", "straight", "late")
 """The voltage of a sample lasts until the next; runs in a straight line to it; or has lasted since the one before."""
 FEWEST = 40
 MOST = 10_000
-_LOOKED_AT, _LOST, _STRETCHES = 1_000_000, 0.02, 10
+_LOOKED_AT, _LOST, STRETCHES = 1_000_000, 0.02, 10
 _SAME_DT = 0.02
 _FEWEST_OPEN, _NO_CURRENT = 6, 0.95  # samples, and the share of them without current
 _COASTS, _SLOWS, _ZERO = 0.02, 0.1, 0.003  # of the largest voltage, speed, current
@@ -99,10 +99,10 @@ class Record:
 
     def sample(self, count: int) -> Record:
         """So many of its samples: stretches of equal length, evenly spread."""
-        begins = np.arange(_STRETCHES) * (len(self.voltage_v) // _STRETCHES)
-        some = (begins[:, None] + np.arange(count // _STRETCHES)).ravel()
+        begins = np.arange(STRETCHES) * (len(self.voltage_v) // STRETCHES)
+        some = (begins[:, None] + np.arange(count // STRETCHES)).ravel()
         marks = self.marks[some]
-        marks[:: count // _STRETCHES] = BEGIN
+        marks[:: count // STRETCHES] = BEGIN
         return replace(self, voltage_v=self.voltage_v[some], readings=self.readings[some], marks=marks)
 
     def part(self, first: int, count: int) -> Record:
@@ -155,7 +155,7 @@ def from_recordings(
     share = 1.0
     if factor < wanted:
         share = most * factor / sum(len(recording.time_s) for recording in whole)
-        count = math.ceil(_STRETCHES / len(whole))
+        count = math.ceil(STRETCHES / len(whole))
         whole = [part for recording in whole for part in liveliest(recording, share, count)]
     parts = [_columns(recording) for recording in whole]
     columns: list[list[FloatArray]] = [[], [], [], []]
@@ -265,7 +265,7 @@ def _averageable(recording: Recording, wanted: int) -> int:
     return factor
 
 
-def liveliest(recording: Recording, share: float, count: int = _STRETCHES) -> list[Recording]:
+def liveliest(recording: Recording, share: float, count: int = STRETCHES) -> list[Recording]:
     """A share of a recording: of each of some equal parts the stretch in which the voltage moves most."""
     n = len(recording.time_s)
     volts = recording.current_a if recording.voltage_v is None else recording.voltage_v

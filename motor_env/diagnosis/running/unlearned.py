@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from motor_env.diagnosis.healthy_motor import reference_of
@@ -19,12 +21,14 @@ from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Windows
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation.identify import identify_operation
+from motor_env.operation.identify import identify_record
+from motor_env.operation.record import STRETCHES, Record, from_recordings
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 
 _WINDOWS = 10  # of a log
 _SHORTEST, _SHORTEST_SAMPLES = 40.0, 400  # a window: mechanical time constants, samples
+_SETTLED, _FEW = 20.0, 2_000  # a stretch: mechanical time constants; samples of all stretches
 
 
 def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = None) -> WindowJudge:
@@ -32,7 +36,7 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
 
     A motor that was commissioned by windows says so itself. Any other motor's file tells R, K, J and the drag at one
     speed. The terms, the hold of the voltage and how the drag divides into viscous and dry friction then come from a
-    fit of the whole log.
+    fit of stretches of the log.
 
     Raises:
         UnusableError: no current and speed, or no motor explains the log.
@@ -40,7 +44,7 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
     if motor.healthy is not None and motor.healthy.windows is not None:
         return judge_of(motor.healthy, motor.name, temperature_c)
     needed_columns(recording)  # refuses at once what the fit of the whole log would take long to find
-    joint = identify_operation([recording])
+    joint = identify_record(_enough(from_recordings([recording]), _settles_s(motor)))
     if not joint.record.seen.all():
         raise UnusableError(NEEDED)
     physical, speed = known_of(joint), effective_speed(joint)
@@ -55,9 +59,8 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
         raise UnusableError(
             f"{motor.name} does not tell {', '.join(NAMES)}, which a motor at work is judged by"
         )
-    r, k, j = np.exp(reference.log_values[:3]).tolist()
     windows = Windows(
-        window_s=_window_s(recording, r * j / k**2),
+        window_s=_window_s(recording, _settles_s(motor)),
         terms=joint.solution.names,
         physical=physical,
         hold=joint.record.hold,
@@ -65,6 +68,17 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
         speed_rad_s=speed,
     )
     return WindowJudge(windows, reference)
+
+
+def _settles_s(motor: Motor) -> float:
+    """Mechanical time constant."""
+    return float(np.mean(motor.parameters.mechanical_time_constant_s))
+
+
+def _enough(record: Record, settles_s: float) -> Record:
+    """Stretches of a record in which a motor settles: they tell the terms and how the drag divides."""
+    samples = max(_FEW, STRETCHES * math.ceil(_SETTLED * settles_s / record.dt_s))
+    return record.sample(samples) if samples < len(record.voltage_v) else record
 
 
 def _friction(motor: Motor, physical: FloatArray, speed_rad_s: float) -> float:

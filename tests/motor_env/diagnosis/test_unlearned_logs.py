@@ -32,6 +32,7 @@ from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
 from motor_env.operation.identify import identify_operation
+from motor_env.operation.record import Record
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.start import prepare
 
@@ -55,18 +56,17 @@ def log(faults: tuple[Fault, ...] = (), samples: int = 1600) -> Recording:
 HALF_WAY = (Fault(FaultKind.BEARING, 1.0, onset_s=1.6),)
 
 
-def true_fit(recordings: list[Recording]) -> Any:
+def true_fit(record: Record) -> Any:
     """Instead of the joint fit of a log, which takes many seconds: its motor as simulated."""
     values = np.zeros(kernel.N_VALUES)
     places = [kernel.R, kernel.L, kernel.K, kernel.J, kernel.B]
     values[places] = P.resistance_ohm, P.inductance_h, K, P.inertia_kg_m2, P.viscous_friction_n_m_s_per_rad
     values[[kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V]] = 0.02, 1.0, 0.005
     values[[kernel.HEATING, kernel.COOLING]] = 3.0, 0.1
-    (recording,) = recordings
     return SimpleNamespace(
         record=SimpleNamespace(seen=np.ones(2), hold="late"),
         solution=SimpleNamespace(values=values, names=TERMS),
-        expected=np.stack([recording.current_a, np.asarray(recording.speed_rad_s)], axis=1),
+        expected=record.readings,
     )
 
 
@@ -89,7 +89,7 @@ def of_starts() -> Motor:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(unlearned, "identify_operation", true_fit)
+    monkeypatch.setattr(unlearned, "identify_record", true_fit)
 
 
 def said(recording: Recording, motor: Motor) -> list[str]:
@@ -113,7 +113,7 @@ def test_a_log_is_judged_without_a_commissioning_at_work(motor: Any) -> None:
 def test_the_fit_of_the_whole_log_tells_how_its_windows_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its own friction doubles half-way; what the file says of the healthy motor counts."""
     joint = cache(lambda _: identify_operation([log(HALF_WAY)]))
-    monkeypatch.setattr(unlearned, "identify_operation", lambda _: joint("once"))
+    monkeypatch.setattr(unlearned, "identify_record", lambda _: joint("once"))
     for motor in (SHEET, of_starts()):
         assert said(log(HALF_WAY), motor) == ["healthy"] * 2 + ["bearing"] * 2
 
@@ -146,6 +146,16 @@ def test_the_reference_of_a_log_by_hand() -> None:
     )
 
 
+def test_stretches_of_a_log_tell_how_it_is_fitted() -> None:
+    """2,000 samples, or ten stretches of 20 mechanical time constants; a shorter record is taken whole."""
+    whole = Record(1e-3, np.arange(9_000.0), np.zeros((9_000, 2)), np.ones(2), np.eye(1, 9_000)[0])
+    for settles_s, samples in ((0.01, 2_000), (0.0125, 2_500), (0.04, 8_000)):
+        part = unlearned._enough(whole, settles_s)
+        assert (len(part.voltage_v), int(part.begins.sum())) == (samples, 10)
+        np.testing.assert_array_equal(part.voltage_v[:: samples // 10], 900.0 * np.arange(10))
+    assert unlearned._enough(whole, 0.045) is whole
+
+
 def test_a_motor_that_was_commissioned_at_work_says_how_its_windows_are_judged() -> None:
     windows = Windows(0.4, TERMS, np.zeros(kernel.N_VALUES), "late", DT_S, 100.0)
     healthy = Healthy(9, 12.0, NAMES, np.ones(4), np.eye(4), temperature_c=20.0, windows=windows)
@@ -155,7 +165,7 @@ def test_a_motor_that_was_commissioned_at_work_says_how_its_windows_are_judged()
 
 
 def test_what_tells_too_little_of_a_log_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(unlearned, "identify_operation", true_fit)
+    monkeypatch.setattr(unlearned, "identify_record", true_fit)
     current_only = ("R", "L", "K^2/J", "B/J")
     healthy = replace(of_starts().healthy or pytest.fail("learned"), quantities=current_only, values=np.ones(4),
                       log_covariance=np.eye(4))  # fmt: skip
@@ -163,12 +173,12 @@ def test_what_tells_too_little_of_a_log_is_refused(monkeypatch: pytest.MonkeyPat
     assert (found.verdict, found.of) == ("unusable", 1)
     assert found.reasons[0].startswith("sheet does not tell R, K, J, B")
 
-    def unseen(recordings: list[Recording]) -> Any:
-        fit = true_fit(recordings)
+    def unseen(record: Record) -> Any:
+        fit = true_fit(record)
         fit.record.seen[1] = 0.0
         return fit
 
-    monkeypatch.setattr(unlearned, "identify_operation", unseen)
+    monkeypatch.setattr(unlearned, "identify_record", unseen)
     with pytest.raises(UnusableError, match="only where voltage, current and speed"):
         judge_for(log(), SHEET)
 
