@@ -83,7 +83,7 @@ def commission(
         files: Healthy recordings of one motor: all starts, of which a file may hold several, or all logs.
         output: Motor file to write (TOML).
         false_alarm_rate: For the intervals that are printed.
-        out: Folder for the picture: starts, fits, residuals and the spread of each quantity.
+        out: Folder for the picture: the spread of each quantity, and starts with their fits and residuals.
         measurement: How they were measured.
         temperature_c: Temperature of the motor at these recordings, where known.
         regime: start, operation (a motor at work), or auto: decided by what the voltage does.

@@ -42,7 +42,7 @@ from motor_env.operation.report import motor_of
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, recording_of
-from motor_env.recordings.regime import taken_for
+from motor_env.recordings.regime import Taken, taken_for
 from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit
 
@@ -62,6 +62,8 @@ class Commissioned:
         fits: of the healthy pieces.
         smallest: severity of each fault that the next piece shows in 95 of 100 cases.
         undecided: of so many healthy pieces, judged by the others, each quantity was undecided; by its name.
+        false_alarm_rate: of the intervals and smallest changes.
+        taken: what the recordings were taken for, and why.
     """
 
     motor: Motor
@@ -69,6 +71,7 @@ class Commissioned:
     smallest: dict[str, float]
     undecided: dict[str, int]
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE
+    taken: tuple[Taken, ...] = ()
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
@@ -97,16 +100,14 @@ class Commissioned:
         return commissioned_text(self, self.false_alarm_rate)
 
     def plot(self, path: Path) -> None:
-        """A picture of starts, fits, residuals and the spread of each quantity; none of windows.
+        """A picture of the spread of each quantity; of starts also their fits and residuals.
 
         Raises:
             InputError: the file cannot be written.
         """
         from motor_env.diagnosis.shown.pictures import plot_commissioned
 
-        starts = [fit for fit in self.fits if isinstance(fit, Identified)]
-        if starts:
-            plot_commissioned(starts, self.healthy, self.smallest, self.false_alarm_rate, path)
+        plot_commissioned(self.fits, self.healthy, self.smallest, self.false_alarm_rate, path)
 
 
 def commission(
@@ -158,7 +159,8 @@ def commission(
     read = [recording_of(one, columns) for one in recordings]
     if regime == "auto" and window_s is not None:
         regime = "operation"
-    regimes = {taken_for(recording, regime, start).regime for recording in read}
+    taken = tuple(dict.fromkeys(taken_for(recording, regime, start) for recording in read))
+    regimes = {one.regime for one in taken}
     if len(regimes) > 1:
         raise InputError(
             f"some are starts, and some logs of a motor at work: give {word}s of one kind, or --regime"
@@ -185,7 +187,7 @@ def commission(
         motor = to_motor(starts, name, kind="commissioned", healthy=healthy, constant=constant)
         fits = starts
     promise = _promise(motor, fits, temperature_c, false_alarm_rate)
-    return Commissioned(motor, tuple(fits), *promise, false_alarm_rate)
+    return Commissioned(motor, tuple(fits), *promise, false_alarm_rate, taken)
 
 
 def _learn_logs(
@@ -369,6 +371,7 @@ def commissioned_text(result: Commissioned, rate: float) -> str:
             f"  {name:<12} {value:11.4g} {UNITS[name]:<12} {math.exp(-h) - 1.0:+.1%} to {math.exp(h) - 1.0:+.1%}"
             for name, value, h in zip(healthy.quantities, healthy.values, half, strict=True)
         ),
+        *(f"  taken for {one}" for one in result.taken),
         *quality,
         f"  smallest change that is found in 95 of 100 cases: {smallest} ({of_the_drag(healthy.own_friction)})",
         *(

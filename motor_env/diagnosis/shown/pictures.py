@@ -12,6 +12,7 @@ from scipy.special import stdtrit
 
 from motor_env.console import printable
 from motor_env.diagnosis.shown.report import model_words
+from motor_env.diagnosis.views import Fitted
 from motor_env.identification.identify import Identified
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
@@ -46,41 +47,51 @@ def plot_identified(fit: Identified, name: str, path: Path) -> None:
 
 
 def plot_commissioned(
-    fits: Sequence[Identified],
+    fits: Sequence[Fitted],
     healthy: Healthy,
     smallest: Mapping[str, float],
     rate: float,
     path: Path,
 ) -> None:
-    """All starts and their fits, their residuals, and how far each quantity spreads, with the next start's interval.
+    """How far each quantity spreads, with the next piece's interval; above it all starts, their fits and residuals.
 
     Raises:
         InputError: the file cannot be written.
     """
+    starts = [fit for fit in fits if isinstance(fit, Identified)]
     with drawing():
-        figure, (top, middle, bottom) = subplots(
-            3, height_in=9.5, sharex=False, height_ratios=(2.0, 1.0, 1.6)
+        figure, axes = subplots(
+            3 if starts else 1,
+            height_in=9.5 if starts else 4.0,
+            sharex=False,
+            height_ratios=(2.0, 1.0, 1.6) if starts else (1.0,),
         )
-        for n, fit in enumerate(fits):
-            time_ms = _time_ms(fit)
-            labels = ("measured", "fitted") if n == 0 else (None, None)
-            top.plot(time_ms, fit.start.current_a, color=COLOUR["measured"], linewidth=0.8, label=labels[0])
-            top.plot(time_ms, fit.expected[:, 0], color=COLOUR["healthy"], linewidth=1.2, label=labels[1])
-            middle.plot(time_ms, fit.residual_a, linewidth=0.6, color=COLOUR["healthy"], alpha=0.6)
-        top.set_ylabel("current (A)")
-        top.legend(loc="upper right")
-        top.set_title(f"{healthy.pieces} healthy starts")
-        middle.set_ylabel("residual (A)")
-        middle.set_xlabel("time after the start (ms)")
-        middle.set_xlim(top.get_xlim())
-        _spread(bottom, fits, healthy, rate)
+        if starts:
+            _all_starts(axes[0], axes[1], starts)
+        _spread(axes[-1], fits, healthy, rate)
         told = ", ".join(f"{kind.replace('_', ' ')} {severity:.0%}" for kind, severity in smallest.items())
-        bottom.set_xlabel(f"off the mean (%)\nsmallest change found in 95 of 100 cases: {told}")
+        axes[-1].set_xlabel(f"off the mean (%)\nsmallest change found in 95 of 100 cases: {told}")
         save(figure, path)
 
 
-def _spread(axes: Axes, fits: Sequence[Identified], healthy: Healthy, rate: float) -> None:
-    """A bar a quantity, the interval of the next healthy start, and a point a start."""
+def _all_starts(top: Axes, middle: Axes, fits: Sequence[Identified]) -> None:
+    """Measured and fitted currents, and the residuals below."""
+    for n, fit in enumerate(fits):
+        time_ms = _time_ms(fit)
+        labels = ("measured", "fitted") if n == 0 else (None, None)
+        top.plot(time_ms, fit.start.current_a, color=COLOUR["measured"], linewidth=0.8, label=labels[0])
+        top.plot(time_ms, fit.expected[:, 0], color=COLOUR["healthy"], linewidth=1.2, label=labels[1])
+        middle.plot(time_ms, fit.residual_a, linewidth=0.6, color=COLOUR["healthy"], alpha=0.6)
+    top.set_ylabel("current (A)")
+    top.legend(loc="upper right")
+    top.set_title(f"{len(fits)} healthy starts")
+    middle.set_ylabel("residual (A)")
+    middle.set_xlabel("time after the start (ms)")
+    middle.set_xlim(top.get_xlim())
+
+
+def _spread(axes: Axes, fits: Sequence[Fitted], healthy: Healthy, rate: float) -> None:
+    """A bar a quantity, the interval of the next healthy piece, and a point a piece."""
     half = -float(stdtrit(healthy.degrees_of_freedom, rate / 2.0))
     for row in range(len(healthy.quantities)):
         width = half * math.sqrt(healthy.log_covariance[row, row])
@@ -95,7 +106,8 @@ def _spread(axes: Axes, fits: Sequence[Identified], healthy: Healthy, rate: floa
     room = 100.0 * 1.3 * float(np.median(np.expm1(np.minimum(widths, 1.0))))
     axes.set_xlim(-room, room)
     axes.set_yticks(range(len(healthy.quantities)), list(healthy.quantities))
-    axes.set_title(f"Interval of the next healthy start ({1.0 - rate:.0%})")
+    piece = "start" if healthy.windows is None else "window"
+    axes.set_title(f"Interval of the next healthy {piece} ({1.0 - rate:.0%})")
 
 
 def _title(name: str) -> str:
