@@ -14,6 +14,8 @@ from recording_csv import write_csv
 
 from motor_env import Diagnosis, Recording, Verdict, load_motor, nis_rule
 from motor_env.cli import main, options
+
+# Reaches in: stand-ins are patched in where commands look their work up, and answer in its types.
 from motor_env.diagnosis import identify as identifying
 from motor_env.diagnosis.files import Outcome
 from motor_env.diagnosis.verdict import Judgement

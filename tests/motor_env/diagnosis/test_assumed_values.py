@@ -26,8 +26,7 @@ from motor_env import (
     simulate,
 )
 from motor_env.diagnosis.commission import to_motor
-from motor_env.envs.tasks import with_motor
-from motor_env.motor.assumptions import usable_parameters
+from motor_env.envs import MonitorOptions
 from motor_env.motor.data_sheet import to_toml
 
 SENSOR = SensorParameters(
@@ -65,13 +64,13 @@ def test_a_guessed_constant_is_marked_warned_of_and_refused_where_speeds_are_see
     path, motor = current_only, load_motor(current_only)
     assert "a guess, 1/100 of the voltage" in motor.assumed["torque_constant_n_m_per_a"]
     assert motor.parameters.torque_constant_n_m_per_a == pytest.approx(0.12)
-    with pytest.warns(UserWarning, match="Currents are right, speeds and torques are not"):
-        usable_parameters(motor, needs_speed=False)
     recipe = load_recipe("bench")
-    with pytest.warns(UserWarning, match="--torque-constant"):
-        with_motor(recipe, path)
+    with pytest.warns(
+        UserWarning, match=r"--torque-constant\. Currents are right, speeds and torques are not"
+    ):
+        MonitorOptions(recipe=recipe, motor=path)
     with pytest.raises(ValueError, match="commission or identify it with a speed"):
-        with_motor(replace(recipe, sensor=SENSOR), path)
+        MonitorOptions(recipe=replace(recipe, sensor=SENSOR), motor=path)
 
 
 def test_what_was_assumed_is_a_value_of_the_motor(current_only: Path, tmp_path: Path) -> None:
@@ -82,19 +81,20 @@ def test_what_was_assumed_is_a_value_of_the_motor(current_only: Path, tmp_path: 
 
 
 def test_a_constant_that_the_user_knows_makes_all_known(tmp_path: Path) -> None:
-    motor = load_motor(commissioned(tmp_path, "--torque-constant", "0.02351"))
-    assert motor.assumed == {}
-    assert usable_parameters(motor, needs_speed=True).inertia_kg_m2 == pytest.approx(
-        PAPER_MOTOR.inertia_kg_m2, rel=0.02
-    )
+    path = commissioned(tmp_path, "--torque-constant", "0.02351")
+    assert load_motor(path).assumed == {}
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text('base = "bench"\nmotor = "m.toml"\n[sensor]\nchannels = ["current", "speed"]\n')
+    # Speeds are asked for, so that a guess would be refused.
+    assert load_recipe(recipe).motor.inertia_kg_m2 == pytest.approx(PAPER_MOTOR.inertia_kg_m2, rel=0.02)
 
 
 @pytest.mark.long
 def test_without_a_voltage_nothing_can_be_simulated(tmp_path: Path) -> None:
-    motor = load_motor(commissioned(tmp_path, columns=2))
+    path = commissioned(tmp_path, columns=2)
     with pytest.raises(ValueError, match="its voltage is unknown"):
-        usable_parameters(motor, needs_speed=False)
-    assert "per volt" in to_toml(motor)
+        MonitorOptions(motor=path)
+    assert "per volt" in to_toml(load_motor(path))
 
 
 def test_healthy_starts_with_a_speed_serve_a_start_without(tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ from simulated_captures import DEFECTS, captures
 
 from motor_env import PAPER_MOTOR, Recording
 from motor_env.cli import main
+
+# Reaches in: no public name tells how many starts a recording holds without a fit of each.
 from motor_env.recordings.splitting import split_starts
 
 DT_S = 1e-4

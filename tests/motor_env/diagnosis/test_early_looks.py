@@ -11,6 +11,8 @@ from motor_env.diagnosis.running.windows import NAMES, WindowJudge, judge_of
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.operation import kernel
+
+# Reaches in: the parts of a window that looks are given are records made by hand.
 from motor_env.operation.record import Record
 
 HALVINGS = 4

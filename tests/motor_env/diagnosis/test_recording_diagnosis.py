@@ -23,6 +23,8 @@ from motor_env import (
     Verdict,
     cli,
     diagnose,
+    draw,
+    identify,
     load_motor,
     load_recipe,
     read_recording,
@@ -30,13 +32,9 @@ from motor_env import (
 )
 from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.files import diagnose_files
-from motor_env.diagnosis.identify import identify as identified
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
-from motor_env.identification.identify import identify
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.start import prepare
-from motor_env.simulation.drawing import apply_factors
-from motor_env.simulation.random_streams import Stream, normals
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 MOTOR = load_motor(EXAMPLES / "motor.toml")
@@ -57,15 +55,14 @@ def captures(
     known_voltage: bool = True,
     offset_a: float = 0.0,
 ) -> list[Recording]:
-    recipe = load_recipe("bench")
-    factors = 1.0 + recipe.spread.std * normals(seed, Stream.MOTOR, np.arange(count), 5)
-    scenario = Scenario(
-        apply_factors(MOTOR.parameters, factors),
-        faults,
-        SupplyParameters(12.0 * factors[:, 0]),
-        SensorParameters(channels, 0.02, 1.0),  # type: ignore[arg-type]  # names become channels
-        Timing(10_000.0, 0.2, quiet_s),
+    recipe = load_recipe(
+        "bench",
+        motor=MOTOR.parameters,
+        supply=SupplyParameters(12.0),
+        sensor=SensorParameters(channels, 0.02, 1.0),  # type: ignore[arg-type]  # names become channels
+        timing=Timing(10_000.0, 0.2, quiet_s),
     )
+    scenario = replace(draw(recipe, seed, np.arange(count)).scenario, faults=faults)
     starts = simulate(scenario, seed, np.arange(count))
     voltage = np.where(starts.time_s > 1e-9, 12.0, 0.0)
     return [
@@ -125,7 +122,8 @@ def test_standard_errors_agree_with_the_scatter_of_repetitions() -> None:
     starts = simulate(Scenario(MOTOR.parameters, timing=Timing(10_000.0, 0.1, 0.05)), 5, np.arange(24))
     voltage = np.where(starts.time_s > 1e-9, 12.0, 0.0)
     fits = [
-        identify(prepare(Recording(Path("x"), starts.time_s, row[0], voltage))) for row in starts.measurements
+        identify(Recording(Path("x"), starts.time_s, row[0], voltage)).usable[0]
+        for row in starts.measurements
     ]
     z = (np.array([f.log_values for f in fits]) - np.log(true_quantities())) / np.sqrt(
         np.array([np.diag(f.log_covariance) for f in fits])
@@ -142,7 +140,7 @@ def true_quantities() -> list[float]:
 
 
 def test_an_offset_is_taken_off() -> None:
-    fits = [identify(prepare(r)) for r in captures(3, offset_a=0.25)]
+    fits = identify(captures(3, offset_a=0.25)).usable
     assert np.mean([f.offset_a for f in fits]) == pytest.approx(0.25, abs=0.002)
 
 
@@ -288,7 +286,7 @@ def test_real_starts_are_fitted(
     file: str, voltage_v: float | None, r2: float, largest_correlation: float
 ) -> None:
     """R2 of the current with the model that the evidence chooses, and how far the residual is from white."""
-    ((_, fit),) = identified(read_recording(RECORDINGS / file), voltage_v=voltage_v, regime="start").starts
+    ((_, fit),) = identify(read_recording(RECORDINGS / file), voltage_v=voltage_v, regime="start").starts
     assert fit.r2_current >= r2
     assert abs(fit.lag_one) <= largest_correlation
 
@@ -296,7 +294,7 @@ def test_real_starts_are_fitted(
 @needs_recordings
 def test_a_wild_sample_of_a_scope_is_named() -> None:
     recording = read_recording(RECORDINGS / "oscillo_lab" / "startup_F0000.csv")
-    ((_, fit),) = identified(recording, voltage_v=12.3, regime="start").starts
+    ((_, fit),) = identify(recording, voltage_v=12.3, regime="start").starts
     assert "a wild sample of 13.6 A at 0.05 s, left out" in [str(defect) for defect in fit.defects]
 
 

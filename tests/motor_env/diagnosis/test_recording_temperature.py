@@ -20,10 +20,10 @@ from motor_env import (
     Verdict,
     diagnose,
     load_motor,
+    simulate,
 )
 from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
-from motor_env.simulation.fast_path import measure
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml").parameters
 TIMING = Timing(10_000.0, 0.2, 0.05)
@@ -41,7 +41,7 @@ def warmed(kelvin: float) -> MotorParameters:
 
 def starts(motor: MotorParameters, numbers: range, *faults: Fault) -> list[Recording]:
     scenario = Scenario(motor, faults, SupplyParameters(12.0), SensorParameters(current_noise_a=0.02), TIMING)
-    currents = measure(scenario, 11, numbers, nominal=MOTOR)[:, 0].astype(float)
+    currents = simulate(scenario, 11, numbers).measurements[:, 0]
     return [Recording(Path("x"), TIMING.time_s, row) for row in currents]
 
 

@@ -30,6 +30,8 @@ from motor_env.diagnosis.running.windows import (
 )
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature
+
+# Reaches in: the oracle of the joint share needs the direction in which each fault shows.
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray

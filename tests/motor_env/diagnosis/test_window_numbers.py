@@ -55,6 +55,8 @@ from motor_env.diagnosis.running.windows import (
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature
+
+# Reaches in: judgements rest on fits and records made by hand, off in the direction of a fault.
 from motor_env.identification.identify import Identified, identify
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction

@@ -12,6 +12,8 @@ from simulated_captures import Defect, captures
 
 from motor_env import Recording, Verdict, diagnose, load_motor
 from motor_env.motor.parameters import FloatArray
+
+# Reaches in: what an alignment finds is told before any fit; the captures take the chain of a sensor.
 from motor_env.recordings.alignment import align
 from motor_env.simulation.sensor import SensorChain
 

@@ -22,6 +22,8 @@ from motor_env.identification.plausibility import implausible
 from motor_env.identification.residuals import Problem, _rectified_mean, absolute
 from motor_env.identification.start_model import Extension, step_start
 from motor_env.motor.parameters import FloatArray
+
+# Reaches in: starts are aligned by hand, their onset known; dense matrices need the floor of a residual's noise.
 from motor_env.recordings.alignment import Alignment
 from motor_env.recordings.noise import difference_noise
 from motor_env.recordings.start import Circuit, Start

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from motor_env import PAPER_MOTOR, Motor, discretize
+
+# Reaches in: what windows teach is written by hand, without the long fits of a commissioning at work.
 from motor_env.diagnosis.running.windows import NAMES, viscous
 from motor_env.motor.data_sheet import save_motor
 from motor_env.motor.healthy import Healthy, Windows

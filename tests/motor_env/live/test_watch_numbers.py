@@ -18,6 +18,8 @@ import pytest
 from motor_env import InputError, Recording
 from motor_env.cli import main
 from motor_env.console import ExitStatus
+
+# Reaches in: the judge of windows is replaced, or is given fits made by hand, and answers in its own types.
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, judge_of

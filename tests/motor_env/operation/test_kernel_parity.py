@@ -8,6 +8,8 @@ import pytest
 from scipy.linalg import expm
 
 from motor_env import KalmanFilter, MotorParameters, discretize, run_filter, simulate_states
+
+# Reaches in: `KalmanFilter` has two states; a load that walks is a third.
 from motor_env.filters.kalman import measurement_update
 from motor_env.motor.model import continuous_model
 from motor_env.motor.parameters import FloatArray

@@ -12,6 +12,8 @@ from motor_env import Recording, load_motor
 from motor_env.cli import main
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
+
+# Reaches in: what a recording is taken for or refused for, without the fit that public names go on to.
 from motor_env.recordings.regime import refuse_aliased, work_seen
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))

@@ -123,6 +123,7 @@ def test_odd_names_cost_no_verdict(tmp_path: Path, capsys: pytest.CaptureFixture
 def test_a_bug_on_one_file_costs_no_verdict(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    # Reaches in: a bug is patched in for the reader that the command calls for each file.
     from motor_env.diagnosis import files
 
     calls = iter([TypeError("a bug"), None])
