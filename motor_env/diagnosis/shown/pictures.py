@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -70,7 +71,8 @@ def plot_commissioned(
             _all_starts(axes[0], axes[1], starts)
         _spread(axes[-1], fits, healthy, rate)
         told = ", ".join(f"{kind.replace('_', ' ')} {severity:.0%}" for kind, severity in smallest.items())
-        axes[-1].set_xlabel(f"off the mean (%)\nsmallest change found in 95 of 100 cases: {told}")
+        words = textwrap.wrap(f"smallest change found in 95 of 100 cases: {told}", _LONGEST_TITLE)
+        axes[-1].set_xlabel("\n".join(["off the mean (%)", *words]))
         save(figure, path)
 
 
@@ -93,6 +95,7 @@ def _all_starts(top: Axes, middle: Axes, fits: Sequence[Identified]) -> None:
 def _spread(axes: Axes, fits: Sequence[Fitted], healthy: Healthy, rate: float) -> None:
     """A bar a quantity, the interval of the next healthy piece, and a point a piece."""
     half = -float(stdtrit(healthy.degrees_of_freedom, rate / 2.0))
+    off = 100.0 * np.expm1(np.array([fit.log_values for fit in fits]) - np.log(healthy.values))
     for row in range(len(healthy.quantities)):
         width = half * math.sqrt(healthy.log_covariance[row, row])
         low, high = 100.0 * math.expm1(-width), 100.0 * math.expm1(width)
@@ -100,10 +103,9 @@ def _spread(axes: Axes, fits: Sequence[Fitted], healthy: Healthy, rate: float) -
         # Beyond the axis the bar is cut: its ends are said.
         ends = f"{low:+.0f} … {high:+.0f} %"
         axes.annotate(ends, (1.005, row), xycoords=("axes fraction", "data"), va="center", fontsize=10)
-        off = [100.0 * (math.exp(fit.log_values[row]) / healthy.values[row] - 1.0) for fit in fits]
-        axes.plot(off, [row] * len(off), "o", color=COLOUR["healthy"], markersize=5)
+        axes.plot(off[:, row], [row] * len(fits), "o", color=COLOUR["healthy"], markersize=5)
     widths = half * np.sqrt(np.diag(healthy.log_covariance))
-    room = 100.0 * 1.3 * float(np.median(np.expm1(np.minimum(widths, 1.0))))
+    room = 1.3 * max(100.0 * float(np.median(np.expm1(np.minimum(widths, 1.0)))), float(np.abs(off).max()))
     axes.set_xlim(-room, room)
     axes.set_yticks(range(len(healthy.quantities)), list(healthy.quantities))
     piece = "start" if healthy.windows is None else "window"
