@@ -951,6 +951,9 @@ def test_words_of_a_commissioning() -> None:
     for name, value, h in zip(learned.quantities, learned.values, half, strict=True):
         words = f"{value:.4g} {report.UNITS[name]:<12} {math.expm1(-h):+.1%} to {math.expm1(h):+.1%}"
         assert " ".join(words.split()) in " ".join(text.split()), name
+        told = replace(known, false_alarm_rate=0.05).parameters[name]
+        assert (told["value"], told["unit"]) == (value, report.UNITS[name])
+        assert told["interval"] == pytest.approx([value * math.exp(-h), value * math.exp(h)])
     assert "found in 95 of 100 cases: bearing 25.0%" in text
     assert "\n  B/J is left undecided by 2 of these 3 starts: a doubling would not show\n" in text
     assert "by 15 K (1 sd)" in text
