@@ -48,6 +48,7 @@ from motor_env.diagnosis.explanations import (
 from motor_env.diagnosis.files import picture_of
 from motor_env.diagnosis.filter_check import filter_check
 from motor_env.diagnosis.healthy_motor import Reference, reference_of, reference_of_pieces
+from motor_env.diagnosis.identify import Identification
 from motor_env.diagnosis.learning import disagreement, learn_starts, odd_one_out
 from motor_env.diagnosis.shown import page, report
 from motor_env.diagnosis.spread import beyond, the_next, warmer
@@ -515,6 +516,26 @@ def doubled(friction: float, resistance: float) -> Judgement:
         own_friction=1.0,
     )  # fmt: skip
     return decide(wide, given, RATE)
+
+
+def test_what_is_identified_says_which_quantities_go_together() -> None:
+    _, fit, _ = fitted()
+    together = {("L", "R"): 0.5, ("K^2/J", "R"): -0.25, ("K^2/J", "L"): 0.1, ("B/J", "K^2/J"): 0.75}
+    sd, correlation = np.array([0.01, 0.2, 0.03, 0.4]), np.eye(4)
+    for pair, value in together.items():
+        i, j = map(CURRENT.index, pair)
+        correlation[i, j] = correlation[j, i] = value
+    fit = replace(fit, log_covariance=correlation * np.outer(sd, sd))
+    start = judged().recording
+    found = Identification(((start, fit),), (), {start.path: judged().taken})
+    text = found.text()
+    pairs = [line.removeprefix("  correlations: ") for line in text.splitlines() if "correlations" in line]
+    said = [dict(re.findall(r"(\S+ with \S+) ([-+]\S+?)(?:,|$)", line)) for line in pairs]
+    zeros = {("B/J", "R"): 0.0, ("B/J", "L"): 0.0}
+    assert said == [{f"{a} with {b}": f"{value:+.2f}" for (a, b), value in (together | zeros).items()}]
+    (told,) = found.to_json()
+    np.testing.assert_allclose(told["correlations"], correlation, rtol=1e-12)
+    assert found.parameters["L"]["standard_error"] == pytest.approx(0.2 * fit.values[1])
 
 
 def test_a_start_that_hides_a_doubled_friction_says_so_and_one_that_hides_all_is_not_called_healthy() -> None:
