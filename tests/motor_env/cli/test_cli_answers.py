@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,8 +14,19 @@ import numpy as np
 import pytest
 from recording_csv import write_csv
 
-from motor_env import Diagnosis, Recording, Verdict, load_motor, nis_rule
-from motor_env.cli import main, options
+from motor_env import (
+    Diagnosis,
+    Recording,
+    Verdict,
+    commission,
+    diagnose,
+    identify,
+    load_motor,
+    nis_rule,
+    trend,
+    watch,
+)
+from motor_env.cli import main, monitors as of_streams, motors, options, verdicts as of_verdicts
 
 # Reaches in: stand-ins are patched in where commands look their work up, and answer in its types.
 from motor_env.diagnosis import identify as identifying
@@ -331,3 +344,23 @@ def test_durations_of_the_command(
 def test_a_time_that_is_none_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["watch", "m.toml", "--learn", "soon"]) == 2
     assert "must be a time such as 20s or 10min, got 'soon'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("asked_for", "verb"),
+    [
+        (motors.identify, identify),
+        (motors.commission, commission),
+        (of_verdicts.diagnose, diagnose),
+        (of_verdicts.trend, trend),
+        (of_streams.watch, watch),
+    ],
+)
+def test_a_command_has_the_defaults_of_its_verb(
+    asked_for: Callable[..., int], verb: Callable[..., object]
+) -> None:
+    """The command repeats them, so that it starts without loading what it calls."""
+    of_command, of_verb = (inspect.signature(each).parameters for each in (asked_for, verb))
+    both = of_command.keys() & of_verb.keys()
+    assert both
+    assert {name: of_command[name].default for name in both} == {name: of_verb[name].default for name in both}

@@ -49,6 +49,7 @@ from motor_env.diagnosis.explanations import (
 from motor_env.diagnosis.files import picture_of
 from motor_env.diagnosis.filter_check import filter_check
 from motor_env.diagnosis.healthy_motor import Reference, reference_of, reference_of_pieces
+from motor_env.diagnosis.identify import Identification
 from motor_env.diagnosis.learning import disagreement, learn_starts, odd_one_out
 from motor_env.diagnosis.shown import page, report
 from motor_env.diagnosis.spread import beyond, the_next, warmer
@@ -520,6 +521,26 @@ def doubled(friction: float, resistance: float) -> Judgement:
     return decide(wide, given, RATE)
 
 
+def test_what_is_identified_says_which_quantities_go_together() -> None:
+    _, fit, _ = fitted()
+    together = {("L", "R"): 0.5, ("K^2/J", "R"): -0.25, ("K^2/J", "L"): 0.1, ("B/J", "K^2/J"): 0.75}
+    sd, correlation = np.array([0.01, 0.2, 0.03, 0.4]), np.eye(4)
+    for pair, value in together.items():
+        i, j = map(CURRENT.index, pair)
+        correlation[i, j] = correlation[j, i] = value
+    fit = replace(fit, log_covariance=correlation * np.outer(sd, sd))
+    start = judged().recording
+    found = Identification(((start, fit),), (), {start.path: judged().taken})
+    text = found.text()
+    pairs = [line.removeprefix("  correlations: ") for line in text.splitlines() if "correlations" in line]
+    said = [dict(re.findall(r"(\S+ with \S+) ([-+]\S+?)(?:,|$)", line)) for line in pairs]
+    zeros = {("B/J", "R"): 0.0, ("B/J", "L"): 0.0}
+    assert said == [{f"{a} with {b}": f"{value:+.2f}" for (a, b), value in (together | zeros).items()}]
+    (told,) = found.to_json()
+    np.testing.assert_allclose(told["correlations"], correlation, rtol=1e-12)
+    assert found.parameters["L"]["standard_error"] == pytest.approx(0.2 * fit.values[1])
+
+
 def test_a_start_that_hides_a_doubled_friction_says_so_and_one_that_hides_all_is_not_called_healthy() -> None:
     """A friction twice as large is found in 95 of 100 cases where (limit + 1.645) deviations are log 2."""
     for friction, resistance, unseen in (
@@ -955,6 +976,9 @@ def test_words_of_a_commissioning() -> None:
     for name, value, h in zip(learned.quantities, learned.values, half, strict=True):
         words = f"{value:.4g} {report.UNITS[name]:<12} {math.expm1(-h):+.1%} to {math.expm1(h):+.1%}"
         assert " ".join(words.split()) in " ".join(text.split()), name
+        told = replace(known, false_alarm_rate=0.05).parameters[name]
+        assert (told["value"], told["unit"]) == (value, report.UNITS[name])
+        assert told["interval"] == pytest.approx([value * math.exp(-h), value * math.exp(h)])
     assert "found in 95 of 100 cases: bearing 25.0%" in text
     assert "\n  B/J is left undecided by 2 of these 3 starts: a doubling would not show\n" in text
     assert "by 15 K (1 sd)" in text

@@ -450,6 +450,22 @@ def test_warmth_widens_what_is_healthy() -> None:
         np.testing.assert_allclose(found, np.log1p(kelvin * WARMTH) + kept - np.log1p(kept), rtol=1e-9)
 
 
+@pytest.mark.parametrize("warmer_k", [-20.0, 20.0])
+def test_a_measured_temperature_is_taken_off_as_if_it_were_that_of_the_healthy_windows(
+    warmer_k: float,
+) -> None:
+    """Changes and the severity included."""
+    off = np.log([1.2, 1.0, 1.0, 1.0])
+    reference = replace(JUDGE.reference, temperature_k=4.0, own_friction=1.0)
+    fits_ = [FittedWindow(reference.log_values + off + k * WARMTH, 1e-6 * np.eye(4)) for k in (0.0, warmer_k)]
+    as_warm = decide(fits_[0], reference, 0.01)
+    found = decide(fits_[1], replace(reference, warmer_k=warmer_k), 0.01)
+    assert (found.verdict, found.reasons) == (as_warm.verdict, as_warm.reasons)
+    assert found.verdict == "winding"
+    assert [one.ratio for one in found.changes] == pytest.approx([1.2, 1.0, 1.0, 1.0])
+    assert found.severity == pytest.approx(as_warm.severity)
+
+
 def looks(healthy: Healthy = HEALTHY, rate: float = 0.04) -> Looks:
     return Looks(judge_of(healthy), rate, np.zeros(4))
 

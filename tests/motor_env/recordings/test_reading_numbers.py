@@ -492,7 +492,9 @@ def test_borders_of_a_motor_at_work() -> None:
         assert (work_seen(driven(volts)) == "the voltage takes several levels") is is_work
     once = start.copy()
     once[1000:4000] = 5.0
-    assert work_seen(driven(once)) is None
+    assert work_seen(driven(once)) is None  # two changes: off to 5 V, 5 V to 12 V
+    once[3000:4000] = 8.0
+    assert work_seen(driven(once)) == "the voltage takes several levels"
     for level, is_between in ((0.79, True), (0.81, False), (0.11, True), (0.09, False)):
         volts = start.copy()
         for k in range(4):
