@@ -302,6 +302,8 @@ def _span(change: Change) -> str:
 def headline(judgement: Judgement) -> str:
     """Verdict, severity and confidence in one line."""
     words = str(judgement.verdict)
+    if judgement.kind is not None and str(judgement.kind) != str(judgement.verdict):
+        words += f" ({judgement.kind})"
     if judgement.severity and judgement.verdict.is_fault:
         words += f" {judgement.severity:+.0%}"
         if judgement.severity_low is not None and judgement.severity_high is not None:

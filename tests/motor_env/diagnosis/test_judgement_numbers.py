@@ -741,7 +741,12 @@ def test_text_and_json_say_the_same() -> None:
     check = found.filter_check
     assert check is not None
     told, text = report.as_json(faulty(), 14.0), report.as_text(faulty(), verbose=True)
-    assert text.splitlines()[0] == "start.csv: winding +20% (95 %: +10% to +31%), confidence 0.88"
+    said = "winding (winding_contact) +20% (95 %: +10% to +31%), confidence 0.88"
+    assert text.splitlines()[0] == f"start.csv: {said}"
+    unsure = replace(faulty().telling, kind_probability=0.94)
+    assert report.headline(unsure) == said.replace(" (winding_contact)", "")
+    bearing = replace(faulty().telling, verdict=Verdict.BEARING, fault_kind=FaultKind.BEARING)
+    assert report.headline(bearing).startswith("bearing +20%")
     assert "R            " in text
     assert "+20.0% from the reference (95 %: +10.0% to +31.0%)\n" in text
     assert "-5.0% from the reference (95 %: -10.0% to +0.0%), undecided\n" in text
