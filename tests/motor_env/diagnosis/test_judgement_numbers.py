@@ -817,6 +817,38 @@ def test_bars_stand_on_a_logarithmic_axis_a_tenth_wider_than_they_are(high: floa
     assert [dot[1] for dot in drawn(html, "dot")] == [17.0, 51.0]
 
 
+def test_pieces_stand_at_their_middles_on_one_axis_of_time() -> None:
+    """From the begin of the first to the end of the last; of quantities that the first and the last have."""
+    ratios = [(0.0, 8.0, 1.5), (8.0, 10.0, 1.0), (30.0, 10.0, 0.8)]
+    pieces = [
+        replace(
+            judged().telling,
+            begin_s=begin,
+            duration_s=length,
+            changes=(
+                Change("R", ratio, 0.9 * ratio, 1.1 * ratio, "healthy"),
+                Change("L" if begin else "B/J", 1.0, 0.99, 1.01, "healthy"),
+            ),
+        )
+        for begin, length, ratio in ratios
+    ]
+    silent = replace(pieces[1], changes=(), begin_s=99.0)
+    html = page.pieces_chart([*pieces[:2], silent, pieces[2]])
+    assert html.count("<svg") == 1
+    edge = math.log(1.1 * 1.65)
+    spots = [66.0 + 382.0 * (begin + 0.5 * length) / 40.0 for begin, length, _ in ratios]
+
+    def y(ratio: float) -> float:
+        return 102.0 - 78.0 * (math.log(ratio) / edge + 1.0) / 2.0
+
+    for spot, (*_, ratio), dot, line in zip(
+        spots, ratios, drawn(html, "dot"), drawn(html, "interval"), strict=True
+    ):
+        assert dot == pytest.approx((spot, y(ratio)), abs=0.1)
+        assert line == pytest.approx((spot, y(0.9 * ratio), spot, y(1.1 * ratio)), abs=0.1)
+    assert page.pieces_chart([silent]) == ""
+
+
 def test_the_residuals_band_and_edge() -> None:
     """Averaged over a fiftieth; the axis reaches 1.2 times what 98 of 100 samples after the start lie within."""
     found, fit, _ = fitted()
