@@ -345,6 +345,10 @@ def test_healthy_starts_teach_the_next_one() -> None:
     assert starts.sampling_rate_hz == pytest.approx(1.0 / start.dt_s)
     assert starts.duration_s == pytest.approx(0.2, abs=1e-3)
     assert starts.quiet_s == pytest.approx(0.03, abs=1e-3)
+    late = learn_starts([*given[:2], replace(given[2], onset_s=0.05)]).starts
+    assert late is not None
+    assert late.duration_s == pytest.approx(starts.duration_s - 0.05, abs=1e-3)
+    assert late.quiet_s == starts.quiet_s
     assert (starts.ripple_hz, starts.ripple_log_sd, learned.temperature_k) == (None, None, 15.0)
     left = float(np.var(given[0].residual_a[start.alignment.onset_index :]))
     np.testing.assert_allclose(error, given[0].log_covariance * min(given[0].noise_a ** 2 / left, 1.0))
@@ -781,6 +785,8 @@ def test_text_and_json_say_the_same() -> None:
     assert told["parameters"]["onset_s"] == {"value": fit.onset_s, "unit": "s"}
     assert told["parameters"]["offset_a"] == {"value": fit.offset_a, "unit": "A"}
     assert report.of_the_drag(0.4).endswith("own friction, 40% of the drag")
+    assert of_one(severity_low=0.1, severity_high=0.31).severity_interval == (0.1, 0.31)
+    assert of_one(severity_low=0.1, severity_high=None).severity_interval is None
     for number in (math.nan, math.inf):
         assert report.as_json(of_one(severity=number))["severity"] is None
     assert report.headline(of_one(confidence=None).telling) == "healthy"
