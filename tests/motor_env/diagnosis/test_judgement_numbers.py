@@ -348,6 +348,10 @@ def test_healthy_starts_teach_the_next_one() -> None:
     assert starts.sampling_rate_hz == pytest.approx(1.0 / start.dt_s)
     assert starts.duration_s == pytest.approx(0.2, abs=1e-3)
     assert starts.quiet_s == pytest.approx(0.03, abs=1e-3)
+    late = learn_starts([*given[:2], replace(given[2], onset_s=0.05)]).starts
+    assert late is not None
+    assert late.duration_s == pytest.approx(starts.duration_s - 0.05, abs=1e-3)
+    assert late.quiet_s == starts.quiet_s
     assert (starts.ripple_hz, starts.ripple_log_sd, learned.temperature_k) == (None, None, 15.0)
     left = float(np.var(given[0].residual_a[start.alignment.onset_index :]))
     np.testing.assert_allclose(error, given[0].log_covariance * min(given[0].noise_a ** 2 / left, 1.0))
@@ -790,6 +794,8 @@ def test_text_and_json_say_the_same() -> None:
     assert told["parameters"]["onset_s"] == {"value": fit.onset_s, "unit": "s"}
     assert told["parameters"]["offset_a"] == {"value": fit.offset_a, "unit": "A"}
     assert report.of_the_drag(0.4).endswith("own friction, 40% of the drag")
+    assert of_one(severity_low=0.1, severity_high=0.31).severity_interval == (0.1, 0.31)
+    assert of_one(severity_low=0.1, severity_high=None).severity_interval is None
     for number in (math.nan, math.inf):
         assert report.as_json(of_one(severity=number))["severity"] is None
     assert report.headline(of_one(confidence=None).telling) == "healthy"
@@ -824,6 +830,38 @@ def test_bars_stand_on_a_logarithmic_axis_a_tenth_wider_than_they_are(high: floa
     assert end == pytest.approx(x(high) if high < edge else end, abs=0.1)
     assert drawn(html, "dot")[0] == pytest.approx((x(1.005), height), abs=0.1)
     assert [dot[1] for dot in drawn(html, "dot")] == [17.0, 51.0]
+
+
+def test_pieces_stand_at_their_middles_on_one_axis_of_time() -> None:
+    """From the begin of the first to the end of the last; of quantities that the first and the last have."""
+    ratios = [(0.0, 8.0, 1.5), (8.0, 10.0, 1.0), (30.0, 10.0, 0.8)]
+    pieces = [
+        replace(
+            judged().telling,
+            begin_s=begin,
+            duration_s=length,
+            changes=(
+                Change("R", ratio, 0.9 * ratio, 1.1 * ratio, "healthy"),
+                Change("L" if begin else "B/J", 1.0, 0.99, 1.01, "healthy"),
+            ),
+        )
+        for begin, length, ratio in ratios
+    ]
+    silent = replace(pieces[1], changes=(), begin_s=99.0)
+    html = page.pieces_chart([*pieces[:2], silent, pieces[2]])
+    assert html.count("<svg") == 1
+    edge = math.log(1.1 * 1.65)
+    spots = [66.0 + 382.0 * (begin + 0.5 * length) / 40.0 for begin, length, _ in ratios]
+
+    def y(ratio: float) -> float:
+        return 102.0 - 78.0 * (math.log(ratio) / edge + 1.0) / 2.0
+
+    for spot, (*_, ratio), dot, line in zip(
+        spots, ratios, drawn(html, "dot"), drawn(html, "interval"), strict=True
+    ):
+        assert dot == pytest.approx((spot, y(ratio)), abs=0.1)
+        assert line == pytest.approx((spot, y(0.9 * ratio), spot, y(1.1 * ratio)), abs=0.1)
+    assert page.pieces_chart([silent]) == ""
 
 
 def test_the_residuals_band_and_edge() -> None:

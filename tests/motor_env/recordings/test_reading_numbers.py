@@ -552,9 +552,17 @@ def test_levels_and_gaps_by_hand() -> None:
 
 
 def test_eight_jumps_of_the_voltage_must_show_in_the_current() -> None:
-    noise = np.random.default_rng(7).standard_normal(400)
-    for jumps, is_refused in ((7, False), (8, True)):
-        volts = off_on(*([20] * jumps), 400 - 20 * jumps)
+    noise, more = np.random.default_rng(7).standard_normal(400), [20] * 7
+    for lengths, is_refused in (
+        ([*more, 260], False),
+        ([*more, 20, 240], True),
+        # Two samples before and behind a jump tell what the current does there.
+        ([1, *more, 259], False),
+        ([2, *more, 258], True),
+        ([*more, 258, 2], False),
+        ([*more, 257, 3], True),
+    ):
+        volts = off_on(*lengths)
         if is_refused:
             with pytest.raises(UnusableError, match="does not follow the voltage"):
                 refuse_aliased(volts, noise)
