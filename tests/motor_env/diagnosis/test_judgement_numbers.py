@@ -350,7 +350,7 @@ def test_healthy_starts_teach_the_next_one() -> None:
     assert starts.quiet_s == pytest.approx(0.03, abs=1e-3)
     late = learn_starts([*given[:2], replace(given[2], onset_s=0.05)]).starts
     assert late is not None
-    assert late.duration_s == pytest.approx(starts.duration_s - 0.05, abs=1e-3)
+    assert late.duration_s == pytest.approx((starts.duration_s or 0.0) - 0.05, abs=1e-3)
     assert late.quiet_s == starts.quiet_s
     assert (starts.ripple_hz, starts.ripple_log_sd, learned.temperature_k) == (None, None, 15.0)
     left = float(np.var(given[0].residual_a[start.alignment.onset_index :]))
