@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from output_schema import follows
 
 from motor_classifiers import load_task, score_submission, write_submission
 from motor_classifiers.contest import submissions, tasks
@@ -25,6 +26,7 @@ from motor_classifiers.contest.tasks import TASKS, frozen_digests
 # Reaches in: the intervals by hand need the very weights that cases are drawn again with.
 from motor_classifiers.scoring.metrics import resampling_weights
 from motor_env import InputError
+from motor_env.console import json_text
 
 
 def test_an_interval_leaves_the_first_figure_out() -> None:
@@ -117,6 +119,7 @@ def test_a_score_is_the_mean_cost_with_its_paired_interval(tmp_path: Path) -> No
     answers = np.eye(5)[np.where(np.arange(120) < 30, (cases.truth + 1) % 5, cases.truth)]
     write_submission(tmp_path, task, answers, {"method": "m" * 200, "authors": "a"})
     scored = score_submission(tmp_path)
+    follows("motor-classifiers score", json_text(scored))
     assert scored["value"] == pytest.approx(25.0)
     weights = resampling_weights(120, 0, groups=cases.motor)
     figures = 100.0 * weights[:, :30].sum(axis=1) / 120

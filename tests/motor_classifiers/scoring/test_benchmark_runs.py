@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from output_schema import follows
 
 from motor_classifiers.cli.main import main
 
@@ -59,7 +60,7 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_benchmark_writes_a_page_that_needs_nothing_else(tmp_path: Path) -> None:
     methods = ["threshold", "residual-qda", "network"]
     assert main([*FAST, "--methods", ",".join(methods), "--out", str(tmp_path)]) == 0
-    rows = json.loads((tmp_path / "results.json").read_text())
+    rows = follows("motor-classifiers benchmark", (tmp_path / "results.json").read_text())
     assert [row["method"] for row in rows] == ["Bayes limit", *methods]
     for row in rows:
         assert row["accuracy_low"] <= row["accuracy"] <= row["accuracy_high"]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from output_schema import follows
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind, InputError, MotorParameters, cli, discretize
 from motor_env.apps import paper, reproduce as reproduction
@@ -124,7 +125,7 @@ def test_command_writes_page_figures_and_record(
     out = tmp_path / "new" / "paper"
     assert cli.main(["reproduce", "--out", str(out), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert result == json.loads((out / "reproduce.json").read_text(encoding="utf-8"))
+    assert result == follows("motor-env reproduce", (out / "reproduce.json").read_text(encoding="utf-8"))
     page = (out / "index.html").read_text(encoding="utf-8")
     assert len(result["figures"]) == 9
     for figure in result["figures"]:

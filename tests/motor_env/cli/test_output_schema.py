@@ -1,4 +1,7 @@
-"""What every command prints with --json is JSON without NaN, and follows docs/output.schema.json."""
+"""What every command prints with --json is JSON without NaN, and follows docs/output.schema.json.
+
+Outputs that take long to make are checked where they are made: reproduce, benchmark and score.
+"""
 
 import json
 from collections.abc import Callable
@@ -8,6 +11,7 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
+from output_schema import follows
 
 from motor_classifiers.cli.main import main as classifiers
 from motor_datasets.cli import main as datasets
@@ -15,21 +19,8 @@ from motor_env import PAPER_MOTOR, Fault, FaultKind, simulate_states
 from motor_env.cli import main
 
 ROOT = Path(__file__).parents[3]
-DEFINITIONS = json.loads((ROOT / "docs" / "output.schema.json").read_text(encoding="utf-8"))["$defs"]
 CAPTURE, MOTOR = str(ROOT / "examples" / "startup_capture.csv"), str(ROOT / "examples" / "motor.toml")
 Printed = Callable[[list[str], int], Any]
-
-
-def no_number(word: str) -> None:
-    raise ValueError(f"{word} is not JSON")
-
-
-def follows(command: str, text: str) -> Any:
-    """What was printed, if it follows the definition of the command."""
-    value = json.loads(text, parse_constant=no_number)
-    schema = {"$ref": f"#/$defs/{command.replace(' ', '%20')}", "$defs": DEFINITIONS}
-    jsonschema.Draft202012Validator(schema).validate(value)
-    return value
 
 
 @pytest.fixture
