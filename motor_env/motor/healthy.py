@@ -61,10 +61,11 @@ class Windows:
         dt_s: sampling interval of the fit.
         speed_rad_s: effective speed, at which the drag over the speed is the quantity B.
         rms_volts: least and largest effective voltage of a window; None where none was commissioned.
-        peaks: largest voltage, current and speed of the windows; without them no part of a window is judged.
+        peaks: largest voltage, current and speed of the windows: the scale of what is small; 1 each unless given.
         window_excess: by which factor windows scatter more than is believed of them: what they have taught, or
             their own errors where these are larger (variance).
-        excess: by which factor halves, quarters, ... of a window scatter more than is believed of them (variance).
+        excess: by which factor halves, quarters, ... of a window scatter more than is believed of them (variance);
+            without it no part of a window is judged.
     """
 
     window_s: Positive

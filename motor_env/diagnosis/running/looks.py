@@ -13,7 +13,6 @@ import numpy as np
 from scipy import special
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.running.lessons import MOST_LEARNED
 from motor_env.diagnosis.running.windows import (
     NAMES,
     WARMTH,
@@ -147,5 +146,5 @@ class Looks:
         share = float(np.trace(np.linalg.solve(spread, learned))) / len(NAMES)
         freedom = self.judge.reference.degrees_of_freedom
         pieces = freedom + 1.0 - PRIOR_WEIGHT
-        parts = math.ldexp(len(NAMES) * min(pieces, MOST_LEARNED), halvings)
+        parts = math.ldexp(len(NAMES) * pieces, halvings)
         return 1.0 / (share**2 / freedom + 1.0 / min(parts, _TAILS))
