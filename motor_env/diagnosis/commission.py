@@ -97,7 +97,7 @@ class Commissioned:
 
     def text(self) -> str:
         """What was learned, with the interval of the next healthy piece."""
-        return commissioned_text(self, self.false_alarm_rate)
+        return _text(self)
 
     def plot(self, path: Path) -> None:
         """A picture of the spread of each quantity; of starts also their fits and residuals.
@@ -347,15 +347,11 @@ def not_told(fit: Identified) -> list[str]:
     return sentences
 
 
-def commissioned_text(result: Commissioned, rate: float) -> str:
-    """What was learned, with the interval of the next healthy piece."""
-    healthy = result.motor.healthy
-    if healthy is None:
-        return ""
-    freedom = healthy.degrees_of_freedom
-    half = -float(stdtrit(freedom, rate / 2.0)) * np.sqrt(np.diag(healthy.log_covariance))
+def _text(result: Commissioned) -> str:
+    """See `Commissioned.text`."""
+    healthy, rate = result.healthy, result.false_alarm_rate
     smallest = ", ".join(f"{kind} {severity:.1%}" for kind, severity in result.smallest.items())
-    interval = f"({1.0 - rate:.0%}, Student t, {freedom:.0f} degrees)"
+    interval = f"({1.0 - rate:.0%}, Student t, {healthy.degrees_of_freedom:.0f} degrees)"
     if healthy.starts is not None:
         head, piece = f"{healthy.pieces} healthy starts, model {model_words(healthy.starts.model)}", "start"
     else:
@@ -368,8 +364,9 @@ def commissioned_text(result: Commissioned, rate: float) -> str:
     lines = [
         f"{head}; prediction interval of the next healthy {piece} {interval}",
         *(
-            f"  {name:<12} {value:11.4g} {UNITS[name]:<12} {math.exp(-h) - 1.0:+.1%} to {math.exp(h) - 1.0:+.1%}"
-            for name, value, h in zip(healthy.quantities, healthy.values, half, strict=True)
+            f"  {name:<12} {row['value']:11.4g} {row['unit']:<12}"
+            f" {row['interval'][0] / row['value'] - 1.0:+.1%} to {row['interval'][1] / row['value'] - 1.0:+.1%}"
+            for name, row in result.parameters.items()
         ),
         *(f"  taken for {one}" for one in result.taken),
         *quality,

@@ -29,7 +29,7 @@ from motor_env import (
 from motor_env.cli import main
 from motor_env.console import worst
 from motor_env.diagnosis import diagnose as diagnosing, files, views
-from motor_env.diagnosis.commission import Commissioned, commission, commissioned_text, motor_of_windows
+from motor_env.diagnosis.commission import Commissioned, commission, motor_of_windows
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import Change, joint_share
 from motor_env.diagnosis.files import Outcome
@@ -889,7 +889,7 @@ def test_words_of_a_commissioning_by_windows() -> None:
     fit = FittedWindow(np.log(HEALTHY.values), HEALTHY.log_covariance)
     result = Commissioned(warm, (fit,) * 12, {"bearing": 0.123, "magnet": 0.05}, {"J": 2})
     half = stats.t.isf(0.025, 15.0)
-    head, *rows = commissioned_text(result, 0.05).splitlines()
+    head, *rows = replace(result, false_alarm_rate=0.05).text().splitlines()
     assert head == (
         "12 healthy windows of 0.5 s; prediction interval of the next healthy window (95%, Student t, 15 degrees)"
     )
@@ -910,7 +910,7 @@ def test_words_of_a_commissioning_by_windows() -> None:
     assert rows[6].startswith("  a motor that is warmer or colder by 15 K (1 sd) is healthy too: R +0.39 %")
     assert rows[7] == "  few windows give wide intervals, more windows narrow them"
     cold = replace(result, motor=motor_of_windows(HEALTHY, "m"), undecided={})
-    assert len(commissioned_text(cold, 0.05).splitlines()) == len(rows) + 1 - 2
+    assert len(replace(cold, false_alarm_rate=0.05).text().splitlines()) == len(rows) + 1 - 2
 
 
 def log_file(folder: Path) -> Path:
