@@ -24,12 +24,12 @@ from operation_simulator import KNEE, LOADS, PROFILES, SLIDING, VOLTAGE_NOISE, M
 from tables import keep_table
 
 from motor_env.filters.joint import joint_filter
+from motor_env.fitting import kernel
+from motor_env.fitting.fit import begins
+from motor_env.fitting.identify import Operation, identify_operation
+from motor_env.fitting.terms import terms
+from motor_env.fitting.uncertainty import information_covariance, motor_places
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, SensorParameters
-from motor_env.operation import kernel
-from motor_env.operation.fit import begins
-from motor_env.operation.identify import Operation, identify_operation
-from motor_env.operation.terms import terms
-from motor_env.operation.uncertainty import information_covariance, motor_places
 from motor_env.recordings.defects import UnusableError
 
 QUANTITIES = ("R", "L", "K", "J", "B", "coulomb", "brush_drop", "load_constant", "load_square")

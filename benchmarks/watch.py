@@ -49,12 +49,12 @@ from motor_env.diagnosis.running import lessons, windows
 from motor_env.diagnosis.running.looks import Looks
 from motor_env.diagnosis.running.windows import WindowJudge, judge_of
 from motor_env.diagnosis.verdict import Verdict
+from motor_env.fitting.identify import identify_operation
+from motor_env.fitting.record import from_recordings
+from motor_env.fitting.window import fit_window
 from motor_env.live.watch import YEAR_S
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.healthy import Healthy
-from motor_env.operation.identify import identify_operation
-from motor_env.operation.record import from_recordings
-from motor_env.operation.window import fit_window
 from motor_env.recordings.recording import Recording
 
 LOAD_N_M, LOAD_S = 3e-3, 3600.0  # standard deviation and memory of the load: a tenth of the rated torque

@@ -30,6 +30,8 @@ from motor_env.diagnosis.shown.report import (
 )
 from motor_env.diagnosis.views import Fitted, smallest_of, views_of
 from motor_env.errors import InputError
+from motor_env.fitting.record import at_terminals
+from motor_env.fitting.report import motor_of
 from motor_env.identification.identify import Identified
 from motor_env.identification.residuals import AMBIGUOUS
 from motor_env.motor.assumptions import assumptions, lines as lines_of
@@ -37,8 +39,6 @@ from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import MotorParameters
-from motor_env.operation.record import at_terminals
-from motor_env.operation.report import motor_of
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, recording_of

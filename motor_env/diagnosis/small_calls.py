@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from motor_env.diagnosis.diagnose import diagnose
+from motor_env.fitting.identify import identify_operation
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.model import State
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
-from motor_env.operation.identify import identify_operation
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 from motor_env.simulation.simulate import simulate_states

@@ -21,12 +21,12 @@ from motor_env.diagnosis.running.windows import (
     windows_of,
 )
 from motor_env.diagnosis.spread import beyond
+from motor_env.fitting import kernel
+from motor_env.fitting.identify import Operation, identify_operation
+from motor_env.fitting.record import MOST, Record, from_recordings
+from motor_env.fitting.window import fit_window
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
-from motor_env.operation.identify import Operation, identify_operation
-from motor_env.operation.record import MOST, Record, from_recordings
-from motor_env.operation.window import fit_window
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 

@@ -17,12 +17,12 @@ from motor_env.diagnosis.running.windows import (
     needed_columns,
     viscous,
 )
+from motor_env.fitting.identify import identify_record
+from motor_env.fitting.record import STRETCHES, Record, from_recordings
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Windows
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation.identify import identify_record
-from motor_env.operation.record import STRETCHES, Record, from_recordings
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 

@@ -20,12 +20,12 @@ from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
 from motor_env.diagnosis.spread import beyond
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
+from motor_env.fitting import kernel
+from motor_env.fitting.record import Record, block_means, from_recordings
+from motor_env.fitting.window import WindowFit, first_steps, fit_window
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
-from motor_env.operation.record import Record, block_means, from_recordings
-from motor_env.operation.window import WindowFit, first_steps, fit_window
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut
 

@@ -16,13 +16,13 @@ from motor_env.diagnosis.explanations import joint_share
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
 from motor_env.diagnosis.running.windows import FittedWindow
 from motor_env.diagnosis.shown.page import reference_current
+from motor_env.fitting import kernel
 
 # Reaches in: starts with dry friction, which `simulate` has not; a window is off in the direction of a fault.
 from motor_env.identification.start_model import Extension, step_start
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
 
 RKJB = ("R", "K", "J", "B")
 SPEED = 200.0

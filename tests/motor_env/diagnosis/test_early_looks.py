@@ -8,12 +8,12 @@ import pytest
 
 from motor_env.diagnosis.running.looks import Looks
 from motor_env.diagnosis.running.windows import NAMES, WindowJudge, judge_of
-from motor_env.motor.healthy import Healthy, Windows
-from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
+from motor_env.fitting import kernel
 
 # Reaches in: the parts of a window that looks are given are records made by hand.
-from motor_env.operation.record import Record
+from motor_env.fitting.record import Record
+from motor_env.motor.healthy import Healthy, Windows
+from motor_env.motor.parameters import FloatArray
 
 HALVINGS = 4
 RATE = 0.05

@@ -30,12 +30,12 @@ from motor_env.diagnosis.running.windows import (
 )
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature
+from motor_env.fitting import kernel
 
 # Reaches in: the oracle of the joint share needs the direction in which each fault shows.
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 from operation_simulator import Motor as SimulatedMotor, draw_motor, simulate

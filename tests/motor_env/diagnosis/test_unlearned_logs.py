@@ -27,13 +27,13 @@ from motor_env.diagnosis.learning import fit_healthy, learn_starts
 from motor_env.diagnosis.running import unlearned
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import NAMES, viscous
-from motor_env.motor.healthy import Healthy, Windows
-from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
+from motor_env.fitting import kernel
 
 # Reaches in: the long test judges by the joint fit itself, made once for two motors.
-from motor_env.operation.identify import identify_operation
-from motor_env.operation.record import Record
+from motor_env.fitting.identify import identify_operation
+from motor_env.fitting.record import Record
+from motor_env.motor.healthy import Healthy, Windows
+from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 
 P, DT_S = PAPER_MOTOR, 0.002

@@ -13,10 +13,10 @@ from motor_env import PAPER_MOTOR, Motor, discretize
 
 # Reaches in: what windows teach is written by hand, without the long fits of a commissioning at work.
 from motor_env.diagnosis.running.windows import NAMES, viscous
+from motor_env.fitting import kernel
+from motor_env.fitting.terms import NOISES
 from motor_env.motor.data_sheet import save_motor
 from motor_env.motor.healthy import Healthy, Windows
-from motor_env.operation import kernel
-from motor_env.operation.terms import NOISES
 
 RATE_HZ, WINDOW_S, STREAM_S = 20_000, 5.0, 60.1
 SPEED_RAD_S = 250.0

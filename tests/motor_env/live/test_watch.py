@@ -16,11 +16,11 @@ from operation_simulator import draw_motor, simulate
 
 from motor_env import InputError, Recording
 from motor_env.cli import main
+from motor_env.fitting import kernel
 from motor_env.live.sources import SILENCE, Piece
 from motor_env.live.state import State
 from motor_env.live.watch import STUCK_AFTER, Lesson, Watch
 from motor_env.motor.healthy import Healthy, Windows
-from motor_env.operation import kernel
 
 HEADER = b"t_ms,voltage_v,current_ma,speed_rad_s\n"
 

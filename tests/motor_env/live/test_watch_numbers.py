@@ -24,6 +24,7 @@ from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
+from motor_env.fitting import kernel
 from motor_env.live import command, watch as watching
 from motor_env.live.screen import showing
 from motor_env.live.sources import NEW_FILE, SILENCE, Notice, Piece, lines
@@ -32,7 +33,6 @@ from motor_env.live.watch import Event, Lesson, Watch
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.parameters import RAD_S_PER_RPM
-from motor_env.operation import kernel
 from motor_env.recordings.defects import UnusableError
 
 HEADER = b"speed_rpm,t_ms,voltage_mv,current_ma\n"

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from motor_env.errors import InputError
+from motor_env.fitting import kernel
+from motor_env.fitting.identify import Operation
 from motor_env.motor.data_sheet import Kind, Motor
 from motor_env.motor.parameters import FloatArray, MotorParameters
-from motor_env.operation import kernel
-from motor_env.operation.identify import Operation
 from motor_env.plotting import COLOUR, drawing, save, subplots
 
 

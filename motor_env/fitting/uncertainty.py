@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
+from motor_env.fitting import kernel
+from motor_env.fitting.fit import score_tests
+from motor_env.fitting.problem import Problem, Solution
+from motor_env.fitting.terms import NOISES, Term
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
-from motor_env.operation.fit import score_tests
-from motor_env.operation.problem import Problem, Solution
-from motor_env.operation.terms import NOISES, Term
 
 _WIDEST = 1e3
 _STEPS = (1e-3, 0.1)

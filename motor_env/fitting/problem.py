@@ -14,10 +14,10 @@ from functools import lru_cache
 import numpy as np
 from scipy.optimize import least_squares
 
+from motor_env.fitting import kernel
+from motor_env.fitting.record import Record
+from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
-from motor_env.operation.record import Record
-from motor_env.operation.terms import Term
 
 _LEAST_LAG = 0.01  # of R dt: an L so small that the current follows at once
 STEP = 1e-4

@@ -10,12 +10,12 @@ from itertools import product
 import numpy as np
 from scipy.ndimage import convolve1d
 
+from motor_env.fitting import kernel
+from motor_env.fitting.beginnings import beginnings
+from motor_env.fitting.problem import Problem, Solution
+from motor_env.fitting.record import HOLDS, Record
+from motor_env.fitting.terms import SHAPES, Term, terms
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
-from motor_env.operation.beginnings import beginnings
-from motor_env.operation.problem import Problem, Solution
-from motor_env.operation.record import HOLDS, Record
-from motor_env.operation.terms import SHAPES, Term, terms
 from motor_env.recordings.defects import UnusableError
 
 STRONG_EVIDENCE = 6.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from motor_env import Recording, read_recording
-from motor_env.operation.identify import Operation, _refuse_poor, identify_operation
+from motor_env.fitting.identify import Operation, _refuse_poor, identify_operation
 from motor_env.recordings.defects import UnusableError
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))

@@ -11,9 +11,9 @@ from motor_env import KalmanFilter, MotorParameters, discretize, run_filter, sim
 
 # Reaches in: `KalmanFilter` has two states; a load that walks is a third.
 from motor_env.filters.kalman import measurement_update
+from motor_env.fitting import kernel
 from motor_env.motor.model import continuous_model
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
 
 MOTORS = {
     "small": (2.0, 1e-3, 0.03, 4e-6, 2e-5),

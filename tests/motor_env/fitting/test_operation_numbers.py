@@ -15,13 +15,12 @@ from motor_env.cli import main
 
 # Reaches in: a fit made by hand is patched in below `identify`, and told by the answer that it gives.
 from motor_env.diagnosis import identify as identifying
-from motor_env.motor.parameters import FloatArray
-from motor_env.operation import fit as fitting, kernel, report, uncertainty
-from motor_env.operation.beginnings import beginnings
-from motor_env.operation.fit import ScoreTest, score_tests
-from motor_env.operation.identify import Operation, identify_operation, identify_record
-from motor_env.operation.problem import Problem, Solution
-from motor_env.operation.record import (
+from motor_env.fitting import fit as fitting, kernel, report, uncertainty
+from motor_env.fitting.beginnings import beginnings
+from motor_env.fitting.fit import ScoreTest, score_tests
+from motor_env.fitting.identify import Operation, identify_operation, identify_record
+from motor_env.fitting.problem import Problem, Solution
+from motor_env.fitting.record import (
     Hold,
     Record,
     at_terminals,
@@ -32,9 +31,10 @@ from motor_env.operation.record import (
     noise_of,
     open_circuit,
 )
-from motor_env.operation.terms import terms
-from motor_env.operation.uncertainty import information_covariance, motor_places
-from motor_env.operation.window import first_steps, fit_window
+from motor_env.fitting.terms import terms
+from motor_env.fitting.uncertainty import information_covariance, motor_places
+from motor_env.fitting.window import first_steps, fit_window
+from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.regime import Taken
 from motor_env.recordings.start import Circuit
@@ -757,7 +757,7 @@ def test_text_json_and_motor_file_say_the_same(identified: Operation) -> None:
 
 def test_only_what_a_motor_can_be_is_told(identified: Operation) -> None:
     """The free model explains half of what was measured; L/R lies below 0.2 s."""
-    from motor_env.operation.identify import _refuse_poor
+    from motor_env.fitting.identify import _refuse_poor
 
     for r2, is_refused in ((0.499, True), (0.501, False), (math.nan, True)):
         for name in ("r2_current", "r2_speed"):

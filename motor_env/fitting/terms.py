@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from motor_env.fitting import kernel
+from motor_env.fitting.record import Record
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
-from motor_env.operation.record import Record
 
 LONGEST_CURRENT_LAG_S = 0.01
 LONGEST_SPEED_LAG_S = 0.1

@@ -12,9 +12,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from motor_env import MotorParameters, discretize
+from motor_env.fitting import kernel
+from motor_env.fitting.record import HOLDS, Hold, Record, open_circuit
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
-from motor_env.operation.record import HOLDS, Hold, Record, open_circuit
 
 DT_S = 2e-3
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from motor_env.fitting import kernel
+from motor_env.fitting.kernel import N_VALUES
+from motor_env.fitting.record import Record, noise_of
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
-from motor_env.operation.kernel import N_VALUES
-from motor_env.operation.record import Record, noise_of
 
 _WINDOWS = (2, 5, 12, 30, 80, 200)
 _RESISTANCES = np.geomspace(0.04, 2.0, 9)

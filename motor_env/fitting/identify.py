@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from motor_env.fitting import kernel
+from motor_env.fitting.fit import fit
+from motor_env.fitting.problem import Solution
+from motor_env.fitting.record import MOST, Record, from_recordings
+from motor_env.fitting.terms import NOISES, SHAPES, terms
+from motor_env.fitting.uncertainty import covariance, motor_places
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
-from motor_env.operation.fit import fit
-from motor_env.operation.problem import Solution
-from motor_env.operation.record import MOST, Record, from_recordings
-from motor_env.operation.terms import NOISES, SHAPES, terms
-from motor_env.operation.uncertainty import covariance, motor_places
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from motor_env.fitting import kernel
+from motor_env.fitting.problem import STEP, Problem, Solution
+from motor_env.fitting.record import Record, joined
+from motor_env.fitting.terms import NOISES, terms
+from motor_env.fitting.uncertainty import information_covariance, motor_places
 from motor_env.motor.parameters import FloatArray
-from motor_env.operation import kernel
-from motor_env.operation.problem import STEP, Problem, Solution
-from motor_env.operation.record import Record, joined
-from motor_env.operation.terms import NOISES, terms
-from motor_env.operation.uncertainty import information_covariance, motor_places
 
 _MOTOR = ("R", "K", "J", "drag")
 _LOADS = ("load_constant", "load_square", "offset_current", "offset_speed")
