@@ -24,7 +24,7 @@ from operation_simulator import KNEE, LOADS, PROFILES, SLIDING, VOLTAGE_NOISE, M
 from tables import keep_table
 
 from motor_env.filters.joint import joint_filter
-from motor_env.fitting import kernel
+from motor_env.fitting import places
 from motor_env.fitting.fit import begins
 from motor_env.fitting.identify import Operation, identify_operation
 from motor_env.fitting.terms import terms
@@ -46,7 +46,7 @@ NORMAL_MEDIAN = 0.6745
 
 def truth(motor: Motor, load: str, samples: int, dt_s: float, *, has_speed: bool) -> FloatArray:
     """The simulated motor as the fit's vector of values."""
-    k = kernel
+    k = places
     rated, values = 0.15 * motor.constant * motor.stall_a, np.zeros(k.N_VALUES)
     values[[k.R, k.L, k.K, k.J]] = motor.ohm, motor.henry, motor.constant, motor.inertia
     values[[k.B, k.COULOMB, k.DROP]] = motor.viscous, motor.coulomb, motor.drop
@@ -151,9 +151,9 @@ def extended(recording: Any, motor: Motor, rng: np.random.Generator) -> FloatArr
         process_noise_std=(1e-3 * motor.stall_a, 1e-3 * motor.speed), prior_std=0.3,
     )  # fmt: skip
     factors = np.exp(result.theta[0, -1])
-    values = np.zeros(kernel.N_VALUES)
+    values = np.zeros(places.N_VALUES)
     p = believed
-    values[[kernel.R, kernel.L, kernel.K, kernel.J, kernel.B]] = factors * [
+    values[[places.R, places.L, places.K, places.J, places.B]] = factors * [
         p.resistance_ohm, p.inductance_h, p.back_emf_constant_v_s_per_rad, p.inertia_kg_m2,
         p.viscous_friction_n_m_s_per_rad,
     ]  # fmt: skip

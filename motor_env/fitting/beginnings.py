@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from motor_env.fitting import kernel
-from motor_env.fitting.kernel import N_VALUES
+from motor_env.fitting import places
+from motor_env.fitting.places import N_VALUES
 from motor_env.fitting.record import Record, noise_of
 from motor_env.motor.parameters import FloatArray
 
@@ -84,10 +84,10 @@ def _values(record: Record, **given: float) -> FloatArray:
     """Physical values with noises, from what a regression told."""
     values = np.zeros(N_VALUES)
     for name, value in given.items():
-        values[getattr(kernel, name)] = value
-    values[kernel.L] = max(values[kernel.L], _LEAST_LAG * values[kernel.R] * record.dt_s)
-    values[kernel.NOISE_I] = noise_of(record.readings[:, 0]) if record.seen[0] else 1.0
-    values[kernel.NOISE_W] = noise_of(record.readings[:, 1]) if record.seen[1] else 1.0
+        values[getattr(places, name)] = value
+    values[places.L] = max(values[places.L], _LEAST_LAG * values[places.R] * record.dt_s)
+    values[places.NOISE_I] = noise_of(record.readings[:, 0]) if record.seen[0] else 1.0
+    values[places.NOISE_W] = noise_of(record.readings[:, 1]) if record.seen[1] else 1.0
     return values
 
 

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 from scipy.ndimage import convolve1d
 
-from motor_env.fitting import kernel
+from motor_env.fitting import kernel, places
 from motor_env.fitting.beginnings import beginnings
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import HOLDS, Record
@@ -221,7 +221,7 @@ def _begin(record: Record, values: FloatArray) -> tuple[Problem, FloatArray]:
             theta[n] = min(values[term.place] / term.unit, term.high)
         if term.name == "noise_voltage":
             theta[n] = math.log(_FIRST_NOISE_V * record.peaks[0] / term.unit)
-    known[[kernel.L, kernel.LOAD]] = 0.0  # none where a fit does without
+    known[[places.L, places.LOAD]] = 0.0  # none where a fit does without
     return replace(problem, known=known), theta
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motor_env.fitting import kernel
+from motor_env.fitting import places
 from motor_env.fitting.fit import fit
 from motor_env.fitting.problem import Solution
 from motor_env.fitting.record import MOST, Record, from_recordings
@@ -172,10 +172,10 @@ def _described(solution: Solution) -> Operation:
 def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
     """Each unknown with its interval, and the whole drag at the speed that the motor mostly runs at."""
     problem, theta = solution.problem, solution.theta
-    places = motor_places(problem)
+    chosen = motor_places(problem)
     names, units = _naming(problem.record)
     found = []
-    for row, n in enumerate(places):
+    for row, n in enumerate(chosen):
         term, sd = problem.free[n], math.sqrt(max(spread[row, row], 0.0))
         value, half = term.value(theta[n]), _TWO_SIDED * sd
         if term.is_log:
@@ -205,7 +205,7 @@ def _drag(solution: Solution, spread: FloatArray, name: str, unit: str) -> Quant
     slopes = {"B": w, "coulomb": 1.0, "load_square": w * w}
     terms_ = [problem.free[n] for n in motor_places(problem)]
     gradient = np.array([slopes.get(term.name, 0.0) * term.unit for term in terms_])
-    value = values[kernel.B] * w + values[kernel.COULOMB] + values[kernel.SQUARE] * w * w
+    value = values[places.B] * w + values[places.COULOMB] + values[places.SQUARE] * w * w
     sd = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))
     half = _TWO_SIDED * sd
     relative = sd / max(value, 1e-300)
@@ -227,8 +227,8 @@ def _notes(record: Record, solution: Solution, quantities: tuple[Quantity, ...])
     if record.seen[0] and not record.seen[1]:
         sentences.append("the current alone tells J/K^2 and B/K^2, not K, J and B")
     if not record.seen[0]:
-        gain, lag = 1.0 / values[kernel.K], values[kernel.J] / values[kernel.K] ** 2
-        dead = values[kernel.COULOMB] / values[kernel.K]
+        gain, lag = 1.0 / values[places.K], values[places.J] / values[places.K] ** 2
+        dead = values[places.COULOMB] / values[places.K]
         sentences.append(
             f"the current tells nothing: R, L and the friction are not determined; the speed alone gives"
             f" {gain:.4g} rad/s a volt, a dead voltage of {dead:.3g} V and a time constant of {lag:.3g} s"

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.optimize import least_squares
 
-from motor_env.fitting import kernel
+from motor_env.fitting import kernel, places
 from motor_env.fitting.record import Record
 from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
@@ -29,7 +29,7 @@ class Problem:
 
     Attributes:
         record: what is fitted.
-        known: values of what is not fitted, shape (kernel.N_VALUES,).
+        known: values of what is not fitted, shape (places.N_VALUES,).
         free: the terms that are.
     """
 
@@ -42,9 +42,9 @@ class Problem:
         values = self.known.copy()
         for term, one in zip(self.free, theta, strict=True):
             values[term.place] = term.value(one)
-        if values[kernel.DRAG] > 0.0:
-            values[[kernel.B, kernel.COULOMB]] *= values[kernel.DRAG]
-        values[kernel.L] = math.hypot(values[kernel.L], _LEAST_LAG * values[kernel.R] * self.record.dt_s)
+        if values[places.DRAG] > 0.0:
+            values[[places.B, places.COULOMB]] *= values[places.DRAG]
+        values[places.L] = math.hypot(values[places.L], _LEAST_LAG * values[places.R] * self.record.dt_s)
         return values
 
     def residuals(self, theta: FloatArray) -> FloatArray:
@@ -164,7 +164,7 @@ class Solution:
         values = self.problem.values(self.theta)
         out, _ = self.problem.record.predict(values)
         white = out[:, :2][:, self.problem.record.seen > 0.0]
-        values[[kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V, kernel.WALK]] *= math.sqrt(
+        values[[places.NOISE_I, places.NOISE_W, places.NOISE_V, places.WALK]] *= math.sqrt(
             float(np.mean(white**2))
         )
         return values

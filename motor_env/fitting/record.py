@@ -12,7 +12,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from motor_env.fitting.kernel import BEGIN, DELAY, OPEN, predict
+from motor_env.fitting.kernel import BEGIN, OPEN, predict
+from motor_env.fitting.places import DELAY
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from motor_env.errors import InputError
-from motor_env.fitting import kernel
+from motor_env.fitting import places
 from motor_env.fitting.identify import Operation
 from motor_env.motor.data_sheet import Kind, Motor
 from motor_env.motor.parameters import FloatArray, MotorParameters
@@ -56,27 +56,27 @@ def to_motor(found: Operation, name: str) -> Motor:
     return replace(
         motor_of(v, name, "identified"),
         nominal_voltage_v=found.record.peaks[0],
-        current_noise_a=float(v[kernel.NOISE_I]),
-        speed_noise_rad_s=float(v[kernel.NOISE_W]),
+        current_noise_a=float(v[places.NOISE_I]),
+        speed_noise_rad_s=float(v[places.NOISE_W]),
         notes=found.notes,
     )
 
 
 def motor_of(values: FloatArray, name: str, kind: Kind) -> Motor:
-    """A motor of a fit's physical values, shape (kernel.N_VALUES,)."""
+    """A motor of a fit's physical values, shape (places.N_VALUES,)."""
     return Motor(
         name=name,
         kind=kind,
         parameters=MotorParameters(
-            resistance_ohm=float(values[kernel.R]),
-            inductance_h=float(values[kernel.L]),
-            back_emf_constant_v_s_per_rad=float(values[kernel.K]),
-            torque_constant_n_m_per_a=float(values[kernel.K]),
-            inertia_kg_m2=float(values[kernel.J]),
-            viscous_friction_n_m_s_per_rad=float(values[kernel.B]),
+            resistance_ohm=float(values[places.R]),
+            inductance_h=float(values[places.L]),
+            back_emf_constant_v_s_per_rad=float(values[places.K]),
+            torque_constant_n_m_per_a=float(values[places.K]),
+            inertia_kg_m2=float(values[places.J]),
+            viscous_friction_n_m_s_per_rad=float(values[places.B]),
         ),
-        coulomb_friction_n_m=float(values[kernel.COULOMB]),
-        brush_drop_v=float(values[kernel.DROP]),
+        coulomb_friction_n_m=float(values[places.COULOMB]),
+        brush_drop_v=float(values[places.DROP]),
     )
 
 

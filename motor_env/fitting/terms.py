@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motor_env.fitting import kernel
+from motor_env.fitting import places
 from motor_env.fitting.record import Record
 from motor_env.motor.parameters import FloatArray
 
@@ -52,39 +52,39 @@ def terms(
 
     Args:
         record: what is fitted.
-        start: a first guess of the values, which gives their units, shape (kernel.N_VALUES,).
+        start: a first guess of the values, which gives their units, shape (places.N_VALUES,).
         peaks: largest voltage, current and speed, where they are not those of the record.
     """
     volts, amps, speed = record.peaks if peaks is None else peaks
-    ohm, constant, dt = start[kernel.R], start[kernel.K], record.dt_s
+    ohm, constant, dt = start[places.R], start[places.K], record.dt_s
     amps = max(amps, 1e-3 * volts / ohm) if record.seen[0] else volts / ohm
     speed = max(speed, 1e-3 * volts / constant) if record.seen[1] else volts / constant
     torque, power = constant * amps, ohm * float(np.mean(record.readings[:, 0] ** 2)) + 1e-300
     reach = 0.5 * record.duration_s / dt
     every = [
-        Term("R", kernel.R, ohm, -5.0, 5.0, is_log=True),
-        Term("L", kernel.L, ohm * dt, 0.0, reach),
-        Term("K", kernel.K, constant, -5.0, 5.0, is_log=True),
-        Term("J", kernel.J, start[kernel.J], -7.0, 7.0, is_log=True),
-        Term("B", kernel.B, torque / speed, 0.0, 20.0),
-        Term("coulomb", kernel.COULOMB, torque, 0.0, 0.9),
-        Term("brush_drop", kernel.DROP, volts, 0.0, 0.4, prior_sd=0.1),
-        Term("brush_knee", kernel.KNEE, amps, 0.0, 0.05, prior_sd=_KNEE_PRIOR),
-        Term("stribeck", kernel.STRIBECK, 1.0, 0.0, 2.0, prior_sd=_STRIBECK_PRIOR),
-        Term("coulomb_knee", kernel.SLIDING, speed, 0.0, 0.05, prior_sd=_KNEE_PRIOR),
-        Term("load_constant", kernel.LOAD, torque, -2.0, 2.0, prior_sd=0.3, usual=0.3),
-        Term("load_square", kernel.SQUARE, torque / speed**2, 0.0, 20.0, usual=0.3),
-        Term("offset_current", kernel.OFFSET_I, amps, -0.2, 0.2, prior_sd=_OFFSET_PRIOR),
-        Term("offset_speed", kernel.OFFSET_W, speed, -0.1, 0.1, prior_sd=_OFFSET_PRIOR),
-        Term("heating", kernel.HEATING, 10.0 / (power * record.duration_s), 0.0, 20.0),
-        Term("cooling", kernel.COOLING, 1.0 / record.duration_s, 0.0, 300.0),
-        Term("current_lag", kernel.LAG_I, dt, 0.0, min(LONGEST_CURRENT_LAG_S / dt, reach)),
-        Term("speed_lag", kernel.LAG_W, dt, 0.0, min(LONGEST_SPEED_LAG_S / dt, reach)),
-        Term("delay", kernel.DELAY, 1.0, -1.0, 1.0),
-        Term("noise_current", kernel.NOISE_I, start[kernel.NOISE_I], -5.0, 5.0, is_log=True),
-        Term("noise_speed", kernel.NOISE_W, start[kernel.NOISE_W], -5.0, 5.0, is_log=True),
-        Term("noise_voltage", kernel.NOISE_V, 0.003 * volts, -6.0, 4.0, is_log=True),
-        Term("load_walk", kernel.WALK, 0.05 * torque / math.sqrt(record.duration_s), -6.0, 6.0, is_log=True),
+        Term("R", places.R, ohm, -5.0, 5.0, is_log=True),
+        Term("L", places.L, ohm * dt, 0.0, reach),
+        Term("K", places.K, constant, -5.0, 5.0, is_log=True),
+        Term("J", places.J, start[places.J], -7.0, 7.0, is_log=True),
+        Term("B", places.B, torque / speed, 0.0, 20.0),
+        Term("coulomb", places.COULOMB, torque, 0.0, 0.9),
+        Term("brush_drop", places.DROP, volts, 0.0, 0.4, prior_sd=0.1),
+        Term("brush_knee", places.KNEE, amps, 0.0, 0.05, prior_sd=_KNEE_PRIOR),
+        Term("stribeck", places.STRIBECK, 1.0, 0.0, 2.0, prior_sd=_STRIBECK_PRIOR),
+        Term("coulomb_knee", places.SLIDING, speed, 0.0, 0.05, prior_sd=_KNEE_PRIOR),
+        Term("load_constant", places.LOAD, torque, -2.0, 2.0, prior_sd=0.3, usual=0.3),
+        Term("load_square", places.SQUARE, torque / speed**2, 0.0, 20.0, usual=0.3),
+        Term("offset_current", places.OFFSET_I, amps, -0.2, 0.2, prior_sd=_OFFSET_PRIOR),
+        Term("offset_speed", places.OFFSET_W, speed, -0.1, 0.1, prior_sd=_OFFSET_PRIOR),
+        Term("heating", places.HEATING, 10.0 / (power * record.duration_s), 0.0, 20.0),
+        Term("cooling", places.COOLING, 1.0 / record.duration_s, 0.0, 300.0),
+        Term("current_lag", places.LAG_I, dt, 0.0, min(LONGEST_CURRENT_LAG_S / dt, reach)),
+        Term("speed_lag", places.LAG_W, dt, 0.0, min(LONGEST_SPEED_LAG_S / dt, reach)),
+        Term("delay", places.DELAY, 1.0, -1.0, 1.0),
+        Term("noise_current", places.NOISE_I, start[places.NOISE_I], -5.0, 5.0, is_log=True),
+        Term("noise_speed", places.NOISE_W, start[places.NOISE_W], -5.0, 5.0, is_log=True),
+        Term("noise_voltage", places.NOISE_V, 0.003 * volts, -6.0, 4.0, is_log=True),
+        Term("load_walk", places.WALK, 0.05 * torque / math.sqrt(record.duration_s), -6.0, 6.0, is_log=True),
     ]
     return {term.name: term for term in every}
 

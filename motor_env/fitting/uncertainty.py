@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from motor_env.fitting import kernel
+from motor_env.fitting import places
 from motor_env.fitting.fit import score_tests
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.terms import NOISES, Term
@@ -25,14 +25,14 @@ def information_covariance(problem: Problem, theta: FloatArray) -> FloatArray:
 
 def secants(problem: Problem, theta: FloatArray) -> FloatArray:
     """Derivatives of the residuals over steps as wide as the unknowns are uncertain, without the noises' columns."""
-    places = motor_places(problem)
+    chosen = motor_places(problem)
     base = problem.residuals(theta)
-    jacobian = np.stack([problem.column(theta, n, base) for n in places], axis=1)
+    jacobian = np.stack([problem.column(theta, n, base) for n in chosen], axis=1)
     for _ in range(2):
         sd = np.sqrt(np.diag(_inverse(jacobian.T @ jacobian)) * float(base @ base) / problem.count)
         steps = np.clip(sd, *_STEPS)
         jacobian = np.stack(
-            [problem.secant(theta, n, step) for n, step in zip(places, steps, strict=True)], axis=1
+            [problem.secant(theta, n, step) for n, step in zip(chosen, steps, strict=True)], axis=1
         )
     return jacobian
 
@@ -50,7 +50,7 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
     as usual: it would have moved the others by so much, and would have left them so much less certain. Other optima
     count with theirs.
     """
-    problem, places = best.problem, motor_places(best.problem)
+    problem, chosen = best.problem, motor_places(best.problem)
     base, jacobian = problem.residuals(best.theta), secants(problem, best.theta)
     variance = float(base @ base) / problem.count
     bread = _inverse(jacobian.T @ jacobian)
@@ -59,11 +59,11 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
     for name, test in score_tests(best, every).items():
         occam = test.sd / math.hypot(test.sd, every[name].usual)
         odds = occam * math.exp(min(0.5 * test.chi_square, 50.0))
-        weight, moves = odds / (1.0 + odds), test.moves[places]
+        weight, moves = odds / (1.0 + odds), test.moves[chosen]
         total += weight * (test.value**2 + test.sd**2) * np.outer(moves, moves)
     ahead = np.exp([0.5 * (best.misfit - misfit) for _, misfit in best.rivals])
     for share, (theta, _) in zip(ahead / (1.0 + ahead.sum()), best.rivals, strict=True):
-        moved = (theta - best.theta)[places]
+        moved = (theta - best.theta)[chosen]
         total += share * np.outer(moved, moved)
     return total
 
@@ -75,7 +75,7 @@ def _widening(problem: Problem, theta: FloatArray, jacobian: FloatArray, bread: 
     n = len(problem.record.voltage_v)
     scores = (jacobian[: n * channels] * base[: n * channels, None]).reshape(n, channels, -1).sum(axis=1)
     values = problem.values(theta)
-    memory_s = values[kernel.J] * values[kernel.R] / values[kernel.K] ** 2
+    memory_s = values[places.J] * values[places.R] / values[places.K] ** 2
     lags = int(min(max(1.5 * n ** (1.0 / 3.0), 3.0 * memory_s / problem.record.dt_s), n / 20))
     middle = scores.T @ scores
     for lag in range(1, lags + 1):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.fitting import kernel
+from motor_env.fitting import places
 from motor_env.fitting.problem import STEP, Problem, Solution
 from motor_env.fitting.record import Record, joined
 from motor_env.fitting.terms import NOISES, terms
@@ -46,12 +46,12 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
     best = Solution(problem, *problem.solve(begin, _MOST_ROUNDS))
     values, spread = best.values, information_covariance(problem, best.theta)
     rows = [problem.names[n] for n in motor_places(problem)]
-    places = [rows.index(name) for name in _MOTOR]
+    at = [rows.index(name) for name in _MOTOR]
     factor = best.theta[problem.names.index("drag")]
     way = math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
     slope = np.diag([1.0, 1.0, 1.0, way])
-    logs = np.log([values[kernel.R], values[kernel.K], values[kernel.J], factor])
-    return WindowFit(logs, slope @ spread[np.ix_(places, places)] @ slope, values)
+    logs = np.log([values[places.R], values[places.K], values[places.J], factor])
+    return WindowFit(logs, slope @ spread[np.ix_(at, at)] @ slope, values)
 
 
 def first_steps(
@@ -63,7 +63,7 @@ def first_steps(
 
     Args:
         parts: with at least two samples each.
-        known: physical values of the healthy motor, shape (kernel.N_VALUES,).
+        known: physical values of the healthy motor, shape (places.N_VALUES,).
         wanted: terms of its windows.
         peaks: largest voltage, current and speed of its work.
     """
@@ -72,7 +72,7 @@ def first_steps(
     white, slopes = _slopes(problem, theta)
     belief = [_UNTOLD] * len(_MOTOR) + [term.prior_sd for term in problem.free[len(_MOTOR) :]]
     precision = np.diag(np.power(belief, -2.0))
-    per_log, n = np.array([1.0, 1.0, 1.0, 1.0 / known[kernel.DRAG]]), len(_MOTOR)
+    per_log, n = np.array([1.0, 1.0, 1.0, 1.0 / known[places.DRAG]]), len(_MOTOR)
     ends = np.cumsum([len(part.voltage_v) for part in parts])
     for first, end in zip([0, *ends[:-1]], ends, strict=True):
         some = slopes[:, first:end].reshape(len(theta), -1)
@@ -86,7 +86,7 @@ def _problem(
 ) -> tuple[Problem, FloatArray]:
     """R, K, J, the drag and others as unknowns; their known values."""
     every = terms(record, known, peaks)
-    every["drag"] = replace(every["coulomb"], name="drag", place=kernel.DRAG, unit=1.0, low=0.05, high=20.0)
+    every["drag"] = replace(every["coulomb"], name="drag", place=places.DRAG, unit=1.0, low=0.05, high=20.0)
     free = tuple(every[name] for name in (*_MOTOR, *others))
     at = [known[term.place] / term.unit for term in free]
     begin = [math.log(max(one, 1e-300)) if term.is_log else one for term, one in zip(free, at, strict=True)]

@@ -21,7 +21,7 @@ from motor_env.diagnosis.running.windows import (
     windows_of,
 )
 from motor_env.diagnosis.spread import beyond
-from motor_env.fitting import kernel
+from motor_env.fitting import places
 from motor_env.fitting.identify import Operation, identify_operation
 from motor_env.fitting.record import MOST, Record, from_recordings
 from motor_env.fitting.window import fit_window
@@ -36,7 +36,7 @@ _DEFAULT_WINDOWS, _SHORTEST = 20, 400  # samples
 TEMPERATURE_K = 15.0
 _LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1  # standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart
-_NOISES = [kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V, kernel.WALK]
+_NOISES = [places.NOISE_I, places.NOISE_W, places.NOISE_V, places.WALK]
 _MOST_HALVINGS = 6  # of a window, for looks at its parts
 _FEWEST_OF_A_LOOK = 8  # samples
 _SHORTEST_LOOK_S = 0.2  # so that there are 20 looks a second at most, which take a tenth of a core
@@ -145,5 +145,5 @@ def _excess(
 def known_of(joint: Operation) -> FloatArray:
     """Physical values of the joint fit, without warmth: each window is taken at its own temperature."""
     known = joint.solution.values
-    known[[kernel.HEATING, kernel.COOLING]] = 0.0
+    known[[places.HEATING, places.COOLING]] = 0.0
     return known

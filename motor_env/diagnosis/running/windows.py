@@ -20,7 +20,7 @@ from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
 from motor_env.diagnosis.spread import beyond
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
-from motor_env.fitting import kernel
+from motor_env.fitting import kernel, places
 from motor_env.fitting.record import Record, block_means, from_recordings
 from motor_env.fitting.window import WindowFit, first_steps, fit_window
 from motor_env.motor import identifiable as quantities
@@ -64,8 +64,8 @@ class FittedWindow:
 
 def viscous(physical: FloatArray, speed_rad_s: float) -> float:
     """Drag over the speed of a motor of these physical values, at a speed."""
-    dry, fan = physical[kernel.COULOMB] / speed_rad_s, physical[kernel.SQUARE] * speed_rad_s
-    return float(max(physical[kernel.B] + dry + fan, 1e-300))
+    dry, fan = physical[places.COULOMB] / speed_rad_s, physical[places.SQUARE] * speed_rad_s
+    return float(max(physical[places.B] + dry + fan, 1e-300))
 
 
 def averaged(recording: Recording, window_s: float) -> Recording:
@@ -113,8 +113,8 @@ class WindowJudge:
         """Physical values of the healthy motor; with logarithms of factors on R, K, J and the drag, shape (4,)."""
         known = self.windows.physical.copy()
         values = np.exp(self.reference.log_values if at is None else self.reference.log_values + at)
-        known[[kernel.R, kernel.K, kernel.J]] = values[:3]
-        known[kernel.DRAG] = values[3] / viscous(self.windows.physical, self.windows.speed_rad_s)
+        known[[places.R, places.K, places.J]] = values[:3]
+        known[places.DRAG] = values[3] / viscous(self.windows.physical, self.windows.speed_rad_s)
         return known
 
     def fitted(self, record: Record) -> FittedWindow:
@@ -159,7 +159,7 @@ class WindowJudge:
     def _chosen(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
         """Places of the windows that are judged, of many."""
         values, length = self.physical(), len(parts[0].time_s)
-        values[kernel.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
+        values[places.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
         misfits, whole = np.zeros(len(parts)), averaged(recording, self.windows.window_s)
         for first in range(0, len(parts), _TOGETHER):
             some = slice(first, min(first + _TOGETHER, len(parts)))
@@ -189,9 +189,9 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
     reference = reference_of_pieces(healthy, NAMES, motor, are_starts=False, temperature_c=temperature_c)
     if healthy.windows is None or reference is None or reference.names != NAMES:
         raise UnusableError(f"the healthy pieces of {motor} do not tell {', '.join(NAMES)} of windows")
-    if len(healthy.windows.physical) != kernel.N_VALUES:
+    if len(healthy.windows.physical) != places.N_VALUES:
         raise InputError(
-            f"{motor}: healthy.windows.physical must have {kernel.N_VALUES} values,"
+            f"{motor}: healthy.windows.physical must have {places.N_VALUES} values,"
             f" got {len(healthy.windows.physical)}"
         )
     return WindowJudge(healthy.windows, reference)

@@ -16,7 +16,7 @@ from motor_env.diagnosis.explanations import joint_share
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
 from motor_env.diagnosis.running.windows import FittedWindow
 from motor_env.diagnosis.shown.page import reference_current
-from motor_env.fitting import kernel
+from motor_env.fitting import places
 
 # Reaches in: starts with dry friction, which `simulate` has not; a window is off in the direction of a fault.
 from motor_env.identification.start_model import Extension, step_start
@@ -40,9 +40,9 @@ TRUE = np.array(
 
 def of_windows(dry_n_m: float = 0.0) -> Motor:
     """The motor known by twelve windows, whose effective speed is far below that of a start."""
-    physical = np.zeros(kernel.N_VALUES)
-    physical[[kernel.R, kernel.K, kernel.J, kernel.B]] = TRUE
-    physical[[kernel.L, kernel.COULOMB, kernel.DRAG]] = [float(PAPER_MOTOR.inductance_h), dry_n_m, 1.0]
+    physical = np.zeros(places.N_VALUES)
+    physical[[places.R, places.K, places.J, places.B]] = TRUE
+    physical[[places.L, places.COULOMB, places.DRAG]] = [float(PAPER_MOTOR.inductance_h), dry_n_m, 1.0]
     values = TRUE + np.array([0.0, 0.0, 0.0, dry_n_m / SPEED])
     covariance = np.diag([0.02, 0.01, 0.02, 0.05]) ** 2
     windows = Windows(0.5, (), physical, "held", 1e-3, SPEED, window_excess=0.7)

@@ -8,7 +8,7 @@ import pytest
 
 from motor_env.diagnosis.running.looks import Looks
 from motor_env.diagnosis.running.windows import NAMES, WindowJudge, judge_of
-from motor_env.fitting import kernel
+from motor_env.fitting import places
 
 # Reaches in: the parts of a window that looks are given are records made by hand.
 from motor_env.fitting.record import Record
@@ -20,7 +20,7 @@ RATE = 0.05
 WINDOWS = Windows(
     window_s=640.0,
     terms=(),
-    physical=np.zeros(kernel.N_VALUES),
+    physical=np.zeros(places.N_VALUES),
     hold="held",
     dt_s=1.0,
     speed_rad_s=1.0,

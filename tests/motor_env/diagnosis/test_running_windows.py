@@ -30,7 +30,7 @@ from motor_env.diagnosis.running.windows import (
 )
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature
-from motor_env.fitting import kernel
+from motor_env.fitting import places
 
 # Reaches in: the oracle of the joint share needs the direction in which each fault shows.
 from motor_env.motor import identifiable as quantities
@@ -41,7 +41,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 from operation_simulator import Motor as SimulatedMotor, draw_motor, simulate
 
 COLUMNS = ("current_a", "voltage_v", "speed_rad_s")
-PHYSICAL = np.zeros(kernel.N_VALUES)
+PHYSICAL = np.zeros(places.N_VALUES)
 WINDOWS = Windows(
     window_s=0.01, terms=("R", "K"), physical=PHYSICAL, hold="held", dt_s=1e-3, speed_rad_s=100.0
 )

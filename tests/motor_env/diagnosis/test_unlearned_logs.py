@@ -27,7 +27,7 @@ from motor_env.diagnosis.learning import fit_healthy, learn_starts
 from motor_env.diagnosis.running import unlearned
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import NAMES, viscous
-from motor_env.fitting import kernel
+from motor_env.fitting import places
 
 # Reaches in: the long test judges by the joint fit itself, made once for two motors.
 from motor_env.fitting.identify import identify_operation
@@ -58,11 +58,11 @@ HALF_WAY = (Fault(FaultKind.BEARING, 1.0, onset_s=1.6),)
 
 def true_fit(record: Record) -> Any:
     """Instead of the joint fit of a log, which takes many seconds: its motor as simulated."""
-    values = np.zeros(kernel.N_VALUES)
-    places = [kernel.R, kernel.L, kernel.K, kernel.J, kernel.B]
-    values[places] = P.resistance_ohm, P.inductance_h, K, P.inertia_kg_m2, P.viscous_friction_n_m_s_per_rad
-    values[[kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V]] = 0.02, 1.0, 0.005
-    values[[kernel.HEATING, kernel.COOLING]] = 3.0, 0.1
+    values = np.zeros(places.N_VALUES)
+    told = [places.R, places.L, places.K, places.J, places.B]
+    values[told] = P.resistance_ohm, P.inductance_h, K, P.inertia_kg_m2, P.viscous_friction_n_m_s_per_rad
+    values[[places.NOISE_I, places.NOISE_W, places.NOISE_V]] = 0.02, 1.0, 0.005
+    values[[places.HEATING, places.COOLING]] = 3.0, 0.1
     return SimpleNamespace(
         record=SimpleNamespace(seen=np.ones(2), hold="late"),
         solution=SimpleNamespace(values=values, names=TERMS),
@@ -127,7 +127,7 @@ def test_the_reference_of_a_log_by_hand() -> None:
     speed = float(np.sqrt(np.mean(np.square(np.asarray(log().speed_rad_s)))))
     assert (taught.window_s, taught.speed_rad_s, taught.dt_s) == pytest.approx((0.8, speed, DT_S))
     assert (taught.terms, taught.hold, taught.rms_volts, taught.excess) == (TERMS, "late", None, ())
-    assert taught.physical[kernel.HEATING] == taught.physical[kernel.COOLING] == 0.0
+    assert taught.physical[places.HEATING] == taught.physical[places.COOLING] == 0.0
     # Starts hold errors of other fits: the windows' own come on top, and their scatter is that of starts.
     starts = of_starts()
     assert starts.healthy is not None
@@ -154,7 +154,7 @@ def test_stretches_of_a_log_tell_how_it_is_fitted() -> None:
 
 
 def test_a_motor_that_was_commissioned_at_work_says_how_its_windows_are_judged() -> None:
-    windows = Windows(0.4, TERMS, np.zeros(kernel.N_VALUES), "late", DT_S, 100.0)
+    windows = Windows(0.4, TERMS, np.zeros(places.N_VALUES), "late", DT_S, 100.0)
     healthy = Healthy(9, 12.0, NAMES, np.ones(4), np.eye(4), temperature_c=20.0, windows=windows)
     judge = judge_for(log(), replace(SHEET, healthy=healthy), 45.0)
     assert judge.windows is windows
@@ -181,8 +181,8 @@ def test_what_tells_too_little_of_a_log_is_refused(monkeypatch: pytest.MonkeyPat
 
 
 def physical(b: float, coulomb: float, square: float = 0.0) -> FloatArray:
-    values = np.zeros(kernel.N_VALUES)
-    values[[kernel.B, kernel.COULOMB, kernel.SQUARE]] = b, coulomb, square
+    values = np.zeros(places.N_VALUES)
+    values[[places.B, places.COULOMB, places.SQUARE]] = b, coulomb, square
     return values
 
 

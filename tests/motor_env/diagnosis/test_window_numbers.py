@@ -55,7 +55,7 @@ from motor_env.diagnosis.running.windows import (
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature
-from motor_env.fitting import kernel
+from motor_env.fitting import kernel, places
 from motor_env.fitting.record import Record
 from motor_env.fitting.window import WindowFit, first_steps
 
@@ -68,9 +68,9 @@ from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.regime import Taken
 from motor_env.recordings.start import Circuit, prepare
 
-PHYSICAL = np.zeros(kernel.N_VALUES)
-PHYSICAL[[kernel.R, kernel.L, kernel.K, kernel.J]] = 2.1, 1e-3, 0.031, 4.2e-6
-PHYSICAL[[kernel.B, kernel.COULOMB, kernel.SQUARE]] = 2e-6, 3e-4, 1e-8
+PHYSICAL = np.zeros(places.N_VALUES)
+PHYSICAL[[places.R, places.L, places.K, places.J]] = 2.1, 1e-3, 0.031, 4.2e-6
+PHYSICAL[[places.B, places.COULOMB, places.SQUARE]] = 2e-6, 3e-4, 1e-8
 WINDOWS = Windows(
     window_s=0.5,
     terms=("R", "K", "J"),
@@ -142,7 +142,7 @@ def test_the_drag_of_a_window_is_told_over_the_speed() -> None:
     """Viscous friction, dry friction over the speed, and the square law times it; none at all stays a number."""
     assert viscous(PHYSICAL, 200.0) == pytest.approx(2e-6 + 1.5e-6 + 2e-6)
     assert viscous(PHYSICAL, 50.0) == pytest.approx(2e-6 + 6e-6 + 0.5e-6)
-    assert viscous(np.zeros(kernel.N_VALUES), 200.0) == 1e-300
+    assert viscous(np.zeros(places.N_VALUES), 200.0) == 1e-300
     fit = over_speed(WindowFit(np.log([2.0, 0.03, 4e-6, 1.5]), spread(), PHYSICAL), PHYSICAL, 200.0)
     np.testing.assert_allclose(np.exp(fit.log_values), [2.0, 0.03, 4e-6, 1.5 * 5.5e-6])
     assert fit.log_covariance is fit.white_covariance
@@ -169,9 +169,9 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         return decide(fit, reference, rate)
 
     def fitting(record: Record, known: FloatArray, terms: Sequence[str]) -> WindowFit:
-        assert (record.hold, terms, known[kernel.DRAG]) == ("late", WINDOWS.terms, pytest.approx(DRAG))
+        assert (record.hold, terms, known[places.DRAG]) == ("late", WINDOWS.terms, pytest.approx(DRAG))
         logs = np.log([*HEALTHY.values[:3], DRAG]) + 0.01
-        return WindowFit(logs, np.eye(4) * 1e-6, np.zeros(kernel.N_VALUES))
+        return WindowFit(logs, np.eye(4) * 1e-6, np.zeros(places.N_VALUES))
 
     monkeypatch.setattr(windows, "fit_window", fitting)
     monkeypatch.setattr(windows, "decide", deciding)
@@ -210,7 +210,7 @@ def test_of_many_windows_some_are_judged_and_the_rate_is_still_shared_by_all(
     odd = {7, 20, 33}
 
     def predict(self: Record, values: FloatArray) -> tuple[FloatArray, float]:
-        assert (self.hold, values[kernel.R], values[kernel.KNEE]) == ("late", pytest.approx(2.0), 0.0)
+        assert (self.hold, values[places.R], values[places.KNEE]) == ("late", pytest.approx(2.0), 0.0)
         out = np.zeros((len(self.voltage_v), 6))
         window = (self.readings[:, 0] // 500.0).astype(int)
         out[:, 0] = np.where(np.isin(window, list(odd)), 5.0, 1.0 + 1e-3 * window)
@@ -581,7 +581,7 @@ def test_parts_are_steps_from_where_the_motor_is_thought_to_be(monkeypatch: pyte
     given: list[Any] = []
 
     def steps(parts: Sequence[Record], known: FloatArray, terms: Sequence[str], peaks: Any) -> Any:
-        given.append((known[[kernel.R, kernel.K, kernel.J, kernel.DRAG]], terms, peaks))
+        given.append((known[[places.R, places.K, places.J, places.DRAG]], terms, peaks))
         return iter([(np.array([0.01, 0.0, 0.0, 0.0]), np.diag([9e-4, 1e-9, 1e-9, 1e-9]))])
 
     monkeypatch.setattr(windows, "first_steps", steps)
@@ -592,8 +592,8 @@ def test_parts_are_steps_from_where_the_motor_is_thought_to_be(monkeypatch: pyte
     np.testing.assert_allclose(given[0][0], [*HEALTHY.values[:3], DRAG] * np.exp(at))
     assert given[0][1:] == (WINDOWS.terms, WINDOWS.peaks)
     assert first_steps is not steps
-    np.testing.assert_allclose(JUDGE.physical()[[kernel.R, kernel.DRAG, kernel.B]], [2.0, DRAG, 2e-6])
-    assert PHYSICAL[kernel.R] == 2.1  # what was learned stays as it was
+    np.testing.assert_allclose(JUDGE.physical()[[places.R, places.DRAG, places.B]], [2.0, DRAG, 2e-6])
+    assert PHYSICAL[places.R] == 2.1  # what was learned stays as it was
 
 
 LOGS = np.random.default_rng(6).normal(0.0, 0.03, (6, 4))
@@ -610,7 +610,7 @@ class Lesson:
         self.joint: list[int] = []
         self.error = np.diag([1e-4, 1e-4, 1e-4, load_sd**2])
         self.values = np.array([2.0, 1e-3, 0.03, 4e-6, 2e-6, 3e-4, *np.zeros(18)])
-        self.values[[kernel.HEATING, kernel.COOLING]] = 5.0, 0.1
+        self.values[[places.HEATING, places.COOLING]] = 5.0, 0.1
         monkeypatch.setattr(lessons, "identify_operation", self.identify)
         monkeypatch.setattr(lessons, "fit_window", self.fit)
         monkeypatch.setattr(WindowJudge, "first_steps", lambda _, parts, at: self.steps(parts, at))
@@ -625,11 +625,11 @@ class Lesson:
 
     def fit(self, record: Record, known: FloatArray, wanted: tuple[str, ...]) -> WindowFit:
         assert record.hold == "late"
-        assert known[kernel.HEATING] == known[kernel.COOLING] == 0.0
+        assert known[places.HEATING] == known[places.COOLING] == 0.0
         number = len(self.wanted)
         self.wanted.append(wanted)
         values = self.values.copy()
-        values[kernel.NOISE_I] = [1.0, 2.0, 3.0, 4.0, 5.0, 9.0][number % 6]
+        values[places.NOISE_I] = [1.0, 2.0, 3.0, 4.0, 5.0, 9.0][number % 6]
         error = self.error.copy() if len(self.wanted) <= 6 else np.diag([1e-4, 1e-4, 1e-4, 1e-4])
         return WindowFit(self.logs[number % 6], error, values)
 
@@ -667,8 +667,8 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     volts = np.quantile(np.abs(recording(500).voltage_v), 0.999)  # type: ignore[arg-type]  # it has a voltage
     amps = np.quantile(np.arange(2500.0, 3000.0), 0.999)
     assert taught.peaks == pytest.approx((volts, amps, 30.0 * amps))
-    assert taught.physical[kernel.NOISE_I] == 3.5  # the median of the windows
-    assert taught.physical[kernel.HEATING] == taught.physical[kernel.COOLING] == 0.0
+    assert taught.physical[places.NOISE_I] == 3.5  # the median of the windows
+    assert taught.physical[places.HEATING] == taught.physical[places.COOLING] == 0.0
     as_believed = replace(judge_of(found).reference, excess=1.0)
     believed = np.linalg.inv(covariance_at_one_temperature(learned[0], as_believed))
     squares = [

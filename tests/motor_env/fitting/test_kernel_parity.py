@@ -11,7 +11,7 @@ from motor_env import KalmanFilter, MotorParameters, discretize, run_filter, sim
 
 # Reaches in: `KalmanFilter` has two states; a load that walks is a third.
 from motor_env.filters.kalman import measurement_update
-from motor_env.fitting import kernel
+from motor_env.fitting import kernel, places
 from motor_env.motor.model import continuous_model
 from motor_env.motor.parameters import FloatArray
 
@@ -33,10 +33,10 @@ def motor_of(name: str) -> MotorParameters:
 
 
 def values(name: str, **given: float) -> FloatArray:
-    out = np.zeros(kernel.N_VALUES)
-    out[[kernel.R, kernel.L, kernel.K, kernel.J, kernel.B]] = MOTORS[name]
+    out = np.zeros(places.N_VALUES)
+    out[[places.R, places.L, places.K, places.J, places.B]] = MOTORS[name]
     for place, value in ({"NOISE_I": NOISE_I, "NOISE_W": NOISE_W} | given).items():
-        out[getattr(kernel, place)] = value
+        out[getattr(places, place)] = value
     return out
 
 
@@ -103,10 +103,10 @@ def begun(p: FloatArray, record: Recorded, seen: FloatArray) -> FloatArray:
     """Variances of current, speed and load where the kernel begins; what is not recorded is known to 30 %."""
     reach, sd_i, sd_w = float(np.abs(record.volts).max()) + 1e-9, NOISE_I, NOISE_W
     if not seen[1]:
-        sd_w = np.hypot(0.3 * reach, p[kernel.L] / record.dt_s * NOISE_I) / p[kernel.K]
+        sd_w = np.hypot(0.3 * reach, p[places.L] / record.dt_s * NOISE_I) / p[places.K]
     if not seen[0]:
-        sd_i = 0.3 * reach / p[kernel.R]
-    return np.square([sd_i, sd_w, 0.1 * p[kernel.K] * reach / p[kernel.R]])
+        sd_i = 0.3 * reach / p[places.R]
+    return np.square([sd_i, sd_w, 0.1 * p[places.K] * reach / p[places.R]])
 
 
 each_sensor = pytest.mark.parametrize(

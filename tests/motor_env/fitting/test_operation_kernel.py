@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from motor_env import MotorParameters, discretize
-from motor_env.fitting import kernel
+from motor_env.fitting import kernel, places, steps
 from motor_env.fitting.record import HOLDS, Hold, Record, open_circuit
 from motor_env.motor.parameters import FloatArray
 
@@ -22,9 +22,9 @@ DT_S = 2e-3
 def values(**given: float) -> FloatArray:
     """A small motor, with what is given."""
     base = {"R": 2.0, "L": 1e-3, "K": 0.03, "J": 4e-6, "B": 2e-6, "NOISE_I": 1e-3, "NOISE_W": 0.1}
-    out = np.zeros(kernel.N_VALUES)
+    out = np.zeros(places.N_VALUES)
     for name, value in (base | given).items():
-        out[getattr(kernel, name)] = value
+        out[getattr(places, name)] = value
     return out
 
 
@@ -38,7 +38,7 @@ def free_run(p: FloatArray, voltage: FloatArray) -> FloatArray:
 
 def solved(p: FloatArray, voltage: FloatArray) -> FloatArray:
     """The same by an implicit solver, friction and drop with a knee, steep where there is none."""
-    k = kernel
+    k = places
 
     def slope(_: float, x: FloatArray, volts: float) -> list[float]:
         dry = p[k.COULOMB] * x[1] / math.hypot(x[1], max(p[k.SLIDING], 0.01))
@@ -81,8 +81,8 @@ def test_a_coasting_motor_that_its_load_turns_back_follows_a_stiff_solver(slidin
 
     def slope(_: float, w: FloatArray) -> FloatArray:
         dry = 0.001 * w / np.hypot(w, max(sliding, 0.01))
-        torque = dry + p[kernel.B] * w + 2e-7 * w * np.abs(w) + 0.003
-        return np.asarray(-torque / p[kernel.J])
+        torque = dry + p[places.B] * w + 2e-7 * w * np.abs(w) + 0.003
+        return np.asarray(-torque / p[places.J])
 
     span = DT_S * np.arange(n - 1)
     run = solve_ivp(slope, (0.0, span[-1]), got[:1], "LSODA", t_eval=span, rtol=1e-8, atol=1e-8)
@@ -101,7 +101,7 @@ def test_innovations_of_the_right_model_are_white_and_of_unit_size() -> None:
     p = values(COULOMB=0.004, DROP=0.2)
     voltage = np.repeat(rng.uniform(-8.0, 8.0, 100), 30)
     true = free_run(p, voltage)
-    readings = true + rng.standard_normal(true.shape) * [p[kernel.NOISE_I], p[kernel.NOISE_W]]
+    readings = true + rng.standard_normal(true.shape) * [p[places.NOISE_I], p[places.NOISE_W]]
     record = Record(DT_S, voltage, readings, np.ones(2), np.eye(1, len(voltage))[0])
     white = record.predict(p)[0][1:, :2]
     assert np.std(white, axis=0) == pytest.approx([1.0, 1.0], abs=0.05)
@@ -159,7 +159,7 @@ def test_a_motor_that_idles_at_a_small_current_is_no_open_circuit() -> None:
 
 def test_the_knee_of_the_brush_drop_solves_its_equation() -> None:
     for free in (-3.0, -0.02, 0.0, 1e-4, 0.5, 20.0):
-        i = kernel._kneed(free, 1.5, 0.03)
+        i = steps._kneed(free, 1.5, 0.03)
         assert i + 1.5 * i / math.hypot(i, 0.03) == pytest.approx(free, abs=1e-9)
 
 
@@ -179,11 +179,11 @@ def test_a_voltage_that_steps_while_the_motor_idles_is_no_open_circuit() -> None
 
 def exact_step(p: FloatArray, dt_s: float, warm_k: float = 0.0) -> FloatArray:
     """Rows current and speed; columns current, speed, voltage before, its rise over the interval, torque."""
-    ohm, constant, drag = p[kernel.R] * (1.0 + 0.00393 * warm_k), p[kernel.K], p[kernel.B]
+    ohm, constant, drag = p[places.R] * (1.0 + 0.00393 * warm_k), p[places.K], p[places.B]
     constant, drag = constant * (1.0 - 0.001 * warm_k), drag * (1.0 - 0.003 * warm_k)
     whole = np.zeros((5, 5))
-    whole[0, :3] = array(-ohm, -constant, 1.0) / p[kernel.L]
-    whole[1, [0, 1, 4]] = array(constant, -drag, -1.0) / p[kernel.J]
+    whole[0, :3] = array(-ohm, -constant, 1.0) / p[places.L]
+    whole[1, [0, 1, 4]] = array(constant, -drag, -1.0) / p[places.J]
     whole[2, 3] = 1.0 / dt_s
     rows: FloatArray = expm(whole * dt_s)[:2]
     return rows
@@ -221,18 +221,25 @@ class Filter(NamedTuple):
 
 
 def textbook_filter(p: FloatArray, record: Record) -> Filter:
-    k, n = kernel, len(record.voltage_v)
+    k, n = places, len(record.voltage_v)
     m, volts = exact_step(p, record.dt_s), record.between(p[k.DELAY])
     f, g = np.zeros((5, 5)), np.zeros((5, 2))
     f[:2, :2], f[:2, 2], g[:2], f[2, 2] = m[:, :2], m[:, 4], m[:, 2:4], 1.0
-    for row, lag in ((0, p[k.LAG_I]), (1, p[k.LAG_W])):
-        # First-order lag of a straight line between two samples.
-        kept = math.exp(-record.dt_s / lag) if lag > 0.0 else 0.0
-        mean = (1.0 - kept) * lag / record.dt_s if lag > 0.0 else 0.0
-        f[3 + row] = (1.0 - mean) * f[row]
-        f[3 + row, 3 + row] = kept
-        f[3 + row, row] += mean - kept
-        g[3 + row] = (1.0 - mean) * g[row]
+    f[3], g[3] = f[0], g[0]
+    if p[k.LAG_I] > 0.0:  # the exponential of motor, sensor and voltage as one system
+        whole = np.zeros((6, 6))
+        whole[0, :4], whole[1, :3] = (
+            [-2.0 / 1e-3, -0.03 / 1e-3, 0.0, 1.0 / 1e-3],
+            [0.03 / 4e-6, -5.0, -1.0 / 4e-6],
+        )
+        whole[3, 4], whole[5, 0], whole[5, 5] = 1.0 / record.dt_s, 1.0 / p[k.LAG_I], -1.0 / p[k.LAG_I]
+        row = expm(whole * record.dt_s)[5]
+        f[3], g[3] = [*row[:3], row[5], 0.0], row[3:5]
+    # First-order lag of a speed that goes in a straight line between two samples.
+    kept = math.exp(-record.dt_s / p[k.LAG_W]) if p[k.LAG_W] > 0.0 else 0.0
+    mean = (1.0 - kept) * p[k.LAG_W] / record.dt_s
+    f[4], g[4] = (1.0 - mean) * f[1], (1.0 - mean) * g[1]
+    f[4, 4], f[4, 1] = kept, f[4, 1] + mean - kept
     noise = p[k.NOISE_V] ** 2 * np.outer(g[:, 0], g[:, 0])
     noise[2, 2] = p[k.WALK] ** 2 * record.dt_s
     reach, sd = np.abs(volts).max(), p[[k.NOISE_I, k.NOISE_W]]
@@ -343,7 +350,7 @@ def test_uncertainty_spreads_as_differences_of_the_free_model_say(
         return Record(DT_S, np.full(2, at[2]), np.tile(at[:2], (2, 1)), np.ones(2), np.eye(1, 2)[0])
 
     f = slopes(lambda one: record(one).predict(p, learn=False)[0][1, 2:4], at)
-    sd = p[[kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V]]
+    sd = p[[places.NOISE_I, places.NOISE_W, places.NOISE_V]]
     expected = f @ np.diag(sd**2) @ f.T + np.diag(sd[:2] ** 2)
     assert record(at).predict(p)[1] == pytest.approx(np.linalg.slogdet(expected)[1], abs=0.03)
 
@@ -370,7 +377,7 @@ def test_uncertainty_of_a_coasting_motor(
         record = Record(DT_S, np.full(3, at[2]), readings, np.ones(2), marks)
         return record.predict(p, learn=False)[0][1:, 3]
 
-    at, sd = array(0.2, speed, 3.0), p[[kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V]]
+    at, sd = array(0.2, speed, 3.0), p[[places.NOISE_I, places.NOISE_W, places.NOISE_V]]
     first, second = slopes(speeds, at)
     before = first @ np.diag(sd**2) @ first
     after = before * sd[1] ** 2 / (before + sd[1] ** 2) * (second[1] / first[1]) ** 2
@@ -442,6 +449,6 @@ def test_a_warm_motor_is_another_linear_motor() -> None:
     m = exact_step(p, DT_S, 30.0)
     expected = m @ [0.5, 100.0, 5.0, 0.0, 0.002 * (1.0 - 0.003 * 30.0)]
     assert out[1, 2:4] == pytest.approx(expected, rel=1e-9)
-    p[kernel.HEATING] *= 35.0 / 30.0  # between two temperatures of the table
+    p[places.HEATING] *= 35.0 / 30.0  # between two temperatures of the table
     expected = 0.5 * (m + exact_step(p, DT_S, 40.0)) @ [0.5, 100.0, 5.0, 0.0, 0.002 * (1.0 - 0.003 * 35.0)]
     assert record.predict(p, learn=False)[0][1, 2:4] == pytest.approx(expected, rel=1e-9)

@@ -15,7 +15,7 @@ from motor_env.cli import main
 
 # Reaches in: a fit made by hand is patched in below `identify`, and told by the answer that it gives.
 from motor_env.diagnosis import identify as identifying
-from motor_env.fitting import fit as fitting, kernel, report, uncertainty
+from motor_env.fitting import fit as fitting, kernel, places, report, uncertainty
 from motor_env.fitting.beginnings import beginnings
 from motor_env.fitting.fit import ScoreTest, score_tests
 from motor_env.fitting.identify import Operation, identify_operation, identify_record
@@ -45,9 +45,9 @@ NOISE = {"NOISE_I": 2e-3, "NOISE_W": 0.2}
 
 
 def values(**given: float) -> FloatArray:
-    out = np.zeros(kernel.N_VALUES)
+    out = np.zeros(places.N_VALUES)
     for name, value in (MOTOR | NOISE | given).items():
-        out[getattr(kernel, name)] = value
+        out[getattr(places, name)] = value
     return out
 
 
@@ -71,7 +71,7 @@ def worked(
     each = round(40 * DT_S / dt_s)
     record = plain(n, np.repeat(rng.uniform(lowest, 9.0, -(-n // each)), each)[:n], hold, dt_s)
     clean = record.predict(p, learn=False)[0][:, 2:4]
-    shown = clean + noise * rng.standard_normal((n, 2)) * p[[kernel.NOISE_I, kernel.NOISE_W]]
+    shown = clean + noise * rng.standard_normal((n, 2)) * p[[places.NOISE_I, places.NOISE_W]]
     return replace(record, readings=shown)
 
 
@@ -308,10 +308,10 @@ def test_values_of_the_unknowns() -> None:
     known = values(DRAG=1.5)
     one = solution(worked(values()), ["R", "L"], known, np.array([math.log(1.1), 0.4]))
     found = one.problem.values(one.theta)
-    assert found[kernel.R] == pytest.approx(2.2)
-    assert found[[kernel.B, kernel.COULOMB]] == pytest.approx([3e-6, 0.003])
-    assert found[kernel.L] == pytest.approx(math.hypot(0.4 * 2.0 * DT_S, 0.01 * 2.2 * DT_S))
-    assert known[kernel.B] == 2e-6
+    assert found[places.R] == pytest.approx(2.2)
+    assert found[[places.B, places.COULOMB]] == pytest.approx([3e-6, 0.003])
+    assert found[places.L] == pytest.approx(math.hypot(0.4 * 2.0 * DT_S, 0.01 * 2.2 * DT_S))
+    assert known[places.B] == 2e-6
 
 
 def test_the_misfit_is_the_likelihood_at_the_best_noise_level() -> None:
@@ -328,8 +328,8 @@ def test_the_misfit_is_the_likelihood_at_the_best_noise_level() -> None:
     assert one.misfit == pytest.approx(min(likelihoods), abs=1e-3)
     assert one.penalised() == pytest.approx(one.misfit + 3.0 * math.log(count))
     level = math.sqrt(np.mean(out[:, :2] ** 2))
-    assert one.values[kernel.NOISE_I] == pytest.approx(level * 2e-3)
-    assert one.values[kernel.NOISE_V] == pytest.approx(level * 0.01)
+    assert one.values[places.NOISE_I] == pytest.approx(level * 2e-3)
+    assert one.values[places.NOISE_V] == pytest.approx(level * 0.01)
 
 
 def test_beliefs_count_as_readings_do() -> None:
@@ -537,27 +537,27 @@ def test_regressions_begin_near_the_motor() -> None:
     """Without noise, at fine steps: each of the three kinds finds what its channels tell."""
     p = values(L=4e-3, B=4e-5, COULOMB=0.001, NOISE_I=1e-9, NOISE_W=1e-9)
     record = worked(p, n=16_000, hold="straight", noise=0.0, dt_s=1e-4)
-    told = [kernel.R, kernel.L, kernel.K, kernel.J]
+    told = [places.R, places.L, places.K, places.J]
     best = min(beginnings(record), key=lambda one: float(np.abs(np.log(one[told] / p[told])).sum()))
     np.testing.assert_allclose(best[told], p[told], rtol=0.02)
-    assert best[[kernel.B, kernel.COULOMB]] == pytest.approx(p[[kernel.B, kernel.COULOMB]], rel=0.1)
+    assert best[[places.B, places.COULOMB]] == pytest.approx(p[[places.B, places.COULOMB]], rel=0.1)
     alone = record.only(current=True, speed=False)
     # The resistance is one of nine, so that a motor is taken whose resistance is among them.
     volts, amps, _ = record.peaks
     share = min(np.geomspace(0.04, 2.0, 9), key=lambda one: abs(math.log(one * volts / amps / 2.0)))
     scale = 2.0 / (share * volts / amps)
-    found = [one for one in beginnings(alone) if one[kernel.R] == pytest.approx(2.0 / scale)]
-    assert {one[kernel.K] for one in found} == {1.0}
-    near = min(found, key=lambda one: abs(math.log(one[kernel.J] / (4e-6 / 0.03**2))))
-    assert near[kernel.J] == pytest.approx(4e-6 / 0.03**2, rel=0.35)
+    found = [one for one in beginnings(alone) if one[places.R] == pytest.approx(2.0 / scale)]
+    assert {one[places.K] for one in found} == {1.0}
+    near = min(found, key=lambda one: abs(math.log(one[places.J] / (4e-6 / 0.03**2))))
+    assert near[places.J] == pytest.approx(4e-6 / 0.03**2, rel=0.35)
     speed = record.only(current=False, speed=True)
     lag, dead = 2.0 * 4e-6 / 0.03, 2.0 * 0.001 / 0.03
     drag = 2.0 * 4e-5 / 0.03
-    near = min(beginnings(speed), key=lambda one: abs(math.log(one[kernel.K] / (0.03 + drag))))
-    assert near[[kernel.R, kernel.B]].tolist() == [1.0, 0.0]
-    assert near[kernel.K] == pytest.approx(0.03 + drag, rel=0.02)
-    assert near[kernel.J] / near[kernel.K] == pytest.approx(lag, rel=0.25)
-    assert near[kernel.COULOMB] / near[kernel.K] == pytest.approx(dead, rel=0.3)
+    near = min(beginnings(speed), key=lambda one: abs(math.log(one[places.K] / (0.03 + drag))))
+    assert near[[places.R, places.B]].tolist() == [1.0, 0.0]
+    assert near[places.K] == pytest.approx(0.03 + drag, rel=0.02)
+    assert near[places.J] / near[places.K] == pytest.approx(lag, rel=0.25)
+    assert near[places.COULOMB] / near[places.K] == pytest.approx(dead, rel=0.3)
 
 
 def test_first_steps_of_parts_are_linear_least_squares() -> None:
@@ -572,11 +572,11 @@ def test_first_steps_of_parts_are_linear_least_squares() -> None:
 
     def white(step: FloatArray) -> FloatArray:
         p = known.copy()
-        p[[kernel.R, kernel.K, kernel.J]] *= np.exp(step[:3])
-        p[[kernel.B, kernel.COULOMB]] *= known[kernel.DRAG] + step[3]
-        p[kernel.DRAG] = 0.0
-        p[[kernel.LOAD, kernel.OFFSET_W]] = step[4:]
-        p[kernel.L] = math.hypot(p[kernel.L], 0.01 * p[kernel.R] * DT_S)
+        p[[places.R, places.K, places.J]] *= np.exp(step[:3])
+        p[[places.B, places.COULOMB]] *= known[places.DRAG] + step[3]
+        p[places.DRAG] = 0.0
+        p[[places.LOAD, places.OFFSET_W]] = step[4:]
+        p[places.L] = math.hypot(p[places.L], 0.01 * p[places.R] * DT_S)
         return np.clip(whole.predict(p)[0][:, :2], -6.0, 6.0)
 
     slopes = np.array([(white(1e-4 * axis) - white(-1e-4 * axis)) / 2e-4 for axis in np.eye(6) * units])
@@ -591,8 +591,8 @@ def test_first_steps_of_parts_are_linear_least_squares() -> None:
             covariance / np.outer(size, size), (spread[:4, :4]) / np.outer(size, size), atol=5e-3
         )
     twice = known.copy()
-    twice[kernel.DRAG] = 2.0
-    twice[[kernel.B, kernel.COULOMB]] /= 2.0
+    twice[places.DRAG] = 2.0
+    twice[[places.B, places.COULOMB]] /= 2.0
     ((logs_, covariance),) = first_steps(parts[:1], twice, wanted, peaks)
     ((ours, once),) = first_steps(parts[:1], known, wanted, peaks)
     np.testing.assert_allclose(logs_, ours, rtol=2e-3, atol=2e-4)
@@ -607,11 +607,11 @@ def test_a_window_is_fitted_near_the_healthy_motor() -> None:
     sd = np.sqrt(np.diag(found.covariance))
     assert np.all(np.abs(found.logs - exact) < 3.5 * sd)
     assert np.all(sd < 0.05)
-    assert found.values[kernel.COULOMB] == pytest.approx(0.008, rel=0.05)
+    assert found.values[places.COULOMB] == pytest.approx(0.008, rel=0.05)
     # The drag's factor f has the error of the information; its logarithm that over the way from 1 to f.
     fitted = solution(worked(changed, n=800), LOGS, known, np.zeros(3)).problem
     every = terms(fitted.record, known)
-    drag = replace(every["coulomb"], name="drag", place=kernel.DRAG, unit=1.0, low=0.05, high=20.0)
+    drag = replace(every["coulomb"], name="drag", place=places.DRAG, unit=1.0, low=0.05, high=20.0)
     problem = Problem(fitted.record, known, (*fitted.free, drag))
     factor = math.exp(found.logs[3])
     theta = np.array([*(found.logs[:3] - np.log([2.0, 0.03, 4e-6])), factor])
@@ -658,7 +658,7 @@ def intervals(found: Operation) -> None:
     p, speed = found.solution.values, found.record.predict(found.solution.values)[0][:, 3]
     w = math.sqrt(np.mean(speed**2))
     drag = next(shown)
-    torque = p[kernel.B] * w + p[kernel.COULOMB] + p[kernel.SQUARE] * w * w
+    torque = p[places.B] * w + p[places.COULOMB] + p[places.SQUARE] * w * w
     moves = {"B": w, "coulomb": 1.0, "load_square": w * w}
     gradient = np.array([moves.get(term.name, 0.0) * term.unit for term in free])
     sd = math.sqrt(gradient @ spread @ gradient)
@@ -694,10 +694,10 @@ def test_one_channel_alone_tells_ratios_in_their_units(identified: Operation) ->
     assert found.r2_current is None
     p = found.solution.values
     told = [
-        f"{1.0 / p[kernel.K]:.4g} rad/s a volt",
-        f"time constant of {p[kernel.J] / p[kernel.K] ** 2:.3g} s",
+        f"{1.0 / p[places.K]:.4g} rad/s a volt",
+        f"time constant of {p[places.J] / p[places.K] ** 2:.3g} s",
     ]
-    told += [f"dead voltage of {p[kernel.COULOMB] / p[kernel.K]:.3g} V"]
+    told += [f"dead voltage of {p[places.COULOMB] / p[places.K]:.3g} V"]
     assert all(words in found.notes[0] for words in told)
 
 
@@ -738,17 +738,17 @@ def test_text_json_and_motor_file_say_the_same(identified: Operation) -> None:
         one.name: one.unit for one in identified.quantities
     }
     motor, p = report.to_motor(identified, "mine"), identified.solution.values
-    assert motor.parameters.resistance_ohm == p[kernel.R]
-    assert motor.parameters.inductance_h == p[kernel.L]
+    assert motor.parameters.resistance_ohm == p[places.R]
+    assert motor.parameters.inductance_h == p[places.L]
     assert (
         motor.parameters.torque_constant_n_m_per_a
         == motor.parameters.back_emf_constant_v_s_per_rad
-        == p[kernel.K]
+        == p[places.K]
     )
-    assert motor.parameters.inertia_kg_m2 == p[kernel.J]
-    assert motor.parameters.viscous_friction_n_m_s_per_rad == p[kernel.B]
-    assert (motor.coulomb_friction_n_m, motor.brush_drop_v) == (p[kernel.COULOMB], p[kernel.DROP])
-    assert (motor.current_noise_a, motor.speed_noise_rad_s) == (p[kernel.NOISE_I], p[kernel.NOISE_W])
+    assert motor.parameters.inertia_kg_m2 == p[places.J]
+    assert motor.parameters.viscous_friction_n_m_s_per_rad == p[places.B]
+    assert (motor.coulomb_friction_n_m, motor.brush_drop_v) == (p[places.COULOMB], p[places.DROP])
+    assert (motor.current_noise_a, motor.speed_noise_rad_s) == (p[places.NOISE_I], p[places.NOISE_W])
     assert motor.nominal_voltage_v == identified.record.peaks[0]
     warm = replace(identified, warmth_k=np.array([0.0, 12.4]))
     assert "the winding warms by up to 12 K" in known(warm).text()
@@ -800,7 +800,7 @@ def test_the_command_tells_logs_from_starts(
     assert f"{log}: a motor at work (the voltage reverses" in said
     assert main(["identify", str(log), "--regime", "operation", "-o", str(toml)]) == 0
     assert "(as asked)" in capsys.readouterr().out
-    assert load_motor(toml).parameters.inertia_kg_m2 == identified.solution.values[kernel.J]
+    assert load_motor(toml).parameters.inertia_kg_m2 == identified.solution.values[places.J]
     assert main(["identify", str(log), "--regime", "rest"]) == 2
     monkeypatch.setattr(identifying, "identify_operation", lambda _: refuse())
     assert main(["identify", str(log), start]) == 3

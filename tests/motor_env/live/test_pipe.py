@@ -13,7 +13,7 @@ from motor_env import PAPER_MOTOR, Motor, discretize
 
 # Reaches in: what windows teach is written by hand, without the long fits of a commissioning at work.
 from motor_env.diagnosis.running.windows import NAMES, viscous
-from motor_env.fitting import kernel
+from motor_env.fitting import places
 from motor_env.fitting.terms import NOISES
 from motor_env.motor.data_sheet import save_motor
 from motor_env.motor.healthy import Healthy, Windows
@@ -25,16 +25,16 @@ SPEED_RAD_S = 250.0
 def healthy() -> Healthy:
     """As the textbook motor would have taught it."""
     motor = PAPER_MOTOR
-    physical = np.zeros(kernel.N_VALUES)
-    physical[[kernel.R, kernel.L, kernel.K, kernel.J, kernel.B]] = (
+    physical = np.zeros(places.N_VALUES)
+    physical[[places.R, places.L, places.K, places.J, places.B]] = (
         motor.resistance_ohm,
         motor.inductance_h,
         motor.torque_constant_n_m_per_a,
         motor.inertia_kg_m2,
         motor.viscous_friction_n_m_s_per_rad,
     )
-    physical[[kernel.NOISE_I, kernel.NOISE_W, kernel.NOISE_V]] = 0.003, 0.2, 0.01
-    physical[[kernel.COULOMB, kernel.DROP]] = (
+    physical[[places.NOISE_I, places.NOISE_W, places.NOISE_V]] = 0.003, 0.2, 0.01
+    physical[[places.COULOMB, places.DROP]] = (
         1e-6,
         1e-3,
     )  # so that a sample in which the motor turns costs its events
@@ -63,7 +63,7 @@ def healthy() -> Healthy:
         pieces=10,
         degrees_of_freedom=13.0,
         quantities=NAMES,
-        values=np.array([*physical[[kernel.R, kernel.K, kernel.J]], drag]),
+        values=np.array([*physical[[places.R, places.K, places.J]], drag]),
         log_covariance=np.eye(4) * 1e-3,
         windows=windows,
     )

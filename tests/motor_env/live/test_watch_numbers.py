@@ -24,7 +24,7 @@ from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.fitting import kernel
+from motor_env.fitting import places
 from motor_env.live import command, watch as watching
 from motor_env.live.screen import showing
 from motor_env.live.sources import NEW_FILE, SILENCE, Notice, Piece, lines
@@ -39,7 +39,7 @@ HEADER = b"speed_rpm,t_ms,voltage_mv,current_ma\n"
 WINDOWS = Windows(
     window_s=0.0995,
     terms=(),
-    physical=np.zeros(kernel.N_VALUES),
+    physical=np.zeros(places.N_VALUES),
     hold="held",
     dt_s=1e-3,
     speed_rad_s=50.0,

@@ -1,0 +1,285 @@
+"""One interval of a recorded motor, compiled: exact steps of the linear part, dry friction and brush drop with events.
+
+Between two samples the linear motor, and a sensor that shows its current with a lag, are solved exactly for a voltage
+that is a straight line. Coulomb friction and the brush drop are constant inputs as long as motion and current keep
+their signs; an interval in which one of them changes is cut into parts in which both brake to zero and never beyond it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from motor_env.fitting.places import (
+    DROP,
+    HEATING,
+    KNEE,
+    LAG_I,
+    SLIDING,
+    SQUARE,
+    STRIBECK,
+    B,
+    J,
+    K,
+    L,
+    R,
+)
+from motor_env.motor.compiled import njit
+from motor_env.motor.model import exponential_and_phis
+from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
+
+PARTS = 16
+_COLDEST_K, _GRID_K, _GRID = -20.0, 10.0, 22
+_SATURATED = 5.0  # knees: beyond them brush drop and dry friction hardly change
+_SERIES_NORM, _SERIES_ORDER = 0.5, 12
+inlined = njit(error_model="numpy", forceinline=True)  # a call with arrays costs as much as a step
+
+
+@njit(error_model="numpy")
+def product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+    """Matrix product of small matrices."""
+    for r in range(a.shape[0]):
+        for c in range(b.shape[1]):
+            total = 0.0
+            for n in range(a.shape[1]):
+                total += a[r, n] * b[n, c]
+            out[r, c] = total
+
+
+@njit(error_model="numpy")
+def _exponential(a: FloatArray, out: FloatArray) -> None:
+    """exp(A) by scaling, its series, and squaring (Moler & Van Loan 2003, method 3); A is scaled in place."""
+    n, norm, doublings = len(a), 0.0, 0
+    work = np.zeros((n, n))
+    for r in range(n):
+        total = 0.0
+        for c in range(n):
+            out[r, c] = 1.0 if r == c else 0.0
+            total += abs(a[r, c])
+        norm = max(norm, total)
+    while norm > _SERIES_NORM:
+        norm, doublings = 0.5 * norm, doublings + 1
+    for k in range(_SERIES_ORDER, 0, -1):
+        product(a, out, work)
+        for r in range(n):
+            for c in range(n):
+                out[r, c] = work[r, c] / k / 2.0**doublings + (1.0 if r == c else 0.0)
+    for _ in range(doublings):
+        product(out, out, work)
+        for r in range(n):
+            for c in range(n):
+                out[r, c] = work[r, c]
+
+
+@inlined
+def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray) -> None:
+    """Rows current, speed, shown current.
+
+    Columns current, speed, voltage before, its rise over the interval, torque, shown current.
+    """
+    resistance = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k)
+    constant = p[K] * (1.0 + MAGNET_PER_KELVIN * warm_k)
+    drag = p[B] * (1.0 + FRICTION_PER_KELVIN * warm_k)
+    whole, held, rising = exponential_and_phis(
+        -resistance / p[L] * dt_s, -constant / p[L] * dt_s, constant / p[J] * dt_s, -drag / p[J] * dt_s
+    )
+    by_volt, by_torque = dt_s / p[L], -dt_s / p[J]
+    for r in range(2):
+        out[r, 0], out[r, 1] = whole[2 * r], whole[2 * r + 1]
+        out[r, 2], out[r, 3] = held[2 * r] * by_volt, rising[2 * r] * by_volt
+        out[r, 4] = held[2 * r + 1] * by_torque
+    if p[LAG_I] > 0.0:
+        motor, whole_system = np.zeros((6, 6)), np.zeros((6, 6))
+        motor[0, 0], motor[0, 1], motor[0, 2] = -resistance / p[L], -constant / p[L], 1.0 / p[L]
+        motor[1, 0], motor[1, 1], motor[1, 4] = constant / p[J], -drag / p[J], -1.0 / p[J]
+        motor[2, 3], motor[5, 0], motor[5, 5] = 1.0 / dt_s, 1.0 / p[LAG_I], -1.0 / p[LAG_I]
+        for r in range(6):
+            for c in range(6):
+                motor[r, c] *= dt_s
+        _exponential(motor, whole_system)
+        for c in range(6):
+            out[2, c] = whole_system[5, c]
+
+
+@njit(cache=True, error_model="numpy")
+def tables(p: FloatArray, dt_s: float) -> FloatArray:
+    """Discrete models of an interval and of a part of it, over the winding's temperature.
+
+    Shape (2, temperatures, 3, 6); one temperature alone where nothing warms.
+    """
+    count = _GRID if p[HEATING] > 0.0 else 1
+    out = np.zeros((2, count, 3, 6))
+    for part in range(2):
+        for g in range(count):
+            warm_k = _COLDEST_K + g * _GRID_K if count > 1 else 0.0
+            _discretize(p, warm_k, dt_s / PARTS if part else dt_s, out[part, g])
+    return out
+
+
+@inlined
+def at(table: FloatArray, warm_k: float, out: FloatArray) -> None:
+    """The discrete model at one temperature, between two of the table."""
+    if table.shape[0] == 1:
+        for r in range(3):
+            for c in range(6):
+                out[r, c] = table[0, r, c]
+        return
+    place = min(max((warm_k - _COLDEST_K) / _GRID_K, 0.0), table.shape[0] - 1.001)
+    low = int(place)
+    share = place - low
+    for r in range(3):
+        for c in range(6):
+            out[r, c] = (1.0 - share) * table[low, r, c] + share * table[low + 1, r, c]
+
+
+@inlined
+def _dry(p: FloatArray, dry: float, w: float, slow: float) -> float:
+    """Dry friction at a speed (Stribeck 1902)."""
+    return dry * (1.0 + p[STRIBECK] * math.exp(-((w / slow) ** 2))) if p[STRIBECK] > 0.0 else dry
+
+
+@inlined
+def _mean_square(before: float, after: float) -> float:
+    """Mean of w |w| while w goes in a straight line."""
+    if abs(after - before) <= 1e-6 * (abs(after) + abs(before)):
+        return before * abs(before)
+    return (abs(after) ** 3 - abs(before) ** 3) / (3.0 * (after - before))
+
+
+@inlined
+def smooth_step(
+    m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray
+) -> bool:
+    """One interval in which nothing changes sign; False, with `x` as it was, where something does.
+
+    Args:
+        m: discrete model.
+        x: current, speed, load, shown current, shown speed.
+        u: voltage before and after, load torque, speed at which dry friction is larger.
+        p: physical values.
+        dry: dry friction, as warm as the motor is.
+        f: how current, speed and shown current follow current, speed, load, voltage and shown current; filled.
+    """
+    i, w, shown = x[0], x[1], x[3]
+    turning, carrying = math.copysign(1.0, w), math.copysign(1.0, i)
+    before = u[0] - carrying * p[DROP]
+    if p[KNEE] > 0.0:
+        before = u[0] - p[DROP] * i / math.hypot(i, p[KNEE])
+    sliding = w / math.hypot(w, p[SLIDING]) if p[SLIDING] > 0.0 else turning
+    load = _dry(p, dry, w, u[3]) * sliding + u[2]
+    torque = load + p[SQUARE] * w * abs(w)
+    new_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * (u[1] - u[0])
+    new_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * (u[1] - u[0])
+    if p[SQUARE] > 0.0:
+        for _ in range(2):
+            torque = load + p[SQUARE] * _mean_square(w, new_w + m[1, 4] * torque)
+    new_i += m[0, 4] * torque
+    new_w += m[1, 4] * torque
+    if (dry > 0.0 and min(new_w * turning, abs(w)) <= _SATURATED * p[SLIDING]) or (
+        p[DROP] > 0.0 and min(new_i * carrying, abs(i)) <= _SATURATED * p[KNEE]
+    ):
+        return False
+    for r in range(2):
+        f[r, 0], f[r, 1] = m[r, 0], m[r, 1] + m[r, 4] * 2.0 * p[SQUARE] * abs(w)
+        f[r, 2], f[r, 3] = m[r, 4], m[r, 2]
+    if p[LAG_I] > 0.0:
+        x[3] = m[2, 0] * i + m[2, 1] * w + m[2, 2] * before + m[2, 3] * (u[1] - u[0])
+        x[3] += m[2, 4] * torque + m[2, 5] * shown
+        f[2, 0], f[2, 1], f[2, 2], f[2, 3], f[2, 4] = m[2, 0], m[2, 1], m[2, 4], m[2, 2], m[2, 5]
+    x[0], x[1] = new_i, new_w
+    return True
+
+
+@inlined
+def _turned(before: float, free: float, reach: float) -> float:
+    """Value after an interval, given that without the opposing input, which changes it by `reach` and turns at zero."""
+    sign = math.copysign(1.0, before if before != 0.0 else free)
+    kept = free - sign * reach
+    if kept * sign >= 0.0:
+        return kept
+    if before == 0.0:
+        return 0.0
+    left = abs(kept) / (abs(kept) + abs(before))
+    turned = kept + 2.0 * sign * reach * left
+    return 0.0 if turned * sign > 0.0 else turned
+
+
+@inlined
+def _kneed(free: float, reach: float, knee: float) -> float:
+    """Solution i of i + reach i / hypot(i, knee) = free, by Newton's method, which stays on one side of it."""
+    size = abs(free)
+    i = max(size - reach, 0.0)
+    for _ in range(20):
+        root = math.hypot(i, knee)
+        step = (size - i - reach * i / root) / (1.0 + reach * knee * knee / root**3)
+        i += step
+        if step < 1e-9 * size:
+            break
+    return math.copysign(i, free)
+
+
+@inlined
+def _opposed(before: float, free: float, reach: float, knee: float) -> float:
+    """The same for an input that sets in at a knee."""
+    opposed: float = _turned(before, free, reach)
+    if knee > 0.0 and min(abs(before), abs(opposed)) < _SATURATED * knee:
+        opposed = _kneed(free, reach, knee)
+    return opposed
+
+
+@inlined
+def braked_step(
+    m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray
+) -> None:
+    """One interval in equal parts; friction and drop turn where speed and current cross zero, or hold them there."""
+    f[:] = 0.0
+    f[0, 0] = f[1, 1] = f[2, 4] = 1.0
+    rise = (u[1] - u[0]) / PARTS
+    for part in range(PARTS):
+        i, w, shown = x[0], x[1], x[3]
+        before, torque = u[0] + part * rise, u[2] + p[SQUARE] * w * abs(w)
+        free_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * rise + m[0, 4] * torque
+        free_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * rise + m[1, 4] * torque
+        new_i = free_i
+        if p[DROP] > 0.0:
+            new_i = _opposed(i, free_i, m[0, 2] * p[DROP], p[KNEE])
+            dropped = (free_i - new_i) / m[0, 2]
+            before, free_w = before - dropped, free_w - m[1, 2] * dropped
+        new_w = free_w
+        if dry > 0.0:
+            new_w = _opposed(w, free_w, -m[1, 4] * _dry(p, dry, w, u[3]), p[SLIDING])
+            friction = (free_w - new_w) / -m[1, 4]
+            torque, new_i = torque + friction, new_i + m[0, 4] * friction
+        if p[LAG_I] > 0.0:
+            x[3] = m[2, 0] * i + m[2, 1] * w + m[2, 2] * before + m[2, 3] * rise
+            x[3] += m[2, 4] * torque + m[2, 5] * shown
+            for c in range(5):
+                inputs = m[2, 4] if c == 2 else (m[2, 2] if c == 3 else 0.0)
+                f[2, c] = m[2, 0] * f[0, c] + m[2, 1] * f[1, c] + m[2, 5] * f[2, c] + inputs
+        for c in range(4):
+            top, bottom = f[0, c], f[1, c]
+            extra_i = m[0, 4] if c == 2 else (m[0, 2] if c == 3 else 0.0)
+            extra_w = m[1, 4] if c == 2 else (m[1, 2] if c == 3 else 0.0)
+            f[0, c] = 0.0 if new_i == 0.0 else m[0, 0] * top + m[0, 1] * bottom + extra_i
+            f[1, c] = 0.0 if new_w == 0.0 else m[1, 0] * top + m[1, 1] * bottom + extra_w
+        x[0], x[1] = new_i, new_w
+
+
+@inlined
+def coasting_step(
+    x: FloatArray, u: FloatArray, p: FloatArray, dry: float, dt_s: float, f: FloatArray
+) -> None:
+    """One interval with an open circuit, in equal parts: no current, the speed falls by friction and load."""
+    f[:] = 0.0
+    f[1, 1] = 1.0
+    part_s = dt_s / PARTS
+    decay = math.exp(-p[B] * part_s / p[J])
+    reach = (1.0 - decay) / p[B] if p[B] * part_s > 1e-9 * p[J] else part_s / p[J]
+    x[0] = 0.0
+    for _ in range(PARTS):
+        w = x[1]
+        free = decay * w - reach * (u[2] + p[SQUARE] * w * abs(w))
+        x[1] = _opposed(w, free, reach * _dry(p, dry, w, u[3]), p[SLIDING]) if dry > 0.0 else free
+        slope = 0.0 if x[1] == 0.0 else decay - reach * 2.0 * p[SQUARE] * abs(w)
+        f[1, 1], f[1, 2] = slope * f[1, 1], slope * f[1, 2] - reach * (x[1] != 0.0)
