@@ -287,7 +287,8 @@ def score_tests(best: Solution, every: dict[str, Term]) -> dict[str, ScoreTest]:
     for name in tested:
         problem = best.problem.with_terms([every[name]])
         theta = np.append(best.theta, 0.0)
-        column = np.delete(problem.column(theta, len(best.theta), np.append(base, 0.0)), len(base))
+        columns = problem.columns(theta, [len(best.theta)], np.append(base, 0.0))
+        column = np.delete(columns[:, 0], len(base))
         moves = -inverse @ column
         column = column + jacobian @ moves
         information = float(column @ column)

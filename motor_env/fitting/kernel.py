@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motor_env.fitting.places import (
     AFTER,
@@ -274,4 +275,24 @@ def predict(
         if learn:
             out[k, 4] = x[2]
         out[k, 5] = warm_k
+    return logs
+
+
+@njit(cache=True, error_model="numpy")
+def predict_each(
+    p: FloatArray,
+    dt_s: float,
+    voltage: FloatArray,
+    marks: FloatArray,
+    which: NDArray[np.intp],
+    readings: FloatArray,
+    seen: FloatArray,
+    learn: bool,
+    out: FloatArray,
+) -> FloatArray:
+    """Run the filter for each row of `p`, under voltage and marks number `which` of some; see `predict`."""
+    logs = np.empty(len(p))
+    for n in range(len(p)):
+        k = which[n]
+        logs[n] = predict(p[n], dt_s, voltage[k], readings, seen, marks[k], learn, out[n])
     return logs

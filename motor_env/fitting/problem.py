@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -23,7 +23,7 @@ _LEAST_LAG = 0.01  # of R dt: an L so small that the current follows at once
 STEP = 1e-4
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Problem:
     """Residuals of one choice of terms.
 
@@ -39,42 +39,55 @@ class Problem:
 
     def values(self, theta: FloatArray) -> FloatArray:
         """Physical values and noises."""
-        values = self.known.copy()
-        for term, one in zip(self.free, theta, strict=True):
-            values[term.place] = term.value(one)
-        if values[places.DRAG] > 0.0:
-            values[[places.B, places.COULOMB]] *= values[places.DRAG]
-        values[places.L] = math.hypot(values[places.L], _LEAST_LAG * values[places.R] * self.record.dt_s)
+        return self.values_each(theta[None])[0]
+
+    def values_each(self, thetas: FloatArray) -> FloatArray:
+        """The same for several vectors of unknowns, shape (m, n_unknowns)."""
+        values = np.tile(self.known, (len(thetas), 1))
+        for term, column in zip(self.free, thetas.T, strict=True):
+            values[:, term.place] = term.unit * (np.exp(column) if term.is_log else column)
+        if not self.record.is_start:  # there L cannot be none
+            least = _LEAST_LAG * self.record.dt_s
+            values[:, places.L] = np.hypot(values[:, places.L], least * values[:, places.R])
+        with_drag = values[:, places.DRAG] > 0.0
+        values[with_drag, places.B] *= values[with_drag, places.DRAG]
+        values[with_drag, places.COULOMB] *= values[with_drag, places.DRAG]
         return values
 
     def residuals(self, theta: FloatArray) -> FloatArray:
         """Scaled innovations of each sample and channel, and what is believed beforehand of the terms."""
-        out, logs = self.record.predict(self.values(theta))
-        white = out[:, :2][:, self.record.seen > 0.0].ravel()
+        return self.residuals_each(theta[None])[0]
+
+    def residuals_each(self, thetas: FloatArray) -> FloatArray:
+        """The same for several vectors of unknowns, shape (m, n_unknowns)."""
+        out, logs = self.record.predict_each(self.values_each(thetas))
+        white = out[:, :, :2][:, :, self.record.seen > 0.0].reshape(len(thetas), -1)
         white[~np.isfinite(white)] = 1e6
         size = 0.5 * logs / self.count
-        scale = math.exp(size if size < 300.0 else 300.0)  # of a number that is none, too
-        prior = [one / term.prior_sd for term, one in zip(self.free, theta, strict=True)]
-        residuals: FloatArray = scale * np.concatenate([white, prior])
+        scale = np.exp(np.where(size < 300.0, size, 300.0))  # of a number that is none, too
+        prior = thetas / np.array([term.prior_sd for term in self.free])
+        residuals: FloatArray = scale[:, None] * np.concatenate([white, prior], axis=1)
         return residuals
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Number of readings."""
-        return int((np.sum(self.record.marks != kernel.BEGIN)) * self.record.seen.sum())
+        seen = np.isfinite(self.record.readings) & (self.record.seen > 0.0)
+        return int(np.sum(seen & (self.record.marks != kernel.BEGIN)[:, None]))
 
     def jacobian(self, theta: FloatArray, base: FloatArray) -> FloatArray:
         """Derivatives of the residuals, which are `base` there, by differences in one direction."""
-        columns = [self.column(theta, n, base) for n in range(len(theta))]
-        return np.stack(columns, axis=1)
+        return self.columns(theta, range(len(theta)), base)
 
-    def column(self, theta: FloatArray, n: int, base: FloatArray) -> FloatArray:
-        """One column of it; the step goes away from the nearer bound."""
-        step = STEP * max(1.0, abs(theta[n]))
-        if theta[n] + step > self.free[n].high:
-            step = -step
-        slope: FloatArray = (self.residuals(_moved(theta, n, step)) - base) / step
-        return slope
+    def columns(self, theta: FloatArray, chosen: Sequence[int], base: FloatArray) -> FloatArray:
+        """Some columns of it; the steps go away from the nearer bounds."""
+        moved, steps = np.tile(theta, (len(chosen), 1)), np.empty(len(chosen))
+        for row, n in enumerate(chosen):
+            step = STEP * max(1.0, abs(theta[n]))
+            steps[row] = -step if theta[n] + step > self.free[n].high else step
+            moved[row, n] += steps[row]
+        slopes: FloatArray = ((self.residuals_each(moved) - base) / steps[:, None]).T
+        return slopes
 
     def secant(self, theta: FloatArray, n: int, step: float) -> FloatArray:
         """One column of it over a wide step in both directions, as far as the bounds allow.

@@ -11,18 +11,25 @@ from typing import Literal
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
-from motor_env.fitting.kernel import BEGIN, OPEN, predict
-from motor_env.fitting.places import DELAY
+from motor_env.fitting.kernel import BEGIN, OPEN, REST, SWITCH, predict_each
+from motor_env.fitting.places import AFTER, CURVE, DELAY, NOISE_I, OFFSET_I, ONSET, RISE, ZONE, R
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut
 from motor_env.recordings.regime import refuse_aliased
 from motor_env.recordings.start import Circuit
 
-Hold = Literal["held", "straight", "late"]
+Hold = Literal["held", "straight", "late", "between"]
 HOLDS: tuple[Hold, ...] = ("held", "straight", "late")
-"""The voltage of a sample lasts until the next; runs in a straight line to it; or has lasted since the one before."""
+"""The voltage of a sample lasts until the next; runs in a straight line to it; or has lasted since the one before. It
+changes between two samples, in the middle where there is no delay, in the records of starts."""
+CURVE_PARTS = 5
+"""Parts of a supply's rise of free shape."""
+_OF_SUPPLY = np.r_[DELAY, ONSET, RISE, np.arange(CURVE.start, CURVE.stop)]
+_SHORTEST = 1e-6  # of an interval: from a switch to the next sample
+_ZONE_EDGE = 0.1  # width of a dead zone's edge (1 sd), of the zone
 FEWEST = 40
 MOST = 10_000
 _LOOKED_AT, _LOST, STRETCHES = 1_000_000, 0.02, 10
@@ -39,12 +46,16 @@ class Record:
     Attributes:
         dt_s: sampling interval.
         voltage_v: shape (n,).
-        readings: current and speed, shape (n, 2); zero where not recorded.
+        readings: current and speed, shape (n, 2); zero where not recorded, NaN where a sample does not count.
         seen: 1 where current, speed were recorded, shape (2,).
-        marks: `kernel.BEGIN` at the first sample of each recording, `kernel.OPEN` where the circuit is open; (n,).
+        marks: `kernel.BEGIN` at the first sample of each recording, `kernel.OPEN` where the circuit is open; (n,). A
+            start begins with `kernel.REST` or `kernel.STEADY`.
         hold: what the voltage does between two samples.
         averaged: number of samples whose mean is one sample here.
         share: of the recordings that is here, its liveliest stretches.
+        onset_s: from the first sample to the step of a supply that is switched on once, about; None for any other.
+        shunt_ohm: resistance in series with the motor.
+        rectified_a: noise of a current's sensor that shows none below 0; None for any other.
     """
 
     dt_s: float
@@ -55,6 +66,14 @@ class Record:
     hold: Hold = "held"
     averaged: int = 1
     share: float = 1.0
+    onset_s: float | None = None
+    shunt_ohm: float = 0.0
+    rectified_a: float | None = None
+
+    @property
+    def is_start(self) -> bool:
+        """Whether the state at the first sample is known."""
+        return bool(self.marks[0] >= REST)
 
     @property
     def begins(self) -> FloatArray:
@@ -79,20 +98,76 @@ class Record:
         Args:
             delay: how much later the voltage comes than it was logged, in samples, -1 .. 1.
         """
+        if self.hold == "between":
+            whole = round(delay)
+            at = np.clip(np.arange(len(self.voltage_v)) - whole, 0, len(self.voltage_v) - 1)
+            mean = self.voltage_v[at]
+            mean[1:] = mean[:-1] + (0.5 - (delay - whole)) * np.diff(mean)
+            mean[0] = self.voltage_v[0]
+            return np.stack([mean, mean], axis=1)
         now, before = _shifted(self.voltage_v, delay), _shifted(self.voltage_v, 1.0 + delay)
         pairs = {"held": (before, before), "straight": (before, now), "late": (now, now)}
         return np.ascontiguousarray(np.stack(pairs[self.hold], axis=1))
+
+    def supply(self, values: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Voltage over each interval, see `between`; marks; seconds from a switch to the sample after it."""
+        if self.onset_s is None:
+            return self.between(float(values[DELAY])), self.marks, 0.0
+        since = self.dt_s * np.arange(len(self.voltage_v)) - (self.onset_s + values[ONSET])
+        first = int(np.searchsorted(since, 0.0, side="right"))
+        marks, mean = self.marks.copy(), np.zeros(len(since))
+        if first == len(since):
+            return np.stack([mean, mean], axis=1), marks, 0.0
+        marks[first] = SWITCH
+        ends = np.maximum(since[first:], _SHORTEST * self.dt_s)
+        begins = np.append(0.0, ends[:-1])
+        mean[first:] = self.voltage_v[first:] * mean_rise(values, begins, ends)
+        return np.stack([mean, mean], axis=1), marks, float(ends[0])
 
     def predict(
         self, values: FloatArray, *, learn: bool = True, load: FloatArray | None = None
     ) -> tuple[FloatArray, float]:
         """Run the filter; its table (see `kernel.predict`) and the sum of the innovations' log variances."""
-        out = np.zeros((len(self.voltage_v), 6))
+        out = np.zeros((1, len(self.voltage_v), 6))
         if load is not None:
-            out[:, 4] = load
-        voltage = self.between(float(values[DELAY]))
-        logs = predict(values, self.dt_s, voltage, self.readings, self.seen, self.marks, learn, out)
-        return out, logs
+            out[0, :, 4] = load
+        return out[0], float(self._run(values[None], out, learn=learn)[0])
+
+    def predict_each(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The same for several vectors of values, shape (m, N_VALUES): tables, and the sums."""
+        out = np.zeros((len(values), len(self.voltage_v), 6))
+        return out, self._run(values, out, learn=True)
+
+    def _run(self, values: FloatArray, out: FloatArray, *, learn: bool) -> FloatArray:
+        p, supplies, which = values.copy(), [], []
+        p[:, R] += self.shunt_ohm
+        known: dict[bytes, int] = {}
+        for one in p:
+            key = one[_OF_SUPPLY].tobytes()
+            if key not in known:
+                known[key] = len(supplies)
+                supplies.append(self.supply(one))
+            which.append(known[key])
+            one[AFTER] = supplies[known[key]][2]
+        voltage, marks = (np.stack([each[n] for each in supplies]) for n in (0, 1))
+        logs = predict_each(
+            p, self.dt_s, voltage, marks, np.array(which), self.readings, self.seen, learn, out
+        )
+        for one, table in zip(p, out, strict=True):
+            if one[ZONE] > 0.0 or self.rectified_a is not None:
+                self._hide(one, table)
+        return logs
+
+    def _hide(self, p: FloatArray, table: FloatArray) -> None:
+        """What a sensor shows that has a dead zone or no current below 0."""
+        current, zone = table[:, 2] - p[OFFSET_I], p[ZONE]
+        if zone > 0.0:
+            # Nothing below the zone is shown and all above it; the commutation carries the current across its edge.
+            current = current * ndtr((current - zone) / (_ZONE_EDGE * zone))
+        if self.rectified_a is not None:
+            current = rectified_mean(current, self.rectified_a)
+        table[:, 2] = current + p[OFFSET_I]
+        table[:, 0] = np.nan_to_num((self.readings[:, 0] - table[:, 2]) / p[NOISE_I])
 
     def closed(self) -> Record:
         """The same without open circuits."""
@@ -116,6 +191,35 @@ class Record:
     def only(self, *, current: bool, speed: bool) -> Record:
         """The same with some of the channels."""
         return replace(self, seen=self.seen * np.array([current, speed], dtype=np.float64))
+
+
+def mean_rise(values: FloatArray, begin_s: FloatArray, end_s: FloatArray) -> FloatArray:
+    """Mean over the intervals [begin, end] of a supply that rises to 1, part by part in straight lines."""
+    if values[RISE] <= 0.0:
+        return np.ones_like(begin_s)
+    shares = np.append(1.0, values[CURVE])
+    times = values[RISE] * np.linspace(0.0, 1.0, CURVE_PARTS + 1)
+    levels = np.append(0.0, np.cumsum(shares) / shares.sum())
+    areas = np.append(0.0, np.cumsum(0.5 * (levels[1:] + levels[:-1]) * np.diff(times)))
+
+    def integral(time_s: FloatArray) -> FloatArray:
+        part = np.clip(np.searchsorted(times, time_s) - 1, 0, CURVE_PARTS - 1)
+        since, level = time_s - times[part], levels[part]
+        slope = (levels[part + 1] - level) / (times[1] - times[0])
+        inside = areas[part] + level * since + 0.5 * slope * since**2
+        return np.where(time_s > times[-1], areas[-1] + time_s - times[-1], inside)
+
+    mean: FloatArray = (integral(end_s) - integral(begin_s)) / (end_s - begin_s)
+    return mean
+
+
+def rectified_mean(current: FloatArray, noise_a: float) -> FloatArray:
+    """Mean of max(i + noise, 0): what a sensor shows that cannot go below 0."""
+    if noise_a <= 0.0:
+        return np.maximum(current, 0.0)
+    z = np.clip(current / noise_a, -40.0, 40.0)
+    mean: FloatArray = current * ndtr(z) + noise_a * np.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi)
+    return mean
 
 
 def joined(parts: Sequence[Record]) -> Record:

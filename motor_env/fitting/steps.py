@@ -32,6 +32,8 @@ from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, M
 PARTS = 16
 _COLDEST_K, _GRID_K, _GRID = -20.0, 10.0, 22
 _SATURATED = 5.0  # knees: beyond them brush drop and dry friction hardly change
+_KNEE_TOLERANCE = 1e-7
+_FAST = 40.0  # square of a speed over that of Stribeck's curve: beyond it the curve is flat
 _SERIES_NORM, _SERIES_ORDER = 0.5, 12
 inlined = njit(error_model="numpy", forceinline=True)  # a call with arrays costs as much as a step
 
@@ -136,7 +138,8 @@ def at(table: FloatArray, warm_k: float, out: FloatArray) -> None:
 @inlined
 def _dry(p: FloatArray, dry: float, w: float, slow: float) -> float:
     """Dry friction at a speed (Stribeck 1902)."""
-    return dry * (1.0 + p[STRIBECK] * math.exp(-((w / slow) ** 2))) if p[STRIBECK] > 0.0 else dry
+    over = (w / slow) ** 2
+    return dry * (1.0 + p[STRIBECK] * math.exp(-over)) if p[STRIBECK] > 0.0 and over < _FAST else dry
 
 
 @inlined
@@ -165,8 +168,8 @@ def smooth_step(
     turning, carrying = math.copysign(1.0, w), math.copysign(1.0, i)
     before = u[0] - carrying * p[DROP]
     if p[KNEE] > 0.0:
-        before = u[0] - p[DROP] * i / math.hypot(i, p[KNEE])
-    sliding = w / math.hypot(w, p[SLIDING]) if p[SLIDING] > 0.0 else turning
+        before = u[0] - p[DROP] * i / math.sqrt(i * i + p[KNEE] ** 2)
+    sliding = w / math.sqrt(w * w + p[SLIDING] ** 2) if p[SLIDING] > 0.0 else turning
     load = _dry(p, dry, w, u[3]) * sliding + u[2]
     torque = load + p[SQUARE] * w * abs(w)
     new_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * (u[1] - u[0])
@@ -206,15 +209,19 @@ def _turned(before: float, free: float, reach: float) -> float:
 
 
 @inlined
-def _kneed(free: float, reach: float, knee: float) -> float:
-    """Solution i of i + reach i / hypot(i, knee) = free, by Newton's method, which stays on one side of it."""
+def _kneed(free: float, reach: float, knee: float, near: float) -> float:
+    """Solution i of i + reach i / hypot(i, knee) = free, by Newton's method from a size near it.
+
+    The left side is concave beyond zero: from below each step stays below.
+    """
     size = abs(free)
-    i = max(size - reach, 0.0)
+    least = max(size - reach, 0.0)
+    i = min(max(near, least), size)
     for _ in range(20):
-        root = math.hypot(i, knee)
-        step = (size - i - reach * i / root) / (1.0 + reach * knee * knee / root**3)
-        i += step
-        if step < 1e-9 * size:
+        root = math.sqrt(i * i + knee * knee)
+        step = (size - i - reach * i / root) / (1.0 + reach * knee * knee / (root * root * root))
+        i = max(i + step, least)
+        if abs(step) <= _KNEE_TOLERANCE * size:
             break
     return math.copysign(i, free)
 
@@ -224,7 +231,7 @@ def _opposed(before: float, free: float, reach: float, knee: float) -> float:
     """The same for an input that sets in at a knee."""
     opposed: float = _turned(before, free, reach)
     if knee > 0.0 and min(abs(before), abs(opposed)) < _SATURATED * knee:
-        opposed = _kneed(free, reach, knee)
+        opposed = _kneed(free, reach, knee, abs(before) if before * free > 0.0 else 0.0)
     return opposed
 
 

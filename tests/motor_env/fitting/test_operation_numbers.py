@@ -353,7 +353,7 @@ def test_slopes_of_the_fit_are_central_differences(small: Solution) -> None:
         np.testing.assert_allclose(jacobian[:, n], exact, atol=0.02 * size)
         np.testing.assert_allclose(problem.secant(theta, n, 1e-5), exact, atol=1e-6 * size)
     high = np.array([0.0, 0.0, 0.0, 2.0])
-    bound = problem.column(high, 3, problem.residuals(high))
+    bound = problem.columns(high, [3], problem.residuals(high))[:, 0]
     np.testing.assert_allclose(bound, problem.secant(high, 3, 1e-4), atol=0.02 * np.abs(bound).max())
 
 
@@ -380,7 +380,7 @@ def test_a_score_test_is_one_step_of_the_richer_fit(small: Solution) -> None:
     assert set(found) == {"load_square", "heating", "current_lag", "speed_lag", "delay"}
     for name, test in found.items():
         problem = small.problem.with_terms([every[name]])
-        wide = problem.column(np.append(small.theta, 0.0), 4, np.append(base, 0.0))[: len(base)]
+        wide = problem.columns(np.append(small.theta, 0.0), [4], np.append(base, 0.0))[: len(base), 0]
         both = np.column_stack([jacobian, wide])
         step = -np.linalg.lstsq(both, base, rcond=None)[0]
         spread = variance * np.linalg.inv(both.T @ both)
@@ -442,8 +442,8 @@ class Line:
     def residuals(self, theta: FloatArray) -> FloatArray:
         return self.design @ theta - self.target
 
-    def column(self, _: FloatArray, n: int, __: FloatArray) -> FloatArray:
-        return np.asarray(self.design[:, n])
+    def columns(self, _: FloatArray, chosen: list[int], __: FloatArray) -> FloatArray:
+        return np.asarray(self.design[:, chosen])
 
     def secant(self, _: FloatArray, n: int, __: float) -> FloatArray:
         return np.asarray(self.design[:, n])
