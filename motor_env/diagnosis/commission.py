@@ -32,8 +32,7 @@ from motor_env.diagnosis.views import Fitted, smallest_of, views_of
 from motor_env.errors import InputError
 from motor_env.fitting.record import at_terminals
 from motor_env.fitting.report import motor_of
-from motor_env.identification.identify import Identified
-from motor_env.identification.residuals import AMBIGUOUS
+from motor_env.fitting.starts import AMBIGUOUS, Identified
 from motor_env.motor.assumptions import assumptions, lines as lines_of
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy

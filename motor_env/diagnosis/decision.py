@@ -41,7 +41,7 @@ from motor_env.diagnosis.views import (
     unit_of,
     views_of,
 )
-from motor_env.identification.identify import Identified
+from motor_env.fitting.starts import Identified
 from motor_env.motor.faults import FaultKind, motor_kinds
 from motor_env.motor.parameters import FloatArray
 
@@ -208,7 +208,7 @@ def _with_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: fl
     # starts were recorded with the same sensor, and hold the same.
     alignment = fit.start.alignment
     coarse = alignment.quantum_a > math.exp(reference.log_noise)
-    hides = alignment.rectified or fit.extension.dead_zone_a > 0.0 or bool(fit.start.lines)
+    hides = alignment.rectified or "dead_zone" in fit.model or bool(fit.start.lines)
     if (coarse or hides) and not reference.includes_fit_error:
         return healthy
     z = (math.log(max(fit.noise_a, 1e-12)) - reference.log_noise) / reference.log_noise_sd

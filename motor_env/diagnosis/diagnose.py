@@ -19,9 +19,8 @@ from motor_env.diagnosis.healthy_motor import Reference, reference_of
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
-from motor_env.identification.commutation import ripple_quantities
-from motor_env.identification.identify import Identified, identify
-from motor_env.identification.model_choice import EXTENSIONS, NUISANCES, identify_best
+from motor_env.fitting.commutation import ripple_quantities
+from motor_env.fitting.starts import EXTENSIONS, NUISANCES, Identified, identify, identify_best
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.healthy import Starts

@@ -1,18 +1,17 @@
-"""What the Kalman filter makes of a recording, with the fitted motor as its belief."""
+"""Innovations of the Kalman filter with the fitted motor as its belief: are they white, and of the right size?"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motor_env.filters.batch import FilterResult, run_filter
 from motor_env.filters.consistency import Consistency, check_consistency
-from motor_env.filters.kalman import KalmanFilter
-from motor_env.identification.identify import Identified
-from motor_env.identification.start_model import between_samples, mean_rise
-from motor_env.motor.parameters import FloatArray, SensorParameters
+from motor_env.fitting import places
+from motor_env.fitting.starts import Identified, record_of
+from motor_env.motor.model import discretize
+from motor_env.motor.parameters import FloatArray
 
 _CONSISTENT_NIS = 1.2
 _FILTER_TUNING = 3
@@ -21,94 +20,71 @@ _FEWEST_FOR_WHITENESS = 40
 
 @dataclass(frozen=True, slots=True)
 class FilterCheck:
-    """What the Kalman filter makes of the recording, with the fitted motor as its belief.
+    """What the Kalman filter makes of the current, with the fitted motor as its belief.
 
     Attributes:
-        result: of `run_filter`, over the samples from the start on.
         sensor_noise_a: standard deviation of the sensor's noise in its belief.
         model_error_a: standard deviation of the model's error, a slow disturbance of the current.
-        mean_nis: mean normalised innovation squared; 1 a channel is consistent.
-        sensor_only_nis: the same for a filter that knows of the sensor's noise alone.
+        whitened: its innovations, with that error as noise of the voltage, shape (n,); NaN where nothing is shown.
+        sensor_only_nis: mean normalised innovation squared of a filter that knows of the sensor's noise alone.
         consistency: mean, size and whiteness of the innovations of that filter; None where there are too few.
     """
 
-    result: FilterResult
     sensor_noise_a: float
     model_error_a: float
-    mean_nis: float
+    whitened: FloatArray
     sensor_only_nis: float
     consistency: Consistency | None = None
 
+    @property
+    def mean_nis(self) -> float:
+        """Mean normalised innovation squared of the measured samples; 1 is consistent."""
+        return _mean_square(self.whitened)
+
 
 def filter_check(fit: Identified) -> FilterCheck:
-    """Run the Kalman filter with the fitted motor as its belief.
+    """Run the Kalman filter over the running motor, with the fitted motor as its belief.
 
-    The residual is split in white noise and a slow model error; the error enters as process noise of the current, so
-    that its stationary variance is what was found (first-order Gauss-Markov; Gelb 1974, ch. 3.8).
+    The residual is split in white noise and a slow model error; the error enters as noise of the voltage, so that its
+    stationary variance in the current is what was found (first-order Gauss-Markov; Gelb 1974, ch. 3.8). A sensor that
+    hides small currents is believed where it shows them.
     """
-    start = fit.start
-    begin = int(np.searchsorted(start.time_s, fit.onset_s, side="right"))  # the first sample that is driven
-    if start.voltage_v is not None:
-        begin = 0
-    shown = fit.expected[:, 0] - start.ripple_a - fit.offset_a
-    visible = start.counted
-    if fit.extension.dead_zone_a > 0.0:  # the filter begins where the sensor does, and skips what it hides
-        visible = visible & (shown > 0.5 * fit.extension.dead_zone_a)
-        begin += int(np.argmax(visible[begin:]))
+    start, physical = fit.start, fit.physical
+    begin = (
+        0 if start.voltage_v is not None else int(np.searchsorted(start.time_s, fit.onset_s, side="right"))
+    )
     noise = max(fit.noise_a, 1e-9 * float(np.ptp(start.current_a)))
     slow = math.sqrt(max(float(np.var(fit.residual_a[begin + 1 :])) - noise**2, 0.0))
-    voltage, load = _inputs(fit, begin)
-    measured = np.where(visible, start.current_a - start.ripple_a - fit.offset_a, np.nan)[None, begin + 1 :]
-    state = np.array([shown[begin], fit.expected[begin, 1]])
-    motor = fit.parameters.scaled(
-        resistance_ohm=1.0 + start.circuit.shunt_ohm / fit.parameters.resistance_ohm
-    )
+    record = replace(record_of(start).only(current=True, speed=False), rectified_a=None)
+    hidden = np.isnan(record.readings[:, 0]) | (fit.states[:, 0] < 0.5 * physical[places.ZONE])
+    record.readings[hidden, 0] = np.nan
+    physical[places.ZONE] = 0.0
 
-    def run(process: float) -> FilterResult:
-        belief = KalmanFilter.from_parameters(
-            motor,
-            SensorParameters(current_noise_a=noise),
-            start.dt_s,
-            process_noise_std=(process, process * abs(state[1]) / max(abs(state[0]), 1e-9)),
-            initial_state=state,
-            initial_std=(max(slow, noise), 0.0),
-        )
-        return run_filter(belief, measured, voltage, load)
+    def run(noise_v: float) -> FloatArray:
+        physical[[places.NOISE_I, places.NOISE_V]] = noise, noise_v
+        out = record.predict(physical)[0][:, 0]
+        out[hidden] = np.nan
+        return out[begin + 1 :]
 
     alone = run(0.0)
     decay_s = max(float(np.mean(fit.parameters.mechanical_time_constant_s)), start.dt_s)
-    process = slow * math.sqrt(2.0 * start.dt_s / decay_s)
-    result = run(process)
+    by_volt = float(discretize(fit.parameters, start.dt_s).gain[0, 0])
+    noise_v = slow * math.sqrt(2.0 * start.dt_s / decay_s) / by_volt
+    whitened = run(noise_v)
     for _ in range(_FILTER_TUNING):
-        if _mean_nis(result) < _CONSISTENT_NIS:
+        if _mean_square(whitened) < _CONSISTENT_NIS:
             break
-        process *= math.sqrt(_mean_nis(result))
-        result = run(process)
+        noise_v *= math.sqrt(_mean_square(whitened))
+        whitened = run(noise_v)
+    enough = len(alone) > _FEWEST_FOR_WHITENESS
     return FilterCheck(
-        result=result,
         sensor_noise_a=noise,
         model_error_a=slow,
-        mean_nis=_mean_nis(result),
-        sensor_only_nis=_mean_nis(alone),
-        consistency=check_consistency(alone.whitened) if measured.size > _FEWEST_FOR_WHITENESS else None,
+        whitened=whitened,
+        sensor_only_nis=_mean_square(alone),
+        consistency=check_consistency(alone[:, None]) if enough else None,
     )
 
 
-def _inputs(fit: Identified, begin: int) -> tuple[FloatArray, FloatArray]:
-    """Voltage and load torque over the intervals from sample `begin` on.
-
-    Brushes and dry friction act against the fitted motion: known inputs of the filter.
-    """
-    start = fit.start
-    if start.voltage_v is None:
-        since = start.time_s[begin:] - fit.onset_s
-        voltage = start.level_v * mean_rise(fit.extension, since[:-1], since[1:])
-    else:
-        voltage = between_samples(start.voltage_v[begin:], start.lateness(fit.onset_s))
-    direction = np.sign(fit.expected[begin + 1 :, 1])
-    return voltage - fit.extension.brush_drop_v * direction, fit.extension.coulomb_friction_n_m * direction
-
-
-def _mean_nis(result: FilterResult) -> float:
-    """Mean normalised innovation squared of the measured samples of the current."""
-    return float(np.nanmean(np.square(result.whitened)))
+def _mean_square(whitened: FloatArray) -> float:
+    return float(np.nanmean(np.square(whitened)))

@@ -25,8 +25,7 @@ from motor_env.errors import InputError
 from motor_env.fitting import report as logs
 from motor_env.fitting.identify import Operation, identify_operation
 from motor_env.fitting.record import at_terminals
-from motor_env.identification.identify import Identified
-from motor_env.identification.model_choice import EXTENSIONS, identify_best
+from motor_env.fitting.starts import EXTENSIONS, Identified, identify_best
 from motor_env.motor.data_sheet import Motor
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice

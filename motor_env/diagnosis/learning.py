@@ -10,9 +10,8 @@ import numpy as np
 
 from motor_env.diagnosis.spread import next_sd, the_next
 from motor_env.diagnosis.views import Fitted
-from motor_env.identification.commutation import ripple_quantities
-from motor_env.identification.identify import Identified, identify
-from motor_env.identification.model_choice import NUISANCES, identify_best
+from motor_env.fitting.commutation import ripple_quantities
+from motor_env.fitting.starts import NUISANCES, Identified, identify, identify_best
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.recording import Recording

@@ -6,14 +6,14 @@ speed, and the textbook's parameters follow them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from motor_env.identification.identify import FIT_SAMPLES, Identified
-from motor_env.identification.residuals import started
+from motor_env.fitting import places
+from motor_env.fitting.starts import Identified
 from motor_env.motor import identifiable as quantities
-from motor_env.motor.parameters import FloatArray, MotorParameters
+from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.start import mean_tail
 
 LOADS = {"constant": "a constant load", "fan": "a load that grows with the square of the speed"}
@@ -90,7 +90,9 @@ def _textbook_of(fit: Identified) -> FloatArray:
     """How the free logarithms of a textbook fit follow the samples that `_run` gives, shape (n_free, n_samples)."""
     textbook = _run(fit, np.zeros(5))
     columns = [(_run(fit, _STEP * np.eye(5)[n]) - textbook) / _STEP for n in _free(fit)]
-    later = (_run(fit, np.zeros(5), late_s=_STEP * fit.start.dt_s) - textbook) / _STEP
+    is_step = fit.start.voltage_v is None
+    late = _STEP * fit.start.dt_s if is_step else _STEP
+    later = (_run(fit, np.zeros(5), late=late) - textbook) / _STEP
     slopes = np.stack([*columns, later], axis=1)
     # What the start hardly tells, such as L at a slow rate, stays: each logarithm, and a sample of delay, by 1 (1 sd).
     inverse = np.linalg.solve(slopes.T @ slopes + np.eye(slopes.shape[1]), slopes.T)[:-1]
@@ -109,7 +111,7 @@ def _run(
     load: str | None = None,
     *,
     added: float = 0.0,
-    late_s: float = 0.0,
+    late: float = 0.0,
 ) -> FloatArray:
     """Current, and speed where it was recorded, each over what the fit leaves of it.
 
@@ -118,32 +120,19 @@ def _run(
         logs: of factors on R, L, K, J and B of the fit, shape (5,).
         load: what makes the drag; None for the textbook.
         added: friction torque of a bearing, over the drag.
-        late_s: how much later it starts.
+        late: how much later it starts, in seconds of a step and samples of a measured voltage.
     """
-    p, start = fit.parameters, fit.start.shortened(FIT_SAMPLES)
-    speed = abs(mean_tail(fit.states[:, 1]))
-    drag = float(p.viscous_friction_n_m_s_per_rad * speed)
-    r, inductance, k, j, b = np.exp(logs)
-    viscous, extension = p.viscous_friction_n_m_s_per_rad * b, fit.extension
+    p, speed = fit.physical, abs(mean_tail(fit.states[:, 1]))
+    drag = p[places.B] * speed
+    p[[places.R, places.L, places.K, places.J, places.B]] *= np.exp(logs)
     if load is not None:
-        viscous *= 1.0 - _OF_THE_DRAG
-        carried = _OF_THE_DRAG * float(b) * drag
-        torque, fan = (carried, 0.0) if load == "constant" else (0.0, carried)
-        extension = replace(
-            extension,
-            coulomb_friction_n_m=torque + added * drag,
-            fan_n_m_s2_per_rad2=fan / speed**2,
-        )
-    motor = MotorParameters(
-        p.resistance_ohm * r + start.circuit.shunt_ohm,
-        p.inductance_h * inductance,
-        p.back_emf_constant_v_s_per_rad * k,
-        p.torque_constant_n_m_per_a * k,
-        p.inertia_kg_m2 * j,
-        viscous,
-    )
-    states = started(start, motor, extension, fit.onset_s + late_s)
+        carried = _OF_THE_DRAG * p[places.B] * speed
+        p[places.B] *= 1.0 - _OF_THE_DRAG
+        constant, fan = (carried, 0.0) if load == "constant" else (0.0, carried)
+        p[places.COULOMB], p[places.SQUARE] = constant + added * drag, fan / speed**2
+    p[places.ONSET if fit.start.voltage_v is None else places.DELAY] += late
+    states = fit.solution.problem.record.predict(p, learn=False)[0][:, 2:4]
     channels = [states[:, 0] / np.std(fit.residual_a)]
-    if start.speed_rad_s is not None:
-        channels.append(states[:, 1] / np.std(start.speed_rad_s) / np.sqrt(fit.misfit[1]))
+    if fit.start.speed_rad_s is not None:
+        channels.append(states[:, 1] / np.std(fit.start.speed_rad_s) / np.sqrt(fit.misfit[1]))
     return np.concatenate(channels)

@@ -17,7 +17,7 @@ from motor_env.diagnosis.explanations import (
 from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.loaded import Drag, drags
 from motor_env.diagnosis.spread import beyond, warmer
-from motor_env.identification.identify import Identified
+from motor_env.fitting.starts import Identified
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 

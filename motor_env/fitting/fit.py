@@ -12,7 +12,7 @@ from scipy.ndimage import convolve1d
 
 from motor_env.fitting import kernel, places
 from motor_env.fitting.beginnings import beginnings
-from motor_env.fitting.problem import Problem, Solution
+from motor_env.fitting.problem import STEP, Problem, Solution
 from motor_env.fitting.record import HOLDS, Record
 from motor_env.fitting.terms import SHAPES, Term, terms
 from motor_env.motor.parameters import FloatArray
@@ -28,7 +28,7 @@ _TRIED = 2
 _FEW = 6
 _RIVAL, _HOPELESS = 0.1, 0.3  # of the number of readings
 _CLEARLY = math.log(2.0)
-_CANDIDATES = ("load_constant", "load_square", "heating", "current_lag", "speed_lag", "delay")
+_CANDIDATES = ("load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
 
 
 def fit(record: Record) -> Solution:
@@ -235,7 +235,7 @@ def _solved(before: Solution, added: list[Term]) -> Solution:
 
 def _richer(best: Solution, every: dict[str, Term]) -> Solution | None:
     """The fit with the one more term that the evidence wants most, if it does strongly."""
-    tested = [(test.chi_square, name) for name, test in score_tests(best, every).items()]
+    tested = [(test.chi_square, name) for name, test in score_tests(best, every, candidates(best)).items()]
     for chi_square, name in sorted(tested, reverse=True):
         if chi_square < math.log(best.problem.count) + STRONG_EVIDENCE:
             return None
@@ -268,15 +268,23 @@ def candidates(best: Solution) -> list[str]:
     if "heating" in names and "cooling" not in names:
         left.append("cooling")
     if not seen[0]:
-        left = [name for name in left if name not in {"current_lag", "heating", "cooling", "load_square"}]
+        left = [name for name in left if name not in {"sensor_lag", "heating", "cooling", "load_square"}]
     if not seen[1]:
         left = [name for name in left if name != "speed_lag"]
     return left
 
 
-def score_tests(best: Solution, every: dict[str, Term]) -> dict[str, ScoreTest]:
-    """A test of each candidate, without fitting it."""
-    tested = [name for name in candidates(best) if name in every]
+def score_tests(
+    best: Solution, every: dict[str, Term], tested: Sequence[str], sizes: Sequence[float] = ()
+) -> dict[str, ScoreTest]:
+    """A test of each of some terms, without fitting it.
+
+    Args:
+        best: a fit without them.
+        every: all terms.
+        tested: names of those that are tested.
+        sizes: of each term over its usual one, of which the most telling counts; by default it is small.
+    """
     if not tested:
         return {}
     base = best.problem.residuals(best.theta)
@@ -285,18 +293,19 @@ def score_tests(best: Solution, every: dict[str, Term]) -> dict[str, ScoreTest]:
     inverse = np.linalg.pinv(jacobian)
     found = {}
     for name in tested:
-        problem = best.problem.with_terms([every[name]])
-        theta = np.append(best.theta, 0.0)
-        columns = problem.columns(theta, [len(best.theta)], np.append(base, 0.0))
-        column = np.delete(columns[:, 0], len(base))
-        moves = -inverse @ column
-        column = column + jacobian @ moves
-        information = float(column @ column)
-        if information <= 1e-12 * variance:
+        term = every[name]
+        problem = best.problem.with_terms([term])
+        sides = np.array([min(size * term.usual, term.high) for size in sizes] or [STEP])
+        moved = problem.residuals_each(np.column_stack([np.tile(best.theta, (len(sides), 1)), sides]))
+        columns = (np.delete(moved, len(base), axis=1) - base).T / sides
+        moves = -inverse @ columns
+        columns = columns + jacobian @ moves
+        information = np.maximum(np.sum(columns**2, axis=0), 1e-300)
+        values = -(base @ columns) / information
+        gains = np.where((values < 0.0) & (term.low >= 0.0), 0.0, values**2 * information / variance)
+        most = int(np.argmax(gains))
+        if information[most] <= 1e-12 * variance:
             continue
-        value = -float(column @ base) / information
-        gain = value**2 * information / variance
-        if every[name].low >= 0.0 and value < 0.0:
-            gain = 0.0
-        found[name] = ScoreTest(gain, value, math.sqrt(variance / information), moves)
+        sd = math.sqrt(variance / information[most])
+        found[name] = ScoreTest(float(gains[most]), float(values[most]), sd, moves[:, most])
     return found

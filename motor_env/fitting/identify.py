@@ -27,7 +27,7 @@ _TWO_SIDED = 1.96
 _UNITS_FULL = {
     "R": "ohm", "L": "H", "K": "V s/rad", "J": "kg m2", "B": "N m s/rad", "coulomb": "N m", "brush_drop": "V",
     "load_constant": "N m", "load_square": "N m s2/rad2", "offset_current": "A", "offset_speed": "rad/s",
-    "heating": "K/J", "cooling": "1/s", "current_lag": "s", "speed_lag": "s", "delay": "samples", "drag": "N m",
+    "heating": "K/J", "cooling": "1/s", "sensor_lag": "s", "speed_lag": "s", "delay": "samples", "drag": "N m",
     "brush_knee": "A", "stribeck": "of coulomb", "coulomb_knee": "rad/s",
 }  # fmt: skip
 _UNITS_CURRENT = _UNITS_FULL | {

@@ -20,6 +20,7 @@ from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
 
 _LEAST_LAG = 0.01  # of R dt: an L so small that the current follows at once
+_LEAST_NOISE = 1e-7  # of what was believed before
 STEP = 1e-4
 
 
@@ -39,7 +40,8 @@ class Problem:
 
     def values(self, theta: FloatArray) -> FloatArray:
         """Physical values and noises."""
-        return self.values_each(theta[None])[0]
+        values: FloatArray = self.values_each(theta[None])[0]
+        return values
 
     def values_each(self, thetas: FloatArray) -> FloatArray:
         """The same for several vectors of unknowns, shape (m, n_unknowns)."""
@@ -56,7 +58,8 @@ class Problem:
 
     def residuals(self, theta: FloatArray) -> FloatArray:
         """Scaled innovations of each sample and channel, and what is believed beforehand of the terms."""
-        return self.residuals_each(theta[None])[0]
+        residuals: FloatArray = self.residuals_each(theta[None])[0]
+        return residuals
 
     def residuals_each(self, thetas: FloatArray) -> FloatArray:
         """The same for several vectors of unknowns, shape (m, n_unknowns)."""
@@ -65,7 +68,8 @@ class Problem:
         white[~np.isfinite(white)] = 1e6
         size = 0.5 * logs / self.count
         scale = np.exp(np.where(size < 300.0, size, 300.0))  # of a number that is none, too
-        prior = thetas / np.array([term.prior_sd for term in self.free])
+        means, sds = np.array([(term.prior_mean, term.prior_sd) for term in self.free]).T
+        prior = (thetas - means) / sds
         residuals: FloatArray = scale[:, None] * np.concatenate([white, prior], axis=1)
         return residuals
 
@@ -181,6 +185,15 @@ class Solution:
             float(np.mean(white**2))
         )
         return values
+
+    def weighed(self) -> Problem:
+        """The same problem with the noise of each channel as large as what is left of it."""
+        problem, known = self.problem, self.problem.known.copy()
+        left = problem.record.readings - problem.record.predict(problem.values(self.theta))[0][:, 2:4]
+        for n, place in enumerate((places.NOISE_I, places.NOISE_W)):
+            if problem.record.seen[n] > 0.0:
+                known[place] = max(float(np.std(np.nan_to_num(left[:, n]))), _LEAST_NOISE * known[place])
+        return replace(problem, known=known)
 
     def free(self) -> tuple[FloatArray, FloatArray]:
         """The filter's table, and that of the model that runs freely under the voltage and the filter's load."""

@@ -21,10 +21,9 @@ from motor_env.recordings.recording import Recording, cut
 from motor_env.recordings.regime import refuse_aliased
 from motor_env.recordings.start import Circuit
 
-Hold = Literal["held", "straight", "late", "between"]
+Hold = Literal["held", "straight", "late"]
 HOLDS: tuple[Hold, ...] = ("held", "straight", "late")
-"""The voltage of a sample lasts until the next; runs in a straight line to it; or has lasted since the one before. It
-changes between two samples, in the middle where there is no delay, in the records of starts."""
+"""The voltage of a sample lasts until the next; runs in a straight line to it; or has lasted since the one before."""
 CURVE_PARTS = 5
 """Parts of a supply's rise of free shape."""
 _OF_SUPPLY = np.r_[DELAY, ONSET, RISE, np.arange(CURVE.start, CURVE.stop)]
@@ -50,7 +49,8 @@ class Record:
         seen: 1 where current, speed were recorded, shape (2,).
         marks: `kernel.BEGIN` at the first sample of each recording, `kernel.OPEN` where the circuit is open; (n,). A
             start begins with `kernel.REST` or `kernel.STEADY`.
-        hold: what the voltage does between two samples.
+        hold: what the voltage does between two samples; in a start it changes once between them, in the middle where
+            there is no delay.
         averaged: number of samples whose mean is one sample here.
         share: of the recordings that is here, its liveliest stretches.
         onset_s: from the first sample to the step of a supply that is switched on once, about; None for any other.
@@ -89,7 +89,7 @@ class Record:
     def peaks(self) -> tuple[float, float, float]:
         """Largest voltage, current and speed, wild samples left out."""
         columns = (self.voltage_v, self.readings[:, 0], self.readings[:, 1])
-        v, i, w = (float(np.quantile(np.abs(column), 0.999)) for column in columns)
+        v, i, w = (float(np.nanquantile(np.abs(column), 0.999)) for column in columns)
         return v, i, w
 
     def between(self, delay: float = 0.0) -> FloatArray:
@@ -98,7 +98,7 @@ class Record:
         Args:
             delay: how much later the voltage comes than it was logged, in samples, -1 .. 1.
         """
-        if self.hold == "between":
+        if self.is_start:
             whole = round(delay)
             at = np.clip(np.arange(len(self.voltage_v)) - whole, 0, len(self.voltage_v) - 1)
             mean = self.voltage_v[at]
@@ -139,7 +139,8 @@ class Record:
         return out, self._run(values, out, learn=True)
 
     def _run(self, values: FloatArray, out: FloatArray, *, learn: bool) -> FloatArray:
-        p, supplies, which = values.copy(), [], []
+        p, which = values.copy(), []
+        supplies: list[tuple[FloatArray, FloatArray, float]] = []
         p[:, R] += self.shunt_ohm
         known: dict[bytes, int] = {}
         for one in p:
@@ -150,7 +151,7 @@ class Record:
             which.append(known[key])
             one[AFTER] = supplies[known[key]][2]
         voltage, marks = (np.stack([each[n] for each in supplies]) for n in (0, 1))
-        logs = predict_each(
+        logs: FloatArray = predict_each(
             p, self.dt_s, voltage, marks, np.array(which), self.readings, self.seen, learn, out
         )
         for one, table in zip(p, out, strict=True):
@@ -207,7 +208,8 @@ def mean_rise(values: FloatArray, begin_s: FloatArray, end_s: FloatArray) -> Flo
         since, level = time_s - times[part], levels[part]
         slope = (levels[part + 1] - level) / (times[1] - times[0])
         inside = areas[part] + level * since + 0.5 * slope * since**2
-        return np.where(time_s > times[-1], areas[-1] + time_s - times[-1], inside)
+        beyond: FloatArray = np.where(time_s > times[-1], areas[-1] + time_s - times[-1], inside)
+        return beyond
 
     mean: FloatArray = (integral(end_s) - integral(begin_s)) / (end_s - begin_s)
     return mean

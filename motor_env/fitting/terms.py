@@ -13,7 +13,10 @@ from motor_env.motor.parameters import FloatArray
 
 LONGEST_CURRENT_LAG_S = 0.01
 LONGEST_SPEED_LAG_S = 0.1
+_WIDEST = 12.0  # of a logarithm
 _OFFSET_PRIOR = 0.003
+_CURVE_PRIOR_SD = 1.5
+_LARGEST_DEAD_ZONE = 0.35  # of the current's span: what hides more is no sensor
 _KNEE_PRIOR, _STRIBECK_PRIOR = 0.01, 0.2  # of the largest current or speed; of the dry friction
 
 
@@ -27,8 +30,9 @@ class Term:
         unit: what 1 stands for, SI; of a logarithm the value at 0.
         low, high: bounds in that unit.
         is_log: whether the unknown is the logarithm of the value over its unit.
-        prior_sd: standard deviation about 0 that is believed beforehand, in the unit; infinite for none.
+        prior_sd: standard deviation about `prior_mean` that is believed beforehand, in the unit; infinite for none.
         usual: size that the term usually has where a motor has it, in the unit.
+        prior_mean: in the unit.
     """
 
     name: str
@@ -39,6 +43,7 @@ class Term:
     is_log: bool = False
     prior_sd: float = math.inf
     usual: float = 1.0
+    prior_mean: float = 0.0
 
     def value(self, theta: float) -> float:
         """SI value of the unknown."""
@@ -59,7 +64,7 @@ def terms(
     ohm, constant, dt = start[places.R], start[places.K], record.dt_s
     amps = max(amps, 1e-3 * volts / ohm) if record.seen[0] else volts / ohm
     speed = max(speed, 1e-3 * volts / constant) if record.seen[1] else volts / constant
-    torque, power = constant * amps, ohm * float(np.mean(record.readings[:, 0] ** 2)) + 1e-300
+    torque, power = constant * amps, ohm * float(np.nanmean(record.readings[:, 0] ** 2)) + 1e-300
     reach = 0.5 * record.duration_s / dt
     every = [
         Term("R", places.R, ohm, -5.0, 5.0, is_log=True),
@@ -78,7 +83,7 @@ def terms(
         Term("offset_speed", places.OFFSET_W, speed, -0.1, 0.1, prior_sd=_OFFSET_PRIOR),
         Term("heating", places.HEATING, 10.0 / (power * record.duration_s), 0.0, 20.0),
         Term("cooling", places.COOLING, 1.0 / record.duration_s, 0.0, 300.0),
-        Term("current_lag", places.LAG_I, dt, 0.0, min(LONGEST_CURRENT_LAG_S / dt, reach)),
+        Term("sensor_lag", places.LAG_I, dt, 0.0, min(LONGEST_CURRENT_LAG_S / dt, reach)),
         Term("speed_lag", places.LAG_W, dt, 0.0, min(LONGEST_SPEED_LAG_S / dt, reach)),
         Term("delay", places.DELAY, 1.0, -1.0, 1.0),
         Term("noise_current", places.NOISE_I, start[places.NOISE_I], -5.0, 5.0, is_log=True),
@@ -86,6 +91,25 @@ def terms(
         Term("noise_voltage", places.NOISE_V, 0.003 * volts, -6.0, 4.0, is_log=True),
         Term("load_walk", places.WALK, 0.05 * torque / math.sqrt(record.duration_s), -6.0, 6.0, is_log=True),
     ]
+    if record.is_start:
+        every += [
+            Term("R", places.R, ohm, -_WIDEST, _WIDEST, is_log=True),
+            Term("L", places.L, start[places.L], -_WIDEST, _WIDEST, is_log=True),
+            Term("K", places.K, constant, -_WIDEST, _WIDEST, is_log=True),
+            Term("J", places.J, start[places.J], -_WIDEST, _WIDEST, is_log=True),
+            Term("B", places.B, start[places.B], -_WIDEST, _WIDEST, is_log=True),
+            Term("coulomb", places.COULOMB, torque, 0.0, 100.0),
+            Term("brush_drop", places.DROP, volts, 0.0, 0.9, usual=0.05),
+            Term("sensor_lag", places.LAG_I, dt, 0.0, reach, usual=2.0),
+            Term("speed_lag", places.LAG_W, dt, 0.0, reach, usual=2.0),
+            Term("onset", places.ONSET, dt, -1.0, 1.0),
+            Term("supply_ramp", places.RISE, dt, 0.0, 2.0 * reach),
+            Term("dead_zone", places.ZONE, amps, 0.0, _LARGEST_DEAD_ZONE, usual=0.15),
+        ]
+        every += [
+            Term(f"curve_{n + 1}", place, 1.0, -_WIDEST, _WIDEST, is_log=True, prior_sd=_CURVE_PRIOR_SD)
+            for n, place in enumerate(range(places.CURVE.start, places.CURVE.stop))
+        ]
     return {term.name: term for term in every}
 
 

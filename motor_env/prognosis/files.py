@@ -14,7 +14,7 @@ from motor_env.console import printable
 from motor_env.diagnosis.files import why_not
 from motor_env.diagnosis.learning import fit_healthy
 from motor_env.errors import InputError
-from motor_env.identification.identify import Identified, identify
+from motor_env.fitting.starts import Identified, identify
 from motor_env.prognosis.estimates import SECONDS_PER_DAY, Series, build_series, date_of, read_estimates
 from motor_env.prognosis.page import leading, page, status
 from motor_env.prognosis.trend import Trend, judge

@@ -10,10 +10,10 @@ from motor_env.console import printable
 from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.shown.report import as_text, warnings_of
 from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
-from motor_env.identification.identify import Identified
-from motor_env.identification.residuals import absolute, started
+from motor_env.fitting import places
+from motor_env.fitting.starts import Identified, absolute
 from motor_env.motor.faults import FaultKind
-from motor_env.motor.parameters import FloatArray, MotorParameters
+from motor_env.motor.parameters import FloatArray
 from motor_env.pages.html import render
 from motor_env.pages.svg import Axis, Chart, round_ticks
 
@@ -159,10 +159,10 @@ def reference_current(judgement: Judgement) -> FloatArray | None:
     value = absolute(
         dict(zip(fit.quantity_names, fit.values.tolist(), strict=True)) | reference.values, believed
     )
-    ohm, constant = value["R"] + fit.start.circuit.shunt_ohm, value["K"]
-    motor = MotorParameters(ohm, value["L"], constant, constant, value["J"], value["B"])
-    states = started(fit.start, motor, fit.extension, fit.onset_s)
-    current: FloatArray = states[:, 0] + (0.0 if fit.start.alignment.rectified else fit.offset_a)
+    physical = fit.physical
+    for name in "RLKJB":
+        physical[getattr(places, name)] = value[name]
+    current: FloatArray = fit.run(physical)[:, 0] + fit.start.alignment.offset_a
     return current
 
 

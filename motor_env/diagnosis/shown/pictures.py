@@ -14,7 +14,7 @@ from scipy.special import stdtrit
 from motor_env.console import printable
 from motor_env.diagnosis.shown.report import model_words
 from motor_env.diagnosis.views import Fitted
-from motor_env.identification.identify import Identified
+from motor_env.fitting.starts import Identified
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
 from motor_env.plotting import COLOUR, drawing, save, subplots

@@ -12,6 +12,8 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from motor_env.identification import coastdown
+from motor_env.identification.coastdown import CoastDown
 from recording_csv import write_csv
 
 from motor_env import (
@@ -35,8 +37,6 @@ from motor_env.diagnosis.verdict import Judgement
 from motor_env.embedded import monitor as monitors, source
 from motor_env.embedded.arithmetic import Steps
 from motor_env.embedded.monitor import CusumBank
-from motor_env.identification import coastdown
-from motor_env.identification.coastdown import CoastDown
 from motor_env.live import command
 from motor_env.prognosis import files as trends
 from motor_env.recordings.profiles import Profile, load_profile

@@ -19,7 +19,7 @@ from motor_env.diagnosis.shown.page import reference_current
 from motor_env.fitting import places
 
 # Reaches in: starts with dry friction, which `simulate` has not; a window is off in the direction of a fault.
-from motor_env.identification.start_model import Extension, step_start
+from motor_env.fitting.starts import Extension, step_start
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction
 from motor_env.motor.parameters import FloatArray

@@ -57,7 +57,7 @@ from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
 
 # Reaches in: fits are altered by hand, and faults move them in directions that no public name gives.
-from motor_env.identification.identify import Identified
+from motor_env.fitting.starts import Identified
 from motor_env.motor.identifiable import matrix, nameable_kinds, names, visible_direction
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray

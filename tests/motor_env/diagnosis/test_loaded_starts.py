@@ -15,7 +15,7 @@ from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
 
 # Reaches in: starts under dry friction or a fan, neither of which `simulate` has.
-from motor_env.identification.start_model import Extension, step_start
+from motor_env.fitting.starts import Extension, step_start
 from motor_env.motor.parameters import FloatArray
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml").parameters

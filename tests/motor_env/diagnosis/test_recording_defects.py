@@ -31,7 +31,7 @@ from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
 
 # Reaches in: dry friction under a square wave, which `simulate` has not; the estimate of a start's noise by itself.
-from motor_env.identification.start_model import Extension, driven
+from motor_env.fitting.starts import Extension, driven
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import DefectKind
 from motor_env.recordings.noise import difference_noise

@@ -57,10 +57,10 @@ from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature
 from motor_env.fitting import kernel, places
 from motor_env.fitting.record import Record
-from motor_env.fitting.window import WindowFit, first_steps
 
 # Reaches in: judgements rest on fits and records made by hand, off in the direction of a fault.
-from motor_env.identification.identify import Identified, identify
+from motor_env.fitting.starts import Identified, identify
+from motor_env.fitting.window import WindowFit, first_steps
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction
 from motor_env.motor.parameters import FloatArray

@@ -269,7 +269,7 @@ def test_units_of_the_unknowns() -> None:
         "R": 2.0, "L": 2.0 * DT_S, "K": 0.03, "J": 4e-6, "B": torque / 200.0, "coulomb": torque, "brush_drop": 12.0,
         "brush_knee": 3.0, "stribeck": 1.0, "coulomb_knee": 200.0, "load_constant": torque,
         "load_square": torque / 200.0**2, "offset_current": 3.0, "offset_speed": 200.0,
-        "heating": 10.0 / (2.0 * 1.5**2 * second), "cooling": 1.0 / second, "current_lag": DT_S, "speed_lag": DT_S,
+        "heating": 10.0 / (2.0 * 1.5**2 * second), "cooling": 1.0 / second, "sensor_lag": DT_S, "speed_lag": DT_S,
         "delay": 1.0, "noise_current": 0.01, "noise_speed": 0.2, "noise_voltage": 0.036,
         "load_walk": 0.05 * torque / math.sqrt(second),
     }  # fmt: skip
@@ -287,7 +287,7 @@ def test_units_of_the_unknowns() -> None:
         "coulomb": (0.0, 0.9), "brush_drop": (0.0, 0.4), "brush_knee": (0.0, 0.05), "stribeck": (0.0, 2.0),
         "coulomb_knee": (0.0, 0.05), "load_constant": (-2.0, 2.0), "load_square": (0.0, 20.0),
         "offset_current": (-0.2, 0.2), "offset_speed": (-0.1, 0.1), "heating": (0.0, 20.0), "cooling": (0.0, 300.0),
-        "current_lag": (0.0, 5.0), "speed_lag": (0.0, 50.0),  # 10 ms and 0.1 s
+        "sensor_lag": (0.0, 5.0), "speed_lag": (0.0, 50.0),  # 10 ms and 0.1 s
         "delay": (-1.0, 1.0), "noise_current": (-5.0, 5.0), "noise_speed": (-5.0, 5.0),
         "noise_voltage": (-6.0, 4.0), "load_walk": (-6.0, 6.0),
     }  # fmt: skip
@@ -377,7 +377,7 @@ def test_a_score_test_is_one_step_of_the_richer_fit(small: Solution) -> None:
     jacobian = small.problem.jacobian(small.theta, base)
     variance = float(base @ base) / small.problem.count
     found = score_tests(small, every)
-    assert set(found) == {"load_square", "heating", "current_lag", "speed_lag", "delay"}
+    assert set(found) == {"load_square", "heating", "sensor_lag", "speed_lag", "delay"}
     for name, test in found.items():
         problem = small.problem.with_terms([every[name]])
         wide = problem.columns(np.append(small.theta, 0.0), [4], np.append(base, 0.0))[: len(base), 0]

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from motor_env.identification.coastdown import fit_coastdown
 from scipy.optimize import curve_fit
 
 from motor_env import Recording, read_recording
 from motor_env.cli import main
-from motor_env.identification.coastdown import fit_coastdown
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 

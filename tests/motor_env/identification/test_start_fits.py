@@ -9,18 +9,27 @@ from scipy.linalg import circulant
 from scipy.stats import norm
 
 from motor_env import PAPER_MOTOR
-from motor_env.identification.commutation import (
+from motor_env.fitting.commutation import (
     back_emf_v,
     constants_at,
     find_ripple,
     ripple_quantities,
 )
-from motor_env.identification.covariance import capped, unknowns_covariance
-from motor_env.identification.identify import FIT_SAMPLES, _wild_against, identify
-from motor_env.identification.model_choice import STRONG_EVIDENCE, evidence, identify_best
-from motor_env.identification.plausibility import implausible
-from motor_env.identification.residuals import Problem, _rectified_mean, absolute
-from motor_env.identification.start_model import Extension, step_start
+from motor_env.fitting.plausibility import implausible
+from motor_env.fitting.starts import (
+    FIT_SAMPLES,
+    STRONG_EVIDENCE,
+    Extension,
+    Problem,
+    _rectified_mean,
+    _wild_against,
+    absolute,
+    evidence,
+    identify,
+    identify_best,
+    step_start,
+)
+from motor_env.fitting.uncertainty import capped, unknowns_covariance
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: starts are aligned by hand, their onset known; dense matrices need the floor of a residual's noise.

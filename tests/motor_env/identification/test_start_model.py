@@ -7,7 +7,7 @@ from scipy.linalg import expm
 from scipy.special import ndtr
 
 from motor_env import PAPER_MOTOR, discretize
-from motor_env.identification.start_model import (
+from motor_env.fitting.starts import (
     Extension,
     between_samples,
     driven,
