@@ -1,4 +1,4 @@
-"""A real motor's parameters, fitted to recorded starts and coast-downs.
+"""A real motor's parameters, fitted to recorded starts.
 
 Example:
     >>> from motor_env import identify

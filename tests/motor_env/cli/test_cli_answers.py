@@ -35,8 +35,6 @@ from motor_env.diagnosis.verdict import Judgement
 from motor_env.embedded import monitor as monitors, source
 from motor_env.embedded.arithmetic import Steps
 from motor_env.embedded.monitor import CusumBank
-from motor_env.identification import coastdown
-from motor_env.identification.coastdown import CoastDown
 from motor_env.live import command
 from motor_env.prognosis import files as trends
 from motor_env.recordings.profiles import Profile, load_profile
@@ -209,29 +207,6 @@ def test_export_c_hands_on_what_was_asked_for(
     shifted: Any = CusumBank((3.0,), ())
     assert exported["rule"] == shifted
     assert exported["steps"] == ("limits", 0.01, None, None)
-
-
-def test_coastdown_says_the_same_as_text_and_json(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    friction = CoastDown(viscous_per_s=0.5, coulomb_rad_s2=3.25, r2=0.999, r2_viscous=0.98, evidence=12.0)
-    monkeypatch.setattr(coastdown, "fit_coastdown", lambda _: friction)
-    file = str(EXAMPLES / "startup_capture.csv")
-    assert main(["coastdown", file]) == 0
-    assert capsys.readouterr().out.split("\n")[:2] == [
-        f"{file}: viscous friction B/J 0.5 1/s, Coulomb friction Tc/J 3.25 rad/s2".replace(
-            "viscous friction ", ""
-        ),
-        "  R2 0.9990; with viscous friction alone 0.9800; evidence 12",
-    ]
-    assert main(["coastdown", file, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {
-        "viscous_per_s": 0.5,
-        "coulomb_rad_s2": 3.25,
-        "r2": 0.999,
-        "r2_viscous": 0.98,
-        "evidence": 12.0,
-    }
 
 
 @pytest.mark.parametrize(
