@@ -230,7 +230,7 @@ def paper(scratch: Path) -> Items:
 
 
 def recordings(scratch: Path) -> Items:
-    """Diagnosis, identification, commissioning, coast-down and trends; two commands at a time."""
+    """Diagnosis, identification, commissioning and trends; two commands at a time."""
     calls = {**example_calls(scratch), **(recording_calls(scratch) if (scratch / "real").is_dir() else {})}
     with ThreadPoolExecutor(2) as pool:
         answers = pool.map(lambda call: command(scratch, "motor_env", *call.split()), calls.values())
@@ -270,8 +270,6 @@ def recording_calls(scratch: Path) -> dict[str, str]:
             found[f"{folder}-{file.stem}-diagnose"] = f"diagnose {here} {options} --json"
         if folder != "production_line" or file.stem.endswith("_01"):
             found[f"{folder}-{file.stem}-identify"] = f"identify {here} {options} --json"
-        if "coastdown" in file.stem:
-            found[f"{folder}-{file.stem}"] = f"coastdown {here} --json"
     line = [
         f"real/production_line/{file.name}"
         for file in sorted((scratch / "real/production_line").glob("*.csv"))

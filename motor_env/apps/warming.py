@@ -18,7 +18,6 @@ _HOMES = {
     "policies": "envs.offline",
     "Maintain": "envs.offline",
     "lab": "apps",
-    "trends": "prognosis",
 }
 """Parts, and the room whose module has the small calls of each."""
 

@@ -20,7 +20,6 @@ for _command in (
     verdicts.trend,
     motors.identify,
     motors.commission,
-    motors.coastdown,
     monitors.watch,
     monitors.export_c,
     programs.reproduce,

@@ -1,8 +1,7 @@
-"""Commands that learn a motor from its recordings: `identify`, `commission` and `coastdown`."""
+"""Commands that learn a motor from its recordings: `identify` and `commission`."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -116,31 +115,4 @@ def commission(
     print(result.text())
     print(printable(f"written: {output}"))
     measurement.keep()
-    return 0
-
-
-def coastdown(file: Path, *, reading: options.Reading = options.READING, json_: bool = False) -> int:
-    """Viscous and Coulomb friction from a coast-down: the speed of a motor whose voltage was taken away.
-
-    Example: motor-env coastdown coastdown.csv
-
-    Args:
-        file: Recording with time, current and speed.
-        reading: How the file is read.
-        json_: Print one object.
-    """
-    from motor_env.identification.coastdown import fit_coastdown
-    from motor_env.recordings.defects import UnusableError
-    from motor_env.recordings.recording import read_recording
-
-    recording = read_recording(file, reading.chosen.options["columns"])
-    try:
-        friction = fit_coastdown(recording)
-    except UnusableError as error:
-        raise InputError(f"{file}: {error}") from None
-    viscous, coulomb = f"B/J {friction.viscous_per_s:.4g} 1/s", f"Tc/J {friction.coulomb_rad_s2:.4g} rad/s2"
-    alone = f"with viscous friction alone {friction.r2_viscous:.4f}; evidence {friction.evidence:.0f}"
-    text = f"{file}: {viscous}, Coulomb friction {coulomb}\n  R2 {friction.r2:.4f}; {alone}"
-    options.show(json_, lambda: asdict(friction), lambda: text)
-    reading.keep()
     return 0

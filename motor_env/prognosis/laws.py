@@ -56,7 +56,7 @@ def last_jump(series: Series) -> tuple[int, float] | None:
     fits = np.array([_step_at(series, int(k)) for k in places])
     z = fits[:, 0] / fits[:, 1]
     spread = max(_MAD * float(np.median(np.abs(z))), 0.5 * float(np.median(series.standard_error)))
-    size = np.abs(z) / max(spread, 1e-9 * float(np.ptp(series.estimate)), 1e-300)
+    size = np.abs(z) / max(spread, 1e-9 * float(np.ptp(series.estimate)), 1e-9)
     peaks = [
         row
         for row in np.flatnonzero(size > _JUMP)

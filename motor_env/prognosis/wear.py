@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erfcx, ndtr
 
-from motor_env.motor.parameters import FloatArray, require
+from motor_env.motor.parameters import FloatArray
 
 TREND_PROBABILITY = 0.95
 """From this posterior probability on a quantity is said to trend to a limit."""
@@ -117,13 +117,10 @@ class Degradation:
         mean = float(self.weights @ self.drift)
         return math.sqrt(float(self.weights @ (self.covariance[:, 1, 1] + (self.drift - mean) ** 2)))
 
-    def cdf(self, life: ArrayLike) -> FloatArray:
-        """Probability that the limit is reached within `life` after the last estimate, shape of `life`."""
-        times = np.asarray(life, dtype=np.float64)
-        distance, drift, variance, diffusion, weights = self._nodes()
-        safe = np.maximum(times, 1e-300).reshape(-1, 1)
-        out: FloatArray = first_passage_cdf(safe, distance, drift, variance, diffusion) @ weights
-        return out.reshape(times.shape)
+    def cdf(self, life: FloatArray) -> FloatArray:
+        """Probability that the limit is reached within `life` after the last estimate, both of shape (n,)."""
+        *normal, weights = self._nodes()
+        return np.asarray(first_passage_cdf(np.maximum(life, 1e-300)[:, None], *normal) @ weights)
 
     def _nodes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Distance, drift given the level, its variance, diffusion and weight of every quadrature node."""
@@ -150,12 +147,7 @@ class Degradation:
         return np.geomspace(1e-4, 1e3, _LIFE_POINTS) * reach / pace
 
     def remaining_life(self, level: float = 0.9) -> RemainingLife:
-        """Median and central interval of the time until the limit is first reached.
-
-        Raises:
-            ValueError: the level does not lie between 0 and 1.
-        """
-        require(0.0 < level < 1.0, f"level must lie between 0 and 1, got {level:g}")
+        """Median and central interval of the time until the limit is first reached; the level lies between 0 and 1."""
         axis = self.life_axis()
         cdf = np.maximum.accumulate(self.cdf(axis))
         wanted = [0.5 - level / 2.0, 0.5, 0.5 + level / 2.0]

@@ -6,10 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr
+from scipy.special import log_softmax, ndtr
 
-from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.prognosis.wear import Degradation
 
@@ -23,48 +21,7 @@ _SCATTERS = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])  # in units of t
 _MOST_ONSETS = 20
 _PRIOR_STEADY = 0.5
 _NEGLIGIBLE = 0.002  # posterior probability of all grid points that are left out
-
-
-@njit(cache=True)
-def _filter_grid(
-    step: FloatArray,
-    estimate: FloatArray,
-    variance: FloatArray,
-    onset: FloatArray,
-    diffusion: FloatArray,
-    scatter: FloatArray,
-    drift_std: FloatArray,
-    level_std: float,
-    log_likelihood: FloatArray,
-    moments: FloatArray,
-) -> None:
-    """Kalman filter of [level, drift] for every grid point; `moments` takes level, drift, and their covariances."""
-    for h in range(onset.shape[0]):
-        level, drift = estimate[0], 0.0
-        p00, p01, p11 = level_std * level_std, 0.0, drift_std[h] * drift_std[h]
-        total = 0.0
-        extra = scatter[h] * scatter[h]
-        for i in range(estimate.shape[0]):
-            if i > 0 and i > onset[h]:
-                dt = step[i - 1]
-                level += drift * dt
-                p00 += 2.0 * dt * p01 + dt * dt * p11 + diffusion[h] * diffusion[h] * dt
-                p01 += dt * p11
-            s = p00 + variance[i] + extra
-            error = estimate[i] - level
-            total -= 0.5 * (error * error / s + math.log(2.0 * math.pi * s))
-            k0, k1 = p00 / s, p01 / s
-            level += k0 * error
-            drift += k1 * error
-            p11 -= k1 * p01
-            p01 *= (variance[i] + extra) / s
-            p00 *= (variance[i] + extra) / s
-        log_likelihood[h] = total
-        moments[h, 0], moments[h, 1] = level, drift
-        moments[h, 2], moments[h, 3], moments[h, 4] = p00, p01, p11
-
-
-_LEAST_ERROR = 1e-6
+_LEAST_ERROR = 1e-6  # of the typical one: estimates without an error may scatter by nothing
 
 
 class _Grid(NamedTuple):
@@ -77,15 +34,40 @@ class _Grid(NamedTuple):
     log_prior: FloatArray
 
 
+def _filtered(
+    times: FloatArray, estimate: FloatArray, variance: FloatArray, grid: _Grid, level_std: float
+) -> tuple[FloatArray, FloatArray]:
+    """Kalman filter of [level, drift] for every hypothesis.
+
+    Returns:
+        Log-likelihood, shape (n,); level, drift, and their covariances, shape (5, n).
+    """
+    none = np.zeros(len(grid.onset))
+    level, drift, log_likelihood = none + estimate[0], none, none
+    p00, p01, p11 = none + level_std**2, none, grid.drift_std**2
+    for i, step in enumerate(np.diff(times, prepend=times[0])):
+        dt = np.where(grid.onset < i, step, 0.0)
+        level = level + drift * dt
+        p00 = p00 + (2.0 * dt * p01 + dt * dt * p11 + grid.diffusion**2 * dt)
+        p01 = p01 + dt * p11
+        s = p00 + variance[i] + grid.scatter**2
+        error = estimate[i] - level
+        log_likelihood = log_likelihood - 0.5 * (error * error / s + np.log(2.0 * math.pi * s))
+        level, drift = level + p00 / s * error, drift + p01 / s * error
+        kept = (variance[i] + grid.scatter**2) / s
+        p00, p01, p11 = p00 * kept, p01 * kept, p11 - p01 / s * p01
+    return log_likelihood, np.stack([level, drift, p00, p01, p11])
+
+
 def degradation(
-    time: ArrayLike,
-    estimate: ArrayLike,
-    standard_error: ArrayLike,
+    time: FloatArray,
+    estimate: FloatArray,
+    standard_error: FloatArray,
     limit: float,
     *,
     sign: float | None = None,
 ) -> Degradation:
-    """Fit the wear model to a sequence of estimates.
+    """Fit the wear model to a sequence of five estimates or more.
 
     Args:
         time: rising, any unit, shape (n,).
@@ -95,41 +77,32 @@ def degradation(
         sign: +1 if the limit lies above, -1 below; if None as it lies to the first estimates.
 
     Raises:
-        ValueError: fewer than five estimates, shapes that differ, a value that is not finite, times that do not rise,
-            or a limit at the first level.
+        ValueError: a value that is not finite, or a limit at the first level.
     """
-    times, values, errors = _checked(time, estimate, standard_error)
-    beginning = float(np.mean(values[: max(3, len(values) // 10)]))
+    finite = bool(np.isfinite([time, estimate, standard_error]).all())
+    require(finite, "time, estimate and standard_error must be finite")
+    beginning = float(np.mean(estimate[: max(3, len(estimate) // 10)]))
     distance = abs(limit - beginning)
     require(distance > 0.0 and math.isfinite(limit), f"limit must differ from the first level, got {limit:g}")
-    if sign is None:
-        sign = 1.0 if limit > beginning else -1.0
-    typical = _typical_error(values, errors)
-    errors = np.maximum(errors, _LEAST_ERROR * typical)  # estimates without an error may scatter by nothing
-    grid = _grid(times, typical, distance)
-    n = len(grid.onset)
-    log_likelihood, moments = np.empty(n), np.empty((n, 5))
-    _filter_grid(
-        np.diff(times),
-        sign * values,
-        errors**2,
-        grid.onset,
-        grid.diffusion,
-        grid.scatter,
-        grid.drift_std,
-        10.0 * (distance + float(np.ptp(values))),
-        log_likelihood,
-        moments,
-    )
+    towards = math.copysign(1.0, limit - beginning) if sign is None else sign
+    # The unit of the scatter: the median standard error, or what the jumps between neighbours say where that is larger.
+    jumps = float(np.median(np.abs(np.diff(estimate)))) / 0.954  # of white scatter: its standard deviation
+    width = float(np.ptp(estimate))
+    typical = max(float(np.median(standard_error)), 0.3 * jumps, 1e-9 * width, 1e-9 * distance)
+    errors = np.maximum(standard_error, _LEAST_ERROR * typical)
+    grid = _grid(time, typical, distance)
+    log_likelihood, moments = _filtered(time, towards * estimate, errors**2, grid, 10.0 * (distance + width))
     log_weight = log_likelihood + grid.log_prior
     weight = np.exp(log_weight - log_weight.max())
-    drifting = grid.onset < len(times)
+    drifting = grid.onset < len(time)
     probability_drift = float(weight[drifting].sum() / weight.sum())
     weight[~drifting] = 0.0
-    kept = _heaviest(weight)
+    # The fewest hypotheses that hold all but a negligible part of the weight.
+    order = np.argsort(weight)[::-1]
+    share = np.cumsum(weight[order]) / weight.sum()
+    kept = order[: int(np.searchsorted(share, 1.0 - _NEGLIGIBLE)) + 1]
     weights = weight[kept] / weight[kept].sum()
-    level, drift, p00, p01, p11 = moments[kept].T
-    towards = float(weights @ ndtr(drift / np.sqrt(p11)))
+    level, drift, p00, p01, p11 = moments[:, kept]
     return Degradation(
         weights=weights,
         onset=grid.onset[kept],
@@ -139,8 +112,8 @@ def degradation(
         drift=drift,
         covariance=np.moveaxis(np.array([[p00, p01], [p01, p11]]), -1, 0),
         limit=float(limit),
-        sign=sign,
-        probability_trend=probability_drift * towards,
+        sign=towards,
+        probability_trend=probability_drift * float(weights @ ndtr(drift / np.sqrt(p11))),
     )
 
 
@@ -152,8 +125,8 @@ def _grid(times: FloatArray, typical_error: float, distance: float) -> _Grid:
     n_onsets = min(len(times) - 1, _MOST_ONSETS)
     onsets = np.unique(np.linspace(0.0, len(times) - 2.0, n_onsets).round())
     # The diffusions are even in the logarithm, which adds a factor to their density.
-    log_diffusion = _normalised(np.log(_DIFFUSIONS) - np.log1p((_DIFFUSIONS / _DIFFUSION_SCALE) ** 2))
-    log_scatter = _normalised(-np.log1p(_SCATTERS**2))
+    log_diffusion = log_softmax(np.log(_DIFFUSIONS) - np.log1p((_DIFFUSIONS / _DIFFUSION_SCALE) ** 2))
+    log_scatter = log_softmax(-np.log1p(_SCATTERS**2))
     axes = np.meshgrid(onsets, _DIFFUSIONS, _SCATTERS, indexing="ij")
     onset, diffusion, scatter = (part.ravel() for part in axes)
     log_prior = np.add.outer(log_diffusion, log_scatter) + math.log((1.0 - _PRIOR_STEADY) / len(onsets))
@@ -168,41 +141,3 @@ def _grid(times: FloatArray, typical_error: float, distance: float) -> _Grid:
             [np.tile(log_prior.ravel(), len(onsets)), log_scatter + math.log(_PRIOR_STEADY)]
         ),
     )
-
-
-def _heaviest(weight: FloatArray) -> NDArray[np.intp]:
-    """The fewest grid points that hold all but a negligible part of the weight."""
-    order = np.argsort(weight)[::-1]
-    share = np.cumsum(weight[order]) / weight.sum()
-    return order[: int(np.searchsorted(share, 1.0 - _NEGLIGIBLE)) + 1]
-
-
-def _normalised(log_prior: FloatArray) -> FloatArray:
-    out: FloatArray = log_prior - np.logaddexp.reduce(log_prior)
-    return out
-
-
-def _typical_error(values: FloatArray, errors: FloatArray) -> float:
-    """Unit of the scatter: the median standard error, or what the jumps between neighbours say where that is larger."""
-    jumps = float(np.median(np.abs(np.diff(values)))) / 0.954  # of white scatter: its standard deviation
-    return max(float(np.median(errors)), 0.3 * jumps, 1e-9 * float(np.ptp(values)), 1e-300)
-
-
-def _checked(
-    time: ArrayLike, estimate: ArrayLike, standard_error: ArrayLike
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    times, values, errors = (np.asarray(part, dtype=np.float64) for part in (time, estimate, standard_error))
-    require(
-        times.ndim == 1 and times.shape == values.shape == errors.shape,
-        f"time, estimate, standard_error must have one shape (n,), got {times.shape}, {values.shape}, {errors.shape}",
-    )
-    require(
-        len(times) >= FEWEST_ESTIMATES,
-        f"a trend needs at least {FEWEST_ESTIMATES} estimates, got {len(times)}",
-    )
-    require(
-        bool(np.isfinite([times, values, errors]).all()), "time, estimate and standard_error must be finite"
-    )
-    require(bool((np.diff(times) > 0.0).all()), "time must rise from estimate to estimate")
-    require(bool((errors >= 0.0).all()), "standard_error must be >= 0")
-    return times, values, errors

@@ -211,29 +211,6 @@ def test_export_c_hands_on_what_was_asked_for(
     assert exported["steps"] == ("limits", 0.01, None, None)
 
 
-def test_coastdown_says_the_same_as_text_and_json(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    friction = CoastDown(viscous_per_s=0.5, coulomb_rad_s2=3.25, r2=0.999, r2_viscous=0.98, evidence=12.0)
-    monkeypatch.setattr(coastdown, "fit_coastdown", lambda _: friction)
-    file = str(EXAMPLES / "startup_capture.csv")
-    assert main(["coastdown", file]) == 0
-    assert capsys.readouterr().out.split("\n")[:2] == [
-        f"{file}: viscous friction B/J 0.5 1/s, Coulomb friction Tc/J 3.25 rad/s2".replace(
-            "viscous friction ", ""
-        ),
-        "  R2 0.9990; with viscous friction alone 0.9800; evidence 12",
-    ]
-    assert main(["coastdown", file, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {
-        "viscous_per_s": 0.5,
-        "coulomb_rad_s2": 3.25,
-        "r2": 0.999,
-        "r2_viscous": 0.98,
-        "evidence": 12.0,
-    }
-
-
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [

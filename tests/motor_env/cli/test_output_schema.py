@@ -74,19 +74,13 @@ def test_diagnose(printed: Printed, log: Path, tmp_path: Path) -> None:
     assert [one["verdict"] for one in alone] == ["no_reference", "no_reference"]
 
 
-def test_identify_and_coastdown(printed: Printed, log: Path, tmp_path: Path) -> None:
+def test_identify(printed: Printed, log: Path) -> None:
     start, running = printed(["identify", CAPTURE, str(log)], 0)
     assert running["parameters"]["R"]["determined"]
     for one in (start["parameters"]["R"], running["parameters"]["R"]):
         low, high = one["interval"]
         assert low < one["value"] < high
         assert high - low == pytest.approx(2.0 * 1.96 * one["standard_error"], rel=0.02)
-    time_s = 0.01 * np.arange(400.0)
-    speed = 300.0 * np.exp(-time_s) + np.random.default_rng(1).normal(0.0, 0.3, 400)
-    coasting = tmp_path / "coast.csv"
-    rows = np.column_stack([time_s, np.zeros(400), speed])
-    np.savetxt(coasting, rows, delimiter=",", header="time_s,current_a,speed_rad_s", comments="")
-    assert printed(["coastdown", str(coasting)], 0)["viscous_per_s"] == pytest.approx(1.0, abs=0.05)
 
 
 def test_trend(printed: Printed, tmp_path: Path) -> None:

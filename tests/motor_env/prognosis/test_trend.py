@@ -15,7 +15,7 @@ from motor_env.prognosis.estimates import Series, build_series, date_of, read_es
 from motor_env.prognosis.page import page
 from motor_env.prognosis.trend import judge, parse_limits
 from motor_env.prognosis.wear import first_passage_cdf
-from motor_env.prognosis.wear_fit import _filter_grid, degradation
+from motor_env.prognosis.wear_fit import _filtered, _Grid, degradation
 
 
 def array(*values: float) -> np.ndarray:
@@ -56,11 +56,8 @@ def test_likelihood_and_moments_equal_the_joint_gaussian() -> None:
     time = np.cumsum(rng.uniform(0.5, 2.0, 9))
     y, variance = rng.normal(0.0, 0.3, 9), rng.uniform(0.01, 0.05, 9)
     onset, diffusion, scatter, drift_std, level_std = 3, 0.2, 0.1, 0.4, 2.0
-    log_likelihood, moments = np.empty(1), np.empty((1, 5))
-    _filter_grid(
-        np.diff(time), y, variance, array(onset), array(diffusion), array(scatter), array(drift_std), level_std,
-        log_likelihood, moments,
-    )  # fmt: skip
+    grid = _Grid(array(onset), array(diffusion), array(scatter), array(drift_std), array(0.0))
+    log_likelihood, moments = _filtered(time, y, variance, grid, level_std)
     elapsed = np.maximum(time - time[onset], 0.0)
     walk = diffusion**2 * np.minimum.outer(elapsed, elapsed)
     wear = level_std**2 + drift_std**2 * np.outer(elapsed, elapsed) + walk
@@ -72,8 +69,8 @@ def test_likelihood_and_moments_equal_the_joint_gaussian() -> None:
     mean = array(y[0], 0.0) + cross @ np.linalg.solve(joint, y - y[0])
     prior = np.array([[wear[-1, -1], drift_std**2 * elapsed[-1]], [drift_std**2 * elapsed[-1], drift_std**2]])
     covariance = prior - cross @ np.linalg.solve(joint, cross.T)
-    np.testing.assert_allclose(moments[0, :2], mean, rtol=1e-9)
-    np.testing.assert_allclose(moments[0, 2:], covariance[np.triu_indices(2)], rtol=1e-8)
+    np.testing.assert_allclose(moments[:2, 0], mean, rtol=1e-9)
+    np.testing.assert_allclose(moments[2:, 0], covariance[np.triu_indices(2)], rtol=1e-8)
 
 
 def test_runs_first_reach_the_limit_when_theory_says() -> None:
@@ -317,10 +314,17 @@ def test_names_of_quantities_are_text_on_the_page() -> None:
 
 
 def test_estimates_are_checked() -> None:
-    with pytest.raises(ValueError, match="at least 5 estimates"):
-        degradation([0.0, 1.0], [1.0, 1.0], [0.1, 0.1], 1.5)
-    with pytest.raises(ValueError, match="must rise"):
-        degradation([0.0, 1.0, 1.0, 2.0, 3.0], np.ones(5), np.ones(5), 1.5)
+    with pytest.raises(ValueError, match="must be finite"):
+        degradation(np.arange(5.0), array(1.0, 1.0, math.inf, 1.0, 1.0), np.ones(5), 1.5)
+    with pytest.raises(ValueError, match="limit must differ from the first level, got 1"):
+        degradation(np.arange(5.0), np.ones(5), np.ones(5), 1.0)
+
+
+def test_estimates_that_never_move_have_no_trend_and_no_jump() -> None:
+    for count in (5, 40):
+        still = judge(Series("R", np.arange(float(count)), np.full(count, 0.3), np.zeros(count)))
+        assert "probability of a drift to a limit 0 %" in still.sentence
+        assert still.sentence.startswith("no trend: last change +0 %")
 
 
 def history(values: np.ndarray, name: str = "friction", error: float = 0.004) -> Series:

@@ -160,7 +160,6 @@ COMMANDS = {
     "diagnose": ["diagnose", "{}"],
     "identify": ["identify", "{}", "-o", "{out}"],
     "commission": ["commission", "{}", "{good}", "{good}", "-o", "{out}"],
-    "coastdown": ["coastdown", "{}"],
 }
 
 
