@@ -13,6 +13,7 @@ from motor_env.fitting.fit import fit
 from motor_env.fitting.problem import Solution
 from motor_env.fitting.record import MOST, Record, from_recordings
 from motor_env.fitting.terms import NOISES, SHAPES, terms
+from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import covariance, motor_places
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -119,6 +120,7 @@ def identify_operation(
     return identify_record(from_recordings(recordings, voltage_v=voltage_v, most=most))
 
 
+@on_one_thread
 def identify_record(record: Record) -> Operation:
     """Fit one motor to a record.
 

@@ -15,6 +15,7 @@ from motor_env.fitting.kernel import REST, STEADY
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import CURVE_PARTS, Record
 from motor_env.fitting.terms import Term, terms
+from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import capped, coloured_covariance
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
@@ -375,6 +376,7 @@ def _believed(start: Start, constant: float | None, typical: Mapping[str, float]
     return _Belief(start, known, logs, every)
 
 
+@on_one_thread
 def identify(
     start: Start,
     model: tuple[str, ...] = (),
@@ -521,6 +523,7 @@ def evidence(simple: Identified, rich: Identified) -> float:
     return gain - added * math.log(max(sum(rich.independent), 2.0))
 
 
+@on_one_thread
 def identify_best(
     start: Start,
     candidates: tuple[str, ...] = EXTENSIONS,

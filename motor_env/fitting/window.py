@@ -16,6 +16,7 @@ from motor_env.fitting import places
 from motor_env.fitting.problem import STEP, Problem, Solution
 from motor_env.fitting.record import Record, joined
 from motor_env.fitting.terms import NOISES, terms
+from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import information_covariance, motor_places
 from motor_env.motor.parameters import FloatArray
 
@@ -34,6 +35,7 @@ class WindowFit(NamedTuple):
     values: FloatArray
 
 
+@on_one_thread
 def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> WindowFit:
     """Fit of one window, with those of the wanted terms that differ from window to window.
 
