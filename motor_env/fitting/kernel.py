@@ -32,7 +32,16 @@ from motor_env.fitting.places import (
     L,
     R,
 )
-from motor_env.fitting.steps import at, braked_step, coasting_step, inlined, product, smooth_step, tables
+from motor_env.fitting.steps import (
+    FINE,
+    at,
+    braked_step,
+    coasting_step,
+    inlined,
+    product,
+    smooth_step,
+    tables,
+)
 from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, FloatArray
 
@@ -182,9 +191,10 @@ def _advance(
     """State after an interval, and its slopes; the interval ends at a sample of one mark, and begins at another's."""
     i, w = x[0], x[1]
     at(of[0], warm_k, m)
-    if (mark != OPEN or before != OPEN) and not smooth_step(m, x, u, p, dry, f):
-        at(of[1], warm_k, m)
-        braked_step(m, x, u, p, dry, f)
+    parts = smooth_step(m, x, u, p, dry, f) if mark != OPEN or before != OPEN else 0
+    if parts > 0:
+        at(of[1 if parts == FINE else 2], warm_k, m)
+        braked_step(m, x, u, p, dry, f, parts)
     if mark == OPEN:
         if before == OPEN or x[0] * i < 0.0:  # a diode lets no current turn
             x[1] = w

@@ -29,7 +29,8 @@ from motor_env.motor.compiled import njit
 from motor_env.motor.model import exponential_and_phis
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
 
-PARTS = 16
+FINE, COARSE = 16, 4
+"""Parts of an interval in which drop or friction turn, and in which they are only about to."""
 _COLDEST_K, _GRID_K, _GRID = -20.0, 10.0, 22
 _SATURATED = 5.0  # knees: beyond them brush drop and dry friction hardly change
 _KNEE_TOLERANCE = 1e-7
@@ -106,16 +107,16 @@ def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray) -> N
 
 @njit(cache=True, error_model="numpy")
 def tables(p: FloatArray, dt_s: float) -> FloatArray:
-    """Discrete models of an interval and of a part of it, over the winding's temperature.
+    """Discrete models of an interval, of its fine and of its coarse parts, over the winding's temperature.
 
-    Shape (2, temperatures, 3, 6); one temperature alone where nothing warms.
+    Shape (3, temperatures, 3, 6); one temperature alone where nothing warms.
     """
     count = _GRID if p[HEATING] > 0.0 else 1
-    out = np.zeros((2, count, 3, 6))
-    for part in range(2):
+    out = np.zeros((3, count, 3, 6))
+    for part, parts in enumerate((1, FINE, COARSE)):
         for g in range(count):
             warm_k = _COLDEST_K + g * _GRID_K if count > 1 else 0.0
-            _discretize(p, warm_k, dt_s / PARTS if part else dt_s, out[part, g])
+            _discretize(p, warm_k, dt_s / parts, out[part, g])
     return out
 
 
@@ -151,10 +152,8 @@ def _mean_square(before: float, after: float) -> float:
 
 
 @inlined
-def smooth_step(
-    m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray
-) -> bool:
-    """One interval in which nothing changes sign; False, with `x` as it was, where something does.
+def smooth_step(m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray) -> int:
+    """One interval in which drop and friction stay as they are; 0 if so, else in how many parts it is to be taken.
 
     Args:
         m: discrete model.
@@ -179,10 +178,13 @@ def smooth_step(
             torque = load + p[SQUARE] * _mean_square(w, new_w + m[1, 4] * torque)
     new_i += m[0, 4] * torque
     new_w += m[1, 4] * torque
-    if (dry > 0.0 and min(new_w * turning, abs(w)) <= _SATURATED * p[SLIDING]) or (
-        p[DROP] > 0.0 and min(new_i * carrying, abs(i)) <= _SATURATED * p[KNEE]
+    slowest, least = min(new_w * turning, abs(w)), min(new_i * carrying, abs(i))
+    if (dry > 0.0 and slowest <= p[SLIDING]) or (p[DROP] > 0.0 and least <= p[KNEE]):
+        return FINE
+    if (dry > 0.0 and slowest <= _SATURATED * p[SLIDING]) or (
+        p[DROP] > 0.0 and least <= _SATURATED * p[KNEE]
     ):
-        return False
+        return COARSE
     for r in range(2):
         f[r, 0], f[r, 1] = m[r, 0], m[r, 1] + m[r, 4] * 2.0 * p[SQUARE] * abs(w)
         f[r, 2], f[r, 3] = m[r, 4], m[r, 2]
@@ -191,7 +193,7 @@ def smooth_step(
         x[3] += m[2, 4] * torque + m[2, 5] * shown
         f[2, 0], f[2, 1], f[2, 2], f[2, 3], f[2, 4] = m[2, 0], m[2, 1], m[2, 4], m[2, 2], m[2, 5]
     x[0], x[1] = new_i, new_w
-    return True
+    return 0
 
 
 @inlined
@@ -237,13 +239,13 @@ def _opposed(before: float, free: float, reach: float, knee: float) -> float:
 
 @inlined
 def braked_step(
-    m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray
+    m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray, parts: int
 ) -> None:
     """One interval in equal parts; friction and drop turn where speed and current cross zero, or hold them there."""
     f[:] = 0.0
     f[0, 0] = f[1, 1] = f[2, 4] = 1.0
-    rise = (u[1] - u[0]) / PARTS
-    for part in range(PARTS):
+    rise = (u[1] - u[0]) / parts
+    for part in range(parts):
         i, w, shown = x[0], x[1], x[3]
         before, torque = u[0] + part * rise, u[2] + p[SQUARE] * w * abs(w)
         free_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * rise + m[0, 4] * torque
@@ -280,11 +282,11 @@ def coasting_step(
     """One interval with an open circuit, in equal parts: no current, the speed falls by friction and load."""
     f[:] = 0.0
     f[1, 1] = 1.0
-    part_s = dt_s / PARTS
+    part_s = dt_s / FINE
     decay = math.exp(-p[B] * part_s / p[J])
     reach = (1.0 - decay) / p[B] if p[B] * part_s > 1e-9 * p[J] else part_s / p[J]
     x[0] = 0.0
-    for _ in range(PARTS):
+    for _ in range(FINE):
         w = x[1]
         free = decay * w - reach * (u[2] + p[SQUARE] * w * abs(w))
         x[1] = _opposed(w, free, reach * _dry(p, dry, w, u[3]), p[SLIDING]) if dry > 0.0 else free
