@@ -16,7 +16,7 @@ from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import CURVE_PARTS, Record
 from motor_env.fitting.terms import Term, terms
 from motor_env.fitting.threads import on_one_thread
-from motor_env.fitting.uncertainty import capped, coloured_covariance
+from motor_env.fitting.uncertainty import capped, sandwich
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.recordings.defects import Defect, DefectKind, UnusableError
@@ -455,9 +455,12 @@ def _wild_against(residual: FloatArray, current: FloatArray) -> list[int]:
 def _result(belief: _Belief, model: tuple[str, ...], best: Solution) -> Identified:
     """Put the fit into words and numbers."""
     start, problem, theta = belief.start, best.problem, best.theta
-    begin = start.alignment.onset_index
-    covariance, independent = coloured_covariance(problem, theta, begin, start.alignment.unseen_level_a)
     n_core, values = len(belief.core), problem.values(theta)
+    jacobian = problem.jacobian(theta, problem.residuals(theta))
+    level = start.alignment.unseen_level_a / values[places.NOISE_I]
+    covariance, independent = sandwich(
+        problem, theta, jacobian, range(len(theta)), begin=start.alignment.onset_index, level=level
+    )
     if belief.has_inductance_prior(model):
         # What looks like L may be the ramp or the lag, and the other way round: L tells nothing then.
         covariance[1, 1] += _UNTOLD_LOG_SD**2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import fft
@@ -48,17 +49,12 @@ def motor_places(problem: Problem) -> list[int]:
 def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
     """Covariance of the unknowns that are no noises, with what correlated residuals and the choice of terms add.
 
-    The scores' autocovariance (Bartlett window; Newey & West 1987) widens, and never narrows, what white residuals
-    tell. A term that was left out counts with its posterior probability (Hoeting et al. 1999), its size believed to be
-    as usual: it would have moved the others by so much, and would have left them so much less certain. Other optima
+    A term that was left out counts with its posterior probability (Hoeting et al. 1999), its size believed to be as
+    usual: it would have moved the others by so much, and would have left them so much less certain. Other optima
     count with theirs.
     """
     problem, chosen = best.problem, motor_places(best.problem)
-    base, jacobian = problem.residuals(best.theta), secants(problem, best.theta)
-    variance = float(base @ base) / problem.count
-    bread = _inverse(jacobian.T @ jacobian)
-    ratio = _widening(problem, best.theta, jacobian, bread) / math.sqrt(variance)
-    total = bread * variance * np.outer(ratio, ratio)
+    total, _ = sandwich(problem, best.theta, secants(problem, best.theta), chosen)
     for name, test in score_tests(best, every, candidates(best)).items():
         occam = test.sd / math.hypot(test.sd, every[name].usual)
         odds = occam * math.exp(min(0.5 * test.chi_square, 50.0))
@@ -71,23 +67,79 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
     return total
 
 
-def _widening(problem: Problem, theta: FloatArray, jacobian: FloatArray, bread: FloatArray) -> FloatArray:
-    """Sandwich standard errors over those of unit white noise, no less than what the noise gives."""
-    base = problem.residuals(theta)
-    channels = int(problem.record.seen.sum())
-    n = len(problem.record.voltage_v)
-    scores = (jacobian[: n * channels] * base[: n * channels, None]).reshape(n, channels, -1).sum(axis=1)
+def sandwich(
+    problem: Problem,
+    theta: FloatArray,
+    jacobian: FloatArray,
+    chosen: Sequence[int],
+    *,
+    begin: int = 0,
+    level: float = 0.0,
+) -> tuple[FloatArray, tuple[float, ...]]:
+    """Covariance of some unknowns under residuals that remember, and the number of independent samples by channel.
+
+    Each channel's residual is taken as a stationary series with the autocovariance that it shows up to a tenth of
+    the record (Bartlett window; Newey & West 1987), and with no less power at any frequency than its white noise. What
+    no sample tells has a standard deviation of 3 in its logarithm, a prior that is too weak to matter elsewhere, and
+    the onset is known to half an interval and half the current's rise: between two samples far apart, the fit's slope
+    at one place does not see their bounds.
+
+    Args:
+        problem: what was fitted.
+        theta: its best unknowns.
+        jacobian: derivatives of the residuals, one column for each chosen unknown.
+        chosen: their places.
+        begin: first sample of the running motor.
+        level: standard deviation of an error that is the same in every sample of the running motor, over the noise.
+    """
+    record, base = problem.record, problem.residuals(theta)
+    n, channels = len(record.voltage_v), int(record.seen.sum())
+    size = math.sqrt(float(base @ base) / problem.count)
+    white, jacobian = (base / size)[: n * channels].reshape(n, channels), jacobian / size
+    jacobian = np.concatenate([jacobian, np.diag(1.0 / _weakly_believed(problem, theta)[chosen])])
+    bread = _inverse(jacobian.T @ jacobian)
+    meat = jacobian[n * channels :].T @ jacobian[n * channels :]  # what is believed beforehand
+    independent = []
+    for channel in range(channels):
+        series, part = (
+            white[:, channel] - white[:, channel].mean(),
+            jacobian[channel : n * channels : channels],
+        )
+        taper = _autocovariance(series, max(n // 10, 2))
+        meat += part.T @ _coloured(part, taper, difference_noise(series[begin:]))
+        inflation = max(float(2.0 * np.sum(taper) - taper[0]) / max(float(taper[0]), 1e-300), 1.0)
+        independent.append(n / inflation)
+    moved = level * jacobian[begin * channels : n * channels : channels].sum(axis=0)
+    meat += np.outer(moved, moved)
+    # Rounding may leave a direction that hardly matters a negative variance.
+    variances, vectors = np.linalg.eigh(0.5 * (meat + meat.T))
+    spread = bread @ (vectors * np.sqrt(np.maximum(variances, 0.0)))
+    return spread @ spread.T, tuple(independent)
+
+
+def _weakly_believed(problem: Problem, theta: FloatArray) -> FloatArray:
+    """Standard deviation that is believed of each unknown where no sample tells it, in its unit."""
     values = problem.values(theta)
-    memory_s = values[places.J] * values[places.R] / values[places.K] ** 2
-    lags = int(min(max(1.5 * n ** (1.0 / 3.0), 3.0 * memory_s / problem.record.dt_s), n / 20))
-    middle = scores.T @ scores
-    for lag in range(1, lags + 1):
-        crossed = scores[lag:].T @ scores[:-lag]
-        middle += (1.0 - lag / (lags + 1)) * (crossed + crossed.T)
-    sandwich = np.maximum(np.diag(bread @ middle @ bread), 0.0)
-    white = float(base @ base) / problem.count * np.diag(bread)
-    ratio: FloatArray = np.sqrt(np.maximum(sandwich, white) / np.maximum(np.diag(bread), 1e-300))
-    return ratio
+    rise = values[places.L] / values[places.R] + values[places.RISE] + values[places.LAG_I]
+    late = 0.5 * (1.0 + rise / problem.record.dt_s)
+    found = []
+    for term, one in zip(problem.free, theta.tolist(), strict=True):
+        if term.place in (places.ONSET, places.DELAY):
+            found.append(late)
+        elif term.prior_sd < math.inf:
+            found.append(math.inf)
+        else:
+            found.append(_ANYTHING_LOG_SD * (1.0 if term.is_log else max(abs(one), term.usual)))
+    return np.array(found)
+
+
+def _autocovariance(series: FloatArray, lags: int) -> FloatArray:
+    """Of samples 0, 1, ... apart, under a Bartlett window, shape (lags,)."""
+    n = len(series)
+    length = fft.next_fast_len(2 * n - 1, real=True)
+    spectrum = fft.rfft(series, length) * fft.rfft(series[::-1], length)
+    full: FloatArray = fft.irfft(spectrum, length)[n - 1 : n - 1 + lags] / n
+    return full * (1.0 - np.arange(lags) / lags)
 
 
 def _inverse(information: FloatArray) -> FloatArray:
@@ -97,63 +149,6 @@ def _inverse(information: FloatArray) -> FloatArray:
     inverse = (axes / np.maximum(values, 1e-10)) @ axes.T
     out: FloatArray = inverse / np.outer(size, size)
     return np.clip(out, -(_WIDEST**2), _WIDEST**2)
-
-
-def coloured_covariance(
-    problem: Problem, theta: FloatArray, begin: int, level_a: float
-) -> tuple[FloatArray, tuple[float, ...]]:
-    """Covariance of the unknowns of a start, and the number of independent samples of each channel.
-
-    Each channel's residual is taken as a stationary series with the autocovariance that it shows up to a tenth of
-    the recording (Bartlett window; Newey & West 1987), and with no less power at any frequency than its white noise. A
-    coarse converter adds an error `level_a` that is the same in every sample from number `begin` on. What no sample
-    tells has a standard deviation of 3 in its logarithm, a prior that is too weak to matter elsewhere, and the onset is
-    known to half an interval and half the current's rise: between two samples far apart, the fit's slope at one place
-    does not see their bounds.
-    """
-    record, values = problem.record, problem.values(theta)
-    base, n, channels = problem.residuals(theta), len(record.voltage_v), int(record.seen.sum())
-    jacobian = problem.jacobian(theta, base)
-    white = record.predict(values)[0][:, :2][:, record.seen > 0.0]
-    scale = math.sqrt(float(base @ base) / max(float(np.sum(white**2)), 1e-300))
-    jacobian = jacobian / scale
-    rise = values[places.L] / values[places.R] + values[places.RISE] + values[places.LAG_I]
-    weak = [
-        _ANYTHING_LOG_SD * (1.0 if term.is_log else max(abs(one), 1e-9))
-        for term, one in zip(problem.free, theta, strict=True)
-    ]
-    for name in ("onset", "delay"):
-        if name in problem.names:
-            weak[problem.names.index(name)] = 0.5 * (1.0 + rise / record.dt_s)
-    if "offset_current" in problem.names:
-        weak[problem.names.index("offset_current")] = math.inf
-    jacobian = np.concatenate([jacobian, np.diag(1.0 / np.array(weak))])
-    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-150)
-    jacobian = jacobian / size
-    bread = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
-    meat = jacobian[n * channels :].T @ jacobian[n * channels :]  # the priors
-    independent = []
-    for channel in range(channels):
-        series, part = (
-            white[:, channel] - white[:, channel].mean(),
-            jacobian[channel : n * channels : channels],
-        )
-        lags = max(n // 10, 2)
-        length = fft.next_fast_len(2 * n - 1, real=True)
-        spectrum = fft.rfft(series, length) * fft.rfft(series[::-1], length)
-        full = fft.irfft(spectrum, length)[n - 1 : n - 1 + lags] / n
-        taper = full * (1.0 - np.arange(lags) / lags)
-        meat = meat + part.T @ _coloured(part, taper, difference_noise(series[begin:]))
-        inflation = max(float(2.0 * np.sum(taper) - taper[0]) / max(float(taper[0]), 1e-300), 1.0)
-        independent.append(n / inflation)
-    level = (
-        level_a / values[places.NOISE_I] * jacobian[begin * channels : n * channels : channels].sum(axis=0)
-    )
-    meat = meat + np.outer(level, level)
-    # Rounding may leave a direction that hardly matters a negative variance.
-    variances, vectors = np.linalg.eigh(0.5 * (meat + meat.T))
-    spread = bread @ (vectors * np.sqrt(np.maximum(variances, 0.0)))
-    return spread @ spread.T / np.outer(size, size), tuple(independent)
 
 
 def _coloured(columns: FloatArray, covariance: FloatArray, noise: float) -> FloatArray:
