@@ -204,11 +204,11 @@ def _with_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: fl
     """The diagnosis of a noisy current, where it is noisier than the reference's by more than `limit`."""
     if reference.log_noise is None or not isinstance(fit, Identified):
         return healthy
-    # Coarse steps, a rectifier, a dead zone and a converter's ripple change the noise seen: it tells nothing. Healthy
-    # starts were recorded with the same sensor, and hold the same.
+    # Coarse steps, a rectifier and a dead zone change the noise seen: it tells nothing. Healthy starts were recorded
+    # with the same sensor, and hold the same.
     alignment = fit.start.alignment
     coarse = alignment.quantum_a > math.exp(reference.log_noise)
-    hides = alignment.rectified or "dead_zone" in fit.model or bool(fit.start.lines)
+    hides = alignment.rectified or "dead_zone" in fit.model
     if (coarse or hides) and not reference.includes_fit_error:
         return healthy
     z = (math.log(max(fit.noise_a, 1e-12)) - reference.log_noise) / reference.log_noise_sd

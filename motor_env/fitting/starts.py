@@ -20,7 +20,7 @@ from motor_env.fitting.uncertainty import capped, sandwich
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.recordings.defects import Defect, DefectKind, UnusableError
-from motor_env.recordings.noise import difference_noise
+from motor_env.recordings.noise import difference_noise, floor_noise
 from motor_env.recordings.periodic_lines import line_share, over_angle, periodic_lines
 from motor_env.recordings.start import Start, mean_tail
 
@@ -149,8 +149,8 @@ class Identified:
 
     @property
     def noise_a(self) -> float:
-        """White noise of the current while the motor runs."""
-        return difference_noise(self.residual_a[self.start.alignment.onset_index :])
+        """White noise of the current while the motor runs, beside any ripple."""
+        return floor_noise(self.residual_a[self.start.alignment.onset_index :])
 
     @property
     def lag_one(self) -> float:
@@ -168,8 +168,10 @@ class Identified:
     @property
     def white_covariance(self) -> FloatArray:
         """Covariance of the logarithms from white noise alone: what differs between starts of one motor."""
-        left = float(np.var(self.residual_a[self.start.alignment.onset_index :]))
-        return self.log_covariance * min(self.noise_a**2 / max(left, 1e-300), 1.0)
+        running = self.residual_a[self.start.alignment.onset_index :]
+        return self.log_covariance * min(
+            difference_noise(running) ** 2 / max(float(np.var(running)), 1e-300), 1.0
+        )
 
     @property
     def exponents(self) -> FloatArray:

@@ -15,6 +15,7 @@ _FEW = 5
 _MAD_TO_STD = 1.4826
 _INNER_SHARE = 0.75
 _INNER_VARIANCE = 0.36852  # mean square of the smallest three quarters of normal numbers: |z| < 1.15035
+_FEWEST_FOR_SPECTRUM, _FLOOR_SHARE = 40, 0.9
 _FEWEST_FOR_WILD = 50
 _WILD_NOISES = 10.0
 _WILD_SHARE = 0.05  # of the current's range: a smaller jump spoils no fit
@@ -35,6 +36,23 @@ def difference_noise(values: FloatArray) -> float:
     inner = off[: max(round(_INNER_SHARE * len(off)), 1)]
     spread = math.sqrt(float(np.mean(inner**2)) / _INNER_VARIANCE)
     return max(spread, 0.5 * float(np.std(second))) / math.sqrt(6.0)
+
+
+def floor_noise(values: FloatArray) -> float:
+    """Standard deviation of white noise beside lines of any frequency: of a residual, a ripple may be left in it.
+
+    The smallest nine tenths of the periodogram above an eighth of the sampling rate are averaged: lines hold few of
+    its values, what the model lacks lies below. The powers of white noise are exponentially distributed.
+    """
+    n = len(values)
+    if n < _FEWEST_FOR_SPECTRUM:
+        return difference_noise(values)
+    window = np.hanning(n)
+    power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2 / float(np.sum(window**2))
+    power = np.sort(power[n // 8 :])
+    count, left = round(_FLOOR_SHARE * len(power)), 1.0 - _FLOOR_SHARE
+    mean = (1.0 - left * (1.0 - math.log(left))) / _FLOOR_SHARE
+    return math.sqrt(float(np.mean(power[:count])) / mean)
 
 
 def wild_samples(current: FloatArray) -> tuple[int, ...]:
