@@ -12,8 +12,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from motor_env.identification import coastdown
-from motor_env.identification.coastdown import CoastDown
 from recording_csv import write_csv
 
 from motor_env import (
