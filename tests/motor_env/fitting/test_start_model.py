@@ -213,9 +213,7 @@ def test_innovations_of_a_sensor_that_hides_are_of_what_it_shows() -> None:
 
 
 def rising(rise_s: float, shares: tuple[float, ...]) -> FloatArray:
-    p = values_of(PAPER_MOTOR, RISE=rise_s)
-    p[places.CURVE] = [share / shares[0] for share in shares[1:]]
-    return p
+    return values_of(PAPER_MOTOR, RISE=rise_s, CURVE=[share / shares[0] for share in shares[1:]])
 
 
 @pytest.mark.parametrize("shares", [(0.2,) * 5, (0.1, 0.4, 0.3, 0.15, 0.05)])
