@@ -107,7 +107,7 @@ def test_page_runs(page: Path, folder: Path, capsys: pytest.CaptureFixture[str])
     "module",
     [
         *("motor_env.detection", "motor_env.diagnosis", "motor_env.envs", "motor_env.filters"),
-        *("motor_env.identification", "motor_env.inference", "motor_env.motor", "motor_env.recordings"),
+        *("motor_env.fitting", "motor_env.inference", "motor_env.motor", "motor_env.recordings"),
         *("motor_env.simulation", "motor_datasets", "motor_classifiers"),
     ],
 )

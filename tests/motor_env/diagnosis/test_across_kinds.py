@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
+from started_motor import step_start
 
 from motor_env import PAPER_MOTOR, FaultKind, Motor, MotorParameters, Recording, Verdict, diagnose
 from motor_env.diagnosis.commission import motor_of_windows
@@ -18,8 +19,7 @@ from motor_env.diagnosis.running.windows import FittedWindow
 from motor_env.diagnosis.shown.page import reference_current
 from motor_env.fitting import places
 
-# Reaches in: starts with dry friction, which `simulate` has not; a window is off in the direction of a fault.
-from motor_env.fitting.starts import Extension, step_start
+# Reaches in: a window is off in the direction of a fault.
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction
 from motor_env.motor.parameters import FloatArray
@@ -61,7 +61,7 @@ def of_starts(names: tuple[str, ...], covariance: FloatArray) -> Motor:
 
 
 def start(motor: MotorParameters, dry_n_m: float, *, has_speed: bool) -> Recording:
-    states = step_start(motor, Extension(coulomb_friction_n_m=dry_n_m), TIME_S, 3e-5, 12.0)
+    states = step_start(motor, TIME_S, 3e-5, 12.0, COULOMB=dry_n_m)
     noisy: FloatArray = states + np.random.default_rng(4).standard_normal(states.shape) * [0.003, 0.2]
     return Recording(Path("start"), TIME_S, noisy[:, 0], None, noisy[:, 1] if has_speed else None)
 

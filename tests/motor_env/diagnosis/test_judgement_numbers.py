@@ -348,7 +348,9 @@ def test_healthy_starts_teach_the_next_one() -> None:
     assert starts.sampling_rate_hz == pytest.approx(1.0 / start.dt_s)
     assert starts.duration_s == pytest.approx(0.2, abs=1e-3)
     assert starts.quiet_s == pytest.approx(0.03, abs=1e-3)
-    late = learn_starts([*given[:2], replace(given[2], onset_s=0.05)]).starts
+    onset_s = start.alignment.onset_s + 0.05 - given[2].onset_s
+    later = replace(start, alignment=replace(start.alignment, onset_s=onset_s))
+    late = learn_starts([*given[:2], replace(given[2], start=later)]).starts
     assert late is not None
     assert late.duration_s == pytest.approx((starts.duration_s or 0.0) - 0.05, abs=1e-3)
     assert late.quiet_s == starts.quiet_s
@@ -680,7 +682,7 @@ def test_the_filter_splits_what_the_fit_leaves() -> None:
     driven = int(np.sum(fit.start.time_s <= fit.onset_s)) + 1
     slow = math.sqrt(float(np.var(fit.residual_a[driven:])) - fit.noise_a**2)
     assert check.model_error_a == pytest.approx(slow)
-    assert check.mean_nis == pytest.approx(float(np.nanmean(check.result.whitened**2)))
+    assert check.mean_nis == pytest.approx(float(np.nanmean(check.whitened**2)))
     assert check.sensor_only_nis == pytest.approx(1.0, abs=0.1)
 
 
@@ -929,7 +931,9 @@ def test_words_of_the_page() -> None:
 
 def test_an_identified_motor_is_the_geometric_mean_of_its_fits() -> None:
     _, fit, _ = fitted()
-    other = replace(fit, parameters=fit.parameters.scaled(resistance_ohm=4.0, inertia_kg_m2=0.25))
+    theta = fit.solution.theta.copy()
+    theta[[fit.solution.names.index(name) for name in "RJ"]] += np.log([4.0, 0.25])
+    other = replace(fit, solution=replace(fit.solution, theta=theta))
     motor = commission.to_motor([fit, other], "two")
     assert motor.parameters.resistance_ohm == pytest.approx(2.0 * float(fit.parameters.resistance_ohm))
     assert motor.parameters.inertia_kg_m2 == pytest.approx(0.5 * float(fit.parameters.inertia_kg_m2))

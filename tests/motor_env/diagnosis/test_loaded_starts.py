@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recording_csv import write_csv
+from started_motor import step_start
 
 from motor_env import Motor, MotorParameters, Recording, diagnose, load_motor
 from motor_env.cli import main
 from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
-
-# Reaches in: starts under dry friction or a fan, neither of which `simulate` has.
-from motor_env.fitting.starts import Extension, step_start
 from motor_env.motor.parameters import FloatArray
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml").parameters
@@ -23,16 +21,15 @@ TIME_S: FloatArray = np.linspace(-0.02, 0.0999, 1200)
 SPEED = float(12.0 / MOTOR.back_emf_constant_v_s_per_rad)
 TORQUE = float(0.12 * MOTOR.torque_constant_n_m_per_a * 12.0 / MOTOR.resistance_ohm)
 LOADS = {
-    "constant": Extension(coulomb_friction_n_m=TORQUE),
-    "fan": Extension(fan_n_m_s2_per_rad2=TORQUE / SPEED**2),
+    "constant": {"COULOMB": TORQUE},
+    "fan": {"SQUARE": TORQUE / SPEED**2},
 }
 
 
 def start(motor: MotorParameters, load: str, number: int, *, has_speed: bool = False) -> Recording:
     rng = np.random.default_rng([5, number])
-    states: FloatArray = step_start(
-        motor, LOADS[load], TIME_S, 3e-5, 12.0 * (1.0 + 0.003 * rng.standard_normal())
-    )
+    volts = 12.0 * (1.0 + 0.003 * rng.standard_normal())
+    states: FloatArray = step_start(motor, TIME_S, 3e-5, volts, **LOADS[load])
     noisy: FloatArray = states + rng.standard_normal(states.shape) * [0.01, 0.2]
     return Recording(Path(f"start-{number}"), TIME_S, noisy[:, 0], None, noisy[:, 1] if has_speed else None)
 

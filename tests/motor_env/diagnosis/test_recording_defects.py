@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from simulated_captures import DEFECTS, Defect, captures
+from started_motor import driven
 
 from motor_env import (
     PAPER_MOTOR,
@@ -30,8 +31,7 @@ from motor_env import (
 from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
 
-# Reaches in: dry friction under a square wave, which `simulate` has not; the estimate of a start's noise by itself.
-from motor_env.fitting.starts import Extension, driven
+# Reaches in: the estimate of a start's noise by itself.
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import DefectKind
 from motor_env.recordings.noise import difference_noise
@@ -216,7 +216,7 @@ def test_friction_that_is_not_viscous_is_tried_where_nothing_is_compared(with_re
     """A square wave of the supply tells Coulomb friction from viscous; a comparison keeps to the sheet's model."""
     time_s = np.linspace(0.0, 0.3998, 2000)
     voltage: FloatArray = np.where(time_s % 0.1 < 0.05, 1.5, -1.5) * (time_s > 0.01)
-    states = driven(PAPER_MOTOR, Extension(coulomb_friction_n_m=2e-3), voltage, 2e-4, from_rest=True)
+    states = driven(PAPER_MOTOR, voltage, 2e-4, from_rest=True, COULOMB=2e-3)
     noise = np.random.default_rng(3).normal(0.0, 0.002, len(time_s))
     recording = Recording(Path("square"), time_s, states[:, 0] + noise, voltage)
     found = diagnose(recording, MOTOR if with_reference else None, regime="start").telling

@@ -609,7 +609,7 @@ class Lesson:
         self.wanted: list[tuple[str, ...]] = []
         self.joint: list[int] = []
         self.error = np.diag([1e-4, 1e-4, 1e-4, load_sd**2])
-        self.values = np.array([2.0, 1e-3, 0.03, 4e-6, 2e-6, 3e-4, *np.zeros(18)])
+        self.values = np.pad([2.0, 1e-3, 0.03, 4e-6, 2e-6, 3e-4], (0, places.N_VALUES - 6))
         self.values[[places.HEATING, places.COOLING]] = 5.0, 0.1
         monkeypatch.setattr(lessons, "identify_operation", self.identify)
         monkeypatch.setattr(lessons, "fit_window", self.fit)

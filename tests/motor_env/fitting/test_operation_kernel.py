@@ -221,11 +221,11 @@ class Filter(NamedTuple):
     load: FloatArray
 
 
-def textbook_filter(p: FloatArray, record: Record) -> Filter:
-    k, n = places, len(record.voltage_v)
-    m, volts = exact_step(p, record.dt_s), record.between(p[k.DELAY])
-    f, g = np.zeros((5, 5)), np.zeros((5, 2))
-    f[:2, :2], f[:2, 2], g[:2], f[2, 2] = m[:, :2], m[:, 4], m[:, 2:4], 1.0
+def interval(p: FloatArray, dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """Transition of current, speed, load, shown current and speed; how they follow voltage before, its rise, load."""
+    k = places
+    m, f, g = exact_step(p, dt_s), np.zeros((5, 5)), np.zeros((5, 3))
+    f[:2, :2], f[:2, 2], g[:2], f[2, 2] = m[:, :2], m[:, 4], m[:, 2:], 1.0
     f[3], g[3] = f[0], g[0]
     if p[k.LAG_I] > 0.0:  # the exponential of motor, sensor and voltage as one system
         whole = np.zeros((6, 6))
@@ -233,31 +233,56 @@ def textbook_filter(p: FloatArray, record: Record) -> Filter:
             [-2.0 / 1e-3, -0.03 / 1e-3, 0.0, 1.0 / 1e-3],
             [0.03 / 4e-6, -5.0, -1.0 / 4e-6],
         )
-        whole[3, 4], whole[5, 0], whole[5, 5] = 1.0 / record.dt_s, 1.0 / p[k.LAG_I], -1.0 / p[k.LAG_I]
-        row = expm(whole * record.dt_s)[5]
-        f[3], g[3] = [*row[:3], row[5], 0.0], row[3:5]
+        whole[3, 4], whole[5, 0], whole[5, 5] = 1.0 / dt_s, 1.0 / p[k.LAG_I], -1.0 / p[k.LAG_I]
+        row = expm(whole * dt_s)[5]
+        f[3], g[3] = [*row[:3], row[5], 0.0], [*row[3:5], row[2]]
     # First-order lag of a speed that goes in a straight line between two samples.
-    kept = math.exp(-record.dt_s / p[k.LAG_W]) if p[k.LAG_W] > 0.0 else 0.0
-    mean = (1.0 - kept) * p[k.LAG_W] / record.dt_s
+    kept = math.exp(-dt_s / p[k.LAG_W]) if p[k.LAG_W] > 0.0 else 0.0
+    mean = (1.0 - kept) * p[k.LAG_W] / dt_s
     f[4], g[4] = (1.0 - mean) * f[1], (1.0 - mean) * g[1]
     f[4, 4], f[4, 1] = kept, f[4, 1] + mean - kept
-    noise = p[k.NOISE_V] ** 2 * np.outer(g[:, 0], g[:, 0])
-    noise[2, 2] = p[k.WALK] ** 2 * record.dt_s
-    reach, sd = np.abs(volts).max(), p[[k.NOISE_I, k.NOISE_W]]
-    x = np.array([*record.readings[0], 0.0, *record.readings[0]])
-    cov = np.zeros((5, 5))
-    for row in range(2):
-        cov[np.ix_([row, 3 + row], [row, 3 + row])] = sd[row] ** 2
-    cov[2, 2] = (p[k.K] * 0.1 * reach / p[k.R]) ** 2 if p[k.WALK] > 0.0 else 0.0
-    white, load, logs = np.zeros((n, 2)), np.zeros(n), 0.0
+    return f, g
+
+
+def begun(p: FloatArray, record: Record, volts: float) -> tuple[FloatArray, FloatArray]:
+    """State at the first sample, and its covariance: none where the state is known."""
+    x, cov = np.zeros(5), np.zeros((5, 5))
+    if record.marks[0] == kernel.STEADY:
+        balance = [[p[places.R], p[places.K]], [p[places.K], -p[places.B]]]
+        x[:2] = x[3:] = np.linalg.solve(balance, [volts, p[places.LOAD]])
+    elif record.marks[0] != kernel.REST:
+        x[:2] = x[3:] = record.readings[0]
+        for row in range(2):
+            sd = p[[places.NOISE_I, places.NOISE_W]][row]
+            cov[np.ix_([row, 3 + row], [row, 3 + row])] = sd**2
+        reach = np.abs(record.between(p[places.DELAY])).max()
+        cov[2, 2] = (p[places.K] * 0.1 * reach / p[places.R]) ** 2 if p[places.WALK] > 0.0 else 0.0
+    return x, cov
+
+
+def textbook_filter(p: FloatArray, record: Record) -> Filter:
+    k, n, volts = places, len(record.voltage_v), record.between(p[places.DELAY])
+    (f, g), after = interval(p, record.dt_s), record.dt_s * np.ones(n)
+    x, cov = begun(p, record, volts[0, 1])
+    switched = -1
+    if record.onset_s is not None:  # nothing before, and a switch at rest between two samples
+        since = record.dt_s * np.arange(n) - record.onset_s
+        switched = int(np.argmax(since > 0.0))
+        after[switched] = since[switched]
+        volts = np.where(since > 0.0, 1.0, 0.0)[:, None] * volts
+    sd, white, load, logs = p[[k.NOISE_I, k.NOISE_W]], np.zeros((n, 2)), np.zeros(n), 0.0
     shown = [3 if p[k.LAG_I] + p[k.LAG_W] > 0.0 else 0, 4 if p[k.LAG_I] + p[k.LAG_W] > 0.0 else 1]
-    for step in range(1, n):
-        before, now = volts[step]
-        x = f @ x + g @ [before, now - before]
-        x[:2] += m[:, 4] * p[k.LOAD]
-        x[3:] += f[3:, 2] * p[k.LOAD]
-        cov = f @ cov @ f.T + noise
-        for channel in range(2):
+    for step in range(0 if record.is_start else 1, n):
+        if step > 0 or step == switched:
+            if step == switched:
+                x, cov = np.zeros(5), np.zeros((5, 5))
+            now_f, now_g = (f, g) if step != switched else interval(p, after[step])
+            before, now = volts[step]
+            x = now_f @ x + now_g @ [before, now - before, p[k.LOAD]]
+            noise = p[k.NOISE_V] ** 2 * np.outer(now_g[:, 0], now_g[:, 0])
+            noise[2, 2] = p[k.WALK] ** 2 * after[step]
+            cov = now_f @ cov @ now_f.T + noise
+        for channel in np.flatnonzero(np.isfinite(record.readings[step])):
             h = np.eye(5)[shown[channel]]
             variance = h @ cov @ h + sd[channel] ** 2
             white[step, channel] = (record.readings[step, channel] - h @ x) / math.sqrt(variance)
@@ -295,6 +320,61 @@ def test_innovations_are_those_of_a_textbook_filter(given: dict[str, float], hol
     np.testing.assert_allclose(out[:, 4], expected.load, rtol=1e-6, atol=1e-12)
     assert logs == pytest.approx(expected.logs, rel=1e-9)
     assert np.abs(out[33, 0]) > 6.0
+
+
+BEYOND: list[dict[str, float]] = [
+    {},
+    {"NOISE_V": 0.05},
+    {"NOISE_V": 0.02, "LAG_I": 1.5e-3, "LAG_W": 4e-3, "LOAD": 0.002},
+]
+
+
+def noisy(record: Record, p: FloatArray, seed: int) -> Record:
+    """The record with readings of this motor under noise; some are missing, one is wild."""
+    rng, n = np.random.default_rng(seed), len(record.voltage_v)
+    clean = record.predict(p, learn=False)[0][:, 2:4]
+    readings = clean + rng.standard_normal((n, 2)) * [2e-3, 0.2]
+    readings[[7, 20, 21, 22], 0], readings[[22, 40], 1] = np.nan, np.nan
+    readings[33, 0] += 0.5
+    return replace(record, readings=readings)
+
+
+@pytest.mark.parametrize("given", BEYOND)
+@pytest.mark.parametrize("mark", [0.0, kernel.REST, kernel.STEADY])
+def test_a_known_beginning_and_missing_readings_are_those_of_a_textbook_filter(
+    mark: float, given: dict[str, float]
+) -> None:
+    """What is known has no covariance until the voltage's noise gives it one; what is missing weighs nothing."""
+    n, p = 60, values(B=2e-5, **given)
+    volts = np.repeat(np.random.default_rng(8).uniform(2.0, 8.0, 10), 6)
+    marks = (mark or kernel.BEGIN) * np.eye(1, n)[0]
+    record = noisy(Record(DT_S, volts, np.zeros((n, 2)), np.ones(2), marks), p, 9)
+    out, logs = record.predict(p)
+    expected = textbook_filter(p, record)
+    np.testing.assert_allclose(out[:, :2], expected.white, rtol=1e-7, atol=1e-8)
+    assert logs == pytest.approx(expected.logs, rel=1e-9)
+    assert not out[np.isnan(record.readings)[:, 0], 0].any()
+    assert not out[np.isnan(record.readings)[:, 1], 1].any()
+    assert np.isfinite(out).all()
+    assert bool(out[0, :2].any()) is record.is_start
+    if mark and not given:  # the model runs freely, and errors over the sensors' noise are left
+        free = record.predict(p, learn=False)[0]
+        np.testing.assert_array_equal(out[:, 2:4], free[:, 2:4])
+        left = (record.readings - free[:, 2:4]) / [1e-3, 0.1]
+        np.testing.assert_allclose(out[:, :2], np.nan_to_num(left), rtol=1e-12)
+
+
+@pytest.mark.parametrize("given", BEYOND)
+@pytest.mark.parametrize("onset", [-1.7, 0.3, 12.4])
+def test_a_switched_motor_is_that_of_a_textbook_filter(onset: float, given: dict[str, float]) -> None:
+    """Its first interval is one of its own, also before the first sample; the voltage's noise acts in it."""
+    n, p = 60, values(B=2e-5, **(given | {"LOAD": 0.0}))  # which would turn a motor that waits for its supply
+    plain = Record(DT_S, np.full(n, 6.0), np.zeros((n, 2)), np.ones(2), kernel.REST * np.eye(1, n)[0])
+    record = noisy(replace(plain, onset_s=onset * DT_S), p, 10)
+    out, logs = record.predict(p)
+    expected = textbook_filter(p, record)
+    np.testing.assert_allclose(out[:, :2], expected.white, rtol=1e-7, atol=1e-8)
+    assert logs == pytest.approx(expected.logs, rel=1e-9)
 
 
 def test_what_is_not_recorded_begins_at_the_balance_of_the_voltages() -> None:

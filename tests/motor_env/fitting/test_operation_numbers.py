@@ -376,8 +376,11 @@ def test_a_score_test_is_one_step_of_the_richer_fit(small: Solution) -> None:
     base = small.problem.residuals(small.theta)
     jacobian = small.problem.jacobian(small.theta, base)
     variance = float(base @ base) / small.problem.count
-    found = score_tests(small, every)
-    assert set(found) == {"load_square", "heating", "sensor_lag", "speed_lag", "delay"}
+    tested = ("load_square", "heating", "sensor_lag", "speed_lag", "delay")
+    assert score_tests(small, every, ()) == {}
+    assert set(fitting.candidates(small)) == set(tested)
+    found = score_tests(small, every, tested)
+    assert set(found) == set(tested)
     for name, test in found.items():
         problem = small.problem.with_terms([every[name]])
         wide = problem.columns(np.append(small.theta, 0.0), [4], np.append(base, 0.0))[: len(base), 0]
@@ -390,6 +393,25 @@ def test_a_score_test_is_one_step_of_the_richer_fit(small: Solution) -> None:
         is_bound = every[name].low >= 0.0 and step[-1] < 0.0
         assert test.chi_square == pytest.approx(0.0 if is_bound else gain, rel=1e-6)
         np.testing.assert_allclose(test.moves, spread[:-1, -1] / spread[-1, -1], rtol=1e-4, atol=1e-7)
+    # Of given sizes, over the usual one and within the bounds, the most telling counts: here a secant over each.
+    sizes = (0.1, 1.0, 100.0)
+    sized = score_tests(small, every, tested, sizes)
+    for name in tested:
+        chi_squares = []
+        for size in sizes:
+            side = min(size * every[name].usual, every[name].high)
+            moved = small.problem.with_terms([every[name]]).residuals(np.append(small.theta, side))
+            wide = (np.delete(moved, len(base)) - base) / side
+            both = np.column_stack([jacobian, wide])
+            step = -np.linalg.lstsq(both, base, rcond=None)[0]
+            sd = math.sqrt(variance * np.linalg.inv(both.T @ both)[-1, -1])
+            is_bound = every[name].low >= 0.0 and step[-1] < 0.0
+            chi_squares.append((0.0 if is_bound else (step[-1] / sd) ** 2, step[-1], sd))
+        expected = max(chi_squares, key=lambda one: one[0])
+        got = sized[name]
+        assert got.chi_square == pytest.approx(expected[0], rel=1e-5)
+        if expected[0] > 0.0:
+            assert (got.value, got.sd) == pytest.approx(expected[1:], rel=1e-5)
     richer = solution(small.problem.record, [*small.names, "load_square"], small.problem.known)
     square = found["load_square"]
     assert square.chi_square > 10.0
