@@ -26,7 +26,7 @@ from motor_env.fitting.places import (
     R,
 )
 from motor_env.motor.compiled import njit
-from motor_env.motor.model import exponential_and_phis
+from motor_env.motor.model import exponential_and_phis, load_in_kernel
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
 
 FINE, COARSE = 16, 4
@@ -170,7 +170,7 @@ def smooth_step(m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry:
         before = u[0] - p[DROP] * i / math.sqrt(i * i + p[KNEE] ** 2)
     sliding = w / math.sqrt(w * w + p[SLIDING] ** 2) if p[SLIDING] > 0.0 else turning
     load = _dry(p, dry, w, u[3]) * sliding + u[2]
-    torque = load + p[SQUARE] * w * abs(w)
+    torque = load_in_kernel(load, p[SQUARE], w)
     new_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * (u[1] - u[0])
     new_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * (u[1] - u[0])
     if p[SQUARE] > 0.0:
@@ -247,7 +247,7 @@ def braked_step(
     rise = (u[1] - u[0]) / parts
     for part in range(parts):
         i, w, shown = x[0], x[1], x[3]
-        before, torque = u[0] + part * rise, u[2] + p[SQUARE] * w * abs(w)
+        before, torque = u[0] + part * rise, load_in_kernel(u[2], p[SQUARE], w)
         free_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * rise + m[0, 4] * torque
         free_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * rise + m[1, 4] * torque
         new_i = free_i
@@ -288,7 +288,7 @@ def coasting_step(
     x[0] = 0.0
     for _ in range(FINE):
         w = x[1]
-        free = decay * w - reach * (u[2] + p[SQUARE] * w * abs(w))
+        free = decay * w - reach * load_in_kernel(u[2], p[SQUARE], w)
         x[1] = _opposed(w, free, reach * _dry(p, dry, w, u[3]), p[SLIDING]) if dry > 0.0 else free
         slope = 0.0 if x[1] == 0.0 else decay - reach * 2.0 * p[SQUARE] * abs(w)
         f[1, 1], f[1, 2] = slope * f[1, 1], slope * f[1, 2] - reach * (x[1] != 0.0)

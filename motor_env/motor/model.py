@@ -197,6 +197,22 @@ def propagate(
         state[n, 0], state[n, 1] = current, speed
 
 
+def load_torque(constant_n_m: Floats, fan_n_m_s2: Floats, speed_rad_s: Floats) -> Floats:
+    """Torque of a load that is constant or varies with time, and of a fan, which opposes the motion.
+
+    Args:
+        constant_n_m: what does not depend on the speed.
+        fan_n_m_s2: torque over the square of the speed.
+        speed_rad_s: of the motor.
+    """
+    torque: Floats = constant_n_m + fan_n_m_s2 * speed_rad_s * np.abs(speed_rad_s)
+    return torque
+
+
+load_in_kernel = njit(error_model="numpy", forceinline=True)(load_torque)
+"""`load_torque` for compiled code."""
+
+
 def steady_state(parameters: MotorParameters, voltage_v: Floats, load_torque_n_m: Floats = 0.0) -> FloatArray:
     """Current and speed at rest of the dynamics, shape (..., 2): -A^-1 B u."""
     p = parameters

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.motor.compiled import njit
+from motor_env.motor.model import load_in_kernel
 from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.simulation import nonlinear
 from motor_env.simulation.nonlinear import CURRENT, LANES, SPEED, Effects, Sampling
@@ -60,7 +61,7 @@ def _integrate_driven(rows: FloatArray, sampling: Sampling, driving: Driving, no
                 out[n, last, k] = volts
                 p[lane + LANES * nonlinear.VOLTAGE] = out[n, last, k]  # what is applied is what is recorded
                 share = (k + 0.5) / n_samples
-                load = share * driving.load_rise_n_m[n] + driving.fan_n_m_s2[n] * speed * speed
+                load = load_in_kernel(share * driving.load_rise_n_m[n], driving.fan_n_m_s2[n], speed)
                 p[lane + LANES * nonlinear.DRY] = still[lane] + load
             for _ in range(steps):
                 nonlinear.step_lanes(p)

@@ -18,7 +18,7 @@ from motor_env.envs import layout
 from motor_env.envs.compiling import compiled, inlined
 from motor_env.envs.layout import BoolArray, Float32Array, WordArray
 from motor_env.envs.noise import four_normals
-from motor_env.motor.model import exponential_and_phi
+from motor_env.motor.model import exponential_and_phi, load_in_kernel
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream
 
@@ -157,7 +157,7 @@ def _run_motor(s: FloatArray, p: FloatArray, share: float, noise: tuple[np.float
     kind, severity = int(s[KIND]), s[SEVERITY]
     a00, a01, a10, a11, b0, b1, e0, e1 = motor_matrices(p, kind, severity)
     i, w = s[CURRENT], s[SPEED]
-    torque = p[BASE_LOAD] + p[FAN] * w * abs(w) + s[LOAD]
+    torque = load_in_kernel(p[BASE_LOAD], p[FAN], w) + s[LOAD]
     volts = min(max(share, -1.0), 1.0) * p[MOST_V]
     free = a00 * i + a01 * w + e0 * torque
     folded = min(max(free + b0 * volts, -p[MOST_A]), p[MOST_A])
@@ -191,7 +191,7 @@ def _filter(s: FloatArray, p: FloatArray, noise: tuple[np.float32, ...]) -> None
     s[MEASURED_CURRENT] = s[CURRENT] + p[NOISE_A] * float(noise[0])
     s[MEASURED_SPEED] = s[SPEED] + p[NOISE_SPEED] * float(noise[1])
     i, w, d, volts = s[ESTIMATED_CURRENT], s[ESTIMATED_SPEED], s[ESTIMATED_LOAD], s[VOLTAGE]
-    torque = p[BASE_LOAD] + p[FAN] * w * abs(w) + d
+    torque = load_in_kernel(p[BASE_LOAD], p[FAN], w) + d
     expected_i = p[F00] * i + p[F01] * w + p[G0] * volts + p[E0] * torque
     expected_w = p[F10] * i + p[F11] * w + p[G1] * volts + p[E1] * torque
     r0, r1 = s[MEASURED_CURRENT] - expected_i, s[MEASURED_SPEED] - expected_w

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from motor_env.motor.faults import HEALTHY, FaultKind
+from motor_env.motor.model import load_torque
 from motor_env.motor.parameters import (
     PAPER_MOTOR,
     MotorParameters,
@@ -159,7 +160,7 @@ class DriveOptions:
     def needs(self, speed_rad_s: float, slope_rad_s2: float) -> tuple[float, float]:
         """Current and voltage that a healthy motor needs at a speed that rises with a slope."""
         motor = self.motor
-        torque = self.load_torque_n_m + self.fan_n_m_s2 * speed_rad_s**2
+        torque = float(load_torque(self.load_torque_n_m, self.fan_n_m_s2, speed_rad_s))
         torque += float(motor.viscous_friction_n_m_s_per_rad) * speed_rad_s
         torque += (float(motor.inertia_kg_m2) + self.load_inertia_kg_m2) * slope_rad_s2
         current = torque / float(motor.torque_constant_n_m_per_a)

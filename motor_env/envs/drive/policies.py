@@ -16,7 +16,7 @@ from motor_env.envs.drive import kernel
 from motor_env.envs.drive.options import LABELS, DriveOptions
 from motor_env.envs.drive.setup import DriveSetup, drive_filter, faulty
 from motor_env.envs.setup import converged_gain
-from motor_env.motor.model import Input, discretize
+from motor_env.motor.model import Input, discretize, load_torque
 from motor_env.motor.parameters import FloatArray, MotorParameters
 
 RUN, LIMP, STOP = -1.0, 0.25, 1.0
@@ -203,8 +203,7 @@ class Lqg:
 
     def _torque(self, speed: FloatArray, unknown: FloatArray) -> FloatArray:
         options = self.setup.options
-        torque: FloatArray = options.load_torque_n_m + options.fan_n_m_s2 * speed * np.abs(speed) + unknown
-        return torque
+        return load_torque(options.load_torque_n_m, options.fan_n_m_s2, speed) + unknown
 
     def _follow(self, seen: dict[str, FloatArray]) -> None:
         """Let each filter follow, and weigh it by how well it had expected the measurement (Magill 1965)."""
