@@ -36,6 +36,7 @@ _SATURATED = 5.0  # knees: beyond them brush drop and dry friction hardly change
 _KNEE_TOLERANCE = 1e-7
 _FAST = 40.0  # square of a speed over that of Stribeck's curve: beyond it the curve is flat
 _SERIES_NORM, _SERIES_ORDER = 0.5, 12
+_SHORTEST_LAG = 1e-6  # of an interval: with a shorter one the squarings of the exponential lose digits
 inlined = njit(error_model="numpy", forceinline=True)  # a call with arrays costs as much as a step
 
 
@@ -93,10 +94,11 @@ def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray) -> N
         out[r, 2], out[r, 3] = held[2 * r] * by_volt, rising[2 * r] * by_volt
         out[r, 4] = held[2 * r + 1] * by_torque
     if p[LAG_I] > 0.0:
+        lag_s = max(p[LAG_I], _SHORTEST_LAG * dt_s)
         motor, whole_system = np.zeros((6, 6)), np.zeros((6, 6))
         motor[0, 0], motor[0, 1], motor[0, 2] = -resistance / p[L], -constant / p[L], 1.0 / p[L]
         motor[1, 0], motor[1, 1], motor[1, 4] = constant / p[J], -drag / p[J], -1.0 / p[J]
-        motor[2, 3], motor[5, 0], motor[5, 5] = 1.0 / dt_s, 1.0 / p[LAG_I], -1.0 / p[LAG_I]
+        motor[2, 3], motor[5, 0], motor[5, 5] = 1.0 / dt_s, 1.0 / lag_s, -1.0 / lag_s
         for r in range(6):
             for c in range(6):
                 motor[r, c] *= dt_s

@@ -57,6 +57,7 @@ from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
 
 # Reaches in: fits are altered by hand, and faults move them in directions that no public name gives.
+from motor_env.fitting import places
 from motor_env.fitting.starts import Identified
 from motor_env.motor.identifiable import matrix, nameable_kinds, names, visible_direction
 from motor_env.motor.model import steady_state
@@ -684,6 +685,30 @@ def test_the_filter_splits_what_the_fit_leaves() -> None:
     assert check.model_error_a == pytest.approx(slow)
     assert check.mean_nis == pytest.approx(float(np.nanmean(check.whitened**2)))
     assert check.sensor_only_nis == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_filter_leaves_out_what_is_not_shown() -> None:
+    """Wild samples, and currents below half of a dead zone: they have no innovation, and weigh nothing."""
+    found, fit, _ = fitted()
+    whole = found.filter_check
+    assert whole is not None
+    begin = int(np.sum(fit.start.time_s <= fit.onset_s)) + 1
+    wild = replace(fit.start, alignment=replace(fit.start.alignment, wild=(begin + 7, begin + 90)))
+    off = wild.current_a.copy()
+    off[[begin + 7, begin + 90]] += 5.0
+    left = filter_check(replace(fit, start=replace(wild, current_a=off)))
+    assert np.flatnonzero(np.isnan(left.whitened)).tolist() == [7, 90]
+    assert left.mean_nis == pytest.approx(float(np.nanmean(left.whitened**2)))
+    assert left.mean_nis == pytest.approx(whole.mean_nis, rel=0.02)
+    problem, zone = fit.solution.problem, float(fit.states[begin + 300, 0])
+    hiding = problem.known.copy()
+    hiding[places.ZONE] = 2.0 * zone
+    solved = replace(fit.solution, problem=replace(problem, known=hiding))
+    blind = filter_check(replace(fit, solution=solved))
+    np.testing.assert_array_equal(np.isnan(blind.whitened), fit.states[begin:, 0] < zone)
+    shown = ~np.isnan(blind.whitened)
+    assert 100 < shown.sum() < 310
+    np.testing.assert_allclose(blind.whitened[:100], whole.whitened[:100], rtol=1e-9)
 
 
 def test_a_ripple_of_the_supply_is_no_matter_of_the_filter() -> None:

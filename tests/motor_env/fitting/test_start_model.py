@@ -122,6 +122,15 @@ def test_a_lagging_sensor_is_exact_from_the_onset_on(drop_v: float) -> None:
     np.testing.assert_allclose(got, exact(TIME_S - ONSET_S, 12.0 - drop_v, 3e-4)[:, 2], rtol=1e-9, atol=1e-12)
 
 
+def test_a_lag_that_a_fit_hardly_needs_costs_no_digits() -> None:
+    """A lag moves the current by itself times di/dt; one below a millionth of an interval no more than that."""
+    plain = step_start(PAPER_MOTOR, TIME_S, ONSET_S, 12.0)[:, 0]
+    for share in (1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13):
+        got = step_start(PAPER_MOTOR, TIME_S, ONSET_S, 12.0, LAG_I=share * DT_S)[:, 0]
+        most = max(share, 1.01e-6) * DT_S * 12.0 / HENRY
+        assert np.abs(got - plain).max() < most
+
+
 def test_a_lagging_sensor_of_a_running_motor_begins_in_its_steady_state() -> None:
     """A measured voltage falls from 12 to 0 V in one interval: the answer to -12 V on top of the steady state."""
     volts = np.where(np.arange(60) < 10, 12.0, 0.0)
