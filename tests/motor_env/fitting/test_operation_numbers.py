@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.linalg import circulant
 
 from motor_env import InputError, Recording, identify, load_motor
 from motor_env.cli import main
@@ -31,11 +32,12 @@ from motor_env.fitting.record import (
     noise_of,
     open_circuit,
 )
-from motor_env.fitting.terms import terms
+from motor_env.fitting.terms import Term, terms
 from motor_env.fitting.uncertainty import information_covariance, motor_places
 from motor_env.fitting.window import first_steps, fit_window
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.noise import difference_noise
 from motor_env.recordings.regime import Taken
 from motor_env.recordings.start import Circuit
 
@@ -460,6 +462,7 @@ class Line:
         n = len(target)
         self.record = plain(n).only(current=True, speed=False)
         self.count = n
+        self.free = [Term(name, place, 1.0, -5.0, 5.0, is_log=True) for place, name in enumerate(names)]
 
     def residuals(self, theta: FloatArray) -> FloatArray:
         return self.design @ theta - self.target
@@ -511,19 +514,21 @@ def test_errors_of_residuals_that_remember_are_those_of_newey_and_west(
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
     best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=0.0)
     found = uncertainty.covariance(cast("Any", best), {})
-    left, design = line.residuals(theta), line.design[:, :2]
-    # Scores as far apart as 3 mechanical time constants, which are more than 1.5 n^(1/3) samples here.
-    memory = 4e-6 * 2.0 / 0.03**2
-    lags = int(3.0 * memory / DT_S)
-    assert 1.5 * 600 ** (1 / 3) < lags < 30
-    scores, apart = design * left[:, None], np.abs(np.subtract.outer(np.arange(600), np.arange(600)))
-    weights = np.maximum(1.0 - apart / (lags + 1.0), 0.0)
-    bread = np.linalg.inv(design.T @ design)
-    sandwich = np.diag(bread @ (scores.T @ weights @ scores) @ bread)
-    white = bread * (left @ left) / 600
-    wider = np.sqrt(np.maximum(sandwich / np.diag(white), 1.0))
-    np.testing.assert_allclose(found, white * np.outer(wider, wider), rtol=1e-9)
-    assert (wider > 1.5).all() == (rho == 0.9)
+    size = math.sqrt(float(line.residuals(theta) @ line.residuals(theta)) / 600)
+    left, design = line.residuals(theta) / size, line.design[:, :2] / size
+    series = left - left.mean()
+    full = np.array([series[lag:] @ series[: 600 - lag] / 600.0 for lag in range(60)])
+    taper = full * (1.0 - np.arange(60) / 60.0)
+    wrapped = np.concatenate([taper, np.zeros(601), taper[:0:-1]])
+    coloured = circulant(
+        np.fft.ifft(np.maximum(np.fft.fft(wrapped).real, difference_noise(series) ** 2)).real
+    )
+    weak = np.eye(2) / 9.0  # logarithms are known to 3 beforehand
+    bread = np.linalg.inv(design.T @ design + weak)
+    expected = bread @ (design.T @ coloured[:600, :600] @ design + weak) @ bread
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+    white = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+    assert (np.sqrt(np.diag(found)) > 1.5 * white).all() == (rho == 0.9)
 
 
 def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest.MonkeyPatch) -> None:
