@@ -104,6 +104,12 @@ class Judgement:
         return self.fault_kind if self.kind_probability >= SURE_OF_KIND else None
 
     @property
+    def severity_interval(self) -> tuple[float, float] | None:
+        """Interval of the severity, 95 %; None without one."""
+        low, high = self.severity_low, self.severity_high
+        return None if low is None or high is None else (low, high)
+
+    @property
     def identified(self) -> Identified | None:
         """The fit of a start; None for other pieces."""
         return self.fit if isinstance(self.fit, Identified) else None
@@ -180,8 +186,7 @@ class Diagnosis:
     @property
     def severity_interval(self) -> tuple[float, float] | None:
         """Interval of the severity, 95 %; None without one."""
-        low, high = self.severity_low, self.severity_high
-        return None if low is None or high is None else (low, high)
+        return self.telling.severity_interval
 
     @property
     def severity_low(self) -> float | None:

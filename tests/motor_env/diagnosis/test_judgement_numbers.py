@@ -31,7 +31,7 @@ from motor_env import (
 )
 from motor_env.cli import main
 from motor_env.console import ExitStatus, worst
-from motor_env.diagnosis import commission
+from motor_env.diagnosis import commission, motor_files
 from motor_env.diagnosis.decision import decide, limits_of
 from motor_env.diagnosis.diagnose import unusable_reason
 from motor_env.diagnosis.explanations import (
@@ -930,7 +930,7 @@ def test_words_of_the_page() -> None:
 def test_an_identified_motor_is_the_geometric_mean_of_its_fits() -> None:
     _, fit, _ = fitted()
     other = replace(fit, parameters=fit.parameters.scaled(resistance_ohm=4.0, inertia_kg_m2=0.25))
-    motor = commission.to_motor([fit, other], "two")
+    motor = motor_files.to_motor([fit, other], "two")
     assert motor.parameters.resistance_ohm == pytest.approx(2.0 * float(fit.parameters.resistance_ohm))
     assert motor.parameters.inertia_kg_m2 == pytest.approx(0.5 * float(fit.parameters.inertia_kg_m2))
     assert motor.nominal_voltage_v == pytest.approx(12.0)
@@ -938,9 +938,9 @@ def test_an_identified_motor_is_the_geometric_mean_of_its_fits() -> None:
     for error, told in ((0.0495, 0.1), (0.0505, 0.0)):
         # Twice their mean's standard error: that of one over the root of two.
         pair = [replace(fit, fitted_extension={"coulomb": (0.1, error * math.sqrt(2.0))})] * 2
-        assert commission.to_motor(pair, "two").coulomb_friction_n_m == pytest.approx(told)
+        assert motor_files.to_motor(pair, "two").coulomb_friction_n_m == pytest.approx(told)
     wide = replace(fit, log_covariance=np.diag([0.49, 0.51, 0.1, 0.1]) ** 2)
-    assert [one for one in commission.not_told(wide) if "is not told" in one] == [
+    assert [one for one in motor_files.not_told(wide) if "is not told" in one] == [
         "L is not told by this recording (its standard error is 51 %)"
     ]
 
@@ -968,7 +968,7 @@ def test_a_commissioning_counts_what_its_pieces_leave_undecided(odd: float) -> N
         limit = stats.t.isf(joint_share(0.8 * RATE, whole, EXPONENTS, freedom), freedom)
         expected += bool((limit + 1.645) * math.sqrt(same[3, 3]) > math.log(2.0))
     assert expected == (4 if odd else 0)
-    motor = commission.to_motor(given, "m", kind="commissioned", healthy=learn_starts(given))
+    motor = motor_files.to_motor(given, "m", kind="commissioned", healthy=learn_starts(given))
     smallest, undecided = commission._promise(motor, given, None, RATE)
     assert undecided == ({"B/J": expected} if odd else {})
     reference = reference_of(motor, CURRENT)
@@ -1011,7 +1011,7 @@ def test_words_of_a_commissioning() -> None:
     """The interval of the next healthy start, at the rate on both sides together."""
     given = fits(*SCATTER)
     learned = learn_starts(given)
-    motor = commission.to_motor(given, "m", kind="commissioned", healthy=learned)
+    motor = motor_files.to_motor(given, "m", kind="commissioned", healthy=learned)
     known = commission.Commissioned(motor, tuple(given), {"bearing": 0.25}, {"B/J": 2})
     text = replace(known, false_alarm_rate=0.05).text()
     half = stats.t.isf(0.025, 6.0) * np.sqrt(np.diag(learned.log_covariance))

@@ -11,8 +11,8 @@ from recording_csv import write_csv
 
 from motor_env import Motor, MotorParameters, Recording, diagnose, load_motor
 from motor_env.cli import main
-from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.motor_files import to_motor
 
 # Reaches in: starts under dry friction or a fan, neither of which `simulate` has.
 from motor_env.identification.start_model import Extension, step_start

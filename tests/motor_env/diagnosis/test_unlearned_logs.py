@@ -22,8 +22,8 @@ from motor_env import (
     simulate,
     simulate_states,
 )
-from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.motor_files import to_motor
 from motor_env.diagnosis.running import unlearned
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import NAMES, viscous
