@@ -112,7 +112,7 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
         smallest_changes=smallest_of(believed, reference.own_friction, limits.z),
     )
     if quiet is None:
-        return _with_alarm(healthy, views, log_ratios, limits.z, rate)
+        return _with_alarm(healthy, reference, views, log_ratios, limits.z, rate=rate)
     # Healthy pieces may scatter by their load; that is no defect of this one.
     spread = view.difference.covariance
     if reference.includes_fit_error:
@@ -126,7 +126,13 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
 
 
 def _with_alarm(
-    healthy: Judgement, views: list[View], log_ratios: FloatArray, limit: float, rate: float
+    healthy: Judgement,
+    reference: Reference,
+    views: list[View],
+    log_ratios: FloatArray,
+    limit: float,
+    *,
+    rate: float,
 ) -> Judgement:
     """The fault that explains an alarm, or that none does; a load is thought of where nothing does without one.
 
@@ -144,11 +150,16 @@ def _with_alarm(
         best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
         if best is not None and probability[best.kind] >= probability["other"]:
             (as_fitted,) = explain(replace(difference, log_ratios=log_ratios), (best.kind,))
-            return _with_fault(healthy, as_fitted, difference.degrees_of_freedom, probability, view.drag.load)
+            return _with_fault(healthy, reference, as_fitted, probability, view.drag.load)
     named = {fault.kind for fault in first.faults}
     unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
-    alike = map(_alike_reason, filter(suffices, explain(first.difference, unnamed)))
-    reasons = (*_other_reasons(healthy.changes, _source(healthy)), *alike)
+    # These cannot be named: a coupled load would look the same.
+    alike = (
+        f"it may be {fault.kind} by {fault.severity:.0%} ({fault.kind.finding}), or a coupled load: a recording of the"
+        " speed tells which"
+        for fault in filter(suffices, explain(first.difference, unnamed))
+    )
+    reasons = (*_other_reasons(healthy.changes, reference.source), *alike)
     confidence = probabilities(first.difference, first.faults)["other"]
     return replace(healthy, verdict=Verdict.OTHER, reasons=reasons, severity=None, confidence=confidence)
 
@@ -169,31 +180,27 @@ def _warmth_reason(view: View, same_warmth: FloatArray, reference: Reference) ->
     )
 
 
-def _source(judgement: Judgement) -> str:
-    return "nothing" if judgement.reference is None else judgement.reference.source
-
-
 def _with_fault(
     healthy: Judgement,
+    reference: Reference,
     fault: Explanation,
-    freedom: float,
     probability: dict[str, float],
     load: str | None,
 ) -> Judgement:
     """The diagnosis of a known fault; the interval of its severity is that of Student's t."""
-    verdict, half = Verdict(fault.kind.verdict), -float(stdtrit(freedom, 0.025)) * fault.step_sd
-    own = unit_of(fault.kind, None if healthy.reference is None else healthy.reference.own_friction)
+    verdict, own = Verdict(fault.kind.verdict), unit_of(fault.kind, reference.own_friction)
+    half = -float(stdtrit(reference.degrees_of_freedom, 0.025)) * fault.step_sd
+    low, high = (severity_of(fault.kind, fault.step + off) / own for off in (-half, half))
     return replace(
         healthy,
         verdict=verdict,
         reasons=(
             fault.kind.finding,
-            f"compared with {_source(healthy)}",
+            f"compared with {reference.source}",
             *(() if load is None else (f"the changes fit it if the drag is mostly {LOADS[load]}",)),
         ),
         severity=fault.severity / own,
-        severity_low=severity_of(fault.kind, fault.step - half) / own,
-        severity_high=severity_of(fault.kind, fault.step + half) / own,
+        severity_interval=(low, high),
         confidence=sum(probability.get(kind, 0.0) for kind in motor_kinds() if kind.verdict == verdict),
         fault_kind=fault.kind,
         kind_probability=probability[fault.kind],
@@ -236,14 +243,6 @@ def _unseen(smallest: dict[str, float], source: str) -> Iterator[str]:
                 f"the {quantity} is undecided: the recording is too coarse, too noisy or too short to tell it, only a"
                 f" rise of {severity:.0%} would show"
             )
-
-
-def _alike_reason(fault: Explanation) -> str:
-    """A fault that explains the difference, and cannot be named because a coupled load would look the same."""
-    return (
-        f"it may be {fault.kind} by {fault.severity:.0%} ({fault.kind.finding}), or a coupled load: a recording of the"
-        " speed tells which"
-    )
 
 
 def _other_reasons(changes: tuple[Change, ...], source: str) -> tuple[str, ...]:

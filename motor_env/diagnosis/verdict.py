@@ -65,7 +65,7 @@ class Judgement:
         verdict: family of the fault, or healthy, or why there is none.
         reasons: sentences.
         severity: size of the fault, as a fraction; 0 for a healthy motor.
-        severity_low, severity_high: its interval, 95 %.
+        severity_interval: its lower and upper end, 95 %; None without one.
         confidence: posterior probability of the verdict.
         fault_kind: the most probable kind of the family.
         kind_probability: posterior probability of that kind.
@@ -81,8 +81,7 @@ class Judgement:
     verdict: Verdict
     reasons: tuple[str, ...]
     severity: float | None = None
-    severity_low: float | None = None
-    severity_high: float | None = None
+    severity_interval: tuple[float, float] | None = None
     confidence: float | None = None
     fault_kind: FaultKind | None = None
     kind_probability: float = 0.0
@@ -102,12 +101,6 @@ class Judgement:
     def kind(self) -> FaultKind | None:
         """Kind of the fault, where it can be told from the others of its family."""
         return self.fault_kind if self.kind_probability >= SURE_OF_KIND else None
-
-    @property
-    def severity_interval(self) -> tuple[float, float] | None:
-        """Interval of the severity, 95 %; None without one."""
-        low, high = self.severity_low, self.severity_high
-        return None if low is None or high is None else (low, high)
 
     @property
     def identified(self) -> Identified | None:
@@ -187,16 +180,6 @@ class Diagnosis:
     def severity_interval(self) -> tuple[float, float] | None:
         """Interval of the severity, 95 %; None without one."""
         return self.telling.severity_interval
-
-    @property
-    def severity_low(self) -> float | None:
-        """Lower end of the interval of the severity, 95 %."""
-        return self.telling.severity_low
-
-    @property
-    def severity_high(self) -> float | None:
-        """Upper end of it."""
-        return self.telling.severity_high
 
     @property
     def smallest_changes(self) -> dict[str, float]:

@@ -468,7 +468,7 @@ def test_a_fault_is_called_from_the_limit_of_its_test_on(kind: str, verdict: Ver
     step, half = float(1.005 * at.sum()), stats.t.isf(0.025, freedom) * sd
     own = 0.8 if kind == "bearing" else 1.0
     expected_size = [math.expm1(one) / own for one in (step, step - half, step + half)]
-    assert [found.severity, found.severity_low, found.severity_high] == pytest.approx(expected_size)
+    assert [found.severity, *(found.severity_interval or ())] == pytest.approx(expected_size)
     assert str(found.fault_kind) == kind
     assert found.reference is not None
     view = views_of(fitted()[1], found.reference, RATE)[0]
@@ -732,8 +732,7 @@ def faulty() -> Diagnosis:
         fault_kind=FaultKind.WINDING_CONTACT,
         kind_probability=0.95,
         severity=0.2,
-        severity_low=0.1,
-        severity_high=0.31,
+        severity_interval=(0.1, 0.31),
         confidence=0.876,
         changes=changes,
         smallest_changes={"bearing": 0.123, "winding_contact": 0.045},
@@ -794,8 +793,8 @@ def test_text_and_json_say_the_same() -> None:
     assert told["parameters"]["onset_s"] == {"value": fit.onset_s, "unit": "s"}
     assert told["parameters"]["offset_a"] == {"value": fit.offset_a, "unit": "A"}
     assert report.of_the_drag(0.4).endswith("own friction, 40% of the drag")
-    assert of_one(severity_low=0.1, severity_high=0.31).severity_interval == (0.1, 0.31)
-    assert of_one(severity_low=0.1, severity_high=None).severity_interval is None
+    assert of_one(severity_interval=(0.1, 0.31)).severity_interval == (0.1, 0.31)
+    assert of_one(severity_interval=None).severity_interval is None
     for number in (math.nan, math.inf):
         assert report.as_json(of_one(severity=number))["severity"] is None
     assert report.headline(of_one(confidence=None).telling) == "healthy"
