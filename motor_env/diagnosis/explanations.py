@@ -16,11 +16,11 @@ from typing import Literal
 import numpy as np
 from scipy import linalg, optimize, special
 
-from motor_env.diagnosis.spread import NORMAL_DOF
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 
+NORMAL_DOF = 1e6  # of a covariance that is known
 _SEVERITY_PRIOR = 0.30  # scale of the half-Cauchy prior: a large severity is no surprise
 _HEALTHY_PRIOR = 0.8
 _OTHER_PRIOR = 0.30  # standard deviation of each logarithm where something else is wrong

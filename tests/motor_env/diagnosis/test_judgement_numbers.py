@@ -48,11 +48,10 @@ from motor_env.diagnosis.explanations import (
 )
 from motor_env.diagnosis.files import picture_of
 from motor_env.diagnosis.filter_check import filter_check
-from motor_env.diagnosis.healthy_motor import Reference, reference_of, reference_of_pieces
+from motor_env.diagnosis.healthy_motor import Reference, beyond, reference_of, reference_of_pieces, warmer
 from motor_env.diagnosis.identify import Identification
-from motor_env.diagnosis.learning import disagreement, learn_starts, odd_one_out
+from motor_env.diagnosis.learning import disagreement, learn_starts, odd_one_out, the_next
 from motor_env.diagnosis.shown import page, report
-from motor_env.diagnosis.spread import beyond, the_next, warmer
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
 
