@@ -65,14 +65,15 @@ class Commissioned:
         healthy = self.healthy
         half = -float(stdtrit(healthy.degrees_of_freedom, self.false_alarm_rate / 2.0))
         widths = half * np.sqrt(np.diag(healthy.log_covariance))
-        rows = zip(healthy.quantities, healthy.values.tolist(), widths.tolist(), strict=True)
         return {
             name: {
                 "value": value,
                 "interval": [value * math.exp(-width), value * math.exp(width)],
                 "unit": UNITS[name],
             }
-            for name, value, width in rows
+            for name, value, width in zip(
+                healthy.quantities, healthy.values.tolist(), widths.tolist(), strict=True
+            )
         }
 
     @property
@@ -220,12 +221,12 @@ def _promise(
     reference = _reference(motor, fits[0], temperature_c)
     views = views_of(fits[0], reference, rate)
     limits = limits_of(views, rate, tests_noise=reference.log_noise is not None)
-    undecided: Counter[str] = Counter()
     assert motor.healthy is not None  # noqa: S101  # it was just learned
-    for n in range(len(fits) if len(fits) > 1 else 0):
-        others = replace(motor, healthy=without(motor.healthy, fits, n))
-        judged = decide(fits[n], _reference(others, fits[n], temperature_c), rate)
-        undecided.update(change.name for change in judged.changes if change.verdict == "undecided")
+    count = len(fits) if len(fits) > 1 else 0
+    others = [replace(motor, healthy=without(motor.healthy, fits, n)) for n in range(count)]
+    judged = [decide(fits[n], _reference(others[n], fits[n], temperature_c), rate) for n in range(count)]
+    changes = [change for one in judged for change in one.changes]
+    undecided = Counter(change.name for change in changes if change.verdict == "undecided")
     return smallest_of(views, reference.own_friction, limits.z), dict(undecided)
 
 

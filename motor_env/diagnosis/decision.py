@@ -88,16 +88,8 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
     view = quiet or views[0]
     same_warmth = covariance_at_one_temperature(fit, reference)
     # As fitted: those of a view are straightened, for tests that the temperature shall not raise.
-    log_ratios = fit.log_values[shared(fit, reference)] - reference.log_values
-    log_ratios -= reference.warmer_k * views[0].drag.warmth
-    changes = compare(
-        reference.names,
-        log_ratios,
-        same_warmth,
-        reference.degrees_of_freedom,
-        limits.z,
-        is_alarm=quiet is None,
-    )
+    rows, drag = shared(fit, reference), views[0].drag
+    log_ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * drag.warmth
     healthy = Judgement(
         Verdict.HEALTHY,
         (
@@ -108,7 +100,14 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
         confidence=probabilities(view.difference, view.faults)["healthy"],
         fit=fit,
         reference=reference,
-        changes=changes,
+        changes=compare(
+            reference.names,
+            log_ratios,
+            same_warmth,
+            reference.degrees_of_freedom,
+            limits.z,
+            is_alarm=quiet is None,
+        ),
         smallest_changes=smallest_of(believed, reference.own_friction, limits.z),
     )
     if quiet is None:
@@ -116,7 +115,7 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
     # Healthy pieces may scatter by their load; that is no defect of this one.
     spread = view.difference.covariance
     if reference.includes_fit_error:
-        spread = fit.log_covariance[np.ix_(shared(fit, reference), shared(fit, reference))]
+        spread = fit.log_covariance[np.ix_(rows, rows)]
     smallest = smallest_changes(replace(view.difference, covariance=spread), limits.z)
     unseen = tuple(_unseen(smallest, reference.source))
     if len(unseen) == len(_SEEN):
@@ -159,9 +158,13 @@ def _with_alarm(
         " speed tells which"
         for fault in filter(suffices, explain(first.difference, unnamed))
     )
-    reasons = (*_other_reasons(healthy.changes, reference.source), *alike)
-    confidence = probabilities(first.difference, first.faults)["other"]
-    return replace(healthy, verdict=Verdict.OTHER, reasons=reasons, severity=None, confidence=confidence)
+    return replace(
+        healthy,
+        verdict=Verdict.OTHER,
+        reasons=(*_other_reasons(healthy.changes, reference.source), *alike),
+        severity=None,
+        confidence=probabilities(first.difference, first.faults)["other"],
+    )
 
 
 def _warmth_reason(view: View, same_warmth: FloatArray, reference: Reference) -> tuple[str, ...]:
@@ -222,10 +225,14 @@ def _with_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: fl
     if z <= limit:
         return healthy
     ratio = math.exp(z * reference.log_noise_sd)
-    reason = f"the parameters are as expected, but the current's noise is {ratio:.2f} times the reference's"
-    confidence = float(stdtr(reference.degrees_of_freedom, z))
     return replace(
-        healthy, verdict=Verdict.NOISE, reasons=(reason,), severity=ratio**2 - 1.0, confidence=confidence
+        healthy,
+        verdict=Verdict.NOISE,
+        reasons=(
+            f"the parameters are as expected, but the current's noise is {ratio:.2f} times the reference's",
+        ),
+        severity=ratio**2 - 1.0,
+        confidence=float(stdtr(reference.degrees_of_freedom, z)),
     )
 
 

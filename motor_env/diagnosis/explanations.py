@@ -271,8 +271,7 @@ def probabilities(difference: Difference, faults: list[Explanation]) -> dict[str
         along = healthy(log_ratios - steps[:, None] * fault.direction)
         width = math.log(fault.step_sd * (_STEP_NODES[1] - _STEP_NODES[0]))
         logs[fault.kind] = width + float(np.logaddexp.reduce(along + prior))
-    anything = _student(covariance + _OTHER_PRIOR**2 * np.eye(n), freedom)
-    logs["other"] = float(anything(log_ratios))
+    logs["other"] = float(_student(covariance + _OTHER_PRIOR**2 * np.eye(n), freedom)(log_ratios))
     faulty = math.log((1.0 - _HEALTHY_PRIOR) / (len(logs) - 1))
     logs = {
         name: log + (math.log(_HEALTHY_PRIOR) if name == "healthy" else faulty) for name, log in logs.items()

@@ -96,14 +96,13 @@ def reference_of(
         return None
     # V is held at what the recording says; its tolerance scales the current, so it acts on all but ratios like B/J.
     scale = exponents.sum(axis=1)
-    covariance = quantities.tolerance_covariance(motor.tolerance)
     logs = quantities.logarithms(motor.parameters, motor.nominal_voltage_v or 1.0)
     logs[_FRICTION] += math.log(friction)
     return Reference(
         source=f"{'data sheet' if motor.kind == 'data_sheet' else f'{motor.kind} motor'} {motor.name}",
         names=names,
         log_values=exponents @ logs,
-        log_covariance=exponents @ covariance @ exponents.T
+        log_covariance=exponents @ quantities.tolerance_covariance(motor.tolerance) @ exponents.T
         + motor.tolerance.supply**2 * np.outer(scale, scale),
         log_noise=None if motor.current_noise_a is None else math.log(motor.current_noise_a),
         own_friction=1.0,

@@ -176,7 +176,8 @@ def _text(told: Mapping[str, Any]) -> str:
     explained = f"  {quality(told['r2_current'], told['r2_speed'])}"
     if told["taken_for"]["regime"] == "operation":
         lines += [f"  the voltage of a sample is {_HELD[told['voltage']]}", explained]
-        lines += [f"  the winding warms by up to {told['warmth_k']:.0f} K"] * (told["warmth_k"] > _WARM_K)
+        if told["warmth_k"] > _WARM_K:
+            lines.append(f"  the winding warms by up to {told['warmth_k']:.0f} K")
     else:
         names = list(rows)
         pairs = [

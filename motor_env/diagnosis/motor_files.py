@@ -101,8 +101,7 @@ def motor_of_log(found: Operation, name: str) -> Motor:
 
 def motor_of_windows(healthy: Healthy, name: str) -> Motor:
     """The motor that windows have taught."""
-    if healthy.windows is None:
-        raise ValueError("healthy holds no windows")
+    assert healthy.windows is not None  # noqa: S101  # it was learned from them
     return replace(_motor_of(healthy.windows.physical, name), kind="commissioned", healthy=healthy)
 
 

@@ -110,9 +110,8 @@ class Judgement:
     @property
     def warning(self) -> str:
         """That the recording is not consistent with the fitted model, in one sentence; empty where it is."""
-        if self.filter_check is None or self.filter_check.consistency is None:
-            return ""
-        return self.filter_check.consistency.warning
+        consistency = None if self.filter_check is None else self.filter_check.consistency
+        return "" if consistency is None else consistency.warning
 
 
 @dataclass(frozen=True, slots=True)

@@ -107,6 +107,7 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
     tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
     named = telling.kind if telling.kind in _WORDS else verdict
     title, *first = _WORDS.get(named, (str(verdict).capitalize(),))
+    sure = "" if diagnosis.confidence is None else f"{diagnosis.confidence:.0%} sure"
     current, residual = ("", "") if fit is None else _currents(fit, expected)
     return render(
         "motor_env.diagnosis.shown",
@@ -115,7 +116,7 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
         file=printable(diagnosis.recording.path.name),
         tone=tone,
         size=_size(telling),
-        sure=_sure(diagnosis.confidence),
+        sure="over 99 % sure" if (diagnosis.confidence or 0.0) > 0.99 else sure,
         first=first,
         reasons=[f"{reason[0].upper()}{reason[1:]}." for reason in diagnosis.reasons],
         warnings=[
@@ -142,12 +143,6 @@ def _size(judgement: Judgement) -> str:
         return ""
     between = "" if interval is None else f", between {interval[0]:.0%} and {interval[1]:.0%}"
     return _SIZE.get(kind, "Size {}").format(f"{size:.0%}") + between
-
-
-def _sure(confidence: float | None) -> str:
-    if confidence is None:
-        return ""
-    return "over 99 % sure" if confidence > 0.99 else f"{confidence:.0%} sure"
 
 
 def reference_current(judgement: Judgement) -> FloatArray | None:
@@ -227,9 +222,15 @@ def _currents(fit: Identified, expected: FloatArray | None) -> tuple[str, str]:
     largest = max(float(np.quantile(np.abs(smooth[time_ms > 0.0]), 0.98)), 2.0 * noise)
     unit, factor = ("A", 1.0) if largest > 1.0 else ("mA", 1e3)
     edge = 1.2 * factor * largest
-    label = "Measured less healthy current, with the band of the sensor's noise"
-    band = factor * noise
-    return current, _chart(time_ms, {"beyond": factor * smooth}, (-edge, edge), unit, label, band=band)
+    residual = _chart(
+        time_ms,
+        {"beyond": factor * smooth},
+        (-edge, edge),
+        unit,
+        "Measured less healthy current, with the band of the sensor's noise",
+        band=factor * noise,
+    )
+    return current, residual
 
 
 def _chart(
