@@ -36,7 +36,10 @@ from motor_env.recordings.start import Circuit
 
 FEWEST_STARTS = 3
 _NO_LOAD = 1.2  # of the current with the load: the same motor, within its friction's changes
-_WARMTH = "R +0.39 %, K -0.1 % and friction -0.3 % a kelvin come on top of that"
+_WARMTH = (
+    "  a motor that is warmer or colder by {:.0f} K (1 sd) is healthy too: R +0.39 %, K -0.1 % and friction -0.3 % a"
+    " kelvin come on top of that"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +96,6 @@ class Commissioned:
             piece, kind = "window", f" of {healthy.windows.window_s:g} s"
         explained = [fit.r2_current for fit in self.fits if isinstance(fit, Identified)]
         quality = [f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}"] if explained else []
-        warm = f"  a motor that is warmer or colder by {healthy.temperature_k:.0f} K (1 sd) is healthy too: {_WARMTH}"
         smallest = ", ".join(f"{fault} {severity:.1%}" for fault, severity in self.smallest.items())
         interval = f"({1.0 - rate:.0%}, Student t, {healthy.degrees_of_freedom:.0f} degrees)"
         lines = [
@@ -110,7 +112,7 @@ class Commissioned:
                 f"  {name} is left undecided by {count} of these {len(self.fits)} {piece}s: a doubling would not show"
                 for name, count in self.undecided.items()
             ),
-            *([warm] if healthy.temperature_k else []),
+            *([_WARMTH.format(healthy.temperature_k)] if healthy.temperature_k else []),
             f"  few {piece}s give wide intervals, more {piece}s narrow them",
             *lines_of(self.motor.assumed),
         ]

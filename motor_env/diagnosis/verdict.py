@@ -137,13 +137,11 @@ class Diagnosis:
         Of pieces with a fault it is the surest one of the most frequent verdict. Without a fault a healthy one, else
         the first.
         """
-        faults = Counter(one.verdict for one in self.pieces if one.verdict.is_fault)
-        if faults:
-            most = max(faults.values())
-            frequent = [one for one in self.pieces if faults[one.verdict] == most]
-            return max(frequent, key=lambda one: one.confidence or 0.0)
+        faults = [one for one in self.pieces if one.verdict.is_fault]
+        count = Counter(one.verdict for one in faults)
         healthy = (one for one in self.pieces if one.verdict is Verdict.HEALTHY)
-        return next(healthy, self.pieces[0])
+        calm = next(healthy, self.pieces[0])
+        return max(faults, key=lambda one: (count[one.verdict], one.confidence or 0.0), default=calm)
 
     @property
     def verdict(self) -> Verdict:

@@ -52,8 +52,10 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
     fit, check = telling.identified, telling.filter_check
     parameters: dict[str, Any] = {} if telling.fit is None else quantities_json(telling.fit)
     if fit is not None:
-        onset, offset = {"value": fit.onset_s, "unit": "s"}, {"value": fit.offset_a, "unit": "A"}
-        parameters |= extensions_json(fit) | {"onset_s": onset, "offset_a": offset}
+        parameters |= extensions_json(fit) | {
+            "onset_s": {"value": fit.onset_s, "unit": "s"},
+            "offset_a": {"value": fit.offset_a, "unit": "A"},
+        }
     return {
         "file": str(recording.path),
         "taken_for": diagnosis.taken._asdict(),
@@ -247,10 +249,13 @@ def _piece_table(judgement: Judgement) -> list[str]:
         + (", undecided" if c.verdict == "undecided" else "")
         for c in judgement.changes
     }
-    ripple = [name for name in moved if name not in fit.quantity_names]
     return [
         *quantity_lines(quantities_json(fit), moved),
-        *(f"  {name:<12} {moved[name]}, by the commutation ripple" for name in ripple),
+        *(
+            f"  {name:<12} {words}, by the commutation ripple"
+            for name, words in moved.items()
+            if name not in fit.quantity_names
+        ),
     ]
 
 
