@@ -18,7 +18,7 @@ from motor_env.identification.identify import Identified
 from motor_env.motor.parameters import FloatArray
 from motor_env.plotting import COLOUR, drawing, save, subplots
 
-_LONGEST_LINE = 80
+_LONGEST_LINE = 60
 _WIDEST = 172.0  # per cent, of an interval that the axis follows
 _STYLE: dict[str, dict[str, Any]] = {
     "measured": {"color": COLOUR["measured"], "linewidth": 1.2},
@@ -106,7 +106,9 @@ def _draw(axes: Sequence[Axes], time: FloatArray, panels: Panels) -> None:
             axis.plot(time, values, **_STYLE[style])
         axis.set_ylabel(words)
         if "fitted" in curves:
-            axis.legend(list(curves), loc="center right")
+            axis.legend(
+                list(curves), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0
+            )
 
 
 def _spread(axes: Axes, fits: Sequence[Fitted], parameters: Mapping[str, Mapping[str, Any]]) -> None:
