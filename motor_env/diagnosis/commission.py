@@ -18,7 +18,7 @@ from motor_env.diagnosis.healthy_motor import Reference, reference_of
 from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, without
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.shown.report import UNITS, model_words, of_the_drag
+from motor_env.diagnosis.shown.report import UNITS, of_the_drag
 from motor_env.diagnosis.views import Fitted, smallest_of, views_of
 from motor_env.errors import InputError
 from motor_env.fitting.record import at_terminals
@@ -88,10 +88,8 @@ class Commissioned:
     def text(self) -> str:
         """What was learned, with the interval of the next healthy piece."""
         healthy, rate = self.healthy, self.false_alarm_rate
-        piece, kind = (
-            "start",
-            "" if healthy.starts is None else f", model {model_words(healthy.starts.model)}",
-        )
+        extensions = () if healthy.starts is None else healthy.starts.model
+        piece, kind = "start", f", model {' + '.join(['textbook', *extensions])}"
         if healthy.windows is not None:
             piece, kind = "window", f" of {healthy.windows.window_s:g} s"
         explained = [fit.r2_current for fit in self.fits if isinstance(fit, Identified)]

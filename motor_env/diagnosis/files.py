@@ -41,9 +41,13 @@ class Outcome:
 
     def as_json(self) -> dict[str, Any]:
         """One object; a file that could not be read has the verdict unusable, and the error."""
-        if self.diagnosis is not None:
-            return self.diagnosis.to_json()
-        return {"file": str(self.path), "verdict": "unusable", "error": self.error, "pieces": []}
+        unread: dict[str, Any] = {
+            "file": str(self.path),
+            "verdict": "unusable",
+            "error": self.error,
+            "pieces": [],
+        }
+        return unread if self.diagnosis is None else self.diagnosis.to_json()
 
     def as_text(self, *, verbose: bool = False) -> str:
         """What a maintenance engineer reads; empty for a file that could not be read."""

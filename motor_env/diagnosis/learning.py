@@ -110,12 +110,10 @@ def learn_starts(fits: Sequence[Identified]) -> Healthy:
     Args:
         fits: healthy starts, fitted with the same model, one or more.
     """
-    n = len(fits)
     centre, covariance, freedom = next_piece(fits, START_SPREAD)
     noise = np.log([max(fit.noise_a, 1e-12) for fit in fits])
-    ripples = [ripple_quantities(fit) for fit in fits]
-    ripple = np.log([pair for pair in ripples if pair is not None])
-    has_ripple = len(ripple) == n
+    ripple = np.log([pair for pair in map(ripple_quantities, fits) if pair is not None])
+    has_ripple = len(ripple) == len(fits)
     starts = Starts(
         log_noise=float(noise.mean()),
         log_noise_sd=next_sd(noise, _NOISE_SPREAD),
@@ -129,7 +127,7 @@ def learn_starts(fits: Sequence[Identified]) -> Healthy:
         ripple_constant_v_s=float(np.exp(ripple[:, 1].mean())) if has_ripple else None,
         ripple_log_sd=max(next_sd(row, START_SPREAD) for row in ripple.T) if has_ripple else None,
     )
-    return Healthy(n, freedom, fits[0].quantity_names, np.exp(centre), covariance, starts=starts)
+    return Healthy(len(fits), freedom, fits[0].quantity_names, np.exp(centre), covariance, starts=starts)
 
 
 def disagreement(fits: Sequence[Identified]) -> str | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -183,11 +183,6 @@ def quantity_lines(
     ]
 
 
-def model_words(model: Sequence[str]) -> str:
-    """The textbook and its extensions."""
-    return " + ".join(["textbook", *model])
-
-
 def quality(r2_current: float | None, r2_speed: float | None) -> str:
     """How much of what was recorded a fit explains."""
     found = {"current": r2_current, "speed": r2_speed}
@@ -272,7 +267,9 @@ def expert_lines(judgement: Judgement) -> list[str]:
     lines = []
     if fit is not None:
         lines += quantity_lines(extensions_json(fit))
-        lines.append(f"  fit: {quality(fit.r2_current, fit.r2_speed)}; model {model_words(fit.model)}")
+        lines.append(
+            f"  fit: {quality(fit.r2_current, fit.r2_speed)}; model {' + '.join(['textbook', *fit.model])}"
+        )
     if check is not None:
         lines.append(
             f"  filter: sensor noise {check.sensor_noise_a:.3g} A, model error {check.model_error_a:.3g} A,"
