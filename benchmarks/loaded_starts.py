@@ -19,10 +19,10 @@ from operation_simulator import Motor, draw_motor, simulate
 from tables import KEPT, keep_table
 from verdict_tables import Counts, How, Said, counted, words_of
 
-from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, limits_of
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.motor_files import to_motor
 from motor_env.diagnosis.verdict import Diagnosis
 from motor_env.diagnosis.views import views_of
 from motor_env.motor.identifiable import PARAMETERS

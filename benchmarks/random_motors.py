@@ -11,9 +11,9 @@ from cyclopts import run
 from tables import table
 from verdict_tables import HERE, Counts, How, Said, counted, words_of
 
-from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.motor_files import to_motor
 from motor_env.diagnosis.verdict import Diagnosis, Verdict
 from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, SupplyParameters
 from motor_env.recordings.recording import Recording

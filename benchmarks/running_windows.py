@@ -18,8 +18,8 @@ from operation_simulator import PROFILES, Motor, draw_motor, simulate
 from tables import keep_table
 from verdict_tables import HERE, Counts, How, Said, counted
 
-from motor_env.diagnosis.commission import motor_of_windows
 from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.recordings.defects import UnusableError
 

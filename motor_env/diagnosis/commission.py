@@ -1,4 +1,4 @@
-"""From healthy recordings to a motor file: `motor-env commission`."""
+"""From healthy recordings to what they teach of a motor: `motor-env commission`."""
 
 from __future__ import annotations
 
@@ -15,29 +15,18 @@ from scipy.special import stdtrit
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide, limits_of
 from motor_env.diagnosis.diagnose import unusable_reason
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
-from motor_env.diagnosis.learning import (
-    disagreement,
-    fit_healthy,
-    learn_starts,
-    odd_one_out,
-    without,
-)
+from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, without
+from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.shown.report import (
-    UNITS,
-    model_words,
-    of_the_drag,
-)
+from motor_env.diagnosis.shown.report import UNITS, of_the_drag
 from motor_env.diagnosis.views import Fitted, smallest_of, views_of
 from motor_env.errors import InputError
 from motor_env.fitting.record import at_terminals
-from motor_env.fitting.report import motor_of
-from motor_env.fitting.starts import AMBIGUOUS, Identified
-from motor_env.motor.assumptions import assumptions, lines as lines_of
+from motor_env.fitting.starts import Identified
+from motor_env.motor.assumptions import lines as lines_of
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import steady_state
-from motor_env.motor.parameters import MotorParameters
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, recording_of
@@ -46,10 +35,11 @@ from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit
 
 FEWEST_STARTS = 3
-_DIFFERENT = 2.0  # standard errors
 _NO_LOAD = 1.2  # of the current with the load: the same motor, within its friction's changes
-_WARMTH = "R +0.39 %, K -0.1 % and friction -0.3 % a kelvin come on top of that"
-_SPREAD = "  few {0}s give wide intervals, more {0}s narrow them"
+_WARMTH = (
+    "  a motor that is warmer or colder by {:.0f} K (1 sd) is healthy too: R +0.39 %, K -0.1 % and friction -0.3 % a"
+    " kelvin come on top of that"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,14 +68,15 @@ class Commissioned:
         healthy = self.healthy
         half = -float(stdtrit(healthy.degrees_of_freedom, self.false_alarm_rate / 2.0))
         widths = half * np.sqrt(np.diag(healthy.log_covariance))
-        rows = zip(healthy.quantities, healthy.values.tolist(), widths.tolist(), strict=True)
         return {
             name: {
                 "value": value,
                 "interval": [value * math.exp(-width), value * math.exp(width)],
                 "unit": UNITS[name],
             }
-            for name, value, width in rows
+            for name, value, width in zip(
+                healthy.quantities, healthy.values.tolist(), widths.tolist(), strict=True
+            )
         }
 
     @property
@@ -96,7 +87,34 @@ class Commissioned:
 
     def text(self) -> str:
         """What was learned, with the interval of the next healthy piece."""
-        return _text(self)
+        healthy, rate = self.healthy, self.false_alarm_rate
+        extensions = () if healthy.starts is None else healthy.starts.model
+        piece, kind = "start", f", model {' + '.join(['textbook', *extensions])}"
+        if healthy.windows is not None:
+            piece, kind = "window", f" of {healthy.windows.window_s:g} s"
+        explained = [fit.r2_current for fit in self.fits if isinstance(fit, Identified)]
+        quality = [f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}"] if explained else []
+        smallest = ", ".join(f"{fault} {severity:.1%}" for fault, severity in self.smallest.items())
+        interval = f"({1.0 - rate:.0%}, Student t, {healthy.degrees_of_freedom:.0f} degrees)"
+        lines = [
+            f"{healthy.pieces} healthy {piece}s{kind}; prediction interval of the next healthy {piece} {interval}",
+            *(
+                f"  {name:<12} {row['value']:11.4g} {row['unit']:<12}"
+                f" {row['interval'][0] / row['value'] - 1.0:+.1%} to {row['interval'][1] / row['value'] - 1.0:+.1%}"
+                for name, row in self.parameters.items()
+            ),
+            *(f"  taken for {one}" for one in self.taken),
+            *quality,
+            f"  smallest change that is found in 95 of 100 cases: {smallest} ({of_the_drag(healthy.own_friction)})",
+            *(
+                f"  {name} is left undecided by {count} of these {len(self.fits)} {piece}s: a doubling would not show"
+                for name, count in self.undecided.items()
+            ),
+            *([_WARMTH.format(healthy.temperature_k)] if healthy.temperature_k else []),
+            f"  few {piece}s give wide intervals, more {piece}s narrow them",
+            *lines_of(self.motor.assumed),
+        ]
+        return "\n".join(lines)
 
     def plot(self, path: Path) -> None:
         """A picture of the spread of each quantity; of starts also their fits and residuals.
@@ -106,7 +124,7 @@ class Commissioned:
         """
         from motor_env.diagnosis.shown.pictures import plot_commissioned
 
-        plot_commissioned(self.fits, self.healthy, self.smallest, self.false_alarm_rate, path)
+        plot_commissioned(self.fits, self.parameters, self.smallest, self.false_alarm_rate, path)
 
 
 def commission(
@@ -165,15 +183,22 @@ def commission(
             f"some are starts, and some logs of a motor at work: give {word}s of one kind, or --regime"
         )
     if regimes == {"operation"}:
-        given = {"start": start, "sensor-lag": (circuit.sensor_lag_s if circuit else 0.0) or None}
-        given |= {"torque-constant": constant, "no-load-current": no_load_current_a}
+        given = {
+            "start": start,
+            "sensor-lag": None if circuit is None else circuit.sensor_lag_s or None,
+            "torque-constant": constant,
+            "no-load-current": no_load_current_a,
+        }
         for option, value in given.items():
             if value is not None:
                 raise InputError(f"--{option} belongs to starts, and these are logs of a motor at work")
-        fits: Sequence[Fitted]
-        healthy, fits = _learn_logs(read, voltage_v, circuit, window_s, steady=steady)
-        healthy = replace(healthy, temperature_c=temperature_c)
-        motor = motor_of_windows(healthy, name)
+        try:
+            whole = [at_terminals(recording, voltage_v, circuit) for recording in read]
+            healthy, windows = learn_windows(whole, window_s, steady=steady)
+        except UnusableError as error:
+            raise InputError(f"the logs cannot be used: {error}") from None
+        motor = motor_of_windows(replace(healthy, temperature_c=temperature_c), name)
+        fits: tuple[Fitted, ...] = tuple(windows)
     else:
         if steady or window_s is not None:
             raise InputError("--steady and --window belong to logs of a motor at work, and these are starts")
@@ -184,31 +209,9 @@ def commission(
         if no_load_current_a is not None:
             healthy = replace(healthy, own_friction=_own_friction(starts, no_load_current_a))
         motor = to_motor(starts, name, kind="commissioned", healthy=healthy, constant=constant)
-        fits = starts
+        fits = tuple(starts)
     promise = _promise(motor, fits, temperature_c, false_alarm_rate)
-    return Commissioned(motor, tuple(fits), *promise, false_alarm_rate, taken)
-
-
-def _learn_logs(
-    recordings: Sequence[Recording],
-    voltage_v: float | None,
-    circuit: Circuit | None,
-    window_s: float | None,
-    *,
-    steady: bool,
-) -> tuple[Healthy, Sequence[Fitted]]:
-    try:
-        whole = [at_terminals(recording, voltage_v, circuit) for recording in recordings]
-        return learn_windows(whole, window_s, steady=steady)
-    except UnusableError as error:
-        raise InputError(f"the logs cannot be used: {error}") from None
-
-
-def motor_of_windows(healthy: Healthy, name: str) -> Motor:
-    """The motor that windows have taught."""
-    if healthy.windows is None:
-        raise ValueError("healthy holds no windows")
-    return replace(motor_of(healthy.windows.physical, name, "commissioned"), healthy=healthy)
+    return Commissioned(motor, fits, *promise, false_alarm_rate, taken)
 
 
 def _promise(
@@ -218,12 +221,12 @@ def _promise(
     reference = _reference(motor, fits[0], temperature_c)
     views = views_of(fits[0], reference, rate)
     limits = limits_of(views, rate, tests_noise=reference.log_noise is not None)
-    undecided: Counter[str] = Counter()
     assert motor.healthy is not None  # noqa: S101  # it was just learned
-    for n in range(len(fits) if len(fits) > 1 else 0):
-        others = replace(motor, healthy=without(motor.healthy, fits, n))
-        judged = decide(fits[n], _reference(others, fits[n], temperature_c), rate)
-        undecided.update(change.name for change in judged.changes if change.verdict == "undecided")
+    count = len(fits) if len(fits) > 1 else 0
+    others = [replace(motor, healthy=without(motor.healthy, fits, n)) for n in range(count)]
+    judged = [decide(fits[n], _reference(others[n], fits[n], temperature_c), rate) for n in range(count)]
+    changes = [change for one in judged for change in one.changes]
+    undecided = Counter(change.name for change in changes if change.verdict == "undecided")
     return smallest_of(views, reference.own_friction, limits.z), dict(undecided)
 
 
@@ -281,101 +284,3 @@ def _own_friction(fits: Sequence[Identified], no_load_current_a: float) -> float
             f" got {no_load_current_a:g}"
         )
     return min(no_load_current_a / running, 1.0)
-
-
-def to_motor(
-    fits: Sequence[Identified],
-    name: str,
-    *,
-    kind: Any = "identified",
-    healthy: Healthy | None = None,
-    constant: float | None = None,
-) -> Motor:
-    """Motor file of fits of one motor: the geometric mean of their parameters.
-
-    Where the speed was not recorded, `constant` is the torque constant that the user knows.
-    """
-    mean = {
-        field: float(np.exp(np.mean([math.log(max(getattr(fit.parameters, field), 1e-300)) for fit in fits])))
-        for field in MotorParameters.__dataclass_fields__
-    }
-    known = fits[0].start.voltage_known
-    assumed = assumptions(fits[0].quantity_names, has_voltage=known)
-    if constant is not None:
-        assumed = {key: source for key, source in assumed.items() if key == "nominal_voltage_v"}
-    return Motor(
-        name=name,
-        kind=kind,
-        parameters=MotorParameters(**mean),
-        nominal_voltage_v=float(np.mean([fit.start.level_v for fit in fits])),
-        current_noise_a=float(np.exp(np.mean([math.log(max(fit.noise_a, 1e-12)) for fit in fits]))),
-        coulomb_friction_n_m=_if_told(fits, "coulomb"),
-        brush_drop_v=_if_told(fits, "brush_drop"),
-        healthy=healthy,
-        notes=() if known and fits[0].start.speed_rad_s is not None else tuple(not_told(fits[0])),
-        assumed=assumed,
-    )
-
-
-def _if_told(fits: Sequence[Identified], name: str) -> float:
-    """Mean of an extension over fits, or 0 where it is not different from 0 by two standard errors."""
-    each = [fit.fitted_extension.get(name, (0.0, 0.0)) for fit in fits]
-    mean, error = np.mean(each, axis=0)[0], float(np.linalg.norm([e for _, e in each])) / len(each)
-    return float(mean) if mean > _DIFFERENT * error else 0.0
-
-
-def not_told(fit: Identified) -> list[str]:
-    """What this recording cannot tell, in sentences."""
-    sentences = []
-    if not fit.start.voltage_known:
-        sentences.append("the voltage is unknown: everything is per volt, the supply counts as 1 V")
-    if fit.start.speed_rad_s is None:
-        sentences.append(
-            "the current alone tells K^2/J and B/J, not K, J and B (K down looks like J and B up): K is assumed"
-        )
-    if fit.start.voltage_v is None:
-        sentences.append("a step cannot tell a brush drop from a lower supply")
-    if fit.start.voltage_v is None and AMBIGUOUS & set(fit.model):
-        sentences.append("a supply that rises slowly, a lag of the sensor and L look alike: L is hardly told")
-    sigma = np.sqrt(np.diag(fit.log_covariance))
-    sentences += [
-        f"{name} is not told by this recording (its standard error is {100 * s:.0f} %)"
-        for name, s in zip(fit.quantity_names, sigma, strict=True)
-        if s > 0.5
-    ]
-    return sentences
-
-
-def _text(result: Commissioned) -> str:
-    """See `Commissioned.text`."""
-    healthy, rate = result.healthy, result.false_alarm_rate
-    smallest = ", ".join(f"{kind} {severity:.1%}" for kind, severity in result.smallest.items())
-    interval = f"({1.0 - rate:.0%}, Student t, {healthy.degrees_of_freedom:.0f} degrees)"
-    if healthy.starts is not None:
-        head, piece = f"{healthy.pieces} healthy starts, model {model_words(healthy.starts.model)}", "start"
-    else:
-        length = 0.0 if healthy.windows is None else healthy.windows.window_s
-        head, piece = f"{healthy.pieces} healthy windows of {length:g} s", "window"
-    starts = [fit for fit in result.fits if isinstance(fit, Identified)]
-    explained = [fit.r2_current for fit in starts]
-    quality = [f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}"] if explained else []
-    warm = f"  a motor that is warmer or colder by {healthy.temperature_k:.0f} K (1 sd) is healthy too: {_WARMTH}"
-    lines = [
-        f"{head}; prediction interval of the next healthy {piece} {interval}",
-        *(
-            f"  {name:<12} {row['value']:11.4g} {row['unit']:<12}"
-            f" {row['interval'][0] / row['value'] - 1.0:+.1%} to {row['interval'][1] / row['value'] - 1.0:+.1%}"
-            for name, row in result.parameters.items()
-        ),
-        *(f"  taken for {one}" for one in result.taken),
-        *quality,
-        f"  smallest change that is found in 95 of 100 cases: {smallest} ({of_the_drag(healthy.own_friction)})",
-        *(
-            f"  {name} is left undecided by {count} of these {len(result.fits)} {piece}s: a doubling would not show"
-            for name, count in result.undecided.items()
-        ),
-        *([warm] if healthy.temperature_k else []),
-        _SPREAD.format(piece),
-        *lines_of(result.motor.assumed),
-    ]
-    return "\n".join(lines)

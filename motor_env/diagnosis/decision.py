@@ -88,16 +88,8 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
     view = quiet or views[0]
     same_warmth = covariance_at_one_temperature(fit, reference)
     # As fitted: those of a view are straightened, for tests that the temperature shall not raise.
-    log_ratios = fit.log_values[shared(fit, reference)] - reference.log_values
-    log_ratios -= reference.warmer_k * views[0].drag.warmth
-    changes = compare(
-        reference.names,
-        log_ratios,
-        same_warmth,
-        reference.degrees_of_freedom,
-        limits.z,
-        is_alarm=quiet is None,
-    )
+    rows, drag = shared(fit, reference), views[0].drag
+    log_ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * drag.warmth
     healthy = Judgement(
         Verdict.HEALTHY,
         (
@@ -108,15 +100,22 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
         confidence=probabilities(view.difference, view.faults)["healthy"],
         fit=fit,
         reference=reference,
-        changes=changes,
+        changes=compare(
+            reference.names,
+            log_ratios,
+            same_warmth,
+            reference.degrees_of_freedom,
+            limits.z,
+            is_alarm=quiet is None,
+        ),
         smallest_changes=smallest_of(believed, reference.own_friction, limits.z),
     )
     if quiet is None:
-        return _with_alarm(healthy, views, log_ratios, limits.z, rate)
+        return _with_alarm(healthy, reference, views, log_ratios, limits.z, rate=rate)
     # Healthy pieces may scatter by their load; that is no defect of this one.
     spread = view.difference.covariance
     if reference.includes_fit_error:
-        spread = fit.log_covariance[np.ix_(shared(fit, reference), shared(fit, reference))]
+        spread = fit.log_covariance[np.ix_(rows, rows)]
     smallest = smallest_changes(replace(view.difference, covariance=spread), limits.z)
     unseen = tuple(_unseen(smallest, reference.source))
     if len(unseen) == len(_SEEN):
@@ -126,7 +125,13 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
 
 
 def _with_alarm(
-    healthy: Judgement, views: list[View], log_ratios: FloatArray, limit: float, rate: float
+    healthy: Judgement,
+    reference: Reference,
+    views: list[View],
+    log_ratios: FloatArray,
+    limit: float,
+    *,
+    rate: float,
 ) -> Judgement:
     """The fault that explains an alarm, or that none does; a load is thought of where nothing does without one.
 
@@ -144,13 +149,22 @@ def _with_alarm(
         best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
         if best is not None and probability[best.kind] >= probability["other"]:
             (as_fitted,) = explain(replace(difference, log_ratios=log_ratios), (best.kind,))
-            return _with_fault(healthy, as_fitted, difference.degrees_of_freedom, probability, view.drag.load)
+            return _with_fault(healthy, reference, as_fitted, probability, view.drag.load)
     named = {fault.kind for fault in first.faults}
     unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
-    alike = map(_alike_reason, filter(suffices, explain(first.difference, unnamed)))
-    reasons = (*_other_reasons(healthy.changes, _source(healthy)), *alike)
-    confidence = probabilities(first.difference, first.faults)["other"]
-    return replace(healthy, verdict=Verdict.OTHER, reasons=reasons, severity=None, confidence=confidence)
+    # These cannot be named: a coupled load would look the same.
+    alike = (
+        f"it may be {fault.kind} by {fault.severity:.0%} ({fault.kind.finding}), or a coupled load: a recording of the"
+        " speed tells which"
+        for fault in filter(suffices, explain(first.difference, unnamed))
+    )
+    return replace(
+        healthy,
+        verdict=Verdict.OTHER,
+        reasons=(*_other_reasons(healthy.changes, reference.source), *alike),
+        severity=None,
+        confidence=probabilities(first.difference, first.faults)["other"],
+    )
 
 
 def _warmth_reason(view: View, same_warmth: FloatArray, reference: Reference) -> tuple[str, ...]:
@@ -169,31 +183,27 @@ def _warmth_reason(view: View, same_warmth: FloatArray, reference: Reference) ->
     )
 
 
-def _source(judgement: Judgement) -> str:
-    return "nothing" if judgement.reference is None else judgement.reference.source
-
-
 def _with_fault(
     healthy: Judgement,
+    reference: Reference,
     fault: Explanation,
-    freedom: float,
     probability: dict[str, float],
     load: str | None,
 ) -> Judgement:
     """The diagnosis of a known fault; the interval of its severity is that of Student's t."""
-    verdict, half = Verdict(fault.kind.verdict), -float(stdtrit(freedom, 0.025)) * fault.step_sd
-    own = unit_of(fault.kind, None if healthy.reference is None else healthy.reference.own_friction)
+    verdict, own = Verdict(fault.kind.verdict), unit_of(fault.kind, reference.own_friction)
+    half = -float(stdtrit(reference.degrees_of_freedom, 0.025)) * fault.step_sd
+    low, high = (severity_of(fault.kind, fault.step + off) / own for off in (-half, half))
     return replace(
         healthy,
         verdict=verdict,
         reasons=(
             fault.kind.finding,
-            f"compared with {_source(healthy)}",
+            f"compared with {reference.source}",
             *(() if load is None else (f"the changes fit it if the drag is mostly {LOADS[load]}",)),
         ),
         severity=fault.severity / own,
-        severity_low=severity_of(fault.kind, fault.step - half) / own,
-        severity_high=severity_of(fault.kind, fault.step + half) / own,
+        severity_interval=(low, high),
         confidence=sum(probability.get(kind, 0.0) for kind in motor_kinds() if kind.verdict == verdict),
         fault_kind=fault.kind,
         kind_probability=probability[fault.kind],
@@ -215,10 +225,14 @@ def _with_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: fl
     if z <= limit:
         return healthy
     ratio = math.exp(z * reference.log_noise_sd)
-    reason = f"the parameters are as expected, but the current's noise is {ratio:.2f} times the reference's"
-    confidence = float(stdtr(reference.degrees_of_freedom, z))
     return replace(
-        healthy, verdict=Verdict.NOISE, reasons=(reason,), severity=ratio**2 - 1.0, confidence=confidence
+        healthy,
+        verdict=Verdict.NOISE,
+        reasons=(
+            f"the parameters are as expected, but the current's noise is {ratio:.2f} times the reference's",
+        ),
+        severity=ratio**2 - 1.0,
+        confidence=float(stdtr(reference.degrees_of_freedom, z)),
     )
 
 
@@ -236,14 +250,6 @@ def _unseen(smallest: dict[str, float], source: str) -> Iterator[str]:
                 f"the {quantity} is undecided: the recording is too coarse, too noisy or too short to tell it, only a"
                 f" rise of {severity:.0%} would show"
             )
-
-
-def _alike_reason(fault: Explanation) -> str:
-    """A fault that explains the difference, and cannot be named because a coupled load would look the same."""
-    return (
-        f"it may be {fault.kind} by {fault.severity:.0%} ({fault.kind.finding}), or a coupled load: a recording of the"
-        " speed tells which"
-    )
 
 
 def _other_reasons(changes: tuple[Change, ...], source: str) -> tuple[str, ...]:

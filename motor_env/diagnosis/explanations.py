@@ -8,7 +8,6 @@ quantiles are Student's and Fisher's.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -16,11 +15,11 @@ from typing import Literal
 import numpy as np
 from scipy import linalg, optimize, special
 
-from motor_env.diagnosis.spread import NORMAL_DOF
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 
+NORMAL_DOF = 1e6  # of a covariance that is known
 _SEVERITY_PRIOR = 0.30  # scale of the half-Cauchy prior: a large severity is no surprise
 _HEALTHY_PRIOR = 0.8
 _OTHER_PRIOR = 0.30  # standard deviation of each logarithm where something else is wrong
@@ -237,24 +236,19 @@ def compare(
     return tuple(changes)
 
 
-def _student(covariance: FloatArray, freedom: int) -> Callable[[FloatArray], FloatArray]:
+def _log_density(points: FloatArray, covariance: FloatArray, freedom: int) -> FloatArray:
     """Log density of Student's t with a covariance, shape (n, n), at rows of n, on the axes that it has."""
     n = len(covariance)
     sizes, axes = linalg.eigh(covariance)
     seen = sizes > _ROUNDING * np.max(np.abs(sizes))
-    whiten = axes[:, seen] / np.sqrt(sizes[seen])
     constant = (
         special.gammaln(0.5 * (freedom + n))
         - special.gammaln(0.5 * freedom)
         - 0.5 * n * math.log(freedom * math.pi)
         - 0.5 * float(np.sum(np.log(sizes[seen])))
     )
-
-    def log_density(points: FloatArray) -> FloatArray:
-        squared = np.square(points @ whiten).sum(axis=-1)
-        return np.asarray(constant - 0.5 * (freedom + n) * np.log(1.0 + squared / freedom))
-
-    return log_density
+    squared = np.square(points @ (axes[:, seen] / np.sqrt(sizes[seen]))).sum(axis=-1)
+    return np.asarray(constant - 0.5 * (freedom + n) * np.log(1.0 + squared / freedom))
 
 
 def probabilities(difference: Difference, faults: list[Explanation]) -> dict[str, float]:
@@ -262,17 +256,15 @@ def probabilities(difference: Difference, faults: list[Explanation]) -> dict[str
     log_ratios, covariance, n = difference.log_ratios, difference.covariance, len(difference.log_ratios)
     # Degrees of freedom are rounded down: towards wider tails.
     freedom = max(int(min(difference.degrees_of_freedom, NORMAL_DOF)), 1)
-    healthy = _student(covariance, freedom)
-    logs: dict[str, float] = {"healthy": float(healthy(log_ratios))}
+    logs: dict[str, float] = {"healthy": float(_log_density(log_ratios, covariance, freedom))}
     for fault in faults:
         steps = max(fault.step, 0.0) + fault.step_sd * _STEP_NODES
         steps = steps[steps >= 0.0]
         prior = math.log(2.0 / (math.pi * _SEVERITY_PRIOR)) - np.log1p((steps / _SEVERITY_PRIOR) ** 2)
-        along = healthy(log_ratios - steps[:, None] * fault.direction)
+        along = _log_density(log_ratios - steps[:, None] * fault.direction, covariance, freedom)
         width = math.log(fault.step_sd * (_STEP_NODES[1] - _STEP_NODES[0]))
         logs[fault.kind] = width + float(np.logaddexp.reduce(along + prior))
-    anything = _student(covariance + _OTHER_PRIOR**2 * np.eye(n), freedom)
-    logs["other"] = float(anything(log_ratios))
+    logs["other"] = float(_log_density(log_ratios, covariance + _OTHER_PRIOR**2 * np.eye(n), freedom))
     faulty = math.log((1.0 - _HEALTHY_PRIOR) / (len(logs) - 1))
     logs = {
         name: log + (math.log(_HEALTHY_PRIOR) if name == "healthy" else faulty) for name, log in logs.items()

@@ -28,7 +28,7 @@ class Outcome:
     """What became of one file: a diagnosis, or the sentence why it could not be read."""
 
     path: Path
-    diagnosis: Diagnosis | None
+    diagnosis: Diagnosis | None = None
     error: str | None = None
     is_bug: bool = False
 
@@ -41,15 +41,17 @@ class Outcome:
 
     def as_json(self) -> dict[str, Any]:
         """One object; a file that could not be read has the verdict unusable, and the error."""
-        if self.diagnosis is not None:
-            return self.diagnosis.to_json()
-        return {"file": str(self.path), "verdict": "unusable", "error": self.error, "pieces": []}
+        unread: dict[str, Any] = {
+            "file": str(self.path),
+            "verdict": "unusable",
+            "error": self.error,
+            "pieces": [],
+        }
+        return unread if self.diagnosis is None else self.diagnosis.to_json()
 
     def as_text(self, *, verbose: bool = False) -> str:
         """What a maintenance engineer reads; empty for a file that could not be read."""
-        if self.diagnosis is None:
-            return ""
-        return self.diagnosis.text(verbose=verbose)
+        return "" if self.diagnosis is None else self.diagnosis.text(verbose=verbose)
 
 
 def diagnose_files(
@@ -80,40 +82,30 @@ def diagnose_files(
     Raises:
         InputError: the motor, a healthy recording or the folder cannot be used.
     """
-    if not files:
-        raise InputError("give at least one recording")
     if not 0.0 < false_alarm_rate < 0.5:
         raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
-    for name, value in (
-        ("voltage", options.get("voltage_v")),
-        ("ripple-periods-per-turn", periods_per_turn),
-    ):
-        if value is not None and not 0.0 < value < float("inf"):
-            raise InputError(f"{name} must be > 0, got {value:g}")
+    if periods_per_turn is not None and not 0.0 < periods_per_turn < float("inf"):
+        raise InputError(f"ripple-periods-per-turn must be > 0, got {periods_per_turn:g}")
     known = None if motor is None else load_motor(motor)
     if healthy:
         if known is not None and options.get("voltage_v") is None:
             options["voltage_v"] = known.nominal_voltage_v
         known = _learned(healthy, known, columns, options)
+    options |= {"false_alarm_rate": false_alarm_rate, "periods_per_turn": periods_per_turn}
     outcomes: list[Outcome] = []
     for number, path in enumerate(files, 1):
         progress(path)
+        outcome, html = Outcome(path), ""
         try:
-            recording = read_recording(path, columns)
-            diagnosis = diagnose(
-                recording,
-                known,
-                false_alarm_rate=false_alarm_rate,
-                periods_per_turn=periods_per_turn,
-                **options,
-            )
+            judged = diagnose(read_recording(path, columns), known, **options)
+            outcome = Outcome(path, judged)
+            html = "" if out is None else judged.page()
         except Exception as error:  # noqa: BLE001  # whatever it is, it is said, and the others keep their verdicts
-            sentence, is_bug = why_not(path, error)
-            outcomes.append(Outcome(path, None, sentence, is_bug=is_bug))
-            continue
-        outcomes.append(Outcome(path, diagnosis))
-        if out is not None:
-            outcomes[-1] = _with_page(outcomes[-1], picture_of(path, out, number).with_suffix(".html"))
+            sentence, is_bug = why_not(path, error, "judged" if outcome.diagnosis is None else "drawn")
+            outcome = replace(outcome, error=sentence, is_bug=is_bug)
+        if out is not None and html:
+            write_text(picture_of(path, out, number).with_suffix(".html"), html)
+        outcomes.append(outcome)
     return outcomes
 
 
@@ -126,23 +118,6 @@ def _learned(
     return commission(
         healthy, "this motor", columns, word="recording", fewest=1, constant=constant, **shared
     ).motor
-
-
-def _with_page(outcome: Outcome, path: Path) -> Outcome:
-    """Write its page; a verdict without one is better than none.
-
-    Raises:
-        InputError: the page cannot be written.
-    """
-    try:
-        if outcome.diagnosis is not None:
-            write_text(path, outcome.diagnosis.page())
-    except InputError:
-        raise
-    except Exception as error:  # noqa: BLE001  # values that cannot be drawn
-        sentence, is_bug = why_not(outcome.path, error, "drawn")
-        return replace(outcome, error=sentence, is_bug=is_bug)
-    return outcome
 
 
 def picture_of(recording: Path, folder: Path, number: int) -> Path:

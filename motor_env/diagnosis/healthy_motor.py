@@ -1,4 +1,7 @@
-"""Distribution of a healthy motor's quantities: from its data sheet, or from healthy pieces of its recordings."""
+"""Distribution of a healthy motor's quantities: from its data sheet, or from healthy pieces of its recordings.
+
+Its spread for a piece whose fit tells less, and for a warmer motor, stand here, too.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
 
-from motor_env.diagnosis.spread import NORMAL_DOF
+from motor_env.diagnosis.explanations import NORMAL_DOF
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy
@@ -92,14 +96,13 @@ def reference_of(
         return None
     # V is held at what the recording says; its tolerance scales the current, so it acts on all but ratios like B/J.
     scale = exponents.sum(axis=1)
-    covariance = quantities.tolerance_covariance(motor.tolerance)
     logs = quantities.logarithms(motor.parameters, motor.nominal_voltage_v or 1.0)
     logs[_FRICTION] += math.log(friction)
     return Reference(
         source=f"{'data sheet' if motor.kind == 'data_sheet' else f'{motor.kind} motor'} {motor.name}",
         names=names,
         log_values=exponents @ logs,
-        log_covariance=exponents @ covariance @ exponents.T
+        log_covariance=exponents @ quantities.tolerance_covariance(motor.tolerance) @ exponents.T
         + motor.tolerance.supply**2 * np.outer(scale, scale),
         log_noise=None if motor.current_noise_a is None else math.log(motor.current_noise_a),
         own_friction=1.0,
@@ -147,3 +150,28 @@ def reference_of_pieces(
         own_friction=healthy.own_friction,
         excess=healthy.windows.window_excess if healthy.windows is not None and same_kind else 1.0,
     )
+
+
+def beyond(healthy: FloatArray, error: FloatArray) -> FloatArray:
+    """What the own error of a fit is beyond the spread of the healthy ones, which holds theirs, shape (n, n)."""
+    root = np.linalg.cholesky(healthy)
+    inverse = np.linalg.inv(root)
+    sizes, axes = np.linalg.eigh(inverse @ error @ inverse.T)
+    more = root @ axes * np.sqrt(np.maximum(sizes - 1.0, 0.0))
+    return np.asarray(more @ more.T, dtype=np.float64)
+
+
+def warmer(covariance: FloatArray, warmth: FloatArray, rate: float, freedom: float) -> FloatArray:
+    """A covariance of Student's t with the known normal spread of the temperature added.
+
+    The quantile of a sum of t and normal lies below the root of the sum of their squared quantiles. So the normal part
+    counts in the ratio of the two quantiles, at the share of one test.
+
+    Args:
+        covariance: at one temperature, shape (n, n).
+        warmth: how the quantities move for one standard deviation of the temperature, shape (n,).
+        rate: of one test.
+        freedom: degrees of freedom of the covariance.
+    """
+    ratio = float(ndtri(rate) / stdtrit(freedom, rate))
+    return np.asarray(covariance + np.outer(ratio * warmth, ratio * warmth), dtype=np.float64)

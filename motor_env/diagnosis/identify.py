@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from motor_env.diagnosis.commission import not_told, to_motor
 from motor_env.diagnosis.diagnose import unusable_reason
+from motor_env.diagnosis.motor_files import motor_of_log, not_told, to_motor
 from motor_env.diagnosis.shown.report import (
     TWO_SIDED,
     extensions_json,
-    model_words,
     number,
     quality,
     quantities_json,
@@ -22,7 +21,6 @@ from motor_env.diagnosis.shown.report import (
     warnings_of,
 )
 from motor_env.errors import InputError
-from motor_env.fitting import report as logs
 from motor_env.fitting.identify import Operation, identify_operation
 from motor_env.fitting.record import at_terminals
 from motor_env.fitting.starts import EXTENSIONS, Identified, identify_best
@@ -34,6 +32,13 @@ from motor_env.recordings.regime import Taken, taken_for
 from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit, prepare
 
+_HELD = {
+    "held": "held until the next one",
+    "straight": "on a straight line to the next one",
+    "late": "held since the one before",
+}
+_WARM_K = 0.5
+
 
 @dataclass(frozen=True, slots=True)
 class Identification:
@@ -42,7 +47,7 @@ class Identification:
     Attributes:
         starts: each start with its fit.
         logs: recordings of the motor at work.
-        taken: what the recordings were taken for, and why; by their paths.
+        taken: what the recordings, and the starts cut from them, were taken for, and why; by their paths.
         joint: the fit of the logs; None where there are none, or no motor explains them.
         trouble: why no motor explains the logs.
         periods_per_turn: of the commutation ripple, where known.
@@ -81,7 +86,7 @@ class Identification:
             InputError: no motor explains the recordings, or they do not tell the parameters one by one.
         """
         if self.joint is not None:
-            return logs.to_motor(self.joint, name)
+            return motor_of_log(self.joint, name)
         if not self.usable:
             raise InputError(f"no motor file: {self.trouble or 'no motor explains the starts'}")
         return to_motor(self.usable, name, constant=self.constant)
@@ -89,19 +94,11 @@ class Identification:
     def to_json(self) -> list[dict[str, Any]]:
         """One object a start, and one for all logs."""
         found = [self._start_json(recording, fit) for recording, fit in self.starts]
-        if self.logs:
-            found.append(self._logs_json())
-        return found
+        return [*found, self._logs_json()] if self.logs else found
 
     def text(self) -> str:
         """Tables, and what is not told."""
-        found = [self._start_text(recording, fit) for recording, fit in self.starts]
-        paths = [recording.path for recording in self.logs]
-        if self.joint is not None:
-            found.append(logs.as_text(self.joint, paths, self._why))
-        elif self.logs:
-            found.append(f"{', '.join(map(str, paths))}: unusable: {self.trouble}")
-        return "\n".join(found)
+        return "\n".join(map(_text, self.to_json()))
 
     def plot(self, folder: Path) -> None:
         """One picture a start, and one of all logs.
@@ -110,51 +107,18 @@ class Identification:
             InputError: a file cannot be written.
         """
         from motor_env.diagnosis.files import picture_of
-        from motor_env.diagnosis.shown.pictures import plot_identified
+        from motor_env.diagnosis.shown.pictures import plot_fit
 
-        for place, (recording, fit) in enumerate(self.starts, 1):
-            plot_identified(fit, recording.path.name, picture_of(recording.path, folder, place))
+        shown: list[tuple[Recording, Identified | Operation]] = [*self.starts]
         if self.joint is not None:
-            name = self.logs[0].path.name
-            logs.plot_operation(self.joint, name, picture_of(self.logs[0].path, folder, len(self.starts) + 1))
-
-    @property
-    def _why(self) -> str:
-        return "; ".join(dict.fromkeys(self.taken[recording.path].why for recording in self.logs))
-
-    def _start_text(self, recording: Recording, fit: Identified) -> str:
-        reason = unusable_reason(fit)
-        if reason is not None:
-            return f"{recording.path}: unusable: {reason}"
-        names, correlation = fit.quantity_names, fit.correlation
-        pairs = [
-            f"{names[i]} with {names[j]} {correlation[i, j]:+.2f}"
-            for i in range(len(names))
-            for j in range(i)
-        ]
-        lines = [
-            f"{recording.path}: model {model_words(fit.model)}",
-            f"  taken for {self._taken(recording)}",
-            "  read: " + "; ".join(recording.columns),
-            *quantity_lines(quantities_json(fit) | extensions_json(fit)),
-            "  correlations: " + ", ".join(pairs),
-            f"  {quality(fit)}; residual's autocorrelation at one sample {fit.lag_one:.2f}",
-            *ripple_lines(fit, self.periods_per_turn),
-            *(f"  warning: {sentence}" for sentence in warnings_of(recording, fit)),
-            *(f"  noticed: {defect}" for defect in fit.defects),
-            *(f"  note: {sentence}" for sentence in not_told(fit)),
-        ]
-        return "\n".join(lines)
-
-    def _taken(self, recording: Recording) -> Taken:
-        """Of a start: its file's."""
-        path = recording.path
-        return self.taken.get(path) or self.taken[Path(str(path).rpartition("#")[0])]
+            shown.append((self.logs[0], self.joint))
+        for place, (recording, fit) in enumerate(shown, 1):
+            plot_fit(fit, recording.path.name, picture_of(recording.path, folder, place))
 
     def _start_json(self, recording: Recording, fit: Identified) -> dict[str, Any]:
         return {
             "files": [str(recording.path)],
-            "taken_for": self._taken(recording)._asdict(),
+            "taken_for": self.taken[recording.path]._asdict(),
             "unusable": unusable_reason(fit),
             "model": ["textbook", *fit.model],
             "parameters": quantities_json(fit) | extensions_json(fit),
@@ -172,9 +136,10 @@ class Identification:
         }
 
     def _logs_json(self) -> dict[str, Any]:
+        reasons = [self.taken[recording.path].why for recording in self.logs]
         head = {
             "files": [str(recording.path) for recording in self.logs],
-            "taken_for": Taken("operation", self._why)._asdict(),
+            "taken_for": {"regime": "operation", "why": "; ".join(dict.fromkeys(reasons))},
             "unusable": self.trouble or None,
         }
         if self.joint is None:
@@ -190,6 +155,41 @@ class Identification:
             "columns": list(self.logs[0].columns),
             "warnings": [sentence for recording in self.logs for sentence in recording.warnings],
         }
+
+
+def _text(told: Mapping[str, Any]) -> str:
+    """One object of `to_json` for people."""
+    files, rows = ", ".join(told["files"]), told["parameters"]
+    if told["unusable"]:
+        return f"{files}: unusable: {told['unusable']}"
+    beside = {
+        name: "{:.4g} to {:.4g}".format(*row["interval"]) if row.get("determined", True) else "not determined"
+        for name, row in rows.items()
+    }
+    lines = [
+        f"{files}: model {' + '.join(told['model'])}",
+        f"  taken for {Taken(**told['taken_for'])}",
+        "  read: " + "; ".join(told["columns"]),
+        *quantity_lines(rows, beside),
+    ]
+    explained = f"  {quality(told['r2_current'], told['r2_speed'])}"
+    if told["taken_for"]["regime"] == "operation":
+        lines += [f"  the voltage of a sample is {_HELD[told['voltage']]}", explained]
+        if told["warmth_k"] > _WARM_K:
+            lines.append(f"  the winding warms by up to {told['warmth_k']:.0f} K")
+    else:
+        names = list(rows)
+        pairs = [
+            f"{names[i]} with {names[j]} {row[j]:+.2f}"
+            for i, row in enumerate(told["correlations"])
+            for j in range(i)
+        ]
+        lag = f"residual's autocorrelation at one sample {told['residual_autocorrelation']:.2f}"
+        lines += ["  correlations: " + ", ".join(pairs), f"{explained}; {lag}"]
+        lines += ripple_lines(told["commutation"])
+    lines += [f"  warning: {sentence}" for sentence in told["warnings"]]
+    lines += [f"  noticed: {defect}" for defect in told.get("defects", ())]
+    return "\n".join([*lines, *(f"  note: {sentence}" for sentence in told["not_told"])])
 
 
 def _of_logs(joint: Operation) -> dict[str, dict[str, Any]]:
@@ -248,10 +248,12 @@ def identify(
             for part in chosen_starts(one, start):
                 fit = identify_best(prepare(part, voltage_v, circuit), EXTENSIONS, constant=constant)
                 starts.append((part, fit))
+                taken[part.path] = taken[one.path]
         except UnusableError as error:
             raise InputError(f"{one.path}: {error}") from None
-    works = [one for one in read if taken[one.path].regime == "operation"]
-    at_work = tuple(at_terminals(one, voltage_v, circuit) for one in works)
+    at_work = tuple(
+        at_terminals(one, voltage_v, circuit) for one in read if taken[one.path].regime == "operation"
+    )
     joint, trouble = None, ""
     if at_work:
         try:

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.spread import next_sd, the_next
 from motor_env.diagnosis.views import Fitted
 from motor_env.fitting.commutation import ripple_quantities
 from motor_env.fitting.starts import NUISANCES, Identified, identify, identify_best
@@ -20,7 +19,8 @@ from motor_env.recordings.start import Circuit, prepare
 START_SPREAD, WINDOW_SPREAD = 0.02, 0.01
 """Standard deviation of a logarithm from piece to piece, as believed before any is seen. A window averages over what
 changes from one start to the next: the supply, the rotor's position, the first turns of the bearings."""
-NOISE_SPREAD_PRIOR = 0.10
+PRIOR_WEIGHT = 4.0
+_NOISE_SPREAD = 0.10
 _DISAGREE = 0.5  # standard deviation of a logarithm between healthy starts
 _SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm from start to start, and how many are odd
 
@@ -53,6 +53,27 @@ def fit_healthy(
     return [identify(start, model, constant=constant, typical=typical) for start in starts]
 
 
+def the_next(logs: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Mean, covariance and degrees of freedom of the next healthy one, of several.
+
+    The spread between few is hardly known. A prior stands in: an inverse-Wishart, worth 4 of them (Gelman et al. 2013,
+    ch. 3.6). The next one then follows a multivariate Student t with n - 1 + 4 degrees of freedom and the scale
+    (1 + 1/n) S, never the sample's own sigma.
+
+    Args:
+        logs: of those seen, shape (n, p).
+        prior: covariance that is believed beforehand, shape (p, p).
+    """
+    n, centre = len(logs), logs.mean(axis=0)
+    scatter, freedom = (logs - centre).T @ (logs - centre), n - 1 + PRIOR_WEIGHT
+    return centre, (scatter + PRIOR_WEIGHT * prior) / freedom * (1.0 + 1.0 / n), freedom
+
+
+def next_sd(values: FloatArray, prior_sd: float) -> float:
+    """Scale of the next value's Student t, from values that scatter."""
+    return math.sqrt(the_next(values[:, None], np.eye(1) * prior_sd**2)[1][0, 0])
+
+
 def next_piece(fits: Sequence[Fitted], prior_sd: float) -> tuple[FloatArray, FloatArray, float]:
     """Mean, covariance and degrees of freedom of the next healthy piece's logarithms.
 
@@ -69,8 +90,10 @@ def next_piece(fits: Sequence[Fitted], prior_sd: float) -> tuple[FloatArray, Flo
 
 def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
     """What all healthy pieces but one teach, fitted with the same model."""
-    others = [fit for n, fit in enumerate(fits) if n != number]
-    centre, covariance, freedom = next_piece(others, _prior(healthy))
+    others, prior = [fit for n, fit in enumerate(fits) if n != number], START_SPREAD
+    if healthy.windows is not None:
+        prior = WINDOW_SPREAD if healthy.temperature_k else 0.0  # of a steady motor: none
+    centre, covariance, freedom = next_piece(others, prior)
     return replace(
         healthy,
         pieces=len(others),
@@ -80,28 +103,19 @@ def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
     )
 
 
-def _prior(healthy: Healthy) -> float:
-    """Spread that was believed of its pieces beforehand."""
-    if healthy.windows is None:
-        return START_SPREAD
-    return WINDOW_SPREAD if healthy.temperature_k else 0.0  # of a steady motor: none
-
-
 def learn_starts(fits: Sequence[Identified]) -> Healthy:
     """What healthy starts of one motor teach about its next start, with a prior of 2 % (1 sd) on every quantity.
 
     Args:
         fits: healthy starts, fitted with the same model, one or more.
     """
-    n = len(fits)
     centre, covariance, freedom = next_piece(fits, START_SPREAD)
     noise = np.log([max(fit.noise_a, 1e-12) for fit in fits])
-    ripples = [ripple_quantities(fit) for fit in fits]
-    ripple = np.log([pair for pair in ripples if pair is not None])
-    has_ripple = len(ripple) == n
+    ripple = np.log([pair for pair in map(ripple_quantities, fits) if pair is not None])
+    has_ripple = len(ripple) == len(fits)
     starts = Starts(
         log_noise=float(noise.mean()),
-        log_noise_sd=next_sd(noise, NOISE_SPREAD_PRIOR),
+        log_noise_sd=next_sd(noise, _NOISE_SPREAD),
         model=fits[0].model,
         model_low=tuple(min(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
         model_high=tuple(max(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
@@ -112,7 +126,7 @@ def learn_starts(fits: Sequence[Identified]) -> Healthy:
         ripple_constant_v_s=float(np.exp(ripple[:, 1].mean())) if has_ripple else None,
         ripple_log_sd=max(next_sd(row, START_SPREAD) for row in ripple.T) if has_ripple else None,
     )
-    return Healthy(n, freedom, fits[0].quantity_names, np.exp(centre), covariance, starts=starts)
+    return Healthy(len(fits), freedom, fits[0].quantity_names, np.exp(centre), covariance, starts=starts)
 
 
 def disagreement(fits: Sequence[Identified]) -> str | None:

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.fitting.identify import identify_operation
-from motor_env.motor.data_sheet import Motor
+from motor_env.diagnosis.identify import identify
 from motor_env.motor.model import State
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 from motor_env.simulation.simulate import simulate_states
 
@@ -30,14 +27,12 @@ def _recorded(voltage_v: FloatArray) -> Recording:
 
 
 def _starts() -> None:
-    motor = Motor("warm-up", "data_sheet", PAPER_MOTOR, nominal_voltage_v=_LEVEL_V)
     start = _recorded(np.repeat([0.0, _LEVEL_V], [50, 250]))
-    diagnose(replace(start, speed_rad_s=None), motor)
+    diagnose(replace(start, speed_rad_s=None), "paper")
 
 
 def _logs() -> None:
-    with suppress(UnusableError):  # so short a log tells little
-        identify_operation([_recorded(np.repeat([_LEVEL_V, -_LEVEL_V, 4.0, 8.0, 2.0, -6.0], 60))])
+    identify(_recorded(np.repeat([_LEVEL_V, -_LEVEL_V, 4.0, 8.0, 2.0, -6.0], 60)), regime="operation")
 
 
 CALLS: dict[str, Callable[[], None]] = {"starts": _starts, "logs of a motor at work": _logs}

@@ -65,7 +65,7 @@ class Judgement:
         verdict: family of the fault, or healthy, or why there is none.
         reasons: sentences.
         severity: size of the fault, as a fraction; 0 for a healthy motor.
-        severity_low, severity_high: its interval, 95 %.
+        severity_interval: its lower and upper end, 95 %; None without one.
         confidence: posterior probability of the verdict.
         fault_kind: the most probable kind of the family.
         kind_probability: posterior probability of that kind.
@@ -81,8 +81,7 @@ class Judgement:
     verdict: Verdict
     reasons: tuple[str, ...]
     severity: float | None = None
-    severity_low: float | None = None
-    severity_high: float | None = None
+    severity_interval: tuple[float, float] | None = None
     confidence: float | None = None
     fault_kind: FaultKind | None = None
     kind_probability: float = 0.0
@@ -111,9 +110,8 @@ class Judgement:
     @property
     def warning(self) -> str:
         """That the recording is not consistent with the fitted model, in one sentence; empty where it is."""
-        if self.filter_check is None or self.filter_check.consistency is None:
-            return ""
-        return self.filter_check.consistency.warning
+        consistency = None if self.filter_check is None else self.filter_check.consistency
+        return "" if consistency is None else consistency.warning
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,13 +137,11 @@ class Diagnosis:
         Of pieces with a fault it is the surest one of the most frequent verdict. Without a fault a healthy one, else
         the first.
         """
-        faults = Counter(one.verdict for one in self.pieces if one.verdict.is_fault)
-        if faults:
-            most = max(faults.values())
-            frequent = [one for one in self.pieces if faults[one.verdict] == most]
-            return max(frequent, key=lambda one: one.confidence or 0.0)
+        faults = [one for one in self.pieces if one.verdict.is_fault]
+        count = Counter(one.verdict for one in faults)
         healthy = (one for one in self.pieces if one.verdict is Verdict.HEALTHY)
-        return next(healthy, self.pieces[0])
+        calm = next(healthy, self.pieces[0])
+        return max(faults, key=lambda one: (count[one.verdict], one.confidence or 0.0), default=calm)
 
     @property
     def verdict(self) -> Verdict:
@@ -180,18 +176,7 @@ class Diagnosis:
     @property
     def severity_interval(self) -> tuple[float, float] | None:
         """Interval of the severity, 95 %; None without one."""
-        low, high = self.severity_low, self.severity_high
-        return None if low is None or high is None else (low, high)
-
-    @property
-    def severity_low(self) -> float | None:
-        """Lower end of the interval of the severity, 95 %."""
-        return self.telling.severity_low
-
-    @property
-    def severity_high(self) -> float | None:
-        """Upper end of it."""
-        return self.telling.severity_high
+        return self.telling.severity_interval
 
     @property
     def smallest_changes(self) -> dict[str, float]:

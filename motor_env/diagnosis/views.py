@@ -14,9 +14,8 @@ from motor_env.diagnosis.explanations import (
     explain,
     smallest_changes,
 )
-from motor_env.diagnosis.healthy_motor import Reference
+from motor_env.diagnosis.healthy_motor import Reference, beyond, warmer
 from motor_env.diagnosis.loaded import Drag, drags
-from motor_env.diagnosis.spread import beyond, warmer
 from motor_env.fitting.starts import Identified
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray

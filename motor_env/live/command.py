@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from motor_env.diagnosis.commission import motor_of_windows
+from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.errors import InputError
 from motor_env.live.screen import showing
 from motor_env.live.sources import lines, source

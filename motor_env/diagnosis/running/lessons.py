@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from motor_env.diagnosis.healthy_motor import beyond
 from motor_env.diagnosis.learning import WINDOW_SPREAD, next_piece
 from motor_env.diagnosis.running.windows import (
     MOST_SAMPLES,
@@ -20,7 +21,6 @@ from motor_env.diagnosis.running.windows import (
     rms_volts,
     windows_of,
 )
-from motor_env.diagnosis.spread import beyond
 from motor_env.fitting import places
 from motor_env.fitting.identify import Operation, identify_operation
 from motor_env.fitting.record import MOST, Record, from_recordings

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import special
 
 from motor_env.diagnosis.decision import decide
+from motor_env.diagnosis.learning import PRIOR_WEIGHT
 from motor_env.diagnosis.running.windows import (
     NAMES,
     WARMTH,
@@ -21,7 +22,6 @@ from motor_env.diagnosis.running.windows import (
     averaged,
     is_closed,
 )
-from motor_env.diagnosis.spread import PRIOR_WEIGHT
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import views_of
 from motor_env.fitting.record import FEWEST, Record, from_recordings

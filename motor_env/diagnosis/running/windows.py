@@ -16,8 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
-from motor_env.diagnosis.spread import beyond
+from motor_env.diagnosis.healthy_motor import Reference, beyond, reference_of_pieces
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.fitting import kernel, places

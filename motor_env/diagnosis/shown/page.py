@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -38,55 +38,61 @@ _KIND = {
     "winding_short": "shorted turns",
     "magnet": "weaker magnets",
 }
-_TITLE = {
-    Verdict.HEALTHY: "Healthy",
-    Verdict.BEARING: "More friction: bearing, lubricant or load",
-    Verdict.WINDING: "Winding or brushes",
-    Verdict.MAGNET: "Weak magnets",
-    Verdict.NOISE: "Noisy current",
-    Verdict.OTHER: "Something changed that is no single known fault",
-    Verdict.NO_REFERENCE: "Nothing to compare with",
-    Verdict.UNUSABLE: "This recording cannot be judged",
+_SIZE = {
+    FaultKind.BEARING: "Friction up by {}",
+    FaultKind.WINDING_CONTACT: "Winding resistance up by {}",
+    FaultKind.WINDING_SHORT: "{} of the turns shorted",
 }
-_FIRST = {
+_WORDS: dict[Verdict | FaultKind, tuple[str, ...]] = {
     Verdict.HEALTHY: (
+        "Healthy",
         "Nothing to do. Keep this recording: more healthy starts make smaller faults visible.",
     ),
     Verdict.BEARING: (
+        "More friction: bearing, lubricant or load",
         "Switch off, lock out, and turn the shaft by hand: rough, stiff or noisy?",
         "Uncouple the load and record another start. Still high: bearings or lubricant. Normal: the driven machine.",
     ),
     Verdict.WINDING: (
+        "Winding or brushes",
         "Tighten and clean the terminals; measure the resistance with four leads at several rotor positions.",
         "High at all positions: connections or brushes. High or low at some: commutator or winding.",
     ),
+    FaultKind.WINDING_SHORT: (
+        "Winding: shorted turns",
+        "Take the motor out of service soon: shorted turns heat up and spread.",
+        (
+            "Measure the resistance with four leads at several rotor positions: low at some confirms it. Replace or"
+            " rewind."
+        ),
+    ),
     Verdict.MAGNET: (
+        "Weak magnets",
         "Let the motor cool to the temperature of its healthy starts and record again: warm magnets are weaker.",
         "Still low: compare the no-load speed with the data sheet; it rises as magnets weaken.",
     ),
     Verdict.NOISE: (
+        "Noisy current",
         "Check brushes and commutator for sparks and wear, then the probe, its cable and its ground.",
         "Record again with the probe on another supply line to tell the motor's noise from the sensor's.",
     ),
     Verdict.OTHER: (
+        "Something changed that is no single known fault",
         "Check the recording first: the probe's scale, the units and the supply voltage under Read as, below.",
         "Is it this motor, with the usual load? Record two more starts; if they agree, take it out for inspection.",
     ),
     Verdict.NO_REFERENCE: (
+        "Nothing to compare with",
         "Record three healthy starts and run: motor-env commission A.csv B.csv C.csv -o motor.toml",
         "Or write the data sheet into a motor file, and run diagnose again with --motor motor.toml.",
     ),
     Verdict.UNUSABLE: (
+        "This recording cannot be judged",
         "Record again: from before switching on until the current is steady, without clipping.",
         "Choose the range so that the peak fills half of it, and leave some milliseconds without current before it.",
     ),
 }
-
-
-_SHORT_FIRST = (
-    "Take the motor out of service soon: shorted turns heat up and spread.",
-    "Measure the resistance with four leads at several rotor positions: low at some confirms it. Replace or rewind.",
-)
+"""The heading of a verdict, or of a kind of its own, and what to do first."""
 
 
 def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
@@ -97,18 +103,21 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
         periods_per_turn: periods of the commutation ripple in a turn, for the lines of the experts.
     """
     telling, verdict = diagnosis.telling, diagnosis.verdict
-    fit = telling.identified
+    fit, expected = telling.identified, reference_current(telling)
     tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
-    expected, is_short = reference_current(telling), telling.kind is FaultKind.WINDING_SHORT
+    named = telling.kind if telling.kind in _WORDS else verdict
+    title, *first = _WORDS.get(named, (str(verdict).capitalize(),))
+    sure = "" if diagnosis.confidence is None else f"{diagnosis.confidence:.0%} sure"
+    current, residual = ("", "") if fit is None else _currents(fit, expected)
     return render(
         "motor_env.diagnosis.shown",
         "diagnosis.html.j2",
-        title="Winding: shorted turns" if is_short else _TITLE.get(verdict, str(verdict).capitalize()),
+        title=title,
         file=printable(diagnosis.recording.path.name),
         tone=tone,
         size=_size(telling),
-        sure=_sure(diagnosis.confidence),
-        first=_SHORT_FIRST if is_short else _FIRST.get(verdict, ()),
+        sure="over 99 % sure" if (diagnosis.confidence or 0.0) > 0.99 else sure,
+        first=first,
         reasons=[f"{reason[0].upper()}{reason[1:]}." for reason in diagnosis.reasons],
         warnings=[
             f"{sentence[0].upper()}{sentence[1:]}." for sentence in warnings_of(diagnosis.recording, fit)
@@ -117,9 +126,9 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
         taken=str(diagnosis.taken),
         history=pieces_chart(diagnosis.pieces) if len(diagnosis.pieces) > 1 else "",
         bars=_bars(diagnosis.changes) if diagnosis.changes else "",
-        current=_current(fit, expected) if fit is not None else "",
+        current=current,
         has_expected=expected is not None,
-        residual=_residual(fit, expected) if fit is not None and expected is not None else "",
+        residual=residual,
         smallest=[
             (_KIND.get(kind, kind), f"{share:.0%}") for kind, share in telling.smallest_changes.items()
         ],
@@ -129,22 +138,11 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
 
 def _size(judgement: Judgement) -> str:
     """How far it moved, with its interval, in words; empty without a size."""
-    low, high, size = judgement.severity_low, judgement.severity_high, judgement.severity
-    if not size or not judgement.verdict.is_fault or judgement.fault_kind is None:
+    size, interval, kind = judgement.severity, judgement.severity_interval, judgement.fault_kind
+    if not size or not judgement.verdict.is_fault or kind is None:
         return ""
-    between = "" if low is None or high is None else f", between {low:.0%} and {high:.0%}"
-    what = {
-        FaultKind.BEARING: f"Friction up by {size:.0%}{between}",
-        FaultKind.WINDING_CONTACT: f"Winding resistance up by {size:.0%}{between}",
-        FaultKind.WINDING_SHORT: f"{size:.0%} of the turns shorted{between}",
-    }
-    return what.get(judgement.fault_kind, f"Size {size:.0%}{between}")
-
-
-def _sure(confidence: float | None) -> str:
-    if confidence is None:
-        return ""
-    return "over 99 % sure" if confidence > 0.99 else f"{confidence:.0%} sure"
+    between = "" if interval is None else f", between {interval[0]:.0%} and {interval[1]:.0%}"
+    return _SIZE.get(kind, "Size {}").format(f"{size:.0%}") + between
 
 
 def reference_current(judgement: Judgement) -> FloatArray | None:
@@ -201,103 +199,94 @@ def _ratio_axis(changes: Sequence[Change]) -> Axis:
     return Axis("", 1.0 / edge, edge, ticks, lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %", is_log=True)
 
 
-def _shown(fit: Identified) -> tuple[FloatArray, slice]:
-    """Times in ms after the start, and which samples are drawn."""
+def _currents(fit: Identified, expected: FloatArray | None) -> tuple[str, str]:
+    """The measured current beside the healthy motor's, and what it is beyond that; empty without a healthy motor.
+
+    The latter is averaged over a fiftieth of the recording, with the sensor's noise as a band.
+    """
     time_ms = 1e3 * (fit.start.time_s - fit.onset_s)
     begin = int(np.searchsorted(time_ms, -_SHOWN_SHARE * time_ms[-1]))
-    step = max((len(time_ms) - begin) // _MOST_POINTS, 1)
-    return time_ms, slice(begin, None, step)
-
-
-def _time_axis(time_ms: FloatArray) -> Axis:
-    low, high = float(time_ms[0]), float(time_ms[-1])
-    return Axis("", low, high, round_ticks(low, high, 5), lambda value: f"{value:g} ms")
-
-
-def _current(fit: Identified, expected: FloatArray | None) -> str:
-    """The measured current beside the healthy motor's."""
-    time_ms, shown = _shown(fit)
-    curves = [("measured", fit.start.current_a[shown])]
+    shown = slice(begin, None, max((len(time_ms) - begin) // _MOST_POINTS, 1))
+    time_ms, curves = time_ms[shown], {"measured": fit.start.current_a[shown]}
     if expected is not None:
-        curves.append(("healthy", expected[shown]))
-    low, high = (
-        min(float(values.min()) for _, values in curves),
-        max(float(values.max()) for _, values in curves),
-    )
-    return _chart(time_ms[shown], curves, (low, high), "A", "Measured current and that of the healthy motor")
-
-
-def _residual(fit: Identified, expected: FloatArray) -> str:
-    """Measured less healthy current, averaged over a fiftieth of the recording, with the sensor's noise as a band."""
-    time_ms, shown = _shown(fit)
+        curves["healthy"] = expected[shown]
+    low, high = np.min(list(curves.values())), np.max(list(curves.values()))
+    current = _chart(time_ms, curves, (low, high), "A", "Measured current and that of the healthy motor")
+    if expected is None:
+        return current, ""
     beyond = fit.start.current_a - fit.start.ripple_a - expected
     span = max(len(beyond) // 50, 1)
     padded = np.pad(beyond, (span // 2, span - 1 - span // 2), "reflect")
-    smooth: FloatArray = np.convolve(padded, np.ones(span) / span, "valid")[shown]
+    smooth = np.convolve(padded, np.ones(span) / span, "valid")[shown]
     noise = 2.0 * fit.noise_a / float(np.sqrt(span))
-    largest = max(float(np.quantile(np.abs(smooth[time_ms[shown] > 0.0]), 0.98)), 2.0 * noise)
+    largest = max(float(np.quantile(np.abs(smooth[time_ms > 0.0]), 0.98)), 2.0 * noise)
     unit, factor = ("A", 1.0) if largest > 1.0 else ("mA", 1e3)
     edge = 1.2 * factor * largest
-    label = "Measured less healthy current, with the band of the sensor's noise"
-    curves = [("beyond", factor * smooth)]
-    return _chart(time_ms[shown], curves, (-edge, edge), unit, label, band=factor * noise)
+    residual = _chart(
+        time_ms,
+        {"beyond": factor * smooth},
+        (-edge, edge),
+        unit,
+        "Measured less healthy current, with the band of the sensor's noise",
+        band=factor * noise,
+    )
+    return current, residual
 
 
 def _chart(
     time_ms: FloatArray,
-    curves: list[tuple[str, FloatArray]],
+    curves: Mapping[str, FloatArray],
     limits: tuple[float, float],
     unit: str,
     label: str,
     *,
     band: float = 0.0,
 ) -> str:
+    """Curves by their style over the time, and a band about 0."""
+    begin, end = float(time_ms[0]), float(time_ms[-1])
     room = 0.05 * max(limits[1] - limits[0], 1e-9)
     low, high = limits[0] - room, limits[1] + room
     chart = Chart(
-        _time_axis(time_ms),
-        Axis("", low, high, round_ticks(low, high, 5), lambda value: f"{value:g} {unit}"),
+        Axis("", begin, end, round_ticks(begin, end), lambda value: f"{value:g} ms"),
+        Axis("", low, high, round_ticks(low, high), lambda value: f"{value:g} {unit}"),
         size=(_WIDTH, 230.0),
         margins=(66.0, 32.0, 8.0, 28.0),
         label=label,
     )
     if band:
-        corners = chart.points([time_ms[0], time_ms[-1], time_ms[-1], time_ms[0]], [band, band, -band, -band])
+        corners = chart.points([begin, end, end, begin], [band, band, -band, -band])
         chart.shape("polygon", "band", points=corners)
     chart.y_numbers()
     chart.x_numbers()
-    for style, values in curves:
+    for style, values in curves.items():
         chart.curve(style, time_ms, values)
     return chart.svg()
 
 
 def pieces_chart(pieces: Sequence[Judgement]) -> str:
     """How far each quantity lies from the healthy motor, piece by piece, in per cent over the recording's time."""
-    fitted = [piece for piece in pieces if piece.changes]
-    if not fitted:
-        return ""
-    names = [
-        change.name for change in fitted[0].changes if any(c.name == change.name for c in fitted[-1].changes)
-    ]
-    return "\n".join(_history(name, fitted) for name in names)
+    told = [(piece, {change.name: change for change in piece.changes}) for piece in pieces if piece.changes]
+    names = [name for name in told[0][1] if name in told[-1][1]] if told else []
+    return "\n".join(
+        _history(name, [(piece, changes[name]) for piece, changes in told if name in changes])
+        for name in names
+    )
 
 
-def _history(name: str, pieces: Sequence[Judgement]) -> str:
+def _history(name: str, changes: Sequence[tuple[Judgement, Change]]) -> str:
     """One quantity: a dot and its interval for each piece."""
-    changes = [(piece, change) for piece in pieces for change in piece.changes if change.name == name]
-    ends = [piece.begin_s + piece.duration_s for piece, _ in changes]
-    axis = _ratio_axis([change for _, change in changes])
-    begin, end = changes[0][0].begin_s, max(ends)
+    begin, end = changes[0][0].begin_s, max(piece.begin_s + piece.duration_s for piece, _ in changes)
+    what = _QUANTITY.get(name, name)
     chart = Chart(
-        Axis("", begin, end, round_ticks(begin, end, 5), lambda value: f"{value:g} s"),
-        axis,
+        Axis("", begin, end, round_ticks(begin, end), lambda value: f"{value:g} s"),
+        _ratio_axis([change for _, change in changes]),
         size=(_WIDTH, 130.0),
         margins=(66.0, 32.0, 24.0, 28.0),
-        label=f"{_QUANTITY.get(name, name)} over time, with 95 % intervals",
+        label=f"{what} over time, with 95 % intervals",
     )
     chart.y_numbers()
     chart.x_numbers()
-    chart.text((66.0, 14.0), _QUANTITY.get(name, name), "name")
+    chart.text((66.0, 14.0), what, "name")
     for piece, change in changes:
         middle = chart.x(piece.begin_s + 0.5 * piece.duration_s)
         with chart.group("moved" if change.significant else "still", f"{change.ratio - 1.0:+.1%}"):

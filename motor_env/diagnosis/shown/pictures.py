@@ -1,55 +1,56 @@
-"""Pictures of fitted starts: of a diagnosis, of an identification, of a commissioning."""
+"""Pictures of fits: measured beside modelled current and speed; of a commissioning also the spread of its pieces."""
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from scipy.special import stdtrit
 
 from motor_env.console import printable
-from motor_env.diagnosis.shown.report import model_words
+from motor_env.diagnosis.shown.report import quality
 from motor_env.diagnosis.views import Fitted
+from motor_env.fitting.identify import Operation
 from motor_env.fitting.starts import Identified
-from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
 from motor_env.plotting import COLOUR, drawing, save, subplots
 
-_LONGEST_TITLE = 80
+_LONGEST_LINE = 60
+_WIDEST = 172.0  # per cent, of an interval that the axis follows
+_STYLE: dict[str, dict[str, Any]] = {
+    "measured": {"color": COLOUR["measured"], "linewidth": 1.2},
+    "fitted": {"color": COLOUR["healthy"], "linewidth": 1.2},
+    "left over": {"color": COLOUR["healthy"], "linewidth": 0.8, "alpha": 0.8},
+}
+Panels = list[tuple[str, dict[str, FloatArray]]]
+"""What stands on each axis, in words, and its curves by their style."""
 
 
-def plot_identified(fit: Identified, name: str, path: Path) -> None:
-    """Measured and fitted current (and speed), and their residuals.
+def plot_fit(fit: Identified | Operation, name: str, path: Path) -> None:
+    """Measured and fitted current and speed, and their residuals; of a log also the voltage.
 
     Raises:
         InputError: the file cannot be written.
     """
+    words, time, panels = _panels(fit)
+    heights = tuple(2.2 if "fitted" in curves else 1.0 for _, curves in panels)
     with drawing():
-        rows = 2 if fit.start.speed_rad_s is None else 4
-        figure, axes = subplots(rows, height_in=3.0 + 1.6 * rows, height_ratios=(2.2, 1.0) * (rows // 2))
-        _currents(axes[0], axes[1], fit, COLOUR["healthy"])
-        title = f"{_title(name)}: {model_words(fit.model)}, R² {fit.r2_current:.4f}"
+        figure, axes = subplots(len(panels), height_in=1.6 + 1.4 * sum(heights), height_ratios=heights)
+        _draw(axes, time, panels)
+        said = f"{' + '.join(fit.model) or 'textbook'}, {quality(fit.r2_current, fit.r2_speed)}"
+        title = textwrap.fill(f"{printable(name)}: {said}", _LONGEST_LINE)
         axes[0].set_title(title, parse_math=False)
-        axes[0].legend(loc="upper right")
-        if fit.start.speed_rad_s is not None:
-            time_ms, speed, fitted = _time_ms(fit), fit.start.speed_rad_s, fit.expected[:, 1]
-            axes[2].plot(time_ms, speed, color=COLOUR["measured"], linewidth=1.2)
-            axes[2].plot(time_ms, fitted, color=COLOUR["healthy"])
-            axes[2].set_ylabel("speed (rad/s)")
-            axes[3].plot(time_ms, speed - fitted, color=COLOUR["healthy"], linewidth=0.8)
-            axes[3].set_ylabel("residual (rad/s)")
-        axes[-1].set_xlabel("time after the start (ms)")
+        axes[-1].set_xlabel(words)
         figure.align_ylabels()
         save(figure, path)
 
 
 def plot_commissioned(
     fits: Sequence[Fitted],
-    healthy: Healthy,
+    parameters: Mapping[str, Mapping[str, Any]],
     smallest: Mapping[str, float],
     rate: float,
     path: Path,
@@ -60,71 +61,66 @@ def plot_commissioned(
         InputError: the file cannot be written.
     """
     starts = [fit for fit in fits if isinstance(fit, Identified)]
+    ratios = (2.0, 1.0, 1.6) if starts else (1.0,)
     with drawing():
         figure, axes = subplots(
-            3 if starts else 1,
-            height_in=9.5 if starts else 4.0,
-            sharex=False,
-            height_ratios=(2.0, 1.0, 1.6) if starts else (1.0,),
+            len(ratios), height_in=9.5 if starts else 4.0, sharex=False, height_ratios=ratios
         )
-        if starts:
-            _all_starts(axes[0], axes[1], starts)
-        _spread(axes[-1], fits, healthy, rate)
+        for fit in starts:
+            words, time, panels = _panels(fit)
+            _draw(axes, time, panels[:2])
+            axes[0].set_title(f"{len(starts)} healthy starts")
+            axes[1].set(xlabel=words, xlim=axes[0].get_xlim())
+        _spread(axes[-1], fits, parameters)
+        axes[-1].set_title(
+            f"Interval of the next healthy {'start' if starts else 'window'} ({1.0 - rate:.0%})"
+        )
         told = ", ".join(f"{kind.replace('_', ' ')} {severity:.0%}" for kind, severity in smallest.items())
-        words = textwrap.wrap(f"smallest change found in 95 of 100 cases: {told}", _LONGEST_TITLE)
-        axes[-1].set_xlabel("\n".join(["off the mean (%)", *words]))
+        words = textwrap.fill(f"smallest change found in 95 of 100 cases: {told}", _LONGEST_LINE)
+        axes[-1].set_xlabel(f"off the mean (%)\n{words}")
         save(figure, path)
 
 
-def _all_starts(top: Axes, middle: Axes, fits: Sequence[Identified]) -> None:
-    """Measured and fitted currents, and the residuals below."""
-    for n, fit in enumerate(fits):
-        time_ms = _time_ms(fit)
-        labels = ("measured", "fitted") if n == 0 else (None, None)
-        top.plot(time_ms, fit.start.current_a, color=COLOUR["measured"], linewidth=0.8, label=labels[0])
-        top.plot(time_ms, fit.expected[:, 0], color=COLOUR["healthy"], linewidth=1.2, label=labels[1])
-        middle.plot(time_ms, fit.residual_a, linewidth=0.6, color=COLOUR["healthy"], alpha=0.6)
-    top.set_ylabel("current (A)")
-    top.legend(loc="upper right")
-    top.set_title(f"{len(fits)} healthy starts")
-    middle.set_ylabel("residual (A)")
-    middle.set_xlabel("time after the start (ms)")
-    middle.set_xlim(top.get_xlim())
+def _panels(fit: Identified | Operation) -> tuple[str, FloatArray, Panels]:
+    """The axis of time in words, the times, and what is drawn over them. Samples that do not count are left out."""
+    if isinstance(fit, Identified):
+        words, time = "time after the start (ms)", 1e3 * (fit.start.time_s - fit.onset_s)
+        measured = [np.where(fit.start.counted, fit.start.current_a, np.nan), fit.start.speed_rad_s]
+        panels: Panels = []
+    else:
+        words, time = "time (s)", fit.record.dt_s * np.arange(len(fit.expected), dtype=np.float64)
+        measured = [fit.record.readings[:, n] if fit.record.seen[n] else None for n in range(2)]
+        panels = [("voltage (V)", {"measured": fit.record.voltage_v})]
+    channels = (("current", "A"), ("speed", "rad/s"))
+    for (name, unit), seen, fitted in zip(channels, measured, fit.expected.T, strict=True):
+        if seen is not None:
+            panels.append((f"{name} ({unit})", {"measured": seen, "fitted": fitted}))
+            panels.append((f"residual ({unit})", {"left over": seen - fitted}))
+    return words, time, panels
 
 
-def _spread(axes: Axes, fits: Sequence[Fitted], healthy: Healthy, rate: float) -> None:
+def _draw(axes: Sequence[Axes], time: FloatArray, panels: Panels) -> None:
+    """Each panel on its axes."""
+    for axis, (words, curves) in zip(axes, panels, strict=False):
+        for style, values in curves.items():
+            axis.plot(time, values, **_STYLE[style])
+        axis.set_ylabel(words)
+        if "fitted" in curves:
+            axis.legend(
+                list(curves), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0
+            )
+
+
+def _spread(axes: Axes, fits: Sequence[Fitted], parameters: Mapping[str, Mapping[str, Any]]) -> None:
     """A bar a quantity, the interval of the next healthy piece, and a point a piece."""
-    half = -float(stdtrit(healthy.degrees_of_freedom, rate / 2.0))
-    off = 100.0 * np.expm1(np.array([fit.log_values for fit in fits]) - np.log(healthy.values))
-    for row in range(len(healthy.quantities)):
-        width = half * math.sqrt(healthy.log_covariance[row, row])
-        low, high = 100.0 * math.expm1(-width), 100.0 * math.expm1(width)
-        axes.barh(row, high - low, left=low, height=0.55, color=COLOUR["healthy"], alpha=0.18)
-        # Beyond the axis the bar is cut: its ends are said.
-        ends = f"{low:+.0f} … {high:+.0f} %"
-        axes.annotate(ends, (1.005, row), xycoords=("axes fraction", "data"), va="center", fontsize=10)
-        axes.plot(off[:, row], [row] * len(fits), "o", color=COLOUR["healthy"], markersize=5)
-    widths = half * np.sqrt(np.diag(healthy.log_covariance))
-    room = 1.3 * max(100.0 * float(np.median(np.expm1(np.minimum(widths, 1.0)))), float(np.abs(off).max()))
+    rows = np.arange(len(parameters))
+    values = np.array([row["value"] for row in parameters.values()])
+    lows, highs = 100.0 * (np.array([row["interval"] for row in parameters.values()]).T / values - 1.0)
+    off = 100.0 * (np.exp([fit.log_values for fit in fits]) / values - 1.0)
+    axes.barh(rows, highs - lows, left=lows, height=0.55, color=COLOUR["healthy"], alpha=0.18)
+    axes.plot(off.T, rows, "o", color=COLOUR["healthy"], markersize=5)
+    room = 1.3 * max(float(np.median(np.minimum(highs, _WIDEST))), float(np.abs(off).max()))
     axes.set_xlim(-room, room)
-    axes.set_yticks(range(len(healthy.quantities)), list(healthy.quantities))
-    piece = "start" if healthy.windows is None else "window"
-    axes.set_title(f"Interval of the next healthy {piece} ({1.0 - rate:.0%})")
-
-
-def _title(name: str) -> str:
-    return printable(name)[:_LONGEST_TITLE]
-
-
-def _time_ms(fit: Identified) -> FloatArray:
-    return 1e3 * (fit.start.time_s - fit.onset_s)
-
-
-def _currents(top: Axes, below: Axes, fit: Identified, colour: str) -> None:
-    """Measured and fitted current, and the residual below."""
-    time_ms = _time_ms(fit)
-    top.plot(time_ms, fit.start.current_a, color=COLOUR["measured"], linewidth=1.2, label="measured")
-    top.plot(time_ms, fit.expected[:, 0], color=colour, label="fitted")
-    top.set_ylabel("current (A)")
-    below.plot(time_ms, fit.residual_a, color=colour, linewidth=0.8)
-    below.set_ylabel("residual (A)")
+    # Beyond the axis the bar is cut: its ends are said.
+    ends = [f"{low:+.0f} … {high:+.0f} %" for low, high in zip(lows, highs, strict=True)]
+    axes.set_yticks(rows, [f"{name}\n{words}" for name, words in zip(parameters, ends, strict=True)])

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.verdict import Diagnosis, Judgement
 from motor_env.diagnosis.views import Fitted
 from motor_env.fitting.commutation import constants_at, find_ripple
@@ -34,6 +33,17 @@ UNITS = {
     "J/V": "A s3",
     "B/V": "A s2",
 }
+_EXTENSION_UNITS = {
+    "supply_ramp": "s",
+    "supply_curve": "of the rise (its middle)",
+    "sensor_lag": "s",
+    "speed_lag": "s",
+    "dead_zone": "A",
+    "coulomb": "N m",
+    "brush_drop": "V",
+}
+_PER_VOLT = {"coulomb": "N m/V", "brush_drop": "of the supply"}
+"""Units of extensions where the voltage is not known: told for a supply of 1 V."""
 
 
 def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict[str, Any]:
@@ -42,8 +52,10 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
     fit, check = telling.identified, telling.filter_check
     parameters: dict[str, Any] = {} if telling.fit is None else quantities_json(telling.fit)
     if fit is not None:
-        onset, offset = {"value": fit.onset_s, "unit": "s"}, {"value": fit.offset_a, "unit": "A"}
-        parameters |= extensions_json(fit) | {"onset_s": onset, "offset_a": offset}
+        parameters |= extensions_json(fit) | {
+            "onset_s": {"value": fit.onset_s, "unit": "s"},
+            "offset_a": {"value": fit.offset_a, "unit": "A"},
+        }
     return {
         "file": str(recording.path),
         "taken_for": diagnosis.taken._asdict(),
@@ -73,12 +85,12 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
 
 def _said(judgement: Judgement) -> dict[str, Any]:
     """What is said of a piece."""
-    low, high = judgement.severity_low, judgement.severity_high
+    interval = judgement.severity_interval
     return {
         "verdict": str(judgement.verdict),
         "kind": None if judgement.kind is None else str(judgement.kind),
         "severity": number(judgement.severity),
-        "severity_interval": None if low is None or high is None else [number(low), number(high)],
+        "severity_interval": None if interval is None else [number(end) for end in interval],
         "confidence": number(judgement.confidence),
         "reasons": list(judgement.reasons),
         "changes": {
@@ -110,16 +122,15 @@ def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, An
     }
 
 
-def ripple_lines(fit: Identified, periods_per_turn: float | None) -> list[str]:
+def ripple_lines(ripple: Mapping[str, Any] | None) -> list[str]:
     """The same in sentences, none without a ripple."""
-    ripple = ripple_json(fit, periods_per_turn)
     if ripple is None:
         return []
     line = f"  commutation ripple of {ripple['ripple_hz']:.5g} Hz at the end"
-    if periods_per_turn is None:
+    speed = ripple["speed_rad_s"]
+    if speed is None:
         return [f"{line}; with its periods a turn (--ripple-periods-per-turn) it tells the speed, K, J and B"]
-    speed, constants = ripple["speed_rad_s"], list(ripple.items())[4:]
-    words = ", ".join(f"{name} {row['value']:.4g} {row['unit']}" for name, row in constants)
+    words = ", ".join(f"{name} {row['value']:.4g} {row['unit']}" for name, row in list(ripple.items())[4:])
     return [f"{line}: {speed:.5g} rad/s ({speed / RAD_S_PER_RPM:.0f} rpm), so {words}"]
 
 
@@ -148,12 +159,13 @@ def exp_or_none(log: float) -> float | None:
 
 def extensions_json(fit: Identified) -> dict[str, Any]:
     """The extensions with their standard errors and intervals, 95 %."""
+    units = _EXTENSION_UNITS if fit.start.voltage_known else _EXTENSION_UNITS | _PER_VOLT
     return {
         name: {
             "value": value,
             "standard_error": number(error),
             "interval": [number(value - TWO_SIDED * error), number(value + TWO_SIDED * error)],
-            "unit": _extension_unit(fit, name),
+            "unit": units[name],
         }
         for name, (value, error) in fit.fitted_extension.items()
     }
@@ -163,40 +175,18 @@ def quantity_lines(
     quantities: Mapping[str, Mapping[str, Any]], beside: Mapping[str, str] | None = None
 ) -> list[str]:
     """A line for each of such quantities, and what stands beside it."""
+    width = max(map(len, quantities), default=0)
     return [
-        f"  {name:<12} {row['value']:11.4g} +- {row['standard_error']:.2g} {row['unit']:<12}"
+        f"  {name:<{max(width, 12)}} {row['value']:11.4g} +- {row['standard_error']:.2g} {row['unit']:<12}"
         f" {(beside or {}).get(name, '')}".rstrip()
         for name, row in quantities.items()
     ]
 
 
-def model_words(model: Sequence[str]) -> str:
-    """The textbook and its extensions."""
-    return " + ".join(["textbook", *model])
-
-
-def quality(fit: Identified) -> str:
+def quality(r2_current: float | None, r2_speed: float | None) -> str:
     """How much of what was recorded a fit explains."""
-    speed = "" if fit.r2_speed is None else f", of the speed {fit.r2_speed:.4f}"
-    return f"R2 of the current {fit.r2_current:.4f}{speed}"
-
-
-_EXTENSION_UNITS = {
-    "supply_ramp": "s",
-    "supply_curve": "of the rise (its middle)",
-    "sensor_lag": "s",
-    "speed_lag": "s",
-    "dead_zone": "A",
-    "coulomb": "N m",
-    "brush_drop": "V",
-}
-_PER_VOLT = {"coulomb": "N m/V", "brush_drop": "of the supply"}
-
-
-def _extension_unit(fit: Identified, name: str) -> str:
-    """Unit of an extension's value; where the voltage is not known it is told for a supply of 1 V."""
-    per_volt = {} if fit.start.voltage_known else _PER_VOLT
-    return per_volt.get(name, _EXTENSION_UNITS[name])
+    found = {"current": r2_current, "speed": r2_speed}
+    return "R2 " + ", ".join(f"of the {name} {r2:.4f}" for name, r2 in found.items() if r2 is not None)
 
 
 def number(value: float | None) -> float | None:
@@ -207,24 +197,25 @@ def number(value: float | None) -> float | None:
 def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None, *, verbose: bool = False) -> str:
     """What a maintenance engineer reads; `verbose` adds how well model and filter fit."""
     recording, telling, fit = diagnosis.recording, diagnosis.telling, diagnosis.telling.identified
-    several = len(diagnosis.pieces) > 1
-    among = "" if not several else f"; {_among(diagnosis)}"
-    lines = [f"{recording.path}: {headline(telling)}{among}"]
-    lines += [f"  {reason}." for reason in telling.reasons]
-    lines.append(f"  taken for {diagnosis.taken}")
-    if recording.columns:
-        lines.append("  read: " + "; ".join(recording.columns))
-    lines += [f"  warning: {sentence}" for sentence in warnings_of(recording, fit)]
-    if several:
-        lines += [_piece_line(diagnosis, piece) for piece in diagnosis.pieces]
-    lines += piece_lines(telling)
+    several = diagnosis.pieces if len(diagnosis.pieces) > 1 else ()
+    lines = [
+        f"{recording.path}: {headline(telling)}{_among(diagnosis) if several else ''}",
+        *(f"  {reason}." for reason in telling.reasons),
+        f"  taken for {diagnosis.taken}",
+        *(["  read: " + "; ".join(recording.columns)] if recording.columns else []),
+        *(f"  warning: {sentence}" for sentence in warnings_of(recording, fit)),
+        *(_piece_line(diagnosis, piece) for piece in several),
+        *_piece_table(telling),
+    ]
     if fit is not None:
-        lines += ripple_lines(fit, periods_per_turn)
+        lines += ripple_lines(ripple_json(fit, periods_per_turn))
         lines += [f"  noticed: {defect}" for defect in fit.defects]
     if verbose:
         lines += expert_lines(telling)
     if telling.smallest_changes:
-        lines.append(f"  {smallest_words(telling)}")
+        found = ", ".join(f"{kind} {severity:.0%}" for kind, severity in telling.smallest_changes.items())
+        own = of_the_drag(None if telling.reference is None else telling.reference.own_friction)
+        lines.append(f"  smallest change that this comparison finds in 95 of 100 cases: {found} ({own})")
     return "\n".join(lines)
 
 
@@ -233,40 +224,34 @@ def _among(diagnosis: Diagnosis) -> str:
     same = sum(piece.verdict is diagnosis.verdict for piece in diagnosis.pieces)
     word = "windows" if diagnosis.taken.regime == "operation" else "starts"
     judged = "" if len(diagnosis.pieces) == diagnosis.of else f" judged, of {diagnosis.of}"
-    return f"{same} of {len(diagnosis.pieces)} {word}{judged}"
+    return f"; {same} of {len(diagnosis.pieces)} {word}{judged}"
 
 
 def _piece_line(diagnosis: Diagnosis, piece: Judgement) -> str:
     """One piece of several: when, what, and how far its quantities lie from the healthy ones."""
     moved = ", ".join(f"{c.name} {c.ratio - 1.0:+.1%}" for c in piece.changes)
-    said = f"{moved}" if piece.changes else "; ".join(piece.reasons)
     mark = " <" if piece is diagnosis.telling else ""
-    return f"  from {piece.begin_s:.6g} s: {headline(piece)}; {said}{mark}"
+    return f"  from {piece.begin_s:.6g} s: {headline(piece)}; {moved or '; '.join(piece.reasons)}{mark}"
 
 
-def piece_lines(judgement: Judgement) -> list[str]:
+def _piece_table(judgement: Judgement) -> list[str]:
     """Quantities of a fitted piece, beside how far they lie from the reference."""
     fit = judgement.fit
     if fit is None:
         return []
     moved = {
-        c.name: f"{c.ratio - 1.0:+6.1%} from the reference ({_span(c)})"
+        c.name: f"{c.ratio - 1.0:+6.1%} from the reference (95 %: {c.low - 1.0:+.1%} to {c.high - 1.0:+.1%})"
         + (", undecided" if c.verdict == "undecided" else "")
         for c in judgement.changes
     }
-    lines = quantity_lines(quantities_json(fit), moved)
-    return lines + [
-        f"  {name:<12} {words}, by the commutation ripple"
-        for name, words in moved.items()
-        if name not in fit.quantity_names
+    return [
+        *quantity_lines(quantities_json(fit), moved),
+        *(
+            f"  {name:<12} {words}, by the commutation ripple"
+            for name, words in moved.items()
+            if name not in fit.quantity_names
+        ),
     ]
-
-
-def smallest_words(judgement: Judgement) -> str:
-    """What this comparison would have found."""
-    smallest = ", ".join(f"{kind} {severity:.0%}" for kind, severity in judgement.smallest_changes.items())
-    own = None if judgement.reference is None else judgement.reference.own_friction
-    return f"smallest change that this comparison finds in 95 of 100 cases: {smallest} ({of_the_drag(own)})"
 
 
 def of_the_drag(own: float | None) -> str:
@@ -282,7 +267,9 @@ def expert_lines(judgement: Judgement) -> list[str]:
     lines = []
     if fit is not None:
         lines += quantity_lines(extensions_json(fit))
-        lines.append(f"  fit: {quality(fit)}; model {model_words(fit.model)}")
+        lines.append(
+            f"  fit: {quality(fit.r2_current, fit.r2_speed)}; model {' + '.join(['textbook', *fit.model])}"
+        )
     if check is not None:
         lines.append(
             f"  filter: sensor noise {check.sensor_noise_a:.3g} A, model error {check.model_error_a:.3g} A,"
@@ -295,19 +282,15 @@ def expert_lines(judgement: Judgement) -> list[str]:
     return lines
 
 
-def _span(change: Change) -> str:
-    return f"95 %: {change.low - 1.0:+.1%} to {change.high - 1.0:+.1%}"
-
-
 def headline(judgement: Judgement) -> str:
     """Verdict, severity and confidence in one line."""
-    words = str(judgement.verdict)
-    if judgement.kind is not None and str(judgement.kind) != str(judgement.verdict):
+    words, interval = str(judgement.verdict), judgement.severity_interval
+    if judgement.kind is not None and str(judgement.kind) != words:
         words += f" ({judgement.kind})"
     if judgement.severity and judgement.verdict.is_fault:
         words += f" {judgement.severity:+.0%}"
-        if judgement.severity_low is not None and judgement.severity_high is not None:
-            words += f" (95 %: {judgement.severity_low:+.0%} to {judgement.severity_high:+.0%})"
+        if interval is not None:
+            words += f" (95 %: {interval[0]:+.0%} to {interval[1]:+.0%})"
     if judgement.confidence is not None:
         words += f", confidence {judgement.confidence:.2f}"
     return words

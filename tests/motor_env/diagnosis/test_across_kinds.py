@@ -11,10 +11,10 @@ from scipy import stats
 from started_motor import step_start
 
 from motor_env import PAPER_MOTOR, FaultKind, Motor, MotorParameters, Recording, Verdict, diagnose
-from motor_env.diagnosis.commission import motor_of_windows
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import joint_share
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
+from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running.windows import FittedWindow
 from motor_env.diagnosis.shown.page import reference_current
 from motor_env.fitting import places

@@ -31,7 +31,7 @@ from motor_env import (
 )
 from motor_env.cli import main
 from motor_env.console import ExitStatus, worst
-from motor_env.diagnosis import commission
+from motor_env.diagnosis import commission, motor_files
 from motor_env.diagnosis.decision import decide, limits_of
 from motor_env.diagnosis.diagnose import unusable_reason
 from motor_env.diagnosis.explanations import (
@@ -48,11 +48,10 @@ from motor_env.diagnosis.explanations import (
 )
 from motor_env.diagnosis.files import picture_of
 from motor_env.diagnosis.filter_check import filter_check
-from motor_env.diagnosis.healthy_motor import Reference, reference_of, reference_of_pieces
+from motor_env.diagnosis.healthy_motor import Reference, beyond, reference_of, reference_of_pieces, warmer
 from motor_env.diagnosis.identify import Identification
-from motor_env.diagnosis.learning import disagreement, learn_starts, odd_one_out
+from motor_env.diagnosis.learning import disagreement, learn_starts, odd_one_out, the_next
 from motor_env.diagnosis.shown import page, report
-from motor_env.diagnosis.spread import beyond, the_next, warmer
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
 
@@ -471,7 +470,7 @@ def test_a_fault_is_called_from_the_limit_of_its_test_on(kind: str, verdict: Ver
     step, half = float(1.005 * at.sum()), stats.t.isf(0.025, freedom) * sd
     own = 0.8 if kind == "bearing" else 1.0
     expected_size = [math.expm1(one) / own for one in (step, step - half, step + half)]
-    assert [found.severity, found.severity_low, found.severity_high] == pytest.approx(expected_size)
+    assert [found.severity, *(found.severity_interval or ())] == pytest.approx(expected_size)
     assert str(found.fault_kind) == kind
     assert found.reference is not None
     view = views_of(fitted()[1], found.reference, RATE)[0]
@@ -759,8 +758,7 @@ def faulty() -> Diagnosis:
         fault_kind=FaultKind.WINDING_CONTACT,
         kind_probability=0.95,
         severity=0.2,
-        severity_low=0.1,
-        severity_high=0.31,
+        severity_interval=(0.1, 0.31),
         confidence=0.876,
         changes=changes,
         smallest_changes={"bearing": 0.123, "winding_contact": 0.045},
@@ -821,8 +819,8 @@ def test_text_and_json_say_the_same() -> None:
     assert told["parameters"]["onset_s"] == {"value": fit.onset_s, "unit": "s"}
     assert told["parameters"]["offset_a"] == {"value": fit.offset_a, "unit": "A"}
     assert report.of_the_drag(0.4).endswith("own friction, 40% of the drag")
-    assert of_one(severity_low=0.1, severity_high=0.31).severity_interval == (0.1, 0.31)
-    assert of_one(severity_low=0.1, severity_high=None).severity_interval is None
+    assert of_one(severity_interval=(0.1, 0.31)).severity_interval == (0.1, 0.31)
+    assert of_one(severity_interval=None).severity_interval is None
     for number in (math.nan, math.inf):
         assert report.as_json(of_one(severity=number))["severity"] is None
     assert report.headline(of_one(confidence=None).telling) == "healthy"
@@ -959,7 +957,7 @@ def test_an_identified_motor_is_the_geometric_mean_of_its_fits() -> None:
     theta = fit.solution.theta.copy()
     theta[[fit.solution.names.index(name) for name in "RJ"]] += np.log([4.0, 0.25])
     other = replace(fit, solution=replace(fit.solution, theta=theta))
-    motor = commission.to_motor([fit, other], "two")
+    motor = motor_files.to_motor([fit, other], "two")
     assert motor.parameters.resistance_ohm == pytest.approx(2.0 * float(fit.parameters.resistance_ohm))
     assert motor.parameters.inertia_kg_m2 == pytest.approx(0.5 * float(fit.parameters.inertia_kg_m2))
     assert motor.nominal_voltage_v == pytest.approx(12.0)
@@ -967,9 +965,9 @@ def test_an_identified_motor_is_the_geometric_mean_of_its_fits() -> None:
     for error, told in ((0.0495, 0.1), (0.0505, 0.0)):
         # Twice their mean's standard error: that of one over the root of two.
         pair = [replace(fit, fitted_extension={"coulomb": (0.1, error * math.sqrt(2.0))})] * 2
-        assert commission.to_motor(pair, "two").coulomb_friction_n_m == pytest.approx(told)
+        assert motor_files.to_motor(pair, "two").coulomb_friction_n_m == pytest.approx(told)
     wide = replace(fit, log_covariance=np.diag([0.49, 0.51, 0.1, 0.1]) ** 2)
-    assert [one for one in commission.not_told(wide) if "is not told" in one] == [
+    assert [one for one in motor_files.not_told(wide) if "is not told" in one] == [
         "L is not told by this recording (its standard error is 51 %)"
     ]
 
@@ -997,7 +995,7 @@ def test_a_commissioning_counts_what_its_pieces_leave_undecided(odd: float) -> N
         limit = stats.t.isf(joint_share(0.8 * RATE, whole, EXPONENTS, freedom), freedom)
         expected += bool((limit + 1.645) * math.sqrt(same[3, 3]) > math.log(2.0))
     assert expected == (4 if odd else 0)
-    motor = commission.to_motor(given, "m", kind="commissioned", healthy=learn_starts(given))
+    motor = motor_files.to_motor(given, "m", kind="commissioned", healthy=learn_starts(given))
     smallest, undecided = commission._promise(motor, given, None, RATE)
     assert undecided == ({"B/J": expected} if odd else {})
     reference = reference_of(motor, CURRENT)
@@ -1040,7 +1038,7 @@ def test_words_of_a_commissioning() -> None:
     """The interval of the next healthy start, at the rate on both sides together."""
     given = fits(*SCATTER)
     learned = learn_starts(given)
-    motor = commission.to_motor(given, "m", kind="commissioned", healthy=learned)
+    motor = motor_files.to_motor(given, "m", kind="commissioned", healthy=learned)
     known = commission.Commissioned(motor, tuple(given), {"bearing": 0.25}, {"B/J": 2})
     text = replace(known, false_alarm_rate=0.05).text()
     half = stats.t.isf(0.025, 6.0) * np.sqrt(np.diag(learned.log_covariance))

@@ -12,8 +12,8 @@ from started_motor import step_start
 
 from motor_env import Motor, MotorParameters, Recording, diagnose, load_motor
 from motor_env.cli import main
-from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.motor_files import to_motor
 from motor_env.motor.parameters import FloatArray
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml").parameters

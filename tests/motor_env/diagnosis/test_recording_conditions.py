@@ -24,8 +24,8 @@ from motor_env import (
     identify,
     load_motor,
 )
-from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.motor_files import to_motor
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: the supply comes on between two samples, which `simulate` cannot do; its level is drawn as by recipes.

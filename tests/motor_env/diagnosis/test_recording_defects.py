@@ -28,8 +28,8 @@ from motor_env import (
     load_motor,
     simulate,
 )
-from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.motor_files import to_motor
 
 # Reaches in: the estimate of a start's noise by itself.
 from motor_env.motor.parameters import FloatArray

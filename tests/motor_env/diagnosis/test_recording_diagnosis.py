@@ -30,9 +30,9 @@ from motor_env import (
     read_recording,
     simulate,
 )
-from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.files import diagnose_files
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.motor_files import to_motor
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.start import prepare
 

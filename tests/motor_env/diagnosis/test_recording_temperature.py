@@ -22,8 +22,8 @@ from motor_env import (
     load_motor,
     simulate,
 )
-from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.motor_files import to_motor
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml").parameters
 TIMING = Timing(10_000.0, 0.2, 0.05)

@@ -22,8 +22,8 @@ from motor_env import (
     simulate,
     simulate_states,
 )
-from motor_env.diagnosis.commission import to_motor
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.motor_files import to_motor
 from motor_env.diagnosis.running import unlearned
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import NAMES, viscous
@@ -103,7 +103,8 @@ def test_a_log_is_judged_without_a_commissioning_at_work(motor: Any) -> None:
     assert [piece.begin_s for piece in found.pieces] == pytest.approx([0.0, 0.8, 1.6, 2.4])
     assert (found.verdict, found.taken.regime, found.of) == ("bearing", "operation", 4)
     for piece in found.pieces[2:]:
-        assert (piece.severity_low or 0.0) < 1.0 < (piece.severity_high or 0.0)
+        low, high = piece.severity_interval or (0.0, 0.0)
+        assert low < 1.0 < high
 
 
 @pytest.mark.long

@@ -29,12 +29,13 @@ from motor_env import (
 from motor_env.cli import main
 from motor_env.console import worst
 from motor_env.diagnosis import diagnose as diagnosing, files, views
-from motor_env.diagnosis.commission import Commissioned, commission, motor_of_windows
+from motor_env.diagnosis.commission import Commissioned, commission
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import Change, joint_share
 from motor_env.diagnosis.files import Outcome
 from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.loaded import Drag
+from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running import lessons, windows
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.running.looks import Looks

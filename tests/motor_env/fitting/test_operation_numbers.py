@@ -16,7 +16,8 @@ from motor_env.cli import main
 
 # Reaches in: a fit made by hand is patched in below `identify`, and told by the answer that it gives.
 from motor_env.diagnosis import identify as identifying
-from motor_env.fitting import fit as fitting, kernel, places, report, uncertainty
+from motor_env.diagnosis.motor_files import motor_of_log
+from motor_env.fitting import fit as fitting, kernel, places, uncertainty
 from motor_env.fitting.beginnings import beginnings
 from motor_env.fitting.fit import ScoreTest, score_tests
 from motor_env.fitting.identify import Operation, identify_operation, identify_record
@@ -717,7 +718,7 @@ def test_one_channel_alone_tells_ratios_in_their_units(identified: Operation) ->
             if one.name in true and one.is_told:
                 assert one.value == pytest.approx(true[one.name], rel=0.08)
         with pytest.raises(InputError, match="needs current and speed"):
-            report.to_motor(found, "mine")
+            motor_of_log(found, "mine")
     assert found.r2_current is None
     p = found.solution.values
     told = [
@@ -736,7 +737,7 @@ def known(joint: Operation) -> identifying.Identification:
 
 def test_text_json_and_motor_file_say_the_same(identified: Operation) -> None:
     (told,), text = known(identified).to_json(), known(identified).text().splitlines()
-    for one, line in zip(identified.quantities, text[2:], strict=False):
+    for one, line in zip(identified.quantities, text[3:], strict=False):
         said = told["parameters"][one.name]
         assert said == {
             "value": one.value,
@@ -745,7 +746,8 @@ def test_text_json_and_motor_file_say_the_same(identified: Operation) -> None:
             "unit": one.unit,
             "determined": one.is_told,
         }
-        assert f"{one.value:.4g} {one.unit}" in " ".join(line.split())
+        words = f"{one.name} {one.value:.4g} +- {said['standard_error']:.2g} {one.unit} "
+        assert " ".join(line.split()).startswith(words)
         assert (f"{one.low:.4g} to {one.high:.4g}" if one.is_told else "not determined") in line
     assert told["model"] == list(identified.model)
     assert (told["r2_current"], told["r2_speed"]) == identified.solution.explained()
@@ -764,7 +766,7 @@ def test_text_json_and_motor_file_say_the_same(identified: Operation) -> None:
     assert {one.name: one.unit for one in identified.quantities} | units == {
         one.name: one.unit for one in identified.quantities
     }
-    motor, p = report.to_motor(identified, "mine"), identified.solution.values
+    motor, p = motor_of_log(identified, "mine"), identified.solution.values
     assert motor.parameters.resistance_ohm == p[places.R]
     assert motor.parameters.inductance_h == p[places.L]
     assert (
@@ -824,7 +826,10 @@ def test_the_command_tells_logs_from_starts(
     assert main(["identify", str(log), start, "-o", str(toml)]) == 0
     said = capsys.readouterr().out
     assert f"{start}: model textbook" in said
-    assert f"{log}: a motor at work (the voltage reverses" in said
+    assert (
+        f"{log}: model {' + '.join(identified.model)}\n  taken for a motor at work (the voltage reverses"
+        in said
+    )
     assert main(["identify", str(log), "--regime", "operation", "-o", str(toml)]) == 0
     assert "(as asked)" in capsys.readouterr().out
     assert load_motor(toml).parameters.inertia_kg_m2 == identified.solution.values[places.J]

@@ -1,0 +1,122 @@
+"""What fits of starts, of logs and of their windows write into a motor file, and what they cannot tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from motor_env.errors import InputError
+from motor_env.fitting import places
+from motor_env.fitting.identify import Operation
+from motor_env.fitting.starts import AMBIGUOUS, Identified
+from motor_env.motor.assumptions import assumptions
+from motor_env.motor.data_sheet import Kind, Motor
+from motor_env.motor.healthy import Healthy
+from motor_env.motor.parameters import FloatArray, MotorParameters
+
+_DIFFERENT = 2.0  # standard errors
+_UNTOLD = 0.5  # standard deviation of a logarithm
+
+
+def to_motor(
+    fits: Sequence[Identified],
+    name: str,
+    *,
+    kind: Kind = "identified",
+    healthy: Healthy | None = None,
+    constant: float | None = None,
+) -> Motor:
+    """Motor file of fits of starts of one motor: the geometric mean of their parameters.
+
+    Where the speed was not recorded, `constant` is the torque constant that the user knows.
+    """
+    start = fits[0].start
+    mean = {
+        field: float(np.exp(np.mean([math.log(max(getattr(fit.parameters, field), 1e-300)) for fit in fits])))
+        for field in MotorParameters.__dataclass_fields__
+    }
+    told = fits[0].quantity_names if constant is None else ("K",)
+    return Motor(
+        name=name,
+        kind=kind,
+        parameters=MotorParameters(**mean),
+        nominal_voltage_v=float(np.mean([fit.start.level_v for fit in fits])),
+        current_noise_a=float(np.exp(np.mean([math.log(max(fit.noise_a, 1e-12)) for fit in fits]))),
+        coulomb_friction_n_m=_if_told(fits, "coulomb"),
+        brush_drop_v=_if_told(fits, "brush_drop"),
+        healthy=healthy,
+        notes=() if start.voltage_known and start.speed_rad_s is not None else tuple(not_told(fits[0])),
+        assumed=assumptions(told, has_voltage=start.voltage_known),
+    )
+
+
+def _if_told(fits: Sequence[Identified], name: str) -> float:
+    """Mean of an extension over fits, or 0 where it is not different from 0 by two standard errors."""
+    each = [fit.fitted_extension.get(name, (0.0, 0.0)) for fit in fits]
+    mean, error = np.mean(each, axis=0)[0], float(np.linalg.norm([e for _, e in each])) / len(each)
+    return float(mean) if mean > _DIFFERENT * error else 0.0
+
+
+def not_told(fit: Identified) -> list[str]:
+    """What this recording cannot tell, in sentences."""
+    has_voltage, deviations = fit.start.voltage_v is not None, np.sqrt(np.diag(fit.log_covariance))
+    limits = {
+        "the voltage is unknown: everything is per volt, the supply counts as 1 V": not fit.start.voltage_known,
+        "the current alone tells K^2/J and B/J, not K, J and B (K down looks like J and B up): K is assumed": (
+            fit.start.speed_rad_s is None
+        ),
+        "a step cannot tell a brush drop from a lower supply": not has_voltage,
+        "a supply that rises slowly, a lag of the sensor and L look alike: L is hardly told": (
+            not has_voltage and not AMBIGUOUS.isdisjoint(fit.model)
+        ),
+    }
+    return [sentence for sentence, holds in limits.items() if holds] + [
+        f"{name} is not told by this recording (its standard error is {100 * s:.0f} %)"
+        for name, s in zip(fit.quantity_names, deviations, strict=True)
+        if s > _UNTOLD
+    ]
+
+
+def motor_of_log(found: Operation, name: str) -> Motor:
+    """Motor file of a motor that was identified at work.
+
+    Raises:
+        InputError: current and speed were not both recorded: R, K, J and B are not known one by one.
+    """
+    if not found.record.seen.all():
+        raise InputError("a motor file needs current and speed: the parameters are not known one by one")
+    values = found.solution.values
+    return replace(
+        _motor_of(values, name),
+        nominal_voltage_v=found.record.peaks[0],
+        current_noise_a=float(values[places.NOISE_I]),
+        speed_noise_rad_s=float(values[places.NOISE_W]),
+        notes=found.notes,
+    )
+
+
+def motor_of_windows(healthy: Healthy, name: str) -> Motor:
+    """The motor that windows have taught."""
+    assert healthy.windows is not None  # noqa: S101  # it was learned from them
+    return replace(_motor_of(healthy.windows.physical, name), kind="commissioned", healthy=healthy)
+
+
+def _motor_of(values: FloatArray, name: str) -> Motor:
+    """A motor of a fit's physical values, shape (places.N_VALUES,)."""
+    return Motor(
+        name=name,
+        kind="identified",
+        parameters=MotorParameters(
+            resistance_ohm=float(values[places.R]),
+            inductance_h=float(values[places.L]),
+            back_emf_constant_v_s_per_rad=float(values[places.K]),
+            torque_constant_n_m_per_a=float(values[places.K]),
+            inertia_kg_m2=float(values[places.J]),
+            viscous_friction_n_m_s_per_rad=float(values[places.B]),
+        ),
+        coulomb_friction_n_m=float(values[places.COULOMB]),
+        brush_drop_v=float(values[places.DROP]),
+    )
