@@ -34,7 +34,7 @@ from motor_env.fitting.starts import (
     identify_best,
     record_of,
 )
-from motor_env.fitting.uncertainty import capped, coloured_covariance
+from motor_env.fitting.uncertainty import capped, sandwich
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: starts are aligned by hand, their onset known; dense matrices need the floor of a residual's noise.
@@ -339,15 +339,20 @@ def dense_covariance(problem: Problem, theta: FloatArray, measured: Start) -> tu
     n, p, begin = len(measured.time_s), len(theta), measured.alignment.onset_index
     channels, values = int(problem.record.seen.sum()), problem.values(theta)
     noises = values[[places.NOISE_I, places.NOISE_W][:channels]]
-    scale = np.exp(np.mean(np.log(noises)))
-    jacobian, left = central_jacobian(problem, theta) / scale, problem.residuals(theta) / scale
+    left = problem.residuals(theta)
+    scale = np.sqrt(left @ left / problem.count)
+    jacobian, left = central_jacobian(problem, theta) / scale, left / scale
     # Logarithms are known to 3 beforehand, and so are sizes in theirs; the onset to half an interval and half the
     # rise of the current; the offset as far as its quiet part tells.
     rise = values[places.L] / values[places.R] + values[places.RISE] + values[places.LAG_I]
     sd = np.array(
-        [3.0 * (1.0 if term.is_log else abs(one)) for term, one in zip(problem.free, theta, strict=True)]
+        [
+            3.0 * (1.0 if term.is_log else max(abs(one), term.usual))
+            for term, one in zip(problem.free, theta, strict=True)
+        ]
     )
-    sd[-2:] = 0.5 * (1.0 + rise / DT_S), np.inf
+    sd[-2] = 0.5 * (1.0 + rise / DT_S)
+    sd[[term.prior_sd < np.inf for term in problem.free]] = np.inf
     weak = np.diag(1.0 / sd**2)
     beliefs = jacobian[-p:].T @ jacobian[-p:] + weak
     meat, counts = beliefs.copy(), []
@@ -376,8 +381,9 @@ def test_the_covariance_is_the_sandwich_of_dense_matrices(unseen_a: float) -> No
     problem = problem_of(measured, ("supply_ramp",), None, QUANTITIES)
     theta = truth(problem, measured, supply_ramp=2e-4)
     problem = Solution(problem, theta, 0.0).weighed()
-    begin = measured.alignment.onset_index
-    got, independent = coloured_covariance(problem, theta, begin, unseen_a)
+    jacobian = problem.jacobian(theta, problem.residuals(theta))
+    level, begin = unseen_a / problem.known[places.NOISE_I], measured.alignment.onset_index
+    got, independent = sandwich(problem, theta, jacobian, range(len(theta)), begin=begin, level=level)
     expected, counts = dense_covariance(problem, theta, measured)
     assert independent == pytest.approx(counts, rel=1e-9)
     std = np.sqrt(np.diag(expected))
