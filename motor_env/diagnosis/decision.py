@@ -216,10 +216,8 @@ def _with_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: fl
         return healthy
     # Coarse steps, a rectifier and a dead zone change the noise seen: it tells nothing. Healthy starts were recorded
     # with the same sensor, and hold the same.
-    alignment = fit.start.alignment
-    coarse = alignment.quantum_a > math.exp(reference.log_noise)
-    hides = alignment.rectified or "dead_zone" in fit.model
-    if (coarse or hides) and not reference.includes_fit_error:
+    is_coarse = fit.start.alignment.quantum_a > math.exp(reference.log_noise)
+    if (is_coarse or fit.is_hidden) and not reference.includes_fit_error:
         return healthy
     z = (math.log(max(fit.noise_a, 1e-12)) - reference.log_noise) / reference.log_noise_sd
     if z <= limit:

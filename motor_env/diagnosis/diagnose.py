@@ -14,7 +14,6 @@ from scipy.special import stdtrit
 from motor_env.diagnosis import verdict
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.explanations import alarm_share, compare
-from motor_env.diagnosis.filter_check import filter_check
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement, Verdict
@@ -151,15 +150,14 @@ def judge_start(
             fit = identify(start, reference.model, constant=constant, typical=typical)
     except UnusableError as error:
         return Judgement(Verdict.UNUSABLE, (str(error),))
-    check = filter_check(fit)
     trouble = unusable_reason(fit)
     if trouble:
-        return Judgement(Verdict.UNUSABLE, (trouble,), fit=fit, filter_check=check)
+        return Judgement(Verdict.UNUSABLE, (trouble,), fit=fit)
     if reference is None:
         told = f"this recording tells {', '.join(fit.quantity_names)}, and the reference speaks of other quantities"
         reason = _NOTHING if motor is None else told
-        return Judgement(Verdict.NO_REFERENCE, (reason,), fit=fit, filter_check=check)
-    judgement = replace(decide(fit, reference, rate), filter_check=check)
+        return Judgement(Verdict.NO_REFERENCE, (reason,), fit=fit)
+    judgement = decide(fit, reference, rate)
     starts = None if motor is None or motor.healthy is None else motor.healthy.starts
     return judgement if starts is None else _with_ripple(judgement, fit, starts, rate)
 

@@ -8,15 +8,16 @@ from enum import StrEnum
 
 from motor_env.console import ExitStatus
 from motor_env.diagnosis.explanations import Change
-from motor_env.diagnosis.filter_check import FilterCheck
 from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.views import Fitted
+from motor_env.filters.consistency import Consistency, check_consistency
 from motor_env.fitting.starts import Identified
 from motor_env.motor.faults import FaultKind
 from motor_env.recordings.recording import Recording
 from motor_env.recordings.regime import Taken
 
 SURE_OF_KIND = 0.95
+_FEWEST_FOR_WHITENESS = 40
 """Posterior probability below which a verdict does not say which kind of its family it is."""
 
 
@@ -73,7 +74,6 @@ class Judgement:
         reference: what it was compared with.
         changes: how far each quantity lies from the reference.
         smallest_changes: severity of each fault that is found in 95 of 100 cases.
-        filter_check: what the Kalman filter makes of a start.
         begin_s: begin of the piece, a start or a window of a motor at work, on the recording's clock.
         duration_s: length of the piece.
     """
@@ -89,7 +89,6 @@ class Judgement:
     reference: Reference | None = None
     changes: tuple[Change, ...] = ()
     smallest_changes: dict[str, float] = field(default_factory=dict)
-    filter_check: FilterCheck | None = None
     begin_s: float = 0.0
     duration_s: float = 0.0
 
@@ -108,10 +107,16 @@ class Judgement:
         return self.fit if isinstance(self.fit, Identified) else None
 
     @property
+    def consistency(self) -> Consistency | None:
+        """Mean, size and whiteness of the innovations of the fit; None without one, or with too few of them."""
+        if self.fit is None or len(self.fit.whitened) <= _FEWEST_FOR_WHITENESS:
+            return None
+        return check_consistency(self.fit.whitened)
+
+    @property
     def warning(self) -> str:
         """That the recording is not consistent with the fitted model, in one sentence; empty where it is."""
-        consistency = None if self.filter_check is None else self.filter_check.consistency
-        return "" if consistency is None else consistency.warning
+        return "" if self.consistency is None else self.consistency.warning
 
 
 @dataclass(frozen=True, slots=True)

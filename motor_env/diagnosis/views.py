@@ -43,6 +43,10 @@ class Fitted(Protocol):
         """The same from white noise alone: what differs between pieces of one motor, shape (n, n)."""
 
     @property
+    def whitened(self) -> FloatArray:
+        """Innovations over their standard deviations, shape (n, n_channels); NaN where the sensor shows nothing."""
+
+    @property
     def exponents(self) -> FloatArray:
         """Exponents of (R, L, K, J, B, V) in each quantity, shape (n, 6)."""
 

@@ -166,6 +166,24 @@ class Identified:
         return out
 
     @property
+    def is_hidden(self) -> bool:
+        """Whether the sensor hides small currents: its readings are not linear in the state, and have no innovations."""
+        return self.start.alignment.rectified or "dead_zone" in self.model
+
+    @property
+    def whitened(self) -> FloatArray:
+        """Residual of the running motor over the sensor's noise, shape (n, 1); NaN where the sensor shows nothing.
+
+        The state is known where the motor stands, and nothing disturbs the model: these are the innovations of its
+        Kalman filter, where the sensor hides nothing.
+        """
+        is_step = self.start.voltage_v is None
+        begin = int(np.searchsorted(self.start.time_s, self.onset_s, side="right")) + 1 if is_step else 1
+        shown = self.start.counted & (self.states[:, 0] >= 0.5 * self.physical[places.ZONE])
+        noise = max(self.noise_a, 1e-9 * float(np.ptp(self.start.current_a)))
+        return np.where(shown, self.residual_a / noise, np.nan)[begin:, None]
+
+    @property
     def white_covariance(self) -> FloatArray:
         """Covariance of the logarithms from white noise alone: what differs between starts of one motor."""
         running = self.residual_a[self.start.alignment.onset_index :]

@@ -28,11 +28,12 @@ _UNTOLD = 10.0  # standard deviation of a logarithm of which the samples tell no
 
 
 class WindowFit(NamedTuple):
-    """Logarithms of R, K, J and the drag of one window, their covariance, and all its physical values."""
+    """Logarithms of R, K, J and the drag of one window, their covariance, all its physical values, its innovations."""
 
     logs: FloatArray
     covariance: FloatArray
     values: FloatArray
+    whitened: FloatArray
 
 
 @on_one_thread
@@ -53,7 +54,8 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
     way = math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
     slope = np.diag([1.0, 1.0, 1.0, way])
     logs = np.log([values[places.R], values[places.K], values[places.J], factor])
-    return WindowFit(logs, slope @ spread[np.ix_(at, at)] @ slope, values)
+    whitened = record.predict(values)[0][1:, :2]
+    return WindowFit(logs, slope @ spread[np.ix_(at, at)] @ slope, values, whitened)
 
 
 def first_steps(

@@ -3,11 +3,8 @@
 import numpy as np
 
 from motor_env import MotorParameters
-<<<<<<< HEAD
-=======
 
 # Reaches in: dry friction, a fan and slow sensors, which `simulate` has not, are those of the model that is fitted.
->>>>>>> ae5a5c724dff3b64766eb0cdaaef07bf3378e112
 from motor_env.fitting import kernel, places
 from motor_env.fitting.record import Record
 from motor_env.motor.parameters import FloatArray

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,10 +40,14 @@ WARMTH = quantities.warmth_direction(EXPONENTS)
 
 @dataclass(frozen=True, slots=True)
 class FittedWindow:
-    """A fitted window: logarithms of R, K, J and of the drag over the speed, shape (4,), and their covariance."""
+    """A fitted window: logarithms of R, K, J and of the drag over the speed, shape (4,), their covariance, innovations.
+
+    The innovations of current and speed are over their standard deviations, shape (n, 2); none in a look.
+    """
 
     log_values: FloatArray
     log_covariance: FloatArray
+    whitened: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
 
     @property
     def quantity_names(self) -> tuple[str, ...]:
@@ -93,7 +97,7 @@ def is_closed(part: Record) -> bool:
 def over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: float) -> FittedWindow:
     """A window's fit with the drag over the speed instead of a factor on the drag of the physical values."""
     drag = math.log(viscous(physical, speed_rad_s))
-    return FittedWindow(fit.logs + np.array([0.0, 0.0, 0.0, drag]), fit.covariance)
+    return FittedWindow(fit.logs + np.array([0.0, 0.0, 0.0, drag]), fit.covariance, fit.whitened)
 
 
 @dataclass(frozen=True, slots=True)

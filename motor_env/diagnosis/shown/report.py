@@ -49,7 +49,7 @@ _PER_VOLT = {"coulomb": "N m/V", "brush_drop": "of the supply"}
 def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict[str, Any]:
     """One object: what the recording was taken for, its verdict by the piece that it rests on, and all pieces."""
     recording, telling = diagnosis.recording, diagnosis.telling
-    fit, check = telling.identified, telling.filter_check
+    fit, consistency = telling.identified, telling.consistency
     parameters: dict[str, Any] = {} if telling.fit is None else quantities_json(telling.fit)
     if fit is not None:
         parameters |= extensions_json(fit) | {
@@ -66,10 +66,9 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
         "r2_current": None if fit is None else number(fit.r2_current),
         "r2_speed": None if fit is None else number(fit.r2_speed),
         "residual_autocorrelation": None if fit is None else number(fit.lag_one),
-        "mean_nis": None if check is None else number(check.mean_nis),
-        "sensor_noise_a": None if check is None else number(check.sensor_noise_a),
-        "model_error_a": None if check is None else number(check.model_error_a),
-        "consistent": None if check is None or check.consistency is None else check.consistency.holds,
+        "mean_nis": None if consistency is None else number(consistency.mean_square),
+        "sensor_noise_a": None if fit is None else number(fit.noise_a),
+        "consistent": None if consistency is None else consistency.holds,
         "warning": telling.warning or None,
         "warnings": warnings_of(recording, fit),
         "commutation": None if fit is None else ripple_json(fit, periods_per_turn),
@@ -263,18 +262,19 @@ def of_the_drag(own: float | None) -> str:
 
 def expert_lines(judgement: Judgement) -> list[str]:
     """How well model and filter fit, and what the verdict allows for."""
-    fit, check = judgement.identified, judgement.filter_check
+    fit, consistency = judgement.identified, judgement.consistency
     lines = []
     if fit is not None:
         lines += quantity_lines(extensions_json(fit))
         lines.append(
             f"  fit: {quality(fit.r2_current, fit.r2_speed)}; model {' + '.join(['textbook', *fit.model])}"
         )
-    if check is not None:
-        lines.append(
-            f"  filter: sensor noise {check.sensor_noise_a:.3g} A, model error {check.model_error_a:.3g} A,"
-            f" mean NIS {check.mean_nis:.2f} (with the sensor's noise alone {check.sensor_only_nis:.2f})"
+        judged = (
+            "what the sensor shows: it hides small currents" if fit.is_hidden else "the filter's innovations"
         )
+        lines.append(f"  judged by {judged}; sensor noise {fit.noise_a:.3g} A")
+    if consistency is not None:
+        lines.append(f"  mean normalised innovation squared (NIS) {consistency.mean_square:.2f}")
     if judgement.warning:
         # The fit's errors come from the autocorrelated residual, not from the filter.
         allowed = "; the verdict allows for it" if judgement.reference is not None else ""

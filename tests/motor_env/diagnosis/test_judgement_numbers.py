@@ -47,13 +47,13 @@ from motor_env.diagnosis.explanations import (
     smallest_changes,
 )
 from motor_env.diagnosis.files import picture_of
-from motor_env.diagnosis.filter_check import filter_check
 from motor_env.diagnosis.healthy_motor import Reference, beyond, reference_of, reference_of_pieces, warmer
 from motor_env.diagnosis.identify import Identification
 from motor_env.diagnosis.learning import disagreement, learn_starts, odd_one_out, the_next
 from motor_env.diagnosis.shown import page, report
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
+from motor_env.filters.consistency import check_consistency
 
 # Reaches in: fits are altered by hand, and faults move them in directions that no public name gives.
 from motor_env.fitting import places
@@ -355,8 +355,9 @@ def test_healthy_starts_teach_the_next_one() -> None:
     assert late.duration_s == pytest.approx((starts.duration_s or 0.0) - 0.05, abs=1e-3)
     assert late.quiet_s == starts.quiet_s
     assert (starts.ripple_hz, starts.ripple_log_sd, learned.temperature_k) == (None, None, 15.0)
-    left = float(np.var(given[0].residual_a[start.alignment.onset_index :]))
-    np.testing.assert_allclose(error, given[0].log_covariance * min(given[0].noise_a ** 2 / left, 1.0))
+    running = given[0].residual_a[start.alignment.onset_index :]
+    left, white = float(np.var(running)), difference_noise(running)
+    np.testing.assert_allclose(error, given[0].log_covariance * min(white**2 / left, 1.0))
     extended = [replace(fit, model=("coulomb",), fitted_extension={"coulomb": (size, 0.1)}) for fit, size in
                 zip(given, (2.0, 1.0, 3.0), strict=True)]  # fmt: skip
     kept = learn_starts(extended).starts
@@ -674,63 +675,46 @@ def test_a_fit_that_explains_too_little_is_unusable() -> None:
         assert (unusable_reason(wide) is not None) is is_refused
 
 
-def test_the_filter_splits_what_the_fit_leaves() -> None:
+def test_innovations_are_what_the_fit_leaves_over_the_noise() -> None:
+    """Of white noise they are white and of size 1; whatever the piece, the same tests judge them."""
     found, fit, _ = fitted()
-    check = found.filter_check
-    assert check is not None
-    assert check.sensor_noise_a == fit.noise_a
     driven = int(np.sum(fit.start.time_s <= fit.onset_s)) + 1
-    slow = math.sqrt(float(np.var(fit.residual_a[driven:])) - fit.noise_a**2)
-    assert check.model_error_a == pytest.approx(slow)
-    assert check.mean_nis == pytest.approx(float(np.nanmean(check.whitened**2)))
-    assert check.sensor_only_nis == pytest.approx(1.0, abs=0.1)
+    np.testing.assert_allclose(fit.whitened[:, 0], fit.residual_a[driven:] / fit.noise_a)
+    assert found.consistency == check_consistency(fit.whitened)
+    assert found.consistency is not None
+    assert found.consistency.holds
+    assert found.consistency.mean_square == pytest.approx(1.0, abs=0.1)
+    few = replace(
+        fit, solution=replace(fit.solution), start=replace(fit.start, time_s=fit.start.time_s - 1.0)
+    )
+    assert replace(found, fit=None).consistency is None
+    assert replace(found, fit=few).consistency is None  # all lies before the onset
 
 
-def test_the_filter_leaves_out_what_is_not_shown() -> None:
-    """Wild samples, and currents below half of a dead zone: they have no innovation, and weigh nothing."""
-    found, fit, _ = fitted()
-    whole = found.filter_check
-    assert whole is not None
+def test_innovations_leave_out_what_is_not_shown() -> None:
+    """Wild samples, and currents below half of a dead zone."""
+    _, fit, _ = fitted()
     begin = int(np.sum(fit.start.time_s <= fit.onset_s)) + 1
     wild = replace(fit.start, alignment=replace(fit.start.alignment, wild=(begin + 7, begin + 90)))
-    off = wild.current_a.copy()
-    off[[begin + 7, begin + 90]] += 5.0
-    left = filter_check(replace(fit, start=replace(wild, current_a=off)))
-    assert np.flatnonzero(np.isnan(left.whitened)).tolist() == [7, 90]
-    assert left.mean_nis == pytest.approx(float(np.nanmean(left.whitened**2)))
-    assert left.mean_nis == pytest.approx(whole.mean_nis, rel=0.02)
+    assert np.flatnonzero(np.isnan(replace(fit, start=wild).whitened[:, 0])).tolist() == [7, 90]
     problem, zone = fit.solution.problem, float(fit.states[begin + 300, 0])
     hiding = problem.known.copy()
     hiding[places.ZONE] = 2.0 * zone
-    solved = replace(fit.solution, problem=replace(problem, known=hiding))
-    blind = filter_check(replace(fit, solution=solved))
-    np.testing.assert_array_equal(np.isnan(blind.whitened), fit.states[begin:, 0] < zone)
-    shown = ~np.isnan(blind.whitened)
-    assert 100 < shown.sum() < 310
-    np.testing.assert_allclose(blind.whitened[:100], whole.whitened[:100], rtol=1e-9)
-
-
-def test_a_ripple_of_the_supply_is_no_matter_of_the_filter() -> None:
-    """It is taken off what was measured and what was fitted."""
-    found, fit, _ = fitted()
-    before = found.filter_check
-    assert before is not None
-    start = replace(fit.start, lines=(PeriodicLine(2_000.0, 0.3, 0.1),))
-    rippled = replace(start, current_a=start.current_a + start.ripple_a)
-    expected = fit.expected + np.stack([start.ripple_a, np.zeros(len(start.time_s))], axis=1)
-    after = filter_check(replace(fit, start=rippled, expected=expected))
-    assert after.mean_nis == pytest.approx(before.mean_nis, rel=1e-6)
-    assert after.sensor_only_nis == pytest.approx(before.sensor_only_nis, rel=1e-6)
+    blind = replace(fit, solution=replace(fit.solution, problem=replace(problem, known=hiding)))
+    np.testing.assert_array_equal(np.isnan(blind.whitened[:, 0]), fit.states[begin:, 0] < zone)
+    assert not fit.is_hidden
+    assert replace(fit, model=("dead_zone",)).is_hidden
 
 
 def test_a_warning_is_allowed_for_where_there_is_a_verdict() -> None:
-    found, _, _ = fitted()
-    assert found.filter_check is not None
-    odd = cast("Any", SimpleNamespace(warning="it is correlated in time", holds=False))
-    warned = of_one(filter_check=replace(found.filter_check, consistency=odd))
-    assert "  it is correlated in time; the verdict allows for it" in report.expert_lines(warned.telling)
-    assert "  it is correlated in time" in report.expert_lines(replace(warned.telling, reference=None))
-    assert report.as_json(warned)["warning"] == "it is correlated in time"
+    _, fit, _ = fitted()
+    odd = replace(fit, expected=fit.expected + [[0.0, 0.0], [0.05, 0.0]] * (len(fit.expected) // 2))
+    warned = of_one(fit=odd)
+    said = warned.telling.warning
+    assert "their mean is not 0" in said
+    assert f"  {said}; the verdict allows for it" in report.expert_lines(warned.telling)
+    assert f"  {said}" in report.expert_lines(replace(warned.telling, reference=None))
+    assert report.as_json(warned)["warning"] == said
     assert report.as_json(warned)["consistent"] is False
 
 
@@ -767,7 +751,7 @@ def faulty() -> Diagnosis:
 
 def test_text_and_json_say_the_same() -> None:
     found, fit, _ = fitted()
-    check = found.filter_check
+    check = found.consistency
     assert check is not None
     told, text = report.as_json(faulty(), 14.0), report.as_text(faulty(), verbose=True)
     said = "winding (winding_contact) +20% (95 %: +10% to +31%), confidence 0.88"
@@ -781,12 +765,12 @@ def test_text_and_json_say_the_same() -> None:
     assert "-5.0% from the reference (95 %: -10.0% to +0.0%), undecided\n" in text
     assert "\n  taken for a start (the voltage goes on and stays)\n" in text
     assert "bearing 12%, winding_contact 4% (bearing: of the motor's own friction)" in text
-    nis = f"mean NIS {check.mean_nis:.2f} (with the sensor's noise alone {check.sensor_only_nis:.2f})"
-    assert nis in text
+    assert f"judged by the filter's innovations; sensor noise {fit.noise_a:.3g} A\n" in text
+    assert f"(NIS) {check.mean_square:.2f}\n" in text
     expected = {
         "file": "start.csv", "verdict": "winding", "kind": "winding_contact", "severity": 0.2,
         "severity_interval": [0.1, 0.31], "confidence": 0.876, "r2_current": fit.r2_current, "r2_speed": None,
-        "mean_nis": check.mean_nis, "sensor_noise_a": check.sensor_noise_a, "model_error_a": check.model_error_a,
+        "mean_nis": check.mean_square, "sensor_noise_a": fit.noise_a,
         "model": ["textbook", *fit.model], "reference": found.reference and found.reference.source,
         "smallest_changes": {"bearing": 0.123, "winding_contact": 0.045}, "residual_autocorrelation": fit.lag_one,
         "consistent": True, "columns": ["read so"], "pieces_of_recording": 1,

@@ -223,8 +223,8 @@ def test_friction_that_is_not_viscous_is_tried_where_nothing_is_compared(with_re
     assert found.identified is not None
     assert ("coulomb" in found.identified.model) is not with_reference
     if not with_reference:  # and the filter, which is linear, takes it as a load that it knows
-        assert found.filter_check is not None
-        assert found.filter_check.sensor_only_nis == pytest.approx(1.0, abs=0.15)
+        assert found.consistency is not None
+        assert found.consistency.mean_square == pytest.approx(1.0, abs=0.15)
 
 
 @pytest.mark.parametrize("noise", [0.3, 0.5, 0.7, 0.9, 1.2, 2.0])

@@ -166,9 +166,9 @@ def test_healthy_recordings_as_reference() -> None:
 
 
 def test_the_filter_is_consistent_with_its_belief() -> None:
-    check = diagnose(captures(1)[0], MOTOR).telling.filter_check
+    check = diagnose(captures(1)[0], MOTOR).telling.consistency
     assert check is not None
-    assert check.mean_nis == pytest.approx(1.0, abs=0.1)
+    assert check.mean_square == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_capture_without_a_start_is_unusable_and_never_healthy() -> None:
