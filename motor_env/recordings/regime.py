@@ -121,32 +121,27 @@ def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
     Raises:
         UnusableError: it is one.
     """
-    if not _explains_steps(voltage_v, current_a):
-        raise UnusableError(
-            "the current does not follow the voltage as a motor's does; a raw pulse-width modulation looks like this"
-            " where it is sampled more slowly than it switches: record it behind a low-pass filter, or the duty cycle"
-            " times the supply"
-        )
-
-
-def _explains_steps(voltage_v: FloatArray, current_a: FloatArray) -> bool:
-    """Whether the current moves with the steps of a voltage of two levels; true for any other voltage."""
     low, high = np.quantile(voltage_v, (0.02, 0.98))
     off = np.minimum(np.abs(voltage_v - low), np.abs(voltage_v - high))
     is_noise = float(np.ptp(voltage_v)) < _NOISE_SPAN * difference_noise(voltage_v)
     if not is_noise and float(np.mean(off > _LEVEL * (high - low))) > _OFF_LEVEL:
-        return True
+        return
     jumps = np.flatnonzero(np.diff((voltage_v > 0.5 * (low + high)).astype(np.int8))) + 1
     jumps = jumps[(jumps > 1) & (jumps < len(voltage_v) - 2)]
     if len(jumps) < _FEWEST_JUMPS:
-        return True
+        return
     signs = np.sign(voltage_v[jumps] - voltage_v[jumps - 1])[:-1]
     following = [current_a[jumps + later] - current_a[jumps + later - 1] for later in (0, 1, 2)]
     rises = [*(each[:-1] for each in following), np.diff(current_a[jumps])]
     # Of two signs the ranks are a straight line: this is Spearman's correlation.
     ranks = [_ranks(rise) for rise in rises]
     known = max((abs(np.corrcoef(signs, each)[0, 1]) for each in ranks if np.ptp(each) > 0.0), default=0.0)
-    return bool(known > min(max(_CHANCE / math.sqrt(len(signs)), _UNKNOWN), _KNOWN))
+    if not known > min(max(_CHANCE / math.sqrt(len(signs)), _UNKNOWN), _KNOWN):
+        raise UnusableError(
+            "the current does not follow the voltage as a motor's does; a raw pulse-width modulation looks like this"
+            " where it is sampled more slowly than it switches: record it behind a low-pass filter, or the duty cycle"
+            " times the supply"
+        )
 
 
 def _ranks(values: FloatArray) -> FloatArray:
@@ -157,18 +152,11 @@ def _ranks(values: FloatArray) -> FloatArray:
 
 def changes(share: FloatArray) -> int:
     """How often a voltage goes to another level and stays there for three samples."""
-    steps, settled = np.abs(share[1:] - share[:-1]) > _OFF, 0
-    last = -3
-    for k in np.flatnonzero(steps):
-        settled += int(k - last >= 3)
-        last = int(k)
-    return settled
+    steps = np.flatnonzero(np.abs(np.diff(share)) > _OFF)
+    return int(np.count_nonzero(np.diff(steps, prepend=-3) >= 3))
 
 
-def gaps_s(is_off: FloatArray, dt_s: float) -> FloatArray:
+def gaps_s(is_off: NDArray[np.bool_], dt_s: float) -> FloatArray:
     """Lengths in seconds of the stretches without voltage between two with it."""
-    edges = np.diff(is_off.astype(np.int8))
-    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    ends = ends[ends > begins[0]] if len(begins) else ends[:0]
-    count = min(len(begins), len(ends))
-    return np.asarray((ends[:count] - begins[:count]) * dt_s, dtype=np.float64)
+    steps = np.diff(np.flatnonzero(~is_off))
+    return np.asarray((steps[steps > 1] - 1) * dt_s, dtype=np.float64)

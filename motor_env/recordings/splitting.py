@@ -37,11 +37,10 @@ def split_starts(recording: Recording) -> list[Recording]:
         begins = _rises(rising, recording.dt_s, rest=_LOW)
     if len(begins) < 2:
         return [recording]
-    cuts = [0, *(_switched_off(recording, a, b) for a, b in pairwise(begins))]
-    ends = [*cuts[1:], len(recording.time_s)]
+    cuts = [0, *(_switched_off(recording, a, b) for a, b in pairwise(begins)), len(recording.time_s)]
     parts = []
-    for number, (first, last) in enumerate(zip(cuts, ends, strict=True), 1):
-        notes = (*recording.columns, f"start {number} of {len(cuts)} in the file")
+    for number, (first, last) in enumerate(pairwise(cuts), 1):
+        notes = (*recording.columns, f"start {number} of {len(begins)} in the file")
         part = cut(recording, slice(first, last))
         parts.append(replace(part, path=Path(f"{recording.path}#{number}"), columns=notes))
     return parts
@@ -69,20 +68,13 @@ def chosen_starts(recording: Recording, number: int | None = None) -> list[Recor
 def _rises(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:
     """Samples where the values rise beyond half of their largest, after having been at rest."""
     top = float(np.sort(values)[-1 - (_WILD if len(values) > 2000 else 0)])
-    high, low = (values > _HIGH * top).tolist(), (values < rest * top).tolist()
     shortest = max(_FEWEST, round(BOUNCE_S / dt_s))
-    begins: list[int] = []
-    at_rest, since = 0, shortest
-    armed = True
-    for k in range(len(values)):
-        at_rest = at_rest + 1 if low[k] else 0
-        armed = armed or at_rest >= shortest
-        since += 1
-        if armed and high[k]:
-            if since >= shortest or not begins:
-                begins.append(k)
-                since = 0
-            armed = False
+    high = np.flatnonzero(values > _HIGH * top)
+    moving = np.flatnonzero(values >= rest * top)
+    after_rest = moving[1:][np.diff(moving) > shortest]
+    # The first rise needs no rest before it; a rest without a rise after it ends no start.
+    firsts = np.unique(np.append(0, np.searchsorted(high, after_rest)))
+    begins: list[int] = high[firsts[firsts < len(high)]].tolist()
     return begins
 
 
