@@ -158,8 +158,9 @@ def _defects(current: FloatArray, quantum: float, *, rectified: bool) -> list[De
             Defect(DefectKind.SATURATION, f"saturation: {run} samples in a row stand at {top:.4g} A")
         )
     if quantum > _QUANTISED_STEP * span:
-        text = f"quantisation: the current moves in steps of {quantum:.3g} A"
-        defects.append(Defect(DefectKind.QUANTISATION, text))
+        defects.append(
+            Defect(DefectKind.QUANTISATION, f"quantisation: the current moves in steps of {quantum:.3g} A")
+        )
     if rectified:
         defects.append(Defect(DefectKind.RECTIFICATION, "rectification: no current lies below 0"))
     return defects

@@ -88,11 +88,9 @@ def parse_parquet(path: str) -> tuple[dict[str, Any], int]:
 
 def main() -> int:
     """Limit the memory, parse, write."""
-    try:
+    if sys.platform != "win32":
         import resource
-    except ImportError:  # not on Windows
-        pass
-    else:
+
         resource.setrlimit(resource.RLIMIT_DATA, (_MEMORY_BYTES, resource.getrlimit(resource.RLIMIT_DATA)[1]))
     try:
         if sys.argv[1] == "Parquet":

@@ -174,8 +174,7 @@ def _example(quantity: str, name: str) -> str:
 
 
 def _even(table: Table, begin_s: float, interval_s: float, reason: str) -> Column:
-    places = np.arange(len(table.values), dtype=np.float64)
-    middles: FloatArray = (places + 0.5) * table.averaged - 0.5  # of what was averaged
+    middles: FloatArray = (np.arange(len(table.values)) + 0.5) * table.averaged - 0.5  # of what was averaged
     return Column(begin_s + interval_s * middles, f"{1.0 / interval_s:.6g} samples a second, {reason}")
 
 
@@ -188,8 +187,7 @@ def _counted(path: Path, table: Table, counter: int | None) -> Column:
     begin_s = table.begin_s
     if counter is not None:
         begin_s += table.interval_s * (table.values[0, counter] - 0.5 * (table.averaged - 1))
-        steps = np.diff(table.values[:, counter])
-        is_off = np.abs(steps - table.averaged) > 1e-6 * table.averaged
+        is_off = np.abs(np.diff(table.values[:, counter]) - table.averaged) > 1e-6 * table.averaged
         if is_off.any():
             bad = int(np.argmax(is_off)) + 1
             raise InputError(
@@ -224,5 +222,5 @@ def _no_current(path: Path, table: Table, meanings: Sequence[Meaning], taken: se
 def _missing(path: Path, table: Table, column: str, hint: str) -> InputError:
     names = ", ".join(repr(name[:30]) for name in table.names[:8])
     found = names if any(table.names) else f"{len(table.names)} columns without a header"
-    above = f"{table.where} {max(table.lines[0] - 1, 1)}"
-    return InputError(f"{path}, {above}: the column {column} is missing, found {found}; {hint}")
+    where = f"{path}, {table.where} {max(table.lines[0] - 1, 1)}"
+    return InputError(f"{where}: the column {column} is missing, found {found}; {hint}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -86,8 +87,8 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
         notes.append(f"{table.averaged} neighbouring samples are averaged into one")
     if unused:
         notes.append(f"not used: {', '.join(unused)}")
-    recording = _recording(path, table, values, (*notes, *table.remarks))
-    return replace(recording, warnings=tuple(column.warning for column in columns.values() if column.warning))
+    warnings = tuple(column.warning for column in columns.values() if column.warning)
+    return replace(_recording(path, table, values, (*notes, *table.remarks)), warnings=warnings)
 
 
 def recording_of(recording: Recording | str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
@@ -148,15 +149,11 @@ def _summary(time_s: FloatArray, columns: dict[str, FloatArray]) -> str:
 def _without_gaps(time_s: FloatArray, steps: FloatArray) -> tuple[slice, tuple[str, ...]]:
     """The longest stretch of samples without a long gap, and a note where there is one."""
     gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps))
-    if len(gaps) == 0:
-        return slice(0, len(time_s)), ()
-    edges = np.concatenate([[0], gaps + 1, [len(time_s)]])
-    longest = int(np.argmax(np.diff(edges)))
-    begin, end = int(edges[longest]), int(edges[longest + 1])
+    edges = [0, *(gaps + 1).tolist(), len(time_s)]
+    begin, end = max(pairwise(edges), key=lambda stretch: stretch[1] - stretch[0])
     span = f"{time_s[begin]:.6g} to {time_s[end - 1]:.6g} s"
-    return slice(begin, end), (
-        f"a gap of {steps[gaps].max():.3g} s: only {span} is read, the longest stretch",
-    )
+    note = f"a gap of {steps.max():.3g} s: only {span} is read, the longest stretch"
+    return slice(begin, end), (note,) if len(gaps) else ()
 
 
 def evened(

@@ -56,10 +56,8 @@ def taken_for(recording: Recording, regime: str = "auto", start: int | None = No
     """
     if regime not in REGIMES:
         raise InputError(f"regime must be one of {', '.join(REGIMES)}, got {regime!r}")
-    if regime == "start" or (regime == "auto" and start is not None):
-        return Taken("start", "as asked")
-    if regime == "operation":
-        return Taken("operation", "as asked")
+    if regime != "auto" or start is not None:
+        return Taken("operation" if regime == "operation" else "start", "as asked")
     work = work_seen(recording)
     if work is not None:
         return Taken("operation", work)
@@ -134,8 +132,8 @@ def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
     following = [current_a[jumps + later] - current_a[jumps + later - 1] for later in (0, 1, 2)]
     rises = [*(each[:-1] for each in following), np.diff(current_a[jumps])]
     # Of two signs the ranks are a straight line: this is Spearman's correlation.
-    ranks = [_ranks(rise) for rise in rises]
-    known = max((abs(np.corrcoef(signs, each)[0, 1]) for each in ranks if np.ptp(each) > 0.0), default=0.0)
+    ranks = (_ranks(rise) for rise in rises if np.ptp(rise) > 0.0)
+    known = max((abs(np.corrcoef(signs, each)[0, 1]) for each in ranks), default=0.0)
     if not known > min(max(_CHANCE / math.sqrt(len(signs)), _UNKNOWN), _KNOWN):
         raise UnusableError(
             "the current does not follow the voltage as a motor's does; a raw pulse-width modulation looks like this"

@@ -7,7 +7,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
@@ -92,5 +91,5 @@ def _change_of_level(values: FloatArray) -> int:
     n = np.arange(1, len(values))
     sums = np.cumsum(values)
     before, after = sums[:-1] / n, (sums[-1] - sums[:-1]) / (len(values) - n)
-    gain: NDArray[np.float64] = n * (len(values) - n) * np.square(before - after)
+    gain: FloatArray = n * (len(values) - n) * np.square(before - after)
     return int(np.argmax(gain)) + 1

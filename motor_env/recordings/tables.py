@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import os
-import stat
 import subprocess
 import sys
 import zipfile
@@ -85,12 +83,11 @@ def read_text(path: Path) -> str:
 
 def _content(path: Path, largest: int = LARGEST_FILE_BYTES) -> bytes:
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
+        size, content = path.stat().st_size, b""
+        if not path.is_file():
             raise InputError(f"{path}: is no regular file")
         # What the system makes up while it is read has no size, and may never end.
-        content = b""
-        if status.st_size:
+        if size:
             with path.open("rb") as file:
                 content = file.read(largest + 1)
     except FileNotFoundError:
@@ -145,7 +142,7 @@ def _parsed_elsewhere(path: Path, content: bytes, kind: str, *more: str) -> tupl
         raise _unreadable(path, kind, words[-1] if words else crash)
     head, _, body = done.stdout.partition(b"\n")
     averaged, shapes = json.loads(head)
-    ends = np.cumsum([math.prod(shape) for _, shape in shapes], dtype=np.int64)
+    ends = np.cumsum([np.prod(shape) for _, shape in shapes], dtype=np.int64)
     parts = np.split(np.frombuffer(body, np.float64), ends)[: len(shapes)]
     return {name: part.reshape(shape) for (name, shape), part in zip(shapes, parts, strict=True)}, averaged
 
@@ -177,11 +174,13 @@ def _columns(path: Path, arrays: dict[str, Any], averaged: int, wanted: Sequence
         InputError: no such array, a value that is not finite, or a quantity would be lost with an array of another
             length.
     """
+    numbers: dict[str, FloatArray] = {
+        name: np.squeeze(given).astype(np.float64)
+        for name, given in arrays.items()
+        if given.dtype.kind in "fiub" and given.size > 1
+    }
     flat: dict[str, FloatArray] = {}
-    for name, given in arrays.items():
-        if given.dtype.kind not in "fiub" or given.size < 2:
-            continue
-        squeezed = np.squeeze(given).astype(np.float64)
+    for name, squeezed in numbers.items():
         if squeezed.ndim == 1:
             flat[name] = squeezed
         elif squeezed.ndim == 2 and min(squeezed.shape) <= MOST_COLUMNS:
@@ -195,11 +194,9 @@ def _columns(path: Path, arrays: dict[str, Any], averaged: int, wanted: Sequence
     length = max(set(lengths), key=lambda n: (lengths.count(n), n))
     others = {name: values for name, values in flat.items() if len(values) != length}
     flat = {name: values for name, values in flat.items() if len(values) == length}
-    there = {understand(name).quantity for name in flat}
+    there = {None, *(understand(name).quantity for name in flat)}
     for name, values in others.items():
-        quantity = understand(name).quantity
-        lost = quantity is not None and quantity not in there and len(values) >= _FEWEST
-        if lost or name in wanted:
+        if name in wanted or (understand(name).quantity not in there and len(values) >= _FEWEST):
             raise InputError(f"{path}: {name} has {len(values)} values where the others have {length}")
     values = np.column_stack(list(flat.values()))
     bad = np.argwhere(~np.isfinite(values))

@@ -69,6 +69,7 @@ class Block:
     Attributes:
         table: the file's cells, or those of its beginning and its end.
         first: row of the table where they begin.
+        begin: line of the file where they begin.
         columns: which columns hold numbers, and times of a clock.
         clocks: those of a clock among them.
         width: cells of a row, empty ones at its end left out.
@@ -80,6 +81,7 @@ class Block:
 
     table: TextTable
     first: int
+    begin: int
     columns: tuple[int, ...]
     clocks: tuple[int, ...]
     width: int
@@ -87,18 +89,6 @@ class Block:
     units: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     arrow: str = ""
-
-    @property
-    def begin(self) -> int:
-        """Line of the file where the numbers begin."""
-        return self.table.lines[self.first]
-
-    def is_full(self, row: list[str]) -> bool:
-        """Whether every column holds what it should."""
-        plain = [k for k in self.columns if k not in self.clocks]
-        return self.table.numbers(row, plain) == len(plain) and all(
-            k < len(row) and CLOCK.match(row[k]) for k in self.clocks
-        )
 
 
 def filled(row: Sequence[str]) -> int:
@@ -197,8 +187,6 @@ def _numbers_in(path: Path, lines: list[str]) -> Block:
         k for k in range(width) if sum(k < len(row) and bool(CLOCK.match(row[k])) for row in tail) > most
     ]
     plain = [k for k in range(width) if sum(table.numbers(row, [k]) for row in tail) > most]
-    typical = int(np.median([filled(row) for row in tail])) if tail else 0
-    block = Block(table, 0, tuple(sorted([*clocks, *plain])), tuple(clocks), typical)
     in_tail = [cell.strip() for row in tail for cell in row]
     if (
         table.delimiter == ","
@@ -206,16 +194,24 @@ def _numbers_in(path: Path, lines: list[str]) -> Block:
         and not any("." in cell for cell in in_tail)
     ):
         raise InputError(f"{path}: decimal commas need another mark between the columns than a comma")
-    first = next((n for n, row in enumerate(rows) if block.is_full(row)), None) if plain else None
+    full = (
+        n
+        for n, row in enumerate(rows)
+        if table.numbers(row, plain) == len(plain)
+        and all(k < len(row) and CLOCK.match(row[k]) for k in clocks)
+    )
+    first = next(full, None) if plain else None
     if first is None or (end > _LONGEST_PREAMBLE and table.lines[first] > _LONGEST_PREAMBLE):
         raise InputError(f"{path}: holds no table of numbers")
-    return replace(block, first=_with_damaged_rows(block, first))
+    columns = tuple(sorted([*clocks, *plain]))
+    first = _with_damaged_rows(table, columns, first)
+    typical = int(np.median([filled(row) for row in tail]))
+    return Block(table, first, table.lines[first], columns, tuple(clocks), typical)
 
 
-def _with_damaged_rows(block: Block, first: int) -> int:
+def _with_damaged_rows(table: TextTable, columns: Sequence[int], first: int) -> int:
     """Begin of the block with its damaged first rows: rows with a number in them, up to a header without any."""
-    table, columns, begin = block.table, block.columns, first
-    rows = table.rows
+    rows, begin = table.rows, first
     while begin > 0 and len(rows[begin - 1]) == len(rows[first]) and table.numbers(rows[begin - 1], columns):
         begin -= 1
     above = rows[begin - 1] if begin > 0 else []

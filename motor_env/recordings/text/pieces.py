@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import math
-import os
-import re
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -52,8 +50,8 @@ def large_block(path: Path, most: int = MOST_ROWS) -> Table:
     """
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES).rpartition(b"\n")[0]
-        size = file.seek(0, os.SEEK_END)
-        file.seek(-min(_TAIL_BYTES, size), os.SEEK_END)
+        size = file.seek(0, io.SEEK_END)
+        file.seek(-min(_TAIL_BYTES, size), io.SEEK_END)
         tail = file.read().partition(b"\n")[2]
         if not head or not tail or b"\0" in head:
             raise InputError(f"{path}: is no text with lines; only plain text may be so large")
@@ -205,9 +203,9 @@ def _seconds(times: list[str]) -> FloatArray:
         raise ValueError("not all are times of a clock")
     series = pd.Series(times, dtype=str).str.strip().str.replace(",", ".")
     first = times[0].strip()
-    if re.match(r"\d+:", first) and first[-1] not in "mM":  # no date
+    if ":" in first[:3] and first[-1] not in "mM":  # no date
         moments: Any = pd.to_timedelta(series)
-    elif re.match(r"\d{4}-", first):
+    elif first[:4].isdigit() and first[4] == "-":
         moments = pd.to_datetime(series, format="ISO8601")
     else:
         moments = pd.to_datetime(series, format="mixed", dayfirst="." in first[:3])

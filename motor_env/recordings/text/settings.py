@@ -88,8 +88,8 @@ def table_of(block: Block, values: FloatArray, lines: Sequence[int], averaged: i
 def _settings(block: Block) -> Iterator[tuple[str, str]]:
     """Name and text of each setting: rows above the header, columns beside it, columns beside the numbers."""
     table, first = block.table, block.first
-    beside = list(range(min(block.columns)))
-    rows = [*table.rows[:first], *([row[k] for k in beside] for row in table.rows[first : first + _BESIDE])]
+    beside = min(block.columns)
+    rows = [*table.rows[:first], *(row[:beside] for row in table.rows[first : first + _BESIDE])]
     mark = "," if table.decimal_comma else "."
     for row in rows:
         words = [cell.strip(" #\t").replace(mark, ".") for cell in row]
