@@ -61,9 +61,10 @@ def recognise(
     chosen = {choice.quantity for choice in choices}
     if not any(table.names) and not choices and table.values.shape[1] == 2 and not any(table.units):
         meanings = [Meaning("time", 1.0, "", ""), Meaning("current", 1.0, "", "")]
-    if "current" not in chosen and not any(meaning.quantity == "current" for meaning in meanings):
-        raise _no_current(path, table, meanings, taken)
     free = [k for k in range(len(meanings)) if k not in taken]
+    told = {meanings[k].quantity for k in free} - chosen
+    if "current" not in found and "current" not in told:
+        raise _no_current(path, table, meanings, free)
     first: dict[str, int] = {}
     for k in free:
         quantity = meanings[k].quantity
@@ -74,7 +75,7 @@ def recognise(
                 f"{path}: the columns {one} and {other} both look like the {quantity};"
                 f" say which: --column {quantity}={one}{none}"
             )
-        if quantity is not None and quantity not in chosen:
+        if quantity is not None and quantity in told:
             first[quantity] = k
             found[quantity] = _column(path, table, meanings[k], k, quantity)
     counter = next((k for k, meaning in enumerate(meanings) if meaning.unit == NUMBERED), None)
@@ -174,7 +175,9 @@ def _example(quantity: str, name: str) -> str:
 
 
 def _even(table: Table, begin_s: float, interval_s: float, reason: str) -> Column:
-    middles: FloatArray = (np.arange(len(table.values)) + 0.5) * table.averaged - 0.5  # of what was averaged
+    middles: FloatArray = (
+        np.arange(len(table.values), dtype=np.float64) + 0.5
+    ) * table.averaged - 0.5  # of what was averaged
     return Column(begin_s + interval_s * middles, f"{1.0 / interval_s:.6g} samples a second, {reason}")
 
 
@@ -201,20 +204,16 @@ def _counted(path: Path, table: Table, counter: int | None) -> Column:
     return _even(table, begin_s, table.interval_s, "as the file says above its numbers")
 
 
-def _no_current(path: Path, table: Table, meanings: Sequence[Meaning], taken: set[int]) -> InputError:
-    """What to do about a file without a column of the current."""
-    free = [
-        k
-        for k, meaning in enumerate(meanings)
-        if k not in taken and meaning.unit != NUMBERED and meaning.quantity in (None, "voltage")
-    ]
+def _no_current(path: Path, table: Table, meanings: Sequence[Meaning], free: Sequence[int]) -> InputError:
+    """What to do about a file without a column of the current among those that are not taken."""
+    fitting = [k for k in free if meanings[k].unit != NUMBERED and meanings[k].quantity in (None, "voltage")]
     hint = "--column current=..."
-    if free:
-        name = _name(table, free[-1])
+    if fitting:
+        name = _name(table, fitting[-1])
         hint = _example("current", name)
-        if _holds_counts(table, free[-1]):
+        if _holds_counts(table, fitting[-1]):
             hint = f'--column "current={name}*0.0132-6.76" with the scale and the offset of the converter\'s counts'
-        elif unit_quantity(meanings[free[-1]].unit) is None:
+        elif unit_quantity(meanings[fitting[-1]].unit) is None:
             hint = f'--column "current={name}:A" (or :mA), or {hint}'
     return _missing(path, table, "current_a", f"name it: {hint}")
 

@@ -93,7 +93,8 @@ class ColumnChoice:
         if column and unit_quantity(last) == quantity:  # before a unit such as 1/min is taken for a quotient
             return cls(quantity, rest.strip(), column, last)
         match = _CHOICE.match(rest.strip())
-        if not equals or quantity not in QUANTITIES or match is None:
+        by_zero = match is not None and match["mark"] == "/" and float(match["scale"]) == 0.0
+        if not equals or quantity not in QUANTITIES or match is None or by_zero:
             raise InputError(
                 "--column must read QUANTITY=COLUMN, QUANTITY=COLUMN:UNIT or QUANTITY=COLUMN*SCALE+OFFSET with"
                 f" QUANTITY one of {', '.join(QUANTITIES)}, got {text!r}"

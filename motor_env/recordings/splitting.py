@@ -87,7 +87,9 @@ def _switched_off(recording: Recording, begin: int, following: int) -> int:
 
 
 def _change_of_level(values: FloatArray) -> int:
-    """First sample of the second level: the least-squares split in two."""
+    """First sample of the second level: the least-squares split in two; 0 where there are no two samples."""
+    if len(values) < 2:
+        return 0
     n = np.arange(1, len(values))
     sums = np.cumsum(values)
     before, after = sums[:-1] / n, (sums[-1] - sums[:-1]) / (len(values) - n)
