@@ -106,8 +106,8 @@ def main() -> int:
     except Exception as error:  # noqa: BLE001  # a damaged file makes a parser raise anything
         sys.stderr.write(str(error) or type(error).__name__)
         return 1
-    head = json.dumps([averaged, [(name, array.shape) for name, array in found.items()]])
-    sys.stdout.buffer.write(head.encode() + b"\n")
+    shapes = [(name, array.shape) for name, array in found.items()]
+    sys.stdout.buffer.write(json.dumps([averaged, shapes]).encode() + b"\n")
     for array in found.values():
         sys.stdout.buffer.write(np.ascontiguousarray(array).data)
     return 0

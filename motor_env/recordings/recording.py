@@ -83,10 +83,8 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
     columns, unused = recognise(path, table, choices)
     notes = [f"{quantity} is {column.origin}" for quantity, column in columns.items()]
     values = {quantity: column.values for quantity, column in columns.items()}
-    if table.averaged > 1:
-        notes.append(f"{table.averaged} neighbouring samples are averaged into one")
-    if unused:
-        notes.append(f"not used: {', '.join(unused)}")
+    notes += [f"{table.averaged} neighbouring samples are averaged into one"] * (table.averaged > 1)
+    notes += [f"not used: {', '.join(unused)}"] * (unused != ())
     warnings = tuple(column.warning for column in columns.values() if column.warning)
     return replace(_recording(path, table, values, (*notes, *table.remarks)), warnings=warnings)
 

@@ -81,20 +81,19 @@ def work_seen(recording: Recording) -> str | None:
     size = np.abs(share)
     levels = np.digitize(size, (_OFF, _ON))
     pauses = gaps_s(levels == 0, recording.dt_s)
-    if min(float(np.mean(share > _OFF)), float(np.mean(share < -_OFF))) > _REVERSED_SHARE:
-        found = "the voltage reverses"
-    elif float(np.mean(levels == 1)) > _BETWEEN_SHARE and changes(size) >= _FEWEST_CHANGES:
-        found = "the voltage takes several levels"
-    elif len(pauses) >= _MOST_SWITCHES and float(np.median(pauses)) < _PAUSE_S:
-        found = "the voltage is switched faster than a motor stops"
-    elif _restarted_while_turning(recording, size, levels == 0):
-        found = "the voltage comes back before the motor stands"
-    else:
-        found = None
-    return found
+    reversed_share = min(float(np.mean(share > _OFF)), float(np.mean(share < -_OFF)))
+    has_levels = float(np.mean(levels == 1)) > _BETWEEN_SHARE and changes(size) >= _FEWEST_CHANGES
+    is_pulsed = len(pauses) >= _MOST_SWITCHES and float(np.median(pauses)) < _PAUSE_S
+    shown = {
+        "the voltage reverses": reversed_share > _REVERSED_SHARE,
+        "the voltage takes several levels": has_levels,
+        "the voltage is switched faster than a motor stops": is_pulsed,
+        "the voltage comes back before the motor stands": _restarted(recording, size, levels == 0),
+    }
+    return next((words for words, is_shown in shown.items() if is_shown), None)
 
 
-def _restarted_while_turning(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_]) -> bool:
+def _restarted(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_]) -> bool:
     """Whether the motor still turns when it is switched on again: by its speed, else by an inrush that is too small."""
     on = np.flatnonzero(~is_off)
     restarts = on[1:][np.diff(on) * recording.dt_s > BOUNCE_S]

@@ -52,16 +52,14 @@ def chosen_starts(recording: Recording, number: int | None = None) -> list[Recor
         InputError: there is no such start, or there are more than 200 of them and none is chosen.
     """
     parts = split_starts(recording)
-    if number is None:
-        if len(parts) > MOST_STARTS:
-            raise InputError(
-                f"{recording.path}: it rises from rest {len(parts)} times; at most {MOST_STARTS} starts are judged at"
-                " once: is it one? Else name one of them with --start"
-            )
-        return parts
-    if not 1 <= number <= len(parts):
+    if number is None and len(parts) > MOST_STARTS:
+        raise InputError(
+            f"{recording.path}: it rises from rest {len(parts)} times; at most {MOST_STARTS} starts are judged at"
+            " once: is it one? Else name one of them with --start"
+        )
+    if number is not None and not 1 <= number <= len(parts):
         raise InputError(f"{recording.path}: --start must lie in 1 .. {len(parts)}, got {number}")
-    return [parts[number - 1]]
+    return parts if number is None else [parts[number - 1]]
 
 
 def _rises(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,9 @@ def read_table(path: Path, wanted: Sequence[str] = ()) -> Table:
     Raises:
         InputError: the file is missing, empty, too large or of no kind that can be read; a cell is no finite number.
     """
-    size, averaged = path.stat().st_size if path.is_file() else 0, 1
+    size, averaged = 0, 1
+    with suppress(OSError):  # it is told when the file is opened
+        size = path.stat().st_size if path.is_file() else 0
     match path.suffix.lower():
         case ".parquet" | ".pq" if size:  # of any length, for it is read in pieces
             require_extra("pyarrow", "datasets")
@@ -137,9 +140,9 @@ def _parsed_elsewhere(path: Path, content: bytes, kind: str, *more: str) -> tupl
     except subprocess.TimeoutExpired:
         raise _unreadable(path, kind, f"it takes longer than {_SECONDS:g} s") from None
     if done.returncode:
-        crash = f"its parser crashed with status {done.returncode}"
         words = done.stderr.decode(errors="replace").strip().splitlines() if done.returncode == 1 else []
-        raise _unreadable(path, kind, words[-1] if words else crash)
+        words = words or [f"its parser crashed with status {done.returncode}"]
+        raise _unreadable(path, kind, words[-1])
     head, _, body = done.stdout.partition(b"\n")
     averaged, shapes = json.loads(head)
     ends = np.cumsum([np.prod(shape) for _, shape in shapes], dtype=np.int64)

@@ -249,6 +249,9 @@ def test_bombs_and_odd_files_get_a_sentence(
 def test_what_is_no_file_or_never_ends_is_not_read(tmp_path: Path) -> None:
     for path in odd_places(tmp_path / "a.csv"):
         assert "is no regular file" in refused(partial(read_recording, path), path)
+    for ending in (".csv", ".parquet", ".mat"):
+        path = tmp_path / ("n" * 300 + ending)
+        assert "cannot be read (file name too long)" in refused(partial(read_recording, path), path)
     if (path := Path("/proc/self/environ")).exists():
         assert "is empty" in refused(lambda: read_recording(path), path)
 
