@@ -149,8 +149,10 @@ def _without_gaps(time_s: FloatArray, steps: FloatArray) -> tuple[slice, tuple[s
     gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps))
     edges = [0, *(gaps + 1).tolist(), len(time_s)]
     begin, end = max(pairwise(edges), key=lambda stretch: stretch[1] - stretch[0])
-    span = f"{time_s[begin]:.6g} to {time_s[end - 1]:.6g} s"
-    note = f"a gap of {steps.max():.3g} s: only {span} is read, the longest stretch"
+    note = (
+        f"a gap of {steps.max():.3g} s: only {time_s[begin]:.6g} to {time_s[end - 1]:.6g} s is read, the longest"
+        " stretch"
+    )
     return slice(begin, end), (note,) if len(gaps) else ()
 
 
@@ -165,5 +167,5 @@ def evened(
     if off >= 0.5:  # gaps: evenly at the median step
         count = int(min((time_s[-1] - time_s[0]) / np.median(np.diff(time_s)), 4 * len(time_s)))
         even = np.linspace(time_s[0], time_s[-1], max(count, 1) + 1)
-    note = ("the time axis is uneven: interpolated to an even one",)
-    return even, {name: np.interp(even, time_s, values) for name, values in columns.items()}, note
+    columns = {name: np.interp(even, time_s, values) for name, values in columns.items()}
+    return even, columns, ("the time axis is uneven: interpolated to an even one",)

@@ -40,8 +40,8 @@ def split_starts(recording: Recording) -> list[Recording]:
     parts = []
     for number, (first, last) in enumerate(pairwise(cuts), 1):
         notes = (*recording.columns, f"start {number} of {len(begins)} in the file")
-        part = cut(recording, slice(first, last))
-        parts.append(replace(part, path=Path(f"{recording.path}#{number}"), columns=notes))
+        path = Path(f"{recording.path}#{number}")
+        parts.append(replace(cut(recording, slice(first, last)), path=path, columns=notes))
     return parts
 
 

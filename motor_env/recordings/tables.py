@@ -111,14 +111,12 @@ def _decoded(path: Path, content: bytes) -> str:
     """Text in UTF-8 or UTF-16, or in the code page of an old scope."""
     wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
     for encoding in ["utf-16"] if wide else ["utf-8-sig", "cp1252"]:
-        try:
+        with suppress(UnicodeDecodeError):
             text = content.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-        plain = text.encode() if wide else content
-        control = len(plain) - len(plain.translate(None, _CONTROL))
-        if control <= _CONTROL_SHARE * len(text) and "\0" not in text:
-            return text
+            plain = text.encode() if wide else content
+            control = len(plain) - len(plain.translate(None, _CONTROL))
+            if control <= _CONTROL_SHARE * len(text) and "\0" not in text:
+                return text
     raise InputError(f"{path}: is not text, and its ending is none of .mat, .npy, .npz, .parquet")
 
 
@@ -141,8 +139,7 @@ def _parsed_elsewhere(path: Path, content: bytes, kind: str, *more: str) -> tupl
         raise _unreadable(path, kind, f"it takes longer than {_SECONDS:g} s") from None
     if done.returncode:
         words = done.stderr.decode(errors="replace").strip().splitlines() if done.returncode == 1 else []
-        words = words or [f"its parser crashed with status {done.returncode}"]
-        raise _unreadable(path, kind, words[-1])
+        raise _unreadable(path, kind, [f"its parser crashed with status {done.returncode}", *words][-1])
     head, _, body = done.stdout.partition(b"\n")
     averaged, shapes = json.loads(head)
     ends = np.cumsum([np.prod(shape) for _, shape in shapes], dtype=np.int64)

@@ -108,7 +108,6 @@ def _settings(block: Block) -> Iterator[tuple[str, str]]:
 def _units(block: Block, settings: Mapping[str, str]) -> tuple[str, ...]:
     """Units of the columns, out of the settings where they have none in their headers."""
     text = settings.get("vertical units", settings.get("units", "")).strip()
-    horizontal = settings.get("horizontal units", "").strip(" ,")
     stated = dict(re.findall(r"(\w+):\s*(\w+)", text))
     listed = [cell.strip() for cell in text.split(",")]
     alone = listed[0] if len([cell for cell in listed if cell]) == 1 else ""
@@ -121,7 +120,7 @@ def _units(block: Block, settings: Mapping[str, str]) -> tuple[str, ...]:
         if meaning.unit:
             return own
         if meaning.quantity == "time" or (not name and place == 0 and len(block.names) > 1):
-            return horizontal or own
+            return settings.get("horizontal units", "").strip(" ,") or own
         # The first cell of the setting is its name.
         by_place = listed[column - 1] if not stated and 0 < column <= len(listed) else ""
         return stated.get(name, by_place or (alone if len(block.names) <= 2 else "")) or own
