@@ -15,12 +15,12 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.columns import recognise
 from motor_env.recordings.headers import SI, ColumnChoice
 from motor_env.recordings.tables import read_table
+from motor_env.recordings.text.block import FEWEST_SAMPLES
 from motor_env.recordings.text.settings import Table
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-FEWEST_SAMPLES = 20
 _SHORTEST_STEP_S, _LONGEST_STEP_S = 1e-10, 1e4
 _SMALLEST_READING, _LARGEST_READING = 1e-12, 1e9
 _LATEST_BEGIN_S = 1e7  # seconds of a computer's clock count from 1970

@@ -23,7 +23,7 @@ from motor_env.errors import InputError, require_extra
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings import array_parser
 from motor_env.recordings.headers import understand
-from motor_env.recordings.text.block import MOST_COLUMNS, TextTable, cells
+from motor_env.recordings.text.block import FEWEST_SAMPLES, MOST_COLUMNS, TextTable, cells
 from motor_env.recordings.text.pieces import large_block, whole_block
 from motor_env.recordings.text.settings import Table
 
@@ -33,7 +33,6 @@ LARGEST_WHOLE_BYTES = 50_000_000
 _LARGEST_TEXT_BYTES = 20_000_000  # of what is kept cell by cell
 _CONTROL = bytes(code for code in range(32) if code not in (9, 10, 11, 12, 13))
 _CONTROL_SHARE = 0.01  # more control characters than that are no text
-_FEWEST = 20
 _SECONDS = 30.0  # for MATLAB and Parquet
 _SINGLE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
 
@@ -196,7 +195,7 @@ def _columns(path: Path, arrays: dict[str, Any], averaged: int, wanted: Sequence
     flat = {name: values for name, values in flat.items() if len(values) == length}
     there = {None, *(understand(name).quantity for name in flat)}
     for name, values in others.items():
-        if name in wanted or (understand(name).quantity not in there and len(values) >= _FEWEST):
+        if name in wanted or (understand(name).quantity not in there and len(values) >= FEWEST_SAMPLES):
             raise InputError(f"{path}: {name} has {len(values)} values where the others have {length}")
     values = np.column_stack(list(flat.values()))
     bad = np.argwhere(~np.isfinite(values))

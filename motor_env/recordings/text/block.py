@@ -15,15 +15,14 @@ from motor_env.recordings.headers import is_unit_cell, understand, unit_quantity
 
 MOST_COLUMNS = 1_000
 CUT_OFF = "the last line is cut off and left out"
-CLOCK = re.compile(
+CLOCK = re.compile(  # the time of a clock, with or without a date
     r"^\s*(\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[T ]\s*)?"
     r"\d{1,2}:\d{2}:\d{2}([.,]\d+)?\s*([AaPp][Mm])?(Z|[-+]\d{2}:?\d{2})?\s*$"
 )
-"""The time of a clock, with or without a date."""
 _LOOK_AHEAD = 60  # rows at the end of a file, far from any preamble, that show its form
 _MOST = 0.8  # of these rows
 _LONGEST_PREAMBLE = 10_000  # lines
-_FEWEST = 20
+FEWEST_SAMPLES = 20
 _DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "blank"}
 _DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*$")
 _SPLIT_DECIMAL = re.compile(r"^0\d+$")  # 1,05 between commas
@@ -177,7 +176,7 @@ def _numbers_in(path: Path, lines: list[str]) -> Block:
     end = max(len(lines) - _LOOK_AHEAD, _LONGEST_PREAMBLE)
     table = cells(path, [*lines[:_LONGEST_PREAMBLE], *lines[end:]])
     rows, count = table.rows, len(table.rows)
-    tail = rows[-min(_LOOK_AHEAD, max(count // 2, min(count - 1, _FEWEST), 1)) :]
+    tail = rows[-min(_LOOK_AHEAD, max(count // 2, min(count - 1, FEWEST_SAMPLES), 1)) :]
     width = max(map(len, tail), default=0)
     if width > MOST_COLUMNS:
         raise InputError(f"{path}: has {width} columns; at most {MOST_COLUMNS} can be read")
