@@ -64,6 +64,8 @@ def large_block(path: Path, most: int = MOST_ROWS) -> Table:
         file.seek(0)
         for _ in range(block.begin - 1):
             file.readline()
+        if not file.peek(1):  # what ends with a return alone is no line of a file
+            raise InputError(f"{path}: is no text with lines; only plain text may be so large")
         values = _means(_pieces(file, block), factor)
     return table_of(block, values, range(block.begin, block.begin + len(values) * factor, factor), factor)
 
