@@ -104,7 +104,7 @@ def align(recording: Recording) -> Alignment:
         quantum_a=quantum,
         unseen_level_a=hidden_level(quiet, noise, quantum),
         rectified=rectified,
-        defects=tuple(_defects(current, quantum, rectified=rectified)),
+        defects=_defects(current, quantum, rectified=rectified),
         wild=wild,
     )
 
@@ -148,21 +148,19 @@ def _is_rectified(current: FloatArray, onset: int, quantum: float) -> bool:
     return quantum < min(_COARSE_STEP * float(np.ptp(current)), difference_noise(current[onset:]))
 
 
-def _defects(current: FloatArray, quantum: float, *, rectified: bool) -> list[Defect]:
+def _defects(current: FloatArray, quantum: float, *, rectified: bool) -> tuple[Defect, ...]:
     """What the current alone shows of the sensor."""
-    defects = []
     span, top = float(np.ptp(current)), float(np.max(np.abs(current)))
     run = _clipped_run(current, quantum) if quantum < _COARSE_STEP * span else 0
-    if run:
-        defects.append(
-            Defect(DefectKind.SATURATION, f"saturation: {run} samples in a row stand at {top:.4g} A")
-        )
-    if quantum > _QUANTISED_STEP * span:
-        text = f"quantisation: the current moves in steps of {quantum:.3g} A"
-        defects.append(Defect(DefectKind.QUANTISATION, text))
-    if rectified:
-        defects.append(Defect(DefectKind.RECTIFICATION, "rectification: no current lies below 0"))
-    return defects
+    is_quantised = quantum > _QUANTISED_STEP * span
+    texts = {
+        DefectKind.SATURATION: f"saturation: {run} samples in a row stand at {top:.4g} A" if run else "",
+        DefectKind.QUANTISATION: f"quantisation: the current moves in steps of {quantum:.3g} A"
+        if is_quantised
+        else "",
+        DefectKind.RECTIFICATION: "rectification: no current lies below 0" if rectified else "",
+    }
+    return tuple(Defect(kind, text) for kind, text in texts.items() if text)
 
 
 def _clipped_run(current: FloatArray, quantum: float) -> int:

@@ -88,11 +88,9 @@ def parse_parquet(path: str) -> tuple[dict[str, Any], int]:
 
 def main() -> int:
     """Limit the memory, parse, write."""
-    try:
+    if sys.platform != "win32":
         import resource
-    except ImportError:  # not on Windows
-        pass
-    else:
+
         resource.setrlimit(resource.RLIMIT_DATA, (_MEMORY_BYTES, resource.getrlimit(resource.RLIMIT_DATA)[1]))
     try:
         if sys.argv[1] == "Parquet":
@@ -108,8 +106,8 @@ def main() -> int:
     except Exception as error:  # noqa: BLE001  # a damaged file makes a parser raise anything
         sys.stderr.write(str(error) or type(error).__name__)
         return 1
-    head = json.dumps([averaged, [(name, array.shape) for name, array in found.items()]])
-    sys.stdout.buffer.write(head.encode() + b"\n")
+    shapes = [(name, array.shape) for name, array in found.items()]
+    sys.stdout.buffer.write(json.dumps([averaged, shapes]).encode() + b"\n")
     for array in found.values():
         sys.stdout.buffer.write(np.ascontiguousarray(array).data)
     return 0

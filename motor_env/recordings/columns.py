@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -51,42 +52,22 @@ def recognise(
     found: dict[str, Column] = {}
     taken: set[int] = set()
     for choice in choices:
-        if choice.column.lower() == _NONE:
-            continue
         if choice.sampling_rate_hz is not None:
             found["time"] = _even(table, 0.0, 1.0 / choice.sampling_rate_hz, "as asked")
-            continue
-        k = _place(path, table, meanings, choice)
-        taken.add(k)
-        found[choice.quantity] = _chosen(path, table, meanings[k], k, choice)
+        elif choice.column.lower() != _NONE:
+            k = _place(path, table, meanings, choice)
+            taken.add(k)
+            found[choice.quantity] = _chosen(path, table, meanings[k], k, choice)
     chosen = {choice.quantity for choice in choices}
     if not any(table.names) and not choices and table.values.shape[1] == 2 and not any(table.units):
         meanings = [Meaning("time", 1.0, "", ""), Meaning("current", 1.0, "", "")]
-    if "current" not in chosen and not any(meaning.quantity == "current" for meaning in meanings):
-        raise InputError(_no_current(path, table, meanings, taken))
-    for quantity, k in _by_header(path, table, meanings, chosen, taken):
-        taken.add(k)
-        found[quantity] = _column(path, table, meanings[k], k, quantity)
-    if "time" not in found:
-        found["time"] = _counted(path, table, _counter(meanings))
-    unused = [k for k in range(len(meanings)) if k not in taken and k != _counter(meanings)]
-    ordered = {quantity: found[quantity] for quantity in QUANTITIES if quantity in found}
-    return ordered, tuple(_name(table, k) for k in unused)
-
-
-def _counter(meanings: Sequence[Meaning]) -> int | None:
-    return next((k for k, meaning in enumerate(meanings) if meaning.unit == NUMBERED), None)
-
-
-def _by_header(
-    path: Path, table: Table, meanings: Sequence[Meaning], chosen: set[str], taken: set[int]
-) -> Iterator[tuple[str, int]]:
-    """Quantity and column of those that the headers tell."""
+    free = [k for k in range(len(meanings)) if k not in taken]
+    told = {meanings[k].quantity for k in free} - chosen
+    if "current" not in found and "current" not in told:
+        raise _no_current(path, table, meanings, free)
     first: dict[str, int] = {}
-    for k, meaning in enumerate(meanings):
-        quantity = meaning.quantity
-        if quantity is None or quantity in chosen or k in taken:
-            continue
+    for k in free:
+        quantity = meanings[k].quantity
         if quantity in first:
             one, other = (_name(table, i) for i in (first[quantity], k))
             none = f", or --column {quantity}=none" if quantity not in ("time", "current") else ""
@@ -94,21 +75,26 @@ def _by_header(
                 f"{path}: the columns {one} and {other} both look like the {quantity};"
                 f" say which: --column {quantity}={one}{none}"
             )
-        first[quantity] = k
-        yield quantity, k
+        if quantity is not None and quantity in told:
+            first[quantity] = k
+            found[quantity] = _column(path, table, meanings[k], k, quantity)
+    counter = next((k for k, meaning in enumerate(meanings) if meaning.unit == NUMBERED), None)
+    if "time" not in found:
+        found["time"] = _counted(path, table, counter)
+    unused = tuple(_name(table, k) for k in free if k not in first.values() and k != counter)
+    return {quantity: found[quantity] for quantity in QUANTITIES if quantity in found}, unused
 
 
 def _place(path: Path, table: Table, meanings: Sequence[Meaning], choice: ColumnChoice) -> int:
     """Which column is meant: by its header, with or without its unit, or by its number in the file."""
     wanted = (choice.text, choice.column)
-    spellings: list[list[str]] = [
-        list(table.names),
-        [name.lower() for name in table.names],
-        [meaning.name.lower() for meaning in meanings],
-    ]
-    for spelling in spellings:
-        for text in wanted:
-            name = text if spelling is spellings[0] else text.lower()
+    lower = [text.lower() for text in wanted]
+    for spelling, texts in (
+        (table.names, wanted),
+        ([name.lower() for name in table.names], lower),
+        ([meaning.name.lower() for meaning in meanings], lower),
+    ):
+        for name in texts:
             if spelling.count(name) > 1:
                 raise InputError(f"{path}: several columns are named {name}; give the number of one of them")
             if name in spelling:
@@ -120,49 +106,46 @@ def _place(path: Path, table: Table, meanings: Sequence[Meaning], choice: Column
 
 
 def _chosen(path: Path, table: Table, meaning: Meaning, k: int, choice: ColumnChoice) -> Column:
-    is_whole_text = table.names[k] == choice.text != choice.column  # a header with * or : in it
-    unit = None if is_whole_text else choice.unit
-    scale = None if is_whole_text else choice.scale
-    offset = 0.0 if is_whole_text else choice.offset
-    warning = ""
+    if table.names[k] == choice.text != choice.column:  # a header with * or : in it
+        choice = replace(choice, unit=None, scale=None, offset=0.0)
+    quantity, unit, scale = choice.quantity, choice.unit, choice.scale
+    stated, warning = unit_quantity(meaning.unit), ""
     if unit is not None:
-        measured = unit_quantity(unit) or choice.quantity
-        if (
-            unit_quantity(meaning.unit)
-            and UNITS[measured].get(unit_key(meaning.unit)) != UNITS[measured][unit_key(unit)]
-        ):
+        measured = unit_quantity(unit) or quantity
+        factor = UNITS[measured][unit_key(unit)]
+        if stated and (stated, meaning.factor) != (measured, factor):
             warning = f"the header of column {_name(table, k)} says {meaning.unit}, and --column says {unit}"
-        elif unit == SI[choice.quantity] and scale is None and _holds_counts(table, k):
+        elif unit == SI[quantity] and scale is None and _holds_counts(table, k):
             warning = (
                 f"column {_name(table, k)} holds whole numbers, as a converter's counts: are they {unit}?"
             )
-        meaning = Meaning(choice.quantity, UNITS[measured][unit_key(unit)], unit, meaning.name)
-    if meaning.unit == NUMBERED and unit is None and choice.quantity == "time":
+        stated, meaning = measured, Meaning(quantity, factor, unit, meaning.name)
+    elif meaning.unit == NUMBERED and quantity == "time":
         return _counted(path, table, k)
-    stated = unit_quantity(meaning.unit)
-    if scale is None and stated is not None and stated != choice.quantity and unit is None:
+    elif scale is None and stated not in (None, quantity):
         raise InputError(
-            f"{path}: the column {_name(table, k)} is in {meaning.unit}; say how many {SI[choice.quantity]} that is:"
-            f" {_example(choice.quantity, _name(table, k))}"
+            f"{path}: the column {_name(table, k)} is in {meaning.unit}; say how many {SI[quantity]} that is:"
+            f" {_example(quantity, _name(table, k))}"
         )
-    if scale is None:
-        column = _column(path, table, meaning._replace(quantity=choice.quantity), k, choice.quantity)
-    else:
-        column = Column(meaning.factor * table.values[:, k], _origin(table, meaning, k))
-    per = f" {SI[choice.quantity]}/{SI[stated]}" if stated else ""
+    column = _column(path, table, meaning, k, quantity, is_scaled=scale is not None)
+    per = f" {SI[quantity]}/{SI[stated]}" if stated else ""
     words = "" if scale is None else f", times {scale:g}{per}"
-    words += (
-        ""
-        if offset == 0.0
-        else f", {'plus' if offset > 0.0 else 'minus'} {abs(offset):g} {SI[choice.quantity]}"
+    if choice.offset:
+        words += f", {'plus' if choice.offset > 0.0 else 'minus'} {abs(choice.offset):g} {SI[quantity]}"
+    values = (1.0 if scale is None else scale) * column.values + choice.offset
+    return Column(values, column.origin + words, warning)
+
+
+def _column(
+    path: Path, table: Table, meaning: Meaning, k: int, quantity: str, *, is_scaled: bool = False
+) -> Column:
+    """A column in the unit of its header; without unit and scale it is taken as SI, unless it holds counts."""
+    header = f" ({table.names[k]})" if table.names[k] else ""
+    unit = (
+        f" in {meaning.unit}" if meaning.unit and meaning.unit.lower() not in table.names[k].lower() else ""
     )
-    return Column((1.0 if scale is None else scale) * column.values + offset, column.origin + words, warning)
-
-
-def _column(path: Path, table: Table, meaning: Meaning, k: int, quantity: str) -> Column:
-    """A column with the unit of its header; where it has none it is taken as SI, unless it holds counts."""
-    values, origin = table.values[:, k], _origin(table, meaning, k)
-    if not unit_quantity(meaning.unit):
+    origin = f"column {table.numbers[k]}{header}{unit}"
+    if not is_scaled and not unit_quantity(meaning.unit):
         if _holds_counts(table, k) and quantity != "duty":
             name = _name(table, k)
             raise InputError(
@@ -170,21 +153,13 @@ def _column(path: Path, table: Table, meaning: Meaning, k: int, quantity: str) -
                 f' (--column "{quantity}={name}:{_SMALL[quantity]}") or give a scale ({_example(quantity, name)})'
             )
         origin += f", no unit stated, taken as {SI[quantity]}"
-    return Column(meaning.factor * values, origin)
+    return Column(meaning.factor * table.values[:, k], origin)
 
 
 def _holds_counts(table: Table, k: int) -> bool:
     values = table.values[:, k] * table.averaged  # sums of whole numbers are whole
     is_whole = np.abs(values - np.round(values)) <= 1e-6 * (table.averaged > 1)
     return bool(np.all(is_whole)) and len(np.unique(values)) > _MANY_WHOLE
-
-
-def _origin(table: Table, meaning: Meaning, k: int) -> str:
-    name = f" ({table.names[k]})" if table.names[k] else ""
-    unit = (
-        f" in {meaning.unit}" if meaning.unit and meaning.unit.lower() not in table.names[k].lower() else ""
-    )
-    return f"column {table.numbers[k]}{name}{unit}"
 
 
 def _name(table: Table, k: int) -> str:
@@ -200,29 +175,22 @@ def _example(quantity: str, name: str) -> str:
 
 
 def _even(table: Table, begin_s: float, interval_s: float, reason: str) -> Column:
-    places = np.arange(len(table.values), dtype=np.float64)
-    middles: FloatArray = (places + 0.5) * table.averaged - 0.5  # of what was averaged
+    middles: FloatArray = (
+        np.arange(len(table.values), dtype=np.float64) + 0.5
+    ) * table.averaged - 0.5  # of what was averaged
     return Column(begin_s + interval_s * middles, f"{1.0 / interval_s:.6g} samples a second, {reason}")
 
 
 def _counted(path: Path, table: Table, counter: int | None) -> Column:
     """The time of a file that counts its samples, or only says how far apart they are."""
-    unexplained = counter is None and any(
-        understand(name, unit).quantity is None for name, unit in zip(table.names, table.units, strict=True)
-    )
-    if table.interval_s is None or unexplained:
-        unknown = [
-            k for k, name in enumerate(table.names) if understand(name, table.units[k]).quantity is None
-        ]
+    unknown = [k for k, name in enumerate(table.names) if understand(name, table.units[k]).quantity is None]
+    if table.interval_s is None or (counter is None and unknown):
         hint = f'name it: --column "time={_name(table, unknown[0])}:s", or ' if unknown else ""
-        raise InputError(
-            f"{_where(path, table)}: the column time_s is missing, {_found(table)}; {hint}say --sampling-rate HZ"
-        )
+        raise _missing(path, table, "time_s", f"{hint}say --sampling-rate HZ")
     begin_s = table.begin_s
     if counter is not None:
         begin_s += table.interval_s * (table.values[0, counter] - 0.5 * (table.averaged - 1))
-        steps = np.diff(table.values[:, counter])
-        is_off = np.abs(steps - table.averaged) > 1e-6 * table.averaged
+        is_off = np.abs(np.diff(table.values[:, counter]) - table.averaged) > 1e-6 * table.averaged
         if is_off.any():
             bad = int(np.argmax(is_off)) + 1
             raise InputError(
@@ -236,28 +204,22 @@ def _counted(path: Path, table: Table, counter: int | None) -> Column:
     return _even(table, begin_s, table.interval_s, "as the file says above its numbers")
 
 
-def _no_current(path: Path, table: Table, meanings: Sequence[Meaning], taken: set[int]) -> str:
-    """What to do about a file without a column of the current."""
-    free = [
-        k
-        for k, meaning in enumerate(meanings)
-        if k not in taken and meaning.unit != NUMBERED and meaning.quantity in (None, "voltage")
-    ]
+def _no_current(path: Path, table: Table, meanings: Sequence[Meaning], free: Sequence[int]) -> InputError:
+    """What to do about a file without a column of the current among those that are not taken."""
+    fitting = [k for k in free if meanings[k].unit != NUMBERED and meanings[k].quantity in (None, "voltage")]
     hint = "--column current=..."
-    if free:
-        name = _name(table, free[-1])
+    if fitting:
+        name = _name(table, fitting[-1])
         hint = _example("current", name)
-        if _holds_counts(table, free[-1]):
+        if _holds_counts(table, fitting[-1]):
             hint = f'--column "current={name}*0.0132-6.76" with the scale and the offset of the converter\'s counts'
-        elif unit_quantity(meanings[free[-1]].unit) is None:
+        elif unit_quantity(meanings[fitting[-1]].unit) is None:
             hint = f'--column "current={name}:A" (or :mA), or {hint}'
-    return f"{_where(path, table)}: the column current_a is missing, {_found(table)}; name it: {hint}"
+    return _missing(path, table, "current_a", f"name it: {hint}")
 
 
-def _where(path: Path, table: Table) -> str:
-    return f"{path}, {table.where} {max(table.lines[0] - 1, 1)}"
-
-
-def _found(table: Table) -> str:
+def _missing(path: Path, table: Table, column: str, hint: str) -> InputError:
     names = ", ".join(repr(name[:30]) for name in table.names[:8])
-    return f"found {names}" if any(table.names) else f"found {len(table.names)} columns without a header"
+    found = names if any(table.names) else f"{len(table.names)} columns without a header"
+    where = f"{path}, {table.where} {max(table.lines[0] - 1, 1)}"
+    return InputError(f"{where}: the column {column} is missing, found {found}; {hint}")

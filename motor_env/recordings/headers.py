@@ -29,13 +29,14 @@ UNITS: dict[str, dict[str, float]] = {
     "duty": {"1": 1.0, "%": 0.01, "percent": 0.01},
 }
 """Factors to SI."""
+_UNIT_QUANTITIES = {unit: quantity for quantity, units in UNITS.items() for unit in units}
 
 SI = {"time": "s", "current": "A", "voltage": "V", "speed": "rad/s", "duty": "1"}
 NUMBERED = "sequence"
 """The unit of a column that counts samples."""
 
 _WORDS = {
-    quantity: frozenset(words.split())
+    word: quantity
     for quantity, words in {
         "time": "t time zeit temps tempo tid tiempo timestamp x-axis",
         "current": "i ia i_a current armature_current strom ankerstrom courant corrente corriente iarm",
@@ -43,6 +44,7 @@ _WORDS = {
         "speed": "w n omega ω speed velocity drehzahl vitesse velocidade velocidad angular_speed wm",
         "duty": "duty duty_cycle pwm",
     }.items()
+    for word in words.split()
 }
 _COUNTERS = frozenset(["index", "sequence", "sample", "samples", "point", "nr", "no", "#"])
 _NO_UNIT = frozenset(("", "value", "values", "raw", "none", "-"))  # in a row of units
@@ -91,7 +93,8 @@ class ColumnChoice:
         if column and unit_quantity(last) == quantity:  # before a unit such as 1/min is taken for a quotient
             return cls(quantity, rest.strip(), column, last)
         match = _CHOICE.match(rest.strip())
-        if not equals or quantity not in QUANTITIES or match is None:
+        by_zero = match is not None and match["mark"] == "/" and float(match["scale"]) == 0.0
+        if not equals or quantity not in QUANTITIES or match is None or by_zero:
             raise InputError(
                 "--column must read QUANTITY=COLUMN, QUANTITY=COLUMN:UNIT or QUANTITY=COLUMN*SCALE+OFFSET with"
                 f" QUANTITY one of {', '.join(QUANTITIES)}, got {text!r}"
@@ -110,8 +113,9 @@ class ColumnChoice:
             and unit_quantity(unit) != quantity
             and (choice.scale is None or not unit_quantity(unit))
         ):
-            known = ", ".join(UNITS[quantity])
-            raise InputError(f"--column {quantity}: the unit must be one of {known}, got {unit!r}")
+            raise InputError(
+                f"--column {quantity}: the unit must be one of {', '.join(UNITS[quantity])}, got {unit!r}"
+            )
         return choice
 
     @classmethod
@@ -149,8 +153,7 @@ def unit_key(unit: str) -> str:
 
 def unit_quantity(unit: str) -> str | None:
     """The quantity that is measured in a unit; None for what is no unit of a recording."""
-    key = unit_key(unit)
-    return next((quantity for quantity in QUANTITIES if key in UNITS[quantity]), None)
+    return _UNIT_QUANTITIES.get(unit_key(unit))
 
 
 def is_unit_cell(cell: str) -> bool:
@@ -166,7 +169,7 @@ def understand(header: str, unit: str = "") -> Meaning:
     if match:
         name = match["name"].strip()
         unit = unit or match["bracket"] or match["word"] or ""
-    elif (quotient := _QUOTIENT.match(name)) and _quantity_of(_word(quotient["name"])):
+    elif (quotient := _QUOTIENT.match(name)) and _word(quotient["name"]) in _WORDS:
         name, unit = quotient["name"], unit or quotient["unit"]
     word = _word(name)
     if not unit:
@@ -175,31 +178,26 @@ def understand(header: str, unit: str = "") -> Meaning:
         unit = ""
     if unit_key(unit) == NUMBERED or (not unit and word in _COUNTERS):
         return Meaning(None, 1.0, NUMBERED, name)
-    quantity = _quantity_of(word)
+    quantity = _WORDS.get(word)
     measured = unit_quantity(unit)
     if quantity is None and measured != "duty" and unit_key(unit) != "min":
         quantity = measured
     if unit and quantity != measured:  # a current in volt is a probe's
         quantity = None
-    factor = UNITS[measured][unit_key(unit)] if measured else 1.0
-    return Meaning(quantity, factor, unit, name)
+    return Meaning(quantity, UNITS[measured][unit_key(unit)] if measured else 1.0, unit, name)
 
 
 def _word(name: str) -> str:
     return name.strip().lower().replace(" ", "_").strip("_:#")
 
 
-def _quantity_of(word: str) -> str | None:
-    return next((each for each in QUANTITIES if word in _WORDS[each]), None)
-
-
 def _split(word: str) -> tuple[str, str]:
     """Word and unit of `current_ma`, of `rpm`; a word that is no quantity keeps its ending."""
     if unit_quantity(word) is not None and len(word) > 1:
         return word, word
-    for quantity in QUANTITIES:
-        for unit in sorted(UNITS[quantity], key=len, reverse=True):
-            stem = word.removesuffix(f"_{unit}")
-            if stem != word and (stem in _WORDS[quantity] or stem.split("_")[-1] in _WORDS[quantity]):
-                return stem if stem in _WORDS[quantity] else stem.split("_")[-1], unit
+    for unit, quantity in _UNIT_QUANTITIES.items():
+        stem = word.removesuffix(f"_{unit}")
+        for name in (stem, stem.split("_")[-1]):
+            if stem != word and _WORDS.get(name) == quantity:
+                return name, unit
     return word, ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -14,12 +15,12 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.columns import recognise
 from motor_env.recordings.headers import SI, ColumnChoice
 from motor_env.recordings.tables import read_table
+from motor_env.recordings.text.block import FEWEST_SAMPLES
 from motor_env.recordings.text.settings import Table
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-FEWEST_SAMPLES = 20
 _SHORTEST_STEP_S, _LONGEST_STEP_S = 1e-10, 1e4
 _SMALLEST_READING, _LARGEST_READING = 1e-12, 1e9
 _LATEST_BEGIN_S = 1e7  # seconds of a computer's clock count from 1970
@@ -82,12 +83,10 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
     columns, unused = recognise(path, table, choices)
     notes = [f"{quantity} is {column.origin}" for quantity, column in columns.items()]
     values = {quantity: column.values for quantity, column in columns.items()}
-    if table.averaged > 1:
-        notes.append(f"{table.averaged} neighbouring samples are averaged into one")
-    if unused:
-        notes.append(f"not used: {', '.join(unused)}")
-    recording = _recording(path, table, values, (*notes, *table.remarks))
-    return replace(recording, warnings=tuple(column.warning for column in columns.values() if column.warning))
+    notes += [f"{table.averaged} neighbouring samples are averaged into one"] * (table.averaged > 1)
+    notes += [f"not used: {', '.join(unused)}"] * (unused != ())
+    warnings = tuple(column.warning for column in columns.values() if column.warning)
+    return replace(_recording(path, table, values, (*notes, *table.remarks)), warnings=warnings)
 
 
 def recording_of(recording: Recording | str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
@@ -148,15 +147,13 @@ def _summary(time_s: FloatArray, columns: dict[str, FloatArray]) -> str:
 def _without_gaps(time_s: FloatArray, steps: FloatArray) -> tuple[slice, tuple[str, ...]]:
     """The longest stretch of samples without a long gap, and a note where there is one."""
     gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps))
-    if len(gaps) == 0:
-        return slice(0, len(time_s)), ()
-    edges = np.concatenate([[0], gaps + 1, [len(time_s)]])
-    longest = int(np.argmax(np.diff(edges)))
-    begin, end = int(edges[longest]), int(edges[longest + 1])
-    span = f"{time_s[begin]:.6g} to {time_s[end - 1]:.6g} s"
-    return slice(begin, end), (
-        f"a gap of {steps[gaps].max():.3g} s: only {span} is read, the longest stretch",
+    edges = [0, *(gaps + 1).tolist(), len(time_s)]
+    begin, end = max(pairwise(edges), key=lambda stretch: stretch[1] - stretch[0])
+    note = (
+        f"a gap of {steps.max():.3g} s: only {time_s[begin]:.6g} to {time_s[end - 1]:.6g} s is read, the longest"
+        " stretch"
     )
+    return slice(begin, end), (note,) if len(gaps) else ()
 
 
 def evened(
@@ -170,5 +167,5 @@ def evened(
     if off >= 0.5:  # gaps: evenly at the median step
         count = int(min((time_s[-1] - time_s[0]) / np.median(np.diff(time_s)), 4 * len(time_s)))
         even = np.linspace(time_s[0], time_s[-1], max(count, 1) + 1)
-    note = ("the time axis is uneven: interpolated to an even one",)
-    return even, {name: np.interp(even, time_s, values) for name, values in columns.items()}, note
+    columns = {name: np.interp(even, time_s, values) for name, values in columns.items()}
+    return even, columns, ("the time axis is uneven: interpolated to an even one",)

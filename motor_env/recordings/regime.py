@@ -56,10 +56,8 @@ def taken_for(recording: Recording, regime: str = "auto", start: int | None = No
     """
     if regime not in REGIMES:
         raise InputError(f"regime must be one of {', '.join(REGIMES)}, got {regime!r}")
-    if regime == "start" or (regime == "auto" and start is not None):
-        return Taken("start", "as asked")
-    if regime == "operation":
-        return Taken("operation", "as asked")
+    if regime != "auto" or start is not None:
+        return Taken("operation" if regime == "operation" else "start", "as asked")
     work = work_seen(recording)
     if work is not None:
         return Taken("operation", work)
@@ -83,20 +81,19 @@ def work_seen(recording: Recording) -> str | None:
     size = np.abs(share)
     levels = np.digitize(size, (_OFF, _ON))
     pauses = gaps_s(levels == 0, recording.dt_s)
-    if min(float(np.mean(share > _OFF)), float(np.mean(share < -_OFF))) > _REVERSED_SHARE:
-        found = "the voltage reverses"
-    elif float(np.mean(levels == 1)) > _BETWEEN_SHARE and changes(size) >= _FEWEST_CHANGES:
-        found = "the voltage takes several levels"
-    elif len(pauses) >= _MOST_SWITCHES and float(np.median(pauses)) < _PAUSE_S:
-        found = "the voltage is switched faster than a motor stops"
-    elif _restarted_while_turning(recording, size, levels == 0):
-        found = "the voltage comes back before the motor stands"
-    else:
-        found = None
-    return found
+    reversed_share = min(float(np.mean(share > _OFF)), float(np.mean(share < -_OFF)))
+    has_levels = float(np.mean(levels == 1)) > _BETWEEN_SHARE and changes(size) >= _FEWEST_CHANGES
+    is_pulsed = len(pauses) >= _MOST_SWITCHES and float(np.median(pauses)) < _PAUSE_S
+    shown = {
+        "the voltage reverses": reversed_share > _REVERSED_SHARE,
+        "the voltage takes several levels": has_levels,
+        "the voltage is switched faster than a motor stops": is_pulsed,
+        "the voltage comes back before the motor stands": _restarted(recording, size, levels == 0),
+    }
+    return next((words for words, is_shown in shown.items() if is_shown), None)
 
 
-def _restarted_while_turning(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_]) -> bool:
+def _restarted(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_]) -> bool:
     """Whether the motor still turns when it is switched on again: by its speed, else by an inrush that is too small."""
     on = np.flatnonzero(~is_off)
     restarts = on[1:][np.diff(on) * recording.dt_s > BOUNCE_S]
@@ -121,32 +118,27 @@ def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
     Raises:
         UnusableError: it is one.
     """
-    if not _explains_steps(voltage_v, current_a):
+    low, high = np.quantile(voltage_v, (0.02, 0.98))
+    off = np.minimum(np.abs(voltage_v - low), np.abs(voltage_v - high))
+    is_noise = float(np.ptp(voltage_v)) < _NOISE_SPAN * difference_noise(voltage_v)
+    if not is_noise and float(np.mean(off > _LEVEL * (high - low))) > _OFF_LEVEL:
+        return
+    jumps = np.flatnonzero(np.diff((voltage_v > 0.5 * (low + high)).astype(np.int8))) + 1
+    jumps = jumps[(jumps > 1) & (jumps < len(voltage_v) - 2)]
+    if len(jumps) < _FEWEST_JUMPS:
+        return
+    signs = np.sign(voltage_v[jumps] - voltage_v[jumps - 1])[:-1]
+    following = [current_a[jumps + later] - current_a[jumps + later - 1] for later in (0, 1, 2)]
+    rises = [*(each[:-1] for each in following), np.diff(current_a[jumps])]
+    # Of two signs the ranks are a straight line: this is Spearman's correlation.
+    ranks = (_ranks(rise) for rise in rises if np.ptp(rise) > 0.0)
+    known = max((abs(np.corrcoef(signs, each)[0, 1]) for each in ranks), default=0.0)
+    if not known > min(max(_CHANCE / math.sqrt(len(signs)), _UNKNOWN), _KNOWN):
         raise UnusableError(
             "the current does not follow the voltage as a motor's does; a raw pulse-width modulation looks like this"
             " where it is sampled more slowly than it switches: record it behind a low-pass filter, or the duty cycle"
             " times the supply"
         )
-
-
-def _explains_steps(voltage_v: FloatArray, current_a: FloatArray) -> bool:
-    """Whether the current moves with the steps of a voltage of two levels; true for any other voltage."""
-    low, high = np.quantile(voltage_v, (0.02, 0.98))
-    off = np.minimum(np.abs(voltage_v - low), np.abs(voltage_v - high))
-    is_noise = float(np.ptp(voltage_v)) < _NOISE_SPAN * difference_noise(voltage_v)
-    if not is_noise and float(np.mean(off > _LEVEL * (high - low))) > _OFF_LEVEL:
-        return True
-    jumps = np.flatnonzero(np.diff((voltage_v > 0.5 * (low + high)).astype(np.int8))) + 1
-    jumps = jumps[(jumps > 1) & (jumps < len(voltage_v) - 2)]
-    if len(jumps) < _FEWEST_JUMPS:
-        return True
-    signs = np.sign(voltage_v[jumps] - voltage_v[jumps - 1])[:-1]
-    following = [current_a[jumps + later] - current_a[jumps + later - 1] for later in (0, 1, 2)]
-    rises = [*(each[:-1] for each in following), np.diff(current_a[jumps])]
-    # Of two signs the ranks are a straight line: this is Spearman's correlation.
-    ranks = [_ranks(rise) for rise in rises]
-    known = max((abs(np.corrcoef(signs, each)[0, 1]) for each in ranks if np.ptp(each) > 0.0), default=0.0)
-    return bool(known > min(max(_CHANCE / math.sqrt(len(signs)), _UNKNOWN), _KNOWN))
 
 
 def _ranks(values: FloatArray) -> FloatArray:
@@ -157,18 +149,11 @@ def _ranks(values: FloatArray) -> FloatArray:
 
 def changes(share: FloatArray) -> int:
     """How often a voltage goes to another level and stays there for three samples."""
-    steps, settled = np.abs(share[1:] - share[:-1]) > _OFF, 0
-    last = -3
-    for k in np.flatnonzero(steps):
-        settled += int(k - last >= 3)
-        last = int(k)
-    return settled
+    steps = np.flatnonzero(np.abs(np.diff(share)) > _OFF)
+    return int(np.count_nonzero(np.diff(steps, prepend=-3) >= 3))
 
 
-def gaps_s(is_off: FloatArray, dt_s: float) -> FloatArray:
+def gaps_s(is_off: NDArray[np.bool_], dt_s: float) -> FloatArray:
     """Lengths in seconds of the stretches without voltage between two with it."""
-    edges = np.diff(is_off.astype(np.int8))
-    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    ends = ends[ends > begins[0]] if len(begins) else ends[:0]
-    count = min(len(begins), len(ends))
-    return np.asarray((ends[:count] - begins[:count]) * dt_s, dtype=np.float64)
+    steps = np.diff(np.flatnonzero(~is_off))
+    return np.asarray((steps[steps > 1] - 1) * dt_s, dtype=np.float64)

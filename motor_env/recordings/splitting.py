@@ -7,7 +7,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
@@ -37,13 +36,12 @@ def split_starts(recording: Recording) -> list[Recording]:
         begins = _rises(rising, recording.dt_s, rest=_LOW)
     if len(begins) < 2:
         return [recording]
-    cuts = [0, *(_switched_off(recording, a, b) for a, b in pairwise(begins))]
-    ends = [*cuts[1:], len(recording.time_s)]
+    cuts = [0, *(_switched_off(recording, a, b) for a, b in pairwise(begins)), len(recording.time_s)]
     parts = []
-    for number, (first, last) in enumerate(zip(cuts, ends, strict=True), 1):
-        notes = (*recording.columns, f"start {number} of {len(cuts)} in the file")
-        part = cut(recording, slice(first, last))
-        parts.append(replace(part, path=Path(f"{recording.path}#{number}"), columns=notes))
+    for number, (first, last) in enumerate(pairwise(cuts), 1):
+        notes = (*recording.columns, f"start {number} of {len(begins)} in the file")
+        path = Path(f"{recording.path}#{number}")
+        parts.append(replace(cut(recording, slice(first, last)), path=path, columns=notes))
     return parts
 
 
@@ -54,35 +52,26 @@ def chosen_starts(recording: Recording, number: int | None = None) -> list[Recor
         InputError: there is no such start, or there are more than 200 of them and none is chosen.
     """
     parts = split_starts(recording)
-    if number is None:
-        if len(parts) > MOST_STARTS:
-            raise InputError(
-                f"{recording.path}: it rises from rest {len(parts)} times; at most {MOST_STARTS} starts are judged at"
-                " once: is it one? Else name one of them with --start"
-            )
-        return parts
-    if not 1 <= number <= len(parts):
+    if number is None and len(parts) > MOST_STARTS:
+        raise InputError(
+            f"{recording.path}: it rises from rest {len(parts)} times; at most {MOST_STARTS} starts are judged at"
+            " once: is it one? Else name one of them with --start"
+        )
+    if number is not None and not 1 <= number <= len(parts):
         raise InputError(f"{recording.path}: --start must lie in 1 .. {len(parts)}, got {number}")
-    return [parts[number - 1]]
+    return parts if number is None else [parts[number - 1]]
 
 
 def _rises(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:
     """Samples where the values rise beyond half of their largest, after having been at rest."""
     top = float(np.sort(values)[-1 - (_WILD if len(values) > 2000 else 0)])
-    high, low = (values > _HIGH * top).tolist(), (values < rest * top).tolist()
     shortest = max(_FEWEST, round(BOUNCE_S / dt_s))
-    begins: list[int] = []
-    at_rest, since = 0, shortest
-    armed = True
-    for k in range(len(values)):
-        at_rest = at_rest + 1 if low[k] else 0
-        armed = armed or at_rest >= shortest
-        since += 1
-        if armed and high[k]:
-            if since >= shortest or not begins:
-                begins.append(k)
-                since = 0
-            armed = False
+    high = np.flatnonzero(values > _HIGH * top)
+    moving = np.flatnonzero(values >= rest * top)
+    after_rest = moving[1:][np.diff(moving) > shortest]
+    # The first rise needs no rest before it; a rest without a rise after it ends no start.
+    firsts = np.unique(np.append(0, np.searchsorted(high, after_rest)))
+    begins: list[int] = high[firsts[firsts < len(high)]].tolist()
     return begins
 
 
@@ -96,9 +85,11 @@ def _switched_off(recording: Recording, begin: int, following: int) -> int:
 
 
 def _change_of_level(values: FloatArray) -> int:
-    """First sample of the second level: the least-squares split in two."""
+    """First sample of the second level: the least-squares split in two; 0 where there are no two samples."""
+    if len(values) < 2:
+        return 0
     n = np.arange(1, len(values))
     sums = np.cumsum(values)
     before, after = sums[:-1] / n, (sums[-1] - sums[:-1]) / (len(values) - n)
-    gain: NDArray[np.float64] = n * (len(values) - n) * np.square(before - after)
+    gain: FloatArray = n * (len(values) - n) * np.square(before - after)
     return int(np.argmax(gain)) + 1

@@ -1,21 +1,30 @@
-"""Tables out of the files that people have: text of many kinds, .mat, .npy, .npz, Parquet."""
+"""Tables out of the files that people have: text of many kinds, .mat, .npy, .npz, Parquet. None of them may run code.
+
+Compiled parsers of involved formats crash on some damaged files, and a small file may unpack to gigabytes: MATLAB and
+Parquet are parsed in a process of their own (`array_parser`), with limits of memory and time.
+"""
 
 from __future__ import annotations
 
-import stat
+import io
+import json
+import os
+import subprocess
+import sys
+import zipfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from motor_env.errors import InputError
+from motor_env.errors import InputError, require_extra
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.array_files import BINARY, is_parquet, read_arrays, read_parquet
+from motor_env.recordings import array_parser
 from motor_env.recordings.headers import understand
-from motor_env.recordings.text.block import MOST_COLUMNS, block_of_numbers
-from motor_env.recordings.text.cells import TextTable, cells
-from motor_env.recordings.text.pieces import large_block
+from motor_env.recordings.text.block import FEWEST_SAMPLES, MOST_COLUMNS, TextTable, cells
+from motor_env.recordings.text.pieces import large_block, whole_block
 from motor_env.recordings.text.settings import Table
 
 LARGEST_FILE_BYTES = 200_000_000
@@ -24,7 +33,8 @@ LARGEST_WHOLE_BYTES = 50_000_000
 _LARGEST_TEXT_BYTES = 20_000_000  # of what is kept cell by cell
 _CONTROL = bytes(code for code in range(32) if code not in (9, 10, 11, 12, 13))
 _CONTROL_SHARE = 0.01  # more control characters than that are no text
-_FEWEST = 20
+_SECONDS = 30.0  # for MATLAB and Parquet
+_SINGLE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
 
 
 def read_table(path: Path, wanted: Sequence[str] = ()) -> Table:
@@ -37,17 +47,22 @@ def read_table(path: Path, wanted: Sequence[str] = ()) -> Table:
     Raises:
         InputError: the file is missing, empty, too large or of no kind that can be read; a cell is no finite number.
     """
-    size = _size(path)
-    if is_parquet(path) and size:
-        return _columns(path, *read_parquet(path), wanted)
-    if path.suffix.lower() not in BINARY and size > LARGEST_WHOLE_BYTES:
-        return large_block(path)
-    content = _content(path)
-    arrays = read_arrays(path, content)
-    if arrays is None:
-        text = _decoded(path, content)
-        return block_of_numbers(path, text.splitlines(), text.endswith(("\n", "\r")))
-    return _columns(path, arrays, 1, wanted)
+    size, averaged = 0, 1
+    with suppress(OSError):  # it is told when the file is opened
+        size = path.stat().st_size if path.is_file() else 0
+    match path.suffix.lower():
+        case ".parquet" | ".pq" if size:  # of any length, for it is read in pieces
+            require_extra("pyarrow", "datasets")
+            arrays, averaged = _parsed_elsewhere(path, b"", "Parquet", str(path))
+        case ".mat":
+            arrays, averaged = _parsed_elsewhere(path, _content(path), "MATLAB")
+        case ".npy" | ".npz":
+            arrays = _numpy(path, _content(path))
+        case _ if size > LARGEST_WHOLE_BYTES:
+            return large_block(path)
+        case _:
+            return whole_block(path, _decoded(path, _content(path)))
+    return _columns(path, arrays, averaged, wanted)
 
 
 def read_text_table(path: Path) -> TextTable:
@@ -68,19 +83,13 @@ def read_text(path: Path) -> str:
     return _decoded(path, _content(path, _LARGEST_TEXT_BYTES))
 
 
-def _size(path: Path) -> int:
-    """Bytes of a regular file; 0 of anything else, which is told when it is opened."""
-    return path.stat().st_size if path.is_file() else 0
-
-
 def _content(path: Path, largest: int = LARGEST_FILE_BYTES) -> bytes:
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
+        size, content = path.stat().st_size, b""
+        if not path.is_file():
             raise InputError(f"{path}: is no regular file")
         # What the system makes up while it is read has no size, and may never end.
-        content = b""
-        if status.st_size:
+        if size:
             with path.open("rb") as file:
                 content = file.read(largest + 1)
     except FileNotFoundError:
@@ -100,17 +109,61 @@ def _content(path: Path, largest: int = LARGEST_FILE_BYTES) -> bytes:
 def _decoded(path: Path, content: bytes) -> str:
     """Text in UTF-8 or UTF-16, or in the code page of an old scope."""
     wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
-    encodings = ["utf-16"] if wide else ["utf-8-sig", "cp1252"]
-    for encoding in encodings:
-        try:
+    for encoding in ["utf-16"] if wide else ["utf-8-sig", "cp1252"]:
+        with suppress(UnicodeDecodeError):
             text = content.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-        plain = text.encode() if wide else content
-        control = len(plain) - len(plain.translate(None, _CONTROL))
-        if control <= _CONTROL_SHARE * len(text) and "\0" not in text:
-            return text
+            plain = text.encode() if wide else content
+            control = len(plain) - len(plain.translate(None, _CONTROL))
+            if control <= _CONTROL_SHARE * len(text) and "\0" not in text:
+                return text
     raise InputError(f"{path}: is not text, and its ending is none of .mat, .npy, .npz, .parquet")
+
+
+def _parsed_elsewhere(path: Path, content: bytes, kind: str, *more: str) -> tuple[dict[str, Any], int]:
+    """Arrays by name, and how many rows are averaged to one."""
+    if content[:19] == b"MATLAB 7.3 MAT-file":
+        raise _unreadable(path, kind, "it is of version 7.3; save it with -v7")
+    # -P: modules of this folder must not hide others of the same name.
+    command = [sys.executable, "-P", array_parser.__file__, kind, *more]
+    try:
+        done = subprocess.run(  # noqa: S603  # our own interpreter and file; what it parses is data
+            command,
+            input=content,
+            capture_output=True,
+            timeout=_SECONDS,
+            env=os.environ | _SINGLE,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise _unreadable(path, kind, f"it takes longer than {_SECONDS:g} s") from None
+    if done.returncode:
+        words = done.stderr.decode(errors="replace").strip().splitlines() if done.returncode == 1 else []
+        raise _unreadable(path, kind, [f"its parser crashed with status {done.returncode}", *words][-1])
+    head, _, body = done.stdout.partition(b"\n")
+    averaged, shapes = json.loads(head)
+    ends = np.cumsum([np.prod(shape) for _, shape in shapes], dtype=np.int64)
+    parts = np.split(np.frombuffer(body, np.float64), ends)[: len(shapes)]
+    return {name: part.reshape(shape) for (name, shape), part in zip(shapes, parts, strict=True)}, averaged
+
+
+def _numpy(path: Path, content: bytes) -> dict[str, Any]:
+    try:
+        if content[:2] == b"PK":
+            with zipfile.ZipFile(io.BytesIO(content)) as archive:
+                array_parser.check_count(sum(member.file_size for member in archive.infolist()) // 8)
+        loaded = np.load(io.BytesIO(content), allow_pickle=False)
+        if not isinstance(loaded, np.ndarray):
+            return {name: loaded[name] for name in loaded.files}
+        return (
+            {name: loaded[name] for name in loaded.dtype.names} if loaded.dtype.names else {"array": loaded}
+        )
+    except Exception as error:  # noqa: BLE001  # a damaged file makes NumPy raise anything, zipfile's errors among them
+        raise _unreadable(path, "NumPy", error) from None
+
+
+def _unreadable(path: Path, kind: str, reason: object) -> InputError:
+    short = " ".join(str(reason).split())[:100]
+    return InputError(f"{path}: is not a {kind} file that can be read ({short})")
 
 
 def _columns(path: Path, arrays: dict[str, Any], averaged: int, wanted: Sequence[str]) -> Table:
@@ -120,11 +173,13 @@ def _columns(path: Path, arrays: dict[str, Any], averaged: int, wanted: Sequence
         InputError: no such array, a value that is not finite, or a quantity would be lost with an array of another
             length.
     """
+    numbers: dict[str, FloatArray] = {
+        name: np.squeeze(given).astype(np.float64)
+        for name, given in arrays.items()
+        if given.dtype.kind in "fiub" and given.size > 1
+    }
     flat: dict[str, FloatArray] = {}
-    for name, given in arrays.items():
-        if given.dtype.kind not in "fiub" or given.size < 2:
-            continue
-        squeezed = np.squeeze(given).astype(np.float64)
+    for name, squeezed in numbers.items():
         if squeezed.ndim == 1:
             flat[name] = squeezed
         elif squeezed.ndim == 2 and min(squeezed.shape) <= MOST_COLUMNS:
@@ -138,22 +193,25 @@ def _columns(path: Path, arrays: dict[str, Any], averaged: int, wanted: Sequence
     length = max(set(lengths), key=lambda n: (lengths.count(n), n))
     others = {name: values for name, values in flat.items() if len(values) != length}
     flat = {name: values for name, values in flat.items() if len(values) == length}
-    there = {understand(name).quantity for name in flat}
+    there = {None, *(understand(name).quantity for name in flat)}
     for name, values in others.items():
-        quantity = understand(name).quantity
-        lost = quantity is not None and quantity not in there and len(values) >= _FEWEST
-        if lost or name in wanted:
+        if name in wanted or (understand(name).quantity not in there and len(values) >= FEWEST_SAMPLES):
             raise InputError(f"{path}: {name} has {len(values)} values where the others have {length}")
     values = np.column_stack(list(flat.values()))
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         row, column = bad[0]
-        name = list(flat)[column]
         raise InputError(
-            f"{path}, row {row * averaged + 1}: the column {name} must hold finite numbers, got {values[row, column]}"
+            f"{path}, row {row * averaged + 1}: the column {list(flat)[column]} must hold finite numbers,"
+            f" got {values[row, column]}"
         )
-    names = tuple("" if "#" in name else name for name in flat)
-    units, numbers = ("",) * len(names), tuple(range(1, len(names) + 1))
-    remarks = (f"left out, for their lengths: {', '.join(others)}",) if others else ()
-    at = range(1, length * averaged + 1, averaged)
-    return Table(names, values, at, units, numbers, where="row", remarks=remarks, averaged=averaged)
+    return Table(
+        tuple("" if "#" in name else name for name in flat),
+        values,
+        range(1, length * averaged + 1, averaged),
+        ("",) * len(flat),
+        tuple(range(1, len(flat) + 1)),
+        where="row",
+        remarks=(f"left out, for their lengths: {', '.join(others)}",) if others else (),
+        averaged=averaged,
+    )

@@ -1,24 +1,41 @@
-"""The block of numbers in a text file of any length: read in pieces, neighbours averaged so that memory holds them."""
+"""The numbers of a text file: read whole, or in pieces with neighbours averaged so that memory holds them."""
 
 from __future__ import annotations
 
-import os
+import csv
+import io
+import math
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.text.block import CUT_OFF, Form, form_of, parsed, parsed_cell_by_cell
-from motor_env.recordings.text.settings import Block, Table
+from motor_env.recordings.text.block import CLOCK, CUT_OFF, Block, block_of, filled, rows_of
+from motor_env.recordings.text.settings import Table, table_of
 
 MOST_ROWS = 4_000_000
 _AT_ONCE = 2  # pieces: pandas lets other threads run while it parses
 _HEAD_BYTES, _TAIL_BYTES, _PIECE_BYTES = 2_000_000, 65_536, 8_000_000
+_SMALL_BYTES = 4_000_000
+
+
+def whole_block(path: Path, text: str) -> Table:
+    """The block of numbers in a text, with the header above it.
+
+    Raises:
+        InputError: there is none, or a cell in it is no number.
+    """
+    lines = text.splitlines()
+    block = block_of(path, lines, text.endswith(("\n", "\r")))
+    body = lines[block.begin - 1 :]
+    values, at = _numbers(block, "\n".join(body).encode(), block.begin, len(body))
+    return table_of(block, values, at)
 
 
 def large_block(path: Path, most: int = MOST_ROWS) -> Table:
@@ -33,61 +50,45 @@ def large_block(path: Path, most: int = MOST_ROWS) -> Table:
     """
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES).rpartition(b"\n")[0]
-        size = file.seek(0, os.SEEK_END)
-        file.seek(-min(_TAIL_BYTES, size), os.SEEK_END)
+        size = file.seek(0, io.SEEK_END)
+        file.seek(-min(_TAIL_BYTES, size), io.SEEK_END)
         tail = file.read().partition(b"\n")[2]
         if not head or not tail or b"\0" in head:
             raise InputError(f"{path}: is no text with lines; only plain text may be so large")
-        last = tail.decode("utf-8-sig", "replace").splitlines()
-        first = head.decode("utf-8-sig", "replace").splitlines()
-        has_end = tail.endswith((b"\n", b"\r"))
-        block, form = form_of(path, [*first, *last], has_end)
+        first, last = (part.decode("utf-8-sig", "replace").splitlines() for part in (head, tail))
+        block = block_of(path, [*first, *last], tail.endswith((b"\n", b"\r")))
         if block.clocks:
             raise InputError(f"{path}: so large a file needs its time in seconds, or --sampling-rate HZ")
         rows = size / (len(tail) / len(last))
-        factor = max(int(np.ceil(rows / most)), 1)
-        begin = block.table.lines[block.first]
+        factor = max(math.ceil(rows / most), 1)
         file.seek(0)
-        for _ in range(begin - 1):
+        for _ in range(block.begin - 1):
             file.readline()
-        values = means(_values(file, block, form), factor)
-    return form.table(block, values, range(begin, begin + len(values) * factor, factor), factor)
+        if not file.peek(1):  # what ends with a return alone is no line of a file
+            raise InputError(f"{path}: is no text with lines; only plain text may be so large")
+        values = _means(_pieces(file, block), factor)
+    return table_of(block, values, range(block.begin, block.begin + len(values) * factor, factor), factor)
 
 
-def _values(file: BinaryIO, block: Block, form: Form) -> Iterator[FloatArray]:
-    """The numbers of each piece, shape (rows, columns); several are parsed at once."""
+def _pieces(file: BinaryIO, block: Block) -> Iterator[FloatArray]:
+    """The numbers of each piece of whole lines, shape (rows, columns); several are parsed at once."""
+    line = block.begin
     with ThreadPoolExecutor(_AT_ONCE) as pool:
-        waiting: deque[Future[FloatArray]] = deque()
-        for piece, line, rows in _pieces(file, block, form):
-            waiting.append(pool.submit(_numbers, block, form, piece, line, rows))
+        waiting: deque[Future[tuple[FloatArray, Sequence[int]]]] = deque()
+        while piece := file.read(_PIECE_BYTES) + file.readline():
+            if CUT_OFF in block.remarks and not piece.endswith(b"\n"):
+                piece = piece.rpartition(b"\n")[0]
+            piece = piece.replace(b" -> ", block.arrow.encode()) if block.arrow else piece
+            rows = piece.count(b"\n") + (not piece.endswith(b"\n"))
+            waiting.append(pool.submit(_numbers, block, piece, line, rows))
+            line += rows
             if len(waiting) > _AT_ONCE:
-                yield waiting.popleft().result()
+                yield waiting.popleft().result()[0]
         while waiting:
-            yield waiting.popleft().result()
+            yield waiting.popleft().result()[0]
 
 
-def _pieces(file: BinaryIO, block: Block, form: Form) -> Iterator[tuple[bytes, int, int]]:
-    """Whole lines, the number of the first in the file, and how many they are."""
-    line = block.table.lines[block.first]
-    while piece := file.read(_PIECE_BYTES) + file.readline():
-        if CUT_OFF in form.remarks and not piece.endswith(b"\n"):
-            piece = piece.rpartition(b"\n")[0]
-        piece = piece.replace(b" -> ", form.arrow.encode()) if form.arrow else piece
-        ends = int(np.count_nonzero(np.frombuffer(piece, np.uint8) == ord("\n")))
-        rows = ends if piece.endswith(b"\n") else ends + 1
-        yield piece, line, rows
-        line += rows
-
-
-def _numbers(block: Block, form: Form, piece: bytes, line: int, rows: int) -> FloatArray:
-    values = parsed(block, piece, rows)
-    if values is None:
-        lines = piece.decode("utf-8", "replace").splitlines()
-        values, _ = parsed_cell_by_cell(block, lines, form.names, line)
-    return values
-
-
-def means(parts: Iterable[FloatArray], factor: int) -> FloatArray:
+def _means(parts: Iterable[FloatArray], factor: int) -> FloatArray:
     """Means of neighbouring rows of all parts, the last incomplete ones left out, shape (rows, columns)."""
     found, rest = [], None
     for part in parts:
@@ -97,3 +98,117 @@ def means(parts: Iterable[FloatArray], factor: int) -> FloatArray:
         found.append(sums / factor)
         rest = values[whole:]
     return np.concatenate(found)
+
+
+def _numbers(block: Block, piece: bytes, begin: int, rows: int) -> tuple[FloatArray, Sequence[int]]:
+    """Numbers of whole lines, shape (rows, columns), and the line of the file that each row is; the first is `begin`.
+
+    Raises:
+        InputError: a cell is no number.
+    """
+    for quick in (_plain_numbers, _most_numbers):
+        with suppress(ValueError, KeyError):
+            values = quick(block, piece, rows)
+            if len(values) == rows and np.isfinite(values).all():
+                return values, range(begin, begin + rows)
+    return _numbers_cell_by_cell(block, piece.decode("utf-8", "replace").splitlines(), begin)
+
+
+def _plain_numbers(block: Block, piece: bytes, rows: int) -> FloatArray:
+    """Those of a small block of nothing but numbers in rows of one length; ValueError for any other.
+
+    To import pandas takes as long as to read some megabytes without it.
+    """
+    table = block.table
+    if len(piece) > _SMALL_BYTES or block.clocks or table.decimal_comma or table.delimiter == " ":
+        raise ValueError("no small block of numbers with points")
+    lines = piece.split(b"\n")
+    if len(lines) != rows or {line.count(table.delimiter.encode()) for line in lines} != {block.width - 1}:
+        raise ValueError("rows differ in length")
+    return np.loadtxt(
+        io.BytesIO(piece), delimiter=table.delimiter, usecols=block.columns, comments=None, ndmin=2
+    )
+
+
+def _most_numbers(block: Block, piece: bytes, rows: int) -> FloatArray:
+    """Those of a block without quotes or blank lines; ValueError or KeyError for any other."""
+    import pandas as pd
+
+    delimiter = block.table.delimiter
+    frame = pd.read_csv(
+        io.BytesIO(piece),
+        header=None,
+        sep=r"\s+" if delimiter == " " else delimiter,
+        dtype={k: str if k in block.clocks else np.float64 for k in block.columns},
+        decimal="," if block.table.decimal_comma else ".",
+        quoting=csv.QUOTE_NONE,
+        na_filter=False,
+        skip_blank_lines=False,
+    )
+    # A number behind the last column is one cell too many, or the mark of a decimal.
+    if (frame.iloc[:, block.width :] != "").to_numpy().any():
+        raise ValueError("a cell too many")
+    return np.ascontiguousarray(
+        np.column_stack(
+            [_seconds(frame[k].tolist()) if k in block.clocks else frame[k].to_numpy() for k in block.columns]
+        )
+    )
+
+
+def _numbers_cell_by_cell(block: Block, lines: list[str], begin: int) -> tuple[FloatArray, Sequence[int]]:
+    """The same slowly, with blank lines and quotes, and a sentence that tells the cell which is no number."""
+    table = block.table
+    at: list[int] = []
+    columns: list[list[Any]] = [[] for _ in block.columns]
+    for n, row in rows_of(table.path, lines, table.delimiter):
+        at.append(begin - 1 + n)
+        if filled(row) > block.width:
+            raise InputError(
+                f"{table.path}, line {at[-1]}: holds {filled(row)} cells where the others hold {block.width}"
+            )
+        for place, values in enumerate(columns):
+            values.append(_value(block, place, row, at[-1]))
+    for column, values in zip(block.columns, columns, strict=True):
+        try:
+            values[:] = _seconds(values) if column in block.clocks else values
+        except ValueError as error:
+            reason = " ".join(str(error).split())[:100]
+            raise InputError(
+                f"{table.path}: the times of column {column + 1} cannot be read ({reason})"
+            ) from None
+    return np.array(columns, dtype=np.float64).T, at
+
+
+def _value(block: Block, place: int, row: list[str], line: int) -> float | str:
+    """The number of a cell; its text in a column of a clock."""
+    column = block.columns[place]
+    cell = row[column] if column < len(row) else ""
+    where = f"{block.table.path}, line {line}: the column {block.names[place] or f'number {column + 1}'}"
+    if column in block.clocks:
+        if not CLOCK.match(cell):
+            raise InputError(f"{where} must hold times such as 12:34:56.789, got {cell[:40]!r}")
+        return cell
+    if not cell.strip():
+        raise InputError(f"{where} has no value")
+    value = block.table.number(cell)
+    if value is None or not math.isfinite(value):
+        kind = "numbers" if value is None else "finite numbers"
+        raise InputError(f"{where} must hold {kind}, got {cell[:40]!r}")
+    return value
+
+
+def _seconds(times: list[str]) -> FloatArray:
+    """Times of a clock in seconds since the first; ValueError for what is none."""
+    import pandas as pd
+
+    if not all(map(CLOCK.match, times)):
+        raise ValueError("not all are times of a clock")
+    series = pd.Series(times, dtype=str).str.strip().str.replace(",", ".")
+    first = times[0].strip()
+    if ":" in first[:3] and first[-1] not in "mM":  # no date
+        moments: Any = pd.to_timedelta(series)
+    elif first[:4].isdigit() and first[4] == "-":
+        moments = pd.to_datetime(series, format="ISO8601")
+    else:
+        moments = pd.to_datetime(series, format="mixed", dayfirst="." in first[:3])
+    return np.asarray((moments - moments.iloc[0]).dt.total_seconds(), dtype=np.float64)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.headers import UNITS, understand, unit_key, unit_quantity
-from motor_env.recordings.text.cells import TextTable, is_clock
+from motor_env.recordings.headers import UNITS, understand, unit_key
+from motor_env.recordings.text.block import Block
 
 _BESIDE = 30  # rows beside which an old scope writes its settings
 _SETTING = re.compile(r"(?:^|[\s:=])([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-zA-Zµμ/]*)")
@@ -50,39 +50,15 @@ class Table:
     averaged: int = 1
 
 
-@dataclass(frozen=True, slots=True)
-class Block:
-    """Where the numbers stand.
+def table_of(block: Block, values: FloatArray, lines: Sequence[int], averaged: int = 1) -> Table:
+    """The table of a block's numbers, with what the instrument says above or beside them.
 
-    Attributes:
-        table: the file's cells, or those of its beginning and its end.
-        first: row of the table where they begin.
-        columns: which columns hold numbers, and times of a clock.
-        clocks: those of a clock among them.
-        width: cells of a row, empty ones at its end left out.
+    Args:
+        block: where they stand.
+        values: shape (n_rows, n_columns).
+        lines: where each row stands in the file.
+        averaged: number of rows of the file whose mean is one row here.
     """
-
-    table: TextTable
-    first: int
-    columns: tuple[int, ...]
-    clocks: tuple[int, ...]
-    width: int
-
-    def is_full(self, row: list[str]) -> bool:
-        """Whether every column holds what it should."""
-        plain = [k for k in self.columns if k not in self.clocks]
-        return self.table.numbers(row, plain) == len(plain) and all(
-            k < len(row) and is_clock(row[k]) for k in self.clocks
-        )
-
-
-def filled(row: Sequence[str]) -> int:
-    """Number of cells up to the last that is not empty."""
-    return max((k + 1 for k, cell in enumerate(row) if cell.strip()), default=0)
-
-
-def with_settings(found: Table, block: Block) -> Table:
-    """The table with what the instrument says above or beside its numbers: units, and how far its samples lie apart."""
     settings = dict(_settings(block))
     numbered = {key: match for key, text in settings.items() if (match := _SETTING.search(text))}
 
@@ -95,23 +71,25 @@ def with_settings(found: Table, block: Block) -> Table:
 
     interval, rate = first(_INTERVAL, {"": 1.0, **UNITS["time"]}), first(_RATE, _HERTZ)
     samples = first(_SAMPLES, {"": 1.0})
-    return replace(
-        found,
-        units=tuple(
-            "s" if k in block.clocks else unit
-            for k, unit in zip(block.columns, _units(found, settings), strict=True)
-        ),
+    return Table(
+        block.names,
+        values,
+        lines,
+        _units(block, settings),
+        tuple(k + 1 for k in block.columns),
+        remarks=block.remarks,
         begin_s=first(_BEGIN, {"": 1.0}) or 0.0,
         interval_s=interval if interval or not rate else 1.0 / rate,
         samples=None if samples is None else round(samples),
+        averaged=averaged,
     )
 
 
 def _settings(block: Block) -> Iterator[tuple[str, str]]:
     """Name and text of each setting: rows above the header, columns beside it, columns beside the numbers."""
     table, first = block.table, block.first
-    beside = list(range(min(block.columns)))
-    rows = [*table.rows[:first], *([row[k] for k in beside] for row in table.rows[first : first + _BESIDE])]
+    beside = min(block.columns)
+    rows = [*table.rows[:first], *(row[:beside] for row in table.rows[first : first + _BESIDE])]
     mark = "," if table.decimal_comma else "."
     for row in rows:
         words = [cell.strip(" #\t").replace(mark, ".") for cell in row]
@@ -127,25 +105,24 @@ def _settings(block: Block) -> Iterator[tuple[str, str]]:
         )
 
 
-def _units(found: Table, settings: Mapping[str, str]) -> tuple[str, ...]:
-    """Units of the columns that have none in their headers, out of the settings."""
+def _units(block: Block, settings: Mapping[str, str]) -> tuple[str, ...]:
+    """Units of the columns, out of the settings where they have none in their headers."""
     text = settings.get("vertical units", settings.get("units", "")).strip()
-    horizontal = settings.get("horizontal units", "").strip(" ,")
     stated = dict(re.findall(r"(\w+):\s*(\w+)", text))
     listed = [cell.strip() for cell in text.split(",")]
     alone = listed[0] if len([cell for cell in listed if cell]) == 1 else ""
 
-    def unit(k: int) -> str:
-        name = found.names[k]
-        if found.units[k] and unit_quantity(found.units[k]):
-            return found.units[k]
-        meaning = understand(name, found.units[k])
+    def unit(place: int, column: int) -> str:
+        name, own = block.names[place], block.units[place]
+        meaning = understand(name, own)
+        if column in block.clocks:
+            return "s"
         if meaning.unit:
-            return found.units[k]
-        if meaning.quantity == "time" or (not name and k == 0 and len(found.names) > 1):
-            return horizontal or found.units[k]
-        place = found.numbers[k] - 2  # the first cell is the setting's name
-        by_place = listed[place] if not stated and 0 <= place < len(listed) else ""
-        return stated.get(name, by_place or (alone if len(found.names) <= 2 else "")) or found.units[k]
+            return own
+        if meaning.quantity == "time" or (not name and place == 0 and len(block.names) > 1):
+            return settings.get("horizontal units", "").strip(" ,") or own
+        # The first cell of the setting is its name.
+        by_place = listed[column - 1] if not stated and 0 < column <= len(listed) else ""
+        return stated.get(name, by_place or (alone if len(block.names) <= 2 else "")) or own
 
-    return tuple(map(unit, range(len(found.names))))
+    return tuple(unit(place, column) for place, column in enumerate(block.columns))

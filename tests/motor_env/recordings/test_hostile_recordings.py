@@ -21,7 +21,7 @@ from motor_env import ColumnChoice, InputError, Recording, cli, read_recording
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings import array_parser, tables
 from motor_env.recordings.splitting import chosen_starts, split_starts
-from motor_env.recordings.text import block
+from motor_env.recordings.text import pieces
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 TIME = np.linspace(0.0, 0.0399, 400)
@@ -249,6 +249,9 @@ def test_bombs_and_odd_files_get_a_sentence(
 def test_what_is_no_file_or_never_ends_is_not_read(tmp_path: Path) -> None:
     for path in odd_places(tmp_path / "a.csv"):
         assert "is no regular file" in refused(partial(read_recording, path), path)
+    for ending in (".csv", ".parquet", ".mat"):
+        path = tmp_path / ("n" * 300 + ending)
+        assert "cannot be read (file name too long)" in refused(partial(read_recording, path), path)
     if (path := Path("/proc/self/environ")).exists():
         assert "is empty" in refused(lambda: read_recording(path), path)
 
@@ -267,7 +270,7 @@ def test_plain_rows_are_parsed_at_once_and_like_cell_by_cell(
     plain.write_bytes(bytes_of("csv"))
     slow.write_text(plain.read_text().replace("\n", "\n \n"))
     expected = read_recording(slow)
-    monkeypatch.setattr(block, "parsed_cell_by_cell", None)
+    monkeypatch.setattr(pieces, "_numbers_cell_by_cell", None)
     found = read_recording(plain)
     np.testing.assert_array_equal(found.current_a, expected.current_a)
     np.testing.assert_array_equal(found.current_a, CURRENT)

@@ -83,6 +83,18 @@ def test_a_cut_off_last_line_is_left_out(tmp_path: Path) -> None:
     assert any("cut off" in note for note in read.columns)
 
 
+@pytest.mark.usefixtures("small_pieces")
+def test_lines_that_end_with_returns_alone_are_not_read_in_pieces(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    write_log(path)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(["logger 7", *lines]) + "\n", newline="\r\n")
+    assert len(read_recording(path).time_s) == ROWS
+    path.write_text("\r".join(["logger 7\nroom 4", *lines, "\n"]), newline="")
+    with pytest.raises(InputError, match="is no text with lines; only plain text may be so large"):
+        read_recording(path)
+
+
 def test_rows_of_parquet_are_averaged_while_they_are_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -597,6 +597,13 @@ def test_starts_are_cut_where_the_motor_is_switched_off() -> None:
     assert second.path.name == "x#2"
 
 
+def test_starts_of_four_samples_are_cut() -> None:
+    """Between them there is no stretch in which the current's level could change."""
+    current = np.tile([0.0, 0.0, 0.0, 1.0], 10)
+    found = split_starts(replace(driven(current, dt_s=0.01), voltage_v=None))
+    assert [len(part.time_s) for part in found] == [4] * 10
+
+
 @pytest.mark.parametrize(("rest", "count"), [(0.049, 2), (0.051, 1)])
 def test_a_start_with_a_voltage_rises_from_a_twentieth(rest: float, count: int) -> None:
     volts = off_on(150, 300, 200, 300)

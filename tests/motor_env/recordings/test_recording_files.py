@@ -9,7 +9,7 @@ from hostile import Poison, refused
 from recording_csv import csv_text, write_csv
 from scipy.io import savemat
 
-from motor_env import ColumnChoice, Recording, cli, load_motor, read_recording
+from motor_env import ColumnChoice, InputError, Recording, cli, load_motor, read_recording
 from motor_env.recordings.headers import understand
 
 TIME = np.linspace(0.0, 0.049, 50)
@@ -72,6 +72,19 @@ def test_columns_named_by_the_user(tmp_path: Path) -> None:
     assert "current_a is missing" in refused(lambda: read_recording(path), path)
     chosen = [ColumnChoice.parse("current=CH9")]
     assert "there is no column CH9" in refused(lambda: read_recording(path, chosen), path)
+
+
+@pytest.mark.parametrize("column", ["current=none", "voltage=current_a*12", "voltage=2:V*12"])
+def test_a_recording_without_its_current_is_refused(column: str, tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "a.csv", {"time_s": TIME, "current_a": CURRENT}, form=".6f")
+    sentence = refused(lambda: read_recording(path, [ColumnChoice.parse(column)]), path)
+    assert "the column current_a is missing, found 'time_s', 'current_a'" in sentence
+
+
+@pytest.mark.parametrize("scale", ["0", "0.0", "-0e5"])
+def test_a_column_is_not_divided_by_zero(scale: str) -> None:
+    with pytest.raises(InputError, match="--column must read QUANTITY=COLUMN"):
+        ColumnChoice.parse(f"current=CH2/{scale}")
 
 
 def test_binary_files(tmp_path: Path) -> None:
