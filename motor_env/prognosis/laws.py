@@ -30,9 +30,8 @@ _KNOWN = {
 
 def at_one_temperature(series: Series, temperature: Series) -> Series:
     """The estimates as they would be at the first temperature, by copper, magnets and friction."""
-    slope = _per_kelvin(series.name)
     kelvin = np.interp(series.time, temperature.time, temperature.estimate)
-    factor = np.exp(-slope * (kelvin - kelvin[0]))
+    factor = np.exp(-_per_kelvin(series.name) * (kelvin - kelvin[0]))
     return replace(series, estimate=series.estimate * factor, standard_error=series.standard_error * factor)
 
 
@@ -76,8 +75,12 @@ def _step_at(series: Series, k: int) -> tuple[float, float]:
 
 def since(series: Series, first: int) -> Series:
     """The estimates from one on."""
-    parts = (series.time[first:], series.estimate[first:], series.standard_error[first:])
-    return replace(series, time=parts[0], estimate=parts[1], standard_error=parts[2])
+    return replace(
+        series,
+        time=series.time[first:],
+        estimate=series.estimate[first:],
+        standard_error=series.standard_error[first:],
+    )
 
 
 def withheld(series: Series, wear: Degradation, *, knows_temperature: bool) -> str:
@@ -111,9 +114,9 @@ def _drift_change(series: Series, wear: Degradation) -> float:
     design = np.stack(
         [np.ones(len(time)), np.minimum(time, half) - time[0], np.maximum(time - half, 0.0)], axis=1
     )
-    information = design.T @ np.linalg.solve(covariance, design)
-    both = np.linalg.inv(information)
-    found: FloatArray = both @ (design.T @ np.linalg.solve(covariance, y))
+    weighted = np.linalg.solve(covariance, design)
+    both = np.linalg.inv(design.T @ weighted)
+    found: FloatArray = both @ (weighted.T @ y)
     variance = both[1, 1] + both[2, 2] - 2.0 * both[1, 2]
     return float(found[2] - found[1]) / math.sqrt(max(float(variance), 1e-300))
 
@@ -121,8 +124,8 @@ def _drift_change(series: Series, wear: Degradation) -> float:
 def earliest(series: Series, wear: Degradation) -> float:
     """Time until the limit under the fastest exponential growth that the history does not exclude, at 95 %."""
     covariance = _covariance(series, wear)
-    span = float(np.ptp(series.time))
-    fits = [_grown(series, wear, covariance, tau) for tau in span * np.geomspace(0.1, 10.0, 25)]
+    taus = np.ptp(series.time) * np.geomspace(0.1, 10.0, 25)
+    fits = [_grown(series, wear, covariance, tau) for tau in taus]
     least = min(fit[0] for fit in fits)
     return min((fit[1] for fit in fits if fit[0] < least + _EXCLUDED), default=math.inf)
 
