@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from motor_env.diagnosis.commission import motor_of_windows
@@ -13,8 +14,6 @@ from motor_env.live.state import State
 from motor_env.live.watch import Event, Lesson, Watch
 from motor_env.motor.data_sheet import Motor, load_motor, save_motor
 from motor_env.motor.healthy import Healthy
-
-_KEPT = ("window", "learned")
 
 
 def run(
@@ -40,18 +39,16 @@ def run(
         seen.header = columns
     if name is None:
         seen.offset = 0
-    watcher = Watch(_healthy(motor, lesson), seen, false_alarms_per_year=false_alarms_per_year)
+    known = _windows_of(load_motor(motor)) if lesson is None or motor.exists() else lesson
+    watcher = Watch(known, seen, false_alarms_per_year=false_alarms_per_year)
     pieces = source(name, follow=follow, offset=seen.offset, baud=baud)
-    try:
-        with showing(seen.counts) as show:
-            for event in watcher.events(lines(pieces, rest=not follow)):
-                show(event)
-                if event.kind == "learned" and watcher.healthy is not None:
-                    save_motor(motor_of_windows(watcher.healthy, motor.stem), motor)
-                if state is not None and event.kind in _KEPT:
-                    seen.save(state)
-    except KeyboardInterrupt:  # the usual end of a watch
-        pass
+    with suppress(KeyboardInterrupt), showing(seen.counts) as show:  # Ctrl-C is the usual end of a watch
+        for event in watcher.events(lines(pieces, rest=not follow)):
+            show(event)
+            if event.kind == "learned" and watcher.healthy is not None:
+                save_motor(motor_of_windows(watcher.healthy, motor.stem), motor)
+            if state is not None and event.kind in ("window", "learned"):
+                seen.save(state)
     return int(seen.exit_status)
 
 
@@ -77,11 +74,6 @@ def watch(
     else:
         pieces = (f"{line.rstrip()}\n".encode() for line in log)
     yield from Watch(_windows_of(known), State(), false_alarms_per_year=false_alarms_per_year).events(pieces)
-
-
-def _healthy(motor: Path, lesson: Lesson | None) -> Healthy | Lesson:
-    """Of the motor file; where there is none yet and the stream shall teach, what is to be learned."""
-    return lesson if lesson is not None and not motor.exists() else _windows_of(load_motor(motor))
 
 
 def _windows_of(motor: Motor) -> Healthy:

@@ -168,12 +168,10 @@ def _put(waiting: queue.Queue[Piece | None], piece: Piece) -> None:
 
 def _from(waiting: queue.Queue[Piece | None]) -> Iterator[Piece]:
     """What threads have put in, up to None."""
-    while True:
+    piece: Piece | None = b""
+    while piece is not None:
+        yield piece
         try:
             piece = waiting.get(timeout=1.0)
         except queue.Empty:
-            yield b""
-            continue
-        if piece is None:
-            return
-        yield piece
+            piece = b""

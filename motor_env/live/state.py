@@ -47,8 +47,7 @@ class State:
 
     def save(self, path: Path) -> None:
         """Write it whole."""
-        content = {"offset": self.offset, "counts": dict(self.counts), "header": self.header}
-        write_text(path, json.dumps(content))
+        write_text(path, json.dumps(vars(self)))
 
     @property
     def exit_status(self) -> ExitStatus:
