@@ -46,6 +46,16 @@ class Steps(NamedTuple):
 _UNITS = Steps(1.0, 1.0, 1.0)
 
 
+def clamped(values: Values) -> Values:
+    """Values of fixed point, as they fit."""
+    return np.clip(values, -LARGEST, LARGEST)
+
+
+def rounded(values: Values, dtype: type[np.generic]) -> Values:
+    """Values as numbers of a type."""
+    return (np.rint(values) if dtype == np.int64 else values).astype(dtype)
+
+
 @dataclass(frozen=True, slots=True)
 class Row:
     """Factors of a sum of products: floats, or integers whose sum is shifted right; one row a sample, shape (n, k)."""
@@ -56,13 +66,8 @@ class Row:
     def total(self, sample: int, values: Sequence[Values]) -> Values:
         """The sum over the first values, from left to right."""
         factors = self.factors[min(sample, len(self.factors) - 1)]
-        total: Values = factors[0] * values[0]
-        for factor, value in zip(factors[1:], values[1:], strict=False):
-            total = total + factor * value
-        if self.shift is None:
-            return total
-        clamped: Values = np.clip(((total >> (self.shift - 1)) + 1) >> 1, -LARGEST, LARGEST)
-        return clamped
+        total = np.asarray(sum(factor * value for factor, value in zip(factors, values, strict=False)))
+        return total if self.shift is None else clamped(((total >> (self.shift - 1)) + 1) >> 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,9 +110,9 @@ class Numbers:
         return int(self.gain[0].factors.shape[1])
 
     @property
-    def has_drag(self) -> bool:
-        """Whether brushes or dry friction count."""
-        return bool(self.drag[0] or self.drag[1])
+    def is_fixed(self) -> bool:
+        """Whether they are whole numbers."""
+        return self.dtype == np.int64
 
 
 def floating(monitor: Monitor, dtype: type[np.float32 | np.float64] = np.float32) -> Numbers:
@@ -148,8 +153,7 @@ def _numbers(
     steps: Steps,
 ) -> Numbers:
     def value(number: float | FloatArray, unit: float) -> Values:
-        scaled = number / unit
-        return np.asarray(np.rint(scaled) if dtype == np.int64 else scaled).astype(dtype)
+        return rounded(np.asarray(number / unit), dtype)
 
     states, m, limits = np.array(units[:2]), monitor.n_channels, monitor.limits
     model = np.hstack([monitor.kalman.model.transition - np.eye(2), monitor.kalman.model.gain[:, :1]])

@@ -23,7 +23,7 @@ from motor_env.errors import InputError
 from motor_env.files import write_text
 from motor_env.pages.html import render
 
-_HEALTHY_CHECKS, _FAULTY_CHECKS = 8, 8
+_HEALTHY_CHECKS, _FAULTY_CHECKS, _MOST_DOUBLINGS = 8, 8, 60
 _RESERVED = frozenset(["monitor", "sample", "number", "main", "loop", "setup"])
 
 
@@ -73,17 +73,16 @@ def write_library(
 
 
 def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, Any]:
-    fixed = n.dtype == np.int64
     rate_hz = 1.0 / monitor.kalman.model.dt_s
     gains = np.concatenate([row.factors for row in (*n.gain, *n.white)], axis=1)
     return {
         "n": n,
         "name": name,
-        "title": "Monitor of " + re.sub(r"[^\w .,:+-]", "_", monitor.name, flags=re.ASCII),
+        "title": "Monitor of " + re.sub(r"[^\w .,:+-]", "_", monitor.motor.name, flags=re.ASCII),
         "rule": re.sub(r"[*/]", "_", repr(monitor.rule)),
         "wanted": wanted,
-        "fixed": fixed,
-        "number": "int32_t" if fixed else "float",
+        "fixed": n.is_fixed,
+        "number": "int32_t" if n.is_fixed else "float",
         "cusum": n.halves.size > 0,
         "m": n.n_channels,
         "two_channels": n.n_channels == 2,
@@ -94,9 +93,9 @@ def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, A
         "counts": Steps(*(literal(np.float32(size)) for size in n.readings)),  # type: ignore[arg-type]
         "statistic_bits": STATISTIC_BITS,
         "memory_share": np.float32(2.0**-n.memory),
-        "statistic_count": literal(np.float32(2.0**-STATISTIC_BITS if fixed else 1.0)),
+        "statistic_count": literal(np.float32(2.0**-STATISTIC_BITS if n.is_fixed else 1.0)),
         "largest": LARGEST,
-        "slack": 0 if fixed else "1e-3f",
+        "slack": 0 if n.is_fixed else "1e-3f",
         "checks": checks(monitor, n),
     }
 
@@ -111,22 +110,16 @@ def checks(monitor: Monitor, n: Numbers) -> list[Check]:
     expected = _start(monitor)
     sign = np.where(np.arange(expected.shape[1]) % 2, -0.5, 0.5)
     noise = np.sqrt(np.diag(monitor.kalman.measurement_covariance))[:, None]
-    healthy = expected + noise * sign
-    off = 4.0
-    while True:
-        measured = healthy.copy()
+    for off in np.ldexp(4.0, range(_MOST_DOUBLINGS)):
+        measured = expected + noise * sign
         measured[0, _HEALTHY_CHECKS:] += off * noise[0]
         measured[0, -1] = 4.0 * monitor.limits.current_a
-        voltage = np.full(measured.shape[1], monitor.limits.voltage_v / 2.0)
-        readings = readings_of(n, measured[None], voltage)
-        answer = answers(n, readings)
-        if SampleVerdict.FAULT in answer.verdict or off > monitor.limits.current_a / noise[0]:
+        readings = readings_of(n, measured[None], monitor.limits.voltage_v / 2.0)
+        (verdicts,), (statistics,) = answers(n, readings)
+        if SampleVerdict.FAULT in verdicts or off > monitor.limits.current_a / noise[0]:
             break
-        off *= 2.0
-    return [
-        Check(readings[0, :, k], answer.statistic[0, k], SampleVerdict(int(answer.verdict[0, k])).name)
-        for k in range(measured.shape[1])
-    ]
+    samples = zip(readings[0].T, statistics, verdicts.tolist(), strict=True)
+    return [Check(reading, statistic, SampleVerdict(verdict).name) for reading, statistic, verdict in samples]
 
 
 def _start(monitor: Monitor) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -8,8 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.embedded.arithmetic import LARGEST, STATISTIC_BITS, Numbers, Values
-from motor_env.motor.parameters import require
+from motor_env.embedded.arithmetic import (
+    LARGEST,
+    STATISTIC_BITS,
+    Numbers,
+    Values,
+    clamped,
+    rounded,
+)
 
 
 class SampleVerdict(IntEnum):
@@ -35,60 +41,44 @@ def readings_of(numbers: Numbers, measurements: ArrayLike, voltage_v: ArrayLike)
         Shape (n_cases, m + 1, n_samples): current, speed where measured, voltage.
     """
     measured = np.asarray(measurements, dtype=np.float64)
-    voltage = np.broadcast_to(np.asarray(voltage_v, dtype=np.float64), (len(measured), measured.shape[2]))
-    columns = np.concatenate([measured, voltage[:, None]], axis=1)
+    voltage = np.broadcast_to(voltage_v, measured[:, 0].shape)[:, None]
     sizes = np.array([*numbers.readings[: numbers.n_channels], numbers.readings.voltage_v])[:, None]
-    counts = columns / sizes
-    readings: Values = (np.rint(counts) if numbers.dtype == np.int64 else counts).astype(numbers.dtype)
-    return readings
+    return rounded(np.concatenate([measured, voltage], axis=1) / sizes, numbers.dtype)
 
 
 def answers(numbers: Numbers, readings: Values) -> Answers:
     """Run a monitor from its begin over the readings of many motors, as `readings_of` gives them."""
-    n_cases, columns, n_samples = readings.shape
-    m = numbers.n_channels
-    require(columns == m + 1, f"readings must have {m + 1} columns, got {columns}")
-    twin = _Twin(numbers, n_cases)
-    verdict = np.empty((n_cases, n_samples), dtype=np.int64)
-    statistic = np.empty((n_cases, n_samples), dtype=numbers.dtype)
-    for k in range(n_samples):
-        verdict[:, k] = twin.step(readings[:, :m, k], readings[:, m, k])
-        statistic[:, k] = twin.statistic
-    return Answers(verdict, statistic)
+    twin = _Twin(numbers, len(readings))
+    steps = [(twin.step(sample), twin.statistic) for sample in np.moveaxis(readings, 2, 0)]
+    return Answers(*(np.stack(column, axis=1) for column in zip(*steps, strict=True)))
 
 
 class _Twin:
     def __init__(self, numbers: Numbers, n_cases: int) -> None:
         self.numbers, self.sample = numbers, 0
-        self.state = np.zeros((2, n_cases), numbers.dtype)
-        self.lost = np.zeros_like(self.state)
-        self.voltage, self.statistic = (np.zeros(n_cases, numbers.dtype) for _ in range(2))
-        self.slow = np.zeros_like(self.state)
+        self.state, self.lost, self.slow = np.zeros((3, 2, n_cases), numbers.dtype)
+        self.voltage, self.statistic = np.zeros((2, n_cases), numbers.dtype)
         self.sums = np.zeros((2, len(numbers.halves), n_cases), numbers.dtype)
-        self.last = np.zeros((n_cases, numbers.n_channels), numbers.dtype)
-        self.same = np.zeros((n_cases, numbers.n_channels), np.int64)
+        self.last, self.same = np.zeros((2, n_cases, numbers.n_channels), numbers.dtype)
 
-    def step(self, measured: Values, voltage: Values) -> NDArray[np.int64]:
+    def step(self, readings: Values) -> NDArray[np.int64]:
+        """Verdicts on a sample of each case, shape (n_cases,); its readings are (n_cases, m + 1)."""
         numbers, m = self.numbers, self.numbers.n_channels
-        wrong = ~(np.abs(measured) <= numbers.ranges[:m]).all(axis=1) | ~(
-            np.abs(voltage) <= numbers.ranges[2]
-        )
-        self.voltage = np.where(
-            np.abs(voltage) <= numbers.ranges[2], voltage * numbers.scales[2], self.voltage
-        )
+        inside = np.abs(readings) <= numbers.ranges[[*range(m), 2]]
+        self.voltage = np.where(inside[:, m], readings[:, m] * numbers.scales[2], self.voltage)
+        measured = readings[:, :m]
         again = (measured == self.last) & (self.voltage != 0)[:, None]
         self.same = np.where(again, np.minimum(self.same + 1, numbers.stuck_after), 0)
         self.last = measured
-        stuck = (self.same == numbers.stuck_after).any(axis=1)
+        wrong, stuck = ~inside.all(axis=1), (self.same == numbers.stuck_after).any(axis=1)
         used = ~(wrong | stuck)
         growth = self._growth()
         forward = self._forward(growth)
-        scaled = measured * np.array(numbers.scales[:m], numbers.dtype)
-        innovation = [scaled[:, c] - self.state[c] - growth[c] for c in range(m)]
+        innovation = [measured[:, c] * numbers.scales[c] - self.state[c] - growth[c] for c in range(m)]
         correction = np.array([row.total(self.sample, innovation) for row in numbers.gain])
-        self._add(np.where(used, growth + correction, growth))
         white = np.array([row.total(self.sample, innovation) for row in numbers.white])
-        self._decide(white, forward, used)
+        self._add(np.where(used, growth + correction, growth))
+        self.statistic = np.where(used, self._decided(white, forward, used), self.statistic)
         self.sample += 1
         fault = np.where(self.statistic > numbers.threshold, SampleVerdict.FAULT, SampleVerdict.HEALTHY)
         sensor = np.where(wrong, SampleVerdict.SENSOR_RANGE, SampleVerdict.SENSOR_STUCK)
@@ -96,43 +86,40 @@ class _Twin:
 
     def _growth(self) -> Values:
         numbers = self.numbers
-        current, speed, slow = *self.state, numbers.drag[2]
+        (current, speed), slow = self.state, numbers.drag[2]
         direction = (speed > slow).astype(numbers.dtype) - (speed < -slow).astype(numbers.dtype)
         totals = [row.total(self.sample, (current, speed, self.voltage)) for row in numbers.model]
         return np.array([total - direction * part for total, part in zip(totals, numbers.drag, strict=False)])
 
     def _add(self, growth: Values) -> None:
-        if self.numbers.dtype == np.int64:
-            self.state = np.clip(self.state + growth, -LARGEST, LARGEST)
-            return
-        rest = growth - self.lost
-        after = self.state + rest
-        self.lost = (after - self.state) - rest
-        self.state = after
+        if self.numbers.is_fixed:
+            self.state = clamped(self.state + growth)
+        else:
+            rest, before = growth - self.lost, self.state
+            self.state = before + rest
+            self.lost = (self.state - before) - rest
 
     def _forward(self, growth: Values) -> Values:
         """Whose signs the innovation is taken with, for windings and for friction."""
         numbers, predicted = self.numbers, self.state + growth
-        if numbers.dtype == np.int64:
-            predicted = np.clip(predicted, -LARGEST, LARGEST)
+        if numbers.is_fixed:
+            predicted = clamped(predicted)
             self.slow = self.slow + ((predicted - self.slow) >> numbers.memory)
         else:
-            share = np.asarray(2.0**-numbers.memory, numbers.dtype)
-            self.slow = self.slow + (predicted - self.slow) * share
+            self.slow = self.slow + (predicted - self.slow) * np.asarray(2.0**-numbers.memory, numbers.dtype)
         return np.array([predicted[0] - self.slow[0], self.slow[1]])
 
-    def _decide(self, white: Values, forward: Values, used: NDArray[np.bool_]) -> None:
-        numbers, is_fixed = self.numbers, self.numbers.dtype == np.int64
+    def _decided(self, white: Values, forward: Values, used: NDArray[np.bool_]) -> Values:
+        """The statistic, where the sample is used."""
+        numbers = self.numbers
         if numbers.halves.size:
             sign = np.repeat(forward[::-1], [numbers.n_friction, len(white) - numbers.n_friction], axis=0)
             signed = np.where(sign < 0, -white, white)
             moved = self.sums + np.array([signed, -signed]) - numbers.halves[:, None]
-            sums = np.clip(moved, 0, LARGEST if is_fixed else None)
+            sums = np.clip(moved, 0, LARGEST if numbers.is_fixed else None)
             self.sums = np.where(used, sums, self.sums)
-            statistic = sums.max(axis=(0, 1))
-        else:
-            squares = white * white
-            if is_fixed:
-                squares = np.minimum((squares + (1 << (STATISTIC_BITS - 1))) >> STATISTIC_BITS, LARGEST)
-            statistic = np.add.reduce(squares)
-        self.statistic = np.where(used, statistic, self.statistic)
+            return np.asarray(sums.max(axis=(0, 1)))
+        squares = white * white
+        if numbers.is_fixed:
+            squares = clamped((squares + (1 << (STATISTIC_BITS - 1))) >> STATISTIC_BITS)
+        return np.asarray(np.add.reduce(squares))

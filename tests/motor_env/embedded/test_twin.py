@@ -191,9 +191,9 @@ def units_of(fixed: Numbers) -> NDArray[np.float64]:
 @pytest.mark.parametrize(("rule", "n_channels", "scheduled"), [("cusum", 2, True), ("nis", 2, False)])
 def test_fixed_point_is_the_floats_in_other_units(rule: str, n_channels: int, scheduled: bool) -> None:
     """Every number within half a count; factors with as many bits as 64 take, one shift for all whitenings."""
-    believed = replace(
-        monitor(RULES[rule], n_channels, scheduled=scheduled), brush_drop_v=0.3, coulomb_friction_n_m=2e-4
-    )
+    believed = monitor(RULES[rule], n_channels, scheduled=scheduled)
+    dry = replace(believed.motor, brush_drop_v=0.3, coulomb_friction_n_m=2e-4)
+    believed = replace(believed, motor=dry)
     steps = Steps(1e-6, 1e-3, 1e-6)
     assert Steps.suited(believed.limits, None, 1e-3, None) == pytest.approx(steps)
     assert Steps.suited(Limits(9.9, 1000.0, 0.024)) == pytest.approx((1e-7, 1e-4, 1e-9))
@@ -227,8 +227,8 @@ def test_fixed_point_is_the_floats_in_other_units(rule: str, n_channels: int, sc
         0.005 * believed.limits.speed_rad_s
     )  # 1 % of the speed without load
     assert fixed.drag[2] * units[1] == pytest.approx(exact.drag[2], rel=1e-6)
-    assert fixed.has_drag
-    assert not floating(monitor(RULES[rule], n_channels)).has_drag
+    assert all(part > 0 for part in fixed.drag)
+    assert not any(floating(monitor(RULES[rule], n_channels)).drag[:2])
     assert float(exact.threshold) == 1.0
     assert int(fixed.threshold) == 1 << 26
     np.testing.assert_allclose(fixed.halves * share, exact.halves, atol=0.51 * share)
@@ -327,8 +327,6 @@ def test_limits_and_memory_are_those_of_the_motor() -> None:
         with pytest.raises(ValueError, match=words):
             replace(believed, limits=limits)
     assert replace(believed, limits=believed.limits._replace(stuck_after=65_535)).limits.stuck_after == 65_535
-    with pytest.raises(ValueError, match="threshold must be"):
-        replace(believed, thresholds=(0.0,))
     with pytest.raises(ValueError, match="NIS test of single samples"):
         replace(believed, rule=MOfN(1, 2))
 
@@ -399,8 +397,6 @@ def test_readings_are_counts() -> None:
     assert readings_of(floating(believed, np.float64), measured, 12.0).tolist() == [
         [[0.24, 0.26], [3.1, -2.9], [12.0, 12.0]]
     ]
-    with pytest.raises(ValueError, match="readings must have 3 columns, got 2"):
-        answers(numbers, np.zeros((1, 2, 4), dtype=np.int64))
 
 
 @pytest.mark.parametrize("n_channels", [1, 2])
@@ -434,7 +430,8 @@ def test_a_self_test_is_a_start_with_a_fault_and_a_wrong_reading(n_channels: int
 @pytest.mark.parametrize("rule", ["cusum", "nis"])
 def test_the_source_holds_the_numbers_of_its_twin(fixed: bool, rule: str, tmp_path: Path) -> None:
     """Read back from the text; that it computes as its twin does is tested with a compiler (long)."""
-    believed = replace(monitor(RULES[rule], 2, scheduled=rule == "nis"), name="my/motor")
+    believed = monitor(RULES[rule], 2, scheduled=rule == "nis")
+    believed = replace(believed, motor=replace(believed.motor, name="my/motor"))
     steps = Steps.suited(believed.limits) if fixed else None
     files = write_library(believed, tmp_path, steps=steps, name="m", wanted="1 a year")
     source, header = (tmp_path / f"src/m.{ending}" for ending in ("c", "h"))
