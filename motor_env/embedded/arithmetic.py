@@ -76,6 +76,8 @@ class Numbers:
 
     Attributes:
         dtype: of all numbers: float32, float64 or int64.
+        is_fixed: whether they are whole numbers.
+        n_channels: number of measured channels.
         scales: factor from a reading of current, speed, voltage to its value; powers of two.
         readings: size of one count of each reading; 1 for floats.
         model: what current and speed grow by in a sample, from current, speed and voltage.
@@ -91,6 +93,8 @@ class Numbers:
     """
 
     dtype: type[np.generic]
+    is_fixed: bool
+    n_channels: int
     scales: tuple[int, ...]
     readings: Steps
     model: tuple[Row, Row]
@@ -104,16 +108,6 @@ class Numbers:
     n_friction: int
     memory: int
 
-    @property
-    def n_channels(self) -> int:
-        """Measured channels."""
-        return int(self.gain[0].factors.shape[1])
-
-    @property
-    def is_fixed(self) -> bool:
-        """Whether they are whole numbers."""
-        return self.dtype == np.int64
-
 
 def floating(monitor: Monitor, dtype: type[np.float32 | np.float64] = np.float32) -> Numbers:
     """Numbers in floating point."""
@@ -126,18 +120,16 @@ def fixed_point(monitor: Monitor, steps: Steps) -> Numbers:
     Raises:
         ValueError: a step is not positive, or so small or large that the range does not fit.
     """
-    exponents = []
+    units = []
     for name, step, most in zip(Steps._fields, steps, monitor.limits[:3], strict=True):
         counts = most / step if 0.0 < step < math.inf else math.inf
         require(2.0 <= counts <= _FULL_SCALE, f"step of {name} must suit {most:g}, got {step:g}")
-        exponents.append(math.floor(math.log2(_FULL_SCALE / counts)))
-    units = [step / 2.0**exponent for step, exponent in zip(steps, exponents, strict=True)]
+        units.append(step / 2.0 ** math.floor(math.log2(_FULL_SCALE / counts)))
 
     def row(factors: FloatArray) -> Row:
         largest = float(np.abs(factors).max())
-        shift = _MANTISSA_BITS - math.ceil(math.log2(largest)) if largest > 0.0 else 1
+        shift = min(_MANTISSA_BITS - math.ceil(math.log2(largest)), _MOST_SHIFT) if largest > 0.0 else 1
         require(shift >= 1, f"a factor of {largest:g} is too large for fixed point")
-        shift = min(shift, _MOST_SHIFT)
         return Row(np.rint(np.ldexp(factors, shift)).astype(np.int64), shift)
 
     return _numbers(monitor, np.int64, units, unit=2.0**-STATISTIC_BITS, row=row, steps=steps)
@@ -167,6 +159,8 @@ def _numbers(
     ranges = np.array(limits[:3]) / np.array(steps)
     return Numbers(
         dtype=dtype,
+        is_fixed=dtype == np.int64,
+        n_channels=m,
         scales=tuple(round(step / unit) for step, unit in zip(steps, units, strict=True)),
         readings=steps,
         model=(row(model[:1]), row(model[1:])),

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.signal import dlsim
 
 from motor_env.embedded.arithmetic import (
     LARGEST,
@@ -107,25 +108,22 @@ def literal(value: Any) -> str:
 
 def checks(monitor: Monitor, n: Numbers) -> list[Check]:
     """Samples of a healthy start, then of a current that is off by so much that it alarms, then one out of range."""
-    expected = _start(monitor)
-    sign = np.where(np.arange(expected.shape[1]) % 2, -0.5, 0.5)
+    model, sensor, voltage_v = (
+        monitor.kalman.model,
+        monitor.kalman.observation,
+        monitor.limits.voltage_v / 2.0,
+    )
+    read = (model.transition, model.gain[:, :1], sensor @ model.transition, sensor @ model.gain[:, :1])
+    _, expected, _ = dlsim((*read, model.dt_s), np.full(_HEALTHY_CHECKS + _FAULTY_CHECKS, voltage_v))
+    sign = np.where(np.arange(len(expected)) % 2, -0.5, 0.5)
     noise = np.sqrt(np.diag(monitor.kalman.measurement_covariance))[:, None]
     for off in np.ldexp(4.0, range(_MOST_DOUBLINGS)):
-        measured = expected + noise * sign
+        measured = expected.T + noise * sign
         measured[0, _HEALTHY_CHECKS:] += off * noise[0]
         measured[0, -1] = 4.0 * monitor.limits.current_a
-        readings = readings_of(n, measured[None], monitor.limits.voltage_v / 2.0)
+        readings = readings_of(n, measured[None], voltage_v)
         (verdicts,), (statistics,) = answers(n, readings)
         if SampleVerdict.FAULT in verdicts or off > monitor.limits.current_a / noise[0]:
             break
     samples = zip(readings[0].T, statistics, verdicts.tolist(), strict=True)
     return [Check(reading, statistic, SampleVerdict(verdict).name) for reading, statistic, verdict in samples]
-
-
-def _start(monitor: Monitor) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """What the sensors of the believed motor read without noise after it is switched on, shape (m, n)."""
-    model, state, rows = monitor.kalman.model, np.zeros(2), []
-    for _ in range(_HEALTHY_CHECKS + _FAULTY_CHECKS):
-        state = model.transition @ state + model.gain[:, 0] * monitor.limits.voltage_v / 2.0
-        rows.append(monitor.kalman.observation @ state)
-    return np.array(rows).T

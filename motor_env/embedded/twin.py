@@ -101,12 +101,10 @@ class _Twin:
 
     def _forward(self, growth: Values) -> Values:
         """Whose signs the innovation is taken with, for windings and for friction."""
-        numbers, predicted = self.numbers, self.state + growth
-        if numbers.is_fixed:
-            predicted = clamped(predicted)
-            self.slow = self.slow + ((predicted - self.slow) >> numbers.memory)
-        else:
-            self.slow = self.slow + (predicted - self.slow) * np.asarray(2.0**-numbers.memory, numbers.dtype)
+        is_fixed, predicted = self.numbers.is_fixed, self.state + growth
+        predicted = clamped(predicted) if is_fixed else predicted
+        shared = np.floor_divide if is_fixed else np.divide
+        self.slow = self.slow + shared(predicted - self.slow, 2**self.numbers.memory)
         return np.array([predicted[0] - self.slow[0], self.slow[1]])
 
     def _decided(self, white: Values, forward: Values, used: NDArray[np.bool_]) -> Values:

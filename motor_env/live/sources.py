@@ -52,8 +52,7 @@ def lines(pieces: Iterator[Piece], *, rest: bool = True) -> Iterator[Piece]:
         elif piece:
             heard_s, is_silent = time.monotonic(), False
             *whole, left = (left + piece).split(b"\n")
-            for line in whole:
-                yield line + b"\n"
+            yield from (line + b"\n" for line in whole)
         elif not is_silent and time.monotonic() - heard_s > SILENCE_S:
             is_silent = True
             yield SILENCE

@@ -52,7 +52,8 @@ class State:
     @property
     def exit_status(self) -> ExitStatus:
         """Of the verdicts on windows; undecided where there is none."""
-        words = [
-            name.removeprefix(WINDOW) for name, n in self.counts.items() if n and name.startswith(WINDOW)
-        ]
-        return worst(Verdict(word).status for word in words)
+        return worst(
+            Verdict(name.removeprefix(WINDOW)).status
+            for name, n in self.counts.items()
+            if n and name.startswith(WINDOW)
+        )

@@ -192,10 +192,12 @@ def trend(
         series = read_estimates(several[0])
     else:
         series = _fitted(_readable(several, columns, date, notes), voltage_v, notes, progress)
-    temperature = next((one for one in series if one.name == TEMPERATURE), None)
-    series = [one for one in series if one is not temperature]
-    names, wanted = {one.name for one in series}, limits or {}
-    if unknown := [name for name in wanted if name not in names]:
-        raise InputError(f"--limit names {unknown[0]!r}; the quantities are {', '.join(sorted(names))}")
-    judged = (judge(one, wanted.get(one.name), level, reference_count, temperature) for one in series)
+    named = {one.name: one for one in series}
+    temperature = named.pop(TEMPERATURE, None)
+    wanted = limits or {}
+    if unknown := [name for name in wanted if name not in named]:
+        raise InputError(f"--limit names {unknown[0]!r}; the quantities are {', '.join(sorted(named))}")
+    judged = [
+        judge(one, wanted.get(name), level, reference_count, temperature) for name, one in named.items()
+    ]
     return Trends(tuple(judged), tuple(printable(note) for note in notes))

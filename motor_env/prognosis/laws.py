@@ -105,46 +105,35 @@ def withheld(series: Series, wear: Degradation, *, knows_temperature: bool) -> s
 
 def _drift_change(series: Series, wear: Degradation) -> float:
     """Drift of the second half since the onset, over that of the first, in standard deviations of their difference."""
-    onset = round(float(wear.weights @ wear.onset))
-    time, y = series.time[onset:], wear.sign * series.estimate[onset:]
+    later = since(series, round(float(wear.weights @ wear.onset)))
+    time = later.time - later.time[0]
     if len(time) < _FEWEST_STEPS:
         return 0.0
-    half = time[0] + 0.5 * (time[-1] - time[0])
-    covariance = _covariance(since(series, onset), wear)
-    design = np.stack(
-        [np.ones(len(time)), np.minimum(time, half) - time[0], np.maximum(time - half, 0.0)], axis=1
-    )
-    weighted = np.linalg.solve(covariance, design)
-    both = np.linalg.inv(design.T @ weighted)
-    found: FloatArray = both @ (weighted.T @ y)
-    variance = both[1, 1] + both[2, 2] - 2.0 * both[1, 2]
-    return float(found[2] - found[1]) / math.sqrt(max(float(variance), 1e-300))
+    white = _whitening(later, wear)
+    # Level, drift of the first half, and by how much that of the second half is larger.
+    design = white @ np.stack([np.ones(len(time)), time, np.maximum(time - 0.5 * time[-1], 0.0)], axis=1)
+    change = np.linalg.pinv(design)[2]
+    return float(wear.sign * change @ white @ later.estimate / np.linalg.norm(change))
 
 
 def earliest(series: Series, wear: Degradation) -> float:
     """Time until the limit under the fastest exponential growth that the history does not exclude, at 95 %."""
-    covariance = _covariance(series, wear)
-    taus = np.ptp(series.time) * np.geomspace(0.1, 10.0, 25)
-    fits = [_grown(series, wear, covariance, tau) for tau in taus]
-    least = min(fit[0] for fit in fits)
-    return min((fit[1] for fit in fits if fit[0] < least + _EXCLUDED), default=math.inf)
+    white, fits = _whitening(series, wear), []
+    for tau in np.ptp(series.time) * np.geomspace(0.1, 10.0, 25):
+        grown = np.exp((series.time - series.time[-1]) / tau)
+        design = white @ np.stack([np.ones(len(grown)), grown], axis=1)
+        (level, size), *_ = np.linalg.lstsq(design, white @ (wear.sign * series.estimate))
+        left = white @ (wear.sign * series.estimate) - design @ [level, size]
+        ratio = (wear.sign * wear.limit - level) / size if size > 0.0 else math.inf
+        fits.append((float(left @ left), tau * math.log(max(ratio, 1.0))))
+    least = min(fits)[0]
+    return min((end for chi_square, end in fits if chi_square < least + _EXCLUDED), default=math.inf)
 
 
-def _grown(series: Series, wear: Degradation, covariance: FloatArray, tau: float) -> tuple[float, float]:
-    """Chi-square of a level that grows with exp(t / tau), and the time until it is at the limit."""
-    y = wear.sign * series.estimate
-    grown = np.exp((series.time - series.time[-1]) / tau)
-    design = np.stack([np.ones(len(y)), grown], axis=1)
-    weighted = np.linalg.solve(covariance, design)
-    level, size = np.linalg.solve(design.T @ weighted, weighted.T @ y)
-    left = y - level - size * grown
-    ratio = (wear.sign * wear.limit - level) / size if size > 0.0 else math.inf
-    return float(left @ np.linalg.solve(covariance, left)), tau * math.log(max(ratio, 1.0))
-
-
-def _covariance(series: Series, wear: Degradation) -> FloatArray:
-    """Covariance of the estimates about the drift, by the wear's random part and their errors."""
+def _whitening(series: Series, wear: Degradation) -> FloatArray:
+    """What makes the estimates about the drift white, by the wear's random part and their errors, shape (n, n)."""
     diffusion, scatter = float(wear.weights @ wear.diffusion), float(wear.weights @ wear.scatter)
     elapsed = series.time - series.time[0]
     walk = diffusion**2 * np.minimum.outer(elapsed, elapsed)
-    return np.asarray(walk + np.diag(series.standard_error**2 + scatter**2 + 1e-18))
+    covariance = walk + np.diag(series.standard_error**2 + scatter**2 + 1e-18)
+    return np.linalg.inv(np.linalg.cholesky(covariance))

@@ -15,8 +15,13 @@ import numpy as np
 from motor_env.errors import InputError
 from motor_env.prognosis.estimates import Series
 from motor_env.prognosis.laws import at_one_temperature, earliest, last_jump, since, withheld
-from motor_env.prognosis.wear import TREND_PROBABILITY, Degradation, RemainingLife
-from motor_env.prognosis.wear_fit import FEWEST_ESTIMATES, degradation
+from motor_env.prognosis.wear import (
+    FEWEST_ESTIMATES,
+    TREND_PROBABILITY,
+    Degradation,
+    RemainingLife,
+    degradation,
+)
 
 DEFAULT_LIMITS = (0.75, 1.25)
 """Limits of a quantity for which none is given, as factors on its reference: the paper's larger fault level.
@@ -140,14 +145,14 @@ def judge(
 
 def _sentence(series: Series, forecasts: Sequence[Forecast]) -> str:
     change = float(series.estimate[-1] / np.mean(series.estimate[:3]) - 1.0)
-    for forecast in forecasts:
+    for forecast in sorted(forecasts, key=lambda forecast: not forecast.reached):
+        limit = _percent(forecast.factor - 1.0)
         if forecast.reached:
             share = 100.0 * forecast.life.probability_reached
-            return f"the limit at {_percent(forecast.factor - 1.0)} is reached, with a probability of {share:.0f} %"
-    for forecast in forecasts:
+            return f"the limit at {limit} is reached, with a probability of {share:.0f} %"
         if forecast.trends:
             return (
-                f"trends to the limit at {_percent(forecast.factor - 1.0)}, by "
+                f"trends to the limit at {limit}, by "
                 f"{_percent(forecast.wear.mean_drift, digits=2)} of the reference a {series.unit.removesuffix('s')}: "
                 f"{describe(forecast, series.unit)}"
             )

@@ -19,13 +19,24 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import erfcx, ndtr
+from scipy.special import erfcx, log_softmax, ndtr, softmax
 
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, require
 
 TREND_PROBABILITY = 0.95
 """From this posterior probability on a quantity is said to trend to a limit."""
 
+FEWEST_ESTIMATES = 5
+"""Below this no trend can be told from scatter."""
+
+_DIFFUSIONS = np.geomspace(0.004, 2.5, 12)  # in units of distance to the limit / sqrt(time observed)
+_DIFFUSION_SCALE = 0.3  # of the half-Cauchy prior, in the same units
+_DRIFT_SCALE = 0.7  # prior standard deviation of the drift, in distances to the limit / time since the onset
+_SCATTERS = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])  # in units of the typical standard error
+_MOST_ONSETS = 20
+_PRIOR_STEADY = 0.5
+_NEGLIGIBLE = 0.002  # posterior probability of all grid points that are left out
+_LEAST_ERROR = 1e-6  # of the typical one: estimates without an error may scatter by nothing
 _LEVEL_NODES, _LEVEL_WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
 _LEVEL_WEIGHTS = _LEVEL_WEIGHTS / _LEVEL_WEIGHTS.sum()
 _LIFE_POINTS = 100
@@ -129,12 +140,11 @@ class Degradation:
         slope = self.covariance[:, 0, 1] / self.covariance[:, 0, 0]
         drift = self.drift[:, None] + slope[:, None] * (level - self.level[:, None])
         variance = np.maximum(self.covariance[:, 1, 1] - slope * self.covariance[:, 0, 1], 0.0)
-        nodes = len(_LEVEL_NODES)
         return (
             (self.sign * self.limit - level).ravel(),
             drift.ravel(),
-            np.repeat(variance, nodes),
-            np.repeat(self.diffusion, nodes),
+            np.repeat(variance, len(_LEVEL_NODES)),
+            np.repeat(self.diffusion, len(_LEVEL_NODES)),
             np.outer(self.weights, _LEVEL_WEIGHTS).ravel(),
         )
 
@@ -168,3 +178,111 @@ class Degradation:
         centre = mean @ self.weights
         std = np.sqrt((spread + (mean - centre[..., None]) ** 2) @ self.weights)
         return self.sign * centre, std
+
+
+def _grid(times: FloatArray, typical_error: float, distance: float) -> tuple[FloatArray, FloatArray]:
+    """All combinations of onset, diffusion and scatter, then steady motors (onset after the end), and their log priors.
+
+    Onsets are equally likely; the drift is Gaussian about 0; diffusion and scatter are half-Cauchy (Gelman 2006).
+    """
+    n_onsets = min(len(times) - 1, _MOST_ONSETS)
+    onsets = np.unique(np.linspace(0.0, len(times) - 2.0, n_onsets).round())
+    # The diffusions are even in the logarithm, which adds a factor to their density.
+    log_diffusion = log_softmax(np.log(_DIFFUSIONS) - np.log1p((_DIFFUSIONS / _DIFFUSION_SCALE) ** 2))
+    log_scatter = log_softmax(-np.log1p(_SCATTERS**2))
+    axes = np.meshgrid(onsets, _DIFFUSIONS, _SCATTERS, indexing="ij")
+    onset, diffusion, scatter = (part.ravel() for part in axes)
+    log_prior = np.add.outer(log_diffusion, log_scatter) + math.log((1.0 - _PRIOR_STEADY) / len(onsets))
+    steady = np.zeros(len(_SCATTERS))
+    since = times[-1] - times[onset.astype(int)]
+    grid = [
+        np.concatenate([onset, steady + len(times)]),
+        np.concatenate([diffusion * distance / math.sqrt(times[-1] - times[0]), steady]),
+        np.concatenate([scatter, _SCATTERS]) * typical_error,
+        np.concatenate([_DRIFT_SCALE * distance / since, steady]),
+    ]
+    priors = [np.tile(log_prior.ravel(), len(onsets)), log_scatter + math.log(_PRIOR_STEADY)]
+    return np.array(grid), np.concatenate(priors)
+
+
+def _filtered(
+    times: FloatArray, estimate: FloatArray, variance: FloatArray, grid: FloatArray, level_std: float
+) -> tuple[FloatArray, FloatArray]:
+    """Kalman filter of [level, drift] for every hypothesis: onset, diffusion, scatter, prior sd of the drift, (4, n).
+
+    Returns:
+        Log-likelihood, shape (n,); level, drift, and their covariances, shape (5, n).
+    """
+    onset, diffusion, scatter, drift_std = grid
+    none = np.zeros(len(onset))
+    level, drift, log_likelihood = none + estimate[0], none, none
+    p00, p01, p11 = none + level_std**2, none, drift_std**2
+    for i, step in enumerate(np.diff(times, prepend=times[0])):
+        dt = np.where(onset < i, step, 0.0)
+        level = level + drift * dt
+        p00 = p00 + (2.0 * dt * p01 + dt * dt * p11 + diffusion**2 * dt)
+        p01 = p01 + dt * p11
+        s = p00 + variance[i] + scatter**2
+        error = estimate[i] - level
+        log_likelihood = log_likelihood - 0.5 * (error * error / s + np.log(2.0 * math.pi * s))
+        level, drift = level + p00 / s * error, drift + p01 / s * error
+        kept = (variance[i] + scatter**2) / s
+        p00, p01, p11 = p00 * kept, p01 * kept, p11 - p01 / s * p01
+    return log_likelihood, np.stack([level, drift, p00, p01, p11])
+
+
+def degradation(
+    time: FloatArray,
+    estimate: FloatArray,
+    standard_error: FloatArray,
+    limit: float,
+    *,
+    sign: float | None = None,
+) -> Degradation:
+    """Fit the wear model to a sequence of five estimates or more.
+
+    Args:
+        time: rising, any unit, shape (n,).
+        estimate: shape (n,).
+        standard_error: >= 0, shape (n,).
+        limit: level whose first passage counts.
+        sign: +1 if the limit lies above, -1 below; if None as it lies to the first estimates.
+
+    Raises:
+        ValueError: a value that is not finite, or a limit at the first level.
+    """
+    finite = bool(np.isfinite([time, estimate, standard_error]).all())
+    require(finite, "time, estimate and standard_error must be finite")
+    beginning = float(np.mean(estimate[: max(3, len(estimate) // 10)]))
+    distance = abs(limit - beginning)
+    require(distance > 0.0 and math.isfinite(limit), f"limit must differ from the first level, got {limit:g}")
+    towards = math.copysign(1.0, limit - beginning) if sign is None else sign
+    # The unit of the scatter: the median standard error, or what the jumps between neighbours say where that is larger.
+    jumps = float(np.median(np.abs(np.diff(estimate)))) / 0.954  # of white scatter: its standard deviation
+    width = float(np.ptp(estimate))
+    typical = max(float(np.median(standard_error)), 0.3 * jumps, 1e-9 * width, 1e-9 * distance)
+    errors = np.maximum(standard_error, _LEAST_ERROR * typical)
+    grid, log_prior = _grid(time, typical, distance)
+    log_likelihood, moments = _filtered(time, towards * estimate, errors**2, grid, 10.0 * (distance + width))
+    weight = softmax(log_likelihood + log_prior)
+    weight[grid[0] == len(time)] = 0.0  # steady ones
+    probability_drift = float(weight.sum())
+    # The fewest hypotheses that hold all but a negligible part of the weight.
+    order = np.argsort(weight)[::-1]
+    share = np.cumsum(weight[order]) / probability_drift
+    kept = order[: int(np.searchsorted(share, 1.0 - _NEGLIGIBLE)) + 1]
+    weights = weight[kept] / weight[kept].sum()
+    onset, diffusion, scatter, _ = grid[:, kept]
+    level, drift, p00, p01, p11 = moments[:, kept]
+    return Degradation(
+        weights=weights,
+        onset=onset,
+        diffusion=diffusion,
+        scatter=scatter,
+        level=level,
+        drift=drift,
+        covariance=np.moveaxis(np.array([[p00, p01], [p01, p11]]), -1, 0),
+        limit=float(limit),
+        sign=towards,
+        probability_trend=probability_drift * float(weights @ ndtr(drift / np.sqrt(p11))),
+    )

@@ -15,8 +15,7 @@ from motor_env.cli import main
 from motor_env.prognosis.estimates import Series, build_series, date_of, read_estimates
 from motor_env.prognosis.files import Trends
 from motor_env.prognosis.trend import judge, parse_limits
-from motor_env.prognosis.wear import first_passage_cdf
-from motor_env.prognosis.wear_fit import _filtered, _Grid, degradation
+from motor_env.prognosis.wear import _filtered, degradation, first_passage_cdf
 
 
 def array(*values: float) -> np.ndarray:
@@ -57,7 +56,7 @@ def test_likelihood_and_moments_equal_the_joint_gaussian() -> None:
     time = np.cumsum(rng.uniform(0.5, 2.0, 9))
     y, variance = rng.normal(0.0, 0.3, 9), rng.uniform(0.01, 0.05, 9)
     onset, diffusion, scatter, drift_std, level_std = 3, 0.2, 0.1, 0.4, 2.0
-    grid = _Grid(array(onset), array(diffusion), array(scatter), array(drift_std), array(0.0))
+    grid = np.array([[onset], [diffusion], [scatter], [drift_std]])
     log_likelihood, moments = _filtered(time, y, variance, grid, level_std)
     elapsed = np.maximum(time - time[onset], 0.0)
     walk = diffusion**2 * np.minimum.outer(elapsed, elapsed)

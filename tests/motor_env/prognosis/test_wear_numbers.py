@@ -19,8 +19,7 @@ from motor_env.prognosis.estimates import Series, build_series, read_estimates
 from motor_env.prognosis.files import Trends
 from motor_env.prognosis.laws import at_one_temperature, earliest, last_jump, withheld
 from motor_env.prognosis.trend import Forecast, describe, judge
-from motor_env.prognosis.wear import Degradation, RemainingLife
-from motor_env.prognosis.wear_fit import degradation
+from motor_env.prognosis.wear import Degradation, RemainingLife, degradation
 
 
 def array(*values: float) -> FloatArray:
