@@ -104,7 +104,7 @@ def paper_monitor(*, n_channels: int = 1, rule: str = "cusum") -> Monitor:
 
 def program(numbers: Numbers, monitor: Monitor, count: int) -> str:
     """A main that steps through a simulated start and compares the last statistic with the twin's, bit by bit."""
-    channels = (Channel.CURRENT, Channel.SPEED)[: monitor.n_channels]
+    channels = (Channel.CURRENT, Channel.SPEED)[: len(monitor.kalman.observation)]
     scenario = Scenario(PAPER_MOTOR, sensor=SensorParameters(channels, 0.02, 1.0))
     start = simulate(scenario, 1, [0])
     readings = readings_of(numbers, start.measurements, start.voltage_v)[..., :SAMPLES]

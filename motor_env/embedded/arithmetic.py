@@ -25,6 +25,7 @@ LARGEST = 1 << 29
 _FULL_SCALE = 1 << 28
 STATISTIC_BITS = 26
 _MANTISSA_BITS, _MOST_SHIFT = 30, 62
+_LONGEST_MEMORY = 15  # as a power of two
 
 
 class Steps(NamedTuple):
@@ -89,7 +90,7 @@ class Numbers:
         ranges: largest readings of current, speed, voltage.
         stuck_after: so many equal readings in a row are no readings.
         n_friction: how many of the sums look for friction; they are the first.
-        memory: of the slow current and speed, in samples as a power of two.
+        memory: of the slow current and speed: the mechanical time constant in samples, as the nearest power of two.
     """
 
     dtype: type[np.generic]
@@ -144,18 +145,21 @@ def _numbers(
     row: Callable[[FloatArray], Row],
     steps: Steps,
 ) -> Numbers:
-    def value(number: float | FloatArray, unit: float) -> Values:
+    def value(number: float | FloatArray, unit: float | FloatArray) -> Values:
         return rounded(np.asarray(number / unit), dtype)
 
-    states, m, limits = np.array(units[:2]), monitor.n_channels, monitor.limits
-    model = np.hstack([monitor.kalman.model.transition - np.eye(2), monitor.kalman.model.gain[:, :1]])
-    model = model * np.array(units) / states[:, None]
+    states, m, limits = np.array(units[:2]), len(monitor.kalman.observation), monitor.limits
+    transition, inputs = monitor.kalman.model.transition, monitor.kalman.model.gain
+    model = np.hstack([transition - np.eye(2), inputs[:, :1]]) * np.array(units) / states[:, None]
     gain, white = monitor.gains()
     gain, white = gain * states[:m] / states[:, None], white * states[: white.shape[2]] / unit
     together = row(white.reshape(len(white), -1))  # one shift for all: C takes them in turn
     rule = monitor.rule if isinstance(monitor.rule, CusumBank) else CusumBank((), ())
     halves = 0.5 * np.array(rule.shifts) / np.array(monitor.thresholds)[: len(rule.shifts)]
-    drag = [value(float(part), unit) for part, unit in zip(monitor.drag, states, strict=True)]
+    # What brushes and dry friction take in a sample, for a motion forwards.
+    drag = value(inputs @ [monitor.motor.brush_drop_v, -monitor.motor.coulomb_friction_n_m], states)
+    slowest = float(np.abs(np.linalg.eigvals(transition)).max())
+    memory = round(-math.log2(max(1.0 - slowest, 2.0**-_LONGEST_MEMORY)))
     ranges = np.array(limits[:3]) / np.array(steps)
     return Numbers(
         dtype=dtype,
@@ -174,5 +178,5 @@ def _numbers(
         ranges=(np.floor(ranges) if dtype == np.int64 else ranges).astype(dtype),
         stuck_after=limits.stuck_after,
         n_friction=len(rule.friction),
-        memory=monitor.memory,
+        memory=max(memory, 0),
     )

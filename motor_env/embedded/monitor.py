@@ -21,7 +21,6 @@ _HEADROOM = 2.0
 _SETTLED = 1e-6
 _YEAR_S = 365.25 * 86_400.0
 _OVERLAP = 12.0
-_LONGEST_MEMORY = 15  # as a power of two
 
 
 class Limits(NamedTuple):
@@ -80,32 +79,6 @@ class Monitor:
     rule: CusumBank | MOfN
     thresholds: tuple[float, ...]
     limits: Limits
-
-    def __post_init__(self) -> None:
-        single = not isinstance(self.rule, MOfN) or (self.rule.needed, self.rule.among) == (1, 1)
-        require(single, f"rule must be a CusumBank or the NIS test of single samples, got {self.rule}")
-        for name, value in zip(Limits._fields, self.limits, strict=True):
-            require_positive(name, value)
-        require(
-            self.limits.stuck_after < 65_536, f"stuck_after must be < 65536, got {self.limits.stuck_after}"
-        )
-
-    @property
-    def n_channels(self) -> int:
-        """Measured channels."""
-        return len(self.kalman.observation)
-
-    @property
-    def drag(self) -> FloatArray:
-        """What brushes and dry friction take from the state in a sample, for a motion forwards, shape (2,)."""
-        against = [self.motor.brush_drop_v, -self.motor.coulomb_friction_n_m]  # voltage, load torque
-        return np.asarray(self.kalman.model.gain @ against, dtype=np.float64)
-
-    @property
-    def memory(self) -> int:
-        """Mechanical time constant in samples, as the nearest power of two."""
-        slowest = float(np.abs(np.linalg.eigvals(self.kalman.model.transition)).max())
-        return min(max(round(-math.log2(max(1.0 - slowest, 1e-9))), 0), _LONGEST_MEMORY)
 
     def gains(self) -> tuple[FloatArray, FloatArray]:
         """Kalman gains, and what turns innovations into shares of the thresholds.
@@ -180,6 +153,9 @@ def monitor_of(
     asked = {"rate_hz": rate_hz, "voltage_v": voltage_v, "false_alarms_per_year": false_alarms_per_year}
     for name, value in asked.items():
         require_positive(name, value)
+    single = not isinstance(rule, MOfN) or (rule.needed, rule.among) == (1, 1)
+    require(single, f"rule must be a CusumBank or the NIS test of single samples, got {rule}")
+    require(stuck_after < 65_536, f"stuck_after must be < 65536, got {stuck_after}")
     kalman = KalmanFilter.from_parameters(motor.parameters, sensor, 1.0 / rate_hz)
     if not scheduled:
         kalman = replace(kalman, initial_covariance=settled(kalman).covariance[-1])
@@ -191,4 +167,6 @@ def monitor_of(
     stall_a = voltage_v / float(motor.parameters.resistance_ohm)
     _, speed = steady_state(motor.parameters, voltage_v).tolist()
     limits = Limits(_HEADROOM * stall_a, _HEADROOM * speed, _HEADROOM * voltage_v, stuck_after)
+    for name, value in zip(Limits._fields, limits, strict=True):
+        require_positive(name, value)
     return Monitor(motor, kalman, rule, thresholds, limits)

@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +67,7 @@ def first(answer: Answers) -> NDArray[np.int64]:
 
 
 def starts(believed: Monitor, count: int, severity: float = 0.25) -> Transients:
-    channels = (Channel.CURRENT, Channel.SPEED)[: believed.n_channels]
+    channels = (Channel.CURRENT, Channel.SPEED)[: len(believed.kalman.observation)]
     faults = (Fault(FaultKind.BEARING, severity),)
     return simulate(
         Scenario(PAPER_MOTOR, faults, sensor=SensorParameters(channels, 0.02, 1.0)), 1, range(count)
@@ -80,7 +80,7 @@ def expected(believed: Monitor, data: Transients) -> NDArray[np.float64]:
     if isinstance(believed.rule, MOfN):
         return believed.rule.statistic(result.whitened) / believed.thresholds[0]
     predicted = result.state - np.einsum("nij,bnj->bni", result.gain, result.innovation)
-    share = 2.0**-believed.memory
+    share = 2.0 ** -floating(believed).memory
     slow = lfilter([share], [1.0, share - 1.0], predicted, axis=1)
     along = [slow[..., 1]] * len(believed.rule.friction)
     along += [predicted[..., 0] - slow[..., 0]] * len(believed.rule.winding)
@@ -317,18 +317,16 @@ def test_limits_and_memory_are_those_of_the_motor() -> None:
     assert believed.limits == pytest.approx((24.0 / 2.18, 2.0 * speed, 24.0, 100))
     # the slow pole, 3.9 ms or so: 39 samples of 0.1 ms are nearest to 32, and a tenth of them to 4
     slow_s = -1e-4 / np.log(np.abs(np.linalg.eigvals(believed.kalman.model.transition)).max())
-    assert believed.memory == round(float(np.log2(slow_s / 1e-4)))
-    assert monitor(RULES["one shift"], rate_hz=1e8).memory == 15
-    assert monitor(RULES["one shift"], rate_hz=10.0).memory == 0
-    for limits, words in (
-        (believed.limits._replace(stuck_after=65_536), "stuck_after must be < 65536"),
-        (believed.limits._replace(current_a=0.0), "current_a must be"),
-    ):
+    assert floating(believed).memory == round(float(np.log2(slow_s / 1e-4)))
+    assert floating(monitor(RULES["one shift"], rate_hz=1e8)).memory == 15
+    assert floating(monitor(RULES["one shift"], rate_hz=10.0)).memory == 0
+    made = partial(monitor_of, believed.motor, 1e3, sensor=SensorParameters(), voltage_v=12.0)
+    for stuck_after, words in ((65_536, "stuck_after must be < 65536"), (0, "stuck_after must be")):
         with pytest.raises(ValueError, match=words):
-            replace(believed, limits=limits)
-    assert replace(believed, limits=believed.limits._replace(stuck_after=65_535)).limits.stuck_after == 65_535
+            made(rule=nis_rule(), stuck_after=stuck_after)
+    assert made(rule=nis_rule(), stuck_after=65_535).limits.stuck_after == 65_535
     with pytest.raises(ValueError, match="NIS test of single samples"):
-        replace(believed, rule=MOfN(1, 2))
+        made(rule=MOfN(1, 2))
 
 
 @pytest.mark.parametrize("rule", ["cusum", "nis"])
