@@ -160,10 +160,11 @@ def monitor_of(
     if not scheduled:
         kalman = replace(kalman, initial_covariance=settled(kalman).covariance[-1])
     arl0 = _YEAR_S * rate_hz / false_alarms_per_year
-    if isinstance(rule, CusumBank):
-        thresholds = rule.thresholds_for(arl0)
-    else:
-        thresholds = (rule.threshold_for(arl0=arl0, n_channels=len(sensor.channels)).value,)
+    thresholds = (
+        rule.thresholds_for(arl0)
+        if isinstance(rule, CusumBank)
+        else (rule.threshold_for(arl0=arl0, n_channels=len(sensor.channels)).value,)
+    )
     stall_a = voltage_v / float(motor.parameters.resistance_ohm)
     _, speed = steady_state(motor.parameters, voltage_v).tolist()
     limits = Limits(_HEADROOM * stall_a, _HEADROOM * speed, _HEADROOM * voltage_v, stuck_after)

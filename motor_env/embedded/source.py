@@ -13,13 +13,15 @@ from motor_env.embedded.arithmetic import (
     LARGEST,
     STATISTIC_BITS,
     Numbers,
+    SampleVerdict,
     Steps,
     Values,
+    answers,
     fixed_point,
     floating,
+    readings_of,
 )
 from motor_env.embedded.monitor import Monitor
-from motor_env.embedded.twin import SampleVerdict, answers, readings_of
 from motor_env.errors import InputError
 from motor_env.files import write_text
 from motor_env.pages.html import render

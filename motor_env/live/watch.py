@@ -167,33 +167,31 @@ class Watch:
         if not self._columns and self.state.counts["malformed"]:
             raise InputError("no line names the columns time, voltage, current and speed")
 
-    def _line(self, text: str) -> Iterable[Event]:
+    def _line(self, text: str) -> Iterator[Event]:
         words = text.split(",")
         try:
             sample = [float(words[k]) * factor for k, factor in self._columns]
         except (ValueError, IndexError):
             sample = []
         if sample and math.isfinite(sum(sample)):
-            return self._sample(sample)
+            yield from self._sample(sample)
         # A device that begins anew says its header again.
-        if not text or text[0] == "#" or self._read_header(text):
-            return ()
-        return [Event(self._time_s, "malformed", text[:60])]
+        elif text and text[0] != "#" and not self._read_header(text):
+            yield Event(self._time_s, "malformed", text[:60])
 
-    def _sample(self, sample: list[float]) -> Iterable[Event]:
+    def _sample(self, sample: list[float]) -> Iterator[Event]:
         last, self._last = self._last, sample
-        events = []
         if last is not None:
+            self._same = self._same + 1 if last[2] == sample[2] and sample[1] else 0
+            if self._same == STUCK_AFTER:
+                yield self._broken("stuck_sensor", f"{STUCK_AFTER} times the current {sample[2]:.6g} A")
+            if self._same >= STUCK_AFTER:
+                return
             step = sample[0] - last[0]
             if step <= 0.0:
-                events = [self._broken("time_jump", f"{-step:.6g} s back")]
+                yield self._broken("time_jump", f"{-step:.6g} s back")
             elif step > _GAP_STEPS * self._pace.dt_s:
-                events = [self._broken("gap", f"{step:.6g} s without a sample")]
-            self._same = self._same + 1 if last[2] == sample[2] and sample[1] else 0
-            if self._same > STUCK_AFTER:
-                return ()
-            if self._same == STUCK_AFTER:
-                return [self._broken("stuck_sensor", f"{STUCK_AFTER} times the current {sample[2]:.6g} A")]
+                yield self._broken("gap", f"{step:.6g} s without a sample")
         if not self._window:
             self._looks, self._looked, self._next_look_s = None, 0, math.inf
             # Behind a gap another motor may run: looks follow a healthy window only.
@@ -203,10 +201,9 @@ class Watch:
         self._window.extend(sample)
         if sample[0] - self._window[0] >= self._pace.window_s:
             self._before, self._window = self._window, array("d")
-            events.append(self._ended(_columns(self._before)))
+            yield self._ended(_columns(self._before))
         elif self._looks and sample[0] >= self._next_look_s:
-            events.extend(self._look(self._looks))
-        return events
+            yield from self._look(self._looks)
 
     def _look(self, looks: Looks) -> Iterator[Event]:
         """What a look says, if it is an alarm; then the window's end is waited for."""

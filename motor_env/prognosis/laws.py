@@ -37,9 +37,7 @@ def at_one_temperature(series: Series, temperature: Series) -> Series:
 
 def _per_kelvin(name: str) -> float:
     """By how much the logarithm of a quantity moves a kelvin; 0 of one that is not known."""
-    if name not in _KNOWN:
-        return 0.0
-    return float(identifiable.warmth_direction(identifiable.matrix((name,)))[0])
+    return float(identifiable.warmth_direction(identifiable.matrix((name,)))[0]) if name in _KNOWN else 0.0
 
 
 def last_jump(series: Series) -> tuple[int, float] | None:

@@ -120,19 +120,23 @@ def judge(
     jump, restart = last_jump(relative), ""
     if jump is not None:
         relative = since(relative, jump[0])
-        moment = f"{relative.time[0]:.4g} {series.unit}"
-        if series.start is not None:
-            moment = f"{series.start + timedelta(days=float(relative.time[0])):%Y-%m-%d}"
+        at, start = float(relative.time[0]), series.start
+        moment = f"{at:.4g} {series.unit}" if start is None else f"{start + timedelta(days=at):%Y-%m-%d}"
         restart = f"a jump of {_percent(jump[1])} at {moment} (a repair or a step), judged since then: "
     if len(relative.time) < FEWEST_ESTIMATES:
-        found = f"{len(relative.time)}, at least {FEWEST_ESTIMATES} are needed"
-        return Trend(series, reference, (), f"{restart}too few estimates for a trend: {found}")
+        few = f"too few estimates for a trend: {len(relative.time)}, at least {FEWEST_ESTIMATES} are needed"
+        return Trend(series, reference, (), restart + few)
     if factors is None:
         factors = () if series.name.startswith("L") else DEFAULT_LIMITS
     forecasts = []
     for factor in factors:
-        sign = math.copysign(1.0, factor - 1.0)
-        wear = degradation(relative.time, relative.estimate, relative.standard_error, factor, sign=sign)
+        wear = degradation(
+            relative.time,
+            relative.estimate,
+            relative.standard_error,
+            factor,
+            sign=math.copysign(1.0, factor - 1.0),
+        )
         life = wear.remaining_life(level)
         reached = life.probability_reached >= 0.5
         trends = wear.probability_trend >= TREND_PROBABILITY

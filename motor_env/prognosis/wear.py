@@ -128,11 +128,6 @@ class Degradation:
         mean = float(self.weights @ self.drift)
         return math.sqrt(float(self.weights @ (self.covariance[:, 1, 1] + (self.drift - mean) ** 2)))
 
-    def cdf(self, life: FloatArray) -> FloatArray:
-        """Probability that the limit is reached within `life` after the last estimate, both of shape (n,)."""
-        *normal, weights = self._nodes()
-        return np.asarray(first_passage_cdf(np.maximum(life, 1e-300)[:, None], *normal) @ weights)
-
     def _nodes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Distance, drift given the level, its variance, diffusion and weight of every quadrature node."""
         std = np.sqrt(self.covariance[:, 0, 0])
@@ -159,11 +154,12 @@ class Degradation:
     def remaining_life(self, level: float = 0.9) -> RemainingLife:
         """Median and central interval of the time until the limit is first reached; the level lies between 0 and 1."""
         axis = self.life_axis()
-        cdf = np.maximum.accumulate(self.cdf(axis))
+        *normal, weights = self._nodes()
+        cdf = first_passage_cdf(np.maximum(axis, 1e-300)[:, None], *normal) @ weights
+        cdf = np.maximum.accumulate(cdf)
         wanted = [0.5 - level / 2.0, 0.5, 0.5 + level / 2.0]
         low, median, high = np.exp(np.interp(wanted, cdf, np.log(axis), left=-np.inf, right=np.inf)).tolist()
-        distance, *_, weights = self._nodes()
-        return RemainingLife(low, median, high, level, float(weights[distance <= 0.0].sum()), float(cdf[-1]))
+        return RemainingLife(low, median, high, level, float(weights[normal[0] <= 0.0].sum()), float(cdf[-1]))
 
     def forecast(self, ahead: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of the level at times after the last estimate, each the shape of `ahead`."""
@@ -185,13 +181,12 @@ def _grid(times: FloatArray, typical_error: float, distance: float) -> tuple[Flo
 
     Onsets are equally likely; the drift is Gaussian about 0; diffusion and scatter are half-Cauchy (Gelman 2006).
     """
-    n_onsets = min(len(times) - 1, _MOST_ONSETS)
-    onsets = np.unique(np.linspace(0.0, len(times) - 2.0, n_onsets).round())
+    onsets = np.unique(np.linspace(0.0, len(times) - 2.0, min(len(times) - 1, _MOST_ONSETS)).round())
     # The diffusions are even in the logarithm, which adds a factor to their density.
     log_diffusion = log_softmax(np.log(_DIFFUSIONS) - np.log1p((_DIFFUSIONS / _DIFFUSION_SCALE) ** 2))
     log_scatter = log_softmax(-np.log1p(_SCATTERS**2))
     axes = np.meshgrid(onsets, _DIFFUSIONS, _SCATTERS, indexing="ij")
-    onset, diffusion, scatter = (part.ravel() for part in axes)
+    onset, diffusion, scatter = np.reshape(axes, (3, -1))
     log_prior = np.add.outer(log_diffusion, log_scatter) + math.log((1.0 - _PRIOR_STEADY) / len(onsets))
     steady = np.zeros(len(_SCATTERS))
     since = times[-1] - times[onset.astype(int)]
