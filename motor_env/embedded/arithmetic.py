@@ -148,9 +148,6 @@ def _numbers(
     row: Callable[[FloatArray], Row],
     steps: Steps,
 ) -> Numbers:
-    def value(number: float | FloatArray, unit: float | FloatArray) -> Values:
-        return rounded(np.asarray(number / unit), dtype)
-
     states, m, limits = np.array(units[:2]), len(monitor.kalman.observation), monitor.limits
     transition, inputs = monitor.kalman.model.transition, monitor.kalman.model.gain
     model = np.hstack([transition - np.eye(2), inputs[:, :1]]) * np.array(units) / states[:, None]
@@ -160,7 +157,7 @@ def _numbers(
     rule = monitor.rule if isinstance(monitor.rule, CusumBank) else CusumBank((), ())
     halves = 0.5 * np.array(rule.shifts) / np.array(monitor.thresholds)[: len(rule.shifts)]
     # What brushes and dry friction take in a sample, for a motion forwards.
-    drag = value(inputs @ [monitor.motor.brush_drop_v, -monitor.motor.coulomb_friction_n_m], states)
+    drag = rounded(inputs @ [monitor.motor.brush_drop_v, -monitor.motor.coulomb_friction_n_m] / states, dtype)
     slowest = float(np.abs(np.linalg.eigvals(transition)).max())
     memory = round(-math.log2(max(1.0 - slowest, 2.0**-_LONGEST_MEMORY)))
     ranges = np.array(limits[:3]) / np.array(steps)
@@ -171,13 +168,13 @@ def _numbers(
         scales=tuple(round(step / unit) for step, unit in zip(steps, units, strict=True)),
         readings=steps,
         model=(row(model[:1]), row(model[1:])),
-        drag=(drag[0], drag[1], value(DEADBAND * limits.speed_rad_s / 2.0, units[1])),
+        drag=(drag[0], drag[1], rounded(np.array(DEADBAND * limits.speed_rad_s / 2.0 / units[1]), dtype)),
         gain=(row(gain[:, 0]), row(gain[:, 1])),
         white=tuple(
             replace(together, factors=part) for part in np.split(together.factors, white.shape[1], axis=1)
         ),
-        halves=value(halves, unit),
-        threshold=value(1.0, unit),
+        halves=rounded(halves / unit, dtype),
+        threshold=rounded(np.array(1.0 / unit), dtype),
         ranges=(np.floor(ranges) if dtype == np.int64 else ranges).astype(dtype),
         stuck_after=limits.stuck_after,
         n_friction=len(rule.friction),

@@ -118,10 +118,8 @@ def sensor_of(
     require(
         noise_a is not None, "the motor file has no sensor.current_noise_a; give the noise of the current"
     )
-    channels = (Channel.CURRENT, Channel.SPEED)
-    return SensorParameters(
-        channels[: 1 if speed_noise_rad_s is None else 2], noise_a or 0.0, speed_noise_rad_s or 0.0
-    )
+    channels = (Channel.CURRENT,) if speed_noise_rad_s is None else (Channel.CURRENT, Channel.SPEED)
+    return SensorParameters(channels, noise_a or 0.0, speed_noise_rad_s or 0.0)
 
 
 def monitor_of(
@@ -150,11 +148,16 @@ def monitor_of(
     Raises:
         ValueError: a value out of range, or fewer false alarms than the rule's equation resolves.
     """
-    asked = {"rate_hz": rate_hz, "voltage_v": voltage_v, "false_alarms_per_year": false_alarms_per_year}
-    for name, value in asked.items():
+    for name, value in (
+        ("rate_hz", rate_hz),
+        ("voltage_v", voltage_v),
+        ("false_alarms_per_year", false_alarms_per_year),
+    ):
         require_positive(name, value)
-    single = not isinstance(rule, MOfN) or (rule.needed, rule.among) == (1, 1)
-    require(single, f"rule must be a CusumBank or the NIS test of single samples, got {rule}")
+    require(
+        not isinstance(rule, MOfN) or (rule.needed, rule.among) == (1, 1),
+        f"rule must be a CusumBank or the NIS test of single samples, got {rule}",
+    )
     require(stuck_after < 65_536, f"stuck_after must be < 65536, got {stuck_after}")
     kalman = KalmanFilter.from_parameters(motor.parameters, sensor, 1.0 / rate_hz)
     if not scheduled:
@@ -165,9 +168,13 @@ def monitor_of(
         if isinstance(rule, CusumBank)
         else (rule.threshold_for(arl0=arl0, n_channels=len(sensor.channels)).value,)
     )
-    stall_a = voltage_v / float(motor.parameters.resistance_ohm)
     _, speed = steady_state(motor.parameters, voltage_v).tolist()
-    limits = Limits(_HEADROOM * stall_a, _HEADROOM * speed, _HEADROOM * voltage_v, stuck_after)
+    limits = Limits(
+        current_a=_HEADROOM * voltage_v / float(motor.parameters.resistance_ohm),
+        speed_rad_s=_HEADROOM * speed,
+        voltage_v=_HEADROOM * voltage_v,
+        stuck_after=stuck_after,
+    )
     for name, value in zip(Limits._fields, limits, strict=True):
         require_positive(name, value)
     return Monitor(motor, kalman, rule, thresholds, limits)

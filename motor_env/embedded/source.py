@@ -71,7 +71,7 @@ def write_library(
     }
     for path, template in files.items():
         text = render("motor_env.embedded", template, filters={"literal": literal}, **values)
-        write_text(folder / path, text + "\n")
+        write_text(folder / path, f"{text}\n")
     return [folder / path for path in files]
 
 

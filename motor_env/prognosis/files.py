@@ -1,4 +1,4 @@
-"""From files to trends: the steps of `motor-env trend`."""
+"""From files to trends, and what is said of them: text, JSON, and one self-contained HTML page with pictures."""
 
 from __future__ import annotations
 
@@ -6,15 +6,20 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from motor_env.console import printable
 from motor_env.diagnosis.files import why_not
 from motor_env.diagnosis.learning import fit_healthy
 from motor_env.errors import InputError
 from motor_env.identification.identify import identify
+from motor_env.motor.parameters import FloatArray
 from motor_env.pages.html import render
+from motor_env.pages.svg import Axis, Chart, round_ticks
 from motor_env.prognosis.estimates import (
     SECONDS_PER_DAY,
     TEMPERATURE,
@@ -23,14 +28,15 @@ from motor_env.prognosis.estimates import (
     date_of,
     read_estimates,
 )
-from motor_env.prognosis.page import STATES, row
-from motor_env.prognosis.trend import Forecast, Trend, judge
+from motor_env.prognosis.trend import Forecast, Trend, describe, judge
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.start import prepare
 
-DateSource = Literal["name", "modified"]
-"""Where the date of a recording comes from: its name, or the file's own date."""
+_Z90 = 1.6448536269514722
+
+_STATES = {"reached": "limit reached", "trending": "trending", "unknown": "not judged", "steady": "no trend"}
+"""Each state in words, in the order of the page."""
 
 
 def _is_table(path: Path) -> bool:
@@ -43,7 +49,10 @@ def _is_table(path: Path) -> bool:
 
 
 def _readable(
-    paths: Sequence[Path], columns: Sequence[ColumnChoice], date: DateSource, notes: list[str]
+    paths: Sequence[Path],
+    columns: Sequence[ColumnChoice],
+    date: Literal["name", "modified"],
+    notes: list[str],
 ) -> list[tuple[float, Recording]]:
     """Recordings of a folder or a list and their days, in the order of time; notes say which cannot be read."""
     files: list[Path] = []
@@ -106,7 +115,7 @@ class Trends:
     @property
     def verdict(self) -> str:
         """The most urgent of `reached`, `trending`, `unknown` (too few estimates, or no limit) and `steady`."""
-        return min((trend.state for trend in self.trends), key=list(STATES).index)
+        return min((trend.state for trend in self.trends), key=list(_STATES).index)
 
     def to_json(self) -> list[dict[str, Any]]:
         """One object a quantity; infinite times are null."""
@@ -132,8 +141,8 @@ class Trends:
 
     def page(self) -> str:
         """A self-contained HTML page with a picture a quantity, those that reach or trend to a limit first."""
-        ranked = sorted(self.trends, key=lambda trend: list(STATES).index(trend.state))
-        rows = [row(trend) for trend in ranked]
+        ranked = sorted(self.trends, key=lambda trend: list(_STATES).index(trend.state))
+        rows = [_row(trend) for trend in ranked]
         return render("motor_env.prognosis", "trend.html.j2", title="Trends", rows=rows, notes=self.notes)
 
 
@@ -142,7 +151,7 @@ def _of_limit(trend: Trend, forecast: Forecast) -> dict[str, Any]:
     numbers = zip(("low", "median", "high", "level"), forecast.life, strict=False)
     life = {name: number if math.isfinite(number) else None for name, number in numbers}
     return {
-        "limit": forecast.limit,
+        "limit": forecast.factor * trend.reference,
         "factor": forecast.factor,
         "probability_of_trend": forecast.wear.probability_trend,
         "trends": forecast.trends,
@@ -161,7 +170,7 @@ def trend(
     level: float = 0.9,
     voltage_v: float | None = None,
     columns: Sequence[ColumnChoice] = (),
-    date: DateSource = "name",
+    date: Literal["name", "modified"] = "name",
     reference_count: int = 3,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> Trends:
@@ -201,3 +210,75 @@ def trend(
         judge(one, wanted.get(name), level, reference_count, temperature) for name, one in named.items()
     ]
     return Trends(tuple(judged), tuple(printable(note) for note in notes))
+
+
+def _row(trend: Trend) -> dict[str, str]:
+    """What the page says of a quantity."""
+    series, chosen = trend.series, trend.leading
+    when = f" since {series.start:%Y-%m-%d}" if series.start else ""
+    return {
+        "name": series.name,
+        "status": trend.state,
+        "state": _STATES[trend.state],
+        "life": "–" if chosen is None or chosen.reached else describe(chosen, series.unit),
+        "sentence": trend.sentence,
+        "basis": f"{len(series.time)} estimates{when}; mean of the first {trend.reference:.4g}",
+        "chart": _chart(trend),
+    }
+
+
+def _chart(trend: Trend) -> str:
+    """Estimates, limits, and where it trends the fan and the interval of the time to the limit."""
+    series = trend.series
+    relative = series.estimate / trend.reference
+    error = _Z90 * series.standard_error / abs(trend.reference)
+    factors = [forecast.factor for forecast in trend.forecasts]
+    shown = np.concatenate([relative - error, relative + error, [1.0], factors])
+    low, high = float(shown.min()), float(shown.max())
+    room = 0.06 * max(high - low, 1e-6)
+    told = trend.leading if trend.leading is not None and trend.leading.is_told else None
+    left, last, ahead = float(series.time[0]), float(series.time[-1]), 0.0
+    if told is not None:
+        end = next(x for x in (told.life.high, told.life.median, last - left) if math.isfinite(x))
+        ahead = min(1.08 * end, 3.0 * (last - left))
+    right, start = max(last + ahead, left + 1e-9), series.start
+    ticks = round_ticks(left, right, 6)
+    chart = Chart(
+        Axis(series.unit, left, right, ticks)
+        if start is None
+        else Axis("", left, right, ticks, lambda days: f"{start + timedelta(days=days):%Y-%m-%d}"),
+        Axis("", low - room, high + room, round_ticks(low - room, high + room), _change),
+        size=(860, 300),
+        margins=(64, 120, 16, 38),
+        label=f"{series.name} relative to the mean of the first estimates, over time",
+    )
+    chart.y_numbers()
+    chart.x_numbers()
+    chart.text((chart.right, 296), chart.x_axis.title, anchor="end")
+    for factor in factors:
+        chart.across("limit", factor)
+        chart.text((chart.right + 8, chart.y(factor) + 4), f"limit {_change(factor)}", "limit-name")
+    if told is not None:
+        _draw_forecast(chart, told, last, np.linspace(0.0, ahead, 60))
+    for t, value, half in zip(series.time, relative, error, strict=True):
+        x = chart.x(t)
+        chart.line("range", (x, chart.y(value - half)), (x, chart.y(value + half)))
+        chart.dot("dot", (x, chart.y(value)), 3.2)
+    return chart.svg()
+
+
+def _change(factor: float) -> str:
+    return f"{100.0 * (factor - 1.0):+.0f} %"
+
+
+def _draw_forecast(chart: Chart, told: Forecast, last: float, ahead: FloatArray) -> None:
+    """The levels expected after the last estimate, and on the limit the interval of the time until it is reached."""
+    mean, std = told.wear.forecast(ahead)
+    time, upper, lower = last + ahead, mean + _Z90 * std, mean - _Z90 * std
+    chart.shape("polygon", points=chart.points([*time, *time[::-1]], [*upper, *lower[::-1]]))
+    inside = (mean >= chart.y_axis.low) & (mean <= chart.y_axis.high)
+    chart.curve("forecast", time[inside], mean[inside])
+    y, life = chart.y(told.factor), told.life
+    chart.line("life", (chart.x(last + life.low), y), (chart.x(last + life.high), y))
+    if last + life.median <= chart.x_axis.high:
+        chart.dot("median", (chart.x(last + life.median), y), 6)

@@ -35,7 +35,6 @@ class Forecast:
     """How a quantity stands to one limit.
 
     Attributes:
-        limit: in the quantity's unit.
         factor: the limit over the reference.
         reached: whether the last level lies beyond it, with a probability of at least one half.
         trends: whether there is a drift towards it (posterior probability at least 95 %).
@@ -44,7 +43,6 @@ class Forecast:
         withheld: why no remaining life is told, in words; empty where it is.
     """
 
-    limit: float
     factor: float
     reached: bool
     trends: bool
@@ -143,7 +141,7 @@ def judge(
         if trends and not reached:
             life = life._replace(low=min(life.low, earliest(relative, wear)))
         reason = withheld(relative, wear, knows_temperature=temperature is not None) if trends else ""
-        forecasts.append(Forecast(factor * reference, factor, reached, trends, wear, life, reason))
+        forecasts.append(Forecast(factor, reached, trends, wear, life, reason))
     return Trend(series, reference, tuple(forecasts), restart + _sentence(series, forecasts))
 
 

@@ -38,7 +38,6 @@ _PRIOR_STEADY = 0.5
 _NEGLIGIBLE = 0.002  # posterior probability of all grid points that are left out
 _LEAST_ERROR = 1e-6  # of the typical one: estimates without an error may scatter by nothing
 _LEVEL_NODES, _LEVEL_WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
-_LEVEL_WEIGHTS = _LEVEL_WEIGHTS / _LEVEL_WEIGHTS.sum()
 _LIFE_POINTS = 100
 
 
@@ -140,14 +139,13 @@ class Degradation:
             drift.ravel(),
             np.repeat(variance, len(_LEVEL_NODES)),
             np.repeat(self.diffusion, len(_LEVEL_NODES)),
-            np.outer(self.weights, _LEVEL_WEIGHTS).ravel(),
+            np.outer(self.weights, _LEVEL_WEIGHTS / _LEVEL_WEIGHTS.sum()).ravel(),
         )
 
     def life_axis(self) -> FloatArray:
         """Times that span the distribution of the remaining life, shape (100,), even in the logarithm."""
-        distance = max(self.sign * self.limit - float(self.weights @ self.level), 0.0)
-        spread = math.sqrt(float(self.weights @ self.covariance[:, 0, 0]))
-        reach = distance + 3.0 * spread
+        reach = max(self.sign * self.limit - float(self.weights @ self.level), 0.0)
+        reach += 3.0 * math.sqrt(float(self.weights @ self.covariance[:, 0, 0]))
         pace = max(abs(self.mean_drift), 0.05 * self.drift_std, 1e-12 * reach, 1e-300)
         return np.geomspace(1e-4, 1e3, _LIFE_POINTS) * reach / pace
 
