@@ -249,11 +249,10 @@ class _Twin:
         return np.where(used, fault, sensor)
 
     def _growth(self) -> Values:
-        numbers = self.numbers
-        (current, speed), slow = self.state, numbers.drag[2]
-        direction = (speed > slow).astype(numbers.dtype) - (speed < -slow).astype(numbers.dtype)
-        totals = [row.total(self.sample, (current, speed, self.voltage)) for row in numbers.model]
-        return np.array([total - direction * part for total, part in zip(totals, numbers.drag, strict=False)])
+        (current, speed), drag = self.state, self.numbers.drag
+        direction = np.sign(speed) * (np.abs(speed) > drag[2])
+        totals = [row.total(self.sample, (current, speed, self.voltage)) for row in self.numbers.model]
+        return np.array([total - direction * part for total, part in zip(totals, drag, strict=False)])
 
     def _add(self, growth: Values) -> None:
         if self.numbers.is_fixed:

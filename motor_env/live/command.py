@@ -69,12 +69,12 @@ def watch(
     Raises:
         InputError: the motor was not learned from windows, or the log cannot be read.
     """
-    known = motor if isinstance(motor, Motor) else load_motor(motor)
+    healthy = _windows_of(motor if isinstance(motor, Motor) else load_motor(motor))
     if isinstance(log, str | Path):
         pieces = lines(source(str(log), follow=False, offset=0, baud=0))
     else:
         pieces = (f"{line.rstrip()}\n".encode() for line in log)
-    yield from Watch(_windows_of(known), State(), false_alarms_per_year=false_alarms_per_year).events(pieces)
+    yield from Watch(healthy, State(), false_alarms_per_year=false_alarms_per_year).events(pieces)
 
 
 def _windows_of(motor: Motor) -> Healthy:

@@ -77,8 +77,9 @@ class Event:
             "span_s": self.span_s,
             "undecided": list(self.undecided),
         }
-        kept = {name: value for name, value in said.items() if value not in ("", {}, [], None)}
-        return json.dumps(kept, allow_nan=False)
+        return json.dumps(
+            {name: value for name, value in said.items() if value not in ("", {}, [], None)}, allow_nan=False
+        )
 
 
 @dataclass
@@ -253,8 +254,10 @@ class Watch:
         ratios = {change.name: change.ratio for change in window.changes}
         if window.verdict is Verdict.HEALTHY:
             self._at = np.log(list(ratios.values()))
-        moved = {change.name for change in window.changes if change.significant}
-        if window.verdict is Verdict.OTHER and {"K", "J"} <= moved:  # no wear moves both
+        # No wear moves both.
+        if window.verdict is Verdict.OTHER and {"K", "J"} <= {
+            change.name for change in window.changes if change.significant
+        }:
             return Event(
                 self._time_s, "another_motor", "constants and inertia are those of another motor", ratios
             )

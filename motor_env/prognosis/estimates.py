@@ -116,8 +116,14 @@ def _json_rows(path: Path) -> Iterator[_Row]:
         for key in ("time", "parameter", "estimate"):
             if not isinstance(entry, dict) or key not in entry:
                 raise InputError(f"{where}: {key} is missing")
-        parameter, spread = str(entry["parameter"]), entry.get("standard_error", 0.0)
-        yield where, entry["time"], parameter, entry["estimate"], spread, "starts"
+        yield (
+            where,
+            entry["time"],
+            str(entry["parameter"]),
+            entry["estimate"],
+            entry.get("standard_error", 0.0),
+            "starts",
+        )
 
 
 def _csv_rows(path: Path) -> Iterator[_Row]:

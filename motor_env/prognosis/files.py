@@ -141,15 +141,15 @@ class Trends:
 
     def page(self) -> str:
         """A self-contained HTML page with a picture a quantity, those that reach or trend to a limit first."""
-        ranked = sorted(self.trends, key=lambda trend: list(_STATES).index(trend.state))
-        rows = [_row(trend) for trend in ranked]
+        rows = [_row(trend) for trend in sorted(self.trends, key=lambda one: list(_STATES).index(one.state))]
         return render("motor_env.prognosis", "trend.html.j2", title="Trends", rows=rows, notes=self.notes)
 
 
 def _of_limit(trend: Trend, forecast: Forecast) -> dict[str, Any]:
-    told = forecast is trend.leading and forecast.is_told
-    numbers = zip(("low", "median", "high", "level"), forecast.life, strict=False)
-    life = {name: number if math.isfinite(number) else None for name, number in numbers}
+    life = {
+        name: number if math.isfinite(number) else None
+        for name, number in zip(("low", "median", "high", "level"), forecast.life, strict=False)
+    }
     return {
         "limit": forecast.factor * trend.reference,
         "factor": forecast.factor,
@@ -158,7 +158,7 @@ def _of_limit(trend: Trend, forecast: Forecast) -> dict[str, Any]:
         "reached": forecast.reached,
         "probability_reached": forecast.life.probability_reached,
         "drift_per_time_unit": forecast.wear.mean_drift * trend.reference,
-        "remaining_life": life if told else None,
+        "remaining_life": life if forecast is trend.leading and forecast.is_told else None,
         "withheld": forecast.withheld or None,
     }
 
@@ -203,13 +203,15 @@ def trend(
         series = _fitted(_readable(several, columns, date, notes), voltage_v, notes, progress)
     named = {one.name: one for one in series}
     temperature = named.pop(TEMPERATURE, None)
-    wanted = limits or {}
-    if unknown := [name for name in wanted if name not in named]:
+    if unknown := [name for name in limits or {} if name not in named]:
         raise InputError(f"--limit names {unknown[0]!r}; the quantities are {', '.join(sorted(named))}")
-    judged = [
-        judge(one, wanted.get(name), level, reference_count, temperature) for name, one in named.items()
-    ]
-    return Trends(tuple(judged), tuple(printable(note) for note in notes))
+    return Trends(
+        tuple(
+            judge(one, (limits or {}).get(name), level, reference_count, temperature)
+            for name, one in named.items()
+        ),
+        tuple(printable(note) for note in notes),
+    )
 
 
 def _row(trend: Trend) -> dict[str, str]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from motor_env.motor import identifiable
 from motor_env.motor.parameters import FloatArray
@@ -49,26 +50,19 @@ def last_jump(series: Series) -> tuple[int, float] | None:
     n = len(series.time)
     if n < _BESIDE:
         return None
-    places = np.arange(_FEWEST, n - _FEWEST + 1)
-    fits = np.array([_step_at(series, int(k)) for k in places])
-    z = fits[:, 0] / fits[:, 1]
+    fits = []
+    for k in range(_FEWEST, n - _FEWEST + 1):
+        some = slice(max(k - _BESIDE, 0), k + _BESIDE)
+        time = series.time[some] - series.time[k]
+        design = np.stack([np.ones(len(time)), time / np.ptp(time), time >= 0.0], axis=1)
+        both = np.linalg.inv(design.T @ design)
+        fits.append(((both @ (design.T @ series.estimate[some]))[2], math.sqrt(both[2, 2])))
+    height, error = np.array(fits).T
+    z = height / error
     spread = max(_MAD * float(np.median(np.abs(z))), 0.5 * float(np.median(series.standard_error)))
     size = np.abs(z) / max(spread, 1e-9 * float(np.ptp(series.estimate)), 1e-9)
-    peaks = [
-        row
-        for row in np.flatnonzero(size > _JUMP)
-        if size[row] == size[max(row - _FEWEST, 0) : row + _FEWEST + 1].max()
-    ]
-    return (int(places[peaks[-1]]), float(fits[peaks[-1], 0])) if peaks else None
-
-
-def _step_at(series: Series, k: int) -> tuple[float, float]:
-    """Step before estimate k on top of a straight line, and its standard error for estimates of error 1."""
-    some = slice(max(k - _BESIDE, 0), k + _BESIDE)
-    time = series.time[some] - series.time[k]
-    design = np.stack([np.ones(len(time)), time / np.ptp(time), (time >= 0.0).astype(float)], axis=1)
-    both = np.linalg.inv(design.T @ design)
-    return float((both @ (design.T @ series.estimate[some]))[2]), math.sqrt(float(both[2, 2]))
+    peaks = np.flatnonzero((size > _JUMP) & (size == maximum_filter1d(size, 2 * _FEWEST + 1)))
+    return (_FEWEST + int(peaks[-1]), float(height[peaks[-1]])) if len(peaks) else None
 
 
 def since(series: Series, first: int) -> Series:
@@ -89,9 +83,8 @@ def withheld(series: Series, wear: Degradation, *, knows_temperature: bool) -> s
         wear: fitted to it.
         knows_temperature: whether the estimates are at one temperature.
     """
-    warmth = 0.0 if knows_temperature else abs(_per_kelvin(series.name)) * _UNKNOWN_TEMPERATURE_K
     change = abs(float(wear.weights @ wear.level) * wear.sign - float(series.estimate[:_FEWEST].mean()))
-    if change < warmth:
+    if not knows_temperature and change < abs(_per_kelvin(series.name)) * _UNKNOWN_TEMPERATURE_K:
         return f"a change of the temperature by {_UNKNOWN_TEMPERATURE_K:.0f} K would explain it"
     if abs(wear.mean_drift) < _CLEAR * wear.drift_std:
         return "chance alone may have moved it so far: the drift is below three of its standard deviations"

@@ -75,8 +75,11 @@ class Trend:
     @property
     def leading(self) -> Forecast | None:
         """The limit that matters: reached, or trended to, the earliest first."""
-        relevant = [forecast for forecast in self.forecasts if forecast.reached or forecast.trends]
-        return min(relevant, key=lambda forecast: (not forecast.reached, forecast.life.median), default=None)
+        return min(
+            (forecast for forecast in self.forecasts if forecast.reached or forecast.trends),
+            key=lambda forecast: (not forecast.reached, forecast.life.median),
+            default=None,
+        )
 
     @property
     def state(self) -> str:
@@ -122,8 +125,13 @@ def judge(
         moment = f"{at:.4g} {series.unit}" if start is None else f"{start + timedelta(days=at):%Y-%m-%d}"
         restart = f"a jump of {_percent(jump[1])} at {moment} (a repair or a step), judged since then: "
     if len(relative.time) < FEWEST_ESTIMATES:
-        few = f"too few estimates for a trend: {len(relative.time)}, at least {FEWEST_ESTIMATES} are needed"
-        return Trend(series, reference, (), restart + few)
+        return Trend(
+            series,
+            reference,
+            (),
+            f"{restart}too few estimates for a trend: {len(relative.time)},"
+            f" at least {FEWEST_ESTIMATES} are needed",
+        )
     if factors is None:
         factors = () if series.name.startswith("L") else DEFAULT_LIMITS
     forecasts = []

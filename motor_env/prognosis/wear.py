@@ -84,8 +84,7 @@ def first_passage_cdf(
     )
     exponent = 2.0 * distance * (drift + drift_variance * distance / diffusion**2) / diffusion**2
     plain = np.exp(np.minimum(exponent, 0.0)) * ndtr(-np.minimum(z, 0.0))
-    cdf = first + np.where(z >= 0.0, scaled, plain)
-    return np.where(distance <= 0.0, 1.0, np.clip(cdf, 0.0, 1.0))
+    return np.where(distance <= 0.0, 1.0, np.clip(first + np.where(z >= 0.0, scaled, plain), 0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,8 +243,10 @@ def degradation(
     Raises:
         ValueError: a value that is not finite, or a limit at the first level.
     """
-    finite = bool(np.isfinite([time, estimate, standard_error]).all())
-    require(finite, "time, estimate and standard_error must be finite")
+    require(
+        bool(np.isfinite([time, estimate, standard_error]).all()),
+        "time, estimate and standard_error must be finite",
+    )
     beginning = float(np.mean(estimate[: max(3, len(estimate) // 10)]))
     distance = abs(limit - beginning)
     require(distance > 0.0 and math.isfinite(limit), f"limit must differ from the first level, got {limit:g}")
