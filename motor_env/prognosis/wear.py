@@ -208,7 +208,7 @@ def _filtered(
     onset, diffusion, scatter, drift_std = grid
     none = np.zeros(len(onset))
     level, drift, log_likelihood = none + estimate[0], none, none
-    p00, p01, p11 = none + level_std**2, none, drift_std**2
+    p00, p01, p11 = none + level_std * level_std, none, drift_std**2
     for i, step in enumerate(np.diff(times, prepend=times[0])):
         dt = np.where(onset < i, step, 0.0)
         level = level + drift * dt
