@@ -19,10 +19,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from motor_env import PAPER_MOTOR, Motor, Scenario, SensorParameters, nis_rule, simulate
-from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
+from motor_env.embedded.arithmetic import Numbers, Steps, answers, fixed_point, floating, readings_of
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import literal, write_library
-from motor_env.embedded.twin import answers, readings_of
 from motor_env.motor.parameters import Channel
 
 SAMPLES = 250
@@ -104,7 +103,7 @@ def paper_monitor(*, n_channels: int = 1, rule: str = "cusum") -> Monitor:
 
 def program(numbers: Numbers, monitor: Monitor, count: int) -> str:
     """A main that steps through a simulated start and compares the last statistic with the twin's, bit by bit."""
-    channels = (Channel.CURRENT, Channel.SPEED)[: monitor.n_channels]
+    channels = (Channel.CURRENT, Channel.SPEED)[: len(monitor.kalman.observation)]
     scenario = Scenario(PAPER_MOTOR, sensor=SensorParameters(channels, 0.02, 1.0))
     start = simulate(scenario, 1, [0])
     readings = readings_of(numbers, start.measurements, start.voltage_v)[..., :SAMPLES]

@@ -18,8 +18,7 @@ from motor_env.inference.parametrisation import Coordinates
 from motor_env.inference.sensitivities import Observed
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray, SensorParameters
-from motor_env.prognosis.wear import TREND_PROBABILITY
-from motor_env.prognosis.wear_fit import degradation
+from motor_env.prognosis.wear import TREND_PROBABILITY, degradation
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.simulate import Scenario, Timing, simulate
 

@@ -1,4 +1,6 @@
-"""Numbers of a monitor as a controller computes with them: in single precision, or in fixed point.
+"""Numbers of a monitor as a controller computes with them, in single precision or in fixed point; and the C's twin.
+
+The twin does the same operations as the C source in the same order, on NumPy's floats or integers.
 
 Current and speed grow by small amounts. In single precision what is lost when an amount is added is kept for the next
 one (Kahan 1965); without that the statistics drift off by more than the noise of the sum.
@@ -12,10 +14,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from motor_env.embedded.monitor import DEADBAND, CusumBank, Limits, Monitor
 from motor_env.motor.parameters import FloatArray, require
@@ -25,6 +28,7 @@ LARGEST = 1 << 29
 _FULL_SCALE = 1 << 28
 STATISTIC_BITS = 26
 _MANTISSA_BITS, _MOST_SHIFT = 30, 62
+_LONGEST_MEMORY = 15  # as a power of two
 
 
 class Steps(NamedTuple):
@@ -46,6 +50,16 @@ class Steps(NamedTuple):
 _UNITS = Steps(1.0, 1.0, 1.0)
 
 
+def clamped(values: Values) -> Values:
+    """Values of fixed point, as they fit."""
+    return np.clip(values, -LARGEST, LARGEST)
+
+
+def rounded(values: Values, dtype: type[np.generic]) -> Values:
+    """Values as numbers of a type."""
+    return (np.rint(values) if dtype == np.int64 else values).astype(dtype)
+
+
 @dataclass(frozen=True, slots=True)
 class Row:
     """Factors of a sum of products: floats, or integers whose sum is shifted right; one row a sample, shape (n, k)."""
@@ -56,13 +70,8 @@ class Row:
     def total(self, sample: int, values: Sequence[Values]) -> Values:
         """The sum over the first values, from left to right."""
         factors = self.factors[min(sample, len(self.factors) - 1)]
-        total: Values = factors[0] * values[0]
-        for factor, value in zip(factors[1:], values[1:], strict=False):
-            total = total + factor * value
-        if self.shift is None:
-            return total
-        clamped: Values = np.clip(((total >> (self.shift - 1)) + 1) >> 1, -LARGEST, LARGEST)
-        return clamped
+        total = np.asarray(sum(factor * value for factor, value in zip(factors, values, strict=False)))
+        return total if self.shift is None else clamped(((total >> (self.shift - 1)) + 1) >> 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +80,8 @@ class Numbers:
 
     Attributes:
         dtype: of all numbers: float32, float64 or int64.
+        is_fixed: whether they are whole numbers.
+        n_channels: number of measured channels.
         scales: factor from a reading of current, speed, voltage to its value; powers of two.
         readings: size of one count of each reading; 1 for floats.
         model: what current and speed grow by in a sample, from current, speed and voltage.
@@ -82,10 +93,12 @@ class Numbers:
         ranges: largest readings of current, speed, voltage.
         stuck_after: so many equal readings in a row are no readings.
         n_friction: how many of the sums look for friction; they are the first.
-        memory: of the slow current and speed, in samples as a power of two.
+        memory: of the slow current and speed: the mechanical time constant in samples, as the nearest power of two.
     """
 
     dtype: type[np.generic]
+    is_fixed: bool
+    n_channels: int
     scales: tuple[int, ...]
     readings: Steps
     model: tuple[Row, Row]
@@ -99,16 +112,6 @@ class Numbers:
     n_friction: int
     memory: int
 
-    @property
-    def n_channels(self) -> int:
-        """Measured channels."""
-        return int(self.gain[0].factors.shape[1])
-
-    @property
-    def has_drag(self) -> bool:
-        """Whether brushes or dry friction count."""
-        return bool(self.drag[0] or self.drag[1])
-
 
 def floating(monitor: Monitor, dtype: type[np.float32 | np.float64] = np.float32) -> Numbers:
     """Numbers in floating point."""
@@ -121,18 +124,16 @@ def fixed_point(monitor: Monitor, steps: Steps) -> Numbers:
     Raises:
         ValueError: a step is not positive, or so small or large that the range does not fit.
     """
-    exponents = []
+    units = []
     for name, step, most in zip(Steps._fields, steps, monitor.limits[:3], strict=True):
         counts = most / step if 0.0 < step < math.inf else math.inf
         require(2.0 <= counts <= _FULL_SCALE, f"step of {name} must suit {most:g}, got {step:g}")
-        exponents.append(math.floor(math.log2(_FULL_SCALE / counts)))
-    units = [step / 2.0**exponent for step, exponent in zip(steps, exponents, strict=True)]
+        units.append(step / 2.0 ** math.floor(math.log2(_FULL_SCALE / counts)))
 
     def row(factors: FloatArray) -> Row:
         largest = float(np.abs(factors).max())
-        shift = _MANTISSA_BITS - math.ceil(math.log2(largest)) if largest > 0.0 else 1
+        shift = min(_MANTISSA_BITS - math.ceil(math.log2(largest)), _MOST_SHIFT) if largest > 0.0 else 1
         require(shift >= 1, f"a factor of {largest:g} is too large for fixed point")
-        shift = min(shift, _MOST_SHIFT)
         return Row(np.rint(np.ldexp(factors, shift)).astype(np.int64), shift)
 
     return _numbers(monitor, np.int64, units, unit=2.0**-STATISTIC_BITS, row=row, steps=steps)
@@ -147,34 +148,139 @@ def _numbers(
     row: Callable[[FloatArray], Row],
     steps: Steps,
 ) -> Numbers:
-    def value(number: float | FloatArray, unit: float) -> Values:
-        scaled = number / unit
-        return np.asarray(np.rint(scaled) if dtype == np.int64 else scaled).astype(dtype)
-
-    states, m, limits = np.array(units[:2]), monitor.n_channels, monitor.limits
-    model = np.hstack([monitor.kalman.model.transition - np.eye(2), monitor.kalman.model.gain[:, :1]])
-    model = model * np.array(units) / states[:, None]
+    states, m, limits = np.array(units[:2]), len(monitor.kalman.observation), monitor.limits
+    transition, inputs = monitor.kalman.model.transition, monitor.kalman.model.gain
+    model = np.hstack([transition - np.eye(2), inputs[:, :1]]) * np.array(units) / states[:, None]
     gain, white = monitor.gains()
     gain, white = gain * states[:m] / states[:, None], white * states[: white.shape[2]] / unit
     together = row(white.reshape(len(white), -1))  # one shift for all: C takes them in turn
     rule = monitor.rule if isinstance(monitor.rule, CusumBank) else CusumBank((), ())
     halves = 0.5 * np.array(rule.shifts) / np.array(monitor.thresholds)[: len(rule.shifts)]
-    drag = [value(float(part), unit) for part, unit in zip(monitor.drag, states, strict=True)]
+    # What brushes and dry friction take in a sample, for a motion forwards.
+    drag = rounded(inputs @ [monitor.motor.brush_drop_v, -monitor.motor.coulomb_friction_n_m] / states, dtype)
+    slowest = float(np.abs(np.linalg.eigvals(transition)).max())
+    memory = round(-math.log2(max(1.0 - slowest, 2.0**-_LONGEST_MEMORY)))
     ranges = np.array(limits[:3]) / np.array(steps)
     return Numbers(
         dtype=dtype,
+        is_fixed=dtype == np.int64,
+        n_channels=m,
         scales=tuple(round(step / unit) for step, unit in zip(steps, units, strict=True)),
         readings=steps,
         model=(row(model[:1]), row(model[1:])),
-        drag=(drag[0], drag[1], value(DEADBAND * limits.speed_rad_s / 2.0, units[1])),
+        drag=(drag[0], drag[1], rounded(np.array(DEADBAND * limits.speed_rad_s / 2.0 / units[1]), dtype)),
         gain=(row(gain[:, 0]), row(gain[:, 1])),
         white=tuple(
             replace(together, factors=part) for part in np.split(together.factors, white.shape[1], axis=1)
         ),
-        halves=value(halves, unit),
-        threshold=value(1.0, unit),
+        halves=rounded(halves / unit, dtype),
+        threshold=rounded(np.array(1.0 / unit), dtype),
         ranges=(np.floor(ranges) if dtype == np.int64 else ranges).astype(dtype),
         stuck_after=limits.stuck_after,
         n_friction=len(rule.friction),
-        memory=monitor.memory,
+        memory=max(memory, 0),
     )
+
+
+class SampleVerdict(IntEnum):
+    """Verdict of a sample, with the number that it has in C."""
+
+    HEALTHY = 0
+    FAULT = 1
+    SENSOR_STUCK = 2
+    SENSOR_RANGE = 3
+
+
+class Answers(NamedTuple):
+    """Verdict and statistic after each sample, shape (n_cases, n_samples); the statistic as C counts it."""
+
+    verdict: NDArray[np.int64]
+    statistic: Values
+
+
+def readings_of(numbers: Numbers, measurements: ArrayLike, voltage_v: ArrayLike) -> Values:
+    """What the controller reads: measurements (n_cases, m, n_samples) and voltage (n_samples,) as floats or counts.
+
+    Returns:
+        Shape (n_cases, m + 1, n_samples): current, speed where measured, voltage.
+    """
+    measured = np.asarray(measurements, dtype=np.float64)
+    voltage = np.broadcast_to(voltage_v, measured[:, 0].shape)[:, None]
+    sizes = np.array([*numbers.readings[: numbers.n_channels], numbers.readings.voltage_v])[:, None]
+    return rounded(np.concatenate([measured, voltage], axis=1) / sizes, numbers.dtype)
+
+
+def answers(numbers: Numbers, readings: Values) -> Answers:
+    """Run a monitor from its begin over the readings of many motors, as `readings_of` gives them."""
+    twin = _Twin(numbers, len(readings))
+    steps = [(twin.step(sample), twin.statistic) for sample in np.moveaxis(readings, 2, 0)]
+    return Answers(*(np.stack(column, axis=1) for column in zip(*steps, strict=True)))
+
+
+class _Twin:
+    def __init__(self, numbers: Numbers, n_cases: int) -> None:
+        self.numbers, self.sample = numbers, 0
+        self.state, self.lost, self.slow = np.zeros((3, 2, n_cases), numbers.dtype)
+        self.voltage, self.statistic = np.zeros((2, n_cases), numbers.dtype)
+        self.sums = np.zeros((2, len(numbers.halves), n_cases), numbers.dtype)
+        self.last, self.same = np.zeros((2, n_cases, numbers.n_channels), numbers.dtype)
+
+    def step(self, readings: Values) -> NDArray[np.int64]:
+        """Verdicts on a sample of each case, shape (n_cases,); its readings are (n_cases, m + 1)."""
+        numbers, m = self.numbers, self.numbers.n_channels
+        inside = np.abs(readings) <= numbers.ranges[[*range(m), 2]]
+        self.voltage = np.where(inside[:, m], readings[:, m] * numbers.scales[2], self.voltage)
+        measured = readings[:, :m]
+        again = (measured == self.last) & (self.voltage != 0)[:, None]
+        self.same = np.where(again, np.minimum(self.same + 1, numbers.stuck_after), 0)
+        self.last = measured
+        wrong, stuck = ~inside.all(axis=1), (self.same == numbers.stuck_after).any(axis=1)
+        used = ~(wrong | stuck)
+        growth = self._growth()
+        forward = self._forward(growth)
+        innovation = [measured[:, c] * numbers.scales[c] - self.state[c] - growth[c] for c in range(m)]
+        correction = np.array([row.total(self.sample, innovation) for row in numbers.gain])
+        white = np.array([row.total(self.sample, innovation) for row in numbers.white])
+        self._add(np.where(used, growth + correction, growth))
+        self.statistic = np.where(used, self._decided(white, forward, used), self.statistic)
+        self.sample += 1
+        fault = np.where(self.statistic > numbers.threshold, SampleVerdict.FAULT, SampleVerdict.HEALTHY)
+        sensor = np.where(wrong, SampleVerdict.SENSOR_RANGE, SampleVerdict.SENSOR_STUCK)
+        return np.where(used, fault, sensor)
+
+    def _growth(self) -> Values:
+        (current, speed), drag = self.state, self.numbers.drag
+        direction = np.sign(speed) * (np.abs(speed) > drag[2])
+        totals = [row.total(self.sample, (current, speed, self.voltage)) for row in self.numbers.model]
+        return np.array([total - direction * part for total, part in zip(totals, drag, strict=False)])
+
+    def _add(self, growth: Values) -> None:
+        if self.numbers.is_fixed:
+            self.state = clamped(self.state + growth)
+        else:
+            rest, before = growth - self.lost, self.state
+            self.state = before + rest
+            self.lost = (self.state - before) - rest
+
+    def _forward(self, growth: Values) -> Values:
+        """Whose signs the innovation is taken with, for windings and for friction."""
+        is_fixed, predicted = self.numbers.is_fixed, self.state + growth
+        predicted = clamped(predicted) if is_fixed else predicted
+        shared = np.floor_divide if is_fixed else np.divide
+        self.slow = self.slow + shared(predicted - self.slow, 2**self.numbers.memory)
+        return np.array([predicted[0] - self.slow[0], self.slow[1]])
+
+    def _decided(self, white: Values, forward: Values, used: NDArray[np.bool_]) -> Values:
+        """The statistic, where the sample is used."""
+        numbers = self.numbers
+        if numbers.halves.size:
+            sign = np.repeat(forward[::-1], [numbers.n_friction, len(white) - numbers.n_friction], axis=0)
+            signed = np.where(sign < 0, -white, white)
+            moved = self.sums + np.array([signed, -signed]) - numbers.halves[:, None]
+            sums = np.clip(moved, 0, LARGEST if numbers.is_fixed else None)
+            self.sums = np.where(used, sums, self.sums)
+            return np.asarray(sums.max(axis=(0, 1)))
+        squares = white * white
+        if numbers.is_fixed:
+            squares = clamped((squares + (1 << (STATISTIC_BITS - 1))) >> STATISTIC_BITS)
+        return np.asarray(np.add.reduce(squares))

@@ -12,17 +12,15 @@ from motor_env.detection.rules.cusum import Cusum
 from motor_env.detection.rules.nis import MOfN
 from motor_env.filters.kalman import KalmanFilter, Schedule, schedule
 from motor_env.motor.data_sheet import Motor
-from motor_env.motor.model import Input, steady_state
+from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters, require, require_positive
 
 STUCK_AFTER = 100
 DEADBAND = 0.01
 _HEADROOM = 2.0
 _SETTLED = 1e-6
-_LONGEST_SCHEDULE = 1 << 20
 _YEAR_S = 365.25 * 86_400.0
 _OVERLAP = 12.0
-_LONGEST_MEMORY = 15  # as a power of two
 
 
 class Limits(NamedTuple):
@@ -69,52 +67,18 @@ class Monitor:
     """A filter of one motor, a rule on its whitened innovations, and the rule's thresholds.
 
     Attributes:
+        motor: its name, and what brushes and dry friction take.
         kalman: the belief, of one motor that begins at rest; of the current, or of current and speed.
         rule: bank of CUSUMs, or the plain NIS test.
         thresholds: of each sum, or of the NIS; the motor counts as faulty above any of them.
         limits: of the sensors.
-        brush_drop_v: voltage drop against the motion.
-        coulomb_friction_n_m: torque against the motion.
-        name: of the motor.
     """
 
+    motor: Motor
     kalman: KalmanFilter
     rule: CusumBank | MOfN
     thresholds: tuple[float, ...]
     limits: Limits
-    brush_drop_v: float = 0.0
-    coulomb_friction_n_m: float = 0.0
-    name: str = "motor"
-
-    def __post_init__(self) -> None:
-        single = not isinstance(self.rule, MOfN) or (self.rule.needed, self.rule.among) == (1, 1)
-        require(single, f"rule must be a CusumBank or the NIS test of single samples, got {self.rule}")
-        require(self.kalman.model.transition.ndim == 2, "kalman must be the belief of one motor, got a batch")
-        for threshold in self.thresholds:
-            require_positive("threshold", threshold)
-        for name, value in zip(Limits._fields, self.limits, strict=True):
-            require_positive(name, value)
-        require(
-            self.limits.stuck_after < 65_536, f"stuck_after must be < 65536, got {self.limits.stuck_after}"
-        )
-
-    @property
-    def n_channels(self) -> int:
-        """Measured channels."""
-        return len(self.kalman.observation)
-
-    @property
-    def drag(self) -> FloatArray:
-        """What brushes and dry friction take from the state in a sample, for a motion forwards, shape (2,)."""
-        inputs = np.zeros(len(Input))
-        inputs[Input.VOLTAGE], inputs[Input.LOAD_TORQUE] = self.brush_drop_v, -self.coulomb_friction_n_m
-        return np.asarray(self.kalman.model.gain @ inputs, dtype=np.float64)
-
-    @property
-    def memory(self) -> int:
-        """Mechanical time constant in samples, as the nearest power of two."""
-        slowest = float(np.abs(np.linalg.eigvals(self.kalman.model.transition)).max())
-        return min(max(round(-math.log2(max(1.0 - slowest, 1e-9))), 0), _LONGEST_MEMORY)
 
     def gains(self) -> tuple[FloatArray, FloatArray]:
         """Kalman gains, and what turns innovations into shares of the thresholds.
@@ -135,11 +99,10 @@ class Monitor:
 
 def settled(kalman: KalmanFilter) -> Schedule:
     """Gains from the begin until they no longer change."""
-    count = 256
-    steps = schedule(kalman, count)
-    while steps.held_from >= count and count < _LONGEST_SCHEDULE:
-        count *= 2
-        steps = schedule(kalman, count)
+    for power in range(8, 21):
+        steps = schedule(kalman, 2**power)
+        if steps.held_from < 2**power:
+            break
     return steps
 
 
@@ -155,9 +118,8 @@ def sensor_of(
     require(
         noise_a is not None, "the motor file has no sensor.current_noise_a; give the noise of the current"
     )
-    if speed_noise_rad_s is None:
-        return SensorParameters(current_noise_a=noise_a or 0.0)
-    return SensorParameters((Channel.CURRENT, Channel.SPEED), noise_a or 0.0, speed_noise_rad_s)
+    channels = (Channel.CURRENT,) if speed_noise_rad_s is None else (Channel.CURRENT, Channel.SPEED)
+    return SensorParameters(channels, noise_a or 0.0, speed_noise_rad_s or 0.0)
 
 
 def monitor_of(
@@ -186,26 +148,33 @@ def monitor_of(
     Raises:
         ValueError: a value out of range, or fewer false alarms than the rule's equation resolves.
     """
-    for name, value in (("rate_hz", rate_hz), ("voltage_v", voltage_v)):
+    for name, value in (
+        ("rate_hz", rate_hz),
+        ("voltage_v", voltage_v),
+        ("false_alarms_per_year", false_alarms_per_year),
+    ):
         require_positive(name, value)
-    require_positive("false_alarms_per_year", false_alarms_per_year)
-    require(sensor.channels[0] == Channel.CURRENT, "the first channel must be the current")
+    require(
+        not isinstance(rule, MOfN) or (rule.needed, rule.among) == (1, 1),
+        f"rule must be a CusumBank or the NIS test of single samples, got {rule}",
+    )
+    require(stuck_after < 65_536, f"stuck_after must be < 65536, got {stuck_after}")
     kalman = KalmanFilter.from_parameters(motor.parameters, sensor, 1.0 / rate_hz)
     if not scheduled:
         kalman = replace(kalman, initial_covariance=settled(kalman).covariance[-1])
     arl0 = _YEAR_S * rate_hz / false_alarms_per_year
-    if isinstance(rule, CusumBank):
-        thresholds = rule.thresholds_for(arl0)
-    else:
-        thresholds = (rule.threshold_for(arl0=arl0, n_channels=len(sensor.channels)).value,)
-    stall_a = voltage_v / float(motor.parameters.resistance_ohm)
-    _, speed = steady_state(motor.parameters, voltage_v).tolist()
-    return Monitor(
-        kalman,
-        rule,
-        thresholds,
-        Limits(_HEADROOM * stall_a, _HEADROOM * speed, _HEADROOM * voltage_v, stuck_after),
-        brush_drop_v=motor.brush_drop_v,
-        coulomb_friction_n_m=motor.coulomb_friction_n_m,
-        name=motor.name,
+    thresholds = (
+        rule.thresholds_for(arl0)
+        if isinstance(rule, CusumBank)
+        else (rule.threshold_for(arl0=arl0, n_channels=len(sensor.channels)).value,)
     )
+    _, speed = steady_state(motor.parameters, voltage_v).tolist()
+    limits = Limits(
+        current_a=_HEADROOM * voltage_v / float(motor.parameters.resistance_ohm),
+        speed_rad_s=_HEADROOM * speed,
+        voltage_v=_HEADROOM * voltage_v,
+        stuck_after=stuck_after,
+    )
+    for name, value in zip(Limits._fields, limits, strict=True):
+        require_positive(name, value)
+    return Monitor(motor, kalman, rule, thresholds, limits)

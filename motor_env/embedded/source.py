@@ -7,23 +7,26 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.signal import dlsim
 
 from motor_env.embedded.arithmetic import (
     LARGEST,
     STATISTIC_BITS,
     Numbers,
+    SampleVerdict,
     Steps,
     Values,
+    answers,
     fixed_point,
     floating,
+    readings_of,
 )
 from motor_env.embedded.monitor import Monitor
-from motor_env.embedded.twin import SampleVerdict, answers, readings_of
 from motor_env.errors import InputError
 from motor_env.files import write_text
 from motor_env.pages.html import render
 
-_HEALTHY_CHECKS, _FAULTY_CHECKS = 8, 8
+_HEALTHY_CHECKS, _FAULTY_CHECKS, _MOST_DOUBLINGS = 8, 8, 60
 _RESERVED = frozenset(["monitor", "sample", "number", "main", "loop", "setup"])
 
 
@@ -68,22 +71,21 @@ def write_library(
     }
     for path, template in files.items():
         text = render("motor_env.embedded", template, filters={"literal": literal}, **values)
-        write_text(folder / path, text + "\n")
+        write_text(folder / path, f"{text}\n")
     return [folder / path for path in files]
 
 
 def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, Any]:
-    fixed = n.dtype == np.int64
     rate_hz = 1.0 / monitor.kalman.model.dt_s
     gains = np.concatenate([row.factors for row in (*n.gain, *n.white)], axis=1)
     return {
         "n": n,
         "name": name,
-        "title": "Monitor of " + re.sub(r"[^\w .,:+-]", "_", monitor.name, flags=re.ASCII),
+        "title": "Monitor of " + re.sub(r"[^\w .,:+-]", "_", monitor.motor.name, flags=re.ASCII),
         "rule": re.sub(r"[*/]", "_", repr(monitor.rule)),
         "wanted": wanted,
-        "fixed": fixed,
-        "number": "int32_t" if fixed else "float",
+        "fixed": n.is_fixed,
+        "number": "int32_t" if n.is_fixed else "float",
         "cusum": n.halves.size > 0,
         "m": n.n_channels,
         "two_channels": n.n_channels == 2,
@@ -94,9 +96,9 @@ def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, A
         "counts": Steps(*(literal(np.float32(size)) for size in n.readings)),  # type: ignore[arg-type]
         "statistic_bits": STATISTIC_BITS,
         "memory_share": np.float32(2.0**-n.memory),
-        "statistic_count": literal(np.float32(2.0**-STATISTIC_BITS if fixed else 1.0)),
+        "statistic_count": literal(np.float32(2.0**-STATISTIC_BITS if n.is_fixed else 1.0)),
         "largest": LARGEST,
-        "slack": 0 if fixed else "1e-3f",
+        "slack": 0 if n.is_fixed else "1e-3f",
         "checks": checks(monitor, n),
     }
 
@@ -108,31 +110,21 @@ def literal(value: Any) -> str:
 
 def checks(monitor: Monitor, n: Numbers) -> list[Check]:
     """Samples of a healthy start, then of a current that is off by so much that it alarms, then one out of range."""
-    expected = _start(monitor)
-    sign = np.where(np.arange(expected.shape[1]) % 2, -0.5, 0.5)
+    model, sensor, voltage_v = (
+        monitor.kalman.model,
+        monitor.kalman.observation,
+        monitor.limits.voltage_v / 2.0,
+    )
+    read = (model.transition, model.gain[:, :1], sensor @ model.transition, sensor @ model.gain[:, :1])
+    _, expected, _ = dlsim((*read, model.dt_s), np.full(_HEALTHY_CHECKS + _FAULTY_CHECKS, voltage_v))
     noise = np.sqrt(np.diag(monitor.kalman.measurement_covariance))[:, None]
-    healthy = expected + noise * sign
-    off = 4.0
-    while True:
-        measured = healthy.copy()
+    for off in np.ldexp(4.0, range(_MOST_DOUBLINGS)):
+        measured = expected.T + noise * np.where(np.arange(len(expected)) % 2, -0.5, 0.5)
         measured[0, _HEALTHY_CHECKS:] += off * noise[0]
         measured[0, -1] = 4.0 * monitor.limits.current_a
-        voltage = np.full(measured.shape[1], monitor.limits.voltage_v / 2.0)
-        readings = readings_of(n, measured[None], voltage)
-        answer = answers(n, readings)
-        if SampleVerdict.FAULT in answer.verdict or off > monitor.limits.current_a / noise[0]:
+        readings = readings_of(n, measured[None], voltage_v)
+        (verdicts,), (statistics,) = answers(n, readings)
+        if SampleVerdict.FAULT in verdicts or off > monitor.limits.current_a / noise[0]:
             break
-        off *= 2.0
-    return [
-        Check(readings[0, :, k], answer.statistic[0, k], SampleVerdict(int(answer.verdict[0, k])).name)
-        for k in range(measured.shape[1])
-    ]
-
-
-def _start(monitor: Monitor) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """What the sensors of the believed motor read without noise after it is switched on, shape (m, n)."""
-    model, state, rows = monitor.kalman.model, np.zeros(2), []
-    for _ in range(_HEALTHY_CHECKS + _FAULTY_CHECKS):
-        state = model.transition @ state + model.gain[:, 0] * monitor.limits.voltage_v / 2.0
-        rows.append(monitor.kalman.observation @ state)
-    return np.array(rows).T
+    samples = zip(readings[0].T, statistics, verdicts.tolist(), strict=True)
+    return [Check(reading, statistic, SampleVerdict(verdict).name) for reading, statistic, verdict in samples]

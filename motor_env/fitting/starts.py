@@ -167,7 +167,7 @@ class Identified:
 
     @property
     def is_hidden(self) -> bool:
-        """Whether the sensor hides small currents: its readings are not linear in the state, and have no innovations."""
+        """Whether the sensor hides small currents: its readings are not linear in the state."""
         return self.start.alignment.rectified or "dead_zone" in self.model
 
     @property

@@ -1,20 +1,21 @@
-"""The command `motor-env watch`: what it watches, what it keeps."""
+"""The command `motor-env watch`: what it watches, keeps and shows: a screen on a terminal, JSON lines otherwise."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import sys
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from motor_env.console import printable
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.errors import InputError
-from motor_env.live.screen import showing
 from motor_env.live.sources import lines, source
 from motor_env.live.state import State
 from motor_env.live.watch import Event, Lesson, Watch
 from motor_env.motor.data_sheet import Motor, load_motor, save_motor
 from motor_env.motor.healthy import Healthy
-
-_KEPT = ("window", "learned")
 
 
 def run(
@@ -36,22 +37,19 @@ def run(
     if name is None and follow:
         raise InputError("--follow needs a log; standard input is waited for anyway")
     seen = State.load(state)
-    if columns is not None:
-        seen.header = columns
+    seen.header = columns or seen.header
     if name is None:
         seen.offset = 0
-    watcher = Watch(_healthy(motor, lesson), seen, false_alarms_per_year=false_alarms_per_year)
-    pieces = source(name, follow=follow, offset=seen.offset, baud=baud)
-    try:
-        with showing(seen.counts) as show:
-            for event in watcher.events(lines(pieces, rest=not follow)):
-                show(event)
-                if event.kind == "learned" and watcher.healthy is not None:
-                    save_motor(motor_of_windows(watcher.healthy, motor.stem), motor)
-                if state is not None and event.kind in _KEPT:
-                    seen.save(state)
-    except KeyboardInterrupt:  # the usual end of a watch
-        pass
+    known = _windows_of(load_motor(motor)) if lesson is None or motor.exists() else lesson
+    watcher = Watch(known, seen, false_alarms_per_year=false_alarms_per_year)
+    heard = lines(source(name, follow=follow, offset=seen.offset, baud=baud), rest=not follow)
+    with suppress(KeyboardInterrupt), showing(seen.counts) as show:  # Ctrl-C is the usual end of a watch
+        for event in watcher.events(heard):
+            show(event)
+            if event.kind == "learned" and watcher.healthy is not None:
+                save_motor(motor_of_windows(watcher.healthy, motor.stem), motor)
+            if state is not None and event.kind in ("window", "learned"):
+                seen.save(state)
     return int(seen.exit_status)
 
 
@@ -71,20 +69,52 @@ def watch(
     Raises:
         InputError: the motor was not learned from windows, or the log cannot be read.
     """
-    known = motor if isinstance(motor, Motor) else load_motor(motor)
+    healthy = _windows_of(motor if isinstance(motor, Motor) else load_motor(motor))
     if isinstance(log, str | Path):
         pieces = lines(source(str(log), follow=False, offset=0, baud=0))
     else:
         pieces = (f"{line.rstrip()}\n".encode() for line in log)
-    yield from Watch(_windows_of(known), State(), false_alarms_per_year=false_alarms_per_year).events(pieces)
-
-
-def _healthy(motor: Path, lesson: Lesson | None) -> Healthy | Lesson:
-    """Of the motor file; where there is none yet and the stream shall teach, what is to be learned."""
-    return lesson if lesson is not None and not motor.exists() else _windows_of(load_motor(motor))
+    yield from Watch(healthy, State(), false_alarms_per_year=false_alarms_per_year).events(pieces)
 
 
 def _windows_of(motor: Motor) -> Healthy:
     if motor.healthy is None or motor.healthy.windows is None:
         raise InputError(f"{motor.name}: was not commissioned by windows of the motor at work")
     return motor.healthy
+
+
+@contextmanager
+def showing(counts: Counter[str]) -> Iterator[Callable[[Event], None]]:
+    """Yields the function that shows an event; the counts are those of all events."""
+    if not sys.stdout.isatty():
+        yield _line
+        return
+    from rich.console import Group
+    from rich.live import Live
+    from rich.table import Table
+    from rich.text import Text
+
+    latest: deque[Event] = deque(maxlen=8)
+    with Live(Text("waiting for the first window")) as screen:
+
+        def show(event: Event) -> None:
+            latest.append(event)
+            table = Table("time (s)", "event", "what", "moved", expand=True)
+            for each in latest:
+                moved = ", ".join(f"{name} {ratio - 1.0:+.1%}" for name, ratio in each.ratios.items())
+                words = (f"{each.time_s:.6g}", each.kind, f"{each.text} {each.reason}", moved)
+                table.add_row(*(Text(printable(word)) for word in words), style=_style(each))
+            screen.update(Group(table, Text(", ".join(f"{n} {name}" for name, n in counts.most_common()))))
+
+        yield show
+
+
+def _line(event: Event) -> None:
+    sys.stdout.write(event.as_json() + "\n")
+    sys.stdout.flush()
+
+
+def _style(event: Event) -> str:
+    if event.kind != "window" or event.text == "unusable":
+        return "yellow" if event.kind not in ("learning", "learned") else ""
+    return "green" if event.text == "healthy" else "bold red"

@@ -52,8 +52,7 @@ def lines(pieces: Iterator[Piece], *, rest: bool = True) -> Iterator[Piece]:
         elif piece:
             heard_s, is_silent = time.monotonic(), False
             *whole, left = (left + piece).split(b"\n")
-            for line in whole:
-                yield line + b"\n"
+            yield from (line + b"\n" for line in whole)
         elif not is_silent and time.monotonic() - heard_s > SILENCE_S:
             is_silent = True
             yield SILENCE
@@ -168,12 +167,10 @@ def _put(waiting: queue.Queue[Piece | None], piece: Piece) -> None:
 
 def _from(waiting: queue.Queue[Piece | None]) -> Iterator[Piece]:
     """What threads have put in, up to None."""
-    while True:
+    piece: Piece | None = b""
+    while piece is not None:
+        yield piece
         try:
             piece = waiting.get(timeout=1.0)
         except queue.Empty:
-            yield b""
-            continue
-        if piece is None:
-            return
-        yield piece
+            piece = b""

@@ -47,13 +47,13 @@ class State:
 
     def save(self, path: Path) -> None:
         """Write it whole."""
-        content = {"offset": self.offset, "counts": dict(self.counts), "header": self.header}
-        write_text(path, json.dumps(content))
+        write_text(path, json.dumps(vars(self)))
 
     @property
     def exit_status(self) -> ExitStatus:
         """Of the verdicts on windows; undecided where there is none."""
-        words = [
-            name.removeprefix(WINDOW) for name, n in self.counts.items() if n and name.startswith(WINDOW)
-        ]
-        return worst(Verdict(word).status for word in words)
+        return worst(
+            Verdict(name.removeprefix(WINDOW)).status
+            for name, n in self.counts.items()
+            if n and name.startswith(WINDOW)
+        )

@@ -12,13 +12,12 @@ from array import array
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from motor_env.diagnosis.running.lessons import FEWEST_WINDOWS, learn_windows
 from motor_env.diagnosis.running.looks import Looks
-from motor_env.diagnosis.running.windows import WindowJudge, averaged, judge_of
+from motor_env.diagnosis.running.windows import averaged, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.live.sources import NEW_FILE, Notice, Piece
@@ -67,16 +66,20 @@ class Event:
 
     def as_json(self) -> str:
         """One line."""
-        words = (
-            {"verdict": self.text, "kind": self.fault_kind, "reason": self.reason}
-            if self.kind == "window"
-            else {"reason": self.text}
+        is_window = self.kind == "window"
+        said = {
+            "time_s": self.time_s,
+            "event": self.kind,
+            "verdict": self.text if is_window else None,
+            "kind": self.fault_kind,
+            "reason": self.reason if is_window else self.text,
+            "ratios": {name: round(ratio, 4) for name, ratio in self.ratios.items() if math.isfinite(ratio)},
+            "span_s": self.span_s,
+            "undecided": list(self.undecided),
+        }
+        return json.dumps(
+            {name: value for name, value in said.items() if value not in ("", {}, [], None)}, allow_nan=False
         )
-        ratios = {name: round(ratio, 4) for name, ratio in self.ratios.items() if math.isfinite(ratio)}
-        said: dict[str, Any] = {"time_s": self.time_s, "event": self.kind, **words, "ratios": ratios}
-        said |= {"span_s": self.span_s, "undecided": list(self.undecided)}
-        kept = {name: value for name, value in said.items() if value not in ("", {}, [], None)}
-        return json.dumps(kept, allow_nan=False)
 
 
 @dataclass
@@ -106,14 +109,6 @@ class Lesson:
         """Sampling interval; infinite until it is known."""
         return self.recordings[0].dt_s if self.recordings else math.inf
 
-    def add(self, recording: Recording) -> bool:
-        """Take one more window; whether they are enough."""
-        self.recordings.append(averaged(recording, self.window_s))
-        return len(self.recordings) * self.window_s >= self.learn_s * (1.0 - 1e-9)
-
-    def __str__(self) -> str:
-        return f"{len(self.recordings) * self.window_s:g} of {self.learn_s:g} s"
-
 
 def _columns(samples: array[float]) -> dict[str, FloatArray]:
     return dict(zip(_QUANTITIES, np.array(samples).reshape(-1, len(_QUANTITIES)).T, strict=True))
@@ -138,13 +133,8 @@ class Watch:
         if not 0.0 < false_alarms_per_year < math.inf:
             raise InputError(f"false-alarms-per-year must be > 0, got {false_alarms_per_year:g}")
         self.state = state
-        self.healthy: Healthy | None = None
-        self._lesson: Lesson | None = None
-        self._judge: WindowJudge | None = None
-        if isinstance(healthy, Lesson):
-            self._lesson = healthy
-        else:
-            self._know(healthy)
+        self.healthy = None if isinstance(healthy, Lesson) else healthy
+        self._motor = healthy if isinstance(healthy, Lesson) else judge_of(healthy)
         self.rate = min(false_alarms_per_year * self._pace.window_s / YEAR_S, 0.5) / 2.0
         self._columns: list[tuple[int, float]] = []
         self._window, self._before = array("d"), array("d")
@@ -156,15 +146,10 @@ class Watch:
         if state.header:
             self._read_header(state.header)
 
-    def _know(self, healthy: Healthy) -> None:
-        self.healthy, self._judge, self._lesson = healthy, judge_of(healthy), None
-
     @property
     def _pace(self) -> Windows | Lesson:
         """What tells the length of a window and the sampling interval."""
-        known = self._lesson if self._judge is None else self._judge.windows
-        assert known is not None  # noqa: S101  # one of them is always there
-        return known
+        return self._motor if isinstance(self._motor, Lesson) else self._motor.windows
 
     def events(self, lines: Iterable[Piece]) -> Iterator[Event]:
         """Events of lines and of what their source says."""
@@ -183,56 +168,51 @@ class Watch:
         if not self._columns and self.state.counts["malformed"]:
             raise InputError("no line names the columns time, voltage, current and speed")
 
-    def _line(self, text: str) -> Iterable[Event]:
+    def _line(self, text: str) -> Iterator[Event]:
         words = text.split(",")
         try:
             sample = [float(words[k]) * factor for k, factor in self._columns]
         except (ValueError, IndexError):
             sample = []
         if sample and math.isfinite(sum(sample)):
-            return self._sample(sample)
+            yield from self._sample(sample)
         # A device that begins anew says its header again.
-        if not text or text[0] == "#" or self._read_header(text):
-            return ()
-        return [Event(self._time_s, "malformed", text[:60])]
+        elif text and text[0] != "#" and not self._read_header(text):
+            yield Event(self._time_s, "malformed", text[:60])
 
-    def _sample(self, sample: list[float]) -> Iterable[Event]:
+    def _sample(self, sample: list[float]) -> Iterator[Event]:
         last, self._last = self._last, sample
-        events = []
         if last is not None:
+            self._same = self._same + 1 if last[2] == sample[2] and sample[1] else 0
+            if self._same == STUCK_AFTER:
+                yield self._broken("stuck_sensor", f"{STUCK_AFTER} times the current {sample[2]:.6g} A")
+            if self._same >= STUCK_AFTER:
+                return
             step = sample[0] - last[0]
             if step <= 0.0:
-                events = [self._broken("time_jump", f"{-step:.6g} s back")]
+                yield self._broken("time_jump", f"{-step:.6g} s back")
             elif step > _GAP_STEPS * self._pace.dt_s:
-                events = [self._broken("gap", f"{step:.6g} s without a sample")]
-            self._same = self._same + 1 if last[2] == sample[2] and sample[1] else 0
-            if self._same > STUCK_AFTER:
-                return ()
-            if self._same == STUCK_AFTER:
-                return [self._broken("stuck_sensor", f"{STUCK_AFTER} times the current {sample[2]:.6g} A")]
+                yield self._broken("gap", f"{step:.6g} s without a sample")
         if not self._window:
-            self._begin_looks(sample[0])
+            self._looks, self._looked, self._next_look_s = None, 0, math.inf
+            # Behind a gap another motor may run: looks follow a healthy window only.
+            if self._at is not None and not isinstance(self._motor, Lesson):
+                self._looks = Looks(self._motor, self.rate, self._at)
+                self._next_look_s = sample[0] + self._looks.every_s
         self._window.extend(sample)
         if sample[0] - self._window[0] >= self._pace.window_s:
             self._before, self._window = self._window, array("d")
-            events.append(self._ended(_columns(self._before)))
+            yield self._ended(_columns(self._before))
         elif self._looks and sample[0] >= self._next_look_s:
-            events.extend(self._look(self._looks))
-        return events
-
-    def _begin_looks(self, time_s: float) -> None:
-        """It looks after a healthy window only: behind a gap another motor may run."""
-        self._looks, self._looked, self._next_look_s = None, 0, math.inf
-        if self._judge is not None and self._at is not None:
-            self._looks = Looks(self._judge, self.rate, self._at)
-            self._next_look_s = time_s + self._looks.every_s
+            yield from self._look(self._looks)
 
     def _look(self, looks: Looks) -> Iterator[Event]:
         """What a look says, if it is an alarm; then the window's end is waited for."""
         self._looked += 1
         self._next_look_s += looks.every_s
         if due := looks.due(self._looked):
-            needed = len(_QUANTITIES) * math.ceil(looks.needed_s(due[0]) / self._step_s)
+            step_s = (self._time_s - self._window[0]) / (len(self._window) // len(_QUANTITIES) - 1)
+            needed = len(_QUANTITIES) * math.ceil(looks.needed_s(due[0]) / step_s)
             last = self._window[-needed:]
             if len(last) < needed and self._before:
                 last = self._before[len(last) - needed :] + last
@@ -242,12 +222,6 @@ class Watch:
                 span_s = round(self._time_s - alarm.begin_s, 6)
                 yield replace(self._judged(alarm), ratios={}, reason="", undecided=(), span_s=span_s)
 
-    @property
-    def _step_s(self) -> float:
-        """Time from one sample to the next."""
-        count = len(self._window) // len(_QUANTITIES)
-        return (self._window[-len(_QUANTITIES)] - self._window[0]) / (count - 1)
-
     def _ended(self, columns: dict[str, FloatArray]) -> Event:
         for name in ("current", "speed"):
             if columns["voltage"].any() and not np.ptp(columns[name]):
@@ -255,38 +229,46 @@ class Watch:
                     self._time_s, "stuck_sensor", f"the {name} of a whole window is {columns[name][0]:.6g}"
                 )
         recording = _recording(columns)
-        if self._lesson is not None:
-            return self._taught(recording, self._lesson)
-        assert self._judge is not None  # noqa: S101  # without a lesson it knows the motor
+        if isinstance(self._motor, Lesson):
+            return self._taught(recording, self._motor)
         try:
-            return self._judged(self._judge.judge(recording, self.rate)[0][0])
+            return self._judged(self._motor.judge(recording, self.rate)[0][0])
         except UnusableError as error:
             return Event(self._time_s, "window", "unusable", reason=str(error))
 
     def _taught(self, recording: Recording, lesson: Lesson) -> Event:
-        if not lesson.add(recording):
-            return Event(self._time_s, "learning", str(lesson))
+        lesson.recordings.append(averaged(recording, lesson.window_s))
+        learned_s = len(lesson.recordings) * lesson.window_s
+        words = f"{learned_s:g} of {lesson.learn_s:g} s"
+        if learned_s < lesson.learn_s * (1.0 - 1e-9):
+            return Event(self._time_s, "learning", words)
         try:
-            self._know(learn_windows(lesson.recordings, lesson.window_s, steady=lesson.steady)[0])
+            self.healthy, _ = learn_windows(lesson.recordings, lesson.window_s, steady=lesson.steady)
         except UnusableError as error:
             lesson.recordings.clear()
             return Event(self._time_s, "not_learned", str(error))
-        return Event(self._time_s, "learned", str(lesson))
+        self._motor = judge_of(self.healthy)
+        return Event(self._time_s, "learned", words)
 
     def _judged(self, window: Judgement) -> Event:
-        moved = {change.name for change in window.changes if change.significant}
         ratios = {change.name: change.ratio for change in window.changes}
         if window.verdict is Verdict.HEALTHY:
             self._at = np.log(list(ratios.values()))
-        if window.verdict is Verdict.OTHER and {"K", "J"} <= moved:  # no wear moves both
+        # No wear moves both.
+        if window.verdict is Verdict.OTHER and {"K", "J"} <= {
+            change.name for change in window.changes if change.significant
+        }:
             return Event(
                 self._time_s, "another_motor", "constants and inertia are those of another motor", ratios
             )
-        reason = window.reasons[0] if window.verdict is Verdict.UNUSABLE else ""
-        kind = None if window.kind is None else str(window.kind)
-        undecided = tuple(change.name for change in window.changes if change.verdict == "undecided")
         return Event(
-            self._time_s, "window", str(window.verdict), ratios, reason, fault_kind=kind, undecided=undecided
+            self._time_s,
+            "window",
+            str(window.verdict),
+            ratios,
+            reason=window.reasons[0] if window.verdict is Verdict.UNUSABLE else "",
+            fault_kind=None if window.kind is None else str(window.kind),
+            undecided=tuple(change.name for change in window.changes if change.verdict == "undecided"),
         )
 
     def _broken(self, kind: str, text: str) -> Event:
@@ -303,17 +285,15 @@ class Watch:
         Raises:
             InputError: it is the first that does, and one is missing.
         """
-        found: dict[str, tuple[int, float]] = {}
-        for k, word in enumerate(text.split(",")):
-            meaning = understand(word)
-            if meaning.quantity in _QUANTITIES:
-                found.setdefault(meaning.quantity, (k, meaning.factor))
-        missing = [quantity for quantity in _QUANTITIES if quantity not in found]
-        if missing and found and not self._columns:
+        meanings = [understand(word) for word in text.split(",")]
+        names = [meaning.quantity for meaning in meanings]
+        missing = [quantity for quantity in _QUANTITIES if quantity not in names]
+        if not missing:
+            places = [names.index(quantity) for quantity in _QUANTITIES]
+            self._columns = [(k, meanings[k].factor) for k in places]
+            self.state.header = text
+        elif len(missing) < len(_QUANTITIES) and not self._columns:
             raise InputError(
                 f"the first line must name the columns; {missing[0]} is missing in {text[:80]!r}"
             )
-        if not missing:
-            self._columns = [found[quantity] for quantity in _QUANTITIES]
-            self.state.header = text
         return not missing

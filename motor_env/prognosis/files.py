@@ -1,4 +1,4 @@
-"""From files to trends: the steps of `motor-env trend`."""
+"""From files to trends, and what is said of them: text, JSON, and one self-contained HTML page with pictures."""
 
 from __future__ import annotations
 
@@ -6,129 +6,98 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import timedelta
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from motor_env.console import printable
 from motor_env.diagnosis.files import why_not
 from motor_env.diagnosis.learning import fit_healthy
 from motor_env.errors import InputError
-from motor_env.fitting.starts import Identified, identify
-from motor_env.prognosis.estimates import SECONDS_PER_DAY, Series, build_series, date_of, read_estimates
-from motor_env.prognosis.page import leading, page, status
-from motor_env.prognosis.trend import Trend, judge
-from motor_env.prognosis.wear import RemainingLife
+from motor_env.fitting.starts import identify
+from motor_env.motor.parameters import FloatArray
+from motor_env.pages.html import render
+from motor_env.pages.svg import Axis, Chart, round_ticks
+from motor_env.prognosis.estimates import (
+    SECONDS_PER_DAY,
+    TEMPERATURE,
+    Series,
+    build_series,
+    date_of,
+    read_estimates,
+)
+from motor_env.prognosis.trend import Forecast, Trend, describe, judge
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.start import prepare
 
-TEMPERATURE = "temperature_c"
-"""Column of a table of estimates that is no quantity: they are compared at one temperature."""
-DateSource = Literal["name", "modified"]
-"""Where the date of a recording comes from: its name, or the file's own date."""
+_Z90 = 1.6448536269514722
 
-
-def load_series(
-    paths: Sequence[Path],
-    *,
-    voltage_v: float | None = None,
-    columns: Sequence[ColumnChoice] = (),
-    date: DateSource = "name",
-    progress: Callable[[Path], None] = lambda path: None,
-) -> tuple[list[Series], list[str]]:
-    """Series from one table of estimates, or from a folder (or a list) of dated recordings.
-
-    Returns:
-        The series, and a sentence for every recording that could not be used.
-
-    Raises:
-        InputError: nothing can be used.
-    """
-    if not paths:
-        raise InputError("give a table of estimates, or a folder of dated recordings")
-    missing = [path for path in paths if not path.exists()]
-    if missing:
-        raise InputError(f"{missing[0]}: no such file or folder")
-    if len(paths) == 1 and paths[0].is_file() and _is_table(paths[0]):
-        return read_estimates(paths[0]), []
-    files: list[Path] = []
-    for path in paths:
-        files += sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
-    files = [file for file in files if not file.name.startswith(".")]
-    return _from_recordings(files, voltage_v, columns, date, progress)
+_STATES = {"reached": "limit reached", "trending": "trending", "unknown": "not judged", "steady": "no trend"}
+"""Each state in words, in the order of the page."""
 
 
 def _is_table(path: Path) -> bool:
     """A table of estimates has a column named time or date, or is JSON; a recording has `time_s` and a current."""
-    if path.suffix.lower() == ".json":
-        return True
+    if path.suffix.lower() == ".json" or not path.is_file():
+        return path.is_file()
     with path.open("rb") as file:
         head = file.readline(4096).decode("utf-8", errors="replace").lower()
     return "current" not in head
 
 
-def _from_recordings(
-    files: Sequence[Path],
-    voltage_v: float | None,
+def _readable(
+    paths: Sequence[Path],
     columns: Sequence[ColumnChoice],
-    date: DateSource,
-    progress: Callable[[Path], None],
-) -> tuple[list[Series], list[str]]:
-    notes: list[str] = []
+    date: Literal["name", "modified"],
+    notes: list[str],
+) -> list[tuple[float, Recording]]:
+    """Recordings of a folder or a list and their days, in the order of time; notes say which cannot be read."""
+    files: list[Path] = []
+    for path in paths:
+        files += sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
     dated: list[tuple[float, Path]] = []
-    for file in files:
-        when = date_of(file.name)
-        if date == "modified":
-            when = datetime.fromtimestamp(file.stat().st_mtime, tz=UTC)
-        if when is None:
+    for file in (file for file in files if not file.name.startswith(".")):
+        day = date_of(file.name) if date == "name" else file.stat().st_mtime / SECONDS_PER_DAY
+        if day is None:
             notes.append(f"{file.name}: its name holds no date such as 2026-01-31 (or use --date modified)")
         else:
-            dated.append((when.timestamp() / SECONDS_PER_DAY, file))
-    readable = _read(sorted(dated), columns, notes)
-    fits = _fits(readable, voltage_v, notes, progress)
-    if not fits:
-        raise InputError(
-            f"no recording can be used; the first reason: {notes[0] if notes else 'there are none'}"
-        )
-    estimates: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
-    for day, fit in fits:
-        for name, value, error in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True):
-            estimates[name].append((day, float(value), float(error)))
-    return build_series(estimates, "days", dated=True), notes
-
-
-def _read(
-    dated: Sequence[tuple[float, Path]], columns: Sequence[ColumnChoice], notes: list[str]
-) -> list[tuple[float, Recording]]:
+            dated.append((day, file))
     recordings = []
-    for when, file in dated:
+    for day, file in sorted(dated):
         try:
-            recordings.append((when, read_recording(file, columns)))
+            recordings.append((day, read_recording(file, columns)))
         except (ValueError, ArithmeticError, LookupError) as error:
             notes.append(why_not(file, error, "read")[0])
     return recordings
 
 
-def _fits(
+def _fitted(
     recordings: Sequence[tuple[float, Recording]],
     voltage_v: float | None,
     notes: list[str],
     progress: Callable[[Path], None],
-) -> list[tuple[float, Identified]]:
+) -> list[Series]:
     """Fit every recording with one model, the one that the first three prefer: a change of model would be a jump."""
     model: tuple[str, ...] | None = None
-    fits = []
-    for number, (when, recording) in enumerate(recordings):
+    estimates: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
+    for number, (day, recording) in enumerate(recordings):
         progress(recording.path)
         try:
             if model is None:
                 first = [entry for _, entry in recordings[number : number + 3]]
                 model = fit_healthy(first, voltage_v=voltage_v)[0].model
-            fits.append((when, identify(prepare(recording, voltage_v), model)))
+            fit = identify(prepare(recording, voltage_v), model)
         except (ValueError, ArithmeticError, LookupError) as error:  # UnusableError, or numerics that give up
             notes.append(f"{recording.path.name}: {error}")
-    return fits
+        else:
+            for name, value, spread in zip(fit.quantity_names, fit.values, fit.standard_errors, strict=True):
+                estimates[name].append((day, float(value), float(spread)))
+    if not estimates:
+        raise InputError(f"no recording can be used; the first reason: {[*notes, 'there are none'][0]}")
+    return build_series(estimates)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,12 +115,24 @@ class Trends:
     @property
     def verdict(self) -> str:
         """The most urgent of `reached`, `trending`, `unknown` (too few estimates, or no limit) and `steady`."""
-        said = {status(trend) for trend in self.trends}
-        return next(word for word in ("reached", "trending", "unknown", "steady") if word in said)
+        return min((trend.state for trend in self.trends), key=list(_STATES).index)
 
     def to_json(self) -> list[dict[str, Any]]:
-        """One object a quantity."""
-        return [as_json(trend) for trend in self.trends]
+        """One object a quantity; infinite times are null."""
+        return [
+            {
+                "quantity": trend.series.name,
+                "state": trend.state,
+                "sentence": trend.sentence,
+                "reference": trend.reference,
+                "last_estimate": float(trend.series.estimate[-1]),
+                "estimates": len(trend.series.time),
+                "time_unit": trend.series.unit,
+                "first_date": None if trend.series.start is None else trend.series.start.isoformat(),
+                "limits": [_of_limit(trend, forecast) for forecast in trend.forecasts],
+            }
+            for trend in self.trends
+        ]
 
     def text(self) -> str:
         """A line a quantity."""
@@ -159,8 +140,27 @@ class Trends:
         return "\n".join(f"{trend.series.name:<{width}}  {trend.sentence}" for trend in self.trends)
 
     def page(self) -> str:
-        """A self-contained HTML page with a picture a quantity."""
-        return page(self.trends, self.notes)
+        """A self-contained HTML page with a picture a quantity, those that reach or trend to a limit first."""
+        rows = [_row(trend) for trend in sorted(self.trends, key=lambda one: list(_STATES).index(one.state))]
+        return render("motor_env.prognosis", "trend.html.j2", title="Trends", rows=rows, notes=self.notes)
+
+
+def _of_limit(trend: Trend, forecast: Forecast) -> dict[str, Any]:
+    life = {
+        name: number if math.isfinite(number) else None
+        for name, number in zip(("low", "median", "high", "level"), forecast.life, strict=False)
+    }
+    return {
+        "limit": forecast.factor * trend.reference,
+        "factor": forecast.factor,
+        "probability_of_trend": forecast.wear.probability_trend,
+        "trends": forecast.trends,
+        "reached": forecast.reached,
+        "probability_reached": forecast.life.probability_reached,
+        "drift_per_time_unit": forecast.wear.mean_drift * trend.reference,
+        "remaining_life": life if forecast is trend.leading and forecast.is_told else None,
+        "withheld": forecast.withheld or None,
+    }
 
 
 def trend(
@@ -170,7 +170,7 @@ def trend(
     level: float = 0.9,
     voltage_v: float | None = None,
     columns: Sequence[ColumnChoice] = (),
-    date: DateSource = "name",
+    date: Literal["name", "modified"] = "name",
     reference_count: int = 3,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> Trends:
@@ -194,47 +194,93 @@ def trend(
     if reference_count < 1:
         raise InputError(f"reference-count must be >= 1, got {reference_count}")
     several = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
-    series, notes = load_series(several, voltage_v=voltage_v, columns=columns, date=date, progress=progress)
-    temperature = next((one for one in series if one.name == TEMPERATURE), None)
-    series = [one for one in series if one is not temperature]
-    names, wanted = {one.name for one in series}, limits or {}
-    if unknown := [name for name in wanted if name not in names]:
-        raise InputError(f"--limit names {unknown[0]!r}; the quantities are {', '.join(sorted(names))}")
-    judged = (judge(one, wanted.get(one.name), level, reference_count, temperature) for one in series)
-    return Trends(tuple(judged), tuple(printable(note) for note in notes))
+    if missing := [path for path in several if not path.exists()]:
+        raise InputError(f"{missing[0]}: no such file or folder")
+    notes: list[str] = []
+    if len(several) == 1 and _is_table(several[0]):
+        series = read_estimates(several[0])
+    else:
+        series = _fitted(_readable(several, columns, date, notes), voltage_v, notes, progress)
+    named = {one.name: one for one in series}
+    temperature = named.pop(TEMPERATURE, None)
+    if unknown := [name for name in limits or {} if name not in named]:
+        raise InputError(f"--limit names {unknown[0]!r}; the quantities are {', '.join(sorted(named))}")
+    return Trends(
+        tuple(
+            judge(one, (limits or {}).get(name), level, reference_count, temperature)
+            for name, one in named.items()
+        ),
+        tuple(printable(note) for note in notes),
+    )
 
 
-def as_json(trend: Trend) -> dict[str, Any]:
-    """One object a quantity; infinite times are null."""
-    series, chosen = trend.series, leading(trend)
+def _row(trend: Trend) -> dict[str, str]:
+    """What the page says of a quantity."""
+    series, chosen = trend.series, trend.leading
+    when = f" since {series.start:%Y-%m-%d}" if series.start else ""
     return {
-        "quantity": series.name,
-        "state": status(trend),
+        "name": series.name,
+        "status": trend.state,
+        "state": _STATES[trend.state],
+        "life": "–" if chosen is None or chosen.reached else describe(chosen, series.unit),
         "sentence": trend.sentence,
-        "reference": trend.reference,
-        "last_estimate": float(series.estimate[-1]),
-        "estimates": len(series.time),
-        "time_unit": series.unit,
-        "first_date": None if series.start is None else series.start.isoformat(),
-        "limits": [
-            {
-                "limit": forecast.limit,
-                "factor": forecast.factor,
-                "probability_of_trend": forecast.wear.probability_trend,
-                "trends": forecast.trends,
-                "reached": forecast.reached,
-                "probability_reached": forecast.life.probability_reached,
-                "drift_per_time_unit": forecast.wear.mean_drift * trend.reference,
-                "remaining_life": _life(forecast.life)
-                if forecast is chosen and not forecast.reached and not forecast.withheld
-                else None,
-                "withheld": forecast.withheld or None,
-            }
-            for forecast in trend.forecasts
-        ],
+        "basis": f"{len(series.time)} estimates{when}; mean of the first {trend.reference:.4g}",
+        "chart": _chart(trend),
     }
 
 
-def _life(life: RemainingLife) -> dict[str, float | None]:
-    names = ("low", "median", "high", "level")
-    return {name: value if math.isfinite(value) else None for name, value in zip(names, life, strict=False)}
+def _chart(trend: Trend) -> str:
+    """Estimates, limits, and where it trends the fan and the interval of the time to the limit."""
+    series = trend.series
+    relative = series.estimate / trend.reference
+    error = _Z90 * series.standard_error / abs(trend.reference)
+    factors = [forecast.factor for forecast in trend.forecasts]
+    shown = np.concatenate([relative - error, relative + error, [1.0], factors])
+    low, high = float(shown.min()), float(shown.max())
+    room = 0.06 * max(high - low, 1e-6)
+    told = trend.leading if trend.leading is not None and trend.leading.is_told else None
+    left, last, ahead = float(series.time[0]), float(series.time[-1]), 0.0
+    if told is not None:
+        end = next(x for x in (told.life.high, told.life.median, last - left) if math.isfinite(x))
+        ahead = min(1.08 * end, 3.0 * (last - left))
+    right, start = max(last + ahead, left + 1e-9), series.start
+    ticks = round_ticks(left, right, 6)
+    chart = Chart(
+        Axis(series.unit, left, right, ticks)
+        if start is None
+        else Axis("", left, right, ticks, lambda days: f"{start + timedelta(days=days):%Y-%m-%d}"),
+        Axis("", low - room, high + room, round_ticks(low - room, high + room), _change),
+        size=(860, 300),
+        margins=(64, 120, 16, 38),
+        label=f"{series.name} relative to the mean of the first estimates, over time",
+    )
+    chart.y_numbers()
+    chart.x_numbers()
+    chart.text((chart.right, 296), chart.x_axis.title, anchor="end")
+    for factor in factors:
+        chart.across("limit", factor)
+        chart.text((chart.right + 8, chart.y(factor) + 4), f"limit {_change(factor)}", "limit-name")
+    if told is not None:
+        _draw_forecast(chart, told, last, np.linspace(0.0, ahead, 60))
+    for t, value, half in zip(series.time, relative, error, strict=True):
+        x = chart.x(t)
+        chart.line("range", (x, chart.y(value - half)), (x, chart.y(value + half)))
+        chart.dot("dot", (x, chart.y(value)), 3.2)
+    return chart.svg()
+
+
+def _change(factor: float) -> str:
+    return f"{100.0 * (factor - 1.0):+.0f} %"
+
+
+def _draw_forecast(chart: Chart, told: Forecast, last: float, ahead: FloatArray) -> None:
+    """The levels expected after the last estimate, and on the limit the interval of the time until it is reached."""
+    mean, std = told.wear.forecast(ahead)
+    time, upper, lower = last + ahead, mean + _Z90 * std, mean - _Z90 * std
+    chart.shape("polygon", points=chart.points([*time, *time[::-1]], [*upper, *lower[::-1]]))
+    inside = (mean >= chart.y_axis.low) & (mean <= chart.y_axis.high)
+    chart.curve("forecast", time[inside], mean[inside])
+    y, life = chart.y(told.factor), told.life
+    chart.line("life", (chart.x(last + life.low), y), (chart.x(last + life.high), y))
+    if last + life.median <= chart.x_axis.high:
+        chart.dot("median", (chart.x(last + life.median), y), 6)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from motor_env.motor import identifiable
 from motor_env.motor.parameters import FloatArray
@@ -30,17 +31,14 @@ _KNOWN = {
 
 def at_one_temperature(series: Series, temperature: Series) -> Series:
     """The estimates as they would be at the first temperature, by copper, magnets and friction."""
-    slope = _per_kelvin(series.name)
     kelvin = np.interp(series.time, temperature.time, temperature.estimate)
-    factor = np.exp(-slope * (kelvin - kelvin[0]))
+    factor = np.exp(-_per_kelvin(series.name) * (kelvin - kelvin[0]))
     return replace(series, estimate=series.estimate * factor, standard_error=series.standard_error * factor)
 
 
 def _per_kelvin(name: str) -> float:
     """By how much the logarithm of a quantity moves a kelvin; 0 of one that is not known."""
-    if name not in _KNOWN:
-        return 0.0
-    return float(identifiable.warmth_direction(identifiable.matrix((name,)))[0])
+    return float(identifiable.warmth_direction(identifiable.matrix((name,)))[0]) if name in _KNOWN else 0.0
 
 
 def last_jump(series: Series) -> tuple[int, float] | None:
@@ -52,32 +50,29 @@ def last_jump(series: Series) -> tuple[int, float] | None:
     n = len(series.time)
     if n < _BESIDE:
         return None
-    places = np.arange(_FEWEST, n - _FEWEST + 1)
-    fits = np.array([_step_at(series, int(k)) for k in places])
-    z = fits[:, 0] / fits[:, 1]
+    fits = []
+    for k in range(_FEWEST, n - _FEWEST + 1):
+        some = slice(max(k - _BESIDE, 0), k + _BESIDE)
+        time = series.time[some] - series.time[k]
+        design = np.stack([np.ones(len(time)), time / np.ptp(time), time >= 0.0], axis=1)
+        both = np.linalg.inv(design.T @ design)
+        fits.append(((both @ (design.T @ series.estimate[some]))[2], math.sqrt(both[2, 2])))
+    height, error = np.array(fits).T
+    z = height / error
     spread = max(_MAD * float(np.median(np.abs(z))), 0.5 * float(np.median(series.standard_error)))
     size = np.abs(z) / max(spread, 1e-9 * float(np.ptp(series.estimate)), 1e-9)
-    peaks = [
-        row
-        for row in np.flatnonzero(size > _JUMP)
-        if size[row] == size[max(row - _FEWEST, 0) : row + _FEWEST + 1].max()
-    ]
-    return (int(places[peaks[-1]]), float(fits[peaks[-1], 0])) if peaks else None
-
-
-def _step_at(series: Series, k: int) -> tuple[float, float]:
-    """Step before estimate k on top of a straight line, and its standard error for estimates of error 1."""
-    some = slice(max(k - _BESIDE, 0), k + _BESIDE)
-    time = series.time[some] - series.time[k]
-    design = np.stack([np.ones(len(time)), time / np.ptp(time), (time >= 0.0).astype(float)], axis=1)
-    both = np.linalg.inv(design.T @ design)
-    return float((both @ (design.T @ series.estimate[some]))[2]), math.sqrt(float(both[2, 2]))
+    peaks = np.flatnonzero((size > _JUMP) & (size == maximum_filter1d(size, 2 * _FEWEST + 1)))
+    return (_FEWEST + int(peaks[-1]), float(height[peaks[-1]])) if len(peaks) else None
 
 
 def since(series: Series, first: int) -> Series:
     """The estimates from one on."""
-    parts = (series.time[first:], series.estimate[first:], series.standard_error[first:])
-    return replace(series, time=parts[0], estimate=parts[1], standard_error=parts[2])
+    return replace(
+        series,
+        time=series.time[first:],
+        estimate=series.estimate[first:],
+        standard_error=series.standard_error[first:],
+    )
 
 
 def withheld(series: Series, wear: Degradation, *, knows_temperature: bool) -> str:
@@ -88,9 +83,8 @@ def withheld(series: Series, wear: Degradation, *, knows_temperature: bool) -> s
         wear: fitted to it.
         knows_temperature: whether the estimates are at one temperature.
     """
-    warmth = 0.0 if knows_temperature else abs(_per_kelvin(series.name)) * _UNKNOWN_TEMPERATURE_K
     change = abs(float(wear.weights @ wear.level) * wear.sign - float(series.estimate[:_FEWEST].mean()))
-    if change < warmth:
+    if not knows_temperature and change < abs(_per_kelvin(series.name)) * _UNKNOWN_TEMPERATURE_K:
         return f"a change of the temperature by {_UNKNOWN_TEMPERATURE_K:.0f} K would explain it"
     if abs(wear.mean_drift) < _CLEAR * wear.drift_std:
         return "chance alone may have moved it so far: the drift is below three of its standard deviations"
@@ -102,46 +96,35 @@ def withheld(series: Series, wear: Degradation, *, knows_temperature: bool) -> s
 
 def _drift_change(series: Series, wear: Degradation) -> float:
     """Drift of the second half since the onset, over that of the first, in standard deviations of their difference."""
-    onset = round(float(wear.weights @ wear.onset))
-    time, y = series.time[onset:], wear.sign * series.estimate[onset:]
+    later = since(series, round(float(wear.weights @ wear.onset)))
+    time = later.time - later.time[0]
     if len(time) < _FEWEST_STEPS:
         return 0.0
-    half = time[0] + 0.5 * (time[-1] - time[0])
-    covariance = _covariance(since(series, onset), wear)
-    design = np.stack(
-        [np.ones(len(time)), np.minimum(time, half) - time[0], np.maximum(time - half, 0.0)], axis=1
-    )
-    information = design.T @ np.linalg.solve(covariance, design)
-    both = np.linalg.inv(information)
-    found: FloatArray = both @ (design.T @ np.linalg.solve(covariance, y))
-    variance = both[1, 1] + both[2, 2] - 2.0 * both[1, 2]
-    return float(found[2] - found[1]) / math.sqrt(max(float(variance), 1e-300))
+    white = _whitening(later, wear)
+    # Level, drift of the first half, and by how much that of the second half is larger.
+    design = white @ np.stack([np.ones(len(time)), time, np.maximum(time - 0.5 * time[-1], 0.0)], axis=1)
+    change = np.linalg.pinv(design)[2]
+    return float(wear.sign * change @ white @ later.estimate / np.linalg.norm(change))
 
 
 def earliest(series: Series, wear: Degradation) -> float:
     """Time until the limit under the fastest exponential growth that the history does not exclude, at 95 %."""
-    covariance = _covariance(series, wear)
-    span = float(np.ptp(series.time))
-    fits = [_grown(series, wear, covariance, tau) for tau in span * np.geomspace(0.1, 10.0, 25)]
-    least = min(fit[0] for fit in fits)
-    return min((fit[1] for fit in fits if fit[0] < least + _EXCLUDED), default=math.inf)
+    white, fits = _whitening(series, wear), []
+    for tau in np.ptp(series.time) * np.geomspace(0.1, 10.0, 25):
+        grown = np.exp((series.time - series.time[-1]) / tau)
+        design = white @ np.stack([np.ones(len(grown)), grown], axis=1)
+        (level, size), *_ = np.linalg.lstsq(design, white @ (wear.sign * series.estimate))
+        left = white @ (wear.sign * series.estimate) - design @ [level, size]
+        ratio = (wear.sign * wear.limit - level) / size if size > 0.0 else math.inf
+        fits.append((float(left @ left), tau * math.log(max(ratio, 1.0))))
+    least = min(fits)[0]
+    return min((end for chi_square, end in fits if chi_square < least + _EXCLUDED), default=math.inf)
 
 
-def _grown(series: Series, wear: Degradation, covariance: FloatArray, tau: float) -> tuple[float, float]:
-    """Chi-square of a level that grows with exp(t / tau), and the time until it is at the limit."""
-    y = wear.sign * series.estimate
-    grown = np.exp((series.time - series.time[-1]) / tau)
-    design = np.stack([np.ones(len(y)), grown], axis=1)
-    weighted = np.linalg.solve(covariance, design)
-    level, size = np.linalg.solve(design.T @ weighted, weighted.T @ y)
-    left = y - level - size * grown
-    ratio = (wear.sign * wear.limit - level) / size if size > 0.0 else math.inf
-    return float(left @ np.linalg.solve(covariance, left)), tau * math.log(max(ratio, 1.0))
-
-
-def _covariance(series: Series, wear: Degradation) -> FloatArray:
-    """Covariance of the estimates about the drift, by the wear's random part and their errors."""
+def _whitening(series: Series, wear: Degradation) -> FloatArray:
+    """What makes the estimates about the drift white, by the wear's random part and their errors, shape (n, n)."""
     diffusion, scatter = float(wear.weights @ wear.diffusion), float(wear.weights @ wear.scatter)
     elapsed = series.time - series.time[0]
     walk = diffusion**2 * np.minimum.outer(elapsed, elapsed)
-    return np.asarray(walk + np.diag(series.standard_error**2 + scatter**2 + 1e-18))
+    covariance = walk + np.diag(series.standard_error**2 + scatter**2 + 1e-18)
+    return np.linalg.inv(np.linalg.cholesky(covariance))

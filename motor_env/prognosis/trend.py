@@ -15,11 +15,19 @@ import numpy as np
 from motor_env.errors import InputError
 from motor_env.prognosis.estimates import Series
 from motor_env.prognosis.laws import at_one_temperature, earliest, last_jump, since, withheld
-from motor_env.prognosis.wear import TREND_PROBABILITY, Degradation, RemainingLife
-from motor_env.prognosis.wear_fit import FEWEST_ESTIMATES, degradation
+from motor_env.prognosis.wear import (
+    FEWEST_ESTIMATES,
+    TREND_PROBABILITY,
+    Degradation,
+    RemainingLife,
+    degradation,
+)
 
 DEFAULT_LIMITS = (0.75, 1.25)
-"""Limits of a quantity for which none is given, as factors on its reference: the paper's larger fault level."""
+"""Limits of a quantity for which none is given, as factors on its reference: the paper's larger fault level.
+
+There are none of L, which no fault moves alone and few starts tell.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +35,6 @@ class Forecast:
     """How a quantity stands to one limit.
 
     Attributes:
-        limit: in the quantity's unit.
         factor: the limit over the reference.
         reached: whether the last level lies beyond it, with a probability of at least one half.
         trends: whether there is a drift towards it (posterior probability at least 95 %).
@@ -36,13 +43,17 @@ class Forecast:
         withheld: why no remaining life is told, in words; empty where it is.
     """
 
-    limit: float
     factor: float
     reached: bool
     trends: bool
     wear: Degradation
     life: RemainingLife
     withheld: str = ""
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the remaining life is told."""
+        return not (self.reached or self.withheld)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +72,21 @@ class Trend:
     forecasts: tuple[Forecast, ...]
     sentence: str
 
+    @property
+    def leading(self) -> Forecast | None:
+        """The limit that matters: reached, or trended to, the earliest first."""
+        return min(
+            (forecast for forecast in self.forecasts if forecast.reached or forecast.trends),
+            key=lambda forecast: (not forecast.reached, forecast.life.median),
+            default=None,
+        )
 
-def default_limits(name: str) -> tuple[float, ...]:
-    """Limits of a quantity for which none is given: none of L, which no fault moves alone and few starts tell."""
-    return () if name.startswith("L") else DEFAULT_LIMITS
+    @property
+    def state(self) -> str:
+        """`reached`, `trending`, `steady`, or `unknown` with too few estimates or no limit."""
+        if self.leading is not None:
+            return "reached" if self.leading.reached else "trending"
+        return "steady" if self.forecasts else "unknown"
 
 
 def judge(
@@ -78,7 +100,7 @@ def judge(
 
     Args:
         series: its estimates.
-        factors: limits as factors on the reference, each different from 1; `default_limits` if None.
+        factors: limits as factors on the reference, each different from 1; `DEFAULT_LIMITS` if None.
         level: probability that the interval of the remaining life is to hold.
         reference_count: number of first estimates whose mean is the reference.
         temperature: in degrees Celsius, where recorded.
@@ -99,45 +121,50 @@ def judge(
     jump, restart = last_jump(relative), ""
     if jump is not None:
         relative = since(relative, jump[0])
-        restart = (
-            f"a jump of {_percent(jump[1])} at {_moment(relative)} (a repair or a step), judged since then: "
-        )
+        at, start = float(relative.time[0]), series.start
+        moment = f"{at:.4g} {series.unit}" if start is None else f"{start + timedelta(days=at):%Y-%m-%d}"
+        restart = f"a jump of {_percent(jump[1])} at {moment} (a repair or a step), judged since then: "
     if len(relative.time) < FEWEST_ESTIMATES:
-        found = f"{len(relative.time)}, at least {FEWEST_ESTIMATES} are needed"
-        return Trend(series, reference, (), f"{restart}too few estimates for a trend: {found}")
+        return Trend(
+            series,
+            reference,
+            (),
+            f"{restart}too few estimates for a trend: {len(relative.time)},"
+            f" at least {FEWEST_ESTIMATES} are needed",
+        )
+    if factors is None:
+        factors = () if series.name.startswith("L") else DEFAULT_LIMITS
     forecasts = []
-    for factor in default_limits(series.name) if factors is None else factors:
-        sign = math.copysign(1.0, factor - 1.0)
-        wear = degradation(relative.time, relative.estimate, relative.standard_error, factor, sign=sign)
+    for factor in factors:
+        wear = degradation(
+            relative.time,
+            relative.estimate,
+            relative.standard_error,
+            factor,
+            sign=math.copysign(1.0, factor - 1.0),
+        )
         life = wear.remaining_life(level)
         reached = life.probability_reached >= 0.5
         trends = wear.probability_trend >= TREND_PROBABILITY
         if trends and not reached:
             life = life._replace(low=min(life.low, earliest(relative, wear)))
         reason = withheld(relative, wear, knows_temperature=temperature is not None) if trends else ""
-        forecasts.append(Forecast(factor * reference, factor, reached, trends, wear, life, reason))
+        forecasts.append(Forecast(factor, reached, trends, wear, life, reason))
     return Trend(series, reference, tuple(forecasts), restart + _sentence(series, forecasts))
-
-
-def _moment(series: Series) -> str:
-    """Date or time of the first estimate, in words."""
-    if series.start is not None:
-        return f"{series.start + timedelta(days=float(series.time[0])):%Y-%m-%d}"
-    return f"{series.time[0]:.4g} {series.unit}"
 
 
 def _sentence(series: Series, forecasts: Sequence[Forecast]) -> str:
     change = float(series.estimate[-1] / np.mean(series.estimate[:3]) - 1.0)
-    for forecast in forecasts:
+    for forecast in sorted(forecasts, key=lambda forecast: not forecast.reached):
+        limit = _percent(forecast.factor - 1.0)
         if forecast.reached:
             share = 100.0 * forecast.life.probability_reached
-            return f"the limit at {_percent(forecast.factor - 1.0)} is reached, with a probability of {share:.0f} %"
-    for forecast in forecasts:
+            return f"the limit at {limit} is reached, with a probability of {share:.0f} %"
         if forecast.trends:
             return (
-                f"trends to the limit at {_percent(forecast.factor - 1.0)}, by "
+                f"trends to the limit at {limit}, by "
                 f"{_percent(forecast.wear.mean_drift, digits=2)} of the reference a {series.unit.removesuffix('s')}: "
-                f"{forecast_words(forecast, series.unit)}"
+                f"{describe(forecast, series.unit)}"
             )
     if not forecasts:
         return f"no limit is given, so nothing is judged: last change {_percent(change)}"
@@ -148,16 +175,11 @@ def _sentence(series: Series, forecasts: Sequence[Forecast]) -> str:
     )
 
 
-def forecast_words(forecast: Forecast, unit: str) -> str:
+def describe(forecast: Forecast, unit: str) -> str:
     """The remaining life in words, or why none is told."""
+    life, share = forecast.life, f"{100.0 * forecast.life.level:.0f} %"
     if forecast.withheld:
         return f"no remaining life is told, for {forecast.withheld}"
-    return describe(forecast.life, unit)
-
-
-def describe(life: RemainingLife, unit: str) -> str:
-    """The remaining life in words."""
-    share = f"{100.0 * life.level:.0f} %"
     if math.isinf(life.high):
         return (
             f"not before {life.low:.3g} {unit} (lower end of the {share} interval; no upper end, "

@@ -19,15 +19,25 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import erfcx, ndtr
+from scipy.special import erfcx, log_softmax, ndtr, softmax
 
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, require
 
 TREND_PROBABILITY = 0.95
 """From this posterior probability on a quantity is said to trend to a limit."""
 
+FEWEST_ESTIMATES = 5
+"""Below this no trend can be told from scatter."""
+
+_DIFFUSIONS = np.geomspace(0.004, 2.5, 12)  # in units of distance to the limit / sqrt(time observed)
+_DIFFUSION_SCALE = 0.3  # of the half-Cauchy prior, in the same units
+_DRIFT_SCALE = 0.7  # prior standard deviation of the drift, in distances to the limit / time since the onset
+_SCATTERS = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])  # in units of the typical standard error
+_MOST_ONSETS = 20
+_PRIOR_STEADY = 0.5
+_NEGLIGIBLE = 0.002  # posterior probability of all grid points that are left out
+_LEAST_ERROR = 1e-6  # of the typical one: estimates without an error may scatter by nothing
 _LEVEL_NODES, _LEVEL_WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
-_LEVEL_WEIGHTS = _LEVEL_WEIGHTS / _LEVEL_WEIGHTS.sum()
 _LIFE_POINTS = 100
 
 
@@ -74,8 +84,7 @@ def first_passage_cdf(
     )
     exponent = 2.0 * distance * (drift + drift_variance * distance / diffusion**2) / diffusion**2
     plain = np.exp(np.minimum(exponent, 0.0)) * ndtr(-np.minimum(z, 0.0))
-    cdf = first + np.where(z >= 0.0, scaled, plain)
-    return np.where(distance <= 0.0, 1.0, np.clip(cdf, 0.0, 1.0))
+    return np.where(distance <= 0.0, 1.0, np.clip(first + np.where(z >= 0.0, scaled, plain), 0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +126,6 @@ class Degradation:
         mean = float(self.weights @ self.drift)
         return math.sqrt(float(self.weights @ (self.covariance[:, 1, 1] + (self.drift - mean) ** 2)))
 
-    def cdf(self, life: FloatArray) -> FloatArray:
-        """Probability that the limit is reached within `life` after the last estimate, both of shape (n,)."""
-        *normal, weights = self._nodes()
-        return np.asarray(first_passage_cdf(np.maximum(life, 1e-300)[:, None], *normal) @ weights)
-
     def _nodes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Distance, drift given the level, its variance, diffusion and weight of every quadrature node."""
         std = np.sqrt(self.covariance[:, 0, 0])
@@ -129,31 +133,30 @@ class Degradation:
         slope = self.covariance[:, 0, 1] / self.covariance[:, 0, 0]
         drift = self.drift[:, None] + slope[:, None] * (level - self.level[:, None])
         variance = np.maximum(self.covariance[:, 1, 1] - slope * self.covariance[:, 0, 1], 0.0)
-        nodes = len(_LEVEL_NODES)
         return (
             (self.sign * self.limit - level).ravel(),
             drift.ravel(),
-            np.repeat(variance, nodes),
-            np.repeat(self.diffusion, nodes),
-            np.outer(self.weights, _LEVEL_WEIGHTS).ravel(),
+            np.repeat(variance, len(_LEVEL_NODES)),
+            np.repeat(self.diffusion, len(_LEVEL_NODES)),
+            np.outer(self.weights, _LEVEL_WEIGHTS / _LEVEL_WEIGHTS.sum()).ravel(),
         )
 
     def life_axis(self) -> FloatArray:
         """Times that span the distribution of the remaining life, shape (100,), even in the logarithm."""
-        distance = max(self.sign * self.limit - float(self.weights @ self.level), 0.0)
-        spread = math.sqrt(float(self.weights @ self.covariance[:, 0, 0]))
-        reach = distance + 3.0 * spread
+        reach = max(self.sign * self.limit - float(self.weights @ self.level), 0.0)
+        reach += 3.0 * math.sqrt(float(self.weights @ self.covariance[:, 0, 0]))
         pace = max(abs(self.mean_drift), 0.05 * self.drift_std, 1e-12 * reach, 1e-300)
         return np.geomspace(1e-4, 1e3, _LIFE_POINTS) * reach / pace
 
     def remaining_life(self, level: float = 0.9) -> RemainingLife:
         """Median and central interval of the time until the limit is first reached; the level lies between 0 and 1."""
         axis = self.life_axis()
-        cdf = np.maximum.accumulate(self.cdf(axis))
+        *normal, weights = self._nodes()
+        cdf = first_passage_cdf(np.maximum(axis, 1e-300)[:, None], *normal) @ weights
+        cdf = np.maximum.accumulate(cdf)
         wanted = [0.5 - level / 2.0, 0.5, 0.5 + level / 2.0]
         low, median, high = np.exp(np.interp(wanted, cdf, np.log(axis), left=-np.inf, right=np.inf)).tolist()
-        distance, *_, weights = self._nodes()
-        return RemainingLife(low, median, high, level, float(weights[distance <= 0.0].sum()), float(cdf[-1]))
+        return RemainingLife(low, median, high, level, float(weights[normal[0] <= 0.0].sum()), float(cdf[-1]))
 
     def forecast(self, ahead: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of the level at times after the last estimate, each the shape of `ahead`."""
@@ -168,3 +171,112 @@ class Degradation:
         centre = mean @ self.weights
         std = np.sqrt((spread + (mean - centre[..., None]) ** 2) @ self.weights)
         return self.sign * centre, std
+
+
+def _grid(times: FloatArray, typical_error: float, distance: float) -> tuple[FloatArray, FloatArray]:
+    """All combinations of onset, diffusion and scatter, then steady motors (onset after the end), and their log priors.
+
+    Onsets are equally likely; the drift is Gaussian about 0; diffusion and scatter are half-Cauchy (Gelman 2006).
+    """
+    onsets = np.unique(np.linspace(0.0, len(times) - 2.0, min(len(times) - 1, _MOST_ONSETS)).round())
+    # The diffusions are even in the logarithm, which adds a factor to their density.
+    log_diffusion = log_softmax(np.log(_DIFFUSIONS) - np.log1p((_DIFFUSIONS / _DIFFUSION_SCALE) ** 2))
+    log_scatter = log_softmax(-np.log1p(_SCATTERS**2))
+    axes = np.meshgrid(onsets, _DIFFUSIONS, _SCATTERS, indexing="ij")
+    onset, diffusion, scatter = np.reshape(axes, (3, -1))
+    log_prior = np.add.outer(log_diffusion, log_scatter) + math.log((1.0 - _PRIOR_STEADY) / len(onsets))
+    steady = np.zeros(len(_SCATTERS))
+    since = times[-1] - times[onset.astype(int)]
+    grid = [
+        np.concatenate([onset, steady + len(times)]),
+        np.concatenate([diffusion * distance / math.sqrt(times[-1] - times[0]), steady]),
+        np.concatenate([scatter, _SCATTERS]) * typical_error,
+        np.concatenate([_DRIFT_SCALE * distance / since, steady]),
+    ]
+    priors = [np.tile(log_prior.ravel(), len(onsets)), log_scatter + math.log(_PRIOR_STEADY)]
+    return np.array(grid), np.concatenate(priors)
+
+
+def _filtered(
+    times: FloatArray, estimate: FloatArray, variance: FloatArray, grid: FloatArray, level_std: float
+) -> tuple[FloatArray, FloatArray]:
+    """Kalman filter of [level, drift] for every hypothesis: onset, diffusion, scatter, prior sd of the drift, (4, n).
+
+    Returns:
+        Log-likelihood, shape (n,); level, drift, and their covariances, shape (5, n).
+    """
+    onset, diffusion, scatter, drift_std = grid
+    none = np.zeros(len(onset))
+    level, drift, log_likelihood = none + estimate[0], none, none
+    p00, p01, p11 = none + level_std * level_std, none, drift_std**2
+    for i, step in enumerate(np.diff(times, prepend=times[0])):
+        dt = np.where(onset < i, step, 0.0)
+        level = level + drift * dt
+        p00 = p00 + (2.0 * dt * p01 + dt * dt * p11 + diffusion**2 * dt)
+        p01 = p01 + dt * p11
+        s = p00 + variance[i] + scatter**2
+        error = estimate[i] - level
+        log_likelihood = log_likelihood - 0.5 * (error * error / s + np.log(2.0 * math.pi * s))
+        level, drift = level + p00 / s * error, drift + p01 / s * error
+        kept = (variance[i] + scatter**2) / s
+        p00, p01, p11 = p00 * kept, p01 * kept, p11 - p01 / s * p01
+    return log_likelihood, np.stack([level, drift, p00, p01, p11])
+
+
+def degradation(
+    time: FloatArray,
+    estimate: FloatArray,
+    standard_error: FloatArray,
+    limit: float,
+    *,
+    sign: float | None = None,
+) -> Degradation:
+    """Fit the wear model to a sequence of five estimates or more.
+
+    Args:
+        time: rising, any unit, shape (n,).
+        estimate: shape (n,).
+        standard_error: >= 0, shape (n,).
+        limit: level whose first passage counts.
+        sign: +1 if the limit lies above, -1 below; if None as it lies to the first estimates.
+
+    Raises:
+        ValueError: a value that is not finite, or a limit at the first level.
+    """
+    require(
+        bool(np.isfinite([time, estimate, standard_error]).all()),
+        "time, estimate and standard_error must be finite",
+    )
+    beginning = float(np.mean(estimate[: max(3, len(estimate) // 10)]))
+    distance = abs(limit - beginning)
+    require(distance > 0.0 and math.isfinite(limit), f"limit must differ from the first level, got {limit:g}")
+    towards = math.copysign(1.0, limit - beginning) if sign is None else sign
+    # The unit of the scatter: the median standard error, or what the jumps between neighbours say where that is larger.
+    jumps = float(np.median(np.abs(np.diff(estimate)))) / 0.954  # of white scatter: its standard deviation
+    width = float(np.ptp(estimate))
+    typical = max(float(np.median(standard_error)), 0.3 * jumps, 1e-9 * width, 1e-9 * distance)
+    errors = np.maximum(standard_error, _LEAST_ERROR * typical)
+    grid, log_prior = _grid(time, typical, distance)
+    log_likelihood, moments = _filtered(time, towards * estimate, errors**2, grid, 10.0 * (distance + width))
+    weight = softmax(log_likelihood + log_prior)
+    weight[grid[0] == len(time)] = 0.0  # steady ones
+    probability_drift = float(weight.sum())
+    # The fewest hypotheses that hold all but a negligible part of the weight.
+    order = np.argsort(weight)[::-1]
+    share = np.cumsum(weight[order]) / probability_drift
+    kept = order[: int(np.searchsorted(share, 1.0 - _NEGLIGIBLE)) + 1]
+    weights = weight[kept] / weight[kept].sum()
+    onset, diffusion, scatter, _ = grid[:, kept]
+    level, drift, p00, p01, p11 = moments[:, kept]
+    return Degradation(
+        weights=weights,
+        onset=onset,
+        diffusion=diffusion,
+        scatter=scatter,
+        level=level,
+        drift=drift,
+        covariance=np.moveaxis(np.array([[p00, p01], [p01, p11]]), -1, 0),
+        limit=float(limit),
+        sign=towards,
+        probability_trend=probability_drift * float(weights @ ndtr(drift / np.sqrt(p11))),
+    )

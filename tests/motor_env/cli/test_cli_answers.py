@@ -151,12 +151,12 @@ def test_trend_ends_with_1_where_a_limit_matters(
 
     def judged(paths: list[Path], limits: Any, **more: Any) -> trends.Trends:
         given.update(more, paths=paths, limits=limits)
-        return trends.Trends(cast("Any", tuple(states)), ("a note",))
+        found = tuple(SimpleNamespace(state=state) for state in states)
+        return trends.Trends(cast("Any", found), ("a note",))
 
     monkeypatch.setattr(trends, "trend", judged)
-    monkeypatch.setattr(trends, "status", lambda one: one)
     monkeypatch.setattr(trends.Trends, "page", lambda _: "<page>")
-    monkeypatch.setattr(trends.Trends, "text", lambda one: " ".join(one.trends))
+    monkeypatch.setattr(trends.Trends, "text", lambda one: " ".join(each.state for each in one.trends))
     out = tmp_path / "t.html"
     command = ["trend", "a.csv", "--limit", "R=0.9,1.1", "--level", "0.7", "--reference-count", "5"]
     assert main([*command, "--voltage", "12", "--out", str(out)]) == status

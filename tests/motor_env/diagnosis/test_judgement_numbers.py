@@ -61,6 +61,7 @@ from motor_env.fitting.starts import Identified
 from motor_env.motor.identifiable import matrix, nameable_kinds, names, visible_direction
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.noise import difference_noise
 from motor_env.recordings.periodic_lines import PeriodicLine
 from motor_env.recordings.start import Circuit
 

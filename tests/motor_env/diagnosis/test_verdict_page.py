@@ -98,7 +98,7 @@ def test_numbers_of_experts_lie_behind_the_fold() -> None:
     html = page(judged("healthy"))
     shown, fold = html.split("<details")
     assert "NIS" not in shown
-    assert "mean NIS" in fold
+    assert "(NIS)" in fold
     assert "warning" not in shown.split("<body>")[1]
 
 

@@ -69,6 +69,7 @@ from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.regime import Taken
 from motor_env.recordings.start import Circuit, prepare
 
+WHITE: FloatArray = np.random.default_rng(3).standard_normal((200, 2))
 PHYSICAL = np.zeros(places.N_VALUES)
 PHYSICAL[[places.R, places.L, places.K, places.J]] = 2.1, 1e-3, 0.031, 4.2e-6
 PHYSICAL[[places.B, places.COULOMB, places.SQUARE]] = 2e-6, 3e-4, 1e-8
@@ -144,7 +145,7 @@ def test_the_drag_of_a_window_is_told_over_the_speed() -> None:
     assert viscous(PHYSICAL, 200.0) == pytest.approx(2e-6 + 1.5e-6 + 2e-6)
     assert viscous(PHYSICAL, 50.0) == pytest.approx(2e-6 + 6e-6 + 0.5e-6)
     assert viscous(np.zeros(places.N_VALUES), 200.0) == 1e-300
-    fit = over_speed(WindowFit(np.log([2.0, 0.03, 4e-6, 1.5]), spread(), PHYSICAL), PHYSICAL, 200.0)
+    fit = over_speed(WindowFit(np.log([2.0, 0.03, 4e-6, 1.5]), spread(), PHYSICAL, WHITE), PHYSICAL, 200.0)
     np.testing.assert_allclose(np.exp(fit.log_values), [2.0, 0.03, 4e-6, 1.5 * 5.5e-6])
     assert fit.log_covariance is fit.white_covariance
     np.testing.assert_allclose(fit.log_covariance, spread())
@@ -172,7 +173,7 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     def fitting(record: Record, known: FloatArray, terms: Sequence[str]) -> WindowFit:
         assert (record.hold, terms, known[places.DRAG]) == ("late", WINDOWS.terms, pytest.approx(DRAG))
         logs = np.log([*HEALTHY.values[:3], DRAG]) + 0.01
-        return WindowFit(logs, np.eye(4) * 1e-6, np.zeros(places.N_VALUES))
+        return WindowFit(logs, np.eye(4) * 1e-6, np.zeros(places.N_VALUES), WHITE)
 
     monkeypatch.setattr(windows, "fit_window", fitting)
     monkeypatch.setattr(windows, "decide", deciding)
@@ -632,7 +633,7 @@ class Lesson:
         values = self.values.copy()
         values[places.NOISE_I] = [1.0, 2.0, 3.0, 4.0, 5.0, 9.0][number % 6]
         error = self.error.copy() if len(self.wanted) <= 6 else np.diag([1e-4, 1e-4, 1e-4, 1e-4])
-        return WindowFit(self.logs[number % 6], error, values)
+        return WindowFit(self.logs[number % 6], error, values, WHITE)
 
     def steps(self, parts: Sequence[Record], at: FloatArray) -> Iterator[Any]:
         n = len(parts)

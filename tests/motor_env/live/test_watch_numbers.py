@@ -26,7 +26,7 @@ from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, judge
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.live import command, watch as watching
-from motor_env.live.screen import showing
+from motor_env.live.command import showing
 from motor_env.live.sources import NEW_FILE, SILENCE, Notice, Piece, lines
 from motor_env.live.state import State
 from motor_env.live.watch import Event, Lesson, Watch

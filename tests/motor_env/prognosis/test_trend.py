@@ -2,6 +2,7 @@
 
 import json
 import math
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,9 @@ from scipy.stats import invgauss, multivariate_normal
 from motor_env import InputError
 from motor_env.cli import main
 from motor_env.prognosis.estimates import Series, build_series, date_of, read_estimates
-from motor_env.prognosis.page import page
+from motor_env.prognosis.files import Trends
 from motor_env.prognosis.trend import judge, parse_limits
-from motor_env.prognosis.wear import first_passage_cdf
-from motor_env.prognosis.wear_fit import _filtered, _Grid, degradation
+from motor_env.prognosis.wear import _filtered, degradation, first_passage_cdf
 
 
 def array(*values: float) -> np.ndarray:
@@ -56,7 +56,7 @@ def test_likelihood_and_moments_equal_the_joint_gaussian() -> None:
     time = np.cumsum(rng.uniform(0.5, 2.0, 9))
     y, variance = rng.normal(0.0, 0.3, 9), rng.uniform(0.01, 0.05, 9)
     onset, diffusion, scatter, drift_std, level_std = 3, 0.2, 0.1, 0.4, 2.0
-    grid = _Grid(array(onset), array(diffusion), array(scatter), array(drift_std), array(0.0))
+    grid = np.array([[onset], [diffusion], [scatter], [drift_std]])
     log_likelihood, moments = _filtered(time, y, variance, grid, level_std)
     elapsed = np.maximum(time - time[onset], 0.0)
     walk = diffusion**2 * np.minimum.outer(elapsed, elapsed)
@@ -223,7 +223,10 @@ def test_a_folder_of_dated_recordings_becomes_a_trend(
 )
 def test_dates_in_names(name: str, expected: str | None) -> None:
     found = date_of(name)
-    assert (None if found is None else found.strftime("%Y-%m-%dT%H:%M:%S")) == expected
+    expected_day = (
+        None if expected is None else datetime.fromisoformat(f"{expected}+00:00").timestamp() / 86_400.0
+    )
+    assert found == expected_day
 
 
 def test_long_tables_and_json_read_like_wide_ones(tmp_path: Path) -> None:
@@ -258,9 +261,7 @@ def test_tables_of_estimates_are_read_like_recordings(tmp_path: Path) -> None:
 
 
 def test_estimates_of_one_time_are_averaged() -> None:
-    (series,) = build_series(
-        {"B": [(1.0, 2.0, 0.1), (1.0, 4.0, 0.1), (2.0, 5.0, 0.2)]}, "starts", dated=False
-    )
+    (series,) = build_series({"B": [(1.0, 2.0, 0.1), (1.0, 4.0, 0.1), (2.0, 5.0, 0.2)]}, "starts")
     np.testing.assert_allclose(series.estimate, [3.0, 5.0])
     np.testing.assert_allclose(series.standard_error, [0.1 / math.sqrt(2.0), 0.2])
 
@@ -276,6 +277,7 @@ def test_estimates_of_one_time_are_averaged() -> None:
         ("time,B\n1,2,3\n", "has 3 cells where the header has 2"),
         ("time,B\n1,2\n2026-01-01,2\n", "all be dates or all be numbers"),
         ("time,B\n", "holds no estimates"),
+        ("time,temperature_c\n1,20\n", "holds no estimates"),
     ],
 )
 def test_bad_tables_get_one_sentence(
@@ -288,6 +290,13 @@ def test_bad_tables_get_one_sentence(
     assert sentence in error
     assert error.count("\n") == 1
     assert not (tmp_path / "t.html").exists()
+
+
+def test_whole_numbers_too_large_for_a_float_get_one_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "e.json"
+    path.write_text(json.dumps([{"time": 1, "parameter": "B", "estimate": 10**400}]))
+    with pytest.raises(InputError, match="entry 1: B must be a finite number, got '1000"):
+        read_estimates(path)
 
 
 def test_bad_options_get_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -308,7 +317,7 @@ def test_bad_options_get_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixt
 
 def test_names_of_quantities_are_text_on_the_page() -> None:
     series = Series("<script>alert(1)</script>", np.arange(6.0), np.linspace(1.0, 1.2, 6), np.full(6, 0.01))
-    html = page([judge(series)], ["<b>note</b>"])
+    html = Trends((judge(series),), ("<b>note</b>",)).page()
     assert "<script" not in html
     assert "<b>" not in html
 
