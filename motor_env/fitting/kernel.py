@@ -26,6 +26,7 @@ from motor_env.fitting.places import (
     NOISE_W,
     OFFSET_I,
     OFFSET_W,
+    SQUARE,
     WALK,
     B,
     K,
@@ -49,6 +50,7 @@ BEGIN, OPEN, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0
 """Marks of a sample: the first of a recording; an open circuit; the first, of a motor that stands without current, or
 runs steadily under the first voltage; switched on after standing, so long before the sample as the value AFTER says."""
 _WILD = 6.0
+_STEADY_STEPS = 12
 _SLOW = 0.02  # of the largest speed: where dry friction is larger
 
 
@@ -164,10 +166,13 @@ def _begin(
 
 @inlined
 def _steady(p: FloatArray, volts: float, x: FloatArray) -> None:
-    """Current and speed of a motor that runs steadily (V = R i + K w + drop, K i = B w + load), or is held."""
+    """Current and speed of a motor that runs steadily (V = R i + K w + drop, K i = B w + fan + load), or is held."""
     turning = math.copysign(1.0, volts)
     driving, load = volts - turning * min(p[DROP], abs(volts)), p[LOAD] + turning * p[COULOMB]
-    speed = (p[K] * driving - p[R] * load) / (p[K] ** 2 + p[R] * p[B])
+    pull, speed = p[K] * driving - p[R] * load, 0.0
+    slope, fan = p[K] ** 2 + p[R] * p[B], p[R] * p[SQUARE]
+    for _ in range(_STEADY_STEPS):  # Newton's method: slope w + fan w |w| = pull
+        speed -= (slope * speed + fan * speed * abs(speed) - pull) / (slope + 2.0 * fan * abs(speed))
     x[1] = speed if speed * turning > 0.0 else 0.0
     x[0] = (driving - p[K] * x[1]) / p[R]
     x[3], x[4] = x[0], x[1]

@@ -79,10 +79,6 @@ class Start:
             out[running] += line.current_a(self.time_s[running])
         return out
 
-    def lateness(self, onset_s: float) -> float:
-        """How much later than the middle of an interval a measured voltage changes, in intervals."""
-        return (onset_s - self.alignment.onset_s) / self.dt_s
-
     def shortened(self, count: int) -> Start:
         """The same with at most `count` samples after the onset."""
         return cut(self, slice(self.alignment.onset_index + count))

@@ -61,7 +61,7 @@ def _integrate_driven(rows: FloatArray, sampling: Sampling, driving: Driving, no
                 out[n, last, k] = volts
                 p[lane + LANES * nonlinear.VOLTAGE] = out[n, last, k]  # what is applied is what is recorded
                 share = (k + 0.5) / n_samples
-                load = load_in_kernel(share * driving.load_rise_n_m[n], driving.fan_n_m_s2[n], speed)
+                load = load_in_kernel(share * driving.load_rise_n_m[n], driving.fan_n_m_s2[n], abs(speed))
                 p[lane + LANES * nonlinear.DRY] = still[lane] + load
             for _ in range(steps):
                 nonlinear.step_lanes(p)

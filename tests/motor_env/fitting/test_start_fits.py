@@ -39,7 +39,7 @@ from motor_env.motor.parameters import FloatArray
 
 # Reaches in: starts are aligned by hand, their onset known; dense matrices need the floor of a residual's noise.
 from motor_env.recordings.alignment import Alignment
-from motor_env.recordings.noise import difference_noise
+from motor_env.recordings.noise import difference_noise, floor_noise
 from motor_env.recordings.start import Circuit, Start
 
 MOTOR = PAPER_MOTOR.scaled(torque_constant_n_m_per_a=0.02352 / 0.0235)
@@ -442,7 +442,7 @@ def test_what_a_fit_says_of_itself() -> None:
     assert fit.misfit == pytest.approx([1.0 - value for value in r2], rel=1e-9)
     centred = left - left.mean()
     assert fit.lag_one == pytest.approx(centred[1:] @ centred[:-1] / (centred @ centred))
-    assert fit.noise_a == pytest.approx(difference_noise(left[QUIET + 1 :]))
+    assert fit.noise_a == pytest.approx(floor_noise(left[QUIET + 1 :]))
     np.testing.assert_allclose(fit.states, fit.expected - np.array([fit.offset_a, 0.0]))
     np.testing.assert_allclose(fit.run(fit.physical)[:, 0] + 0.02, fit.expected[:, 0])
     errors = np.sqrt(np.diag(fit.log_covariance))
@@ -615,3 +615,28 @@ def test_a_last_speed_gives_the_constants() -> None:
     )
     unknown = constants_at(identify(start(level_known=False), constant=0.002), 500.0)
     assert list(unknown) == ["K/V", "J/V", "B/V"]
+
+
+@pytest.mark.parametrize("n", [50, 400, 5000])
+def test_the_floor_of_a_spectrum_is_the_white_noise(n: int) -> None:
+    """On average over many series; below 40 samples second differences tell it."""
+    drawn = 0.3 * np.random.default_rng(n).standard_normal((100, n))
+    assert np.mean([floor_noise(one) ** 2 for one in drawn]) == pytest.approx(0.09, rel=0.06)
+    assert floor_noise(drawn[0, :39]) == difference_noise(drawn[0, :39])
+
+
+@pytest.mark.parametrize("share", [0.7, 1.5, 4.0])
+def test_a_line_is_no_noise_whether_it_is_taken_off_or_not(share: float) -> None:
+    """Of 882 Hz, beside noise: where it is small against it, it stays in the residual."""
+    rng, time_s = np.random.default_rng(2), DT_S * np.arange(500.0)
+    noises, subtracted = [], []
+    for seed in range(5):
+        plain = start(seed=seed)
+        size = 0.01 * share * rng.uniform(0.8, 1.2)
+        line = size * np.sin(2.0 * np.pi * 882.0 * time_s + seed)
+        rippled = replace(plain, current_a=plain.current_a + np.where(plain.time_s > ONSET_S, line, 0.0))
+        fit = identify(rippled, constant=0.02352)
+        noises.append(fit.noise_a / identify(plain, constant=0.02352).noise_a)
+        subtracted.append(bool(fit.start.lines))
+    assert np.all(np.abs(np.array(noises) - 1.0) < 0.12)
+    assert subtracted == [share > 1.0] * 5

@@ -149,6 +149,9 @@ def test_a_running_motor_stays_where_drop_and_friction_hold_it(sign: float) -> N
         got = driven(PAPER_MOTOR, np.full(30, sign * 9.0), DT_S, from_rest=False, **beyond)
         expected = sign * steady_state(PAPER_MOTOR, 8.0, coulomb)
         np.testing.assert_allclose(got, np.tile(expected, (30, 1)), rtol=1e-9)
+    fan = driven(PAPER_MOTOR, np.full(30, sign * 9.0), DT_S, from_rest=False, COULOMB=1e-3, SQUARE=2e-8)
+    np.testing.assert_allclose(fan, np.tile(fan[0], (30, 1)), rtol=1e-8)
+    assert abs(fan[0, 1]) < 0.99 * abs(steady_state(PAPER_MOTOR, 9.0, 1e-3)[1])
     below = np.array([0.5, *[9.0] * 29])
     begun = driven(PAPER_MOTOR, sign * below, DT_S, from_rest=False, DROP=1.0)
     assert not begun[0].any()  # a voltage below the drop: no current
