@@ -18,8 +18,10 @@ from motor_env.diagnosis.healthy_motor import Reference, reference_of
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
-from motor_env.fitting.commutation import ripple_quantities
-from motor_env.fitting.starts import EXTENSIONS, NUISANCES, Identified, identify, identify_best
+from motor_env.fitting.starts.choice import EXTENSIONS, NUISANCES, identify_best
+from motor_env.fitting.starts.commutation import ripple_quantities
+from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting.starts.identify import identify
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.healthy import Starts

@@ -9,8 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from motor_env.diagnosis.views import Fitted
-from motor_env.fitting.commutation import ripple_quantities
-from motor_env.fitting.starts import NUISANCES, Identified, identify, identify_best
+from motor_env.fitting.starts.choice import NUISANCES, identify_best
+from motor_env.fitting.starts.commutation import ripple_quantities
+from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting.starts.identify import identify
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.recording import Recording

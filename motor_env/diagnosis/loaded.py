@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motor_env.fitting import places
-from motor_env.fitting.starts import Identified
+from motor_env.fitting.starts.identified import Identified
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.start import mean_tail

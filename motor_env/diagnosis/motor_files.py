@@ -11,7 +11,8 @@ import numpy as np
 from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.identify import Operation
-from motor_env.fitting.starts import AMBIGUOUS, Identified
+from motor_env.fitting.starts.belief import AMBIGUOUS
+from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.assumptions import assumptions
 from motor_env.motor.data_sheet import Kind, Motor
 from motor_env.motor.healthy import Healthy

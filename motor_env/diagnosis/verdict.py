@@ -11,7 +11,7 @@ from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.views import Fitted
 from motor_env.filters.consistency import Consistency, check_consistency
-from motor_env.fitting.starts import Identified
+from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.faults import FaultKind
 from motor_env.recordings.recording import Recording
 from motor_env.recordings.regime import Taken

@@ -11,7 +11,8 @@ from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.shown.report import as_text, warnings_of
 from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
 from motor_env.fitting import places
-from motor_env.fitting.starts import Identified, absolute
+from motor_env.fitting.starts.belief import absolute
+from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.pages.html import render

@@ -14,7 +14,7 @@ from motor_env.console import printable
 from motor_env.diagnosis.shown.report import quality
 from motor_env.diagnosis.views import Fitted
 from motor_env.fitting.identify import Operation
-from motor_env.fitting.starts import Identified
+from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.parameters import FloatArray
 from motor_env.plotting import COLOUR, drawing, save, subplots
 

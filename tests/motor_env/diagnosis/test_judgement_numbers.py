@@ -57,7 +57,7 @@ from motor_env.filters.consistency import check_consistency
 
 # Reaches in: fits are altered by hand, and faults move them in directions that no public name gives.
 from motor_env.fitting import places
-from motor_env.fitting.starts import Identified
+from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.identifiable import matrix, nameable_kinds, names, visible_direction
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray

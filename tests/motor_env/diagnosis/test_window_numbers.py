@@ -60,7 +60,8 @@ from motor_env.fitting import kernel, places
 from motor_env.fitting.record import Record
 
 # Reaches in: judgements rest on fits and records made by hand, off in the direction of a fault.
-from motor_env.fitting.starts import Identified, identify
+from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting.starts.identify import identify
 from motor_env.fitting.window import WindowFit, first_steps
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction

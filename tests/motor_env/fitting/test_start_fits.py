@@ -11,29 +11,22 @@ from started_motor import Beyond, step_start, values_of
 
 from motor_env import PAPER_MOTOR
 from motor_env.fitting import places
-from motor_env.fitting.commutation import (
+from motor_env.fitting.fit import STRONG_EVIDENCE, score_tests
+from motor_env.fitting.problem import Problem, Solution
+from motor_env.fitting.record import rectified_mean
+
+# Reaches in: what is believed of a start before it is fitted, and which samples are wild, are told by no result alone.
+from motor_env.fitting.starts.belief import FIT_SAMPLES, absolute, believed
+from motor_env.fitting.starts.choice import evidence, identify_best
+from motor_env.fitting.starts.commutation import (
     back_emf_v,
     constants_at,
     find_ripple,
     ripple_quantities,
 )
-from motor_env.fitting.fit import STRONG_EVIDENCE, score_tests
-from motor_env.fitting.plausibility import implausible
-from motor_env.fitting.problem import Problem, Solution
-from motor_env.fitting.record import rectified_mean
-
-# Reaches in: what is believed of a start before it is fitted, and which samples are wild, are told by no result alone.
-from motor_env.fitting.starts import (
-    FIT_SAMPLES,
-    Identified,
-    _believed,
-    _wild_against,
-    absolute,
-    evidence,
-    identify,
-    identify_best,
-    record_of,
-)
+from motor_env.fitting.starts.identified import Identified, record_of
+from motor_env.fitting.starts.identify import _wild_against, identify
+from motor_env.fitting.starts.plausibility import implausible
 from motor_env.fitting.uncertainty import capped, sandwich
 from motor_env.motor.parameters import FloatArray
 
@@ -90,7 +83,7 @@ def problem_of(
     constant: float | None = 0.02352,
     typical: dict[str, float] | None = None,
 ) -> Problem:
-    return _believed(measured, constant, typical).problem(model)
+    return believed(measured, constant, typical).problem(model)
 
 
 def truth(problem: Problem, measured: Start, **extras: float) -> FloatArray:
@@ -186,7 +179,7 @@ def test_a_typical_inductance_is_believed_to_thirty_per_cent() -> None:
     """Where a lag of supply or sensor takes its place; the current alone tells J and B as multiples of K^2."""
     typical = {"R": 2.0, "L": 3e-4, "K^2/J": 500.0, "B/J": 1.2}
     measured = start()
-    belief = _believed(measured, 0.02352, typical)
+    belief = believed(measured, 0.02352, typical)
     plain, ramp = belief.problem(()), belief.problem(("supply_ramp",))
     off = np.log(0.238e-3 / 3e-4) / 0.3
     assert plain.free[1].prior_sd == np.inf
@@ -203,11 +196,11 @@ def test_a_typical_inductance_is_believed_to_thirty_per_cent() -> None:
     far = truth(plain, measured)
     far[0] = belief.typical["R"] + 1.01
     assert not belief.is_typical(far)
-    unknown = _believed(measured, 0.02352, None)
+    unknown = believed(measured, 0.02352, None)
     assert unknown.problem(("supply_ramp",)).free[1].prior_sd == np.inf
     assert unknown.inductance_off(unknowns) == 0.0
     driven = replace(measured, voltage_v=np.full(500, 12.0))  # which has no ramp that takes its place
-    assert _believed(driven, 0.02352, typical).problem(("sensor_lag",)).free[1].prior_sd == np.inf
+    assert believed(driven, 0.02352, typical).problem(("sensor_lag",)).free[1].prior_sd == np.inf
 
 
 def test_quantities_become_parameters() -> None:
@@ -321,7 +314,7 @@ def test_a_score_foretells_what_an_extension_gains(lag_s: float, least: float, m
     simple = identify(measured, constant=0.02352)
     rich = identify(measured, ("sensor_lag",), simpler=simple, constant=0.02352)
     gain = 500.0 * np.log(simple.misfit[0] / rich.misfit[0])
-    every = _believed(measured, 0.02352, None).every
+    every = believed(measured, 0.02352, None).every
     tests = score_tests(simple.solution, every, ("sensor_lag",), np.exp([-2.0, 0.0, 2.0, 4.0]).tolist())
     score = tests["sensor_lag"].chi_square
     assert least <= score < most
@@ -602,8 +595,8 @@ def test_the_ripple_of_the_commutator_tells_the_last_speed() -> None:
 
 def test_a_last_speed_gives_the_constants() -> None:
     """K from V = R i + K w; J and B from K^2/J and B/J, whatever K the fit believed."""
-    for believed in (0.01, 0.02352):
-        fit = identify(start(noise_a=1e-4), constant=believed)
+    for constant in (0.01, 0.02352):
+        fit = identify(start(noise_a=1e-4), constant=constant)
         speed = float(step_start(MOTOR, TIME_S, ONSET_S, 12.0)[-25:, 1].mean())
         got = constants_at(fit, speed)
         assert got == pytest.approx({name: QUANTITIES[name] for name in "KJB"}, rel=2e-3)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motor_env.fitting.starts import Identified
+from motor_env.fitting.starts.identified import Identified
 from motor_env.recordings.periodic_lines import over_angle
 
 _FEWEST_SAMPLES = 256

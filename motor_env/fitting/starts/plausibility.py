@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from motor_env.fitting.starts import Identified
+from motor_env.fitting.starts.identified import Identified
 
 _USUAL = {
     "R": (5e-3, 1e3, "ohm"),

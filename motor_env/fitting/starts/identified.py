@@ -1,0 +1,210 @@
+"""A fitted start: what it tells, and how well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from motor_env.fitting import places
+from motor_env.fitting.kernel import REST, STEADY
+from motor_env.fitting.problem import Solution
+from motor_env.fitting.record import Record
+from motor_env.motor import identifiable as quantities
+from motor_env.motor.parameters import FloatArray, MotorParameters
+from motor_env.recordings.defects import Defect, DefectKind
+from motor_env.recordings.noise import difference_noise, floor_noise
+from motor_env.recordings.start import Start
+
+
+@dataclass(frozen=True, slots=True)
+class Identified:
+    """A fitted start.
+
+    Attributes:
+        start: what was fitted.
+        model: terms beside the textbook's.
+        solution: the fit.
+        quantity_names: what this recording can tell.
+        log_values: logarithms of these quantities, shape (n,).
+        log_covariance: their covariance, shape (n, n).
+        expected: fitted current and speed, shape (n_samples, 2), offset and periodic ripple included.
+        independent: number of independent samples that the residual's autocorrelation leaves, each channel.
+        fitted_extension: value and standard error of each extension; of a supply curve the middle of the rise.
+        inductance_off: how far L lies from the typical one, in standard deviations of 30 %; 0 where none is known.
+    """
+
+    start: Start
+    model: tuple[str, ...]
+    solution: Solution
+    quantity_names: tuple[str, ...]
+    log_values: FloatArray
+    log_covariance: FloatArray
+    expected: FloatArray
+    independent: tuple[float, ...]
+    fitted_extension: dict[str, tuple[float, float]]
+    inductance_off: float = 0.0
+
+    @property
+    def physical(self) -> FloatArray:
+        """Physical values, see `motor_env.fitting.places`."""
+        return self.solution.problem.values(self.solution.theta)
+
+    @property
+    def parameters(self) -> MotorParameters:
+        """Textbook parameters; absolute ones only as far as `quantities` says."""
+        r, inductance, k, j, b = self.physical[[places.R, places.L, places.K, places.J, places.B]].tolist()
+        return MotorParameters(r, inductance, k, k, j, b)
+
+    @property
+    def onset_s(self) -> float:
+        """Fitted onset."""
+        late = self.physical[places.ONSET] + self.physical[places.DELAY] * self.start.dt_s
+        return float(self.start.alignment.onset_s + late)
+
+    @property
+    def offset_a(self) -> float:
+        """Fitted offset of the current."""
+        return float(self.start.alignment.offset_a + self.physical[places.OFFSET_I])
+
+    def run(self, values: FloatArray) -> FloatArray:
+        """Current and speed of a motor of other values in this start, as they are shown, shape (n_samples, 2)."""
+        return record_of(self.start).predict(values, learn=False)[0][:, 2:4]
+
+    @property
+    def defects(self) -> tuple[Defect, ...]:
+        """What is wrong with the recording, and what of the model it shows."""
+        start, size = self.start, {name: value for name, (value, _) in self.fitted_extension.items()}
+        defects = list(start.alignment.defects)
+        for k in start.alignment.wild:
+            where = f"{start.alignment.sign * start.current_a[k]:.3g} A at {start.time_s[k]:.6g} s"
+            defects.append(Defect(DefectKind.WILD_SAMPLE, f"a wild sample of {where}, left out"))
+        for line in start.lines:
+            where = f"{line.amplitude_a:.3g} A at {line.frequency_hz:.4g} Hz"
+            defects.append(Defect(DefectKind.PWM_RIPPLE, f"PWM ripple of {where} (or an alias of it)"))
+        if "supply_ramp" in size:
+            text = f"supply ramp: it rises in {1e3 * size['supply_ramp']:.3g} ms"
+            curve = ", in a curve" if "supply_curve" in self.model else ""
+            defects.append(Defect(DefectKind.SUPPLY_RAMP, text + curve))
+        defects += [
+            Defect(kind, f"{kind.replace('_', ' ')} of {1e3 * size[kind]:.3g} ms")
+            for kind in (DefectKind.SENSOR_LAG, DefectKind.SPEED_LAG)
+            if kind in size
+        ]
+        if "dead_zone" in size:
+            text = f"dead zone: the sensor hides currents below {size['dead_zone']:.3g} A"
+            defects.append(Defect(DefectKind.DEAD_ZONE, text))
+        return tuple(defects)
+
+    @property
+    def residual_a(self) -> FloatArray:
+        """Measured minus fitted current; 0 at wild samples."""
+        return np.where(self.start.counted, self.start.current_a - self.expected[:, 0], 0.0)
+
+    @property
+    def r2_current(self) -> float:
+        """Share of the current's variance that the fit explains."""
+        counted = self.start.counted
+        return _r2(self.start.current_a[counted], self.residual_a[counted])
+
+    @property
+    def r2_speed(self) -> float | None:
+        """The same for the speed; None where it was not recorded."""
+        speed = self.start.speed_rad_s
+        return None if speed is None else _r2(speed, speed - self.expected[:, 1])
+
+    @property
+    def misfit(self) -> tuple[float, ...]:
+        """Mean squared residual over the channel's variance, each channel."""
+        return tuple(1.0 - r2 for r2 in (self.r2_current, self.r2_speed) if r2 is not None)
+
+    @property
+    def noise_a(self) -> float:
+        """White noise of the current while the motor runs, beside any ripple."""
+        return floor_noise(self.residual_a[self.start.alignment.onset_index :])
+
+    @property
+    def lag_one(self) -> float:
+        """Autocorrelation of the current's residual at one sample; 0 would be white."""
+        centred = self.residual_a - self.residual_a.mean()
+        return float(np.sum(centred[1:] * centred[:-1]) / max(np.sum(centred**2), 1e-300))
+
+    @property
+    def states(self) -> FloatArray:
+        """Fitted current and speed without offset and ripple, shape (n_samples, 2)."""
+        out = self.expected.copy()
+        out[:, 0] -= self.start.ripple_a + self.offset_a
+        return out
+
+    @property
+    def is_hidden(self) -> bool:
+        """Whether the sensor hides small currents: its readings are not linear in the state."""
+        return self.start.alignment.rectified or "dead_zone" in self.model
+
+    @property
+    def whitened(self) -> FloatArray:
+        """Residual of the running motor over the sensor's noise, shape (n, 1); NaN where the sensor shows nothing.
+
+        The state is known where the motor stands, and nothing disturbs the model: these are the innovations of its
+        Kalman filter, where the sensor hides nothing.
+        """
+        is_step = self.start.voltage_v is None
+        begin = int(np.searchsorted(self.start.time_s, self.onset_s, side="right")) + 1 if is_step else 1
+        shown = self.start.counted & (self.states[:, 0] >= 0.5 * self.physical[places.ZONE])
+        noise = max(self.noise_a, 1e-9 * float(np.ptp(self.start.current_a)))
+        return np.where(shown, self.residual_a / noise, np.nan)[begin:, None]
+
+    @property
+    def white_covariance(self) -> FloatArray:
+        """Covariance of the logarithms from white noise alone: what differs between starts of one motor."""
+        running = self.residual_a[self.start.alignment.onset_index :]
+        return self.log_covariance * min(
+            difference_noise(running) ** 2 / max(float(np.var(running)), 1e-300), 1.0
+        )
+
+    @property
+    def exponents(self) -> FloatArray:
+        """Exponents of (R, L, K, J, B, V) in each quantity, shape (n, 6)."""
+        return quantities.matrix(self.quantity_names)
+
+    @property
+    def values(self) -> FloatArray:
+        """The identifiable quantities, SI (over volt where the voltage is unknown)."""
+        return np.exp(self.log_values)
+
+    @property
+    def standard_errors(self) -> FloatArray:
+        """Their standard errors."""
+        return self.values * np.sqrt(np.diag(self.log_covariance))
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Correlations of the logarithms, shape (n, n)."""
+        sigma = np.sqrt(np.diag(self.log_covariance))
+        out: FloatArray = self.log_covariance / np.outer(sigma, sigma)
+        return out
+
+
+def record_of(start: Start) -> Record:
+    """What is fitted of a start: its current without ripple and the quiet part's offset, wild samples left out."""
+    n, alignment = len(start.time_s), start.alignment
+    current = start.current_a - start.ripple_a - alignment.offset_a
+    current[~start.counted] = np.nan
+    speed = np.zeros(n) if start.speed_rad_s is None else start.speed_rad_s
+    marks = np.zeros(n)
+    marks[0] = REST if start.from_rest else STEADY
+    is_step = start.voltage_v is None
+    return Record(
+        dt_s=start.dt_s,
+        voltage_v=np.full(n, start.level_v) if start.voltage_v is None else start.voltage_v,
+        readings=np.stack([current, speed], axis=1),
+        seen=np.array([1.0, float(start.speed_rad_s is not None)]),
+        marks=marks,
+        onset_s=alignment.onset_s - float(start.time_s[0]) if is_step else None,
+        shunt_ohm=start.circuit.shunt_ohm,
+        rectified_a=alignment.noise_a if alignment.rectified else None,
+    )
+
+
+def _r2(measured: FloatArray, left: FloatArray) -> float:
+    return 1.0 - float(np.sum(left**2) / max(np.sum((measured - measured.mean()) ** 2), 1e-300))

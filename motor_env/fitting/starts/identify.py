@@ -1,0 +1,154 @@
+"""A motor's parameters from one real start, by least squares."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from motor_env.fitting import places
+from motor_env.fitting.problem import Problem, Solution
+from motor_env.fitting.starts.belief import CURVE, Belief, believed
+from motor_env.fitting.starts.identified import Identified, record_of
+from motor_env.fitting.threads import on_one_thread
+from motor_env.fitting.uncertainty import capped, sandwich
+from motor_env.motor import identifiable as quantities
+from motor_env.motor.parameters import FloatArray, MotorParameters
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.periodic_lines import line_share, over_angle, periodic_lines
+from motor_env.recordings.start import Start
+
+_UNTOLD_LOG_SD = 1.0
+_WILD_SPREADS = 10.0
+
+
+@on_one_thread
+def identify(
+    start: Start,
+    model: tuple[str, ...] = (),
+    *,
+    constant: float | None = None,
+    typical: Mapping[str, float] | None = None,
+    simpler: Identified | None = None,
+) -> Identified:
+    """Fit the model to a start.
+
+    Where the residual shows lines of constant frequency, or single wild samples, they are taken off, and the fit is
+    repeated.
+
+    Args:
+        start: what to fit.
+        model: terms beside the textbook's, of EXTENSIONS.
+        constant: K to assume where the current alone is measured, for only K^2/J and B/J can then be told.
+        typical: quantities of such a motor by name, where known: one more guess to begin from, and where the model
+            makes L ambiguous a prior of 30 % on it.
+        simpler: a fit of the same start that lacks the last term of the model, to begin from.
+
+    Raises:
+        UnusableError: the fit does not converge to a motor.
+    """
+    belief = believed(start, constant, typical)
+    problem, best = belief.problem(model), None
+    for guess in belief.guesses(problem) if simpler is None else belief.richer(problem, simpler.solution):
+        found = Solution(problem, *problem.solve(guess, most=60))
+        if best is None or found.misfit < best.misfit:
+            best = found
+        if simpler is None and belief.is_typical(best.theta):
+            break
+    if best is None or not math.isfinite(best.misfit):
+        raise UnusableError("no motor model can be fitted")
+    weighed = best.weighed()
+    fit = _result(belief, model, Solution(weighed, *weighed.solve(best.theta, most=100)))
+    cleaner = _cleaner(fit)
+    if cleaner is None:
+        return fit
+    return identify(cleaner, model, constant=constant, typical=typical, simpler=simpler)
+
+
+def _cleaner(fit: Identified) -> Start | None:
+    """The start without what the residual shows to be no part of it, lines and wild samples; None if all is well."""
+    start, residual = fit.start, fit.residual_a
+    wild = sorted({*start.alignment.wild, *_wild_against(residual, start.current_a)})
+    if len(wild) > max(len(residual) // 1000, 1):
+        wild = list(start.alignment.wild)
+    begin = start.alignment.onset_index
+    lines = start.lines or periodic_lines(residual[begin:], start.time_s[begin:])
+    if lines and not start.lines and _turns_with_the_motor(fit, begin):
+        lines = ()
+    if lines == start.lines and len(wild) == len(start.alignment.wild):
+        return None
+    return replace(start, lines=lines, alignment=replace(start.alignment, wild=tuple(wild)))
+
+
+def _turns_with_the_motor(fit: Identified, begin: int) -> bool:
+    """Whether the strongest line is sharper over the angle than over time: the commutator's, not a converter's."""
+    residual, time_s = fit.residual_a[begin:], fit.start.time_s[begin:]
+    turning = over_angle(residual, time_s, fit.states[begin:, 1])
+    return turning is not None and line_share(turning[1], turning[0]) > line_share(residual, time_s)
+
+
+def _wild_against(residual: FloatArray, current: FloatArray) -> list[int]:
+    """Samples far off a fit that goes well through both neighbours, and off both neighbours to the same side."""
+    off = np.abs(residual[1:-1])
+    spread = 1.4826 * float(np.median(np.abs(residual)))
+    beside = np.maximum(np.abs(residual[:-2]), np.abs(residual[2:]))
+    left, right = current[1:-1] - current[:-2], current[1:-1] - current[2:]
+    jumps = (left * right > 0.0) & (np.minimum(np.abs(left), np.abs(right)) > 0.5 * off)
+    wild = (off > _WILD_SPREADS * spread) & (beside < 0.3 * off) & jumps
+    return [int(k) + 1 for k in np.flatnonzero(wild)]
+
+
+def _result(belief: Belief, model: tuple[str, ...], best: Solution) -> Identified:
+    """Put the fit into words and numbers."""
+    start, problem, theta = belief.start, best.problem, best.theta
+    n_core, values = len(belief.core), problem.values(theta)
+    jacobian = problem.jacobian(theta, problem.residuals(theta))
+    level = start.alignment.unseen_level_a / values[places.NOISE_I]
+    covariance, independent = sandwich(
+        problem, theta, jacobian, range(len(theta)), begin=start.alignment.onset_index, level=level
+    )
+    if belief.has_inductance_prior(model):
+        # What looks like L may be the ramp or the lag, and the other way round: L tells nothing then.
+        covariance[1, 1] += _UNTOLD_LOG_SD**2
+    names = quantities.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
+    exponents = quantities.matrix(names)
+    core = exponents[:, [quantities.PARAMETERS.index(name) for name in belief.core]]
+    extras = {}
+    for name in model:
+        if name == "supply_curve":
+            extras[name] = _middle_of_rise(problem, values, covariance)
+            continue
+        k = problem.names.index(name)
+        unit = problem.free[k].unit
+        extras[name] = (unit * float(theta[k]), unit * math.sqrt(max(covariance[k, k], 0.0)))
+    expected = record_of(start).predict(values, learn=False)[0][:, 2:4]
+    expected[:, 0] += start.alignment.offset_a + start.ripple_a
+    parameters = MotorParameters(
+        *values[[places.R, places.L, places.K, places.K, places.J, places.B]].tolist()
+    )
+    return Identified(
+        start=start,
+        model=model,
+        solution=best,
+        quantity_names=names,
+        log_values=exponents @ quantities.logarithms(parameters, start.level_v),
+        log_covariance=capped(core @ covariance[:n_core, :n_core] @ core.T),
+        expected=expected,
+        independent=independent,
+        fitted_extension=extras,
+        inductance_off=belief.inductance_off(theta),
+    )
+
+
+def _middle_of_rise(problem: Problem, values: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+    """Where the middle of the supply's rise lies, as a share of its time, with its standard error; 0.5 is even."""
+    shares = np.append(1.0, values[places.CURVE])
+    shares /= shares.sum()
+    at = (np.arange(len(shares)) + 0.5) / len(shares)
+    middle = float(shares @ at)
+    slopes = (shares * (at - middle))[1:]
+    first = problem.names.index(CURVE[0])
+    some = slice(first, first + len(slopes))
+    return middle, math.sqrt(max(float(slopes @ covariance[some, some] @ slopes), 0.0))
