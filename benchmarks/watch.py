@@ -50,7 +50,7 @@ from motor_env.diagnosis.running.looks import Looks
 from motor_env.diagnosis.running.windows import WindowJudge, judge_of
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.fitting.identify import identify_operation
-from motor_env.fitting.record import from_recordings
+from motor_env.fitting.recorded import from_recordings
 from motor_env.fitting.window import fit_window
 from motor_env.live.watch import YEAR_S
 from motor_env.motor.faults import apply_faults

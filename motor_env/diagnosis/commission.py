@@ -21,7 +21,7 @@ from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.shown.report import UNITS, of_the_drag
 from motor_env.diagnosis.views import Fitted, smallest_of, views_of
 from motor_env.errors import InputError
-from motor_env.fitting.record import at_terminals
+from motor_env.fitting.recorded import at_terminals
 from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.assumptions import lines as lines_of
 from motor_env.motor.data_sheet import Motor

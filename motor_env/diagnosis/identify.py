@@ -22,7 +22,7 @@ from motor_env.diagnosis.shown.report import (
 )
 from motor_env.errors import InputError
 from motor_env.fitting.identify import Operation, identify_operation
-from motor_env.fitting.record import at_terminals
+from motor_env.fitting.recorded import at_terminals
 from motor_env.fitting.starts.choice import EXTENSIONS, identify_best
 from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.data_sheet import Motor

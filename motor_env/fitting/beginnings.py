@@ -13,7 +13,8 @@ from scipy.optimize import nnls
 
 from motor_env.fitting import places
 from motor_env.fitting.places import N_VALUES
-from motor_env.fitting.record import Record, noise_of
+from motor_env.fitting.record import Record
+from motor_env.fitting.recorded import noise_of
 from motor_env.motor.parameters import FloatArray
 
 _WINDOWS = (2, 5, 12, 30, 80, 200)

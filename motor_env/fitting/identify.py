@@ -11,7 +11,8 @@ import numpy as np
 from motor_env.fitting import places
 from motor_env.fitting.fit import fit
 from motor_env.fitting.problem import Solution
-from motor_env.fitting.record import MOST, Record, from_recordings
+from motor_env.fitting.record import Record
+from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.terms import NOISES, SHAPES, terms
 from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import covariance, motor_places

@@ -9,8 +9,8 @@ import numpy as np
 from scipy import fft
 
 from motor_env.fitting import places
-from motor_env.fitting.fit import candidates, score_tests
 from motor_env.fitting.problem import Problem, Solution
+from motor_env.fitting.score import candidates, score_tests
 from motor_env.fitting.terms import NOISES, Term
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import difference_noise

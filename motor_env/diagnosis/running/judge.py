@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.fitting.record import at_terminals, from_recordings
+from motor_env.fitting.recorded import at_terminals, from_recordings
 from motor_env.motor.data_sheet import Motor
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording

@@ -23,7 +23,8 @@ from motor_env.diagnosis.running.windows import (
 )
 from motor_env.fitting import places
 from motor_env.fitting.identify import Operation, identify_operation
-from motor_env.fitting.record import MOST, Record, from_recordings
+from motor_env.fitting.record import Record
+from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.window import fit_window
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray

@@ -24,7 +24,8 @@ from motor_env.diagnosis.running.windows import (
 )
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import views_of
-from motor_env.fitting.record import FEWEST, Record, from_recordings
+from motor_env.fitting.record import Record
+from motor_env.fitting.recorded import FEWEST, from_recordings
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording

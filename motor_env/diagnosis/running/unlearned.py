@@ -18,7 +18,8 @@ from motor_env.diagnosis.running.windows import (
     viscous,
 )
 from motor_env.fitting.identify import identify_record
-from motor_env.fitting.record import STRETCHES, Record, from_recordings
+from motor_env.fitting.record import STRETCHES, Record
+from motor_env.fitting.recorded import from_recordings
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Windows
 from motor_env.motor.model import steady_state

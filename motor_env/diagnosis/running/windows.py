@@ -20,7 +20,8 @@ from motor_env.diagnosis.healthy_motor import Reference, beyond, reference_of_pi
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.fitting import kernel, places
-from motor_env.fitting.record import Record, block_means, from_recordings
+from motor_env.fitting.record import Record
+from motor_env.fitting.recorded import block_means, from_recordings
 from motor_env.fitting.window import WindowFit, first_steps, fit_window
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from motor_env.fitting.fit import STRONG_EVIDENCE, score_tests
+from motor_env.fitting.fit import STRONG_EVIDENCE
+from motor_env.fitting.score import score_tests
 from motor_env.fitting.starts.belief import believed
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify

@@ -13,7 +13,8 @@ from scipy.linalg import expm
 
 from motor_env import MotorParameters, discretize
 from motor_env.fitting import kernel, places, steps
-from motor_env.fitting.record import HOLDS, Hold, Record, open_circuit
+from motor_env.fitting.record import HOLDS, Hold, Record
+from motor_env.fitting.recorded import open_circuit
 from motor_env.motor.parameters import FloatArray
 
 DT_S = 2e-3

@@ -19,20 +19,18 @@ from motor_env.diagnosis import identify as identifying
 from motor_env.diagnosis.motor_files import motor_of_log
 from motor_env.fitting import fit as fitting, kernel, places, uncertainty
 from motor_env.fitting.beginnings import beginnings
-from motor_env.fitting.fit import ScoreTest, score_tests
 from motor_env.fitting.identify import Operation, identify_operation, identify_record
 from motor_env.fitting.problem import Problem, Solution
-from motor_env.fitting.record import (
-    Hold,
-    Record,
+from motor_env.fitting.record import Hold, Record, joined
+from motor_env.fitting.recorded import (
     at_terminals,
     block_means,
     from_recordings,
-    joined,
     liveliest,
     noise_of,
     open_circuit,
 )
+from motor_env.fitting.score import ScoreTest, candidates, score_tests
 from motor_env.fitting.terms import Term, terms
 from motor_env.fitting.uncertainty import information_covariance, motor_places
 from motor_env.fitting.window import first_steps, fit_window
@@ -381,7 +379,7 @@ def test_a_score_test_is_one_step_of_the_richer_fit(small: Solution) -> None:
     variance = float(base @ base) / small.problem.count
     tested = ("load_square", "heating", "sensor_lag", "speed_lag", "delay")
     assert score_tests(small, every, ()) == {}
-    assert set(fitting.candidates(small)) == set(tested)
+    assert set(candidates(small)) == set(tested)
     found = score_tests(small, every, tested)
     assert set(found) == set(tested)
     for name, test in found.items():

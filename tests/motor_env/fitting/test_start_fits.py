@@ -11,9 +11,10 @@ from started_motor import Beyond, step_start, values_of
 
 from motor_env import PAPER_MOTOR
 from motor_env.fitting import places
-from motor_env.fitting.fit import STRONG_EVIDENCE, score_tests
+from motor_env.fitting.fit import STRONG_EVIDENCE
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import rectified_mean
+from motor_env.fitting.score import score_tests
 
 # Reaches in: what is believed of a start before it is fitted, and which samples are wild, are told by no result alone.
 from motor_env.fitting.starts.belief import FIT_SAMPLES, absolute, believed

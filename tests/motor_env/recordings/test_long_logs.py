@@ -13,7 +13,7 @@ from recording_csv import write_csv
 from motor_env import ColumnChoice, InputError, Recording, read_recording
 
 # Reaches in: which stretches of a long log are fitted is pinned without the fit.
-from motor_env.fitting.record import from_recordings, liveliest
+from motor_env.fitting.recorded import from_recordings, liveliest
 from motor_env.recordings import array_parser, tables
 from motor_env.recordings.text import pieces
 

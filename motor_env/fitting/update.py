@@ -1,0 +1,153 @@
+"""The Kalman filter's state: where it begins, how its covariance spreads, how a reading is weighed in; compiled."""
+
+from __future__ import annotations
+
+import math
+
+from motor_env.fitting.places import (
+    COULOMB,
+    DROP,
+    LAG_W,
+    LOAD,
+    NOISE_I,
+    NOISE_V,
+    NOISE_W,
+    SQUARE,
+    WALK,
+    B,
+    K,
+    L,
+    R,
+)
+from motor_env.fitting.steps import (
+    inlined,
+    product,
+)
+from motor_env.motor.parameters import FloatArray
+
+_WILD = 6.0
+_STEADY_STEPS = 12
+
+
+@inlined
+def lag_of(p: FloatArray, dt_s: float) -> tuple[float, float, float]:
+    """Weights of the shown speed before, the true one before and the true one now; exact for a straight line."""
+    lag_s = p[LAG_W]
+    if lag_s <= 0.0:
+        return 0.0, 0.0, 1.0
+    decay = math.exp(-dt_s / lag_s)
+    mean = (1.0 - decay) * lag_s / dt_s
+    return decay, mean - decay, 1.0 - mean
+
+
+@inlined
+def spread(
+    cov: FloatArray,
+    f: FloatArray,
+    p: FloatArray,
+    dt_s: float,
+    lag: tuple[float, float, float],
+    work: FloatArray,
+) -> None:
+    """Covariance after an interval, in place: P = F P F' + Q. Only the upper triangle is used."""
+    a, b, c, d, e, h = f[0, 0], f[0, 1], f[0, 2], f[1, 0], f[1, 1], f[1, 2]
+    noise_i, noise_w = p[NOISE_V] * f[0, 3], p[NOISE_V] * f[1, 3]
+    ii, iw, ww = cov[0, 0], cov[0, 1], cov[1, 1]
+    if cov.shape[0] == 2:
+        cov[0, 0] = a * a * ii + 2.0 * a * b * iw + b * b * ww + noise_i * noise_i
+        cov[0, 1] = a * d * ii + (a * e + b * d) * iw + b * e * ww + noise_i * noise_w
+        cov[1, 1] = d * d * ii + 2.0 * d * e * iw + e * e * ww + noise_w * noise_w
+        return
+    if cov.shape[0] == 3:
+        il, wl, ll = cov[0, 2], cov[1, 2], cov[2, 2]
+        # Of the new current and speed with the old current, speed and load.
+        i_i, i_w, i_l = a * ii + b * iw + c * il, a * iw + b * ww + c * wl, a * il + b * wl + c * ll
+        w_i, w_w, w_l = d * ii + e * iw + h * il, d * iw + e * ww + h * wl, d * il + e * wl + h * ll
+        cov[0, 0] = a * i_i + b * i_w + c * i_l + noise_i * noise_i
+        cov[0, 1] = d * i_i + e * i_w + h * i_l + noise_i * noise_w
+        cov[1, 1] = d * w_i + e * w_w + h * w_l + noise_w * noise_w
+        cov[0, 2], cov[1, 2], cov[2, 2] = i_l, w_l, ll + p[WALK] ** 2 * dt_s
+        return
+    whole, half, by_volt = work[0], work[1], work[2, 0]
+    for c in range(3):
+        whole[0, c], whole[1, c], whole[3, c], whole[4, c] = f[0, c], f[1, c], f[2, c], lag[2] * f[1, c]
+    whole[4, 1] += lag[1]
+    whole[2, 2], whole[3, 3], whole[4, 4] = 1.0, f[2, 4], lag[0]
+    by_volt[0], by_volt[1], by_volt[3], by_volt[4] = f[0, 3], f[1, 3], f[2, 3], lag[2] * f[1, 3]
+    for r in range(5):
+        for k in range(r):
+            cov[r, k] = cov[k, r]
+    product(whole, cov, half)
+    for r in range(5):
+        for k in range(r, 5):
+            total = p[NOISE_V] ** 2 * by_volt[r] * by_volt[k]
+            for n in range(5):
+                total += half[r, n] * whole[k, n]
+            cov[r, k] = total
+    cov[2, 2] += p[WALK] ** 2 * dt_s
+
+
+@inlined
+def update(
+    x: FloatArray, cov: FloatArray, place: int, shown: float, noise: float, learn: bool, row: FloatArray
+) -> tuple[float, float]:
+    """Weigh in one reading; whitened innovation and the logarithm of its variance."""
+    n = cov.shape[0]
+    error, variance = shown - x[place], cov[place, place] + noise * noise
+    white = error / math.sqrt(variance)
+    if learn:
+        weight = min(1.0, _WILD / max(abs(white), 1e-12)) * error / variance
+        for r in range(n):
+            row[r] = cov[min(r, place), max(r, place)]
+        for r in range(n):
+            x[r] += weight * row[r]
+            share = row[r] / variance
+            for c in range(r, n):
+                cov[r, c] -= share * row[c]
+    return white, math.log(variance)
+
+
+@inlined
+def begin(
+    p: FloatArray,
+    x: FloatArray,
+    cov: FloatArray,
+    shown: FloatArray,
+    volts: float,
+    reach: float,
+    seen: FloatArray,
+    dt_s: float,
+) -> None:
+    """State at the first sample of a recording: as shown; what is not seen from the balance of the voltages.
+
+    `shown` is what this sample and the next show, shape (2, 2), `volts` the voltage between them.
+    """
+    n, i, next_i = cov.shape[0], shown[0, 0], shown[1, 0]
+    x[:] = 0.0
+    inner = p[R] * 0.5 * (i + next_i) + p[L] * (next_i - i) / dt_s
+    x[1] = shown[0, 1] if seen[1] > 0.0 else min(max(volts - inner, -reach), reach) / p[K]
+    x[0] = i if seen[0] > 0.0 else (volts - p[K] * x[1]) / p[R]
+    x[3], x[4] = x[0], x[1]
+    sd_w = p[NOISE_W] if seen[1] > 0.0 else math.hypot(0.3 * reach, p[L] / dt_s * p[NOISE_I]) / p[K]
+    sd_i = p[NOISE_I] if seen[0] > 0.0 else 0.3 * reach / p[R]
+    cov[:] = 0.0
+    cov[0, 0], cov[1, 1] = sd_i**2, sd_w**2
+    if n == 5:
+        cov[3, 3] = cov[0, 3] = sd_i**2
+        cov[4, 4] = cov[1, 4] = sd_w**2
+    if n > 2 and p[WALK] > 0.0:
+        cov[2, 2] = (p[K] * 0.1 * reach / p[R]) ** 2
+
+
+@inlined
+def steady(p: FloatArray, volts: float, x: FloatArray) -> None:
+    """Current and speed of a motor that runs steadily (V = R i + K w + drop, K i = B w + fan + load), or is held."""
+    turning = math.copysign(1.0, volts)
+    driving, load = volts - turning * min(p[DROP], abs(volts)), p[LOAD] + turning * p[COULOMB]
+    pull, speed = p[K] * driving - p[R] * load, 0.0
+    slope, fan = p[K] ** 2 + p[R] * p[B], p[R] * p[SQUARE]
+    for _ in range(_STEADY_STEPS):  # Newton's method: slope w + fan w |w| = pull
+        speed -= (slope * speed + fan * speed * abs(speed) - pull) / (slope + 2.0 * fan * abs(speed))
+    x[1] = speed if speed * turning > 0.0 else 0.0
+    x[0] = (driving - p[K] * x[1]) / p[R]
+    x[3], x[4] = x[0], x[1]
