@@ -1,4 +1,4 @@
-"""Whether a recording is a start, for `motor_env.identification`, or a motor at work; measured in volts and seconds."""
+"""Whether a recording is a start, for `motor_env.fitting.starts`, or a motor at work; measured in volts and seconds."""
 
 from __future__ import annotations
 
