@@ -12,6 +12,7 @@ from motor_env.fitting.problem import STEP, Solution
 from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
 
+_NO_NUMBER = 1e60
 _CANDIDATES = ("load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
 
 
@@ -67,6 +68,7 @@ def score_tests(
         problem = best.problem.with_terms([term])
         sides = np.array([min(size * term.usual, term.high) for size in sizes] or [STEP])
         moved = problem.residuals_each(np.column_stack([np.tile(best.theta, (len(sides), 1)), sides]))
+        moved = np.clip(moved, -_NO_NUMBER, _NO_NUMBER)  # a size at which the model has no numbers
         columns = (np.delete(moved, len(base), axis=1) - base).T / sides
         moves = -inverse @ columns
         columns = columns + jacobian @ moves
