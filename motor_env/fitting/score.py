@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motor_env.fitting.problem import STEP, Solution
+from motor_env.fitting.problem import Solution
 from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
 
@@ -66,7 +66,7 @@ def score_tests(
     for name in tested:
         term = every[name]
         problem = best.problem.with_terms([term])
-        sides = np.array([min(size * term.usual, term.high) for size in sizes] or [STEP])
+        sides = np.array([min(size * term.usual, term.high) for size in sizes] or [term.slope_at])
         moved = problem.residuals_each(np.column_stack([np.tile(best.theta, (len(sides), 1)), sides]))
         moved = np.clip(moved, -_NO_NUMBER, _NO_NUMBER)  # a size at which the model has no numbers
         columns = (np.delete(moved, len(base), axis=1) - base).T / sides

@@ -16,6 +16,7 @@ LONGEST_SPEED_LAG_S = 0.1
 _WIDEST = 12.0  # of a logarithm
 _OFFSET_PRIOR = 0.003
 _CURVE_PRIOR_SD = 1.5
+_SEEN_LAG = 0.5  # of an interval
 _LARGEST_DEAD_ZONE = 0.35  # of the current's span: what hides more is no sensor
 _KNEE_PRIOR, _STRIBECK_PRIOR = 0.01, 0.2  # of the largest current or speed; of the dry friction
 
@@ -33,6 +34,7 @@ class Term:
         prior_sd: standard deviation about `prior_mean` that is believed beforehand, in the unit; infinite for none.
         usual: size that the term usually has where a motor has it, in the unit.
         prior_mean: in the unit.
+        slope_at: size over which the slope at 0 is taken, in the unit: a lag far below an interval does not show in it.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Term:
     prior_sd: float = math.inf
     usual: float = 1.0
     prior_mean: float = 0.0
+    slope_at: float = 1e-4
 
     def value(self, theta: float) -> float:
         """SI value of the unknown."""
@@ -83,7 +86,7 @@ def terms(
         Term("offset_speed", places.OFFSET_W, speed, -0.1, 0.1, prior_sd=_OFFSET_PRIOR),
         Term("heating", places.HEATING, 10.0 / (power * record.duration_s), 0.0, 20.0),
         Term("cooling", places.COOLING, 1.0 / record.duration_s, 0.0, 300.0),
-        Term("sensor_lag", places.LAG_I, dt, 0.0, min(LONGEST_CURRENT_LAG_S / dt, reach)),
+        Term("sensor_lag", places.LAG_I, dt, 0.0, min(LONGEST_CURRENT_LAG_S / dt, reach), slope_at=_SEEN_LAG),
         Term("speed_lag", places.LAG_W, dt, 0.0, min(LONGEST_SPEED_LAG_S / dt, reach)),
         Term("delay", places.DELAY, 1.0, -1.0, 1.0),
         Term("noise_current", places.NOISE_I, start[places.NOISE_I], -5.0, 5.0, is_log=True),

@@ -384,7 +384,8 @@ def test_a_score_test_is_one_step_of_the_richer_fit(small: Solution) -> None:
     assert set(found) == set(tested)
     for name, test in found.items():
         problem = small.problem.with_terms([every[name]])
-        wide = problem.columns(np.append(small.theta, 0.0), [4], np.append(base, 0.0))[: len(base), 0]
+        size = every[name].slope_at
+        wide = (problem.residuals(np.append(small.theta, size))[: len(base)] - base) / size
         both = np.column_stack([jacobian, wide])
         step = -np.linalg.lstsq(both, base, rcond=None)[0]
         spread = variance * np.linalg.inv(both.T @ both)
@@ -418,6 +419,15 @@ def test_a_score_test_is_one_step_of_the_richer_fit(small: Solution) -> None:
     assert square.chi_square > 10.0
     assert small.misfit - richer.misfit == pytest.approx(square.chi_square, rel=0.3)
     assert richer.theta[-1] == pytest.approx(square.value, rel=0.1)
+
+
+def test_a_lag_is_tested_where_it_shows() -> None:
+    """Where the current settles within an interval, a lag far below it hides: its slope at 0 would tell nothing."""
+    quick = values(L=1e-4)  # twenty time constants of the winding an interval
+    best = solution(worked(quick), LOGS, quick)
+    test = score_tests(best, terms(best.problem.record, best.problem.known), ["sensor_lag"])["sensor_lag"]
+    assert test.sd < 0.01
+    assert abs(test.value) < 4.0 * test.sd
 
 
 def test_a_term_is_taken_where_the_evidence_is_strong(
