@@ -67,7 +67,7 @@ class Problem:
         white = out[:, :, :2][:, :, self.record.seen > 0.0].reshape(len(thetas), -1)
         white[~np.isfinite(white)] = 1e6
         size = 0.5 * logs / self.count
-        scale = np.exp(np.where(size < 300.0, size, 300.0))  # of a number that is none, too
+        scale = np.exp(np.where(size < 100.0, size, 100.0))  # of a number that is none, too
         means, sds = np.array([(term.prior_mean, term.prior_sd) for term in self.free]).T
         prior = (thetas - means) / sds
         residuals: FloatArray = scale[:, None] * np.concatenate([white, prior], axis=1)
