@@ -22,10 +22,6 @@ _OF_THE_DRAG = 0.95  # the load's share: the rest stays viscous
 _STEP = 0.01
 _ROUNDS = 4
 _FARTHEST = 3.0  # logarithm of a factor on a parameter
-_UNTOLD_OWN, _ALL_OWN = (
-    0.05,
-    0.95,
-)  # the motor's own share of the drag: if nobody told it; from where on there is no load
 _FRICTION = quantities.PARAMETERS.index("B")
 
 
@@ -90,9 +86,7 @@ def _textbook_of(fit: Identified) -> FloatArray:
     """How the free logarithms of a textbook fit follow the samples that `_run` gives, shape (n_free, n_samples)."""
     textbook = _run(fit, np.zeros(5))
     columns = [(_run(fit, _STEP * np.eye(5)[n]) - textbook) / _STEP for n in _free(fit)]
-    is_step = fit.start.voltage_v is None
-    late = _STEP * fit.start.dt_s if is_step else _STEP
-    later = (_run(fit, np.zeros(5), late=late) - textbook) / _STEP
+    later = (_run(fit, np.zeros(5), late=_STEP) - textbook) / _STEP
     slopes = np.stack([*columns, later], axis=1)
     # What the start hardly tells, such as L at a slow rate, stays: each logarithm, and a sample of delay, by 1 (1 sd).
     inverse = np.linalg.solve(slopes.T @ slopes + np.eye(slopes.shape[1]), slopes.T)[:-1]
@@ -120,7 +114,7 @@ def _run(
         logs: of factors on R, L, K, J and B of the fit, shape (5,).
         load: what makes the drag; None for the textbook.
         added: friction torque of a bearing, over the drag.
-        late: how much later it starts, in seconds of a step and samples of a measured voltage.
+        late: how much later it starts, in samples.
     """
     p, speed = fit.physical, abs(mean_tail(fit.states[:, 1]))
     drag = p[places.B] * speed
@@ -130,7 +124,10 @@ def _run(
         p[places.B] *= 1.0 - _OF_THE_DRAG
         constant, fan = (carried, 0.0) if load == "constant" else (0.0, carried)
         p[places.COULOMB], p[places.SQUARE] = constant + added * drag, fan / speed**2
-    p[places.ONSET if fit.start.voltage_v is None else places.DELAY] += late
+    if fit.start.voltage_v is None:
+        p[places.ONSET] += late * fit.start.dt_s
+    else:
+        p[places.DELAY] += late
     states = fit.solution.problem.record.predict(p, learn=False)[0][:, 2:4]
     channels = [states[:, 0] / np.std(fit.residual_a)]
     if fit.start.speed_rad_s is not None:
