@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motor_env.fitting import places
-from motor_env.fitting.fit import fit
+from motor_env.fitting.fit import fit, without_lines
 from motor_env.fitting.problem import Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
@@ -18,6 +18,7 @@ from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import covariance, motor_places
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.periodic_lines import PeriodicLine
 from motor_env.recordings.recording import Recording
 
 _UNTOLD = 0.5
@@ -128,7 +129,9 @@ def identify_record(record: Record) -> Operation:
     Raises:
         UnusableError: no motor explains it.
     """
-    found = _described(fit(record))
+    solution = fit(record)
+    record, lines = without_lines(solution, record)
+    found = _described(fit(record) if lines else solution, lines)  # its terms may have stood for the lines
     if found.r2_current is not None and found.r2_current < _CURRENT_TELLS and record.seen[1]:
         found = _described(fit(record.only(current=False, speed=True)))
     _refuse_poor(found)
@@ -151,7 +154,7 @@ def _refuse_poor(found: Operation) -> None:
         raise UnusableError(f"L/R of {told['L'] / told['R']:.3g} s is that of no motor: {_UNFIT}")
 
 
-def _described(solution: Solution) -> Operation:
+def _described(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> Operation:
     record = solution.problem.record
     every = terms(record, solution.problem.known)
     spread = covariance(solution, every)
@@ -168,7 +171,7 @@ def _described(solution: Solution) -> Operation:
         warmth_k=filtered[:, 5],
         r2_current=r2[0],
         r2_speed=r2[1],
-        notes=tuple(_notes(record, solution, quantities)),
+        notes=tuple(_notes(record, solution, quantities, lines)),
     )
 
 
@@ -225,7 +228,12 @@ def _naming(record: Record) -> tuple[dict[str, str], dict[str, str]]:
     return {"J": "R J", "coulomb": "R coulomb"}, _UNITS_SPEED
 
 
-def _notes(record: Record, solution: Solution, quantities: tuple[Quantity, ...]) -> list[str]:
+def _notes(
+    record: Record,
+    solution: Solution,
+    quantities: tuple[Quantity, ...],
+    lines: tuple[PeriodicLine, ...],
+) -> list[str]:
     values, sentences = solution.values, []
     if record.seen[0] and not record.seen[1]:
         sentences.append("the current alone tells J/K^2 and B/K^2, not K, J and B")
@@ -243,6 +251,10 @@ def _notes(record: Record, solution: Solution, quantities: tuple[Quantity, ...])
     ]
     if untold:
         sentences.append(f"not determined by this record: {', '.join(untold)}")
+    if lines:
+        loudest = max(lines, key=lambda line: line.amplitude_a)
+        where = f"{loudest.amplitude_a:.3g} A at {loudest.frequency_hz:.4g} Hz (or an alias of it)"
+        sentences.append(f"a ripple of {where} was taken off the current")
     if record.averaged > 1:
         sentences.append(f"{record.averaged} neighbouring samples were averaged into one")
     if record.share < 1.0:

@@ -21,6 +21,7 @@ from motor_env.motor.parameters import FloatArray
 
 _LEAST_LAG = 0.01  # of R dt: an L so small that the current follows at once
 _LEAST_NOISE = 1e-7  # of what was believed before
+_LARGEST = 1e100  # of an innovation: its square is a number
 STEP = 1e-4
 
 
@@ -65,7 +66,7 @@ class Problem:
         """The same for several vectors of unknowns, shape (m, n_unknowns)."""
         out, logs = self.record.predict_each(self.values_each(thetas))
         white = out[:, :, :2][:, :, self.record.seen > 0.0].reshape(len(thetas), -1)
-        white[~np.isfinite(white)] = 1e6
+        white[~(np.abs(white) < _LARGEST)] = 1e6
         size = 0.5 * logs / self.count
         scale = np.exp(np.where(size < 100.0, size, 100.0))  # of a number that is none, too
         means, sds = np.array([(term.prior_mean, term.prior_sd) for term in self.free]).T

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from motor_env.fitting import places
+from motor_env.fitting.fit import without_lines
 from motor_env.fitting.problem import STEP, Problem, Solution
 from motor_env.fitting.record import Record, joined
 from motor_env.fitting.terms import NOISES, terms
@@ -47,6 +48,10 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
     others = [name for name in (*_LOADS, *NOISES) if name in wanted]
     problem, begin = _problem(record, known, others)
     best = Solution(problem, *problem.solve(begin, _MOST_ROUNDS))
+    record, lines = without_lines(best, record)
+    if lines:
+        problem = replace(problem, record=record)
+        best = Solution(problem, *problem.solve(best.theta, _MOST_ROUNDS))
     values, spread = best.values, information_covariance(problem, best.theta)
     rows = [problem.names[n] for n in motor_places(problem)]
     at = [rows.index(name) for name in _MOTOR]

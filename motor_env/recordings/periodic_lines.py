@@ -51,6 +51,24 @@ def periodic_lines(residual: FloatArray, time_s: FloatArray) -> tuple[PeriodicLi
     return tuple(lines)
 
 
+def constant_lines(residual: FloatArray, time_s: FloatArray, speed: FloatArray) -> tuple[PeriodicLine, ...]:
+    """Lines that stand out of the residual of a current.
+
+    Where the strongest one is sharper over the angle than over time, it is the commutator's: there are none.
+
+    Args:
+        residual: shape (n,).
+        time_s: evenly spaced, shape (n,).
+        speed: of the fitted motor, in any unit, shape (n,).
+    """
+    lines = periodic_lines(residual, time_s)
+    if not lines:
+        return ()
+    turning = over_angle(residual, time_s, speed)
+    turns = turning is not None and line_share(turning[1], turning[0]) > line_share(residual, time_s)
+    return () if turns else lines
+
+
 def over_angle(
     values: FloatArray, time_s: FloatArray, speed: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:

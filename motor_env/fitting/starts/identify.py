@@ -17,7 +17,7 @@ from motor_env.fitting.uncertainty import capped, sandwich
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.periodic_lines import line_share, over_angle, periodic_lines
+from motor_env.recordings.periodic_lines import constant_lines
 from motor_env.recordings.start import Start
 
 _UNTOLD_LOG_SD = 1.0
@@ -74,19 +74,11 @@ def _cleaner(fit: Identified) -> Start | None:
     if len(wild) > max(len(residual) // 1000, 1):
         wild = list(start.alignment.wild)
     begin = start.alignment.onset_index
-    lines = start.lines or periodic_lines(residual[begin:], start.time_s[begin:])
-    if lines and not start.lines and _turns_with_the_motor(fit, begin):
-        lines = ()
+    some = slice(begin, None)
+    lines = start.lines or constant_lines(residual[some], start.time_s[some], fit.states[some, 1])
     if lines == start.lines and len(wild) == len(start.alignment.wild):
         return None
     return replace(start, lines=lines, alignment=replace(start.alignment, wild=tuple(wild)))
-
-
-def _turns_with_the_motor(fit: Identified, begin: int) -> bool:
-    """Whether the strongest line is sharper over the angle than over time: the commutator's, not a converter's."""
-    residual, time_s = fit.residual_a[begin:], fit.start.time_s[begin:]
-    turning = over_angle(residual, time_s, fit.states[begin:, 1])
-    return turning is not None and line_share(turning[1], turning[0]) > line_share(residual, time_s)
 
 
 def _wild_against(residual: FloatArray, current: FloatArray) -> list[int]:
