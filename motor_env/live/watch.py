@@ -10,6 +10,7 @@ import math
 from array import array
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ YEAR_S = 365.25 * 86_400.0
 STUCK_AFTER = 200
 _GAP_STEPS = 20.0
 _MOST_COLUMNS = 1000
+_LONGEST_NAME = 100
 _QUANTITIES = ("time", "voltage", "current", "speed")
 
 
@@ -70,6 +72,10 @@ def _columns(samples: array[float]) -> dict[str, FloatArray]:
 def _recording(columns: dict[str, FloatArray]) -> Recording:
     even, values, _ = evened(columns["time"], {name: columns[name] for name in _QUANTITIES[1:]})
     return Recording(Path("stream"), even, values["current"], values["voltage"], values["speed"])
+
+
+# Garbage may look like a header for as long as it likes, and its words are mostly the same ones.
+_meaning = lru_cache(1024)(understand)
 
 
 class Watch:
@@ -256,7 +262,7 @@ class Watch:
         words = text.split(",", _MOST_COLUMNS)
         if self._columns and len(words) < len(_QUANTITIES):
             return False
-        meanings = [understand(word) for word in words]
+        meanings = [_meaning(word[:_LONGEST_NAME]) for word in words]
         names = [meaning.quantity for meaning in meanings]
         missing = [quantity for quantity in _QUANTITIES if quantity not in names]
         if not missing:

@@ -8,6 +8,7 @@ import time
 import tracemalloc
 import tty
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import hostile
@@ -100,7 +101,7 @@ def test_a_log_that_is_gone_on_with_must_be_the_one_that_was_read(tmp_path: Path
 def test_a_log_is_a_regular_file(tmp_path: Path) -> None:
     for path in hostile.odd_places(tmp_path / "log.csv"):
         for follow in (False, True):
-            hostile.refused(lambda path=path, follow=follow: next(opened(str(path), follow=follow)), path)
+            hostile.refused(partial(next, opened(str(path), follow=follow)), path)
 
 
 def test_a_line_without_end_takes_no_more_time_and_memory_than_short_ones() -> None:
@@ -233,7 +234,7 @@ def test_mqtt_from_a_real_broker(broker: list[str]) -> None:
         opened(url)
     running = started(broker)
     try:
-        heard = source(url, follow=False, offset=0, baud=0)
+        heard = source(url, follow=False, baud=0)
         assert publish_until_heard(heard, "1,2,3,4\n5,6,7,8") == b"1,2,3,4\n5,6,7,8\n"
         running.kill()
         running.wait()
@@ -246,3 +247,15 @@ def test_mqtt_from_a_real_broker(broker: list[str]) -> None:
         running.wait()
     with pytest.raises(InputError, match="mqtt://HOST/TOPIC"):
         opened("mqtt://127.0.0.1")
+
+
+def test_a_broker_that_refuses_is_told_without_the_password(broker: list[str]) -> None:
+    Path(broker[2]).write_text(f"listener {broker[3]} 127.0.0.1\nallow_anonymous false\n", encoding="utf-8")
+    running = started(broker)
+    try:
+        heard = source(f"mqtt://me:SECRET@127.0.0.1:{broker[3]}/plant", follow=False, baud=0)
+        told = next(piece for piece in heard if isinstance(piece, Notice))
+    finally:
+        running.kill()
+        running.wait()
+    assert (told.kind, told.text) == ("unplugged", "127.0.0.1 refuses: not authorized")

@@ -9,6 +9,7 @@ import math
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -510,7 +511,7 @@ def test_a_hostile_state_is_refused_or_read(watching_a_log: list[str], tmp_path:
         path.write_text(hostile.json_of(hostile.forged(good, rng)), encoding="utf-8")
         hostile.refused_or_same(load, path, lambda state: state.exit_status)
     for odd in hostile.odd_places(path):
-        hostile.refused(lambda odd=odd: main([*watching_a_log[:4], str(odd)]), odd)
+        hostile.refused(partial(main, [*watching_a_log[:4], str(odd)]), odd)
 
 
 class Clock:
