@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from io import FileIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -82,10 +83,11 @@ def _standard_input() -> Iterator[Piece]:
 
 def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece]:
     """Each read begins with the block before it: where that is another one, so is the file, however long it is."""
-    file = _opened(path)
+    file, following = _opened(path), None
     try:
         while True:
-            is_moved = follow and _is_moved(path, file)  # asked first, so that the old one is read to its end
+            if follow and following is None:  # asked first, so that the old one is read to its end
+                following = _following(path, file)
             file.seek(min(at - len(before), os.fstat(file.fileno()).st_size))
             block = file.read(len(before) + _CHUNK)
             if not block.startswith(before):
@@ -98,10 +100,9 @@ def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece
             yield piece
             if piece:
                 continue
-            if is_moved:
-                new = _opened(path)
+            if following is not None:
                 file.close()
-                file, at, before = new, 0, b""
+                file, following, at, before = following, None, 0, b""
                 yield Notice(NEW_FILE, f"{path} is another file now: read from its begin")
             elif follow:
                 time.sleep(_PAUSE_S)
@@ -109,6 +110,8 @@ def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece
                 return
     finally:
         file.close()
+        if following is not None:
+            following.close()
 
 
 def _opened(path: Path) -> FileIO:
@@ -117,13 +120,13 @@ def _opened(path: Path) -> FileIO:
     return FileIO(path)
 
 
-def _is_moved(path: Path, file: FileIO) -> bool:
-    """Whether another file is in its place, with something in it: before that, the old one may still grow."""
-    try:
+def _following(path: Path, file: FileIO) -> FileIO | None:
+    """Another file in its place, once something is in it: before that, the old one may still grow."""
+    with suppress(FileNotFoundError):
         now = path.stat()
-    except FileNotFoundError:
-        return False
-    return now.st_size > 0 and not os.path.samestat(now, os.fstat(file.fileno()))
+        if now.st_size > 0 and not os.path.samestat(now, os.fstat(file.fileno())):
+            return _opened(path)
+    return None
 
 
 def _serial(port: str, baud: int) -> Iterator[Piece]:

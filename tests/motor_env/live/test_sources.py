@@ -73,6 +73,11 @@ def test_a_log_that_is_rotated_is_read_to_its_end_and_then_the_new_one(tmp_path:
     log.write_bytes(b"new\n")
     told_new(heard, "is another file now")
     assert next(heard) == b"new\n"
+    log.unlink()
+    log.write_bytes(b"last\n")
+    told_new(heard, "is another file now")
+    assert next(heard) == b"last\n"
+    heard.close()  # type: ignore[attr-defined]  # a generator
 
 
 @pytest.mark.parametrize("old", [b"one\ntwo\n", b"12345678\n" * 60_000], ids=["small", "pieces"])
