@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from codecs import BOM_UTF8
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -137,7 +138,7 @@ class Watch:
 
     def _line(self, line: bytes) -> Iterator[Event]:
         # A file may begin with a mark of its encoding, and several may be joined.
-        text = line[: LONGEST_LINE + 1].decode("utf-8-sig", "replace").strip()
+        text = line[: LONGEST_LINE + 1].removeprefix(BOM_UTF8).decode("utf-8", "replace").strip()
         if len(line) > LONGEST_LINE:
             yield Event(self._time_s, "malformed", f"longer than {LONGEST_LINE} bytes: {text[:60]}")
             return
