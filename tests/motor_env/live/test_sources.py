@@ -92,6 +92,29 @@ def test_a_log_written_anew_in_its_place_is_new_however_long_it_is(tmp_path: Pat
     assert next(heard) == old[: old.index(b"\n") + 1]
 
 
+def test_the_old_log_may_grow_until_something_is_in_the_new_one(tmp_path: Path) -> None:
+    log, old = tmp_path / "log.csv", tmp_path / "log.1"
+    log.write_bytes(b"one\n")
+    heard = source(str(log), follow=True, baud=0)
+    assert next(heard) == b"one\n"
+    log.rename(old)
+    log.touch()
+    assert [next(heard), next(heard)] == [b"", b""]
+    with old.open("ab") as file:
+        file.write(b"two\n")
+    assert next(heard) == b"two\n"
+
+
+def test_a_long_log_is_read_in_little_memory(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_bytes(b"12345678\n" * 400_000)
+    tracemalloc.start()
+    assert sum(len(piece) for piece in source(str(log), follow=False, baud=0) if piece) == 3_600_000  # type: ignore[arg-type]
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1_000_000
+
+
 def test_a_log_that_is_gone_on_with_must_be_the_one_that_was_read(tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
     log.write_bytes(b"one\ntwo\nthree\n")

@@ -445,6 +445,29 @@ def test_the_state_of_another_motor_or_source_is_refused(
     assert len(judge.given) == 1
 
 
+def test_the_state_is_that_of_the_motor_which_was_learned(
+    judge: Judge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "log.csv").write_bytes(joined([HEADER, *samples(6 * 101)]))
+    monkeypatch.setattr(watching, "learn_windows", lambda *_, **__: (TAUGHT, []))
+    monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(healthy=TAUGHT))
+    monkeypatch.setattr(command, "motor_of_windows", lambda *_: None)
+    monkeypatch.setattr(command, "save_motor", lambda _, path: path.write_text("learned"))
+    run = [
+        "watch",
+        *(str(tmp_path / name) for name in ("m.toml", "log.csv")),
+        "--learn",
+        "0.4975",
+        "--window",
+    ]
+    run += ["0.0995", "--state", str(tmp_path / "state.json")]
+    assert main(run) == 0
+    assert len(judge.given) == 1
+    assert main(run) == 0  # it goes on
+    (tmp_path / "m.toml").unlink()
+    assert "another motor file" in hostile.refused(lambda: main(run), tmp_path / "state.json")
+
+
 def test_a_rotated_log_goes_on_with_its_own_state(
     watching_a_log: list[str], judge: Judge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -588,6 +611,12 @@ def test_a_line_that_is_too_long_is_one_malformed_event_and_the_rest_of_it_nothi
     assert events[0].text == "longer than 65536 bytes: " + long[:60].decode()
     assert state.counts == {"malformed": 2, "time_jump": 1, "window healthy": 1}
     assert state.offset == sum(len(piece) for piece in pieces if isinstance(piece, bytes))
+
+
+def test_behind_a_notice_a_line_begins(judge: Judge) -> None:
+    cut: list[Piece] = [b"x" * 70_000, Notice("unplugged", "gone"), HEADER, *samples(101)]
+    watch = Watch(TAUGHT, State(), false_alarms_per_year=1.0)
+    assert [event.name for event in watch.events(cut)] == ["malformed", "unplugged", "window healthy"]
 
 
 def test_marks_of_an_encoding_are_no_part_of_a_line(judge: Judge) -> None:
