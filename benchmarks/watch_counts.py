@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from scipy.stats import poisson
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind
+from motor_env.live.events import Event
 from motor_env.live.state import State
-from motor_env.live.watch import YEAR_S, Event, Lesson, Watch
+from motor_env.live.watch import YEAR_S, Lesson, Watch
 from motor_env.motor.faults import apply_fault
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import discretize

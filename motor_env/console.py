@@ -153,9 +153,9 @@ def progress_bar(total: float | None, text: str, *columns: ProgressColumn) -> It
         yield partial(bar.update, bar.add_task(text, total=total))
 
 
-def json_text(value: Any) -> str:
-    """A result for programs. JSON has no number for what is infinite or none: null stands there."""
-    return json.dumps(_finite(value), indent=1, allow_nan=False)
+def json_text(value: Any, *, indent: int | None = 1) -> str:
+    """A result for programs, on one line without `indent`. What is infinite or no number is null, as JSON wants it."""
+    return json.dumps(_finite(value), indent=indent, allow_nan=False)
 
 
 def _finite(value: Any) -> Any:

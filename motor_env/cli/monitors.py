@@ -34,8 +34,9 @@ def watch(
         motor: Motor file that `commission` wrote from logs, or that --learn writes.
         source: A file, serial:/dev/ttyACM0, mqtt://host/topic; standard input without it.
         false_alarms_per_year: Of a healthy motor that always runs.
-        state: File that keeps what was seen, so that a new start goes on where the last window ended.
-        follow: Wait for lines that are appended to the file.
+        state: File that keeps what was seen of this motor and source, so that a new start goes on where the last
+            window ended.
+        follow: Wait for lines that are appended to the file, or to the one that takes its place.
         learn: Where there is no motor file yet: so long the motor is healthy, and is learned from, such as 10min.
         window: Length of a window for --learn, such as 20s; a twentieth of it by default.
         steady: For --learn: only a fault moves this motor. Load, temperature and offsets stay, as on a test bench.

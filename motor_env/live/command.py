@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
@@ -11,9 +12,11 @@ from pathlib import Path
 from motor_env.console import printable
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.errors import InputError
-from motor_env.live.sources import lines, source
+from motor_env.live.events import Event
+from motor_env.live.pieces import NEW_FILE, lines
+from motor_env.live.sources import identity, source
 from motor_env.live.state import State
-from motor_env.live.watch import Event, Lesson, Watch
+from motor_env.live.watch import Lesson, Watch
 from motor_env.motor.data_sheet import Motor, load_motor, save_motor
 from motor_env.motor.healthy import Healthy
 
@@ -36,19 +39,19 @@ def run(
     """
     if name is None and follow:
         raise InputError("--follow needs a log; standard input is waited for anyway")
-    seen = State.load(state)
-    seen.header = columns or seen.header
-    if name is None:
-        seen.offset = 0
     known = _windows_of(load_motor(motor)) if lesson is None or motor.exists() else lesson
+    seen = State.load(state, _digest(motor), identity(name))
+    seen.header = columns or seen.header
     watcher = Watch(known, seen, false_alarms_per_year=false_alarms_per_year)
-    heard = lines(source(name, follow=follow, offset=seen.offset, baud=baud), rest=not follow)
+    before = seen.last_read.encode("latin-1")
+    pieces = source(name, follow=follow, baud=baud, offset=seen.offset, last_read=before)
     with suppress(KeyboardInterrupt), showing(seen.counts) as show:  # Ctrl-C is the usual end of a watch
-        for event in watcher.events(heard):
+        for event in watcher.events(lines(pieces, rest=not follow)):
             show(event)
             if event.kind == "learned" and watcher.healthy is not None:
                 save_motor(motor_of_windows(watcher.healthy, motor.stem), motor)
-            if state is not None and event.kind in ("window", "learned"):
+                seen.motor = _digest(motor)
+            if state is not None and event.kind in ("window", "learned", NEW_FILE):
                 seen.save(state)
     return int(seen.exit_status)
 
@@ -71,10 +74,15 @@ def watch(
     """
     healthy = _windows_of(motor if isinstance(motor, Motor) else load_motor(motor))
     if isinstance(log, str | Path):
-        pieces = lines(source(str(log), follow=False, offset=0, baud=0))
+        pieces = lines(source(str(log), follow=False, baud=0))
     else:
         pieces = (f"{line.rstrip()}\n".encode() for line in log)
     yield from Watch(healthy, State(), false_alarms_per_year=false_alarms_per_year).events(pieces)
+
+
+def _digest(motor: Path) -> str:
+    """Of the motor file, which was read; empty where there is none, since it is to be learned."""
+    return hashlib.sha256(motor.read_bytes()).hexdigest() if motor.exists() else ""
 
 
 def _windows_of(motor: Motor) -> Healthy:
@@ -102,7 +110,8 @@ def showing(counts: Counter[str]) -> Iterator[Callable[[Event], None]]:
             table = Table("time (s)", "event", "what", "moved", expand=True)
             for each in latest:
                 moved = ", ".join(f"{name} {ratio - 1.0:+.1%}" for name, ratio in each.ratios.items())
-                words = (f"{each.time_s:.6g}", each.kind, f"{each.text} {each.reason}", moved)
+                kind = each.kind if each.count == 1 else f"{each.count} {each.kind}"
+                words = (f"{each.time_s:.6g}", kind, f"{each.text} {each.reason}", moved)
                 table.add_row(*(Text(printable(word)) for word in words), style=_style(each))
             screen.update(Group(table, Text(", ".join(f"{n} {name}" for name, n in counts.most_common()))))
 

@@ -1,4 +1,4 @@
-"""Where lines come from: standard input, a growing file, a serial port, MQTT; and what is said where none come.
+"""Where lines come from: standard input, a growing file, a serial port, MQTT.
 
 A source yields bytes as they come, and nothing (b"") at least every second while none do.
 """
@@ -12,67 +12,61 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
+from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from motor_env.errors import InputError
+from motor_env.live.pieces import BLOCK_BYTES, NEW_FILE, Notice, Piece
 
-NEW_FILE = "new_file"
-SILENCE_S = 5.0
 _PAUSE_S = 0.2
 _CHUNK = 1 << 16
-_MOST_WAITING = 10_000  # pieces; a watcher that lags farther behind loses some, which shows as a gap
+_MOST_WAITING_BYTES = 1 << 26
+_PIECE_BYTES = 100  # of a piece beside what is in it
 
 
-@dataclass(frozen=True, slots=True)
-class Notice:
-    """What a source has to say beside lines: kind (silence, unplugged, new_file), and words."""
+def identity(name: str | None) -> str:
+    """What is watched, as a state and sentences name it: a file by its whole path, a broker without a password.
 
-    kind: str
-    text: str
+    Raises:
+        InputError: it names no source.
+    """
+    if name is None:
+        return "standard input"
+    if name.startswith("serial:"):
+        return name
+    if name.startswith("mqtt:"):
+        broker = _broker(name)
+        return f"mqtt://{broker.host}:{broker.port}/{broker.topic}"
+    if "://" in name:  # it may hold a password, too
+        raise InputError("a source is a file, serial:PORT or mqtt://HOST/TOPIC, got another kind of URL")
+    return str(Path(name).absolute())
 
 
-Piece = bytes | Notice
-SILENCE = Notice("silence", f"no line for {SILENCE_S:g} s: is the cable in?")
-
-
-def lines(pieces: Iterator[Piece], *, rest: bool = True) -> Iterator[Piece]:
-    """Whole lines of pieces; SILENCE once where none come for a while.
+def source(
+    name: str | None, *, follow: bool, baud: int, offset: int = 0, last_read: bytes = b""
+) -> Iterator[Piece]:
+    """Pieces of what a user names: a file, serial:PORT, mqtt://HOST/TOPIC; standard input without a name.
 
     Args:
-        pieces: of a source.
-        rest: whether what follows the last line end is a line, too.
-    """
-    left, heard_s, is_silent = b"", time.monotonic(), False
-    for piece in pieces:
-        if isinstance(piece, Notice):
-            left, is_silent = b"", True
-            yield piece
-        elif piece:
-            heard_s, is_silent = time.monotonic(), False
-            *whole, left = (left + piece).split(b"\n")
-            yield from (line + b"\n" for line in whole)
-        elif not is_silent and time.monotonic() - heard_s > SILENCE_S:
-            is_silent = True
-            yield SILENCE
-    if left and rest:
-        yield left
-
-
-def source(name: str | None, *, follow: bool, offset: int, baud: int) -> Iterator[Piece]:
-    """Pieces of what a user names: a file, serial:PORT, mqtt://HOST/TOPIC; standard input without a name.
+        name: of the source.
+        follow: whether to wait for what is appended to a file, or takes its place.
+        baud: of a serial port.
+        offset: bytes of a file that were read before.
+        last_read: the last BLOCK_BYTES of them.
 
     Raises:
         InputError: there is no such thing, or the library that it needs is missing.
     """
+    identity(name)
     if name is None:
         return _standard_input()
     if name.startswith("serial:"):
         return _serial(name.removeprefix("serial:"), baud)
     if name.startswith("mqtt:"):
-        return _mqtt(name)
-    return _file(Path(name), offset, follow=follow)
+        return _mqtt(_broker(name))
+    return _file(Path(name), offset, last_read, follow=follow)
 
 
 def _standard_input() -> Iterator[Piece]:
@@ -87,19 +81,52 @@ def _standard_input() -> Iterator[Piece]:
     return _from(waiting)
 
 
-def _file(path: Path, offset: int, *, follow: bool) -> Iterator[Piece]:
-    with path.open("rb") as file:
-        file.seek(offset)
+def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece]:
+    """Each read begins with the block before it: where that is another one, so is the file, however long it is."""
+    file, following = _opened(path), None
+    try:
         while True:
-            if file.tell() > os.fstat(file.fileno()).st_size:
-                yield Notice(NEW_FILE, f"{path} has shrunk: read from its begin")
-                file.seek(0)
-            piece = file.read(_CHUNK)
+            if follow and following is None:  # asked first, so that the old one is read to its end
+                following = _following(path, file)
+            file.seek(min(at - len(before), os.fstat(file.fileno()).st_size))
+            block = file.read(len(before) + _CHUNK)
+            if not block.startswith(before):
+                words = f"{path} is not the file of before: read from its begin"
+                yield Notice(NEW_FILE, f"{words}; what stood behind byte {at} may be lost")
+                at, before = 0, b""
+                continue
+            piece = block[len(before) :]
+            at, before = at + len(piece), block[-BLOCK_BYTES:]
             yield piece
-            if not piece:
-                if not follow:
-                    return
+            if piece:
+                continue
+            if following is not None:
+                file.close()
+                file, following, at, before = following, None, 0, b""
+                yield Notice(NEW_FILE, f"{path} is another file now: read from its begin")
+            elif follow:
                 time.sleep(_PAUSE_S)
+            else:
+                return
+    finally:
+        file.close()
+        if following is not None:
+            following.close()
+
+
+def _opened(path: Path) -> FileIO:
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is no regular file; a port is serial:PORT, and a pipe standard input")
+    return FileIO(path)
+
+
+def _following(path: Path, file: FileIO) -> FileIO | None:
+    """Another file in its place, once something is in it: before that, the old one may still grow."""
+    with suppress(FileNotFoundError):
+        now = path.stat()
+        if now.st_size > 0 and not os.path.samestat(now, os.fstat(file.fileno())):
+            return _opened(path)
+    return None
 
 
 def _serial(port: str, baud: int) -> Iterator[Piece]:
@@ -113,56 +140,107 @@ def _serial(port: str, baud: int) -> Iterator[Piece]:
     except (serial.SerialException, ValueError) as error:
         reason = os.strerror(error.errno).lower() if isinstance(error, OSError) and error.errno else error
         raise InputError(f"serial port {port}: {reason}") from None
-    waiting: queue.Queue[Piece | None] = queue.Queue(_MOST_WAITING)
+    waiting = _Waiting()
 
     def read() -> None:
         while True:
             try:
                 device.open() if not device.is_open else None
-                _put(waiting, device.read(device.in_waiting or 1))
+                waiting.offer(device.read(device.in_waiting or 1))
             except (OSError, TypeError):  # TypeError: pyserial's, of a port that closes while it is read
                 if device.is_open:
                     device.close()
-                    _put(waiting, Notice("unplugged", f"serial port {port} is gone; it is tried again"))
+                    waiting.offer(Notice("unplugged", f"serial port {port} is gone; it is tried again"))
                 time.sleep(_PAUSE_S)
 
     threading.Thread(target=read, daemon=True).start()
     return _from(waiting)
 
 
-def _mqtt(url: str) -> Iterator[Piece]:
+class _Broker(NamedTuple):
+    host: str
+    port: int
+    topic: str
+    user: str
+    password: str
+
+
+def _broker(url: str) -> _Broker:
+    try:
+        parts = urlsplit(url)
+        port, topic = parts.port or 1883, unquote(parts.path.removeprefix("/"))
+    except ValueError:
+        parts, port, topic = urlsplit(""), 0, ""
+    if not parts.hostname or not topic:  # what was given may hold a password, and is not said
+        raise InputError(
+            "MQTT needs mqtt://HOST/TOPIC or mqtt://USER:PASSWORD@HOST:PORT/TOPIC (in a password write / as %2F,"
+            " # as %23, ? as %3F)"
+        )
+    return _Broker(parts.hostname, port, topic, unquote(parts.username or ""), unquote(parts.password or ""))
+
+
+def _mqtt(broker: _Broker) -> Iterator[Piece]:
     """Each message holds one or more lines; the library's own thread connects again."""
     try:
         from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion
     except ImportError:
         raise InputError("MQTT needs paho-mqtt: pip install 'motor-env[live]'") from None
-    parts = urlsplit(url)
-    topic = unquote(parts.path.removeprefix("/"))
-    if not parts.hostname or not topic:
-        raise InputError(f"MQTT needs mqtt://HOST/TOPIC, got {url!r}")
-    waiting: queue.Queue[Piece | None] = queue.Queue(_MOST_WAITING)
+    waiting = _Waiting()
     client = Client(CallbackAPIVersion.VERSION2)
-    if parts.username:
-        client.username_pw_set(unquote(parts.username), unquote(parts.password or ""))
+    if broker.user:
+        client.username_pw_set(broker.user, broker.password)
 
-    def subscribe(*_: object) -> None:
-        client.subscribe(topic, qos=1)
+    def subscribe(*given: Any) -> None:
+        if given[3].is_failure:
+            waiting.offer(Notice("unplugged", f"{broker.host} refuses: {given[3]}".lower()))
+        else:
+            client.subscribe(broker.topic, qos=1)
 
     client.on_connect = subscribe
-    client.on_message = lambda *given: _put(waiting, bytes(given[2].payload).rstrip(b"\r\n") + b"\n")
-    client.on_disconnect = lambda *_: _put(waiting, Notice("unplugged", f"{parts.hostname} is gone"))
+    client.on_message = lambda *given: waiting.offer(bytes(given[2].payload).rstrip(b"\r\n") + b"\n")
+    client.on_disconnect = lambda *_: waiting.offer(Notice("unplugged", f"{broker.host} is gone"))
     try:
-        client.connect(parts.hostname, parts.port or 1883)
+        client.connect(broker.host, broker.port)
     except OSError as error:
-        raise InputError(f"{url}: {(error.strerror or str(error)).lower()}") from None
+        raise InputError(f"{broker.host}:{broker.port}: {(error.strerror or str(error)).lower()}") from None
     client.loop_start()
     return _from(waiting)
 
 
-def _put(waiting: queue.Queue[Piece | None], piece: Piece) -> None:
-    with suppress(queue.Full):
-        waiting.put_nowait(piece)
+class _Waiting(queue.Queue[Piece | None]):
+    """Pieces that wait for a watch that lags behind; of what finds no room the watch is told how much it was."""
+
+    def __init__(self) -> None:
+        self._bytes, self._lost = 0, 0
+        super().__init__(_MOST_WAITING_BYTES)
+
+    def offer(self, piece: Piece) -> None:
+        """Put a piece in, if there is room."""
+        try:
+            if self._lost:
+                words = f"{self._lost} pieces of lines came faster than they could be judged"
+                self.put_nowait(Notice("lost", words))
+                self._lost = 0
+            self.put_nowait(piece)
+        except queue.Full:
+            self._lost += 1
+
+    def _put(self, item: Piece | None) -> None:
+        self._bytes += _size(item)
+        super()._put(item)
+
+    def _get(self) -> Piece | None:
+        item: Piece | None = super()._get()
+        self._bytes -= _size(item)
+        return item
+
+    def _qsize(self) -> int:
+        return self._bytes
+
+
+def _size(item: Piece | None) -> int:
+    return _PIECE_BYTES + (len(item) if isinstance(item, bytes) else 0)
 
 
 def _from(waiting: queue.Queue[Piece | None]) -> Iterator[Piece]:

@@ -6,11 +6,12 @@ stream: a line that is no sample, a gap, a jump of time, a stuck sensor, silence
 
 from __future__ import annotations
 
-import json
 import math
 from array import array
+from codecs import BOM_UTF8
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +21,9 @@ from motor_env.diagnosis.running.looks import Looks
 from motor_env.diagnosis.running.windows import averaged, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
-from motor_env.live.sources import NEW_FILE, Notice, Piece
-from motor_env.live.state import WINDOW, State
+from motor_env.live.events import Event, Seldom
+from motor_env.live.pieces import LONGEST_LINE, NEW_FILE, Notice, Piece
+from motor_env.live.state import State
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -31,55 +33,9 @@ from motor_env.recordings.recording import Recording, evened
 YEAR_S = 365.25 * 86_400.0
 STUCK_AFTER = 200
 _GAP_STEPS = 20.0
+_MOST_COLUMNS = 1000
+_LONGEST_NAME = 100
 _QUANTITIES = ("time", "voltage", "current", "speed")
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """What is said: a verdict on a window, or what is wrong with the stream.
-
-    Attributes:
-        time_s: end of the window, or when it was seen.
-        kind: window, learning, learned, not_learned, another_motor, malformed, gap, time_jump, stuck_sensor, silence,
-            unplugged or new_file.
-        text: verdict of a window; else what was seen.
-        ratios: quantities of the window over the healthy ones.
-        reason: why a window is unusable.
-        span_s: of a verdict before the window's end: how many seconds it is about.
-        fault_kind: kind of the fault, where it can be told from others of its family.
-        undecided: quantities of a window of which a doubling would not show.
-    """
-
-    time_s: float
-    kind: str
-    text: str
-    ratios: dict[str, float] = field(default_factory=dict)
-    reason: str = ""
-    span_s: float | None = None
-    fault_kind: str | None = None
-    undecided: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """By which it is counted."""
-        return f"{WINDOW}{self.text}" if self.kind == "window" else self.kind
-
-    def as_json(self) -> str:
-        """One line."""
-        is_window = self.kind == "window"
-        said = {
-            "time_s": self.time_s,
-            "event": self.kind,
-            "verdict": self.text if is_window else None,
-            "kind": self.fault_kind,
-            "reason": self.reason if is_window else self.text,
-            "ratios": {name: round(ratio, 4) for name, ratio in self.ratios.items() if math.isfinite(ratio)},
-            "span_s": self.span_s,
-            "undecided": list(self.undecided),
-        }
-        return json.dumps(
-            {name: value for name, value in said.items() if value not in ("", {}, [], None)}, allow_nan=False
-        )
 
 
 @dataclass
@@ -119,6 +75,10 @@ def _recording(columns: dict[str, FloatArray]) -> Recording:
     return Recording(Path("stream"), even, values["current"], values["voltage"], values["speed"])
 
 
+# Garbage may look like a header for as long as it likes, and its words are mostly the same ones.
+_meaning = lru_cache(1024)(understand)
+
+
 class Watch:
     """Takes lines, gives events.
 
@@ -143,8 +103,11 @@ class Watch:
         self._at: FloatArray | None = None  # logarithms over the healthy motor in the last healthy window
         self._last: list[float] | None = None
         self._same = 0
-        if state.header:
-            self._read_header(state.header)
+        self._streamed_s = 0.0  # by the stream's own time, gaps left out
+        self._is_begin = True  # whether the next bytes begin a line
+        self._seldom = Seldom()
+        if state.header and not self._read_header(state.header):
+            raise InputError(f"columns must name {', '.join(_QUANTITIES)}, got {state.header[:80]!r}")
 
     @property
     def _pace(self) -> Windows | Lesson:
@@ -154,22 +117,32 @@ class Watch:
     def events(self, lines: Iterable[Piece]) -> Iterator[Event]:
         """Events of lines and of what their source says."""
         for line in lines:
-            if isinstance(line, Notice):
-                if line.kind == NEW_FILE:
-                    self.state.offset = 0
-                events: Iterable[Event] = [self._broken(line.kind, line.text)]
-                self._last = None
-            else:
-                self.state.offset += len(line)
-                events = self._line(line.decode("utf-8", "replace").strip())
-            for event in events:
-                self.state.counts[event.name] += 1
-                yield event
+            yield from self._seldom.told(self._counted(line), self._streamed_s)
+        yield from self._seldom.rest()
         if not self._columns and self.state.counts["malformed"]:
             raise InputError("no line names the columns time, voltage, current and speed")
 
-    def _line(self, text: str) -> Iterator[Event]:
-        words = text.split(",")
+    def _counted(self, line: Piece) -> Iterator[Event]:
+        if isinstance(line, Notice):
+            if line.kind == NEW_FILE:
+                self.state.begin()
+            events: Iterable[Event] = [self._broken(line.kind, line.text)]
+            self._last, self._is_begin = None, True
+        else:
+            is_begin, self._is_begin = self._is_begin, line.endswith(b"\n")
+            self.state.heard(line)
+            events = self._line(line) if is_begin else ()
+        for event in events:
+            self.state.counts[event.name] += 1
+            yield event
+
+    def _line(self, line: bytes) -> Iterator[Event]:
+        # A file may begin with a mark of its encoding, and several may be joined.
+        text = line[: LONGEST_LINE + 1].removeprefix(BOM_UTF8).decode("utf-8", "replace").strip()
+        if len(line) > LONGEST_LINE:
+            yield Event(self._time_s, "malformed", f"longer than {LONGEST_LINE} bytes: {text[:60]}")
+            return
+        words = text.split(",", _MOST_COLUMNS)
         try:
             sample = [float(words[k]) * factor for k, factor in self._columns]
         except (ValueError, IndexError):
@@ -193,6 +166,8 @@ class Watch:
                 yield self._broken("time_jump", f"{-step:.6g} s back")
             elif step > _GAP_STEPS * self._pace.dt_s:
                 yield self._broken("gap", f"{step:.6g} s without a sample")
+            else:
+                self._streamed_s += step
         if not self._window:
             self._looks, self._looked, self._next_look_s = None, 0, math.inf
             # Behind a gap another motor may run: looks follow a healthy window only.
@@ -285,7 +260,10 @@ class Watch:
         Raises:
             InputError: it is the first that does, and one is missing.
         """
-        meanings = [understand(word) for word in text.split(",")]
+        words = text.split(",", _MOST_COLUMNS)
+        if self._columns and len(words) < len(_QUANTITIES):
+            return False
+        meanings = [_meaning(word[:_LONGEST_NAME]) for word in words]
         names = [meaning.quantity for meaning in meanings]
         missing = [quantity for quantity in _QUANTITIES if quantity not in names]
         if not missing:

@@ -5,21 +5,25 @@ import shutil
 import socket
 import subprocess
 import time
+import tracemalloc
 import tty
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
+import hostile
 import pytest
 
 from motor_env import InputError
-from motor_env.live import sources
-from motor_env.live.sources import SILENCE, Notice, Piece, lines, source
+from motor_env.live import pieces, sources
+from motor_env.live.pieces import LONGEST_LINE, SILENCE, Notice, Piece, lines
+from motor_env.live.sources import identity, source
 
 WAIT_S = 20.0
 
 
-def opened(name: str | None, *, follow: bool = False, offset: int = 0) -> Iterator[Piece]:
-    return lines(source(name, follow=follow, offset=offset, baud=115_200))
+def opened(name: str | None, *, follow: bool = False) -> Iterator[Piece]:
+    return lines(source(name, follow=follow, baud=115_200))
 
 
 def test_lines_are_whole_whatever_the_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,14 +31,13 @@ def test_lines_are_whole_whatever_the_pieces(monkeypatch: pytest.MonkeyPatch) ->
     assert list(lines(iter([b"a\nb"]), rest=False)) == [b"a\n"]
     gone = Notice("unplugged", "gone")
     assert list(lines(iter([b"a\nhal", gone, b"b\n"]))) == [b"a\n", gone, b"b\n"]
-    monkeypatch.setattr(sources, "SILENCE_S", -1.0)
+    monkeypatch.setattr(pieces, "SILENCE_S", -1.0)
     assert list(lines(iter([b"a\n", b"", b"", b"b\n", b""]))) == [b"a\n", SILENCE, b"b\n", SILENCE]
 
 
 def test_a_file_that_grows_and_one_that_begins_anew(tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
     log.write_bytes(b"one\ntwo\n")
-    assert list(opened(str(log), offset=4)) == [b"two\n"]
     heard = opened(str(log), follow=True)
     assert [next(heard), next(heard)] == [b"one\n", b"two\n"]
     with log.open("ab") as file:
@@ -45,6 +48,155 @@ def test_a_file_that_grows_and_one_that_begins_anew(tmp_path: Path) -> None:
     assert isinstance(told, Notice)
     assert told.kind == "new_file"
     assert next(heard) == b"new\n"
+
+
+def told_new(heard: Iterator[Piece], words: str) -> None:
+    told = next(heard)
+    assert isinstance(told, Notice)
+    assert told.kind == "new_file"
+    assert words in told.text
+
+
+def test_a_log_that_is_rotated_is_read_to_its_end_and_then_the_new_one(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_bytes(b"one\n")
+    heard = opened(str(log), follow=True)
+    assert next(heard) == b"one\n"
+    log.rename(tmp_path / "log.1")
+    with (tmp_path / "log.1").open("ab") as file:
+        file.write(b"two\n")
+    assert next(heard) == b"two\n"
+    log.touch()  # as logrotate makes it, before the logger is told
+    with (tmp_path / "log.1").open("ab") as file:
+        file.write(b"three\n")
+    assert next(heard) == b"three\n"
+    log.write_bytes(b"new\n")
+    told_new(heard, "is another file now")
+    assert next(heard) == b"new\n"
+    log.unlink()
+    log.write_bytes(b"last\n")
+    told_new(heard, "is another file now")
+    assert next(heard) == b"last\n"
+    heard.close()  # type: ignore[attr-defined]  # a generator
+
+
+@pytest.mark.parametrize("old", [b"one\ntwo\n", b"12345678\n" * 60_000], ids=["small", "pieces"])
+def test_a_log_written_anew_in_its_place_is_new_however_long_it_is(tmp_path: Path, old: bytes) -> None:
+    log = tmp_path / "log.csv"
+    log.write_bytes(old)
+    heard = opened(str(log), follow=True)
+    assert b"".join(piece for _ in old.splitlines() if isinstance(piece := next(heard), bytes)) == old
+    log.write_bytes(b"new\n" + old)
+    told_new(heard, "is not the file of before")
+    assert next(heard) == b"new\n"
+    assert next(heard) == old[: old.index(b"\n") + 1]
+
+
+def test_the_old_log_may_grow_until_something_is_in_the_new_one(tmp_path: Path) -> None:
+    log, old = tmp_path / "log.csv", tmp_path / "log.1"
+    log.write_bytes(b"one\n")
+    heard = source(str(log), follow=True, baud=0)
+    assert next(heard) == b"one\n"
+    log.rename(old)
+    log.touch()
+    assert [next(heard), next(heard)] == [b"", b""]
+    with old.open("ab") as file:
+        file.write(b"two\n")
+    assert next(heard) == b"two\n"
+
+
+def test_a_long_log_is_read_in_little_memory(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_bytes(b"12345678\n" * 400_000)
+    tracemalloc.start()
+    read = sum(len(piece) for piece in source(str(log), follow=False, baud=0) if isinstance(piece, bytes))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert read == 3_600_000
+    assert peak < 1_000_000
+
+
+def test_a_log_that_is_gone_on_with_must_be_the_one_that_was_read(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_bytes(b"one\ntwo\nthree\n")
+    heard = lines(source(str(log), follow=False, baud=0, offset=4, last_read=b"one\n"))
+    assert list(heard) == [b"two\n", b"three\n"]
+    for offset, last_read in ((4, b"ONE\n"), (20, b"x" * 20), (2**62, b"x" * 512)):
+        heard = lines(source(str(log), follow=False, baud=0, offset=offset, last_read=last_read))
+        told_new(heard, "is not the file of before")
+        assert list(heard) == [b"one\n", b"two\n", b"three\n"]
+
+
+def test_a_log_is_a_regular_file(tmp_path: Path) -> None:
+    for path in hostile.odd_places(tmp_path / "log.csv"):
+        for follow in (False, True):
+            hostile.refused(partial(next, opened(str(path), follow=follow)), path)
+
+
+def test_a_line_without_end_takes_no_more_time_and_memory_than_short_ones() -> None:
+    """Each byte is looked at a few times: pieces of one letter, as slow ports give them."""
+    endless = [b"x"] * 150_000
+    tracemalloc.start()
+    sizes = [len(part) for part in lines(iter([*endless, b"\n1,2\n"])) if isinstance(part, bytes)]
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert sizes[:2] == 2 * [LONGEST_LINE + 1]
+    assert sum(sizes[:3]) == 150_001
+    assert sizes[3:] == [4]
+    assert peak < 4_000_000
+
+
+def test_silence_is_said_where_bytes_come_but_no_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pieces, "SILENCE_S", -1.0)
+    assert list(lines(iter([b"x", b"x"]), rest=False)) == [SILENCE]
+    new = Notice("new_file", "shrunk")
+    assert list(lines(iter([new, b""]))) == [new, SILENCE]
+    gone = Notice("unplugged", "gone")
+    assert list(lines(iter([gone, b""]))) == [gone]
+
+
+def test_what_comes_faster_than_it_is_judged_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources, "_MOST_WAITING_BYTES", 2_000)
+    waiting = sources._Waiting()
+    for k in range(30):
+        waiting.offer(b"%02d\n" % k + b"x" * 97)
+    heard = sources._from(waiting)
+    assert next(heard) == b""
+    assert [next(heard)[:2] for _ in range(10)] == [b"%02d" % k for k in range(10)]  # type: ignore[index]
+    waiting.offer(b"a\n")
+    told = next(heard)
+    assert isinstance(told, Notice)
+    assert (told.kind, told.text) == ("lost", "20 pieces of lines came faster than they could be judged")
+    waiting.put(None)
+    assert list(heard) == [b"a\n"]
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "mqtt://me:SECRET@127.0.0.1:1/topic",
+        "mqtt://me:SECRET@127.0.0.1",
+        "mqtt://me:SEC/SECRET@host/topic",
+        "mqtt://me:SECRET#@host/topic",
+        "mqtt://me:SECRET\u2100@host/topic",
+        "mqtt://me:SECRET@[host/topic",
+        "mqtts://me:SECRET@host/topic",
+        "MQTT://me:SECRET@host/topic",
+    ],
+)
+def test_no_password_is_said(url: str) -> None:
+    pytest.importorskip("paho.mqtt", reason="paho-mqtt is not installed")
+    with pytest.raises(InputError) as refusal:
+        opened(url)
+    assert "SEC" not in str(refusal.value)
+
+
+def test_what_is_watched_has_a_name_without_password(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert identity("mqtt://me:SECRET@host/a/b%2Fc") == "mqtt://host:1883/a/b/c"
+    assert identity("mqtt://host:1884/a") == "mqtt://host:1884/a"
+    monkeypatch.chdir(tmp_path)
+    assert identity("log.csv") == identity(str(tmp_path / "log.csv")) == str(tmp_path / "log.csv")
+    assert (identity("serial:/dev/tty"), identity(None)) == ("serial:/dev/tty", "standard input")
 
 
 def test_a_serial_port_and_its_cable() -> None:
@@ -111,7 +263,7 @@ def test_mqtt_from_a_real_broker(broker: list[str]) -> None:
         opened(url)
     running = started(broker)
     try:
-        heard = source(url, follow=False, offset=0, baud=0)
+        heard = source(url, follow=False, baud=0)
         assert publish_until_heard(heard, "1,2,3,4\n5,6,7,8") == b"1,2,3,4\n5,6,7,8\n"
         running.kill()
         running.wait()
@@ -124,3 +276,15 @@ def test_mqtt_from_a_real_broker(broker: list[str]) -> None:
         running.wait()
     with pytest.raises(InputError, match="mqtt://HOST/TOPIC"):
         opened("mqtt://127.0.0.1")
+
+
+def test_a_broker_that_refuses_is_told_without_the_password(broker: list[str]) -> None:
+    Path(broker[2]).write_text(f"listener {broker[3]} 127.0.0.1\nallow_anonymous false\n", encoding="utf-8")
+    running = started(broker)
+    try:
+        heard = source(f"mqtt://me:SECRET@127.0.0.1:{broker[3]}/plant", follow=False, baud=0)
+        told = next(piece for piece in heard if isinstance(piece, Notice))
+    finally:
+        running.kill()
+        running.wait()
+    assert (told.kind, told.text) == ("unplugged", "127.0.0.1 refuses: not authorized")

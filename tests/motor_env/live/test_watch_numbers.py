@@ -3,17 +3,21 @@
 The judgement itself is put in its place by hand: that of real windows is tested in its own room.
 """
 
+import itertools
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
+import hostile
 import numpy as np
 import pytest
+from output_schema import follows
 
 from motor_env import InputError, Recording
 from motor_env.cli import main
@@ -27,9 +31,10 @@ from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.live import command, watch as watching
 from motor_env.live.command import showing
-from motor_env.live.sources import NEW_FILE, SILENCE, Notice, Piece, lines
+from motor_env.live.events import Event
+from motor_env.live.pieces import NEW_FILE, SILENCE, Notice, Piece, lines
 from motor_env.live.state import State
-from motor_env.live.watch import Event, Lesson, Watch
+from motor_env.live.watch import Lesson, Watch
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.parameters import RAD_S_PER_RPM
@@ -62,6 +67,11 @@ def judged(word: str, *ratios: float, begin_s: float = 0.0, **more: Any) -> Judg
 
 
 HEALTHY = judged("healthy", 1.01, 0.98, 1.02, 1.0)
+
+
+def joined(pieces: Sequence[Piece]) -> bytes:
+    """As they stand in a file."""
+    return b"".join(piece for piece in pieces if isinstance(piece, bytes))
 
 
 def samples(count: int, first_ms: float = 0.0) -> list[Piece]:
@@ -299,12 +309,12 @@ def test_exit_status_of_what_was_seen(counts: dict[str, int], status: ExitStatus
 
 def test_a_watch_goes_on_where_it_was(judge: Judge, tmp_path: Path) -> None:
     """After a restart the offset, the counts and the names of the columns are those of before."""
-    first, path = State(), tmp_path / "state.json"
+    first, path = State("m", "log"), tmp_path / "state.json"
     pieces = samples(101)
     watched(pieces, first)
     assert first.offset == len(HEADER) + sum(len(piece) for piece in pieces if isinstance(piece, bytes))
     first.save(path)
-    again = State.load(path)
+    again = State.load(path, "m", "log")
     assert again == first
     assert again.header == HEADER.decode().strip()
     watch = Watch(TAUGHT, again, false_alarms_per_year=1.0)
@@ -312,7 +322,8 @@ def test_a_watch_goes_on_where_it_was(judge: Judge, tmp_path: Path) -> None:
     assert again.counts == {"window healthy": 2}
     list(watch.events([Notice(NEW_FILE, "shrunk"), b"1,2,3,4\n"]))
     assert again.offset == len(b"1,2,3,4\n")
-    assert State.load(tmp_path / "none.json") == State.load(None) == State()
+    assert again.last_read == "1,2,3,4\n"
+    assert State.load(tmp_path / "none.json", "m", "log") == State.load(None, "m", "log") == State("m", "log")
 
 
 def test_headers_may_be_said_again_and_remarks_are_no_samples(judge: Judge) -> None:
@@ -358,7 +369,7 @@ def test_a_lesson_takes_as_many_windows_as_were_asked_for(monkeypatch: pytest.Mo
 
 def test_silence_is_said_after_five_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
-    monkeypatch.setattr("motor_env.live.sources.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("motor_env.live.pieces.time.monotonic", lambda: now[0])
 
     def pieces() -> Any:
         for at, piece in (
@@ -405,6 +416,221 @@ def test_the_command_reads_keeps_and_ends_with_its_status(
         )
         assert main(run) == 2
         assert "was not commissioned by windows of the motor at work" in capsys.readouterr().err
+
+
+@pytest.fixture
+def watching_a_log(judge: Judge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """A command that has judged one window of a log, and kept its state."""
+    (tmp_path / "log.csv").write_bytes(joined([HEADER, *samples(150)]))
+    (tmp_path / "m.toml").write_text("this motor", encoding="utf-8")
+    monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(healthy=TAUGHT))
+    run = [str(tmp_path / name) for name in ("m.toml", "log.csv", "state.json")]
+    run = ["watch", *run[:2], "--state", run[2]]
+    assert main(run) == 0
+    return run
+
+
+def test_the_state_of_another_motor_or_source_is_refused(
+    watching_a_log: list[str], judge: Judge, tmp_path: Path
+) -> None:
+    run, state, (_, motor, log, *_) = watching_a_log, tmp_path / "state.json", watching_a_log
+    (tmp_path / "other.csv").write_bytes((tmp_path / "log.csv").read_bytes())
+    run[2] = str(tmp_path / "other.csv")
+    said = hostile.refused(lambda: main(run), state)
+    assert f"is the state of another source, {log!r}, and not of {run[2]!r}; give another --state" in said
+    run[2] = log
+    Path(motor).write_text("another motor", encoding="utf-8")
+    said = hostile.refused(lambda: main(run), state)
+    assert "is the state of another motor file than this one; give another --state" in said
+    assert len(judge.given) == 1
+
+
+def test_the_state_is_that_of_the_motor_which_was_learned(
+    judge: Judge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "log.csv").write_bytes(joined([HEADER, *samples(6 * 101)]))
+    monkeypatch.setattr(watching, "learn_windows", lambda *_, **__: (TAUGHT, []))
+    monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(healthy=TAUGHT))
+    monkeypatch.setattr(command, "motor_of_windows", lambda *_: None)
+    monkeypatch.setattr(command, "save_motor", lambda _, path: path.write_text("learned"))
+    run = [
+        "watch",
+        *(str(tmp_path / name) for name in ("m.toml", "log.csv")),
+        "--learn",
+        "0.4975",
+        "--window",
+    ]
+    run += ["0.0995", "--state", str(tmp_path / "state.json")]
+    assert main(run) == 0
+    assert len(judge.given) == 1
+    assert main(run) == 0  # it goes on
+    (tmp_path / "m.toml").unlink()
+    assert "another motor file" in hostile.refused(lambda: main(run), tmp_path / "state.json")
+
+
+def test_a_rotated_log_goes_on_with_its_own_state(
+    watching_a_log: list[str], judge: Judge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Another content under the same name: read from its begin, however long it is, and said."""
+    capsys.readouterr()
+    (tmp_path / "log.csv").write_bytes(joined([HEADER, *samples(250, 3_000.0)]))
+    judge.verdicts = [judged("bearing", 1.0, 1.0, 1.0, 1.5)]
+    assert main(watching_a_log) == 1
+    new, *windows = map(json.loads, capsys.readouterr().out.splitlines())
+    assert new["event"] == "new_file"
+    offset = len(joined([HEADER, *samples(101)]))
+    assert f"read from its begin; what stood behind byte {offset} may be lost" in new["reason"]
+    assert [one["verdict"] for one in windows] == ["bearing", "healthy"]
+    np.testing.assert_allclose(judge.given[1][0].time_s[0], 3.0)
+    kept = json.loads((tmp_path / "state.json").read_text())
+    assert kept["offset"] == len(joined([HEADER, *samples(202, 3_000.0)]))
+    assert kept["counts"] == {"window healthy": 2, "window bearing": 1, "new_file": 1}
+    # A new file is kept before its first window, too: a new start finds no hole.
+    (tmp_path / "log.csv").write_bytes(joined([HEADER, *samples(50, 9_000.0)]))
+    for events in (["new_file"], []):
+        assert main(watching_a_log) == 1
+        assert [json.loads(line)["event"] for line in capsys.readouterr().out.splitlines()] == events
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("offset", "12", "offset must be a valid integer"),
+        ("offset", float("inf"), "offset must be a valid integer"),
+        ("offset", -1, "offset and counts must be >= 0"),
+        ("offset", 2**64, "a file as long as the offset"),
+        ("offset", 3, "last_read must be"),
+        ("last_read", "\u0416" * 512, "last_read must be"),
+        ("counts", {"window healthy": "many"}, "must be a valid integer"),
+        ("counts", {"window healthy": -1}, "offset and counts must be >= 0"),
+        ("counts", {"window marvellous": 1}, "'marvellous' is not a valid Verdict"),
+        ("counts", 3, "counts must be"),
+        ("header", hostile.DEEP, "nested too deep"),
+        ("strange", 1, "it must hold motor, source, offset,"),
+        ("header", "nonsense", "columns must name time"),
+    ],
+)
+def test_a_forged_state_is_refused(
+    watching_a_log: list[str], tmp_path: Path, key: str, value: Any, words: str
+) -> None:
+    path = tmp_path / "state.json"
+    path.write_text(hostile.json_of(json.loads(path.read_text()) | {key: value}), encoding="utf-8")
+    assert words in hostile.refused(
+        lambda: main(watching_a_log), path, named=key != "header" or value == hostile.DEEP
+    )
+
+
+def test_a_hostile_state_is_refused_or_read(watching_a_log: list[str], tmp_path: Path) -> None:
+    path, rng = tmp_path / "state.json", np.random.default_rng(5)
+    good = json.loads(path.read_text())
+
+    def load() -> State:
+        return State.load(path, good["motor"], good["source"])
+
+    for content in ("", "[]", "3", "{}", '"offset"', hostile.deep(), "nul", "\x00" * 99):
+        path.write_text(content, encoding="utf-8")
+        hostile.refused(load, path)
+    for _ in range(300):
+        path.write_text(hostile.json_of(hostile.forged(good, rng)), encoding="utf-8")
+        hostile.refused_or_same(load, path, lambda state: state.exit_status)
+    for odd in hostile.odd_places(path):
+        hostile.refused(partial(main, [*watching_a_log[:4], str(odd)]), odd)
+
+
+class Clock:
+    """In the place of the wall clock."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = 0.0
+        monkeypatch.setattr("motor_env.live.events.time.monotonic", lambda: self.now_s)
+
+    def spent(self, pieces: Sequence[Piece], seconds: float) -> Iterator[Piece]:
+        """Pieces that come evenly in so many seconds."""
+        for piece in pieces:
+            self.now_s += seconds / len(pieces)
+            yield piece
+
+
+def test_garbage_is_counted_and_said_once_a_second(judge: Judge, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, state = Clock(monkeypatch), State()
+    garbage: list[Piece] = [b"g%d\n" % k for k in range(1_000)]
+    watch = Watch(TAUGHT, state, false_alarms_per_year=1.0)
+    events = list(watch.events(itertools.chain([HEADER], clock.spent(garbage, 3.5), samples(101))))
+    said = [(event.text, event.count) for event in events if event.kind == "malformed"]
+    assert [count for _, count in said] == [1, 286, 286, 286, 141]
+    assert said[1][0] == "g286"
+    assert state.counts == {"malformed": 1_000, "window healthy": 1}
+    assert json.loads(events[1].as_json())["count"] == 286
+    assert "count" not in json.loads(events[0].as_json())
+
+
+def test_a_log_with_garbage_is_told_the_same_way_however_fast(
+    judge: Judge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second of the stream's own time counts, whatever the clock on the wall says; gaps count for none."""
+    Clock(monkeypatch)
+    lines = [each for k, line in enumerate(samples(2_500)) for each in (line, b"g%d\n" % k)]
+    told = [event for event in watched(lines, window_s=100.0) if event.kind == "malformed"]
+    assert [event.count for event in told] == [1, 1_000, 1_000, 499]
+    assert [event.text for event in told] == ["g0", "g1000", "g2000", "g2499"]
+    state = State()
+    jumps: list[Piece] = [piece for k in range(300) for piece in samples(2, 1_000.0 * (k % 2))]
+    said = watched(jumps, state)
+    assert [(event.kind, event.count) for event in said] == [
+        ("gap", 1), ("time_jump", 1), ("gap", 149), ("time_jump", 148),
+    ]  # fmt: skip
+    assert state.counts == {"gap": 150, "time_jump": 149}
+
+
+def test_what_was_held_back_is_said_when_it_is_due_and_not_with_the_next(
+    judge: Judge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = Clock(monkeypatch)
+    heard = clock.spent([HEADER, b"a\n", b"b\n", b"c\n", SILENCE], 5.0 * 0.3)
+    events = list(Watch(TAUGHT, State(), false_alarms_per_year=1.0).events(heard))
+    assert [(event.kind, event.count) for event in events] == [
+        ("malformed", 1),
+        ("silence", 1),
+        ("malformed", 2),
+    ]
+    heard = clock.spent([HEADER, b"a\n", b"b\n", *samples(3)], 6.0 * 0.5)
+    kinds = [event.text for event in Watch(TAUGHT, State(), false_alarms_per_year=1.0).events(heard)]
+    assert kinds == ["a", "b"]
+
+
+def test_a_line_that_is_too_long_is_one_malformed_event_and_the_rest_of_it_nothing(
+    judge: Judge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Clock(monkeypatch)
+    state = State()
+    long = b"0.1,12," * 30_000
+    pieces = [HEADER, long + b"\n1,2,3,4\n", b",".join([b""] * 5_000_000), b"\n", *samples(101)]
+    watch = Watch(TAUGHT, state, false_alarms_per_year=1.0)
+    events = list(watch.events(lines(iter(pieces))))
+    assert [event.name for event in events] == ["malformed", "time_jump", "window healthy", "malformed"]
+    assert events[0].text == "longer than 65536 bytes: " + long[:60].decode()
+    assert state.counts == {"malformed": 2, "time_jump": 1, "window healthy": 1}
+    assert state.offset == sum(len(piece) for piece in pieces if isinstance(piece, bytes))
+
+
+def test_behind_a_notice_a_line_begins(judge: Judge) -> None:
+    cut: list[Piece] = [b"x" * 70_000, Notice("unplugged", "gone"), HEADER, *samples(101)]
+    watch = Watch(TAUGHT, State(), false_alarms_per_year=1.0)
+    assert [event.name for event in watch.events(cut)] == ["malformed", "unplugged", "window healthy"]
+
+
+def test_marks_of_an_encoding_are_no_part_of_a_line(judge: Judge) -> None:
+    mark = b"\xef\xbb\xbf"
+    watch = Watch(TAUGHT, State(), false_alarms_per_year=1.0)
+    (event,) = watch.events([mark + HEADER, *samples(50), mark + HEADER, *samples(51, 50.0)])
+    assert event.text == "healthy"
+
+
+def test_what_is_no_number_is_null() -> None:
+    told = Event(math.nan, "window", "healthy", {"R": math.inf, "K": 1.0, "J": -math.inf, "B": math.nan})
+    assert told.as_json().count("null") == 4
+    assert "\n" not in told.as_json()
+    follows("motor-env watch", told.as_json())
 
 
 def test_a_terminal_shows_the_last_events_and_all_counts(
