@@ -136,6 +136,15 @@ def test_identify_ends_with_3_where_no_motor_explains_a_start_or_the_logs(
     assert json.loads(capsys.readouterr().out) == [{"start": 1}]
 
 
+@pytest.mark.parametrize("periods", ["-1", "0", "inf", "nan"])
+def test_identify_refuses_periods_that_are_not_positive(
+    periods: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capture = str(EXAMPLES / "startup_capture.csv")
+    assert main(["identify", capture, "--ripple-periods-per-turn", periods]) == 2
+    assert f"ripple-periods-per-turn must be > 0, got {periods}" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("states", "status"),
     [(["steady", "unknown"], 0), (["steady", "trending"], 1), (["reached"], 1), (["unknown"], 0)],
