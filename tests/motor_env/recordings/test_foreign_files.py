@@ -12,7 +12,7 @@ from hostile import refused, refused_or_same
 from recording_csv import write_csv
 from suggested_options import fits, has_blanks, options_of
 
-from motor_env import ColumnChoice, Recording, read_recording
+from motor_env import ColumnChoice, Recording, cli, read_recording
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.plausible import evenly_rounded, follows
 from motor_env.recordings.text.legend import legend_of
@@ -57,7 +57,7 @@ def chosen(path: Path, *options: str) -> Recording:
 @pytest.mark.parametrize(
     ("option", "sentence"),
     [
-        ("current=Commanded_PWM:A", "reaches 3502 A, which is no reading of a motor"),
+        ("current=Commanded_PWM:A", "reaches 3499 A, which is no reading of a motor"),
         ("current=X:A", "is a linear function of the voltage (column 2 (U [V])), without any noise"),
         ("current=clock:A", "is a linear function of the time"),
         ("current=tacho*0.02", "is a linear function of the speed"),
@@ -67,7 +67,7 @@ def test_a_current_that_none_is_is_refused(option: str, sentence: str, tmp_path:
     columns = {"time_s": TIME, "U [V]": VOLTAGE, "Commanded_PWM": PWM, "speed [rpm]": RPM}
     columns |= {"clock": 2.0 * TIME + 1.0, "tacho": np.round(SPEED, 1), "X": np.round(1.0 - 0.5 * VOLTAGE, 3)}
     path = write_csv(tmp_path / "a.csv", columns, form=".6f")
-    assert sentence in refused(lambda: chosen(path, option), path)
+    assert sentence in refused(lambda: cli.main(["identify", str(path), "--column", option]), path)
 
 
 def test_what_a_user_names_against_its_name_or_size_is_warned_of(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_a_current_follows_others_only_without_noise(noise: float) -> None:
 def test_times_that_repeat_by_rounding_tell_their_rate(
     rate_hz: float, rounded: Callable[[FloatArray], FloatArray]
 ) -> None:
-    time_s = np.arange(3000) / rate_hz
+    time_s: FloatArray = np.arange(3000) / rate_hz
     spread = evenly_rounded(rounded(1e3 * time_s) / 1e3 + 1.7e6)
     assert spread is not None
     assert spread[1:] == pytest.approx((rate_hz, 1e-3), rel=1e-5)
@@ -106,17 +106,14 @@ def test_times_that_repeat_by_rounding_tell_their_rate(
     assert abs(np.mean(spread[0]) - 1.7e6 - np.mean(time_s)) < 0.6e-3
 
 
-def test_times_that_repeat_otherwise_are_refused() -> None:
-    even = np.arange(300) / 1e3
-    assert evenly_rounded(even) is None
-    assert evenly_rounded(np.insert(even, 100, even[100])) is None  # a row twice
-    assert (
-        evenly_rounded(np.round(np.insert(even / 5.0, 150, np.full(20, 0.03)), 3)) is None
-    )  # a clock that stood
-    assert (
-        evenly_rounded(np.round(np.concatenate([even[:150] / 5.0, even[:150] / 5.0 + 0.1]), 3)) is None
-    )  # a gap
-    assert evenly_rounded(np.zeros(30)) is None
+def test_times_that_repeat_otherwise_are_not_spread() -> None:
+    even: FloatArray = np.arange(300.0) / 1e3
+    fast = even / 5.0
+    stood = np.insert(fast, 150, np.full(20, 0.03))
+    with_gap = np.concatenate([fast[:150], fast[:150] + 0.1])
+    for time_s in (even, np.insert(even, 100, even[100]), stood.round(3), with_gap.round(3), 0.0 * even):
+        assert evenly_rounded(time_s) is None
+    assert evenly_rounded(fast.round(3)) is not None
 
 
 def test_a_legend_names_columns_and_units() -> None:
