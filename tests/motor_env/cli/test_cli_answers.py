@@ -243,7 +243,8 @@ def recordings(tmp_path: Path) -> dict[str, str]:
     time_s = np.arange(400) * 1e-3
     volts = {"start": 12.0 * (time_s > 0.02), "work": 12.0 * np.sign(np.sin(40.0 * time_s) + 0.01)}
     for name, voltage in volts.items():
-        columns = {"time_s": time_s, "current_a": voltage / 3.0, "voltage_v": voltage}
+        measured = voltage / 3.0 + 1e-3 * np.sin(1e4 * time_s)
+        columns = {"time_s": time_s, "current_a": measured, "voltage_v": voltage}
         write_csv(tmp_path / f"{name}.csv", columns)
     return {name: str(tmp_path / f"{name}.csv") for name in volts}
 

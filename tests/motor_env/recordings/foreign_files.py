@@ -125,6 +125,7 @@ MAKERS: dict[str, Callable[[], ForeignFile]] = {
     "units unknown here": lambda: _file(
         {"time_s": TIME, "Torque [Nm]": 0.05 * CURRENT, "v [m/s]": 0.03 * SPEED, "P [W]": VOLTAGE * CURRENT}
     ),
+    "a unit of something else": lambda: _file({"time_s": TIME, "rpm": RPM, "Y [bar]": 3.0 + 0.1 * CURRENT}),
     "one channel": lambda: _named(
         _file({"Time [s]": TIME, "Channel 0": VOLTAGE, "Channel 1": 0.1 * CURRENT}, CURRENT),
         "current=Channel 1*10",

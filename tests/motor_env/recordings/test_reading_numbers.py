@@ -68,6 +68,14 @@ def test_each_unit_has_its_factor(quantity: str) -> None:
         ("duration min", None, 1.0, ""),
         ("T_case", None, 1.0, ""),
         ("v", "voltage", 1.0, ""),
+        ("tacho [V]", None, 1.0, "V"),
+        ("Current sense [mV]", None, 1e-3, "mV"),
+        ("Gyro x [deg/s]", None, math.pi / 180.0, "deg/s"),
+        ("Current setpoint [A]", None, 1.0, "A"),
+        ("Target speed [rpm]", None, RPM, "rpm"),
+        ("Commanded voltage [V]", "voltage", 1.0, "V"),
+        ("U_shunt [A]", "current", 1.0, "A"),  # a letter counts less than a unit
+        ("Motor current left [A]", "current", 1.0, "A"),
     ],
 )
 def test_a_header_says_quantity_and_unit(header: str, quantity: str | None, factor: float, unit: str) -> None:
