@@ -48,7 +48,7 @@ def identify(
         **measurement.options,
         regime=regime,
         constant=options.positive("torque-constant", torque_constant),
-        periods_per_turn=measurement.ripple_periods_per_turn,
+        periods_per_turn=options.positive("ripple-periods-per-turn", measurement.ripple_periods_per_turn),
     )
     if output is not None and (found.logs or found.usable):
         save_motor(found.motor(name), output)

@@ -18,17 +18,24 @@ from motor_env.recordings.headers import (
     UNITS,
     ColumnChoice,
     Meaning,
+    is_channel,
+    is_other,
     understand,
     unit_key,
     unit_quantity,
 )
+from motor_env.recordings.plausible import (
+    LARGE_CURRENT_A,
+    LARGEST_CURRENT_A,
+    evenly_rounded,
+    follows,
+    has_counts,
+)
+from motor_env.recordings.suggestions import Suggestions
 from motor_env.recordings.text.settings import Table
 
 _NONE = "none"
 _SMALL = {"time": "ms", "current": "mA", "voltage": "mV", "speed": "rpm"}
-_MANY_WHOLE = (
-    20  # different whole numbers: counts of a converter or of a clock, not a voltage that is 0 or 12
-)
 
 
 class Column(NamedTuple):
@@ -50,39 +57,68 @@ def recognise(
     """
     meanings = [understand(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
     found: dict[str, Column] = {}
-    taken: set[int] = set()
+    chosen: dict[str, int] = {}
+    suggested = Suggestions(path, table, meanings, chosen)
     for choice in choices:
         if choice.sampling_rate_hz is not None:
             found["time"] = _even(table, 0.0, 1.0 / choice.sampling_rate_hz, "as asked")
         elif choice.column.lower() != _NONE:
-            k = _place(path, table, meanings, choice)
-            taken.add(k)
-            found[choice.quantity] = _chosen(path, table, meanings[k], k, choice)
-    chosen = {choice.quantity for choice in choices}
+            k = chosen[choice.quantity] = _place(path, table, meanings, choice)
+            found[choice.quantity] = _chosen(suggested, k, choice)
     if not any(table.names) and not choices and table.values.shape[1] == 2 and not any(table.units):
-        meanings = [Meaning("time", 1.0, "", ""), Meaning("current", 1.0, "", "")]
-    free = [k for k in range(len(meanings)) if k not in taken]
-    told = {meanings[k].quantity for k in free} - chosen
+        meanings[:] = [Meaning("time", 1.0, "", ""), Meaning("current", 1.0, "", "")]
+    free = [k for k in range(len(meanings)) if k not in chosen.values()]
+    told = {meanings[k].quantity for k in free} - {choice.quantity for choice in choices}
     if "current" not in found and "current" not in told:
-        raise _no_current(path, table, meanings, free)
-    first: dict[str, int] = {}
-    for k in free:
-        quantity = meanings[k].quantity
-        if quantity in first:
-            one, other = (_name(table, i) for i in (first[quantity], k))
-            none = f", or --column {quantity}=none" if quantity not in ("time", "current") else ""
-            raise InputError(
-                f"{path}: the columns {one} and {other} both look like the {quantity};"
-                f" say which: --column {quantity}={one}{none}"
-            )
+        raise InputError(suggested.missing_current(free))
+    used = set()
+    for quantity in dict.fromkeys(meanings[k].quantity for k in free):
         if quantity is not None and quantity in told:
-            first[quantity] = k
-            found[quantity] = _column(path, table, meanings[k], k, quantity)
+            alike = [k for k in free if meanings[k].quantity == quantity]
+            if quantity == "time" and len(alike) > 1:  # what does not rise is no time axis
+                rising = [k for k in alike if suggested.can_be(quantity, k)]
+                alike = rising if len(rising) == 1 else alike
+            if len(alike) > 1:
+                raise InputError(suggested.ambiguous(quantity, alike))
+            used.add(alike[0])
+            found[quantity] = _column(suggested, meanings[alike[0]], alike[0], quantity)
     counter = next((k for k, meaning in enumerate(meanings) if meaning.unit == NUMBERED), None)
     if "time" not in found:
-        found["time"] = _counted(path, table, counter)
-    unused = tuple(_name(table, k) for k in free if k not in first.values() and k != counter)
+        found["time"] = _counted(suggested, counter)
+    found["time"] = _unrounded(found["time"])
+    _refuse_no_current(path, found)
+    unused = tuple(suggested.name(k) for k in free if k not in used and k != counter)
     return {quantity: found[quantity] for quantity in QUANTITIES if quantity in found}, unused
+
+
+def _unrounded(time: Column) -> Column:
+    """A time whose values repeat by rounding, spread evenly; any other as it is."""
+    if (spread := evenly_rounded(time.values)) is None:
+        return time
+    values, rate_hz, rounding_s = spread
+    words = f"its times repeat, being rounded to {rounding_s:.6g} s: taken as {rate_hz:.6g} samples a second"
+    return Column(values, f"{time.origin}; {words}", time.warning)
+
+
+def _refuse_no_current(path: Path, found: dict[str, Column]) -> None:
+    """Refuse a current that no motor draws, or that is computed from another column.
+
+    Raises:
+        InputError: it is one of these.
+    """
+    current, origin, _ = found["current"]
+    largest = float(np.max(np.abs(current)))
+    if largest > LARGEST_CURRENT_A:
+        raise InputError(
+            f"{path}: the current ({origin}) reaches {largest:.4g} A, which is no reading of a motor"
+            f" (at most {LARGEST_CURRENT_A:g} A): is it in another unit, or another quantity?"
+        )
+    for quantity, column in found.items():
+        if quantity != "current" and follows(current, column.values, quantity):
+            raise InputError(
+                f"{path}: the current ({origin}) is a linear function of the {quantity} ({column.origin}), without any"
+                " noise: name a column that was measured"
+            )
 
 
 def _place(path: Path, table: Table, meanings: Sequence[Meaning], choice: ColumnChoice) -> int:
@@ -105,73 +141,61 @@ def _place(path: Path, table: Table, meanings: Sequence[Meaning], choice: Column
     raise InputError(f"{path}: there is no column {choice.column}; there are {names}")
 
 
-def _chosen(path: Path, table: Table, meaning: Meaning, k: int, choice: ColumnChoice) -> Column:
+def _chosen(suggested: Suggestions, k: int, choice: ColumnChoice) -> Column:
+    table, meaning, name = suggested.table, suggested.meanings[k], suggested.name(k)
     if table.names[k] == choice.text != choice.column:  # a header with * or : in it
         choice = replace(choice, unit=None, scale=None, offset=0.0)
     quantity, unit, scale = choice.quantity, choice.unit, choice.scale
-    stated, warning = unit_quantity(meaning.unit), ""
+    stated, warnings = unit_quantity(meaning.unit), []
     if unit is not None:
         measured = unit_quantity(unit) or quantity
         factor = UNITS[measured][unit_key(unit)]
         if stated and (stated, meaning.factor) != (measured, factor):
-            warning = f"the header of column {_name(table, k)} says {meaning.unit}, and --column says {unit}"
-        elif unit == SI[quantity] and scale is None and _holds_counts(table, k):
-            warning = (
-                f"column {_name(table, k)} holds whole numbers, as a converter's counts: are they {unit}?"
-            )
+            warnings.append(f"the header of column {name} says {meaning.unit}, and --column says {unit}")
+        elif unit == SI[quantity] and scale is None and has_counts(table.values[:, k], table.averaged):
+            warnings.append(f"column {name} holds whole numbers, as a converter's counts: are they {unit}?")
         stated, meaning = measured, Meaning(quantity, factor, unit, meaning.name)
     elif meaning.unit == NUMBERED and quantity == "time":
-        return _counted(path, table, k)
+        return _counted(suggested, k)
     elif scale is None and stated not in (None, quantity):
         raise InputError(
-            f"{path}: the column {_name(table, k)} is in {meaning.unit}; say how many {SI[quantity]} that is:"
-            f" {_example(quantity, _name(table, k))}"
+            f"{suggested.path}: the column {name} is in {meaning.unit}; if it is the {quantity}, say"
+            f" {suggested.scale(quantity, k)}"
         )
-    column = _column(path, table, meaning, k, quantity, is_scaled=scale is not None)
+    column = _column(suggested, meaning, k, quantity, is_scaled=scale is not None)
     per = f" {SI[quantity]}/{SI[stated]}" if stated else ""
     words = "" if scale is None else f", times {scale:g}{per}"
     if choice.offset:
         words += f", {'plus' if choice.offset > 0.0 else 'minus'} {abs(choice.offset):g} {SI[quantity]}"
     values = (1.0 if scale is None else scale) * column.values + choice.offset
-    return Column(values, column.origin + words, warning)
+    if is_other(meaning.name, quantity) and not is_channel(meaning.name):
+        warnings.append(f"by its name, column {name} is no {quantity}")
+    if quantity == "current" and (largest := float(np.max(np.abs(values)))) > LARGE_CURRENT_A:
+        warnings.append(
+            f"column {name} gives a current of {largest:.4g} A: are its unit and its scale right?"
+        )
+    return Column(values, column.origin + words, "; ".join(warnings))
 
 
 def _column(
-    path: Path, table: Table, meaning: Meaning, k: int, quantity: str, *, is_scaled: bool = False
+    suggested: Suggestions, meaning: Meaning, k: int, quantity: str, *, is_scaled: bool = False
 ) -> Column:
     """A column in the unit of its header; without unit and scale it is taken as SI, unless it holds counts."""
+    table, name = suggested.table, suggested.name(k)
     header = f" ({table.names[k]})" if table.names[k] else ""
     unit = (
         f" in {meaning.unit}" if meaning.unit and meaning.unit.lower() not in table.names[k].lower() else ""
     )
     origin = f"column {table.numbers[k]}{header}{unit}"
     if not is_scaled and not unit_quantity(meaning.unit):
-        if _holds_counts(table, k) and quantity != "duty":
-            name = _name(table, k)
+        if has_counts(table.values[:, k], table.averaged) and quantity != "duty":
             raise InputError(
-                f"{path}: the column {name} holds whole numbers, and no unit is stated: name it"
-                f' (--column "{quantity}={name}:{_SMALL[quantity]}") or give a scale ({_example(quantity, name)})'
+                f"{suggested.path}: the column {name} holds whole numbers, and no unit is stated: name it"
+                f' (--column "{quantity}={name}:{_SMALL[quantity]}") or give a scale'
+                f' (--column "{quantity}={name}*SCALE+OFFSET")'
             )
         origin += f", no unit stated, taken as {SI[quantity]}"
     return Column(meaning.factor * table.values[:, k], origin)
-
-
-def _holds_counts(table: Table, k: int) -> bool:
-    values = table.values[:, k] * table.averaged  # sums of whole numbers are whole
-    is_whole = np.abs(values - np.round(values)) <= 1e-6 * (table.averaged > 1)
-    return bool(np.all(is_whole)) and len(np.unique(values)) > _MANY_WHOLE
-
-
-def _name(table: Table, k: int) -> str:
-    """What the user may call a column."""
-    name = table.names[k]
-    return name if name and table.names.count(name) == 1 else str(table.numbers[k])
-
-
-def _example(quantity: str, name: str) -> str:
-    if quantity == "current":
-        return f'--column "current={name}*10" for a probe of 100 mV/A'
-    return f'--column "{quantity}={name}*2.5+0"'
 
 
 def _even(table: Table, begin_s: float, interval_s: float, reason: str) -> Column:
@@ -181,12 +205,12 @@ def _even(table: Table, begin_s: float, interval_s: float, reason: str) -> Colum
     return Column(begin_s + interval_s * middles, f"{1.0 / interval_s:.6g} samples a second, {reason}")
 
 
-def _counted(path: Path, table: Table, counter: int | None) -> Column:
+def _counted(suggested: Suggestions, counter: int | None) -> Column:
     """The time of a file that counts its samples, or only says how far apart they are."""
-    unknown = [k for k, name in enumerate(table.names) if understand(name, table.units[k]).quantity is None]
+    path, table = suggested.path, suggested.table
+    unknown = any(meaning.quantity is None for meaning in suggested.meanings)
     if table.interval_s is None or (counter is None and unknown):
-        hint = f'name it: --column "time={_name(table, unknown[0])}:s", or ' if unknown else ""
-        raise _missing(path, table, "time_s", f"{hint}say --sampling-rate HZ")
+        raise InputError(suggested.missing("time_s", f"{suggested.times()}say --sampling-rate HZ"))
     begin_s = table.begin_s
     if counter is not None:
         begin_s += table.interval_s * (table.values[0, counter] - 0.5 * (table.averaged - 1))
@@ -194,7 +218,7 @@ def _counted(path: Path, table: Table, counter: int | None) -> Column:
         if is_off.any():
             bad = int(np.argmax(is_off)) + 1
             raise InputError(
-                f"{path}, {table.where} {table.lines[bad]}: the column {_name(table, counter)} must count by one,"
+                f"{path}, {table.where} {table.lines[bad]}: the column {suggested.name(counter)} must count by one,"
                 f" got {table.values[bad, counter]:g} after {table.values[bad - 1, counter]:g}"
             )
     elif table.samples is not None and table.samples // table.averaged != len(table.values):
@@ -202,24 +226,3 @@ def _counted(path: Path, table: Table, counter: int | None) -> Column:
             f"{path}: holds {len(table.values)} rows and says that there are {table.samples}; no column tells which"
         )
     return _even(table, begin_s, table.interval_s, "as the file says above its numbers")
-
-
-def _no_current(path: Path, table: Table, meanings: Sequence[Meaning], free: Sequence[int]) -> InputError:
-    """What to do about a file without a column of the current among those that are not taken."""
-    fitting = [k for k in free if meanings[k].unit != NUMBERED and meanings[k].quantity in (None, "voltage")]
-    hint = "--column current=..."
-    if fitting:
-        name = _name(table, fitting[-1])
-        hint = _example("current", name)
-        if _holds_counts(table, fitting[-1]):
-            hint = f'--column "current={name}*0.0132-6.76" with the scale and the offset of the converter\'s counts'
-        elif unit_quantity(meanings[fitting[-1]].unit) is None:
-            hint = f'--column "current={name}:A" (or :mA), or {hint}'
-    return _missing(path, table, "current_a", f"name it: {hint}")
-
-
-def _missing(path: Path, table: Table, column: str, hint: str) -> InputError:
-    names = ", ".join(repr(name[:30]) for name in table.names[:8])
-    found = names if any(table.names) else f"{len(table.names)} columns without a header"
-    where = f"{path}, {table.where} {max(table.lines[0] - 1, 1)}"
-    return InputError(f"{where}: the column {column} is missing, found {found}; {hint}")

@@ -46,6 +46,24 @@ _WORDS = {
     }.items()
     for word in words.split()
 }
+_SAID = {
+    kind: re.compile(pattern)
+    for kind, pattern in {
+        "time": r"time|zeit|temps$|tiempo|tempo$|clock",
+        "current": r"current|curr$|strom|courant|corrent|corrient|amp(s|eres?)?$",
+        "voltage": r"volt|spannung|tension|tens[aã]o|supply|batter|vbat",
+        "speed": r"speed|velo|drehzahl|vitesse|geschwindig|rpm$|tacho|vel$|omega|frequen",
+        "duty": r"duty|pwm|tastgrad|throttle",
+        "reference": r"ref(erence)?$|setpoint|target|command|cmd|desired|soll|limit|demand|consigne|max(imum)?$",
+        "other": r"temp(eratur|$)|posi|pos$|angle|angul|winkel|theta|encoder|enc$|torque|moment|couple$|power|leistung"
+        r"|puissance|pressure|druck|acc(el|$)|gyro|turnrate|mag$|pose|tilt|mission|state|status|mode$|error|fehler|flag"
+        r"|event|count|tick|case$|ambient|distance|line$|force|kraft|vibration|sound|humidity|dir(ection)?$|enable",
+    }.items()
+}
+"""What words of a name say beside those above: a reference is wanted, not measured; another is no quantity here."""
+_PART = re.compile(r"[A-Z]+(?![a-zß-ÿ])|[A-Zß-ÿ]?[a-zß-ÿ]+|\d+|[ωΩ]")
+_CHANNEL = re.compile(r"(?i)\b(ch|channel|kanal|canal|c|a|ain|in|probe|input)[ _.]*(\d+|[a-d])(?![a-z0-9])")
+_COUNTED = frozenset(("counts", "count", "adc", "lsb", "digits", "digit", "units"))
 _COUNTERS = frozenset(["index", "sequence", "sample", "samples", "point", "nr", "no", "#"])
 _NO_UNIT = frozenset(("", "value", "values", "raw", "none", "-"))  # in a row of units
 _UNIT_IN_HEADER = re.compile(
@@ -180,11 +198,52 @@ def understand(header: str, unit: str = "") -> Meaning:
         return Meaning(None, 1.0, NUMBERED, name)
     quantity = _WORDS.get(word)
     measured = unit_quantity(unit)
-    if quantity is None and measured != "duty" and unit_key(unit) != "min":
+    is_open = quantity is None and measured != "duty" and unit_key(unit) != "min"
+    if is_open and measured and not is_other(name, measured):
         quantity = measured
     if unit and quantity != measured:  # a current in volt is a probe's
         quantity = None
     return Meaning(quantity, UNITS[measured][unit_key(unit)] if measured else 1.0, unit, name)
+
+
+def name_parts(name: str) -> list[str]:
+    """The words and the numbers of a name, in small letters: `MotorCurrent_2` has three."""
+    return [part.lower() for part in _PART.findall(name)]
+
+
+def said_of(name: str) -> frozenset[str]:
+    """What the words of a name, or its single letters, say that it is: quantities, `reference`, `other`."""
+    parts = name_parts(name)
+    return _words_of(name) | {_WORDS[part] for part in (*parts, _word(name)) if part in _WORDS}
+
+
+def is_other(name: str, quantity: str, said: frozenset[str] | None = None) -> bool:
+    """Whether the words of a name say that a column is no such quantity: `Gyro x`, `Current setpoint`.
+
+    Args:
+        name: of the column.
+        quantity: in doubt.
+        said: what the name says; without it, what its words do, since a letter counts less than a unit.
+    """
+    said = _words_of(name) if said is None else said
+    if "reference" in said and quantity in ("current", "speed"):
+        return True
+    return bool(said - {"reference"}) and quantity not in said
+
+
+def _words_of(name: str) -> frozenset[str]:
+    parts = name_parts(name)
+    return frozenset(kind for kind, pattern in _SAID.items() if any(map(pattern.search, parts)))
+
+
+def is_channel(name: str) -> bool:
+    """Whether a name is that of an instrument's channel, whose volts may be those of a probe."""
+    return bool(_CHANNEL.search(name))
+
+
+def is_no_unit(unit: str) -> bool:
+    """Whether what stands in the place of a unit says none: empty, `raw`, `counts`."""
+    return unit_key(unit) in _NO_UNIT | _COUNTED
 
 
 def _word(name: str) -> str:

@@ -33,6 +33,12 @@ LARGEST_WHOLE_BYTES = 50_000_000
 _LARGEST_TEXT_BYTES = 20_000_000  # of what is kept cell by cell
 _CONTROL = bytes(code for code in range(32) if code not in (9, 10, 11, 12, 13))
 _CONTROL_SHARE = 0.01  # more control characters than that are no text
+_FOREIGN = {  # how they begin, and what helps
+    b"PK\x03\x04": "a workbook or an archive; save the sheet as CSV",
+    b"\xd0\xcf\x11\xe0": "an old Excel workbook; save the sheet as CSV",
+    b"\x89HDF": "HDF5; write its columns as CSV or .npz, or save them from MATLAB with -v7",
+    b"TDSm": "LabVIEW's TDMS; export it as CSV",
+}
 _SECONDS = 30.0  # for MATLAB and Parquet
 _SINGLE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
 
@@ -108,6 +114,7 @@ def _content(path: Path, largest: int = LARGEST_FILE_BYTES) -> bytes:
 
 def _decoded(path: Path, content: bytes) -> str:
     """Text in UTF-8 or UTF-16, or in the code page of an old scope."""
+    _refuse_foreign(path, content)
     wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
     for encoding in ["utf-16"] if wide else ["utf-8-sig", "cp1252"]:
         with suppress(UnicodeDecodeError):
@@ -119,8 +126,15 @@ def _decoded(path: Path, content: bytes) -> str:
     raise InputError(f"{path}: is not text, and its ending is none of .mat, .npy, .npz, .parquet")
 
 
+def _refuse_foreign(path: Path, content: bytes) -> None:
+    for begin, words in _FOREIGN.items():
+        if content.startswith(begin):
+            raise InputError(f"{path}: is {words}")
+
+
 def _parsed_elsewhere(path: Path, content: bytes, kind: str, *more: str) -> tuple[dict[str, Any], int]:
     """Arrays by name, and how many rows are averaged to one."""
+    _refuse_foreign(path, content)
     if content[:19] == b"MATLAB 7.3 MAT-file":
         raise _unreadable(path, kind, "it is of version 7.3; save it with -v7")
     # -P: modules of this folder must not hide others of the same name.

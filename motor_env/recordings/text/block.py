@@ -12,6 +12,7 @@ import numpy as np
 
 from motor_env.errors import InputError
 from motor_env.recordings.headers import is_unit_cell, understand, unit_quantity
+from motor_env.recordings.text.legend import is_comment, legend_of
 
 MOST_COLUMNS = 1_000
 CUT_OFF = "the last line is cut off and left out"
@@ -211,7 +212,12 @@ def _numbers_in(path: Path, lines: list[str]) -> Block:
 def _with_damaged_rows(table: TextTable, columns: Sequence[int], first: int) -> int:
     """Begin of the block with its damaged first rows: rows with a number in them, up to a header without any."""
     rows, begin = table.rows, first
-    while begin > 0 and len(rows[begin - 1]) == len(rows[first]) and table.numbers(rows[begin - 1], columns):
+    while (
+        begin > 0
+        and len(rows[begin - 1]) == len(rows[first])
+        and table.numbers(rows[begin - 1], columns)
+        and not is_comment(rows[begin - 1])
+    ):
         begin -= 1
     above = rows[begin - 1] if begin > 0 else []
     has_header = len(above) > max(columns) and not table.numbers(above, columns)
@@ -221,10 +227,16 @@ def _with_damaged_rows(table: TextTable, columns: Sequence[int], first: int) -> 
 def _header(block: Block) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names and units of the columns: the row above the block is that of the units where it holds nothing else.
 
+    A legend in comment lines counts more.
+
     Raises:
         InputError: it names more or fewer columns than the block has.
     """
     table, columns = block.table, block.columns
+    comments = (table.delimiter.join(row) for row in table.rows[: block.first] if is_comment(row))
+    if legend := legend_of(comments, block.width):
+        told = [legend.get(k, ("", "")) for k in columns]
+        return tuple(name for name, _ in told), tuple(unit for _, unit in told)
     above = [[cell.strip().lstrip("#").strip() for cell in row] for row in table.rows[: block.first]]
     before, last = [[], [], *above][-2:]
     blank = ("",) * len(columns)

@@ -136,6 +136,15 @@ def test_identify_ends_with_3_where_no_motor_explains_a_start_or_the_logs(
     assert json.loads(capsys.readouterr().out) == [{"start": 1}]
 
 
+@pytest.mark.parametrize("periods", ["-1", "0", "inf", "nan"])
+def test_identify_refuses_periods_that_are_not_positive(
+    periods: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capture = str(EXAMPLES / "startup_capture.csv")
+    assert main(["identify", capture, "--ripple-periods-per-turn", periods]) == 2
+    assert f"ripple-periods-per-turn must be > 0, got {periods}" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("states", "status"),
     [(["steady", "unknown"], 0), (["steady", "trending"], 1), (["reached"], 1), (["unknown"], 0)],
@@ -234,7 +243,8 @@ def recordings(tmp_path: Path) -> dict[str, str]:
     time_s = np.arange(400) * 1e-3
     volts = {"start": 12.0 * (time_s > 0.02), "work": 12.0 * np.sign(np.sin(40.0 * time_s) + 0.01)}
     for name, voltage in volts.items():
-        columns = {"time_s": time_s, "current_a": voltage / 3.0, "voltage_v": voltage}
+        measured = voltage / 3.0 + 1e-3 * np.sin(1e4 * time_s)
+        columns = {"time_s": time_s, "current_a": measured, "voltage_v": voltage}
         write_csv(tmp_path / f"{name}.csv", columns)
     return {name: str(tmp_path / f"{name}.csv") for name in volts}
 

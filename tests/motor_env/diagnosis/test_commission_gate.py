@@ -29,7 +29,8 @@ def healthy(tmp_path: Path) -> list[str]:
 def log(tmp_path: Path) -> str:
     time_s = DT_S * np.arange(4000, dtype=np.float64)
     voltage = np.where(time_s % 0.02 < 0.01, 12.0, 0.0)
-    return write_recording(tmp_path / "pwm.csv", Recording(Path("x"), time_s, 0.1 * voltage, voltage))
+    current = 0.1 * voltage + 1e-3 * np.sin(1e4 * time_s)
+    return write_recording(tmp_path / "pwm.csv", Recording(Path("x"), time_s, current, voltage))
 
 
 def test_a_log_is_no_healthy_start(

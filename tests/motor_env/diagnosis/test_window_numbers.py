@@ -918,7 +918,7 @@ def test_words_of_a_commissioning_by_windows() -> None:
 
 def log_file(folder: Path) -> Path:
     one = recording(2750)
-    rows = np.stack([one.time_s, cast("FloatArray", one.voltage_v), one.current_a + 0.5], axis=1)
+    rows = np.stack([one.time_s, cast("FloatArray", one.voltage_v), one.current_a % 7.0 + 0.5], axis=1)
     path = folder / "log.csv"
     np.savetxt(path, rows, delimiter=",", header="time_s,voltage_v,current_a", comments="", fmt="%.6f")
     return path

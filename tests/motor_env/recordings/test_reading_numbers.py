@@ -68,6 +68,14 @@ def test_each_unit_has_its_factor(quantity: str) -> None:
         ("duration min", None, 1.0, ""),
         ("T_case", None, 1.0, ""),
         ("v", "voltage", 1.0, ""),
+        ("tacho [V]", None, 1.0, "V"),
+        ("Current sense [mV]", None, 1e-3, "mV"),
+        ("Gyro x [deg/s]", None, math.pi / 180.0, "deg/s"),
+        ("Current setpoint [A]", None, 1.0, "A"),
+        ("Target speed [rpm]", None, RPM, "rpm"),
+        ("Commanded voltage [V]", "voltage", 1.0, "V"),
+        ("U_shunt [A]", "current", 1.0, "A"),  # a letter counts less than a unit
+        ("Motor current left [A]", "current", 1.0, "A"),
     ],
 )
 def test_a_header_says_quantity_and_unit(header: str, quantity: str | None, factor: float, unit: str) -> None:
@@ -84,20 +92,21 @@ def table(path: Path, header: str, columns: list[FloatArray], preamble: str = ""
 
 PLACES = np.arange(40.0)
 WAVE = 1.5 + np.sin(PLACES)
+BACK = WAVE[::-1]
 
 
 def test_columns_become_si(tmp_path: Path) -> None:
     path = table(
         tmp_path / "a.csv",
         "t (ms),I [mA],U (kV),n [1/min],duty (%)",
-        [2.0 * PLACES + 5.0, 1e3 * WAVE, 1e-3 * WAVE, 60.0 * WAVE, 50.0 + PLACES],
+        [2.0 * PLACES + 5.0, 1e3 * WAVE, 1e-3 * BACK, 60.0 * BACK, 50.0 + PLACES],
     )
     read = read_recording(path)
     np.testing.assert_allclose(read.time_s, 5e-3 + 2e-3 * PLACES)
     assert read.dt_s == pytest.approx(2e-3)
     np.testing.assert_allclose(read.current_a, WAVE)
-    np.testing.assert_allclose(read.voltage_v, WAVE)  # type: ignore[arg-type]  # it has one
-    np.testing.assert_allclose(read.speed_rad_s, 2.0 * math.pi * WAVE)  # type: ignore[arg-type]
+    np.testing.assert_allclose(read.voltage_v, BACK)  # type: ignore[arg-type]  # it has one
+    np.testing.assert_allclose(read.speed_rad_s, 2.0 * math.pi * BACK)  # type: ignore[arg-type]
     np.testing.assert_allclose(read.duty, 0.5 + 0.01 * PLACES)  # type: ignore[arg-type]
     assert f"40 samples at 500 Hz, current {WAVE.min():.4g} to {WAVE.max():.4g} A" in read.columns[-1]
 
@@ -137,7 +146,7 @@ def test_scales_and_offsets_of_a_named_column(
     ],
 )  # fmt: skip
 def test_intervals_as_instruments_say_them(setting: str, dt_s: float, tmp_path: Path) -> None:
-    path = table(tmp_path / "a.csv", "current (A),voltage (V)", [WAVE, 12.0 * WAVE], f"{setting}\n")
+    path = table(tmp_path / "a.csv", "current (A),voltage (V)", [WAVE, 12.0 * BACK], f"{setting}\n")
     read = read_recording(path)
     assert read.dt_s == pytest.approx(dt_s, rel=1e-9)
     assert read.time_s[0] == 0.0
@@ -167,8 +176,8 @@ def test_twenty_one_whole_numbers_are_counts(tmp_path: Path) -> None:
 
 
 def test_borders_of_what_is_a_recording(tmp_path: Path) -> None:
-    def read(time: FloatArray, current: FloatArray) -> Recording:
-        np.savez(tmp_path / "a.npz", time_s=time, current_a=current)
+    def read(time: FloatArray, current: FloatArray, voltage: FloatArray = BACK) -> Recording:
+        np.savez(tmp_path / "a.npz", time_s=time, current_a=current, voltage_v=voltage[: len(time)])
         return read_recording(tmp_path / "a.npz")
 
     assert len(read(1e-3 * PLACES[:20], WAVE[:20]).time_s) == 20
@@ -182,10 +191,14 @@ def test_borders_of_what_is_a_recording(tmp_path: Path) -> None:
                 read(step * PLACES, WAVE)
     for size, is_read in ((0.99e9 / 2.5, True), (1.01e9 / 2.4, False), (1.1e-12, True), (0.39e-12, False)):
         if is_read:
-            np.testing.assert_allclose(read(PLACES, size * WAVE).current_a, size * WAVE)
+            np.testing.assert_allclose(read(PLACES, WAVE, size * BACK).voltage_v, size * BACK)  # type: ignore[arg-type]
         else:
             with pytest.raises(InputError, match="is no reading of a motor"):
-                read(PLACES, size * WAVE)
+                read(PLACES, WAVE, size * BACK)
+    largest = WAVE / WAVE.max()
+    np.testing.assert_allclose(read(PLACES, 999.0 * largest).current_a, 999.0 * largest)
+    with pytest.raises(InputError, match="reaches 1001 A, which is no reading"):
+        read(PLACES, -1001.0 * largest)
     late = read(1.01e7 + PLACES, WAVE)
     assert late.time_s[0] == 0.0
     assert "time counts from 10100000 s" in late.columns

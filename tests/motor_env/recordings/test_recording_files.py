@@ -237,15 +237,15 @@ def test_commissioned_motor_judges_its_own_starts(tmp_path: Path) -> None:
 
 
 def test_what_contradicts_the_header_is_warned_of(tmp_path: Path) -> None:
-    columns = {"time_s": TIME, "CLAMP (mV)": np.rint(1e3 * CURRENT), "T_case": 20.0 + np.arange(50) % 2}
+    columns = {"time_s": TIME, "CLAMP (mV)": np.rint(500.0 * CURRENT), "T_case": 20.0 + np.arange(50) % 2}
     path = write_csv(tmp_path / "a.csv", columns, form=".6g")
 
     def read(column: str) -> Recording:
         return read_recording(path, [ColumnChoice.parse(column)])
 
-    assert read("current=CLAMP:A").warnings == (
-        "the header of column CLAMP (mV) says mV, and --column says A",
-    )
+    (sentence,) = read("current=CLAMP:A").warnings
+    assert "the header of column CLAMP (mV) says mV, and --column says A" in sentence
+    assert f"gives a current of {np.rint(500.0 * CURRENT).max():.4g} A" in sentence
     assert read("current=CLAMP*10").warnings == ()
     assert "not used: T_case" in read("current=CLAMP*10").columns
     path.write_text(path.read_text(encoding="utf-8").replace(" (mV)", ""), encoding="utf-8")
