@@ -8,6 +8,9 @@ from typing import Any
 
 from motor_env import console
 from motor_env.errors import InputError, require_extra
+from motor_env.files import read_file
+
+_LARGEST_SEED_BYTES = 1000  # a number, and perhaps empty lines
 
 
 def _seed(sealed: Path | None) -> int:
@@ -16,10 +19,9 @@ def _seed(sealed: Path | None) -> int:
 
     if sealed is None:
         return SEED
+    content = read_file(sealed, _LARGEST_SEED_BYTES)
     try:
-        seed = int(sealed.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{sealed}: cannot be read ({(error.strerror or str(error)).lower()})") from None
+        seed = int(content)
     except ValueError:
         seed = -1
     if not 0 <= seed < 2**64:
