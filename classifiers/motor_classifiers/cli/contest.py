@@ -24,8 +24,8 @@ def _seed(sealed: Path | None) -> int:
         seed = int(content)
     except ValueError:
         seed = -1
-    if not 0 <= seed < 2**64:
-        raise InputError(f"{sealed}: must hold one whole number from 0 to 2^64 - 1")
+    if not 2**48 <= seed < 2**64:  # smaller ones are soon tried
+        raise InputError(f"{sealed}: must hold one whole number from 2^48 to 2^64 - 1")
     return seed
 
 
@@ -125,6 +125,8 @@ def score(
     from motor_env.files import write_text
 
     scored = score_submission(submission, seed=_seed(sealed))
+    if sealed is not None:
+        del scored["costs"]  # beside one's own answers they tell the truth
     text = json.dumps(scored, indent=1) + "\n"
     if keep is not None:
         write_text(file_of(keep, scored), text)

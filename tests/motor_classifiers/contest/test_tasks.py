@@ -257,8 +257,15 @@ def test_commands_make_answer_and_score_a_sealed_split(
     assert "the best possible on the same cases" in capsys.readouterr().out
     scored = json.loads((kept / "bench" / "residual-qda.json").read_text())
     assert scored["value"] < 40.0
-    seed.write_text("many\n")
-    assert "must hold one whole number" in refused(lambda: main(["score", str(mine), *options]), seed)
+    assert main(["score", str(mine), *options, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == scored
+    for value in scored.values():  # a cost of each case would tell its truth
+        assert isinstance(value, str | int | float), value
+        assert not isinstance(value, str) or len(value) <= 200, value
+    for text in ("many", str(2**64), str(2**48 - 1), "-1"):
+        seed.write_text(text)
+        sentence = refused(lambda: main(["score", str(mine), *options]), seed)
+        assert "must hold one whole number from 2^48 to 2^64 - 1" in sentence
 
 
 def _kept(name: str, costs: Any) -> dict[str, Any]:
