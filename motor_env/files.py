@@ -6,7 +6,7 @@ import os
 import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from motor_env.errors import InputError
@@ -76,6 +76,38 @@ def write_text(path: Path, text: str) -> None:
     """
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def filling(folder: Path) -> Iterator[Path]:
+    """A temporary folder in `folder`: what is in it moves to `folder` when the block ends well, and else is removed.
+
+    Files of the same names are replaced, and a folder that is not there yet appears at once.
+
+    Raises:
+        InputError: the folder cannot be made or written.
+    """
+    is_new = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".unfinished-") as name:
+            yield Path(name)
+            _move_into(folder, Path(name))
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({(error.strerror or str(error)).lower()})") from None
+    finally:
+        if is_new:
+            with suppress(OSError):  # it is not empty, or was not made
+                folder.rmdir()
+
+
+def _move_into(folder: Path, source: Path) -> None:
+    for file in sorted(source.iterdir()):
+        target = folder / file.name
+        if file.is_dir() and target.is_dir():
+            _move_into(target, file)
+        else:
+            file.replace(target)
 
 
 def write_examples(folder: Path) -> list[Path]:

@@ -315,7 +315,7 @@ def test_an_option_of_another_type_is_one_sentence(kind: Any) -> None:
     for field in fields(kind):
         for value in WRONG_TYPES:
             none = kind is not DriveOptions and field.name in ("motor", "load_torque_n_m")
-            several = {"observe": ([], ("1", "2")), "ahead_s": ([],)}.get(field.name, ())
+            several: Any = {"observe": ([], ("1", "2")), "ahead_s": ([],)}.get(field.name, ())
             if (value is None and none) or value in several:
                 replace(default, **{field.name: value})
                 continue
