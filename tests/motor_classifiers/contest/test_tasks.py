@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from hostile import odd_places, refused
+from output_schema import follows
 from sklearn.metrics import roc_auc_score
 
 from motor_classifiers import load_task, score_submission, write_submission
@@ -258,7 +259,9 @@ def test_commands_make_answer_and_score_a_sealed_split(
     scored = json.loads((kept / "bench" / "residual-qda.json").read_text())
     assert scored["value"] < 40.0
     assert main(["score", str(mine), *options, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == scored
+    printed = capsys.readouterr().out
+    follows("motor-classifiers score", printed)
+    assert json.loads(printed) == scored
     for value in scored.values():  # a cost of each case would tell its truth
         assert isinstance(value, str | int | float), value
         assert not isinstance(value, str) or len(value) <= 200, value
