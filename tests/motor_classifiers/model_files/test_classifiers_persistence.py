@@ -20,8 +20,8 @@ from motor_classifiers.estimators.reference_starts import RecentredStarts, refer
 def test_round_trip(name: str, tmp_path: Path) -> None:
     model = fitted(name)
     path = tmp_path / "model"
-    save_model(model, RECIPE, name, str(path) if name == "bayes" else path)
-    loaded, recipe, method = load_model(str(path) if name == "bayes" else path)
+    save_model(model, RECIPE, name, str(path) if name == "threshold" else path)
+    loaded, recipe, method = load_model(str(path) if name == "threshold" else path)
     assert (recipe, method) == (RECIPE, name)
     np.testing.assert_array_equal(loaded.predict_proba(TEST.X), model.predict_proba(TEST.X))
     np.testing.assert_array_equal(loaded.predict(TEST.X), model.predict(TEST.X))
