@@ -1,14 +1,45 @@
-"""Files appear whole or not at all: written under a temporary name beside the target, then renamed."""
+"""Files that are read are regular ones of a stated size; files that are written appear whole or not at all."""
 
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from motor_env.errors import InputError
+
+
+def read_file(path: Path, largest_bytes: int, missing: str = "no such file") -> bytes:
+    """The content of a regular file that is not too large. A device or a pipe is not opened.
+
+    Args:
+        path: of the file.
+        largest_bytes: that it may have.
+        missing: what to say where there is none.
+
+    Raises:
+        InputError: no such file, no regular one, a larger one, or one that cannot be read.
+    """
+    try:
+        status = path.stat()
+        regular, content = stat.S_ISREG(status.st_mode), b""
+        # What the system makes up while it is read has no size, and may never end.
+        if regular and status.st_size:
+            with path.open("rb") as file:
+                content = file.read(largest_bytes + 1)
+    except FileNotFoundError:
+        raise InputError(f"{path}: {missing}") from None
+    except (OSError, ValueError) as error:  # a path with a null character, too
+        reason = (error.strerror or str(error)).lower() if isinstance(error, OSError) else str(error)
+        raise InputError(f"{path}: cannot be read ({reason})") from None
+    if not regular:
+        raise InputError(f"{path}: is no regular file")
+    if len(content) > largest_bytes:
+        raise InputError(f"{path}: is larger than {largest_bytes / 1e6:g} MB")
+    return content
 
 
 @contextmanager
@@ -45,6 +76,38 @@ def write_text(path: Path, text: str) -> None:
     """
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def filling(folder: Path) -> Iterator[Path]:
+    """A temporary folder in `folder`: what is in it moves to `folder` when the block ends well, and else is removed.
+
+    Files of the same names are replaced, and a folder that is not there yet appears at once.
+
+    Raises:
+        InputError: the folder cannot be made or written.
+    """
+    is_new = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".unfinished-") as name:
+            yield Path(name)
+            _move_into(folder, Path(name))
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({(error.strerror or str(error)).lower()})") from None
+    finally:
+        if is_new:
+            with suppress(OSError):  # it is not empty, or was not made
+                folder.rmdir()
+
+
+def _move_into(folder: Path, source: Path) -> None:
+    for file in sorted(source.iterdir()):
+        target = folder / file.name
+        if file.is_dir() and target.is_dir():
+            _move_into(target, file)
+        else:
+            file.replace(target)
 
 
 def write_examples(folder: Path) -> list[Path]:

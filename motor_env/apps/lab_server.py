@@ -70,6 +70,7 @@ def address(server: ThreadingHTTPServer) -> str:
     return f"http://{HOST}:{server.server_port}/"
 
 
+_NEAR = {"same-origin", "none"}  # what a browser says of our own page, and of an address that was typed
 _ONE_AT_A_TIME = threading.Lock()  # a fit takes a whole core; requests of a moved slider must not pile up
 _PLACES = threading.BoundedSemaphore(8)  # for the one that is at work and those that wait
 
@@ -174,9 +175,10 @@ class _Handler(BaseHTTPRequestHandler):
     def _is_ours(self) -> bool:
         port = self.connection.getsockname()[1]
         hosts = {f"{name}:{port}" for name in (HOST, "localhost")}
-        origin = self.headers.get("Origin")
-        if self.headers.get("Host") in hosts and (
-            origin is None or origin in {f"http://{host}" for host in hosts}
+        allowed = {"Host": hosts, "Origin": {f"http://{host}" for host in hosts}, "Sec-Fetch-Site": _NEAR}
+        given = {name: self.headers.get_all(name, []) for name in allowed}
+        if given["Host"] and all(
+            len(values) < 2 and set(values) <= allowed[name] for name, values in given.items()
         ):
             return True
         self.close_connection = True

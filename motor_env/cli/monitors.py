@@ -76,6 +76,7 @@ def export_c(
     voltage_count: float | None = None,
     stuck_after: console.Whole = 100,
     name: str = "motor_monitor",
+    force: bool = False,
 ) -> int:
     """Filter, rule and threshold for one motor as a C99 library for its controller, with CMake and Arduino files.
 
@@ -83,7 +84,7 @@ def export_c(
 
     Args:
         motor: Motor file (TOML), or the name of a catalogue motor.
-        out: Folder of the library.
+        out: Folder of the library: a new or empty one, or one that export-c made.
         rate_hz: Samples a second.
         voltage: Level of the supply in volt; by default the motor's nominal voltage.
         rule: cusum (lasting shifts), or nis (the size of single samples).
@@ -98,6 +99,7 @@ def export_c(
         voltage_count: The same of the voltage, in volt.
         stuck_after: So many equal readings in a row, while voltage is on, are a stuck sensor.
         name: Of the library, and the first part of the names in it.
+        force: Write into any folder, over files of the same names.
     """
     from motor_env.detection.rules import nis_rule
     from motor_env.embedded.arithmetic import Steps
@@ -120,7 +122,7 @@ def export_c(
     counts = Steps.suited(monitor.limits, current_count, speed_count, voltage_count)
     wanted = f"{false_alarms_per_year:g} false alarms a year"
     for path in write_library(
-        monitor, out, steps=counts if arithmetic == "fixed" else None, name=name, wanted=wanted
+        monitor, out, steps=counts if arithmetic == "fixed" else None, name=name, wanted=wanted, force=force
     ):
         print(printable(str(path)))
     return 0

@@ -23,11 +23,26 @@ from motor_env.embedded.arithmetic import (
 )
 from motor_env.embedded.monitor import Monitor
 from motor_env.errors import InputError
-from motor_env.files import write_text
+from motor_env.files import filling, read_file, write_text
 from motor_env.pages.html import render
 
 _HEALTHY_CHECKS, _FAULTY_CHECKS, _MOST_DOUBLINGS = 8, 8, 60
-_RESERVED = frozenset(["monitor", "sample", "number", "main", "loop", "setup"])
+_RESERVED = (
+    # C, C++ and what their compilers define, which cannot name a type,
+    " auto break case char const continue default do double else enum extern float for goto if inline int long"
+    " register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while"
+    " alignas alignof asm bool constexpr false nullptr static_assert thread_local true typeof typeof_unqual"
+    " and and_eq bitand bitor catch char8_t char16_t char32_t class co_await co_return co_yield compl concept"
+    " consteval constinit const_cast decltype delete dynamic_cast explicit export friend mutable namespace new"
+    " noexcept not not_eq operator or or_eq private protected public reinterpret_cast requires static_cast template"
+    " this throw try typeid typename using virtual wchar_t xor xor_eq linux unix"
+    # and what the library, its test and its sketch call something.
+    " began_us begin c clamped count current due_us factors failed forward gains growth innovation is_lit is_reading"
+    " k last loop lost main micros millis monitor most not_negative number off product reading rounded same sample"
+    " setup shift side slow speed state statistic stuck sum sums total value values verdict voltage white wrong "
+)
+_MARK = "author=motor-env export-c\n"
+_LARGEST_BYTES = 100_000  # of a library.properties
 
 
 class Check(NamedTuple):
@@ -39,26 +54,36 @@ class Check(NamedTuple):
 
 
 def write_library(
-    monitor: Monitor, folder: Path, *, steps: Steps | None, name: str, wanted: str
+    monitor: Monitor, folder: Path, *, steps: Steps | None, name: str, wanted: str, force: bool = False
 ) -> list[Path]:
-    """Write the C library of a monitor.
+    """Write the C library of a monitor, whole or not at all.
 
     Args:
         monitor: what it computes.
-        folder: where; its files are replaced.
+        folder: where: new, empty, or of such a library, whose files are replaced.
         steps: what one count of a reading is worth in fixed point; None for single precision.
         name: of the library, and the first part of the names in it.
         wanted: the rate of false alarms in words.
+        force: write into any folder.
 
     Returns:
         The files.
 
     Raises:
-        InputError: the name is no lower-case C name, or a file cannot be written.
+        InputError: the name is no lower-case C name of its own, the folder holds something else, a number does not fit,
+            or a file cannot be written.
         ValueError: the steps do not suit the ranges.
     """
-    if not re.fullmatch(r"[a-z][a-z0-9_]{0,40}", name) or name in _RESERVED:
-        raise InputError(f"name must be a C name of lower-case letters such as motor_monitor, got {name!r}")
+    if (
+        not re.fullmatch(r"[a-z][a-z0-9_]{0,40}", name)
+        or name in _RESERVED
+        or re.fullmatch(r"u?int\w*_t", name)
+    ):
+        raise InputError(
+            f"name must be a C name of lower-case letters such as motor_monitor, and no word of C, got {name!r}"
+        )
+    if not force:
+        _require_ours(folder)
     numbers = floating(monitor) if steps is None else fixed_point(monitor, steps)
     values = _values(monitor, numbers, name, wanted)
     files = {
@@ -69,10 +94,24 @@ def write_library(
         "CMakeLists.txt": "CMakeLists.txt.j2",
         "library.properties": "library.properties.j2",
     }
-    for path, template in files.items():
-        text = render("motor_env.embedded", template, filters={"literal": literal}, **values)
-        write_text(folder / path, f"{text}\n")
+    with filling(folder) as unfinished:
+        for path, template in files.items():
+            text = render("motor_env.embedded", template, filters={"literal": literal}, **values)
+            write_text(unfinished / path, f"{text}\n")
     return [folder / path for path in files]
+
+
+def _require_ours(folder: Path) -> None:
+    try:
+        if not folder.exists() or not any(folder.iterdir()):
+            return
+        ours = _MARK.encode() in read_file(folder / "library.properties", _LARGEST_BYTES)
+    except (OSError, InputError):
+        ours = False
+    if not ours:
+        raise InputError(
+            f"{folder}: is there, and export-c did not make it; give a new or empty folder, or --force"
+        )
 
 
 def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, Any]:
@@ -104,8 +143,18 @@ def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, A
 
 
 def literal(value: Any) -> str:
-    """A number as C source; single precision keeps every bit."""
-    return f"{int(value)}" if isinstance(value, np.integer) or value.dtype == np.int64 else f"{value!s}f"
+    """A number as C source; single precision keeps every bit.
+
+    Raises:
+        InputError: it is no number of 32 bits.
+    """
+    is_whole = isinstance(value, np.integer) or value.dtype == np.int64
+    if not np.isfinite(value) or (is_whole and abs(int(value)) >= 2**31):
+        raise InputError(
+            f"motor, voltage, noise and counts give a number that 32 bits do not hold ({value:g});"
+            " give other counts, or --arithmetic float"
+        )
+    return f"{int(value)}" if is_whole else f"{value!s}f"
 
 
 def checks(monitor: Monitor, n: Numbers) -> list[Check]:

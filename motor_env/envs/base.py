@@ -71,7 +71,7 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
         self._seed: int | None = None
         self._window: Any = None
         self._over = True
-        self.options = with_changes(options or self.options_type(), changes)
+        self.options = with_changes(options, self.options_type, changes)
         self.observation_space, self.action_space = self._set_up()
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
@@ -96,16 +96,18 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
             options: `{"index": n}` takes the stream of sub-environment n of a vector with that seed; only with a seed.
 
         Raises:
-            ValueError: an option is unknown or out of range.
+            ValueError: the seed is no whole number in 0 .. 2^64 - 1, an option is unknown or out of range.
         """
-        super().reset(seed=seed)
-        chosen = dict(options or {})
+        chosen = layout.reset_options(options)
         index = chosen.pop("index", None)
         require(not chosen, f"reset knows the option index, got {', '.join(map(repr, chosen))}")
         require(index is None or seed is not None, "the reset option index needs a seed")
+        index = 0 if index is None else layout.require_whole("index", index, 32)
+        seed = None if seed is None else layout.require_whole("seed", seed, 64)
+        super().reset(seed=seed)
         if seed is not None or self._seed is None:
             self._seed = seed if seed is not None else int(self.np_random.integers(2**63))
-            seeds, indices = np.array([self._seed], np.uint64), np.array([index or 0], np.int64)
+            seeds, indices = np.array([self._seed], np.uint64), np.array([index], np.int64)
             layout.begin_streams(self._words, EVERYWHERE, seeds, indices)
         return self._begin()
 

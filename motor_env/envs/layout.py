@@ -6,14 +6,16 @@ with few arrays, of which `unpack_task` and `unpack_lanes` make the tuples that 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import reprlib
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.envs import kernel
 from motor_env.envs.compiling import inlined
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.random_streams import philox
 
 N_CLASSES, N_OBSERVED, N_LEVELS = range(3)  # the prior begins with these sizes
@@ -110,6 +112,25 @@ def empty_streams(count: int) -> tuple[WordArray, BoolArray]:
     words, flags = np.zeros((4, count), dtype=np.uint32), np.zeros((KNOWN + 1, count), dtype=np.bool_)
     words[CASE_LOW], flags[KNOWN] = BEFORE_FIRST, True
     return words, flags
+
+
+def reset_options(options: Any) -> dict[str, Any]:
+    """A copy of the options of a reset; `ValueError` where they are no dictionary."""
+    require(
+        options is None or isinstance(options, Mapping),
+        f"options of reset must be a dict, got {options!r:.60}",
+    )
+    return dict(options or {})
+
+
+def require_whole(name: str, number: Any, bits: int) -> int:
+    """The number, if it is a whole one of so many bits; else `ValueError`."""
+    is_whole = isinstance(number, int | np.integer) and not isinstance(number, bool)
+    require(
+        is_whole and 0 <= number < 2**bits,
+        f"{name} must be a whole number in 0 .. 2^{bits} - 1, got {reprlib.repr(number)}",
+    )
+    return int(number)
 
 
 def begin_streams(

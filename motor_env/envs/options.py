@@ -17,6 +17,7 @@ from motor_env.motor.parameters import (
     MotorParameters,
     SupplyParameters,
     require,
+    require_numbers,
     require_positive,
 )
 from motor_env.simulation.recipes import Recipe
@@ -145,8 +146,11 @@ class MonitorOptions:
         return False
 
     def __post_init__(self) -> None:
+        require_numbers(self)
         recipe = task_recipe(self.recipe) if isinstance(self.recipe, str | Path) else self.recipe
-        require(isinstance(recipe, Recipe), f"recipe must be a name, a TOML file or a Recipe, got {recipe!r}")
+        require(
+            isinstance(recipe, Recipe), f"recipe must be a name, a TOML file or a Recipe, got {recipe!r:.60}"
+        )
         if self.motor is not None:
             recipe = with_motor(recipe, self.motor)
             object.__setattr__(self, "motor", recipe.motor)
@@ -154,7 +158,8 @@ class MonitorOptions:
         object.__setattr__(self, "recipe", recipe)
         for name, choices in (("start", Start), ("drive", Drive), ("precision", Precision)):
             value = getattr(self, name)
-            require(value in set(choices), f"{name} must be one of {', '.join(choices)}, got {value!r}")
+            known = isinstance(value, str) and value in set(choices)
+            require(known, f"{name} must be one of {', '.join(choices)}, got {value!r:.60}")
             object.__setattr__(self, name, choices(value))
         if self.drive is Drive.SPEED_LOOP:
             require(self.start is Start.RUNNING, f"start must be running in a speed loop, got {self.start}")
@@ -170,7 +175,7 @@ class MonitorOptions:
             value = getattr(self, name)
             require(
                 isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= 1000,
-                f"{name} must be a whole number from 1 to 1000, got {value!r}",
+                f"{name} must be a whole number from 1 to 1000, got {value!r:.60}",
             )
         for field in fields(self):
             if field.name.endswith(("_reward", "_cost", "_cost_per_s", "load_torque_n_m")):
@@ -192,7 +197,10 @@ class MonitorOptions:
             self.n_samples <= MAX_SAMPLES,
             f"horizon_s must be at most {MAX_SAMPLES} samples long, got {self.n_samples}",
         )
-        object.__setattr__(self, "observe", tuple(self.observe))
+        names: Any = self.observe
+        are_names = isinstance(names, tuple | list) and all(isinstance(name, str) for name in names)
+        require(are_names, f"observe must be names of features, got {names!r:.60}")
+        object.__setattr__(self, "observe", tuple(names))
 
     @property
     def task(self) -> Recipe:
@@ -239,12 +247,14 @@ def _stall_torque(motor: MotorParameters, voltage_v: float | FloatArray) -> floa
 Options = TypeVar("Options", bound="DataclassInstance")
 
 
-def with_changes(options: Options, changes: dict[str, Any]) -> Options:
-    """The options with some of them changed.
+def with_changes(options: Options | None, kind: type[Options], changes: dict[str, Any]) -> Options:
+    """The options, by default those of the kind, with some of them changed.
 
     Raises:
-        ValueError: an option does not exist, or a value is out of its range.
+        ValueError: an option does not exist, or a value is of another type or out of its range.
     """
+    options = kind() if options is None else options
+    require(isinstance(options, kind), f"options must be {kind.__name__}, got {options!r:.60}")
     known = [field.name for field in fields(options)]
     for name in changes:
         require(name in known, f"no option {name!r}; there are {', '.join(known)}")

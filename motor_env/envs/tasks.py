@@ -86,7 +86,9 @@ def with_motor(recipe: Recipe, motor: MotorParameters | str | Path) -> Recipe:
     """
     if isinstance(motor, MotorParameters):
         return replace(recipe, motor=motor)
-    require(isinstance(motor, str | Path), f"motor must be a name, a TOML file or parameters, got {motor!r}")
+    require(
+        isinstance(motor, str | Path), f"motor must be a name, a TOML file or parameters, got {motor!r:.60}"
+    )
     from motor_env.motor.data_sheet import load_motor
 
     read = load_motor(motor)

@@ -55,13 +55,14 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
             render_mode: None; a vector draws no pictures.
             changes: single options by name, on top.
         """
+        num_envs = layout.require_whole("num_envs", num_envs, 32)
         require(num_envs >= 1, f"num_envs must be >= 1, got {num_envs}")
         require(render_mode is None, f"render_mode of a vector must be None, got {render_mode!r}")
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self._seeded = False
-        self.options = with_changes(options or self.options_type(), changes)
+        self.options = with_changes(options, self.options_type, changes)
         self.single_observation_space, self.single_action_space = self._set_up()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -93,12 +94,14 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
             options: `{"reset_mask": mask}` resets the sub-environments of the mask only.
 
         Raises:
-            ValueError: the mask or the list of seeds is none.
+            ValueError: the mask or the list of seeds is none, or a seed no whole number in 0 .. 2^64 - 1.
         """
-        chosen = dict(options or {})
+        chosen = layout.reset_options(options)
         mask = self._checked_mask(chosen.pop("reset_mask", None))
         require(not chosen, f"reset knows the option reset_mask, got {', '.join(map(repr, chosen))}")
-        super().reset(seed=seed if isinstance(seed, int | np.integer) else None)
+        if seed is not None and not isinstance(seed, list | tuple | np.ndarray):
+            seed = layout.require_whole("seed", seed, 64)
+        super().reset(seed=seed if isinstance(seed, int) else None)
         self._take_seeds(seed, mask)
         self._begin(mask)
         return self._observed(mask)
@@ -124,12 +127,13 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         self._seeded = True
         if seed is None:
             return
-        if isinstance(seed, int | np.integer):
+        if isinstance(seed, int):
             seeds, given = np.full(self.num_envs, seed, dtype=np.uint64), mask
             index = np.arange(self.num_envs)
         else:
             require(len(seed) == self.num_envs, f"seed must list {self.num_envs} seeds, got {len(seed)}")
-            seeds = np.array([number or 0 for number in seed], dtype=np.uint64)
+            numbers = [0 if number is None else layout.require_whole("seed", number, 64) for number in seed]
+            seeds = np.array(numbers, dtype=np.uint64)
             given = mask & np.array([number is not None for number in seed])
             index = np.zeros(self.num_envs, dtype=np.int64)
         layout.begin_streams(self._words[:, : self.num_envs], given, seeds, index)

@@ -8,10 +8,12 @@ a growing fault is therefore a ray along its powers; all that simulates, estimat
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
+from numbers import Real
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -35,6 +37,8 @@ ENTRY_POINTS = "motor_env.fault_kinds"
 """Entry points of installed packages whose modules register kinds: they are loaded when kinds are first asked for."""
 
 _NOISE = "noise"
+_NO_FAULTS = (HEALTHY, "no_reference", "other", "unusable")  # verdicts that name no kind of fault
+_WORD = re.compile("[a-z][a-z0-9_]{0,39}")
 _KINDS: dict[str, FaultKind] = {}
 
 
@@ -139,23 +143,45 @@ def register_fault_kind(
     """Add a kind of fault; from then on it can stand wherever a kind stands (docs/new-fault.md).
 
     Args:
-        name: an identifier, as it stands in recipes and labels.
+        name: a word of lower-case ASCII letters, digits and _, as it stands in recipes and labels.
         powers: see `FaultKind`; `{"friction": 1.0}` for a friction that is up by the severity.
         verdict: the word for it; its name by default.
         finding: what a diagnosis says; by default which quantities are up and down.
 
     Raises:
-        ValueError: a name that is none, or taken by another kind; no powers, or such of unknown quantities.
+        ValueError: a name or verdict that is no such word, or taken by another kind or verdict; no powers, or such of
+            unknown quantities; a finding that is not one line.
     """
     known = [*QUANTITY_FIELDS, _NOISE]
-    require(name.isidentifier() and name != HEALTHY, f"name of a fault kind must be one word, got {name!r}")
-    for quantity, power in powers.items():
+    words: dict[str, Any] = {"name": name, "verdict": name if verdict is None else verdict}
+    for field, word in words.items():
+        require(
+            isinstance(word, str) and _WORD.fullmatch(word) is not None and word not in _NO_FAULTS,
+            f"{field} of a fault kind must be a word of a-z, 0-9 and _, and none of {', '.join(_NO_FAULTS)},"
+            f" got {word!r:.60}",
+        )
+    given: Mapping[str, Any] = powers
+    for quantity, power in given.items():
         require(quantity in known, f"powers of {name} must be of {', '.join(known)}, got {quantity!r}")
-        require(math.isfinite(power) and power != 0.0, f"power of {quantity} must not be 0, got {power:g}")
+        require(
+            isinstance(power, Real) and math.isfinite(power) and power != 0.0,
+            f"power of {quantity} must be a finite number other than 0, got {power!r}",
+        )
     require(bool(powers), f"powers of {name} must name a quantity of {', '.join(known)}, got none")
     kind = str.__new__(FaultKind, name)
     kind.powers, kind.verdict = dict(powers), verdict or name
-    kind.finding = finding or _moved_words(powers)
+    kind.finding = _moved_words(powers) if finding is None else finding
+    said: Any = kind.finding
+    require(
+        isinstance(said, str) and said.isprintable(),
+        f"finding of {name} must be one line of text, got {said!r:.60}",
+    )
+    for other in _KINDS.values():  # a word is the verdict of one kind or family alone
+        for one, family in ((kind, other), (other, kind)):
+            require(
+                str(one) != family.verdict or one.verdict == family.verdict,
+                f"{one} is the name of a fault kind of verdict {one.verdict}, and cannot be the verdict of {family}",
+            )
     old = _KINDS.setdefault(name, kind)
     require(vars(old) == vars(kind), f"fault kind {name} is registered already, with {old.powers}")
     return old

@@ -13,10 +13,14 @@ import math
 import reprlib
 from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import StrEnum
-from typing import Annotated, Any, Self
+from numbers import Real
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 FloatArray = NDArray[np.float64]
 
@@ -89,6 +93,21 @@ def require_plausible(value: object, place: str = "") -> None:
         smallest = SMALLEST if place.startswith("motor.") and value != 0.0 else -LARGEST
         if not smallest <= value <= LARGEST:
             raise ValueError(f"{place} must be in {smallest:g} .. {LARGEST:g}, got {reprlib.repr(value)}")
+
+
+def require_numbers(options: DataclassInstance) -> None:
+    """Raise `ValueError` naming the field and the value, unless each field of numbers in a dataclass holds such."""
+    for f in fields(options):
+        value, kind = getattr(options, f.name), str(f.type)
+        several = kind.startswith("tuple[float")
+        if several:
+            require(isinstance(value, tuple | list), f"{f.name} must be numbers, got {value!r:.60}")
+        elif kind not in ("int", "float") and (kind != "float | None" or value is None):
+            continue
+        for entry in value if several else (value,):
+            is_number = isinstance(entry, Real) and not isinstance(entry, bool)
+            whole = f"{f.name} must be {'a whole number' if kind == 'int' else 'a number'}, got {reprlib.repr(entry)}"
+            require(is_number and not (isinstance(entry, int) and abs(entry) >= 2**63), whole)
 
 
 QUANTITY_FIELDS: dict[str, tuple[str, ...]] = {

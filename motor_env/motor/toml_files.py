@@ -16,6 +16,7 @@ from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 from pydantic_core import core_schema
 
 from motor_env.errors import InputError
+from motor_env.files import read_file
 from motor_env.motor.parameters import LARGEST, SMALLEST, FloatArray, require
 
 T = TypeVar("T")
@@ -69,24 +70,13 @@ def read_toml(path: Path, missing: str) -> dict[str, Any]:
     Raises:
         InputError: no such file, no file of text (a device, a gigabyte), or not TOML.
     """
+    content = read_file(path, _LARGEST_FILE, missing)
     try:
-        if path.exists() and not path.is_file() and not path.is_dir():
-            raise InputError(f"{path}: cannot be read (not a regular file)")
-        with path.open("rb") as file:
-            content = file.read(_LARGEST_FILE + 1)
-        if len(content) > _LARGEST_FILE:
-            raise InputError(f"{path}: is larger than {_LARGEST_FILE / 1e6:g} MB, which no such file needs")
         return tomllib.loads(content.decode("utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: {missing}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not text (byte {error.start} is not UTF-8)") from None
     except RecursionError:
         raise InputError(f"{path}: is not TOML: nested too deep") from None
-    except InputError:
-        raise
     except ValueError as error:  # a number of too many digits, too
         raise InputError(f"{path}: is not TOML: {error}") from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import html
 import json
 import re
@@ -19,9 +20,12 @@ Scored = dict[str, Any]
 
 
 def file_of(folder: Path, scored: Scored) -> Path:
-    """Where a score is kept: TASK/METHOD.json."""
-    name = re.sub(r"[^a-z0-9]+", "-", scored["method"].lower()).strip("-")
-    return folder / str(scored["task"]) / f"{name or 'unnamed'}.json"
+    """Where a score is kept: TASK/METHOD.json, with a digest of a name that is no file's."""
+    method = str(scored["method"])
+    name = re.sub(r"[^a-z0-9_]+", "-", method.lower()).strip("-")[:100]
+    if name != method:
+        name = f"{name}-{hashlib.sha256(method.encode()).hexdigest()[:8]}".strip("-")
+    return folder / str(scored["task"]) / f"{name}.json"
 
 
 def read_scores(folder: Path) -> dict[str, list[Scored]]:
@@ -53,9 +57,14 @@ def ranks(task: Task, scored: Sequence[Scored]) -> list[tuple[int, Scored]]:
     return ranked
 
 
+_LINK = re.compile(r"!?\[([^\]]*)\]\([^)]*\)")
+_ADDRESS = re.compile(r"\b(?:[a-z][a-z0-9+.-]*://|www\.|mailto:)\S+", re.IGNORECASE)
+
+
 def _plain(text: str) -> str:
-    """A stranger's text as text: no table, no code and no HTML."""
-    return html.escape(text.replace("|", "/").replace("`", "'"), quote=False)
+    """A stranger's text as text: no table, no code, no HTML, no link and no picture."""
+    text = _ADDRESS.sub("(link)", _LINK.sub(r"\1", text.replace("|", "/").replace("`", "'")))
+    return html.escape(re.sub(r"([\\\[\]])", r"\\\1", text).replace("@", " at "), quote=False)
 
 
 def page(scores: dict[str, list[Scored]]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,7 +14,11 @@ import numpy as np
 from motor_classifiers.contest.submissions import interval
 from motor_classifiers.scoring.metrics import resampling_weights
 from motor_env.errors import InputError
+from motor_env.files import read_file
 
+LARGEST_BYTES = 8_000_000
+"""Of each of the two files."""
+MOST_RECORDINGS = 20_000
 COLUMNS = ("file", "motor", "verdict")
 _SILENT = "unusable"
 
@@ -63,30 +68,32 @@ def score_recordings(truth: Path | str, said: Path | str) -> list[dict[str, Any]
 
 
 def _truth(path: Path) -> list[dict[str, str]]:
+    content = read_file(path, LARGEST_BYTES)
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = [
-                {name: str(row.get(name) or "").strip() for name in COLUMNS} for row in csv.DictReader(file)
-            ]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        lines = csv.DictReader(io.StringIO(content.decode("utf-8"), newline=""))
+        rows = [{name: str(row.get(name) or "").strip() for name in COLUMNS} for row in lines]
+    except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read ({error})") from None
     if not rows or any(not value for row in rows for value in row.values()):
         raise InputError(f"{path}: must have the columns {', '.join(COLUMNS)} and a value in each row")
+    if len(rows) > MOST_RECORDINGS:
+        raise InputError(f"{path}: must name at most {MOST_RECORDINGS} recordings, got {len(rows)}")
     _require_once(path, (row["file"] for row in rows))
     return rows
 
 
 def _said(path: Path) -> dict[str, dict[str, str]]:
     """Verdicts by method and file."""
+    content = read_file(path, LARGEST_BYTES)
     try:
-        rows = json.loads(path.read_bytes())
+        rows = json.loads(content)
         _require_once(path, (str(row["file"]) for row in rows))
         given = {"method": {str(row["file"]): str(row.get("verdict", _SILENT)) for row in rows}}
         if all(row.get("model_based") for row in rows):
             given["model_based"] = {str(row["file"]): str(row["model_based"]["verdict"]) for row in rows}
     except InputError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: must be a JSON list of objects with file and verdict ({error})") from None
     return given
 

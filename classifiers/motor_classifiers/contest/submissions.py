@@ -17,7 +17,7 @@ from motor_classifiers.contest.task import SEED, VERSION, Task
 from motor_classifiers.contest.tasks import load_task
 from motor_classifiers.scoring.metrics import resampling_weights
 from motor_env.errors import InputError
-from motor_env.files import replacing, write_text
+from motor_env.files import read_file, replacing, write_text
 from motor_env.motor.parameters import FloatArray
 from motor_env.motor.toml_files import from_dict, read_toml, toml_text
 
@@ -95,8 +95,9 @@ def read_submission(folder: Path | str, *, seed: int = SEED) -> tuple[Card, Task
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     path = Path(folder) / ANSWERS
+    content = read_file(path, LARGEST_BYTES, "a submission needs a table of answers")
     try:
-        return card, task, _checked(task, _table(path))
+        return card, task, _checked(task, _table(task, content))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -115,14 +116,12 @@ def _check_card(card: Card, task: Task, seed: int) -> None:
         raise InputError("the card must name method and authors")
 
 
-def _table(path: Path) -> pa.Table:
-    """The table of a file that is not too large, with flat columns of numbers alone."""
-    if not path.is_file():
-        raise InputError("a submission needs a table of answers")
-    if path.stat().st_size > LARGEST_BYTES:
-        raise InputError(f"is larger than {LARGEST_BYTES / 1e6:g} MB")
+def _table(task: Task, content: bytes) -> pa.Table:
+    """The table of a file. What it says of itself is checked first: a run of equal numbers takes no room in a file."""
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(pa.BufferReader(content)) as file:
+            _check_columns(task, file.schema_arrow)
+            _check_rows(task, file.metadata.num_rows)
             groups = [file.metadata.row_group(n) for n in range(file.metadata.num_row_groups)]
             if sum(group.total_byte_size for group in groups) > LARGEST_BYTES:
                 raise InputError(f"unpacks to more than {LARGEST_BYTES / 1e6:g} MB")
@@ -131,16 +130,24 @@ def _table(path: Path) -> pa.Table:
         raise InputError(f"is no Parquet file, or damaged ({' '.join(str(error).split())[:100]})") from None
 
 
-def _checked(task: Task, table: pa.Table) -> FloatArray:
+def _check_columns(task: Task, schema: pa.Schema) -> None:
     wanted = ["case", *task.columns]
-    if sorted(table.column_names) != sorted(wanted):
-        raise InputError(
-            f"must have the columns {', '.join(wanted)}, got {', '.join(table.column_names)[:200]}"
-        )
+    if sorted(schema.names) != sorted(wanted):
+        raise InputError(f"must have the columns {', '.join(wanted)}, got {', '.join(schema.names)[:200]}")
     for name in wanted:
-        kind = table.schema.field(name).type
+        kind = schema.field(name).type
         if not (pa.types.is_integer(kind) if name == "case" else pa.types.is_floating(kind)):
             raise InputError(f"column {name} must hold {'whole ' * (name == 'case')}numbers, got {kind}")
+
+
+def _check_rows(task: Task, count: int) -> None:
+    if count > task.n_test:
+        raise InputError(f"must have the cases 0 to {task.n_test - 1} and no others, got {count} rows")
+
+
+def _checked(task: Task, table: pa.Table) -> FloatArray:
+    _check_columns(task, table.schema)
+    _check_rows(task, table.num_rows)
     case = table["case"].to_numpy()
     seen, count = np.unique(case[np.isfinite(case)].astype(np.int64), return_counts=True)
     if (count > 1).any():
@@ -150,8 +157,6 @@ def _checked(task: Task, table: pa.Table) -> FloatArray:
         raise InputError(
             f"{len(missing)} of the {task.n_test} cases are missing, the first is case {missing[0]}"
         )
-    if len(case) != task.n_test:
-        raise InputError(f"must have the cases 0 to {task.n_test - 1} and no others, got {len(case)} rows")
     answers = np.column_stack([table[name].to_numpy().astype(np.float64) for name in task.columns])
     answers = answers[np.argsort(case)]
     task.check(answers)

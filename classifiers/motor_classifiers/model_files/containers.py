@@ -1,19 +1,16 @@
-"""What a model file may hold before anything is made of it: a regular file, of a stated size packed and unpacked."""
+"""What a model file may hold before anything is made of it: a stated size, packed and unpacked."""
 
 from __future__ import annotations
 
 import hashlib
 import io
 import json
-import stat
 import zipfile
-from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 
 from motor_classifiers.estimators.state import Arrays
-from motor_env.errors import InputError
 from motor_env.motor.parameters import require
 
 LARGEST_FILE_BYTES = 200_000_000
@@ -23,24 +20,6 @@ LARGEST_TEXT_BYTES = 32_000_000
 _CENTRAL_ENTRY = b"PK\x01\x02"
 MOST_MEMBERS = 50_000
 """Members of an archive; a forest of 200 trees has 600."""
-
-
-def read_file(path: Path) -> bytes:
-    """Content of a regular file that is not too large.
-
-    Raises:
-        InputError: no such file, no regular one, or a larger one.
-    """
-    try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise InputError(f"{path}: is no regular file")
-        with path.open("rb") as file:
-            content = file.read(LARGEST_FILE_BYTES + 1)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
-    if len(content) > LARGEST_FILE_BYTES:
-        raise InputError(f"{path}: is larger than {LARGEST_FILE_BYTES // 1_000_000} MB, not a model of ours")
-    return content
 
 
 def unpacked(content: bytes) -> dict[str, bytes]:

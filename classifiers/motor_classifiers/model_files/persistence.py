@@ -35,7 +35,7 @@ from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
 from motor_classifiers.wrappers.open_set import OpenSetClassifier
 from motor_env.errors import InputError
-from motor_env.files import replacing
+from motor_env.files import read_file, replacing
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipe_files import recipe_from_dict, recipe_to_dict
 from motor_env.simulation.recipes import Recipe
@@ -63,7 +63,7 @@ _MOST_WRAPPERS = 2
 Loaded = tuple[BaseEstimator, Recipe, str]
 
 
-def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path) -> None:
+def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path | str) -> None:
     """Write a fitted model; the file appears whole or not at all.
 
     Args:
@@ -77,7 +77,7 @@ def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path) ->
         InputError: a model of another kind, or the file cannot be written.
     """
     content = _content(model, recipe, method)
-    with replacing(path) as temporary:
+    with replacing(Path(path)) as temporary:
         temporary.write_bytes(content)
 
 
@@ -91,13 +91,13 @@ def check_saveable(model: BaseEstimator) -> None:
         check_pipeline(model)
 
 
-def load_model(path: Path) -> Loaded:
+def load_model(path: Path | str) -> Loaded:
     """Read a model, the recipe it was trained for, and its method's name.
 
     Raises:
         InputError: no such file, not one of ours, damaged, or with content that is not allowed.
     """
-    content = containers.read_file(path)
+    content = read_file(Path(path), containers.LARGEST_FILE_BYTES)
     try:
         return _loaded(content, _MOST_WRAPPERS)
     except InputError as error:

@@ -22,7 +22,7 @@ from motor_classifiers.scoring.judging import Answer, Cell, expected_severity
 from motor_classifiers.scoring.progress import Cost
 from motor_datasets.arrays import Dataset
 from motor_env.errors import InputError
-from motor_env.files import replacing
+from motor_env.files import read_file, replacing
 from motor_env.motor.parameters import FloatArray
 
 PEERS = {
@@ -32,6 +32,7 @@ PEERS = {
 }
 """Peers by name, with what they are."""
 
+_LARGEST_BYTES = 50_000_000
 _SAME_MEAN_A = 1e-6  # between machines the last bits of a simulated start may differ, and no more
 
 
@@ -82,8 +83,9 @@ def read_peers(path: Path, cell: Cell) -> Peers | None:
     Raises:
         InputError: no such file, or not one that benchmarks/aeon_peers.py wrote.
     """
+    content = read_file(path, _LARGEST_BYTES)
     try:
-        with np.load(io.BytesIO(path.read_bytes())) as file:
+        with np.load(io.BytesIO(content)) as file:
             arrays = dict(file)
         facts = json.loads(str(arrays["facts"]))
         if not _same_starts(arrays, cell):
@@ -94,9 +96,7 @@ def read_peers(path: Path, cell: Cell) -> Peers | None:
             if len(arrays[name]) >= cell.n_test
         }
         origin = f"{facts['date']}, {facts['machine']}, aeon {facts['aeon']}, {facts['command']}"
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(
             f"{path}: holds no answers of peers ({' '.join(str(error).split())[:100]})"
         ) from None

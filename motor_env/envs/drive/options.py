@@ -13,6 +13,7 @@ from motor_env.motor.parameters import (
     PAPER_MOTOR,
     MotorParameters,
     require,
+    require_numbers,
     require_positive,
 )
 
@@ -108,10 +109,17 @@ class DriveOptions:
     limp_cost_per_s: float = 0.2
 
     def __post_init__(self) -> None:
+        require_numbers(self)
+        require(
+            isinstance(self.motor, MotorParameters), f"motor must be MotorParameters, got {self.motor!r:.60}"
+        )
         for field in fields(self):
             values = getattr(self, field.name)
             if field.name == "motor":
                 continue
+            if isinstance(values, list):
+                values = tuple(values)
+                object.__setattr__(self, field.name, values)
             may_be_zero = "cost" in field.name or field.name in _MAY_BE_ZERO
             for value in values if isinstance(values, tuple) else (values,):
                 require_positive(field.name, value, zero_allowed=may_be_zero)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from motor_env.envs.offline.behaviours import TASKS, Behaviour, Player, Uniform
 from motor_env.errors import InputError, require_extra
+from motor_env.files import filling
 from motor_env.motor.parameters import FloatArray
 
 _AT_ONCE = 100
@@ -121,8 +122,7 @@ def record(task: str, behaviour: Behaviour, folder: Path, *, episodes: int = 300
     ]
     env = gym.make(f"motor_env/{task}", **TASKS[task].options)
     assert env.spec is not None  # noqa: S101  # it was made by its id
-    folder.mkdir(parents=True, exist_ok=True)
-    with _minari_below(folder):
+    with filling(folder) as unfinished, _minari_below(unfinished):
         minari.create_dataset_from_buffers(
             name,
             buffers,

@@ -228,13 +228,45 @@ def test_a_page_has_what_stands_above_the_limit(tmp_path: Path) -> None:
     plain = page({"bench": [kept("mine", costs)]})
     assert "| 1 | mine | who | 10.00 (9.00 to 11.50) | what |" in plain
     assert "above the best" not in plain
-    scored = kept("My Method, 2nd", costs, task="bench")
+    scored = kept("my-method_2", costs, task="bench")
     path = file_of(tmp_path, scored)
-    assert path == tmp_path / "bench" / "my-method-2nd.json"
+    assert path == tmp_path / "bench" / "my-method_2.json"
     path.parent.mkdir()
     path.write_text(json.dumps(scored))
     assert read_scores(tmp_path) == {"bench": [scored]}
-    assert file_of(tmp_path, scored | {"method": "?!"}).name == "unnamed.json"
+    others = [
+        "my method_2",
+        "My-Method_2",
+        "?!",
+        "!?",
+        "../x",
+        "x" * 200,
+        "x" * 100,
+        "\u043c",
+        "my-method_2.json",
+    ]
+    paths = {file_of(tmp_path, scored | {"method": name}) for name in others} | {path}
+    assert len({str(each).lower() for each in paths}) == len(others) + 1
+    assert {each.parent for each in paths} == {path.parent}
+    assert max(len(each.name) for each in paths) < 130
+
+
+@pytest.mark.usefixtures("small")
+@pytest.mark.parametrize(
+    ("about", "shown"),
+    [
+        ("see [my code](https://evil.example/x) here", "see my code here"),
+        ("![pixel](https://evil.example/x.png)!", "pixel!"),
+        ("at https://evil.example/x, www.evil.example or FTP://evil.example", "at (link) (link) or (link)"),
+        ("[a][b] [c]: d \\[e", r"\[a\]\[b\] \[c\]: d \\\[e"),
+        ("[[x](y)](z)", r"\[x\](z)"),
+        ("<img src=x> `code` a|b me@evil.example", "&lt;img src=x&gt; 'code' a/b me at evil.example"),
+        ("support_vectors (Hahn et al. 2021), 20 %", "support_vectors (Hahn et al. 2021), 20 %"),
+    ],
+)
+def test_a_strangers_text_links_nowhere(about: str, shown: str) -> None:
+    text = page({"bench": [kept("mine", (np.arange(120) % 10 == 0).astype(float), about=about)]})
+    assert f"| {shown} |\n" in text
 
 
 def test_shares_of_recordings_are_drawn_by_motor(tmp_path: Path) -> None:

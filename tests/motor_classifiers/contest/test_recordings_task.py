@@ -1,11 +1,14 @@
 """Verdicts on recordings that the user brings are scored by motor."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
+from hostile import deep, odd_places, refused
 
 from motor_classifiers.cli.main import main
+from motor_classifiers.contest import recordings
 from motor_classifiers.contest.recordings import score_recordings
 from motor_env import InputError
 
@@ -58,3 +61,23 @@ def test_verdicts_of_the_shipped_network_on_the_example(
 def test_bad_files_are_one_sentence(tmp_path: Path, truth: str, said: object, sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
         score_recordings(*written(tmp_path, truth, said))
+
+
+@pytest.mark.timeout(20)
+def test_only_small_regular_files_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paths = written(tmp_path, TRUTH, SAID)
+    for at in paths:
+        content = at.read_bytes()
+        for odd in odd_places(at):
+            asked = [odd if path == at else path for path in paths]
+            assert "is no regular file" in refused(partial(score_recordings, *asked), odd)
+        at.write_bytes(content)
+    paths[1].write_text(deep())
+    assert "must be a JSON list" in refused(partial(score_recordings, *paths), paths[1])
+    paths = written(tmp_path, TRUTH, SAID)
+    monkeypatch.setattr(recordings, "MOST_RECORDINGS", 3)
+    assert "at most 3 recordings, got 4" in refused(partial(score_recordings, *paths), paths[0])
+    monkeypatch.undo()
+    for at, small in ((paths[0], len(TRUTH) - 1), (paths[1], len(json.dumps(SAID)) - 1)):
+        monkeypatch.setattr(recordings, "LARGEST_BYTES", small)
+        assert "is larger than" in refused(partial(score_recordings, *paths), at)

@@ -13,7 +13,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hostile import refused
+from hostile import odd_places, refused
+from output_schema import follows
 from sklearn.metrics import roc_auc_score
 
 from motor_classifiers import load_task, score_submission, write_submission
@@ -174,14 +175,54 @@ def test_a_bad_submission_is_one_sentence(how: str, sentence: str, tmp_path: Pat
     assert sentence in refused(lambda: main(["score", str(tmp_path)]), path, named=False)
 
 
-def test_a_table_that_unpacks_to_too_much_is_not_read(tmp_path: Path) -> None:
+def test_rows_are_counted_before_they_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs of one number take no room in a file, and its own statement of their size may be wrong."""
+    task = load_task("severity")
+    write_submission(tmp_path, task, good_answers(task), WHO)
+    runs = pa.table({"case": np.zeros(1_000_000, dtype=np.int64), "severity": np.zeros(1_000_000)})
+    pq.write_table(runs, tmp_path / ANSWERS, compression="zstd")
+    asked = partial(score_submission, tmp_path)
+    monkeypatch.setattr(pq.ParquetFile, "read", None)
+    assert "the cases 0 to 79 and no others, got 1000000 rows" in refused(asked, tmp_path / ANSWERS)
+    lists = pa.table({"case": np.arange(80), "severity": pa.array([[0.1]] * 80)})
+    pq.write_table(lists, tmp_path / ANSWERS)
+    assert "column severity must hold numbers, got list<" in refused(asked, tmp_path / ANSWERS)
+
+
+def test_a_table_that_unpacks_to_too_much_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     task = load_task("bench")
     write_submission(tmp_path, task, good_answers(task), WHO)
-    zeros = pa.table({"case": np.zeros(3_000_000, dtype=np.int64)})
-    pq.write_table(zeros, tmp_path / ANSWERS, compression="zstd", use_dictionary=False)
-    assert (tmp_path / ANSWERS).stat().st_size < submissions.LARGEST_BYTES
-    sentence = refused(lambda: score_submission(tmp_path), tmp_path / ANSWERS)
-    assert "unpacks to more than 8 MB" in sentence
+    zeros = pa.table({"case": np.arange(80), **dict.fromkeys(task.columns, np.zeros(80))})
+    pq.write_table(
+        zeros,
+        tmp_path / ANSWERS,
+        compression="zstd",
+        use_dictionary=False,
+        write_statistics=False,
+        store_schema=False,
+    )
+    largest = (tmp_path / ANSWERS).stat().st_size
+    monkeypatch.setattr(submissions, "LARGEST_BYTES", largest)
+    monkeypatch.setattr(pq.ParquetFile, "read", None)
+    assert "unpacks to more than" in refused(partial(score_submission, tmp_path), tmp_path / ANSWERS)
+
+
+@pytest.mark.timeout(30)
+def test_only_regular_files_of_a_submission_are_read(tmp_path: Path) -> None:
+    task = load_task("severity")
+    write_submission(tmp_path, task, good_answers(task), WHO)
+    for name in (ANSWERS, CARD):
+        path = tmp_path / name
+        content = path.read_bytes()
+        for odd in odd_places(path):
+            if odd == path:
+                assert "is no regular file" in refused(partial(score_submission, tmp_path), path)
+        path.write_bytes(content)
+    for odd in odd_places(tmp_path / "seed"):
+        asked = ["score", str(tmp_path), "--sealed", str(odd)]
+        assert "is no regular file" in refused(partial(main, asked), odd)
 
 
 def test_a_submission_is_checked_before_it_is_written(tmp_path: Path) -> None:
@@ -217,8 +258,17 @@ def test_commands_make_answer_and_score_a_sealed_split(
     assert "the best possible on the same cases" in capsys.readouterr().out
     scored = json.loads((kept / "bench" / "residual-qda.json").read_text())
     assert scored["value"] < 40.0
-    seed.write_text("many\n")
-    assert "must hold one whole number" in refused(lambda: main(["score", str(mine), *options]), seed)
+    assert main(["score", str(mine), *options, "--json"]) == 0
+    printed = capsys.readouterr().out
+    follows("motor-classifiers score", printed)
+    assert json.loads(printed) == scored
+    for value in scored.values():  # a cost of each case would tell its truth
+        assert isinstance(value, str | int | float), value
+        assert not isinstance(value, str) or len(value) <= 200, value
+    for text in ("many", str(2**64), str(2**48 - 1), "-1"):
+        seed.write_text(text)
+        sentence = refused(lambda: main(["score", str(mine), *options]), seed)
+        assert "must hold one whole number from 2^48 to 2^64 - 1" in sentence
 
 
 def _kept(name: str, costs: Any) -> dict[str, Any]:

@@ -365,6 +365,24 @@ def test_server_answers_its_own_machine_only(server: str) -> None:
     for headers in ({"Host": "evil.example"}, {"Origin": "http://evil.example"}, {"Origin": "null"}):
         assert request(server, "GET", "/", headers=headers)[0] == 403
         assert request(server, "POST", "/api/simulate", b"{}", headers)[0] == 403
+    own, port = server.rstrip("/"), int(server.rstrip("/").rpartition(":")[2])
+    for sent, status in (
+        ([], 200),
+        ([("Origin", own), ("Sec-Fetch-Site", "same-origin")], 200),
+        ([("Sec-Fetch-Site", "none")], 200),
+        ([("Origin", own), ("Origin", "http://evil.example")], 403),
+        ([("Origin", own), ("Origin", own)], 403),
+        ([("Host", "evil.example")], 403),
+        ([("Sec-Fetch-Site", "cross-site")], 403),
+        ([("Origin", own), ("Sec-Fetch-Site", "same-site")], 403),
+    ):
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+        connection.putrequest("GET", "/api/options")
+        for name, value in sent:
+            connection.putheader(name, value)
+        connection.endheaders()
+        assert connection.getresponse().status == status, sent
+        connection.close()
     for path in ("/../pyproject.toml", "/lab.py", "/lab_assets/lab.js", "/api/none"):
         assert request(server, "GET", path)[0] == 404
     status, told, headers_back = request(server, "GET", "/")

@@ -1,5 +1,6 @@
 """The twin of the exported C source: against the package's filter and rules, and in fixed point."""
 
+import errno
 import re
 from dataclasses import replace
 from functools import cache, partial
@@ -26,6 +27,7 @@ from motor_env import (
     simulate,
 )
 from motor_env.cli import main
+from motor_env.embedded import source
 from motor_env.embedded.arithmetic import (
     Answers,
     Numbers,
@@ -166,6 +168,11 @@ def test_brushes_and_dry_friction_are_known() -> None:
         (["--false-alarms-per-year", "0"], "false_alarms_per_year must be finite and > 0, got 0"),
         (["--current-count", "100"], "step of current_a must suit 11.0092, got 100"),
         (["--name", "Motor;"], "name must be a C name"),
+        (["--name", "int"], "and no word of C, got 'int'"),
+        (["--name", "uint_least8_t"], "and no word of C, got 'uint_least8_t'"),
+        (["--name", "innovation"], "and no word of C, got 'innovation'"),
+        (["--current-noise", "1e6"], "give a number that 32 bits do not hold"),
+        (["--voltage", "1e-6"], "give a number that 32 bits do not hold"),
         (["--voltage", "-12"], "voltage_v must be finite and > 0, got -12"),
     ],
 )
@@ -178,6 +185,46 @@ def test_bad_input_is_one_sentence(
     assert main(["export-c", sheet, "--out", str(folder), *rate, *options]) == 2
     assert words in capsys.readouterr().err
     assert not folder.exists()
+
+
+def test_a_library_is_whole_and_only_in_its_own_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, sheet = tmp_path / "out", str(Path(__file__).parents[3] / "examples" / "motor.toml")
+    command = ["export-c", sheet, "--out", str(folder), "--rate-hz", "1000"]
+
+    def contents() -> dict[str, str]:
+        return {
+            str(file.relative_to(folder)): file.read_text() for file in folder.rglob("*") if file.is_file()
+        }
+
+    with monkeypatch.context() as patch:
+
+        def on_a_full_disk(path: Path, text: str) -> None:
+            if path.name == "library.properties":
+                raise OSError(errno.ENOSPC, "No space left on device")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+
+        patch.setattr(source, "write_text", on_a_full_disk)
+        assert main(command) == 2
+        assert "no space left on device" in capsys.readouterr().err
+        assert not folder.exists()
+        folder.mkdir()
+        (folder / "CMakeLists.txt").write_text("mine")
+        assert main([*command, "--force"]) == 2
+        assert contents() == {"CMakeLists.txt": "mine"}
+    assert main(command) == 2
+    assert "export-c did not make it; give a new or empty folder, or --force" in capsys.readouterr().err
+    assert contents() == {"CMakeLists.txt": "mine"}
+    assert main([*command, "--force"]) == 0
+    first = contents()
+    assert len(first) == 6
+    assert first["CMakeLists.txt"] != "mine"
+    (folder / "src" / "own.c").write_text("mine")
+    assert main([*command, "--voltage", "10"]) == 0  # its own folder
+    assert contents().keys() == first.keys() | {"src/own.c"}
+    assert contents()["src/motor_monitor.c"] != first["src/motor_monitor.c"]
 
 
 def test_counts_of_a_converter_do() -> None:

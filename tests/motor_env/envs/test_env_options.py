@@ -3,7 +3,7 @@
 import math
 import pickle
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,11 @@ from hypothesis import given, settings, strategies as st
 
 from motor_env import Channel, MotorParameters, Recipe, SensorParameters, SupplyParameters, Timing
 from motor_env.envs import (
+    DriveEnv,
+    DriveOptions,
+    MaintainEnv,
+    MaintainOptions,
+    MaintainVectorEnv,
     MonitorEnv,
     MonitorOptions,
     MonitorVectorEnv,
@@ -297,6 +302,55 @@ def test_a_thousand_million_random_steps() -> None:
 def test_options_that_would_overflow_are_refused(env: str, options: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ValueError, match=re.escape(sentence)):
         gym.make(f"motor_env/{env}-v0", **options)
+
+
+WRONG_TYPES: Any = ("1", "x", None, [], {}, {1}, True, 10**400, 1j, object(), (None,), ("1", "2"))
+OPTIONS: Any = (MonitorOptions, ProbeOptions, DriveOptions, MaintainOptions)
+ENVIRONMENTS: Any = (MonitorEnv, MonitorVectorEnv, DriveEnv, MaintainEnv, MaintainVectorEnv)
+
+
+@pytest.mark.parametrize("kind", OPTIONS)
+def test_an_option_of_another_type_is_one_sentence(kind: Any) -> None:
+    default = kind()
+    for field in fields(kind):
+        for value in WRONG_TYPES:
+            none = kind is not DriveOptions and field.name in ("motor", "load_torque_n_m")
+            several: Any = {"observe": ([], ("1", "2")), "ahead_s": ([],)}.get(field.name, ())
+            if (value is None and none) or value in several:
+                replace(default, **{field.name: value})
+                continue
+            with pytest.raises(ValueError, match=r"must|no such motor file") as told:
+                replace(default, **{field.name: value})
+            assert len(str(told.value)) < 400
+
+
+@pytest.mark.parametrize("make", ENVIRONMENTS)
+def test_a_seed_is_a_whole_number_of_64_bits(make: Any) -> None:
+    env = make()
+    bad: tuple[Any, ...] = (2**64, -1, 1.5, "1", True, {}, 10**400)
+    for seed in bad:
+        with pytest.raises(ValueError, match=r"^seed must be a whole number in 0 \.\. 2\^64 - 1, got "):
+            env.reset(seed=seed)
+    last = env.reset(seed=2**64 - 1)[0]
+    np.testing.assert_array_equal(env.reset(seed=np.uint64(2**64 - 1))[0], last)
+    with pytest.raises(ValueError, match="options of reset must be a dict, got 5"):
+        env.reset(options=5)
+    with pytest.raises(ValueError, match=r"^options must be [A-Z][a-z]+Options, got {}"):
+        make(options={})
+
+
+def test_an_index_and_a_number_of_environments_are_whole_numbers() -> None:
+    env, envs = MonitorEnv(), MonitorVectorEnv(2)
+    bad: tuple[Any, ...] = (2**32, -1, 1.5, "1")
+    for number in bad:
+        with pytest.raises(ValueError, match=r"^index must be a whole number in 0 \.\. 2\^32 - 1, got "):
+            env.reset(seed=1, options={"index": number})
+        with pytest.raises(ValueError, match=r"^num_envs must be a whole number in 0 \.\. 2\^32 - 1, got "):
+            MonitorVectorEnv(number)
+    lists: tuple[Any, ...] = ([1, 2**64], [1, "1"])
+    for seeds in lists:
+        with pytest.raises(ValueError, match=r"^seed must be a whole number in"):
+            envs.reset(seed=seeds)
 
 
 SHORTEST_LOOP_S = 2.0 * (1e-4 + 0.238e-3 / 2.18)

@@ -1,9 +1,12 @@
 """Faults: their exact effect on the parameters, when they switch, how they grow."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from motor_env import PAPER_MOTOR, Fault, FaultKind
+from motor_env import PAPER_MOTOR, Fault, FaultKind, register_fault_kind
+from motor_env.diagnosis.verdict import Verdict
 from motor_env.motor.faults import (
     ALWAYS,
     BUILT_IN_KINDS,
@@ -149,3 +152,48 @@ def test_a_fault_without_onset_was_always_there() -> None:
 def test_bad_fault(arguments: dict[str, object], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         Fault(**{"kind": "bearing", "severity": 0.1, **arguments})  # type: ignore[arg-type]  # bad on purpose
+
+
+@pytest.mark.parametrize(
+    "word", ["", "Fouling", "f-1", "1f", "two words", "fouling\n", "b\u0435aring", "x" * 41, 7, None]
+)
+def test_a_kinds_name_is_a_plain_word(word: Any) -> None:
+    with pytest.raises(ValueError, match=r"^name of a fault kind must be a word"):
+        register_fault_kind(word, {"inertia": 1.0})
+    if word is not None:
+        with pytest.raises(ValueError, match=r"^verdict of a fault kind must be a word"):
+            register_fault_kind("fouling", {"inertia": 1.0}, word)
+    assert "fouling" not in [*FaultKind]
+
+
+@pytest.mark.parametrize(
+    "word", [word for word in Verdict if word not in {kind.verdict for kind in BUILT_IN_KINDS}]
+)
+def test_a_verdict_that_is_no_fault_names_no_kind(word: Verdict) -> None:
+    with pytest.raises(ValueError, match=f"^name of .*, got {word.value!r}$"):
+        register_fault_kind(word.value, {"inertia": 1.0})
+    with pytest.raises(ValueError, match=f"^verdict of .*, got {word.value!r}$"):
+        register_fault_kind("fouling", {"inertia": 1.0}, word.value)
+
+
+@pytest.mark.parametrize("power", ["1.0", float("nan"), float("inf"), 0.0, None, 1j])
+def test_a_power_is_a_finite_number(power: Any) -> None:
+    with pytest.raises(ValueError, match=r"^power of inertia must be a finite number other than 0, got "):
+        register_fault_kind("fouling", {"inertia": power})
+
+
+def test_a_word_is_the_verdict_of_one_family() -> None:
+    with pytest.raises(
+        ValueError, match=r"^winding is the name of .*verdict fouling, .*verdict of winding_contact"
+    ):
+        register_fault_kind("winding", {"inertia": 1.0}, "fouling")
+    with pytest.raises(
+        ValueError, match=r"^winding_short is the name of .*verdict winding, .*verdict of fouling"
+    ):
+        register_fault_kind("fouling", {"inertia": 1.0}, "winding_short")
+
+
+@pytest.mark.parametrize("finding", ["two\nlines", 7, b"bytes"])
+def test_a_finding_is_a_line(finding: Any) -> None:
+    with pytest.raises(ValueError, match=r"^finding of fouling must be one line of text, got "):
+        register_fault_kind("fouling", {"inertia": 1.0}, finding=finding)

@@ -1,5 +1,6 @@
 """Data sets for learning offline: what they hold is what the environment gives."""
 
+import errno
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,30 @@ def test_bad_orders_get_one_sentence(
     assert main(["offline", *options, "--out", str(tmp_path)]) == 2
     assert words in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_data_set_is_whole_or_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, keep = tmp_path / "sets", tmp_path / "sets" / "mine.txt"
+    command = ["offline", "Maintain-v0", "--behaviour", "rule", "--episodes", "2", "--out", str(folder)]
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    for there in (False, True):
+        if there:
+            folder.mkdir()
+            keep.write_text("mine")
+        with monkeypatch.context() as patch:
+            patch.setattr("minari.dataset._storages.arrow_storage.ArrowStorage.update_episodes", full)
+            assert main(command) == 2
+        assert "no space left on device" in capsys.readouterr().err
+        assert list(tmp_path.rglob("*")) == ([folder, keep] if there else [])
+    assert main(command) == 0
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder))
+    assert minari.load_dataset("motor_env/Maintain/rule-v0").total_episodes == 2
+    assert {file.name for file in folder.iterdir()} == {"mine.txt", "motor_env"}
 
 
 def test_a_data_set_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
