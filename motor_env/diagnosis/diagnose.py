@@ -22,6 +22,7 @@ from motor_env.fitting.starts.choice import EXTENSIONS, NUISANCES, identify_best
 from motor_env.fitting.starts.commutation import ripple_quantities
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
+from motor_env.fitting.starts.plausibility import NOT_TURNING, shows_turning
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.healthy import Starts
@@ -160,6 +161,10 @@ def judge_start(
         reason = _NOTHING if motor is None else told
         return Judgement(Verdict.NO_REFERENCE, (reason,), fit=fit)
     judgement = decide(fit, reference, rate)
+    if judgement.verdict.is_fault and not shows_turning(fit):
+        return Judgement(
+            Verdict.OTHER, (NOT_TURNING,), fit=fit, reference=reference, changes=judgement.changes
+        )
     starts = None if motor is None or motor.healthy is None else motor.healthy.starts
     return judgement if starts is None else _with_ripple(judgement, fit, starts, rate)
 

@@ -18,6 +18,17 @@ _USUAL = {
 """Least and largest value (of the current: its peak) of brushed DC motors from pagers to traction, with a margin."""
 
 _TOLD = 0.3  # standard error of a logarithm, above which a quantity is not told
+_UNTOLD = 1.0
+NOT_TURNING = (
+    "the current does not show that a motor turns: the recording ends too early, the rotor is blocked, or this is no"
+    " motor (a resistor, a coil)"
+)
+
+
+def shows_turning(fit: Identified) -> bool:
+    """Whether the start tells K^2/J, or with the speed K, to a factor of e: a resistor and a coil have none."""
+    pull = next(n for n, name in enumerate(fit.quantity_names) if name.startswith("K"))
+    return float(fit.log_covariance[pull, pull]) < _UNTOLD**2
 
 
 def implausible(fit: Identified) -> list[str]:
@@ -39,7 +50,7 @@ def implausible(fit: Identified) -> list[str]:
     seen |= {
         name: float(np.exp(logs[name])) for name in ("R", "L", "K") if name in logs and errors[name] < _TOLD
     }
-    sentences = []
+    sentences = [] if shows_turning(fit) else [NOT_TURNING]
     for name, value in seen.items():
         low, high, unit = _USUAL[name]
         if not low <= value <= high:

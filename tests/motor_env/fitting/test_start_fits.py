@@ -27,7 +27,7 @@ from motor_env.fitting.starts.commutation import (
 )
 from motor_env.fitting.starts.identified import Identified, record_of
 from motor_env.fitting.starts.identify import _wild_against, identify
-from motor_env.fitting.starts.plausibility import implausible
+from motor_env.fitting.starts.plausibility import NOT_TURNING, implausible, shows_turning
 from motor_env.fitting.uncertainty import capped, sandwich
 from motor_env.motor.parameters import FloatArray
 
@@ -558,6 +558,19 @@ def test_values_that_no_motor_has_are_named() -> None:
     far = replace(fit.start, time_s=fit.start.time_s * 300.0)
     assert implausible(replace(fit, start=far))[0].startswith("sampling rate of 16.7 Hz")
     assert j < 0.0
+
+
+def test_a_start_that_tells_no_pull_shows_no_turning_motor() -> None:
+    """K^2/J, or with the speed K, just inside and just outside a factor of e; other quantities do not count."""
+    for has_speed, name in ((True, "K"), (False, "K^2/J")):
+        fit = identify(start(speed=has_speed))
+        at = fit.quantity_names.index(name)
+        for log_sd, turns in ((0.99, True), (1.01, False)):
+            spread = 9.0 * np.eye(len(fit.quantity_names))
+            spread[at, at] = log_sd**2
+            odd = replace(fit, log_covariance=spread)
+            assert shows_turning(odd) == turns
+            assert implausible(odd) == ([] if turns else [NOT_TURNING])
 
 
 def rippled(per_turn: float, amplitude_a: float) -> Start:
