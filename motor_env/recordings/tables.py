@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from motor_env.errors import InputError, require_extra
+from motor_env.files import read_file
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings import array_parser
 from motor_env.recordings.headers import understand
@@ -90,23 +91,7 @@ def read_text(path: Path) -> str:
 
 
 def _content(path: Path, largest: int = LARGEST_FILE_BYTES) -> bytes:
-    try:
-        size, content = path.stat().st_size, b""
-        if not path.is_file():
-            raise InputError(f"{path}: is no regular file")
-        # What the system makes up while it is read has no size, and may never end.
-        if size:
-            with path.open("rb") as file:
-                content = file.read(largest + 1)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        reason = (error.strerror or str(error)).lower() if isinstance(error, OSError) else str(error)
-        raise InputError(f"{path}: cannot be read ({reason})") from None
-    if len(content) > largest:
-        raise InputError(f"{path}: is larger than {largest // 1_000_000} MB")
+    content = read_file(path, largest)
     if not content or content.isspace():
         raise InputError(f"{path}: is empty")
     return content
@@ -167,7 +152,8 @@ def _numpy(path: Path, content: bytes) -> dict[str, Any]:
                 array_parser.check_count(sum(member.file_size for member in archive.infolist()) // 8)
         loaded = np.load(io.BytesIO(content), allow_pickle=False)
         if not isinstance(loaded, np.ndarray):
-            return {name: loaded[name] for name in loaded.files}
+            members = {name: loaded[name] for name in loaded.files}
+            return {name: one for name, one in members.items() if isinstance(one, np.ndarray)}
         return (
             {name: loaded[name] for name in loaded.dtype.names} if loaded.dtype.names else {"array": loaded}
         )

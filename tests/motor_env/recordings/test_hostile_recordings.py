@@ -192,6 +192,14 @@ def test_structs_of_two_runs_are_not_merged(tmp_path: Path) -> None:
     assert read_recording(path).voltage_v is not None
 
 
+def test_a_member_of_an_archive_that_is_no_array_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez(path, **COLUMNS)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("notes.txt", "of a motor")
+    np.testing.assert_array_equal(read_recording(path).current_a, CURRENT)
+
+
 @pytest.mark.parametrize("kind", ["npz", "mat"])
 def test_a_voltage_one_sample_short_is_not_lost_in_silence(kind: str, tmp_path: Path) -> None:
     columns, path = COLUMNS | {"voltage_v": VOLTAGE[:-1]}, tmp_path / f"a.{kind}"
