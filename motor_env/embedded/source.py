@@ -76,7 +76,7 @@ def write_library(
     """
     if (
         not re.fullmatch(r"[a-z][a-z0-9_]{0,40}", name)
-        or name in _RESERVED
+        or f" {name} " in _RESERVED
         or re.fullmatch(r"u?int\w*_t", name)
     ):
         raise InputError(

@@ -126,7 +126,7 @@ def score(
 
     scored = score_submission(submission, seed=_seed(sealed))
     if sealed is not None:
-        del scored["costs"]  # beside one's own answers they tell the truth
+        scored.pop("costs", None)  # beside one's own answers they tell the truth
     text = json.dumps(scored, indent=1) + "\n"
     if keep is not None:
         write_text(file_of(keep, scored), text)
