@@ -9,9 +9,8 @@ from motor_env.motor.parameters import FloatArray
 LARGEST_CURRENT_A = 1_000.0
 LARGE_CURRENT_A = 100.0
 """Beyond it a current that the user named is warned of."""
-_MANY_WHOLE = (
-    20  # different whole numbers: counts of a converter or of a clock, not a voltage that is 0 or 12
-)
+_MANY_WHOLE = 20
+"""Different whole numbers: counts of a converter or of a clock, not a voltage that is 0 or 12."""
 _FEWEST_LEVELS = 50  # of numbers whose rounding can be told from noise
 _MOST_COMPARED = 20_000  # samples
 _DENSEST = 0.9  # of a step of the rounding: times further apart hardly repeat
