@@ -31,6 +31,7 @@ from motor_env.diagnosis.explanations import (
 )
 from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.loaded import LOADS
+from motor_env.diagnosis.misreading import as_wear, wrong_scale
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import (
     Fitted,
@@ -111,7 +112,7 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
         smallest_changes=smallest_of(believed, reference.own_friction, limits.z),
     )
     if quiet is None:
-        return _with_alarm(healthy, reference, views, log_ratios, limits.z, rate=rate)
+        return as_wear(_with_alarm(healthy, reference, views, log_ratios, limits.z, rate=rate))
     # Healthy pieces may scatter by their load; that is no defect of this one.
     spread = view.difference.covariance
     if reference.includes_fit_error:
@@ -142,6 +143,8 @@ def _with_alarm(
         return fault.z > limit and fault.p_left_over > rate and is_its_own(first.difference, fault.kind)
 
     first = views[0]
+    misread = wrong_scale(first.difference, reference.names, limit, rate)
+    also = (misread,) if misread else ()
     for view in views[:1] if any(map(suffices, first.faults)) else views:
         difference = replace(first.difference, response=view.drag.response)
         faults = explain(difference)
@@ -149,7 +152,8 @@ def _with_alarm(
         best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
         if best is not None and probability[best.kind] >= probability["other"]:
             (as_fitted,) = explain(replace(difference, log_ratios=log_ratios), (best.kind,))
-            return _with_fault(healthy, reference, as_fitted, probability, view.drag.load)
+            found = _with_fault(healthy, reference, as_fitted, probability, view.drag.load)
+            return replace(found, reasons=(*found.reasons, *also))
     named = {fault.kind for fault in first.faults}
     unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
     # These cannot be named: a coupled load would look the same.
@@ -161,7 +165,7 @@ def _with_alarm(
     return replace(
         healthy,
         verdict=Verdict.OTHER,
-        reasons=(*_other_reasons(healthy.changes, reference.source), *alike),
+        reasons=(*also, *_other_reasons(healthy.changes, reference.source), *alike),
         severity=None,
         confidence=probabilities(first.difference, first.faults)["other"],
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from motor_env.diagnosis import verdict
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.explanations import alarm_share, compare
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
+from motor_env.diagnosis.misreading import SWAPPED, is_strange
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
@@ -115,17 +117,27 @@ def diagnose(
                 raise InputError(
                     f"{recording.path}: --{option} belongs to starts, and this is a motor at work ({taken.why})"
                 )
-        from motor_env.diagnosis.running.judge import judge_log
-
-        pieces, count = judge_log(recording, motor, false_alarm_rate, **known)
-        return Diagnosis(recording, taken, tuple(pieces), count, periods_per_turn)
-    if voltage_v is None and motor is not None and motor.healthy is None:
+    elif voltage_v is None and motor is not None and motor.healthy is None:
         known["voltage_v"] = motor.nominal_voltage_v
-    parts = chosen_starts(recording, start)
-    judged = tuple(
-        judge_start(part, motor, false_alarm_rate / len(parts), **known).on(part) for part in parts
-    )
-    return Diagnosis(recording, taken, judged, len(judged), periods_per_turn)
+
+    def judged(one: Recording) -> Diagnosis:
+        if taken.regime == "operation":
+            from motor_env.diagnosis.running.judge import judge_log
+
+            pieces, count = judge_log(one, motor, false_alarm_rate, **known)
+            return Diagnosis(one, taken, tuple(pieces), count, periods_per_turn)
+        parts = chosen_starts(one, start)
+        each = (judge_start(part, motor, false_alarm_rate / len(parts), **known).on(part) for part in parts)
+        return Diagnosis(one, taken, tuple(each), len(parts), periods_per_turn)
+
+    found = judged(recording)
+    if motor is not None and recording.voltage_v is not None and is_strange(found.telling):
+        swapped = replace(recording, current_a=recording.voltage_v, voltage_v=recording.current_a)
+        with suppress(InputError):
+            if not is_strange(judged(swapped).telling):
+                pieces = (replace(one, reasons=(SWAPPED, *one.reasons)) for one in found.pieces)
+                return replace(found, pieces=tuple(pieces))
+    return found
 
 
 def judge_start(

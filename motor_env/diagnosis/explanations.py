@@ -156,20 +156,24 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
     )
 
 
+def along(difference: Difference, direction: FloatArray) -> tuple[float, float, float, float]:
+    """A difference along a direction: z, the step and its standard deviation, and `p_left_over` of an `Explanation`."""
+    inverse = difference.inverse
+    information = float(direction @ inverse @ direction)
+    step = float(direction @ inverse @ difference.log_ratios) / information
+    z = step * math.sqrt(information)
+    rest = difference.p_value(difference.squared_distance - z * z, len(difference.log_ratios) - 1)
+    return z, step, 1.0 / math.sqrt(information), rest
+
+
 def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) -> list[Explanation]:
     """Each of some faults that show as an explanation; by default of those that the quantities can name."""
-    inverse, dimensions = difference.inverse, len(difference.log_ratios)
     response = difference.exponents if difference.response is None else difference.response
     explanations = []
     for kind in quantities.nameable_kinds(difference.exponents) if kinds is None else kinds:
         direction = quantities.visible_direction(kind, response)
-        if np.linalg.norm(direction) < _LEAST:
-            continue
-        information = float(direction @ inverse @ direction)
-        step = float(direction @ inverse @ difference.log_ratios) / information
-        z = step * math.sqrt(information)
-        rest = difference.p_value(difference.squared_distance - z * z, dimensions - 1)
-        explanations.append(Explanation(kind, z, step, 1.0 / math.sqrt(information), rest, direction))
+        if np.linalg.norm(direction) >= _LEAST:
+            explanations.append(Explanation(kind, *along(difference, direction), direction))
     return explanations
 
 

@@ -25,6 +25,7 @@ from motor_env.fitting.identify import Operation, identify_operation
 from motor_env.fitting.recorded import at_terminals
 from motor_env.fitting.starts.choice import EXTENSIONS, identify_best
 from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting.starts.plausibility import implausible
 from motor_env.motor.data_sheet import Motor
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
@@ -144,7 +145,7 @@ class Identification:
             "unusable": self.trouble or None,
         }
         if self.joint is None:
-            return head | {"parameters": {}}
+            return head | {"parameters": {}, "warnings": []}
         return head | {
             "model": list(self.joint.model),
             "voltage": self.joint.record.hold,
@@ -154,7 +155,10 @@ class Identification:
             "warmth_k": float(self.joint.warmth_k.max()),
             "not_told": list(self.joint.notes),
             "columns": list(self.logs[0].columns),
-            "warnings": [sentence for recording in self.logs for sentence in recording.warnings],
+            "warnings": [
+                *(sentence for recording in self.logs for sentence in recording.warnings),
+                *implausible(self.joint),
+            ],
         }
 
 

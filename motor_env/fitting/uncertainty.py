@@ -147,8 +147,8 @@ def _inverse(information: FloatArray) -> FloatArray:
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, axes = np.linalg.eigh(information / np.outer(size, size))
     inverse = (axes / np.maximum(values, 1e-10)) @ axes.T
-    out: FloatArray = inverse / np.outer(size, size)
-    return np.clip(out, -(_WIDEST**2), _WIDEST**2)
+    shown = np.maximum(size, np.sqrt(np.diag(inverse)) / _WIDEST)  # no standard deviation beyond the widest
+    return np.asarray(inverse / np.outer(shown, shown))
 
 
 def _coloured(columns: FloatArray, covariance: FloatArray, noise: float) -> FloatArray:

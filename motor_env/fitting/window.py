@@ -18,7 +18,7 @@ from motor_env.fitting.problem import STEP, Problem, Solution
 from motor_env.fitting.record import Record, joined
 from motor_env.fitting.terms import NOISES, terms
 from motor_env.fitting.threads import on_one_thread
-from motor_env.fitting.uncertainty import information_covariance, motor_places
+from motor_env.fitting.uncertainty import capped, information_covariance, motor_places
 from motor_env.motor.parameters import FloatArray
 
 _MOTOR = ("R", "K", "J", "drag")
@@ -60,7 +60,7 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
     slope = np.diag([1.0, 1.0, 1.0, way])
     logs = np.log([values[places.R], values[places.K], values[places.J], factor])
     whitened = record.predict(values)[0][1:, :2]
-    return WindowFit(logs, slope @ spread[np.ix_(at, at)] @ slope, values, whitened)
+    return WindowFit(logs, capped(slope @ spread[np.ix_(at, at)] @ slope), values, whitened)
 
 
 def first_steps(

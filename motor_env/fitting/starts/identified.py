@@ -103,9 +103,9 @@ class Identified:
 
     @property
     def r2_current(self) -> float:
-        """Share of the current's variance that the fit explains."""
+        """Share of the current's variance that the fit explains; that of the supply's ripple is none of it."""
         counted = self.start.counted
-        return _r2(self.start.current_a[counted], self.residual_a[counted])
+        return _r2((self.start.current_a - self.start.ripple_a)[counted], self.residual_a[counted])
 
     @property
     def r2_speed(self) -> float | None:

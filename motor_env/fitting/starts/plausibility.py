@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from motor_env.fitting.identify import Operation
 from motor_env.fitting.starts.identified import Identified
 
 _USUAL = {
@@ -31,29 +34,33 @@ def shows_turning(fit: Identified) -> bool:
     return float(fit.log_covariance[pull, pull]) < _UNTOLD**2
 
 
-def implausible(fit: Identified) -> list[str]:
-    """A sentence for each value that lies outside what motors have; none for a quantity that the start hardly tells."""
-    logs = dict(zip(fit.quantity_names, fit.log_values.tolist(), strict=True))
-    errors = dict(zip(fit.quantity_names, np.sqrt(np.diag(fit.log_covariance)).tolist(), strict=True))
+def implausible(fit: Identified | Operation) -> list[str]:
+    """A sentence for each value that lies outside what motors have; none for a quantity that is hardly told."""
+    if isinstance(fit, Identified):
+        current, dt_s = fit.start.current_a, fit.start.dt_s
+        errors = dict(zip(fit.quantity_names, np.sqrt(np.diag(fit.log_covariance)).tolist(), strict=True))
+        logs = dict(zip(fit.quantity_names, fit.log_values.tolist(), strict=True))
+    else:
+        current, dt_s = fit.record.readings[:, 0], fit.record.dt_s
+        errors = {one.name: one.log_sd for one in fit.quantities if one.value > 0.0}
+        logs = {one.name: math.log(one.value) for one in fit.quantities if one.name in errors}
 
-    def first(letters: str) -> str:
-        return next((name for name in logs if name.split("/")[0] == letters), "")
+    def log_of(letters: str) -> float:
+        """Logarithm of a quantity, whatever it is divided by; NaN where it is not told."""
+        name = next((one for one in logs if one.split("/")[0] == letters), "")
+        return logs[name] if errors.get(name, math.inf) < _TOLD else math.nan
 
-    resistance, inductance, constant, squared = first("R"), first("L"), first("K"), first("K^2")
-    seen = {"current": float(np.max(np.abs(fit.start.current_a))), "sampling rate": 1.0 / fit.start.dt_s}
-    if errors[resistance] < _TOLD:
-        if errors[inductance] < _TOLD:
-            seen["L/R"] = float(np.exp(logs[inductance] - logs[resistance]))
-        pull = logs[squared] if squared else 2.0 * logs[constant] - logs[first("J")]
-        if errors[squared or constant] < _TOLD:
-            seen["R J/K^2"] = float(np.exp(logs[resistance] - pull))
-    seen |= {
-        name: float(np.exp(logs[name])) for name in ("R", "L", "K") if name in logs and errors[name] < _TOLD
-    }
-    sentences = [] if shows_turning(fit) else [NOT_TURNING]
+    pull = log_of("K^2") if "K" not in logs and "K/V" not in logs else 2.0 * log_of("K") - log_of("J")
+    seen = {
+        "current": float(np.nanmax(np.abs(current))) or math.nan,  # 0 where only the speed was recorded
+        "sampling rate": 1.0 / dt_s,
+        "L/R": math.exp(log_of("L") - log_of("R")),
+        "R J/K^2": math.exp(log_of("R") - pull),
+    } | {name: math.exp(log_of(name)) for name in ("R", "L", "K") if name in logs}
+    sentences = [] if isinstance(fit, Operation) or shows_turning(fit) else [NOT_TURNING]
     for name, value in seen.items():
         low, high, unit = _USUAL[name]
-        if not low <= value <= high:
+        if value < low or value > high:
             usual = f"{low:g} to {high:g} {unit}"
             sentences.append(
                 f"{name} of {value:.3g} {unit} lies outside what motors have ({usual}): check units, scale and rate of"

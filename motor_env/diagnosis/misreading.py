@@ -1,0 +1,127 @@
+"""What a healthy motor looks like whose recording was read wrongly: another unit, a probe's scale, a clock.
+
+A column that is g times too large multiplies each quantity by a power of g. From V = R i + L di/dt + K w and
+J dw/dt = K i - B w: a larger current is a smaller R and L and a larger J and B; a larger voltage scales all; a larger
+speed is a smaller K, and J and B smaller by the square; longer times are a larger L and J.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from motor_env.diagnosis.explanations import Difference, along
+from motor_env.diagnosis.verdict import Judgement, Verdict
+from motor_env.fitting.starts.plausibility import NOT_TURNING
+from motor_env.motor.identifiable import PARAMETERS, fault_direction
+
+_POWERS = {
+    "current": {"R": -1.0, "L": -1.0, "J": 1.0, "B": 1.0},
+    "voltage": {"R": 1.0, "L": 1.0, "K": 1.0, "J": 1.0, "B": 1.0},
+    "speed": {"K": -1.0, "J": -2.0, "B": -2.0},
+    "time": {"L": 1.0, "J": 1.0},
+}
+_UNITS = {
+    "current": {1e3: "in mA, and was read in A", 1e-3: "in kA, and was read in A"},
+    "voltage": {1e3: "in mV, and was read in V", 1e-3: "in kV, and was read in V"},
+    "speed": {
+        30.0 / math.pi: "in rpm, and was read in rad/s",
+        0.03 / math.pi: "in thousands of rpm, and was read in rad/s",
+        180.0 / math.pi: "in degrees a second, and was read in rad/s",
+        0.5 / math.pi: "in turns a second, and was read in rad/s",
+    },
+    "time": {
+        1e3: "in ms, and was read in s",
+        1e6: "in microseconds, and was read in s",
+        1 / 60.0: "in minutes",
+    },
+}
+_SCALES = {
+    "current": "the scale of its probe or shunt",
+    "voltage": "the scale of its probe or divider",
+    "speed": "pulses a turn, gear and unit",
+    "time": "the sampling rate",
+}
+_ROUND = (2.0, 10.0, 100.0, 1e3)
+_NEAR, _SURE = 0.05, 3.0  # of a factor, and its standard errors, within which it is a unit's
+_FAR = math.log(3.0)
+_MOST = {"B": math.log(30.0), "R": math.log(10.0)}
+"""Beyond these factors, and beyond 3 of anything else, no wear explains a change."""
+BEYOND_WEAR = (
+    "so large a change is no wear: this is another motor or load, or no motor at all, or columns, units or a rate were"
+    " read wrongly"
+)
+EXPLAINED = "all of it is explained"
+SWAPPED = "voltage and current seem to be swapped: read so, the recording is that of this motor"
+
+
+def wrong_scale(difference: Difference, names: tuple[str, ...], limit: float, rate: float) -> str:
+    """The columns of which one, at a wrong scale, would explain a difference; empty without any.
+
+    Args:
+        difference: of the logarithms to a healthy motor, shape (n,).
+        names: of the quantities.
+        limit: standard deviations beyond which a factor is none of chance.
+        rate: probability below which what is left unexplained is too much.
+    """
+    missing = {"voltage"} if any("V" in name for name in names) else set()
+    missing |= set() if {"K", "K/V"} & set(names) else {"speed"}
+    sd, found = np.sqrt(np.diag(difference.covariance)), []
+    for column in _POWERS.keys() - missing:
+        direction = difference.exponents @ [_POWERS[column].get(parameter, 0.0) for parameter in PARAMETERS]
+        z, step, step_sd, p_left_over = along(difference, direction)
+        if abs(z) <= limit or p_left_over <= rate:
+            continue
+        # One quantity alone moves by faults and loads as well.
+        is_shared = np.count_nonzero(np.abs(step * direction) > limit * sd) > 1
+        word = _factor(column, step, max(_NEAR, _SURE * step_sd), only_known=not is_shared)
+        found += [f"the {column} is {word}"] if word else []
+    return f"{EXPLAINED} if {', or if '.join(sorted(found))}" if found else ""
+
+
+def _factor(column: str, step: float, near: float, *, only_known: bool) -> str:
+    """What a column multiplied with e^step may be; empty for no known factor where only those count."""
+    for factor, unit in _UNITS[column].items():
+        if abs(step - math.log(factor)) < near:
+            return unit
+    size = min(_ROUND, key=lambda one: abs(abs(step) - math.log(one)))
+    if abs(abs(step) - math.log(size)) > near:
+        if only_known:
+            return ""
+        size = math.exp(abs(step))
+    return f"{size:.3g} times too {'large' if step > 0.0 else 'small'} (look at {_SCALES[column]})"
+
+
+def is_far(judgement: Judgement) -> bool:
+    """Whether a piece seems to be further from the healthy motor than by a factor of 3."""
+    return judgement.verdict.is_fault and any(abs(math.log(one.ratio)) > _FAR for one in judgement.changes)
+
+
+def is_strange(judgement: Judgement) -> bool:
+    """Whether a piece cannot be judged, or is like no motor, or too far from this one."""
+    odd = {NOT_TURNING, BEYOND_WEAR} & set(judgement.reasons)
+    return judgement.verdict is Verdict.UNUSABLE or bool(odd)
+
+
+def as_wear(judgement: Judgement) -> Judgement:
+    """The judgement; of what is further from the healthy motor than any wear no fault is named, and it is said."""
+    kind, interval = judgement.fault_kind, judgement.severity_interval
+    if kind is not None and interval is not None:
+        moved = list(zip(PARAMETERS, float(kind.log_size(interval[0])) * fault_direction(kind), strict=True))
+    else:
+        told = [one for one in judgement.changes if one.significant]
+        moved = [(one.name[0], min(math.log(one.low), math.log(one.high), key=abs)) for one in told]
+    is_beyond = any(abs(log) > _MOST.get(letter, _FAR) for letter, log in moved)
+    if not is_beyond:
+        return judgement
+    is_said = any(reason.startswith(EXPLAINED) for reason in judgement.reasons)
+    return replace(
+        judgement,
+        verdict=Verdict.OTHER,
+        reasons=judgement.reasons if is_said else (*judgement.reasons, BEYOND_WEAR),
+        severity=None,
+        severity_interval=None,
+        fault_kind=None,
+    )
