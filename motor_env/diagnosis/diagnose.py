@@ -134,7 +134,8 @@ def diagnose(
     if motor is not None and recording.voltage_v is not None and is_strange(found.telling):
         swapped = replace(recording, current_a=recording.voltage_v, voltage_v=recording.current_a)
         with suppress(InputError):
-            if not is_strange(judged(swapped).telling):
+            again = judged(swapped).telling
+            if again.verdict is not Verdict.OTHER and not is_strange(again):
                 pieces = (replace(one, reasons=(SWAPPED, *one.reasons)) for one in found.pieces)
                 return replace(found, pieces=tuple(pieces))
     return found

@@ -46,7 +46,7 @@ _SCALES = {
 }
 _ROUND = (2.0, 10.0, 100.0, 1e3)
 _NEAR, _SURE = 0.05, 3.0  # of a factor, and its standard errors, within which it is a unit's
-_FAR = math.log(3.0)
+_FAR, _NOT_NEAR = math.log(3.0), math.log(1.5)
 _MOST = {"B": math.log(30.0), "R": math.log(10.0)}
 """Beyond these factors, and beyond 3 of anything else, no wear explains a change."""
 BEYOND_WEAR = (
@@ -95,8 +95,10 @@ def _factor(column: str, step: float, near: float, *, only_known: bool) -> str:
 
 
 def is_far(judgement: Judgement) -> bool:
-    """Whether a piece seems to be further from the healthy motor than by a factor of 3."""
-    return judgement.verdict.is_fault and any(abs(math.log(one.ratio)) > _FAR for one in judgement.changes)
+    """Whether a window seems so far from the healthy motor, where its fit begins, that the fit may not have arrived."""
+    return judgement.verdict.is_fault and any(
+        abs(math.log(one.ratio)) > (_FAR if one.name == "B" else _NOT_NEAR) for one in judgement.changes
+    )
 
 
 def is_strange(judgement: Judgement) -> bool:
