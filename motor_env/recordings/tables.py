@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from motor_env.errors import InputError, require_extra
-from motor_env.files import read_file
+from motor_env.files import LARGEST_DATA_BYTES, LARGEST_TABLE_BYTES, read_file
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings import array_parser
 from motor_env.recordings.headers import understand
@@ -28,10 +28,8 @@ from motor_env.recordings.text.block import FEWEST_SAMPLES, MOST_COLUMNS, TextTa
 from motor_env.recordings.text.pieces import large_block, whole_block
 from motor_env.recordings.text.settings import Table
 
-LARGEST_FILE_BYTES = 200_000_000
 LARGEST_WHOLE_BYTES = 50_000_000
 """Of text; longer ones are read in pieces."""
-_LARGEST_TEXT_BYTES = 20_000_000  # of what is kept cell by cell
 _CONTROL = bytes(code for code in range(32) if code not in (9, 10, 11, 12, 13))
 _CONTROL_SHARE = 0.01  # more control characters than that are no text
 _FOREIGN = {  # how they begin, and what helps
@@ -87,10 +85,10 @@ def read_text(path: Path) -> str:
     Raises:
         InputError: the file is missing, empty or too large, or no text.
     """
-    return _decoded(path, _content(path, _LARGEST_TEXT_BYTES))
+    return _decoded(path, _content(path, LARGEST_TABLE_BYTES))
 
 
-def _content(path: Path, largest: int = LARGEST_FILE_BYTES) -> bytes:
+def _content(path: Path, largest: int = LARGEST_DATA_BYTES) -> bytes:
     content = read_file(path, largest)
     if not content or content.isspace():
         raise InputError(f"{path}: is empty")

@@ -38,8 +38,10 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import MinMaxScaler, RobustScaler
 
 from motor_classifiers import METHODS, ResidualProjection, load_model, make_method, save_model
-from motor_classifiers.model_files.containers import LARGEST_FILE_BYTES
 from motor_datasets import generate_arrays
+
+# Reaches in: bombs are larger than what is read.
+from motor_env.files import LARGEST_DATA_BYTES
 
 TWO = replace(RECIPE, classes=RECIPE.classes[:2])
 NAMES = ("threshold", "residual-qda", "physical-svm", "rules", *QUICK)
@@ -202,7 +204,7 @@ def test_what_compiled_code_believes_is_checked(child: Child, tmp_path: Path) ->
 
 def bombs() -> Iterator[tuple[str, bytes]]:
     good = members_of(content("residual-qda"))
-    yield from zip_bombs(good, LARGEST_FILE_BYTES)
+    yield from zip_bombs(good, LARGEST_DATA_BYTES)
     long = b"[" + b"[]," * 30_000_000 + b"[]]"
     yield "a long schema", archive_of(good | {"schema.json": long}, zipfile.ZIP_DEFLATED)
     yield "a deep schema", archive_of(good | {"schema.json": deep(200_000).encode()})
