@@ -43,6 +43,15 @@ def bytes_of(kind: str) -> bytes:
         np.savez_compressed(stream, **COLUMNS)
     elif kind == "npy":
         np.save(stream, np.column_stack([TIME, CURRENT]))
+    elif kind == "h5":
+        with pytest.importorskip("h5py", reason="the extra files is not installed").File(stream, "w") as file:
+            for name, values in COLUMNS.items():
+                file.create_dataset(name, data=values, fletcher32=True)
+    elif kind == "xlsx":
+        book = pytest.importorskip("openpyxl", reason="the extra files is not installed").Workbook()
+        for row in (list(COLUMNS), *zip(*COLUMNS.values(), strict=True)):
+            book.active.append(row)
+        book.save(stream)
     else:
         pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
         parquet.write_table(pa.table(COLUMNS), stream)
@@ -58,9 +67,9 @@ def check_mutated(kind: str, seed: int, count: int, path: Path) -> None:
         arrays = [a for a in (recording.current_a, recording.voltage_v) if a is not None]
         assert {len(a) for a in arrays} == {len(recording.time_s)}
         assert all(np.isfinite(a).all() for a in (recording.time_s, *arrays))
-        if kind in ("npz", "mat"):  # their checksums tell every change; the others have none
+        if kind in ("npz", "mat", "xlsx"):  # their checksums tell every change; the others have none
             assert recording.voltage_v is not None
-            np.testing.assert_array_equal(arrays, [CURRENT, VOLTAGE], strict=True)
+            np.testing.assert_allclose(arrays, [CURRENT, VOLTAGE], rtol=1e-15, strict=True)
 
     for _ in range(count):
         path.write_bytes(damaged(content, rng, most=3))
@@ -68,7 +77,8 @@ def check_mutated(kind: str, seed: int, count: int, path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "count"), [("csv", 60), ("npz", 60), ("npy", 60), ("mat", 3), ("parquet", 3)]
+    ("kind", "count"),
+    [("csv", 60), ("npz", 60), ("npy", 60), ("mat", 3), ("parquet", 3), ("h5", 3), ("xlsx", 3)],
 )
 def test_mutated_files_are_read_or_refused(kind: str, count: int, tmp_path: Path) -> None:
     check_mutated(kind, 1, count, tmp_path / f"a.{kind}")
@@ -77,7 +87,7 @@ def test_mutated_files_are_read_or_refused(kind: str, count: int, tmp_path: Path
 @pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", range(10))
-@pytest.mark.parametrize("kind", ["csv", "npz", "npy", "mat", "parquet"])
+@pytest.mark.parametrize("kind", ["csv", "npz", "npy", "mat", "parquet", "h5", "xlsx"])
 def test_thousand_mutated_files_are_read_or_refused(kind: str, seed: int, tmp_path: Path) -> None:
     check_mutated(kind, 10 + seed, 100, tmp_path / f"a.{kind}")
 
