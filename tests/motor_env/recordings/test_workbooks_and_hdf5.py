@@ -47,7 +47,7 @@ def check_same(path: Path, *columns: str) -> list[str]:
 
 def test_the_first_sheet_with_rows_of_numbers_is_read(tmp_path: Path) -> None:
     path = tmp_path / "a.xlsx"
-    notes = [["motor", "of\nthe pump"], ["poles", 4], [None, None]]
+    notes: list[list[Any]] = [["motor", "of\nthe pump"], ["poles", 4], [None, None]]
     workbook(path, notes=notes, data=[*notes, *ROWS, [None], [None]], later=[[1.0, 2.0]] * 500)
     assert "numbers begin in line 5" in check_same(path)
 
@@ -79,8 +79,7 @@ def hdf5(path: Path) -> Any:
 
 def test_numbers_of_matlab_are_read_and_nothing_else(tmp_path: Path) -> None:
     """Text, what other files hold and what MATLAB keeps for itself would be columns of other lengths."""
-    import h5py
-
+    h5py = pytest.importorskip("h5py", reason=MISSING)
     path, other = tmp_path / "a.mat", tmp_path / "other.h5"
     with h5py.File(other, "w") as file:
         file["speed"] = TIME
