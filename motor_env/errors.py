@@ -13,3 +13,12 @@ def require_extra(module: str, extra: str) -> None:
 
     if find_spec(module) is None:
         raise InputError(f"this needs {module}, which is not installed: pip install 'motor-env[{extra}]'")
+
+
+def require_options(*, false_alarm_rate: float = 0.01, **positive: float | None) -> None:
+    """Raise `InputError` unless the rate lies between 0 and 0.5, and the other options that are given are > 0."""
+    if not 0.0 < false_alarm_rate < 0.5:
+        raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
+    for name, value in positive.items():
+        if value is not None and not 0.0 < value < float("inf"):
+            raise InputError(f"{name.replace('_', '-')} must be > 0, got {value:g}")

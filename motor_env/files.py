@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any, Literal, Protocol
 
 from motor_env.errors import InputError
 
+LARGEST_NOTE_BYTES = 1_000_000
+"""Of what people write by hand, and of records of what was made: motors, recipes, cards, seeds, methods."""
+LARGEST_TABLE_BYTES = 20_000_000
+"""Of what is kept as it is, cell by cell: estimates, answers, verdicts, scores, states."""
+LARGEST_DATA_BYTES = 200_000_000
+"""Of recordings, models, data sets."""
 
-def read_file(path: Path, largest_bytes: int, missing: str = "no such file") -> bytes:
+
+class Readable(Protocol):
+    """A local path, or one of a storage."""
+
+    def stat(self) -> Any:
+        """Kind and size."""
+
+    def open(self, mode: Literal["rb"]) -> Any:
+        """Its bytes."""
+
+
+def read_file(path: Readable, largest_bytes: int, missing: str = "no such file") -> bytes:
     """The content of a regular file that is not too large. A device or a pipe is not opened.
 
     Args:
@@ -25,11 +44,11 @@ def read_file(path: Path, largest_bytes: int, missing: str = "no such file") -> 
     """
     try:
         status = path.stat()
-        regular, content = stat.S_ISREG(status.st_mode), b""
+        regular, size, content = stat.S_ISREG(status.st_mode), status.st_size, b""
         # What the system makes up while it is read has no size, and may never end.
-        if regular and status.st_size:
+        if regular and 0 < size <= largest_bytes:
             with path.open("rb") as file:
-                content = file.read(largest_bytes + 1)
+                content = bytes(file.read(largest_bytes + 1))
     except FileNotFoundError:
         raise InputError(f"{path}: {missing}") from None
     except (OSError, ValueError) as error:  # a path with a null character, too
@@ -37,9 +56,39 @@ def read_file(path: Path, largest_bytes: int, missing: str = "no such file") -> 
         raise InputError(f"{path}: cannot be read ({reason})") from None
     if not regular:
         raise InputError(f"{path}: is no regular file")
-    if len(content) > largest_bytes:
+    if max(size, len(content)) > largest_bytes:
         raise InputError(f"{path}: is larger than {largest_bytes / 1e6:g} MB")
     return content
+
+
+def read_json(path: Readable, largest_bytes: int, missing: str = "no such file") -> Any:
+    """What a file of JSON holds; see `read_file`.
+
+    Raises:
+        InputError: it cannot be read, or is not JSON.
+    """
+    content = read_file(path, largest_bytes, missing)
+    try:
+        return json.loads(content)
+    except (ValueError, RecursionError) as error:  # no text, or numbers of too many digits, too
+        reason = "nested too deep" if isinstance(error, RecursionError) else error
+        raise InputError(f"{path}: is not JSON ({reason})") from None
+
+
+def require_ours(folder: Path, name: str, mark: str, *, command: str, more: str = "") -> None:
+    """Refuse a folder that is neither new nor empty, unless its file of that name holds the mark of a command.
+
+    Raises:
+        InputError: it is another's; the sentence names the command, and what more could be done.
+    """
+    try:
+        free = not folder.exists() or not any(folder.iterdir())
+        ours = free or mark.encode() in read_file(folder / name, LARGEST_NOTE_BYTES)
+    except (OSError, InputError):
+        ours = False
+    if not ours:
+        words = f"is there, and {command} did not make it; give a new or empty folder"
+        raise InputError(f"{folder}: {words}{more}")
 
 
 @contextmanager

@@ -27,6 +27,7 @@ from motor_datasets.manifest import MANIFEST, Entry, Manifest, is_whole, read_ma
 from motor_datasets.parquet import to_table, write_table
 from motor_datasets.remote import Folder, folder_of, whole_file
 from motor_env.errors import InputError
+from motor_env.files import LARGEST_DATA_BYTES, read_file
 from motor_env.motor.parameters import require
 from motor_env.processes import end_with_parent
 from motor_env.simulation.recipe_files import recipe_to_dict
@@ -146,7 +147,7 @@ def _open_folder(out: Folder, plan: Plan, *, resume: bool) -> dict[str, Entry]:
         # Killed before the note was whole: the folder holds nothing but its beginnings.
         names = {path.name for path in out.iterdir()}
         only_begun = names <= {"data", f".{UNFINISHED}.partial"} and not any((out / "data").glob("*"))
-        text = note.read_text() if note.is_file() else ""
+        text = read_file(note, LARGEST_DATA_BYTES).decode(errors="replace") if note.is_file() else ""
         if not only_begun and not text.startswith(_note(plan)):
             raise InputError(f"{out} holds something other than this data set unfinished, and is not touched")
         recorded = list(_recorded(text))

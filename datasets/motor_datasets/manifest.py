@@ -15,6 +15,7 @@ from pathlib import Path
 
 from motor_datasets.remote import Folder
 from motor_env.errors import InputError
+from motor_env.files import LARGEST_DATA_BYTES, read_file, read_json
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipe_files import recipe_from_dict, recipe_to_dict
 from motor_env.simulation.recipes import Recipe
@@ -25,8 +26,6 @@ MANIFEST = "dataset.json"
 
 
 _FILE_NAME = re.compile(r"data/(train|validation|test|shift_\w+)-\d{6}\.parquet")
-_LARGEST_BYTES = 2**28  # of a manifest: of a million files
-_LARGEST_FILE = 2**28  # bytes; files of 32 MB are written, larger ones where one case is larger
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +47,8 @@ class Entry:
         )
         for count in (self.rows, self.bytes):
             require(
-                type(count) is int and 1 <= count <= _LARGEST_FILE,
-                f"rows and bytes of {self.path} must be in 1 .. {_LARGEST_FILE}, got {count!r}",
+                type(count) is int and 1 <= count <= LARGEST_DATA_BYTES,
+                f"rows and bytes of {self.path} must be in 1 .. {LARGEST_DATA_BYTES}, got {count!r}",
             )
         require(
             re.fullmatch("[0-9a-f]{64}", self.sha256) is not None,
@@ -105,20 +104,13 @@ def read_manifest(folder: Folder) -> Manifest:
         InputError: no data set there, or one of another kind.
     """
     path = folder / MANIFEST
-    if not path.is_file():
-        raise InputError(f"{folder} is no data set: it has no {MANIFEST}")
+    content = read_json(path, LARGEST_DATA_BYTES, "no such file; its folder is no data set")
     try:
-        with path.open("rb") as stream:
-            text = stream.read(_LARGEST_BYTES + 1)
-        require(len(text) <= _LARGEST_BYTES, f"it is larger than {_LARGEST_BYTES // 2**20} MB")
-        content = json.loads(text)
         require(content["format"] == FORMAT, f"format must be {FORMAT}, got {content['format']!r}")
         version = content["version"]
         require(version == FORMAT_VERSION, f"version must be {FORMAT_VERSION}, got {version!r}")
         files = tuple(Entry(**entry) for entry in content["files"])
         return Manifest(recipe_from_dict(content["recipe"]), content["seed"], content["cases"], files)
-    except RecursionError:
-        raise InputError(f"{path} cannot be read as a data set's manifest: it is nested too deeply") from None
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path} cannot be read as a data set's manifest: {error}") from error
 
@@ -134,20 +126,12 @@ def whole_content(folder: Folder, entry: Entry) -> bytes:
     """The content of a file, exactly as it was written.
 
     Raises:
-        InputError: it is missing, cannot be read, or has another size or digest. A file of another size is not read.
+        InputError: it is missing, cannot be read, or has another digest.
     """
     path = folder / entry.path
-    if not path.is_file():
-        raise InputError(f"{path} is missing")
-    try:
-        with path.open("rb") as stream:
-            size = stream.seek(0, os.SEEK_END)
-            stream.seek(0)
-            content = bytes(stream.read(entry.bytes)) if size == entry.bytes else b""
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}") from error
+    content = read_file(path, LARGEST_DATA_BYTES, "is missing")
     if hashlib.sha256(content).hexdigest() != entry.sha256:
-        raise InputError(f"{path} is damaged: its digest is not that of the manifest")
+        raise InputError(f"{path}: is damaged, its digest is not that of the manifest")
     return content
 
 

@@ -23,7 +23,7 @@ from motor_env.apps.paper_figures import (
     paper_figures,
 )
 from motor_env.errors import InputError
-from motor_env.files import write_text
+from motor_env.files import require_ours, write_text
 from motor_env.pages.html import render
 from motor_env.plotting import drawing, save
 
@@ -157,7 +157,7 @@ def reproduce(
     """
     if image_format not in IMAGE_FORMATS:
         raise InputError(f"image format must be one of {', '.join(IMAGE_FORMATS)}, got {image_format!r}")
-    _require_ours(out)
+    require_ours(out, _RECORD, f'"made_by": "{MADE_BY}"', command="reproduce")
     result = record(image_format)
     # The record comes first: a folder left by an interrupted run is still known as ours.
     write_text(out / _RECORD, json.dumps(result, indent=1, ensure_ascii=False) + "\n")
@@ -171,17 +171,3 @@ def reproduce(
     html = render("motor_env.apps", "paper.html.j2", title=blocks[0].text, blocks=blocks)
     write_text(out / "index.html", html)
     return result
-
-
-def _require_ours(out: Path) -> None:
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: not a folder; give a new or empty one")
-    if not out.exists() or not any(out.iterdir()):
-        return
-    try:
-        written = json.loads((out / _RECORD).read_text(encoding="utf-8"))
-        ours = isinstance(written, dict) and written.get("made_by") == MADE_BY
-    except (OSError, ValueError):
-        ours = False
-    if not ours:
-        raise InputError(f"{out}: holds files that this command did not write; give a new or empty folder")

@@ -9,7 +9,6 @@ from cyclopts import Parameter
 
 from motor_env.cli import options
 from motor_env.console import ExitStatus, printable
-from motor_env.errors import InputError
 
 
 def identify(
@@ -47,8 +46,8 @@ def identify(
         files,
         **measurement.options,
         regime=regime,
-        constant=options.positive("torque-constant", torque_constant),
-        periods_per_turn=options.positive("ripple-periods-per-turn", measurement.ripple_periods_per_turn),
+        constant=torque_constant,
+        periods_per_turn=measurement.ripple_periods_per_turn,
     )
     if output is not None and (found.logs or found.usable):
         save_motor(found.motor(name), output)
@@ -95,8 +94,6 @@ def commission(
     from motor_env.diagnosis.commission import commission as learned
     from motor_env.motor.data_sheet import save_motor
 
-    if not 0.0 < false_alarm_rate < 0.5:
-        raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
     result = learned(
         files,
         name,
@@ -106,8 +103,8 @@ def commission(
         window_s=window,
         steady=steady,
         **measurement.options,
-        constant=options.positive("torque-constant", torque_constant),
-        no_load_current_a=options.positive("no-load-current", no_load_current),
+        constant=torque_constant,
+        no_load_current_a=no_load_current,
     )
     save_motor(result.motor, output)
     if out is not None:

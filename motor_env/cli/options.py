@@ -11,7 +11,6 @@ from cyclopts import Parameter, Token
 
 from motor_env import console
 from motor_env.console import json_text, printable
-from motor_env.errors import InputError
 
 if TYPE_CHECKING:
     from motor_env.recordings.profiles import Profile
@@ -111,13 +110,6 @@ class StartMeasurement(Measurement):
     """
 
     ripple_periods_per_turn: float | None = None
-
-
-def positive(option: str, value: float | None) -> float | None:
-    """Return an option's value, refused where it is not > 0."""
-    if value is not None and not 0.0 < value < float("inf"):
-        raise InputError(f"{option} must be > 0, got {value:g}")
-    return value
 
 
 READING, MEASUREMENT, START = Reading(), Measurement(), StartMeasurement()

@@ -20,7 +20,7 @@ from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.shown.report import UNITS, of_the_drag
 from motor_env.diagnosis.views import Fitted, smallest_of, views_of
-from motor_env.errors import InputError
+from motor_env.errors import InputError, require_options
 from motor_env.fitting.recorded import at_terminals
 from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.assumptions import lines as lines_of
@@ -171,8 +171,13 @@ def commission(
     paths = [Path(one).resolve() for one in recordings if not isinstance(one, Recording)]
     if len(set(paths)) < len(paths):
         raise InputError(f"a healthy {word} is given twice: it would make the spread look smaller than it is")
-    if window_s is not None and not 0.0 < window_s < math.inf:
-        raise InputError(f"window must be > 0, got {window_s:g}")
+    require_options(
+        false_alarm_rate=false_alarm_rate,
+        voltage=voltage_v,
+        torque_constant=constant,
+        window=window_s,
+        no_load_current=no_load_current_a,
+    )
     read = [recording_of(one, columns) for one in recordings]
     if regime == "auto" and window_s is not None:
         regime = "operation"

@@ -19,7 +19,7 @@ from motor_env.diagnosis.healthy_motor import Reference, reference_of
 from motor_env.diagnosis.misreading import SWAPPED, is_strange
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.errors import InputError
+from motor_env.errors import InputError, require_options
 from motor_env.fitting.starts.choice import EXTENSIONS, NUISANCES, identify_best
 from motor_env.fitting.starts.commutation import ripple_quantities
 from motor_env.fitting.starts.identified import Identified
@@ -104,8 +104,12 @@ def diagnose(
         periods_per_turn: periods of the commutation ripple in a turn, for the true speed.
 
     Raises:
-        InputError: an unknown regime, no such start, or too many of them; a file that cannot be read.
+        InputError: an option out of its range, an unknown regime, no such start, or too many of them; a file that
+            cannot be read.
     """
+    require_options(
+        false_alarm_rate=false_alarm_rate, voltage=voltage_v, ripple_periods_per_turn=periods_per_turn
+    )
     recording = recording_of(recording, columns)
     if isinstance(motor, str | Path):
         motor = load_motor(motor)

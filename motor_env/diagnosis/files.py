@@ -14,7 +14,7 @@ from motor_env.console import ExitStatus
 from motor_env.diagnosis.commission import commission
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import Diagnosis, diagnose
-from motor_env.errors import InputError
+from motor_env.errors import InputError, require_options
 from motor_env.files import write_text
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.recordings.headers import ColumnChoice
@@ -82,10 +82,7 @@ def diagnose_files(
     Raises:
         InputError: the motor, a healthy recording or the folder cannot be used.
     """
-    if not 0.0 < false_alarm_rate < 0.5:
-        raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {false_alarm_rate:g}")
-    if periods_per_turn is not None and not 0.0 < periods_per_turn < float("inf"):
-        raise InputError(f"ripple-periods-per-turn must be > 0, got {periods_per_turn:g}")
+    require_options(false_alarm_rate=false_alarm_rate, ripple_periods_per_turn=periods_per_turn)
     known = None if motor is None else load_motor(motor)
     if healthy:
         if known is not None and options.get("voltage_v") is None:

@@ -23,7 +23,7 @@ from motor_env.embedded.arithmetic import (
 )
 from motor_env.embedded.monitor import Monitor
 from motor_env.errors import InputError
-from motor_env.files import filling, read_file, write_text
+from motor_env.files import filling, require_ours, write_text
 from motor_env.pages.html import render
 
 _HEALTHY_CHECKS, _FAULTY_CHECKS, _MOST_DOUBLINGS = 8, 8, 60
@@ -42,7 +42,6 @@ _RESERVED = (
     " setup shift side slow speed state statistic stuck sum sums total value values verdict voltage white wrong "
 )
 _MARK = "author=motor-env export-c\n"
-_LARGEST_BYTES = 100_000  # of a library.properties
 
 
 class Check(NamedTuple):
@@ -83,7 +82,7 @@ def write_library(
             f"name must be a C name of lower-case letters such as motor_monitor, and no word of C, got {name!r}"
         )
     if not force:
-        _require_ours(folder)
+        require_ours(folder, "library.properties", _MARK, command="export-c", more=", or --force")
     numbers = floating(monitor) if steps is None else fixed_point(monitor, steps)
     values = _values(monitor, numbers, name, wanted)
     files = {
@@ -99,19 +98,6 @@ def write_library(
             text = render("motor_env.embedded", template, filters={"literal": literal}, **values)
             write_text(unfinished / path, f"{text}\n")
     return [folder / path for path in files]
-
-
-def _require_ours(folder: Path) -> None:
-    try:
-        if not folder.exists() or not any(folder.iterdir()):
-            return
-        ours = _MARK.encode() in read_file(folder / "library.properties", _LARGEST_BYTES)
-    except (OSError, InputError):
-        ours = False
-    if not ours:
-        raise InputError(
-            f"{folder}: is there, and export-c did not make it; give a new or empty folder, or --force"
-        )
 
 
 def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from motor_env.console import printable
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.errors import InputError
+from motor_env.files import LARGEST_NOTE_BYTES, read_file
 from motor_env.live.events import Event
 from motor_env.live.pieces import NEW_FILE, lines
 from motor_env.live.sources import identity, source
@@ -82,7 +83,7 @@ def watch(
 
 def _digest(motor: Path) -> str:
     """Of the motor file, which was read; empty where there is none, since it is to be learned."""
-    return hashlib.sha256(motor.read_bytes()).hexdigest() if motor.exists() else ""
+    return hashlib.sha256(read_file(motor, LARGEST_NOTE_BYTES)).hexdigest() if motor.exists() else ""
 
 
 def _windows_of(motor: Motor) -> Healthy:

@@ -11,11 +11,10 @@ from typing import Self
 from motor_env.console import ExitStatus, worst
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.errors import InputError
-from motor_env.files import write_text
+from motor_env.files import LARGEST_TABLE_BYTES, read_json, write_text
 from motor_env.live.pieces import BLOCK_BYTES
 from motor_env.motor.parameters import require
 from motor_env.motor.toml_files import from_dict
-from motor_env.recordings.tables import read_text
 
 WINDOW = "window "
 """How the counts of verdicts on windows are named: this, and the verdict."""
@@ -65,7 +64,7 @@ class State:
         if path is None or not path.exists():
             return cls(motor, source)
         try:
-            content = json.loads(read_text(path))
+            content = read_json(path, LARGEST_TABLE_BYTES)
             names = [field.name for field in fields(cls)]
             require(
                 isinstance(content, dict) and sorted(content) == sorted(names),

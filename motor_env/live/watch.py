@@ -20,7 +20,7 @@ from motor_env.diagnosis.running.lessons import FEWEST_WINDOWS, learn_windows
 from motor_env.diagnosis.running.looks import Looks
 from motor_env.diagnosis.running.windows import averaged, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.errors import InputError
+from motor_env.errors import InputError, require_options
 from motor_env.live.events import Event, Seldom
 from motor_env.live.pieces import LONGEST_LINE, NEW_FILE, Notice, Piece
 from motor_env.live.state import State
@@ -90,8 +90,7 @@ class Watch:
     """
 
     def __init__(self, healthy: Healthy | Lesson, state: State, *, false_alarms_per_year: float) -> None:
-        if not 0.0 < false_alarms_per_year < math.inf:
-            raise InputError(f"false-alarms-per-year must be > 0, got {false_alarms_per_year:g}")
+        require_options(false_alarms_per_year=false_alarms_per_year)
         self.state = state
         self.healthy = None if isinstance(healthy, Lesson) else healthy
         self._motor = healthy if isinstance(healthy, Lesson) else judge_of(healthy)

@@ -16,7 +16,7 @@ from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 from pydantic_core import core_schema
 
 from motor_env.errors import InputError
-from motor_env.files import read_file
+from motor_env.files import LARGEST_NOTE_BYTES, read_file
 from motor_env.motor.parameters import LARGEST, SMALLEST, FloatArray, require
 
 T = TypeVar("T")
@@ -36,7 +36,6 @@ def one_line(name: str, text: str) -> str:
 
 
 OneLine = Annotated[str, AfterValidator(partial(one_line, "text"))]
-_LARGEST_FILE = 1_000_000  # bytes
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ def read_toml(path: Path, missing: str) -> dict[str, Any]:
     Raises:
         InputError: no such file, no file of text (a device, a gigabyte), or not TOML.
     """
-    content = read_file(path, _LARGEST_FILE, missing)
+    content = read_file(path, LARGEST_NOTE_BYTES, missing)
     try:
         return tomllib.loads(content.decode("utf-8"))
     except UnicodeDecodeError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections import defaultdict
@@ -16,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from motor_env.errors import InputError
+from motor_env.files import LARGEST_TABLE_BYTES, read_json
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.tables import read_text, read_text_table
+from motor_env.recordings.tables import read_text_table
 
 SECONDS_PER_DAY = 86_400.0
 TEMPERATURE = "temperature_c"
@@ -105,10 +105,7 @@ def read_estimates(path: Path) -> list[Series]:
 
 
 def _json_rows(path: Path) -> Iterator[_Row]:
-    try:
-        entries = json.loads(read_text(path))
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: is not JSON ({error})") from None
+    entries = read_json(path, LARGEST_TABLE_BYTES)
     if not isinstance(entries, list):
         raise InputError(f"{path}: must hold a list of estimates, got {type(entries).__name__}")
     for number, entry in enumerate(entries, 1):

@@ -1,7 +1,7 @@
-"""Parses one MATLAB file from standard input, or one Parquet file by its path, in a process of its own.
+"""Parses a file of MATLAB, HDF5 or Excel from standard input, or of Parquet by its path, in a process of its own.
 
 What comes out: a line of JSON with how many rows are one, and name and shape of each array of numbers, then their
-values as bytes of float64.
+values as bytes of float64. Of a workbook it is the text of a sheet as CSV.
 A file that cannot be parsed ends it with status 1 and a sentence on standard error.
 
 This file is run as a script: it imports nothing of the package.
@@ -9,10 +9,12 @@ This file is run as a script: it imports nothing of the package.
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import sys
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Iterable, Iterator
 from typing import Any, cast
 
 import numpy as np
@@ -22,6 +24,8 @@ _MOST_READ = 1_000_000_000  # of a Parquet file, in pieces
 _MOST_ROWS = 4_000_000  # of a long log, beyond which neighbours are averaged
 _BATCH_ROWS = 65_536
 _MEMORY_BYTES = 1_600_000_000
+_FEWEST_ROWS = 20  # with a number, of the sheet that is read
+_MOST_SHEET_ROWS = 2**20  # of Excel; a forged number of a row is filled up with empty ones
 
 
 def check_count(numbers: int, most: int = MOST_NUMBERS) -> None:
@@ -39,7 +43,13 @@ def parse_matlab(content: bytes) -> dict[str, Any]:
     from scipy.io import loadmat
 
     variables = loadmat(cast("Any", io.BytesIO(content)), simplify_cells=True)
-    named = list(_named({name: value for name, value in variables.items() if not name.startswith("__")}))
+    return _by_short_names(
+        _named({name: value for name, value in variables.items() if not name.startswith("__")})
+    )
+
+
+def _by_short_names(values: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    named = list(values)
     shorts = [name.rpartition(".")[2] for name, _ in named]
     return {
         short if shorts.count(short) == 1 else name: np.asarray(value)
@@ -59,6 +69,50 @@ def _named(variables: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, A
             yield from _named(structs, prefix)
         elif not isinstance(value, list) or all(isinstance(entry, (int, float)) for entry in value):
             yield prefix + name, value
+
+
+def parse_hdf5(content: bytes) -> dict[str, Any]:
+    """Arrays of numbers of an HDF5 file, such as MATLAB 7.3 writes; nothing that it points to is read."""
+    import h5py
+
+    found: dict[str, Any] = {}
+
+    def take(name: str, one: Any) -> None:
+        if not isinstance(one, h5py.Dataset) or one.dtype.kind not in "fiub" or name.startswith("#"):
+            return
+        is_text = one.attrs.get("MATLAB_class") == b"char"
+        # Values of a virtual or an external data set stand in other files.
+        if not (is_text or one.is_virtual or one.external or one.attrs.get("MATLAB_empty")):
+            found[name.replace("/", ".")] = one
+
+    with h5py.File(io.BytesIO(content), "r") as file:
+        file.visititems(take)  # follows no link
+        check_count(sum(one.size for one in found.values()))
+        return _by_short_names((name, one[()]) for name, one in found.items())
+
+
+def parse_workbook(content: bytes) -> str:
+    """The first sheet of a workbook that holds rows of numbers, as CSV: values, no formulas."""
+    import openpyxl
+
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        check_count(sum(member.file_size for member in archive.infolist()) // 8)
+    book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True, keep_links=False)
+    for sheet in book.worksheets:
+        sheet.reset_dimensions()  # what a file says of them may be wrong
+        text, numeric, cells = io.StringIO(), 0, 0
+        write = csv.writer(text, lineterminator="\n").writerow
+        for n, row in enumerate(sheet.iter_rows(values_only=True), 1):
+            cells += len(row)
+            check_count(cells)
+            if n > _MOST_SHEET_ROWS:
+                raise ValueError(f"a sheet has at most {_MOST_SHEET_ROWS:,} rows")
+            numeric += any(isinstance(cell, int | float) for cell in row)
+            texts = ["" if cell is None else " ".join(str(cell).split()) for cell in row]
+            write(texts if any(texts) else [])
+        if numeric >= _FEWEST_ROWS:
+            return text.getvalue()
+    raise ValueError(f"no sheet holds {_FEWEST_ROWS} rows of numbers")
 
 
 def parse_parquet(path: str) -> tuple[dict[str, Any], int]:
@@ -91,12 +145,18 @@ def main() -> int:
     if sys.platform != "win32":
         import resource
 
-        resource.setrlimit(resource.RLIMIT_DATA, (_MEMORY_BYTES, resource.getrlimit(resource.RLIMIT_DATA)[1]))
+        hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
+        most = _MEMORY_BYTES if hard == resource.RLIM_INFINITY else min(_MEMORY_BYTES, hard)
+        resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
     try:
+        if sys.argv[1] == "workbook":
+            sys.stdout.buffer.write(parse_workbook(sys.stdin.buffer.read()).encode())
+            return 0
         if sys.argv[1] == "Parquet":
             arrays, averaged = parse_parquet(sys.argv[2])
         else:
-            arrays, averaged = parse_matlab(sys.stdin.buffer.read()), 1
+            parse = parse_hdf5 if sys.argv[1] == "HDF5" else parse_matlab
+            arrays, averaged = parse(sys.stdin.buffer.read()), 1
         found = {
             name: array.astype(np.float64, copy=False)
             for name, array in arrays.items()

@@ -71,7 +71,7 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
     """Read a recording.
 
     Args:
-        path: .csv, .txt and the like; .mat, .npy, .npz, .parquet.
+        path: .csv, .txt and the like; .mat, .h5, .npy, .npz, .parquet, .xlsx.
         choices: columns that the user names; the others are recognised by their headers.
 
     Raises:

@@ -1,7 +1,7 @@
-"""Tables out of the files that people have: text of many kinds, .mat, .npy, .npz, Parquet. None of them may run code.
+"""Tables out of the files that people have: text, workbooks, .mat, .npy, .npz, Parquet. None of them may run code.
 
-Compiled parsers of involved formats crash on some damaged files, and a small file may unpack to gigabytes: MATLAB and
-Parquet are parsed in a process of their own (`array_parser`), with limits of memory and time.
+Compiled parsers of involved formats crash on some damaged files, and a small file may unpack to gigabytes: MATLAB,
+HDF5, workbooks and Parquet are parsed in a process of their own (`array_parser`), with limits of memory and time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from motor_env.errors import InputError, require_extra
-from motor_env.files import read_file
+from motor_env.files import LARGEST_DATA_BYTES, LARGEST_TABLE_BYTES, read_file
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings import array_parser
 from motor_env.recordings.headers import understand
@@ -28,19 +28,17 @@ from motor_env.recordings.text.block import FEWEST_SAMPLES, MOST_COLUMNS, TextTa
 from motor_env.recordings.text.pieces import large_block, whole_block
 from motor_env.recordings.text.settings import Table
 
-LARGEST_FILE_BYTES = 200_000_000
 LARGEST_WHOLE_BYTES = 50_000_000
 """Of text; longer ones are read in pieces."""
-_LARGEST_TEXT_BYTES = 20_000_000  # of what is kept cell by cell
 _CONTROL = bytes(code for code in range(32) if code not in (9, 10, 11, 12, 13))
 _CONTROL_SHARE = 0.01  # more control characters than that are no text
 _FOREIGN = {  # how they begin, and what helps
-    b"PK\x03\x04": "a workbook or an archive; save the sheet as CSV",
-    b"\xd0\xcf\x11\xe0": "an old Excel workbook; save the sheet as CSV",
-    b"\x89HDF": "HDF5; write its columns as CSV or .npz, or save them from MATLAB with -v7",
+    b"PK\x03\x04": "an archive; a workbook must be named .xlsx, other archives unpacked",
+    b"\xd0\xcf\x11\xe0": "an old Excel workbook; save it as .xlsx or CSV",
+    b"\x89HDF": "HDF5, which must be named .mat, .h5 or .hdf5",
     b"TDSm": "LabVIEW's TDMS; export it as CSV",
 }
-_SECONDS = 30.0  # for MATLAB and Parquet
+_SECONDS = 30.0  # for what is parsed elsewhere
 _SINGLE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
 
 
@@ -60,9 +58,17 @@ def read_table(path: Path, wanted: Sequence[str] = ()) -> Table:
     match path.suffix.lower():
         case ".parquet" | ".pq" if size:  # of any length, for it is read in pieces
             require_extra("pyarrow", "datasets")
-            arrays, averaged = _parsed_elsewhere(path, b"", "Parquet", str(path))
-        case ".mat":
-            arrays, averaged = _parsed_elsewhere(path, _content(path), "MATLAB")
+            arrays, averaged = _arrays(_parsed_elsewhere(path, b"", "Parquet", str(path)))
+        case ".mat" | ".h5" | ".hdf5":
+            content, kind = _content(path), "MATLAB"
+            if content.startswith((b"\x89HDF", b"MATLAB 7.3 MAT-file")):
+                require_extra("h5py", "files")
+                kind = "HDF5"
+            arrays, averaged = _arrays(_parsed_elsewhere(path, content, kind))
+        case ".xlsx" | ".xlsm":
+            content = _content(path)
+            require_extra("openpyxl", "files")
+            return whole_block(path, _parsed_elsewhere(path, content, "workbook").decode())
         case ".npy" | ".npz":
             arrays = _numpy(path, _content(path))
         case _ if size > LARGEST_WHOLE_BYTES:
@@ -87,10 +93,10 @@ def read_text(path: Path) -> str:
     Raises:
         InputError: the file is missing, empty or too large, or no text.
     """
-    return _decoded(path, _content(path, _LARGEST_TEXT_BYTES))
+    return _decoded(path, _content(path, LARGEST_TABLE_BYTES))
 
 
-def _content(path: Path, largest: int = LARGEST_FILE_BYTES) -> bytes:
+def _content(path: Path, largest: int = LARGEST_DATA_BYTES) -> bytes:
     content = read_file(path, largest)
     if not content or content.isspace():
         raise InputError(f"{path}: is empty")
@@ -108,7 +114,7 @@ def _decoded(path: Path, content: bytes) -> str:
             control = len(plain) - len(plain.translate(None, _CONTROL))
             if control <= _CONTROL_SHARE * len(text) and "\0" not in text:
                 return text
-    raise InputError(f"{path}: is not text, and its ending is none of .mat, .npy, .npz, .parquet")
+    raise InputError(f"{path}: is not text, and its ending is none of .mat, .h5, .npy, .npz, .parquet, .xlsx")
 
 
 def _refuse_foreign(path: Path, content: bytes) -> None:
@@ -117,11 +123,10 @@ def _refuse_foreign(path: Path, content: bytes) -> None:
             raise InputError(f"{path}: is {words}")
 
 
-def _parsed_elsewhere(path: Path, content: bytes, kind: str, *more: str) -> tuple[dict[str, Any], int]:
-    """Arrays by name, and how many rows are averaged to one."""
-    _refuse_foreign(path, content)
-    if content[:19] == b"MATLAB 7.3 MAT-file":
-        raise _unreadable(path, kind, "it is of version 7.3; save it with -v7")
+def _parsed_elsewhere(path: Path, content: bytes, kind: str, *more: str) -> bytes:
+    """What the parser says of a file."""
+    if kind != "HDF5" and content[:2] != b"PK":
+        _refuse_foreign(path, content)
     # -P: modules of this folder must not hide others of the same name.
     command = [sys.executable, "-P", array_parser.__file__, kind, *more]
     try:
@@ -138,7 +143,12 @@ def _parsed_elsewhere(path: Path, content: bytes, kind: str, *more: str) -> tupl
     if done.returncode:
         words = done.stderr.decode(errors="replace").strip().splitlines() if done.returncode == 1 else []
         raise _unreadable(path, kind, [f"its parser crashed with status {done.returncode}", *words][-1])
-    head, _, body = done.stdout.partition(b"\n")
+    return done.stdout
+
+
+def _arrays(said: bytes) -> tuple[dict[str, Any], int]:
+    """Arrays by name, and how many rows are averaged to one."""
+    head, _, body = said.partition(b"\n")
     averaged, shapes = json.loads(head)
     ends = np.cumsum([np.prod(shape) for _, shape in shapes], dtype=np.int64)
     parts = np.split(np.frombuffer(body, np.float64), ends)[: len(shapes)]

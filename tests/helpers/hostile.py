@@ -128,7 +128,7 @@ def forged(tree: Any, rng: Random, *, absurd: Sequence[Any] = ABSURD, most: int 
         kind = _kind(node[key])
         like = [value for value in absurd if _kind(value) is kind] if rng.random() < 0.5 else absurd
         value = copy.deepcopy(like[int(rng.integers(len(like)))])
-        if kind is float and rng.random() < 0.4:
+        if kind is float and rng.random() < 0.4 and abs(node[key]) < 1e300:
             value = type(node[key])(node[key] * 10.0 ** rng.uniform(-2.0, 2.0))
         if _is_json(node[key]):
             value = json_of(value)
@@ -284,9 +284,11 @@ from pathlib import Path
 from motor_env.errors import InputError
 warnings.simplefilter("ignore")
 {read}
+seconds, memory = {seconds}, {memory}
+resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
 for line in sys.stdin:
     path = Path(json.loads(line))
-    signal.alarm(60)
+    signal.alarm(seconds)
     try:
         outcome = str(read(path))
     except InputError as error:
@@ -305,14 +307,17 @@ class Child:
 
     Args:
         read: Python code that defines the function `read(path)`; what it returns is told as text.
+        seconds: that a file may take.
+        memory: bytes of data that the process may have once it can read; -1 for any.
     """
 
-    def __init__(self, read: str) -> None:
+    def __init__(self, read: str, seconds: int = 60, memory: int = -1) -> None:
+        self.code = _CHILD.format(read=read, seconds=seconds, memory=memory)
+        self._start()
+
+    def _start(self) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-c", _CHILD.format(read=read)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
+            [sys.executable, "-c", self.code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
 
     def outcome(self, path: Path) -> str:
@@ -321,7 +326,10 @@ class Child:
         assert self.process.stdout is not None
         print(json.dumps(str(path)), file=self.process.stdin, flush=True)
         told = self.process.stdout.readline()
-        assert told, f"reading {path.name} ended the process with {self.process.wait()}"
+        if not told:
+            ended = self.process.wait()
+            self._start()
+            return f"it ended its process with {ended}"
         outcome, peak_kb = json.loads(told)
         assert peak_kb < MOST_KB, path.name
         return str(outcome)

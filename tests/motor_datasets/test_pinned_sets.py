@@ -163,9 +163,9 @@ def entry(**changes: Any) -> Entry:
 
 def test_entries_and_manifests_at_their_bounds() -> None:
     for name in ("rows", "bytes"):
-        for count in (1, 2**28):
+        for count in (1, 200_000_000):
             assert getattr(entry(**{name: count}), name) == count
-        for count in (0, 2**28 + 1):
+        for count in (0, 200_000_001):
             with pytest.raises(ValueError, match="rows and bytes"):
                 entry(**{name: count})
     for path in ("data/train-00000.parquet", "data/train-0000000.parquet"):

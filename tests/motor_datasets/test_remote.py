@@ -14,7 +14,7 @@ import pytest
 from fsspec.registry import known_implementations
 from upath import UPath
 
-from motor_datasets import generate_dataset, layout, load
+from motor_datasets import generate_dataset, layout, load, manifest
 from motor_datasets.cli import main
 from motor_env import InputError, Timing, load_recipe
 
@@ -188,3 +188,14 @@ def test_local_folders_need_no_fsspec(tmp_path: Path) -> None:
         f"sys.exit(main({[*OPTIONS, '--out', str(tmp_path / 'set')]!r}) or main(['verify', {str(tmp_path / 'set')!r}]))"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_objects_are_of_a_stated_size(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    generate_dataset(SHORT, 30, 1, url)
+    largest = max(len(content) for content in objects_of(url).values())
+    monkeypatch.setattr(manifest, "LARGEST_DATA_BYTES", largest)
+    load(url)
+    for name in ("data/train-000000.parquet", "dataset.json"):
+        fsspec.filesystem("memory").pipe_file(f"{url}/{name}", bytes(largest + 1))
+        with pytest.raises(InputError, match=f"{name}: is larger than"):
+            load(url)

@@ -8,9 +8,7 @@ from typing import Any
 
 from motor_env import console
 from motor_env.errors import InputError, require_extra
-from motor_env.files import read_file
-
-_LARGEST_SEED_BYTES = 1000  # a number, and perhaps empty lines
+from motor_env.files import LARGEST_NOTE_BYTES, read_file
 
 
 def _seed(sealed: Path | None) -> int:
@@ -19,7 +17,7 @@ def _seed(sealed: Path | None) -> int:
 
     if sealed is None:
         return SEED
-    content = read_file(sealed, _LARGEST_SEED_BYTES)
+    content = read_file(sealed, LARGEST_NOTE_BYTES)
     try:
         seed = int(content)
     except ValueError:

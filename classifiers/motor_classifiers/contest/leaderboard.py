@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import html
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from motor_classifiers.contest.submissions import paired, unpacked_costs
 from motor_classifiers.contest.task import VERSION, Task
 from motor_classifiers.contest.tasks import TASKS
 from motor_classifiers.scoring.metrics import resampling_weights
+from motor_env.files import LARGEST_TABLE_BYTES, read_json
 
 Scored = dict[str, Any]
 """As `score_submission` gives it."""
@@ -32,7 +32,7 @@ def read_scores(folder: Path) -> dict[str, list[Scored]]:
     """Kept scores of the public splits by task, in the order of the tasks."""
     scores: dict[str, list[Scored]] = {}
     for name in TASKS:
-        found = [json.loads(path.read_bytes()) for path in sorted((folder / name).glob("*.json"))]
+        found = [read_json(path, LARGEST_TABLE_BYTES) for path in sorted((folder / name).glob("*.json"))]
         if found:
             scores[name] = found
     return scores

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,8 @@ import numpy as np
 from motor_classifiers.contest.submissions import interval
 from motor_classifiers.scoring.metrics import resampling_weights
 from motor_env.errors import InputError
-from motor_env.files import read_file
+from motor_env.files import LARGEST_TABLE_BYTES, read_file, read_json
 
-LARGEST_BYTES = 8_000_000
-"""Of each of the two files."""
 MOST_RECORDINGS = 20_000
 COLUMNS = ("file", "motor", "verdict")
 _SILENT = "unusable"
@@ -68,7 +65,7 @@ def score_recordings(truth: Path | str, said: Path | str) -> list[dict[str, Any]
 
 
 def _truth(path: Path) -> list[dict[str, str]]:
-    content = read_file(path, LARGEST_BYTES)
+    content = read_file(path, LARGEST_TABLE_BYTES)
     try:
         lines = csv.DictReader(io.StringIO(content.decode("utf-8"), newline=""))
         rows = [{name: str(row.get(name) or "").strip() for name in COLUMNS} for row in lines]
@@ -84,9 +81,8 @@ def _truth(path: Path) -> list[dict[str, str]]:
 
 def _said(path: Path) -> dict[str, dict[str, str]]:
     """Verdicts by method and file."""
-    content = read_file(path, LARGEST_BYTES)
+    rows = read_json(path, LARGEST_TABLE_BYTES)
     try:
-        rows = json.loads(content)
         _require_once(path, (str(row["file"]) for row in rows))
         given = {"method": {str(row["file"]): str(row.get("verdict", _SILENT)) for row in rows}}
         if all(row.get("model_based") for row in rows):

@@ -17,14 +17,11 @@ from motor_classifiers.contest.task import SEED, VERSION, Task
 from motor_classifiers.contest.tasks import load_task
 from motor_classifiers.scoring.metrics import resampling_weights
 from motor_env.errors import InputError
-from motor_env.files import read_file, replacing, write_text
+from motor_env.files import LARGEST_TABLE_BYTES, read_file, replacing, write_text
 from motor_env.motor.parameters import FloatArray
 from motor_env.motor.toml_files import from_dict, read_toml, toml_text
 
 CARD, ANSWERS = "card.toml", "answers.parquet"
-LARGEST_BYTES = 8_000_000
-"""Of a table of answers, packed and unpacked."""
-
 _LONGEST = 200  # characters of a text on the card
 
 
@@ -95,7 +92,7 @@ def read_submission(folder: Path | str, *, seed: int = SEED) -> tuple[Card, Task
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     path = Path(folder) / ANSWERS
-    content = read_file(path, LARGEST_BYTES, "a submission needs a table of answers")
+    content = read_file(path, LARGEST_TABLE_BYTES, "a submission needs a table of answers")
     try:
         return card, task, _checked(task, _table(task, content))
     except InputError as error:
@@ -123,8 +120,8 @@ def _table(task: Task, content: bytes) -> pa.Table:
             _check_columns(task, file.schema_arrow)
             _check_rows(task, file.metadata.num_rows)
             groups = [file.metadata.row_group(n) for n in range(file.metadata.num_row_groups)]
-            if sum(group.total_byte_size for group in groups) > LARGEST_BYTES:
-                raise InputError(f"unpacks to more than {LARGEST_BYTES / 1e6:g} MB")
+            if sum(group.total_byte_size for group in groups) > LARGEST_TABLE_BYTES:
+                raise InputError(f"unpacks to more than {LARGEST_TABLE_BYTES / 1e6:g} MB")
             return file.read()
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"is no Parquet file, or damaged ({' '.join(str(error).split())[:100]})") from None

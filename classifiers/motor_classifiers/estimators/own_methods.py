@@ -17,6 +17,7 @@ from sklearn.utils import get_tags
 
 from motor_classifiers.estimators.methods import METHODS, Make, Method
 from motor_env.errors import InputError
+from motor_env.files import LARGEST_NOTE_BYTES, read_file
 from motor_env.motor.parameters import FloatArray
 
 GROUP = "motor_classifiers.methods"
@@ -49,8 +50,7 @@ def find_method(name: str) -> Method:
 def _from_file(name: str) -> Make:
     file, _, function = name.rpartition(":")
     path = Path(file)
-    if not path.is_file():
-        raise InputError(f"{file}: no such file; a method of your own is FILE.py:NAME")
+    read_file(path, LARGEST_NOTE_BYTES, "no such file; a method of your own is FILE.py:NAME")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None  # noqa: S101  # the name ends in .py
     assert spec.loader is not None  # noqa: S101  # the same

@@ -6,15 +6,17 @@ import hashlib
 import io
 import json
 import zipfile
+from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motor_classifiers.estimators.state import Arrays
+from motor_env.errors import InputError
+from motor_env.files import LARGEST_DATA_BYTES, read_file
 from motor_env.motor.parameters import require
 
-LARGEST_FILE_BYTES = 200_000_000
-"""Of a model file, and of all that an archive unpacks to; a forest on 100,000 starts has some 50 MB."""
 LARGEST_TEXT_BYTES = 32_000_000
 """Of a JSON text: what is made of it takes up to forty times as much."""
 _CENTRAL_ENTRY = b"PK\x01\x02"
@@ -36,10 +38,27 @@ def unpacked(content: bytes) -> dict[str, bytes]:
         # The other methods unpack a whole member before its size is looked at.
         require(methods <= {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}, "it is packed by an unknown method")
         require(
-            sum(member.file_size for member in members) <= LARGEST_FILE_BYTES,
-            f"it unpacks to more than {LARGEST_FILE_BYTES // 1_000_000} MB",
+            sum(member.file_size for member in members) <= LARGEST_DATA_BYTES,
+            f"it unpacks to more than {LARGEST_DATA_BYTES // 1_000_000} MB",
         )
         return {member.filename: _read(archive, member) for member in members}
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Arrays of a NumPy archive by name.
+
+    Raises:
+        InputError: no such file, too large, or with something else in it.
+    """
+    content = read_file(path, LARGEST_DATA_BYTES)
+    try:
+        return {
+            name.removesuffix(".npy"): np.lib.format.read_array(io.BytesIO(member), allow_pickle=False)
+            for name, member in unpacked(content).items()
+        }
+    except Exception as error:  # noqa: BLE001  # a damaged file makes NumPy raise anything
+        reason = " ".join(str(error).split())[:100]
+        raise InputError(f"{path}: is no NumPy archive, or damaged ({reason})") from None
 
 
 def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:

@@ -35,7 +35,7 @@ from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
 from motor_classifiers.wrappers.open_set import OpenSetClassifier
 from motor_env.errors import InputError
-from motor_env.files import read_file, replacing
+from motor_env.files import LARGEST_DATA_BYTES, read_file, replacing
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipe_files import recipe_from_dict, recipe_to_dict
 from motor_env.simulation.recipes import Recipe
@@ -97,7 +97,7 @@ def load_model(path: Path | str) -> Loaded:
     Raises:
         InputError: no such file, not one of ours, damaged, or with content that is not allowed.
     """
-    content = read_file(Path(path), containers.LARGEST_FILE_BYTES)
+    content = read_file(Path(path), LARGEST_DATA_BYTES)
     try:
         return _loaded(content, _MOST_WRAPPERS)
     except InputError as error:

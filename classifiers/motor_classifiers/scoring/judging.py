@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import multiprocessing
 import traceback
-import zipfile
-import zlib
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -22,6 +19,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # c
 
 from motor_classifiers.estimators.methods import METHODS
 from motor_classifiers.estimators.own_methods import answered, fed, find_method, source_of
+from motor_classifiers.model_files.containers import read_arrays
 from motor_classifiers.scoring.progress import Cost, with_cost
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
@@ -265,12 +263,14 @@ def save_answer(answer: Answer, path: Path) -> None:
 def load_answer(path: Path, cell: Cell) -> Answer | None:
     """Read an answer; None where there is none, or only a damaged one."""
     try:
-        with np.load(io.BytesIO(path.read_bytes())) as arrays:
-            probabilities, severity = arrays["probabilities"], arrays["severity"]
-            costs = arrays["costs"].tolist()
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        found = read_arrays(path)
+    except InputError:
         return None
-    if probabilities.shape != (cell.n_test, len(cell.recipe.classes)) or severity.shape != (cell.n_test,):
+    n_test = cell.n_test
+    wanted = {"probabilities": (n_test, len(cell.recipe.classes)), "severity": (n_test,), "costs": (4,)}
+    if {name: values.shape for name, values in found.items()} != wanted:
         return None
-    train, inference = (Cost(s, None if np.isnan(mb) else mb) for s, mb in (costs[:2], costs[2:]))
-    return Answer(probabilities, severity, train, inference)
+    train, inference = (
+        Cost(s, None if np.isnan(mb) else mb) for s, mb in found["costs"].reshape(2, 2).tolist()
+    )
+    return Answer(found["probabilities"], found["severity"], train, inference)

@@ -6,10 +6,7 @@ and `read_peers` brings the answers back. Answers for the shipped setting are pa
 
 from __future__ import annotations
 
-import io
 import json
-import zipfile
-import zlib
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -18,11 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_classifiers.model_files.containers import read_arrays
 from motor_classifiers.scoring.judging import Answer, Cell, expected_severity
 from motor_classifiers.scoring.progress import Cost
 from motor_datasets.arrays import Dataset
 from motor_env.errors import InputError
-from motor_env.files import read_file, replacing
+from motor_env.files import replacing
 from motor_env.motor.parameters import FloatArray
 
 PEERS = {
@@ -32,7 +30,6 @@ PEERS = {
 }
 """Peers by name, with what they are."""
 
-_LARGEST_BYTES = 50_000_000
 _SAME_MEAN_A = 1e-6  # between machines the last bits of a simulated start may differ, and no more
 
 
@@ -83,10 +80,8 @@ def read_peers(path: Path, cell: Cell) -> Peers | None:
     Raises:
         InputError: no such file, or not one that benchmarks/aeon_peers.py wrote.
     """
-    content = read_file(path, _LARGEST_BYTES)
+    arrays = read_arrays(path)
     try:
-        with np.load(io.BytesIO(content)) as file:
-            arrays = dict(file)
         facts = json.loads(str(arrays["facts"]))
         if not _same_starts(arrays, cell):
             return None
@@ -96,7 +91,7 @@ def read_peers(path: Path, cell: Cell) -> Peers | None:
             if len(arrays[name]) >= cell.n_test
         }
         origin = f"{facts['date']}, {facts['machine']}, aeon {facts['aeon']}, {facts['command']}"
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             f"{path}: holds no answers of peers ({' '.join(str(error).split())[:100]})"
         ) from None

@@ -32,7 +32,7 @@ from motor_classifiers.scoring.verdict_times import (
 )
 from motor_classifiers.wrappers.conformal import ConformalSets, Coverage, measured_coverage
 from motor_datasets.arrays import Dataset
-from motor_env.files import write_text
+from motor_env.files import LARGEST_TABLE_BYTES, read_json, write_text
 from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
@@ -271,7 +271,7 @@ def save_figures(figures: Figures, path: Path) -> None:
 def load_figures(path: Path) -> Figures | None:
     """Read figures; None where there are none, or only damaged ones."""
     try:
-        figures = json.loads(path.read_bytes())
+        figures = read_json(path, LARGEST_TABLE_BYTES)
     except (OSError, ValueError):
         return None
     return figures if isinstance(figures, dict) and {"counts", *SECTIONS} <= set(figures) else None

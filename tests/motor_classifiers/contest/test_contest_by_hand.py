@@ -145,7 +145,7 @@ def test_a_table_may_be_as_large_as_is_said(tmp_path: Path, monkeypatch: pytest.
     unpacked = sum(meta.row_group(n).total_byte_size for n in range(meta.num_row_groups))
     largest = max(path.stat().st_size, unpacked)
     for limit, fits in ((largest, True), (largest - 1, False)):
-        monkeypatch.setattr(submissions, "LARGEST_BYTES", limit)
+        monkeypatch.setattr(submissions, "LARGEST_TABLE_BYTES", limit)
         if fits:
             score_submission(tmp_path)
         else:

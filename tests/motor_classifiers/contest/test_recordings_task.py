@@ -73,11 +73,11 @@ def test_only_small_regular_files_are_read(tmp_path: Path, monkeypatch: pytest.M
             assert "is no regular file" in refused(partial(score_recordings, *asked), odd)
         at.write_bytes(content)
     paths[1].write_text(deep())
-    assert "must be a JSON list" in refused(partial(score_recordings, *paths), paths[1])
+    assert "is not JSON (nested too deep)" in refused(partial(score_recordings, *paths), paths[1])
     paths = written(tmp_path, TRUTH, SAID)
     monkeypatch.setattr(recordings, "MOST_RECORDINGS", 3)
     assert "at most 3 recordings, got 4" in refused(partial(score_recordings, *paths), paths[0])
     monkeypatch.undo()
     for at, small in ((paths[0], len(TRUTH) - 1), (paths[1], len(json.dumps(SAID)) - 1)):
-        monkeypatch.setattr(recordings, "LARGEST_BYTES", small)
+        monkeypatch.setattr(recordings, "LARGEST_TABLE_BYTES", small)
         assert "is larger than" in refused(partial(score_recordings, *paths), at)

@@ -28,6 +28,7 @@ from motor_classifiers.contest.tasks import TASKS, current_digests, frozen_diges
 
 # Reaches in: a comparison of two answers by hand needs the weights that cases are drawn again with.
 from motor_classifiers.scoring.metrics import resampling_weights
+from motor_env.files import LARGEST_TABLE_BYTES
 
 WHO = {"method": "mine", "authors": "A Stranger"}
 
@@ -127,7 +128,7 @@ BAD_TABLES: dict[str, Callable[[pa.Table], pa.Table]] = {
 BAD_FILES: dict[str, Callable[[Path], object]] = {
     "damaged": lambda folder: (folder / ANSWERS).write_bytes(b"PAR1 nothing"),
     "absent": lambda folder: (folder / ANSWERS).unlink(),
-    "large": lambda folder: (folder / ANSWERS).write_bytes(b"x" * (submissions.LARGEST_BYTES + 1)),
+    "large": lambda folder: (folder / ANSWERS).write_bytes(b"x" * (LARGEST_TABLE_BYTES + 1)),
     "version": lambda folder: _edit_card(folder, '"1.0"', '"0.9"'),
     "draw": lambda folder: _edit_card(folder, load_task("bench").draw_id(), "0" * 16),
     "task": lambda folder: _edit_card(folder, '"bench"', '"wrench"'),
@@ -160,7 +161,7 @@ def _spoil(how: str, folder: Path) -> None:
         ("columns", "must have the columns case, healthy,"),
         ("damaged", "is no Parquet file, or damaged"),
         ("absent", "a submission needs a table of answers"),
-        ("large", "is larger than 8 MB"),
+        ("large", "is larger than 20 MB"),
         ("version", "the submission is for motor-bench 0.9, this is motor-bench 1.0"),
         ("draw", "answers split 0000000000000000 of task bench"),
         ("task", "task must be one of bench,"),
@@ -204,7 +205,7 @@ def test_a_table_that_unpacks_to_too_much_is_not_read(
         store_schema=False,
     )
     largest = (tmp_path / ANSWERS).stat().st_size
-    monkeypatch.setattr(submissions, "LARGEST_BYTES", largest)
+    monkeypatch.setattr(submissions, "LARGEST_TABLE_BYTES", largest)
     monkeypatch.setattr(pq.ParquetFile, "read", None)
     assert "unpacks to more than" in refused(partial(score_submission, tmp_path), tmp_path / ANSWERS)
 

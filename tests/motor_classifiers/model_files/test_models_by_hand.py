@@ -161,7 +161,7 @@ def test_two_wrappers_come_back_and_three_do_not(tmp_path: Path) -> None:
         model = ConformalClassifier(FrozenEstimator(model)).fit(X, y)
 
 
-@pytest.mark.parametrize("name", ["LARGEST_FILE_BYTES", "LARGEST_TEXT_BYTES", "MOST_MEMBERS"])
+@pytest.mark.parametrize("name", ["LARGEST_DATA_BYTES", "LARGEST_TEXT_BYTES", "MOST_MEMBERS"])
 def test_sizes_at_their_bounds(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     X, y = cases(2)
     path = tmp_path / "model"
@@ -170,13 +170,14 @@ def test_sizes_at_their_bounds(name: str, tmp_path: Path, monkeypatch: pytest.Mo
         texts = [one.file_size for one in archive.infolist() if one.filename.endswith(".json")]
         members = len(archive.infolist())
     size = {
-        "LARGEST_FILE_BYTES": path.stat().st_size,
+        "LARGEST_DATA_BYTES": path.stat().st_size,
         "LARGEST_TEXT_BYTES": max(texts),
         "MOST_MEMBERS": members,
     }[name]
-    monkeypatch.setattr(containers, name, size)
+    module = persistence if name == "LARGEST_DATA_BYTES" else containers
+    monkeypatch.setattr(module, name, size)
     assert load_model(path)[2] == "bayes"
-    monkeypatch.setattr(containers, name, size - 1)
+    monkeypatch.setattr(module, name, size - 1)
     with pytest.raises(InputError, match=r"is larger than|is longer than|has more than"):
         load_model(path)
 
@@ -187,9 +188,9 @@ def test_an_archive_unpacks_to_no_more_than_is_allowed(monkeypatch: pytest.Monke
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in members.items():
             archive.writestr(name, content)
-    monkeypatch.setattr(containers, "LARGEST_FILE_BYTES", 100)
+    monkeypatch.setattr(containers, "LARGEST_DATA_BYTES", 100)
     assert containers.unpacked(buffer.getvalue()) == members
-    monkeypatch.setattr(containers, "LARGEST_FILE_BYTES", 99)
+    monkeypatch.setattr(containers, "LARGEST_DATA_BYTES", 99)
     with pytest.raises(ValueError, match="it unpacks to more than"):
         containers.unpacked(buffer.getvalue())
 

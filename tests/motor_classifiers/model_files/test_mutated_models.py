@@ -4,7 +4,6 @@ A crash of compiled code would end the tests: so the files are read by a process
 """
 
 import copy
-import io
 import json
 import zipfile
 from collections.abc import Iterator
@@ -20,9 +19,7 @@ import skops.io
 from hostile import (
     Child,
     archive_of,
-    damaged,
     deep,
-    forged,
     json_of,
     members_of,
     odd_places,
@@ -30,6 +27,7 @@ from hostile import (
     refused,
     zip_bombs,
 )
+from mutated_models import NAMES, mutated
 from safetensors.numpy import load
 from saved_models import QUICK, RECIPE, TEST, TRAIN, content, head_of, with_head
 from sklearn.linear_model import LogisticRegression
@@ -38,13 +36,13 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import MinMaxScaler, RobustScaler
 
 from motor_classifiers import METHODS, ResidualProjection, load_model, make_method, save_model
-from motor_classifiers.model_files.containers import LARGEST_FILE_BYTES
 from motor_datasets import generate_arrays
 
+# Reaches in: bombs are larger than what is read.
+from motor_env.files import LARGEST_DATA_BYTES
+
 TWO = replace(RECIPE, classes=RECIPE.classes[:2])
-NAMES = ("threshold", "residual-qda", "physical-svm", "rules", *QUICK)
 N_MUTATED = 1_030
-SEED = 21
 
 READ = """
 import hashlib
@@ -66,54 +64,6 @@ def child(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Child]:
     np.save(path, TEST.X[:5])
     with Child(READ.format(str(path))) as process:
         yield process
-
-
-def forged_array(values: Any, rng: np.random.Generator) -> Any:
-    """An array of another size, type or content."""
-    kind = int(rng.integers(5))
-    if kind == 0:
-        return values[: len(values) // 2] if values.ndim else np.zeros(3)
-    if kind == 1:
-        return np.concatenate([values, values]) if values.ndim else values[None]
-    if kind == 2 and values.dtype.kind in "fiub":
-        return values.astype(rng.choice(["float32", "int64", "int32", "uint8", "float64"]))
-    if kind == 3:
-        return values.reshape(-1)[::-1].reshape(values.shape)
-    changed = values.copy().reshape(-1)
-    field = changed if values.dtype.names is None else changed[str(rng.choice(list(values.dtype.names)))]
-    if field.size:
-        wild = rng.choice(np.array([0.0, -1.0, 1e6, 2.0**31 - 1.0, np.nan, np.inf]))
-        with np.errstate(invalid="ignore"):
-            field[int(rng.integers(field.size))] = np.array(wild).astype(field.dtype)
-    return changed.reshape(values.shape)
-
-
-def forged_model(file: bytes, rng: np.random.Generator) -> bytes:
-    """What a stranger does: a file that is whole, and says something else."""
-    if not zipfile.is_zipfile(io.BytesIO(file)):
-        if rng.random() < 0.5:
-            return with_head(file, forged(head_of(file), rng))
-        name, values = sorted(load(file).items())[int(rng.integers(len(load(file))))]
-        return with_head(file, head_of(file), **{name: forged_array(values, rng).copy()})
-    members = members_of(file)
-    name = str(rng.choice(sorted(members))) if rng.random() < 0.5 else "schema.json"
-    if name.endswith(".json"):
-        members[name] = json_of(forged(json.loads(members[name]), rng)).encode()
-    else:
-        buffer = io.BytesIO()
-        np.save(buffer, forged_array(np.load(io.BytesIO(members[name])), rng))
-        members[name] = buffer.getvalue()
-    return archive_of(members)
-
-
-def mutated(number: int) -> tuple[str, bytes]:
-    """A file by its number; it follows from the seed and the number alone."""
-    rng = np.random.default_rng([SEED, number])
-    name = NAMES[number % len(NAMES)]
-    file = content(name)
-    # Half of the damage in the first bytes, where the header of a tensor file is.
-    changed = damaged(file, rng, focus=range(3000)) if number % 2 else forged_model(file, rng)
-    return f"{number:03d}-{'damaged' if number % 2 else 'forged'}-{name}", changed
 
 
 def check(child: Child, numbers: range, folder: Path) -> None:
@@ -202,7 +152,7 @@ def test_what_compiled_code_believes_is_checked(child: Child, tmp_path: Path) ->
 
 def bombs() -> Iterator[tuple[str, bytes]]:
     good = members_of(content("residual-qda"))
-    yield from zip_bombs(good, LARGEST_FILE_BYTES)
+    yield from zip_bombs(good, LARGEST_DATA_BYTES)
     long = b"[" + b"[]," * 30_000_000 + b"[]]"
     yield "a long schema", archive_of(good | {"schema.json": long}, zipfile.ZIP_DEFLATED)
     yield "a deep schema", archive_of(good | {"schema.json": deep(200_000).encode()})

@@ -150,10 +150,10 @@ def test_command_writes_page_figures_and_record(
 def test_command_leaves_foreign_files_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "paper.md").write_text("mine")
     assert cli.main(["reproduce", "--out", str(tmp_path)]) == 2
-    assert "did not write" in capsys.readouterr().err
+    assert "reproduce did not make it" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["paper.md"]
     assert cli.main(["reproduce", "--out", str(tmp_path / "paper.md")]) == 2
-    assert "not a folder" in capsys.readouterr().err
+    assert "reproduce did not make it" in capsys.readouterr().err
     assert cli.main(["reproduce", "--out", str(tmp_path / "paper.md" / "below")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 

@@ -157,11 +157,10 @@ def test_of_two_motors_the_columns_of_the_one_that_was_named_are_suggested(tmp_p
 @pytest.mark.parametrize(
     ("name", "begin", "words"),
     [
-        ("a.xlsx", b"PK\x03\x04", "save the sheet as CSV"),
-        ("a.xls", b"\xd0\xcf\x11\xe0", "save the sheet as CSV"),
-        ("a.h5", b"\x89HDF\r\n", "write its columns as CSV or .npz"),
-        ("a.mat", b"\x89HDF\r\n", "from MATLAB with -v7"),
-        ("a.mat", b"MATLAB 7.3 MAT-file", "save it with -v7"),
+        ("a.xls", b"PK\x03\x04", "a workbook must be named .xlsx"),
+        ("a.xls", b"\xd0\xcf\x11\xe0", "save it as .xlsx or CSV"),
+        ("a.xlsx", b"\xd0\xcf\x11\xe0", "save it as .xlsx or CSV"),
+        ("a.dat", b"\x89HDF\r\n", "must be named .mat, .h5 or .hdf5"),
         ("a.tdms", b"TDSm", "export it as CSV"),
     ],
 )

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
 from functools import partial
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hostile import archive_of, damaged, odd_places, refused, refused_or_same
-from recording_csv import csv_text
+from recording_bytes import bytes_of
 from scipy.io import savemat
 
 from motor_env import ColumnChoice, InputError, Recording, cli, read_recording
@@ -32,35 +33,17 @@ VOLTAGE = np.where(TIME > 0.005, 12.0, 0.0)
 COLUMNS: dict[str, Any] = {"time_s": TIME, "current_a": CURRENT, "voltage_v": VOLTAGE}
 
 
-def bytes_of(kind: str) -> bytes:
-    """A good recording as the content of a file of some kind."""
-    stream: Any = io.BytesIO()
-    if kind == "csv":
-        return csv_text(COLUMNS).encode()
-    if kind == "mat":
-        savemat(stream, COLUMNS, do_compression=True)
-    elif kind == "npz":
-        np.savez_compressed(stream, **COLUMNS)
-    elif kind == "npy":
-        np.save(stream, np.column_stack([TIME, CURRENT]))
-    else:
-        pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
-        parquet.write_table(pa.table(COLUMNS), stream)
-    content: bytes = stream.getvalue()
-    return content
-
-
 def check_mutated(kind: str, seed: int, count: int, path: Path) -> None:
     """Each mutated file is read to finite columns of one length, or refused in one line."""
-    content, rng = bytes_of(kind), np.random.default_rng([seed, len(kind)])
+    content, rng = bytes_of(kind, COLUMNS), np.random.default_rng([seed, len(kind)])
 
     def same(recording: Recording) -> None:
         arrays = [a for a in (recording.current_a, recording.voltage_v) if a is not None]
         assert {len(a) for a in arrays} == {len(recording.time_s)}
         assert all(np.isfinite(a).all() for a in (recording.time_s, *arrays))
-        if kind in ("npz", "mat"):  # their checksums tell every change; the others have none
+        if kind in ("npz", "mat", "xlsx"):  # their checksums tell every change; the others have none
             assert recording.voltage_v is not None
-            np.testing.assert_array_equal(arrays, [CURRENT, VOLTAGE], strict=True)
+            np.testing.assert_allclose(arrays, [CURRENT, VOLTAGE], rtol=1e-15, strict=True)
 
     for _ in range(count):
         path.write_bytes(damaged(content, rng, most=3))
@@ -68,7 +51,8 @@ def check_mutated(kind: str, seed: int, count: int, path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "count"), [("csv", 60), ("npz", 60), ("npy", 60), ("mat", 3), ("parquet", 3)]
+    ("kind", "count"),
+    [("csv", 60), ("npz", 60), ("npy", 60), ("mat", 3), ("parquet", 3), ("h5", 3), ("xlsx", 3)],
 )
 def test_mutated_files_are_read_or_refused(kind: str, count: int, tmp_path: Path) -> None:
     check_mutated(kind, 1, count, tmp_path / f"a.{kind}")
@@ -77,7 +61,7 @@ def test_mutated_files_are_read_or_refused(kind: str, count: int, tmp_path: Path
 @pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", range(10))
-@pytest.mark.parametrize("kind", ["csv", "npz", "npy", "mat", "parquet"])
+@pytest.mark.parametrize("kind", ["csv", "npz", "npy", "mat", "parquet", "h5", "xlsx"])
 def test_thousand_mutated_files_are_read_or_refused(kind: str, seed: int, tmp_path: Path) -> None:
     check_mutated(kind, 10 + seed, 100, tmp_path / f"a.{kind}")
 
@@ -88,8 +72,20 @@ def test_a_crash_of_the_parser_is_a_sentence(tmp_path: Path, monkeypatch: pytest
     crashing.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
     monkeypatch.setattr(array_parser, "__file__", str(crashing))
     path = tmp_path / "a.mat"
-    path.write_bytes(bytes_of("mat"))
+    path.write_bytes(bytes_of("mat", COLUMNS))
     assert "its parser crashed" in refused(lambda: read_recording(path), path)
+
+
+def test_a_smaller_limit_of_memory_is_kept(tmp_path: Path) -> None:
+    """A user's own limit cannot be raised by the parser's."""
+    path = tmp_path / "a.mat"
+    path.write_bytes(bytes_of("mat", COLUMNS))
+    code = (
+        "import resource\nfrom motor_env import read_recording\n"
+        "resource.setrlimit(resource.RLIMIT_DATA, (10**9, 10**9))\n"
+        f"read_recording({str(path)!r})"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_odd_names_cost_no_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -212,7 +208,7 @@ def test_a_voltage_one_sample_short_is_not_lost_in_silence(kind: str, tmp_path: 
 
 
 def lzma_archive(path: Path) -> None:
-    data = bytearray(archive_of({"time_s.npy": bytes_of("npy")}, zipfile.ZIP_LZMA))
+    data = bytearray(archive_of({"time_s.npy": bytes_of("npy", COLUMNS)}, zipfile.ZIP_LZMA))
     data[60:200] = bytes(140)
     path.write_bytes(data)
 
@@ -266,7 +262,7 @@ def test_what_is_no_file_or_never_ends_is_not_read(tmp_path: Path) -> None:
 
 def test_a_file_larger_than_what_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.csv"
-    path.write_bytes(bytes_of("csv"))
+    path.write_bytes(bytes_of("csv", COLUMNS))
     monkeypatch.setattr(tables._content, "__defaults__", (10_000,))
     assert "is larger than" in refused(lambda: read_recording(path), path)
 
@@ -275,7 +271,7 @@ def test_plain_rows_are_parsed_at_once_and_like_cell_by_cell(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain, slow = tmp_path / "plain.csv", tmp_path / "slow.csv"
-    plain.write_bytes(bytes_of("csv"))
+    plain.write_bytes(bytes_of("csv", COLUMNS))
     slow.write_text(plain.read_text().replace("\n", "\n \n"))
     expected = read_recording(slow)
     monkeypatch.setattr(pieces, "_numbers_cell_by_cell", None)
