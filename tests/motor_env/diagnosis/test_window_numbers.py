@@ -552,7 +552,7 @@ def test_steps_of_a_look_end_where_they_settle_or_soon(
         _: WindowJudge, parts: Sequence[Record], at: FloatArray
     ) -> Iterator[tuple[FloatArray, FloatArray]]:
         asked.append(at)
-        yield off + [0.0, 0.0, 0.0, len(asked) % 2 * moved * 0.02], error
+        yield off + np.eye(4)[3] * (len(asked) % 2 * moved * 0.02), error
 
     monkeypatch.setattr(WindowJudge, "first_steps", steps)
     (said,) = looks().judgements([part(100)], [2])
