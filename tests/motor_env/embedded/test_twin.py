@@ -56,10 +56,8 @@ RULES: dict[str, CusumBank | MOfN] = {
 YEAR_SAMPLES = 365.25 * 86_400.0 * 10_000.0
 
 
-@cache
-def thresholds(rule: CusumBank) -> tuple[float, ...]:
-    """For one false alarm a year; an integral equation takes its time, so once for each rule."""
-    return rule.thresholds_for(YEAR_SAMPLES)
+thresholds_for = cache(CusumBank.thresholds_for)
+"""An integral equation takes its time, so once for each rule and each number of samples."""
 
 
 @cache
@@ -69,7 +67,11 @@ def monitor(
     sensor = SensorParameters((Channel.CURRENT, Channel.SPEED)[:n_channels], 0.02, 1.0)
     motor = Motor("paper", "data_sheet", PAPER_MOTOR)
     made = monitor_of(motor, rate_hz, rule=nis_rule(), sensor=sensor, voltage_v=12.0, scheduled=scheduled)
-    return replace(made, rule=rule, thresholds=thresholds(rule)) if isinstance(rule, CusumBank) else made
+    return (
+        replace(made, rule=rule, thresholds=thresholds_for(rule, YEAR_SAMPLES))
+        if isinstance(rule, CusumBank)
+        else made
+    )
 
 
 def first(answer: Answers) -> NDArray[np.int64]:
@@ -177,9 +179,14 @@ def test_brushes_and_dry_friction_are_known() -> None:
     ],
 )
 def test_bad_input_is_one_sentence(
-    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    options: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     folder = tmp_path / "out"
+    monkeypatch.setattr(CusumBank, "thresholds_for", thresholds_for)
     rate = [] if "--rate-hz" in options else ["--rate-hz", "1000"]
     sheet = str(Path(__file__).parents[3] / "examples" / "motor.toml")
     assert main(["export-c", sheet, "--out", str(folder), *rate, *options]) == 2
@@ -190,6 +197,7 @@ def test_bad_input_is_one_sentence(
 def test_a_library_is_whole_and_only_in_its_own_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(CusumBank, "thresholds_for", thresholds_for)
     folder, sheet = tmp_path / "out", str(Path(__file__).parents[3] / "examples" / "motor.toml")
     command = ["export-c", sheet, "--out", str(folder), "--rate-hz", "1000"]
 
