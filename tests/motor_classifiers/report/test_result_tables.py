@@ -1,17 +1,12 @@
 """Tables of results in README and docs are those that the kept results give."""
 
 import json
-from functools import cache
 
 import leaderboard
 import pytest
 import result_tables
 
 from motor_classifiers import load_task
-
-# Reaches in: the weights of a table are the same for all tasks of one size, and take longest.
-from motor_classifiers.contest import leaderboard as contest
-from motor_classifiers.scoring.metrics import resampling_weights
 
 
 def test_tables_of_readme_and_docs_come_from_their_files() -> None:
@@ -33,14 +28,6 @@ def test_brackets_of_the_tasks_are_those_that_were_measured(name: str) -> None:
     assert load_task(name).bracket == pytest.approx((100.0 * (1.0 - high), 100.0 * (1.0 - low)), abs=0.006)
 
 
-def test_leaderboard_page_comes_from_its_scores(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`python benchmarks/leaderboard.py page` writes it; tasks of equal size have the same weights, drawn once here."""
-    weights = cache(contest.resampling_weights)
-    monkeypatch.setattr(
-        contest,
-        "resampling_weights",
-        lambda n, seed, groups=None: (
-            weights(n, seed) if groups is None else resampling_weights(n, seed, groups=groups)
-        ),
-    )
+def test_leaderboard_page_comes_from_its_scores() -> None:
+    """`python benchmarks/leaderboard.py page` writes it."""
     assert leaderboard.PAGE.read_text(encoding="utf-8") == leaderboard.whole_page()
