@@ -9,7 +9,7 @@ from motor_env import Recording, diagnose, identify
 from motor_env.motor.parameters import FloatArray
 
 SHEET = Path(__file__).resolve().parents[3] / "examples" / "motor.toml"
-TIME_S: FloatArray = np.linspace(0.0, 0.2, 1501)
+TIME_S: FloatArray = np.linspace(0.0, 0.2, 1001)
 SINCE_S: FloatArray = np.maximum(TIME_S - 0.02, 0.0)
 LOADS = {
     "resistor": np.where(SINCE_S > 0.0, 5.5, 0.0),
