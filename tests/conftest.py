@@ -3,9 +3,11 @@
 Whole runs on several processes begin with compiling, each process its share: otherwise all would compile the same.
 """
 
+import gc
 import hashlib
 import os
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -52,6 +54,17 @@ def listen() -> None:
                 COMPILING.append(time.perf_counter() - begin)
 
     event.register("numba:compile", Listener())
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """What is imported and collected stays to the end: no search for garbage goes through it."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
