@@ -2,9 +2,12 @@
 
 import errno
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +20,7 @@ from motor_env import (
     Cusum,
     Fault,
     FaultKind,
+    KalmanFilter,
     MOfN,
     Motor,
     Scenario,
@@ -39,7 +43,7 @@ from motor_env.embedded.arithmetic import (
     floating,
     readings_of,
 )
-from motor_env.embedded.monitor import CusumBank, Limits, Monitor, monitor_of
+from motor_env.embedded.monitor import CusumBank, Limits, Monitor, monitor_of, settled
 from motor_env.embedded.source import checks, write_library
 
 # Reaches in: the gains that are exported begin the filter's whole schedule, which they are compared with.
@@ -124,6 +128,22 @@ def test_twin_is_filter_and_rule(rule: str, n_channels: int, scheduled: bool) ->
         off = np.abs(first(answer) - alarms)
         assert off.max() <= 1
         assert np.mean(off == 0) >= 0.9
+
+
+@pytest.mark.parametrize(("held_from", "powers"), [(0, [8]), (300, [8, 9]), (2**30, range(8, 21))])
+def test_gains_are_followed_until_they_hold(
+    held_from: int, powers: Sequence[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For a million samples at most."""
+    kalman, asked = monitor(RULES["nis"]).kalman, []
+
+    def schedule_of(_: KalmanFilter, n_samples: int) -> Any:
+        asked.append(n_samples)
+        return SimpleNamespace(held_from=min(held_from, n_samples))
+
+    monkeypatch.setattr("motor_env.embedded.monitor.schedule", schedule_of)
+    settled(kalman)
+    assert asked == [2**power for power in powers]
 
 
 def test_sensor_is_watched() -> None:
