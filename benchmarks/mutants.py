@@ -406,13 +406,16 @@ class Bench:
     def own_room(self, mutant: Mutant) -> None:
         """The tests of the room alone."""
         package = "" if mutant.room.startswith("motor_") else "motor_env/"
-        folder = f"tests/{package}{mutant.room}"
-        if mutant.room == "motor_env":
-            folder = "tests/motor_env/test_console.py"
+        folder = "tests/motor_env" if mutant.room == "motor_env" else f"tests/{package}{mutant.room}"
+        tests = [folder]
+        if mutant.room == "motor_env":  # the modules beside the rooms
+            tests = sorted(
+                str(file.relative_to(self.pristine)) for file in self.pristine.glob(f"{folder}/test_*.py")
+            )
         if not (self.pristine / folder).exists():
             self.keep(mutant, state="open", by="no tests of its own")
             return
-        passed, failed = self.attempt([mutant], [folder], "-x")
+        passed, failed = self.attempt([mutant], tests, "-x")
         self.keep(mutant, state="open" if passed else "killed", by=" ".join(failed[:1]))
 
     def against_all(self, mutants: list[Mutant]) -> None:

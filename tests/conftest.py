@@ -3,12 +3,12 @@
 Whole runs on several processes begin with compiling, each process its share: otherwise all would compile the same.
 """
 
+import gc
 import hashlib
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 
-import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
@@ -57,29 +56,33 @@ def listen() -> None:
     event.register("numba:compile", Listener())
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """What is imported and collected stays to the end: no search for garbage goes through it."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The tests of documentation and packaging begin: they take longest, and nobody should wait for them at the end."""
     items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
 
 
 def compile_share(config: pytest.Config) -> None:
-    """Compile what no other process of this run has begun: the parts of `motor-env warm-up`, and what tests use."""
+    """Compile what no other process of this run has begun: the parts of `motor-env warm-up`."""
     # Reaches in: what is compiled beforehand is what `motor-env warm-up` compiles, part by part.
     from motor_env.apps.warming import PARTS, warm_up
-    from motor_env.envs import MonitorVectorEnv
 
-    def in_double_precision() -> None:
-        vector = MonitorVectorEnv(2, precision="float64")
-        vector.reset(seed=0)
-        vector.step(np.zeros(2, dtype=np.int64))
-
-    parts: dict[str, Callable[[], object]] = {part: partial(warm_up, [part]) for part in PARTS}
     begun = config._tmp_path_factory.getbasetemp().parent / "compiling"  # type: ignore[attr-defined]  # of all processes
     begun.mkdir(exist_ok=True)
-    for part, small_calls in (parts | {"double precision": in_double_precision}).items():
+    for part in PARTS:
         with suppress(FileExistsError):
             (begun / part).mkdir()
-            small_calls()
+            warm_up([part])
 
 
 def version() -> dict[str, Any]:

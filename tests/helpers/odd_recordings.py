@@ -34,8 +34,8 @@ WRONG_SCALES: dict[str, dict[str, float]] = {
 
 
 def started(rng: np.random.Generator) -> Recording:
-    """A healthy start: 0.3 s at 10 kHz, 12 V, after 20 ms."""
-    time_s: FloatArray = 1e-4 * np.arange(3000.0)
+    """A healthy start: 0.3 s at 5 kHz, 12 V, after 20 ms."""
+    time_s: FloatArray = 2e-4 * np.arange(1500.0)
     voltage_v = np.where(time_s >= 0.02, 12.0, 0.0)
     return _seen("start", time_s, voltage_v, rng)
 

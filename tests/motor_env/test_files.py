@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from hostile import odd_places, refused
 
-from motor_env import load_motor, load_recipe
-from motor_env.files import read_file
+from motor_env import InputError, load_motor, load_recipe
+from motor_env.files import filling, read_file
 
 
 @pytest.mark.timeout(20)
@@ -32,3 +32,31 @@ def test_a_file_is_as_large_as_is_said(tmp_path: Path) -> None:
     assert read_file(path, 0) == b""
     assert "cannot be read (" in refused(partial(read_file, Path("a\0b"), 3), path, named=False)
     assert read_file(Path("/proc/self/status"), 3) == b""  # made up while it is read
+
+
+def test_what_is_made_in_a_folder_appears_there_at_the_end(tmp_path: Path) -> None:
+    folder = tmp_path / "deep" / "out"
+
+    def made(*names: str) -> None:
+        with filling(folder) as unfinished:
+            for name in names:
+                path = unfinished / name
+                path.parent.mkdir(exist_ok=True)
+                path.write_text(name)
+                assert not (folder / name).exists() or (folder / name).read_text() == "old"
+
+    made("a", "inner/b")
+    (folder / "a").write_text("old")
+    (folder / "own").write_text("old")
+    made("a", "inner/c", "more/d")
+    there = {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+    assert there == {name: name for name in ("a", "inner/b", "inner/c", "more/d")} | {"own": "old"}
+    new = tmp_path / "new"
+    with pytest.raises(ZeroDivisionError), filling(new) as unfinished:
+        (unfinished / "a").write_text(str(1 / 0))
+    assert not new.exists()
+    (folder / "a").unlink()
+    (folder / "a" / "x").mkdir(parents=True)
+    with pytest.raises(InputError, match="out: cannot be written"):
+        made("a")
+    assert [path for path in folder.iterdir() if path.name.startswith(".")] == []

@@ -31,7 +31,8 @@ from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 
 _LOOKS = 4  # while a part of that length passes
-_STEPS = 3
+_MOST_STEPS = 15
+_SETTLED = 0.1  # a step that is shorter, in squared standard deviations, ends them
 _TAILS = 80.0
 _ANYWHERE = 0.5  # standard deviation of a logarithm
 
@@ -101,12 +102,14 @@ class Looks:
             yield found
 
     def _settled(self, part: Record, prior: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A step from where several steps lead under a belief about the logarithms, with its spread."""
-        at = self.at
-        for _ in range(_STEPS):
+        """A step from where steps settle under a belief about the logarithms, with its spread."""
+        ((ratios, spread),) = self.judge.first_steps([part], self.at)
+        for _ in range(_MOST_STEPS):
+            at, before = prior @ np.linalg.solve(prior + spread, ratios), ratios
             ((ratios, spread),) = self.judge.first_steps([part], at)
-            at = prior @ np.linalg.solve(prior + spread, ratios)
-        ((ratios, spread),) = self.judge.first_steps([part], at)
+            # On the way a fault of one quantity looks like changes of several.
+            if (ratios - before) @ np.linalg.solve(spread, ratios - before) < _SETTLED:
+                break
         return ratios, spread
 
     def _decided(self, ratios: FloatArray, spread: FloatArray, halvings: int) -> Judgement | None:

@@ -34,7 +34,7 @@ ESTIMATORS = [
     FaultFamilyDetector(),
     OpenSetClassifier(),
     PerceptronClassifier(epochs=15),
-    ResNetClassifier(epochs=15),
+    ResNetClassifier(epochs=6, stem=4, width=8),
     TorchClassifier(epochs=40),
     PosteriorNetwork(steps=40, batch_size=32, n_hidden=32),
     PhysicalFeatures(),

@@ -62,7 +62,7 @@ def test_cross_validation_by_motor(name: str) -> None:
         ("residual-qda", {"method__features__n_components": [4, 6]}),
         ("physical-logistic", {"method__classify__C": [0.1, 1.0]}),
         ("network", {"method__n_hidden": [8, 16]}),
-        ("residual-network", {"method__noise": [0.5, 1.0]}),
+        pytest.param("residual-network", {"method__noise": [0.5, 1.0]}, marks=pytest.mark.long),
         ("threshold", {"method__false_alarm_rate": [0.1, None]}),
     ],
 )

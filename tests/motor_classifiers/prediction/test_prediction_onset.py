@@ -15,7 +15,7 @@ from motor_env.motor.faults import apply_faults
 
 RECIPE = load_recipe("bench")
 FINE = 10  # simulated steps in a sampling interval
-N_STARTS = 20
+N_STARTS = 10
 
 
 def capture(

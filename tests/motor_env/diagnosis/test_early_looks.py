@@ -76,6 +76,21 @@ def test_a_fault_is_seen_and_named_long_before_the_window_ends(monkeypatch: pyte
     assert verdict == "bearing"
 
 
+def nearing(_: WindowJudge, parts: list[Record], at: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """A motor of which a step tells 0.3 of a change of R, and takes some of the rest for one of J."""
+    for truth, spread in means(_, parts, at):
+        rest = 0.7 * (at[0] - truth[0])
+        yield truth + rest * np.array([1.0, 0.0, 0.6, 0.0]), spread
+
+
+def test_a_large_fault_is_named_where_the_steps_settle(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(WindowJudge, "first_steps", nearing)
+    blocks = SPREAD * np.random.default_rng(19).standard_normal((128, 4))
+    blocks[64:, 0] += np.log(1.6)
+    verdicts = {verdict for number, verdict in looked(LOOKS, blocks) if number > 32}
+    assert verdicts == {"winding"}
+
+
 def test_without_what_a_commissioning_teaches_there_are_no_looks() -> None:
     untaught = judge_of(replace(HEALTHY, windows=replace(WINDOWS, excess=())))
     assert replace(LOOKS, judge=untaught).every_s == np.inf

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ def start(motor: MotorParameters, load: str, number: int, *, has_speed: bool = F
     return Recording(Path(f"start-{number}"), TIME_S, noisy[:, 0], None, noisy[:, 1] if has_speed else None)
 
 
+@cache
 def learned_under(load: str, *, has_speed: bool = False) -> Motor:
     fits = fit_healthy([start(MOTOR, load, n, has_speed=has_speed) for n in range(5)], voltage_v=12.0)
     return to_motor(fits, "loaded", kind="commissioned", healthy=learn_starts(fits))
@@ -51,7 +53,7 @@ def test_a_winding_fault_under_a_load_is_named(load: str, has_speed: bool) -> No
 
 @pytest.mark.parametrize("load", LOADS)
 def test_a_load_does_not_cool_as_friction_does(load: str) -> None:
-    learned = learned_under(load)
+    learned = learned_under(load, has_speed=False)
     magnet = 1.0 - 0.001 * 35.0
     warm = MOTOR.scaled(
         resistance_ohm=1.0 + 0.00393 * 35.0,

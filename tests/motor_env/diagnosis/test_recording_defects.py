@@ -108,13 +108,13 @@ def rippled(constant: float = 1.0, periods: float = 14.0) -> tuple[Recording, fl
     """A start whose current is modulated by the angle that the simulated motor turns, and its last speed."""
     motor = PAPER_MOTOR.scaled(back_emf_constant_v_s_per_rad=constant, torque_constant_n_m_per_a=constant)
     sensor = SensorParameters((Channel.CURRENT, Channel.SPEED), 0.002, 1e-9)
-    scenario = Scenario(motor, sensor=sensor, timing=Timing(20_000.0, 0.3, 0.02))
+    scenario = Scenario(motor, sensor=sensor, timing=Timing(10_000.0, 0.2, 0.02))
     current, speed = simulate(scenario, 3, [0]).measurements[0]
     time = scenario.timing.time_s
     angle = np.cumsum(speed) * scenario.timing.dt_s
     current = current * (1.0 + 0.1 * np.cos(periods * angle)) * (time > 0.0)
     voltage = np.where(time > 1e-9, 12.0, 0.0)
-    return Recording(Path("x"), time, current, voltage), float(speed[-200:].mean())
+    return Recording(Path("x"), time, current, voltage), float(speed[-100:].mean())
 
 
 @pytest.mark.parametrize("constant", [1.0, 1.2])

@@ -531,16 +531,33 @@ def test_a_look_alarms_from_its_own_limit_on(monkeypatch: pytest.MonkeyPatch) ->
     assert said.changes[3].ratio == pytest.approx(math.exp(off[3]))
     width = stats.t.isf(0.025, freedom) * math.sqrt(scatter[3, 3])
     assert said.changes[3].high == pytest.approx(math.exp(off[3] + width))
-    assert (
-        len(asked) == 2 + 2 * 4
-    )  # two first steps; of the alarm three steps and one more, under two beliefs
+    assert len(asked) == 2 + 2 * 2  # two first steps; of the alarm a step that settles, under two beliefs
     # The second step begins at the healthy motor that explains the first one best.
     healthy = HEALTHY.log_covariance
     np.testing.assert_allclose(asked[3], healthy @ np.linalg.solve(healthy + covariance, off), rtol=1e-9)
-    np.testing.assert_allclose(asked[7], 0.25 / (0.25 + 4e-4) * off, rtol=1e-9)
+    np.testing.assert_allclose(asked[5], 0.25 / (0.25 + 4e-4) * off, rtol=1e-9)
     (said,) = found.judgements([part(100, open_at=50)], [k])
     assert said is None
     assert is_closed(part(9)) is True
+
+
+@pytest.mark.parametrize(("moved", "settles"), [(0.31, True), (0.32, False)])
+def test_steps_of_a_look_end_where_they_settle_or_soon(
+    moved: float, settles: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A step settles that moves the ratios by less than a tenth of a variance; there are 15 at most."""
+    off, error, asked = np.array([0.0, 0.0, 0.0, 3.0]), np.eye(4) * 4e-4, list[FloatArray]()
+
+    def steps(
+        _: WindowJudge, parts: Sequence[Record], at: FloatArray
+    ) -> Iterator[tuple[FloatArray, FloatArray]]:
+        asked.append(at)
+        yield off + np.eye(4)[3] * (len(asked) % 2 * moved * 0.02), error
+
+    monkeypatch.setattr(WindowJudge, "first_steps", steps)
+    (said,) = looks().judgements([part(100)], [2])
+    assert said is not None
+    assert len(asked) == 1 + 2 * (1 + (1 if settles else 15))
 
 
 def test_the_steps_of_a_look_lead_to_a_warmer_motor_first(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,9 +2,12 @@
 
 import errno
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +20,7 @@ from motor_env import (
     Cusum,
     Fault,
     FaultKind,
+    KalmanFilter,
     MOfN,
     Motor,
     Scenario,
@@ -39,7 +43,7 @@ from motor_env.embedded.arithmetic import (
     floating,
     readings_of,
 )
-from motor_env.embedded.monitor import CusumBank, Limits, Monitor, monitor_of
+from motor_env.embedded.monitor import CusumBank, Limits, Monitor, monitor_of, settled
 from motor_env.embedded.source import checks, write_library
 
 # Reaches in: the gains that are exported begin the filter's whole schedule, which they are compared with.
@@ -56,10 +60,8 @@ RULES: dict[str, CusumBank | MOfN] = {
 YEAR_SAMPLES = 365.25 * 86_400.0 * 10_000.0
 
 
-@cache
-def thresholds(rule: CusumBank) -> tuple[float, ...]:
-    """For one false alarm a year; an integral equation takes its time, so once for each rule."""
-    return rule.thresholds_for(YEAR_SAMPLES)
+thresholds_for = cache(CusumBank.thresholds_for)
+"""An integral equation takes its time, so once for each rule and each number of samples."""
 
 
 @cache
@@ -69,7 +71,11 @@ def monitor(
     sensor = SensorParameters((Channel.CURRENT, Channel.SPEED)[:n_channels], 0.02, 1.0)
     motor = Motor("paper", "data_sheet", PAPER_MOTOR)
     made = monitor_of(motor, rate_hz, rule=nis_rule(), sensor=sensor, voltage_v=12.0, scheduled=scheduled)
-    return replace(made, rule=rule, thresholds=thresholds(rule)) if isinstance(rule, CusumBank) else made
+    return (
+        replace(made, rule=rule, thresholds=thresholds_for(rule, YEAR_SAMPLES))
+        if isinstance(rule, CusumBank)
+        else made
+    )
 
 
 def first(answer: Answers) -> NDArray[np.int64]:
@@ -122,6 +128,22 @@ def test_twin_is_filter_and_rule(rule: str, n_channels: int, scheduled: bool) ->
         off = np.abs(first(answer) - alarms)
         assert off.max() <= 1
         assert np.mean(off == 0) >= 0.9
+
+
+@pytest.mark.parametrize(("held_from", "powers"), [(0, [8]), (300, [8, 9]), (2**30, range(8, 21))])
+def test_gains_are_followed_until_they_hold(
+    held_from: int, powers: Sequence[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For a million samples at most."""
+    kalman, asked = monitor(RULES["nis"]).kalman, []
+
+    def schedule_of(_: KalmanFilter, n_samples: int) -> Any:
+        asked.append(n_samples)
+        return SimpleNamespace(held_from=min(held_from, n_samples))
+
+    monkeypatch.setattr("motor_env.embedded.monitor.schedule", schedule_of)
+    settled(kalman)
+    assert asked == [2**power for power in powers]
 
 
 def test_sensor_is_watched() -> None:
@@ -177,9 +199,14 @@ def test_brushes_and_dry_friction_are_known() -> None:
     ],
 )
 def test_bad_input_is_one_sentence(
-    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    options: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     folder = tmp_path / "out"
+    monkeypatch.setattr(CusumBank, "thresholds_for", thresholds_for)
     rate = [] if "--rate-hz" in options else ["--rate-hz", "1000"]
     sheet = str(Path(__file__).parents[3] / "examples" / "motor.toml")
     assert main(["export-c", sheet, "--out", str(folder), *rate, *options]) == 2
@@ -190,6 +217,7 @@ def test_bad_input_is_one_sentence(
 def test_a_library_is_whole_and_only_in_its_own_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(CusumBank, "thresholds_for", thresholds_for)
     folder, sheet = tmp_path / "out", str(Path(__file__).parents[3] / "examples" / "motor.toml")
     command = ["export-c", sheet, "--out", str(folder), "--rate-hz", "1000"]
 

@@ -21,7 +21,7 @@ real = pytest.mark.skipif(
 )
 
 
-def work(seed: int, profile: str, load: str = "none", samples: int = 1500) -> tuple[Motor, Recording]:
+def work(seed: int, profile: str, load: str = "none", samples: int = 1000) -> tuple[Motor, Recording]:
     """A motor and a recording of it."""
     rng = np.random.default_rng(seed)
     motor = replace(draw_motor(rng), ripple=0.0, stribeck=0.0)

@@ -18,7 +18,7 @@ from motor_env.cli import main
 from motor_env.diagnosis import identify as identifying
 from motor_env.diagnosis.motor_files import motor_of_log
 from motor_env.fitting import fit as fitting, kernel, places, uncertainty
-from motor_env.fitting.beginnings import beginnings
+from motor_env.fitting.beginnings import _sign, beginnings
 from motor_env.fitting.identify import Operation, identify_operation, identify_record
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import Hold, Record, joined
@@ -567,6 +567,13 @@ def test_a_direction_of_which_nothing_is_known_has_a_hopeless_variance() -> None
     theta = np.zeros(3)
     found = information_covariance(cast("Any", line), theta)
     assert found[1, 1] == pytest.approx(1e6 * float(line.target @ line.target) / 600)
+
+
+def test_slow_is_a_hundredth_of_nearly_the_fastest() -> None:
+    """Not of the fastest: a few wild samples make no motor stand still."""
+    w = np.repeat([10.0, -0.05, 0.0, 1e4], [494, 500, 1, 5])
+    directions = _sign(w)[[0, 500, 994, 999]]
+    np.testing.assert_allclose(directions, [1.0, -0.5, 0.0, 1.0], rtol=1e-6)
 
 
 def test_regressions_begin_near_the_motor() -> None:

@@ -99,9 +99,9 @@ def test_the_linear_posterior_is_near_the_sampled_one_of_which_two_runs_agree() 
     assert (linear.argmax(axis=1) == DRAWN.class_index).mean() > 0.65
     runs = np.array(
         [
-            [sampled_probabilities(OPERATION, case, np.random.default_rng(seed))[0] for case in CASES[:6]]
+            [sampled_probabilities(OPERATION, case, np.random.default_rng(seed))[0] for case in CASES[:4]]
             for seed in (1, 2)
         ]
     )
     assert np.abs(runs[0] - runs[1]).mean() < 0.03
-    assert np.abs(linear[:6] - runs[0]).mean() < 0.1
+    assert np.abs(linear[:4] - runs[0]).mean() < 0.1

@@ -106,6 +106,13 @@ def test_times_that_repeat_by_rounding_tell_their_rate(
     assert abs(np.mean(spread[0]) - 1.7e6 - np.mean(time_s)) < 0.6e-3
 
 
+@pytest.mark.parametrize(("interval", "spreads"), [(0.895, True), (0.905, False)])
+def test_times_that_repeat_seldom_are_not_spread(interval: float, spreads: bool) -> None:
+    """From nine tenths of the rounding on."""
+    found = evenly_rounded(np.round(interval * np.arange(3000.0)) * 1e-3)
+    assert (found is not None) is spreads
+
+
 def test_times_that_repeat_otherwise_are_not_spread() -> None:
     even: FloatArray = np.arange(300.0) / 1e3
     fast = even / 5.0

@@ -141,7 +141,7 @@ def test_an_estimate_errs_as_a_start_of_the_bench_does() -> None:
 
 def test_the_plan_beats_every_threshold_and_stays_below_the_bound() -> None:
     for options in (MaintainOptions(), SPREAD):
-        envs = MaintainVectorEnv(800, options)
+        envs = MaintainVectorEnv(500, options)
         planned = returns_of(envs, PlannedUpkeep(options), seed=1)
         for feature, threshold in (("age", 0.2), ("mean", 0.84), ("risk", 0.01), ("age", np.inf)):
             gained = planned - returns_of(envs, ReplaceFrom(feature, threshold), seed=1)

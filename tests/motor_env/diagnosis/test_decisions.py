@@ -1,0 +1,291 @@
+"""What is decided on a fit, and from which border on: faults, noise, warmth, what is undecided, what is unusable."""
+
+import math
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from judged_by_hand import CURRENT, EXPONENTS, RATE, fitted, judged, moved, of_one
+from scipy import stats
+
+from motor_env import (
+    FaultKind,
+    Verdict,
+)
+from motor_env.diagnosis.decision import decide
+from motor_env.diagnosis.diagnose import unusable_reason
+from motor_env.diagnosis.explanations import (
+    joint_share,
+    probabilities,
+)
+from motor_env.diagnosis.healthy_motor import beyond
+from motor_env.diagnosis.identify import Identification
+from motor_env.diagnosis.shown import report
+from motor_env.diagnosis.verdict import Judgement
+from motor_env.diagnosis.views import covariance_at_one_temperature, views_of
+from motor_env.filters.consistency import check_consistency
+
+# Reaches in: fits are moved by hand in directions that no public name gives.
+from motor_env.fitting import places
+from motor_env.motor.identifiable import visible_direction
+from motor_env.motor.parameters import FloatArray
+
+
+def border(kind: str, freedom: float) -> tuple[FloatArray, float]:
+    """A step along a fault at the limit of its test, and the standard deviation of the step."""
+    _, fit, reference = fitted()
+    covariance = covariance_at_one_temperature(fit, replace(reference, includes_fit_error=True))
+    g = visible_direction(FaultKind(kind), EXPONENTS)
+    sd = (g @ np.linalg.inv(covariance) @ g) ** -0.5
+    share = joint_share(0.8 * RATE, covariance, EXPONENTS, freedom)  # the noise has a fifth
+    return stats.t.isf(share, freedom) * sd * g, float(sd)
+
+
+@pytest.mark.parametrize(
+    ("kind", "verdict"), [("bearing", Verdict.BEARING), ("winding_contact", Verdict.WINDING)]
+)
+def test_a_fault_is_called_from_the_limit_of_its_test_on(kind: str, verdict: Verdict) -> None:
+    freedom = 7.0
+    at, sd = border(kind, freedom)
+    for size, expected in ((0.995, Verdict.HEALTHY), (1.005, verdict)):
+        found = moved(*(size * at), degrees_of_freedom=freedom, own_friction=0.8)
+        assert found.verdict is expected
+    step, half = float(1.005 * at.sum()), stats.t.isf(0.025, freedom) * sd
+    own = 0.8 if kind == "bearing" else 1.0
+    expected_size = [math.expm1(one) / own for one in (step, step - half, step + half)]
+    assert [found.severity, *(found.severity_interval or ())] == pytest.approx(expected_size)
+    assert str(found.fault_kind) == kind
+    assert found.reference is not None
+    view = views_of(fitted()[1], found.reference, RATE)[0]
+    told = probabilities(view.difference, view.faults)
+    kinds = [name for name in told if name == kind or (verdict is Verdict.WINDING and "winding" in name)]
+    assert found.confidence == pytest.approx(sum(told[name] for name in kinds))
+    assert found.kind_probability == pytest.approx(told[kind])
+    assert moved(*(0.995 * at), degrees_of_freedom=freedom).confidence is not None
+
+
+def test_a_kind_is_told_from_a_probability_of_19_in_20_on() -> None:
+    """The family is called at the limit of the test already; a larger step makes its kind surer."""
+    at, _ = border("winding_contact", 7.0)
+    low, high = 1.005, 3.0
+    assert moved(*(low * at), degrees_of_freedom=7.0).kind_probability < 0.95
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        found = moved(*(middle * at), degrees_of_freedom=7.0)
+        low, high = (middle, high) if found.kind_probability < 0.95 else (low, middle)
+        assert (found.verdict, found.fault_kind) == (Verdict.WINDING, FaultKind.WINDING_CONTACT)
+    for size, kind in ((low, None), (high, FaultKind.WINDING_CONTACT)):
+        found = moved(*(size * at), degrees_of_freedom=7.0)
+        assert found.kind_probability == pytest.approx(0.95, abs=1e-4)
+        one = replace(judged(), pieces=(found,))
+        assert (one.kind, report.as_json(one)["kind"]) == (kind, kind)
+    assert judged().kind is None
+
+
+def test_a_noise_is_called_from_its_limit_on() -> None:
+    freedom, sd = 7.0, 0.12
+    limit = stats.t.isf(RATE / 5.0, freedom) * sd
+    for size, expected in ((0.999, Verdict.HEALTHY), (1.001, Verdict.NOISE)):
+        found = moved(0, 0, 0, 0, noise=size * limit, degrees_of_freedom=freedom, log_noise_sd=sd)
+        assert found.verdict is expected
+    ratio = math.exp(1.001 * limit)
+    assert found.severity == pytest.approx(ratio**2 - 1.0)
+    assert found.confidence == pytest.approx(stats.t.cdf(1.001 * limit / sd, freedom))
+    assert found.reasons == (
+        f"the parameters are as expected, but the current's noise is {ratio:.2f} times the reference's",
+    )
+    assert moved(0, 0, 0, 0, noise=9.0, log_noise=None).verdict is Verdict.HEALTHY
+
+
+def doubled(friction: float, resistance: float) -> Judgement:
+    """A healthy start whose errors show a doubling along these in 95 of 100 cases, times these factors."""
+    _, fit, reference = fitted()
+    share = joint_share(0.8 * RATE, np.eye(4), EXPONENTS, 1e6)
+    unit = math.log(2.0) / (stats.norm.isf(share) + 1.645)
+    wide = replace(fit, log_covariance=np.diag([resistance, 1e-3, 1e-3, friction]) ** 2 * unit**2)
+    given = replace(
+        reference, log_values=fit.log_values, log_covariance=1e-3 * np.eye(4), includes_fit_error=True,
+        own_friction=1.0,
+    )  # fmt: skip
+    return decide(wide, given, RATE)
+
+
+def test_what_is_identified_says_which_quantities_go_together() -> None:
+    _, fit, _ = fitted()
+    together = {("L", "R"): 0.5, ("K^2/J", "R"): -0.25, ("K^2/J", "L"): 0.1, ("B/J", "K^2/J"): 0.75}
+    sd, correlation = np.array([0.01, 0.2, 0.03, 0.4]), np.eye(4)
+    for pair, value in together.items():
+        i, j = map(CURRENT.index, pair)
+        correlation[i, j] = correlation[j, i] = value
+    fit = replace(fit, log_covariance=correlation * np.outer(sd, sd))
+    start = judged().recording
+    found = Identification(((start, fit),), (), {start.path: judged().taken})
+    text = found.text()
+    pairs = [line.removeprefix("  correlations: ") for line in text.splitlines() if "correlations" in line]
+    said = [dict(re.findall(r"(\S+ with \S+) ([-+]\S+?)(?:,|$)", line)) for line in pairs]
+    zeros = {("B/J", "R"): 0.0, ("B/J", "L"): 0.0}
+    assert said == [{f"{a} with {b}": f"{value:+.2f}" for (a, b), value in (together | zeros).items()}]
+    (told,) = found.to_json()
+    np.testing.assert_allclose(told["correlations"], correlation, rtol=1e-12)
+    assert found.parameters["L"]["standard_error"] == pytest.approx(0.2 * fit.values[1])
+
+
+def test_a_start_that_hides_a_doubled_friction_says_so_and_one_that_hides_all_is_not_called_healthy() -> None:
+    """A friction twice as large is found in 95 of 100 cases where (limit + 1.645) deviations are log 2."""
+    for friction, resistance, unseen in (
+        (0.99, 0.99, []),
+        (1.01, 0.99, ["friction"]),
+        (0.99, 1.01, ["resistance"]),
+        (1.01, 1.01, ["friction", "resistance"]),
+    ):
+        found = doubled(friction, resistance)
+        said = [one for one in found.reasons if "is undecided" in one]
+        assert [one.split()[1] for one in said] == unseen
+        assert all(one.endswith("or too short to tell it, only a rise of 101% would show") for one in said)
+        if len(unseen) == 2:
+            assert (found.verdict, found.severity, found.confidence) == (Verdict.UNUSABLE, None, None)
+            assert len(found.reasons) == 2
+        else:
+            assert (found.verdict, found.severity, len(found.reasons)) == (
+                Verdict.HEALTHY,
+                0.0,
+                1 + len(unseen),
+            )
+            assert found.confidence is not None
+
+
+@pytest.mark.parametrize(
+    ("rows", "unseen"), [([0, 1], ["friction"]), ([3], ["resistance"]), ([1], ["friction", "resistance"])]
+)
+@pytest.mark.parametrize("includes_fit_error", [False, True])
+def test_what_cannot_be_compared_is_undecided(
+    rows: list[int], unseen: list[str], includes_fit_error: bool
+) -> None:
+    """The reference speaks of fewer quantities than the fit tells; of L alone it is none."""
+    _, fit, reference = fitted()
+    known = replace(
+        reference,
+        names=tuple(CURRENT[row] for row in rows),
+        log_values=fit.log_values[rows],
+        log_covariance=reference.log_covariance[np.ix_(rows, rows)],
+        includes_fit_error=includes_fit_error,
+    )
+    found = decide(fit, known, RATE)
+    said = [f"the {word} is undecided: it cannot be compared with {reference.source}" for word in unseen]
+    assert list(found.reasons[-len(unseen) :]) == said
+    assert found.verdict == ("unusable" if len(unseen) == 2 else "healthy")
+    assert [change.name for change in found.changes] == list(known.names)
+
+
+def bent(change: FloatArray) -> FloatArray:
+    """By how much logarithms of factors are smaller than what they are changed by."""
+    return change - np.log1p(change)
+
+
+def test_another_temperature_is_told_from_eight_kelvin_on() -> None:
+    """Its posterior mean: what the start shows, and 15 K believed beforehand."""
+    warmth = np.array([0.00393, 0.0, -0.002, -0.003])
+    covariance = np.diag([1e-3, 1.0, 1e-3, 1.0]) ** 2
+    _, fit, _ = fitted()
+    same = covariance + beyond(covariance, fit.white_covariance)
+    pull = warmth @ np.linalg.inv(same) @ warmth
+    shrunk = pull / (pull + 15.0**-2)
+    assert 2.0 * (pull + 15.0**-2) ** -0.5 < 8.0
+    for kelvin, word in ((7.9, ""), (8.1, "8 K warmer"), (-8.1, "8 K colder")):
+        found = moved(
+            *(kelvin / shrunk * warmth - bent(kelvin * warmth)), log_covariance=covariance, temperature_k=15.0
+        )
+        assert found.verdict is Verdict.HEALTHY
+        said = " ".join(found.reasons[1:])
+        assert (word in said) if word else said == ""
+
+
+def test_another_temperature_is_told_beyond_two_of_its_deviations() -> None:
+    """Where it is known to 6 K only."""
+    _, fit, _ = fitted()
+    warmth, error = np.array([0.00393, 0.0, -0.002, -0.003]), fit.white_covariance
+    low, high = 1e-3, 1.0
+    for _ in range(60):
+        middle = math.sqrt(low * high)
+        covariance = np.diag([middle, 1.0, middle, 1.0]) ** 2
+        pull = warmth @ np.linalg.inv(covariance + beyond(covariance, error)) @ warmth
+        low, high = (middle, high) if (pull + 15.0**-2) ** -0.5 < 6.0 else (low, middle)
+    for kelvin, is_told in ((11.9, False), (12.1, True)):
+        shrunk = pull / (pull + 15.0**-2)
+        off = kelvin / shrunk * warmth - bent(kelvin * warmth)
+        found = moved(*off, log_covariance=covariance, temperature_k=15.0)
+        assert ("12 K warmer" in " ".join(found.reasons)) is is_told
+
+
+def test_units_of_the_extensions() -> None:
+    _, fit, _ = fitted()
+    units = {
+        "supply_ramp": "s", "supply_curve": "of the rise (its middle)", "sensor_lag": "s", "speed_lag": "s",
+        "dead_zone": "A", "coulomb": "N m", "brush_drop": "V",
+    }  # fmt: skip
+    extended = replace(fit, fitted_extension=dict.fromkeys(units, (0.5, 0.1)))
+    told = report.extensions_json(extended)
+    assert {name: row["unit"] for name, row in told.items()} == units
+    interval = pytest.approx([0.5 - 0.196, 0.5 + 0.196])
+    assert told["coulomb"] == {"value": 0.5, "standard_error": 0.1, "interval": interval, "unit": "N m"}
+    unknown = replace(extended, start=replace(fit.start, voltage_known=False))
+    per_volt = units | {"coulomb": "N m/V", "brush_drop": "of the supply"}
+    assert {name: row["unit"] for name, row in report.extensions_json(unknown).items()} == per_volt
+
+
+def test_a_fit_that_explains_too_little_is_unusable() -> None:
+    _, fit, _ = fitted()
+    for r2, is_refused in ((0.749, True), (0.751, False)):
+        for channel in ("r2_current", "r2_speed"):
+            given = {"r2_current": 1.0, "r2_speed": None, channel: r2}
+            fake = SimpleNamespace(start=fit.start, log_covariance=fit.log_covariance, **given)
+            assert (unusable_reason(cast("Any", fake)) is not None) is is_refused
+    for sd, is_refused in ((1.01, True), (0.99, False)):
+        wide = replace(fit, log_covariance=sd**2 * np.eye(4))
+        assert (unusable_reason(wide) is not None) is is_refused
+
+
+def test_innovations_are_what_the_fit_leaves_over_the_noise() -> None:
+    """Of white noise they are white and of size 1; whatever the piece, the same tests judge them."""
+    found, fit, _ = fitted()
+    driven = int(np.sum(fit.start.time_s <= fit.onset_s)) + 1
+    np.testing.assert_allclose(fit.whitened[:, 0], fit.residual_a[driven:] / fit.noise_a)
+    assert found.consistency == check_consistency(fit.whitened)
+    assert found.consistency is not None
+    assert found.consistency.holds
+    assert found.consistency.mean_square == pytest.approx(1.0, abs=0.1)
+    few = replace(
+        fit, solution=replace(fit.solution), start=replace(fit.start, time_s=fit.start.time_s - 1.0)
+    )
+    assert replace(found, fit=None).consistency is None
+    assert replace(found, fit=few).consistency is None  # all lies before the onset
+
+
+def test_innovations_leave_out_what_is_not_shown() -> None:
+    """Wild samples, and currents below half of a dead zone."""
+    _, fit, _ = fitted()
+    begin = int(np.sum(fit.start.time_s <= fit.onset_s)) + 1
+    wild = replace(fit.start, alignment=replace(fit.start.alignment, wild=(begin + 7, begin + 90)))
+    assert np.flatnonzero(np.isnan(replace(fit, start=wild).whitened[:, 0])).tolist() == [7, 90]
+    problem, zone = fit.solution.problem, float(fit.states[begin + 300, 0])
+    hiding = problem.known.copy()
+    hiding[places.ZONE] = 2.0 * zone
+    blind = replace(fit, solution=replace(fit.solution, problem=replace(problem, known=hiding)))
+    np.testing.assert_array_equal(np.isnan(blind.whitened[:, 0]), fit.states[begin:, 0] < zone)
+    assert not fit.is_hidden
+    assert replace(fit, model=("dead_zone",)).is_hidden
+
+
+def test_a_warning_is_allowed_for_where_there_is_a_verdict() -> None:
+    _, fit, _ = fitted()
+    odd = replace(fit, expected=fit.expected + [[0.0, 0.0], [0.05, 0.0]] * (len(fit.expected) // 2))
+    warned = of_one(fit=odd)
+    said = warned.telling.warning
+    assert "their mean is not 0" in said
+    assert f"  {said}; the verdict allows for it" in report.expert_lines(warned.telling)
+    assert f"  {said}" in report.expert_lines(replace(warned.telling, reference=None))
+    assert report.as_json(warned)["warning"] == said
+    assert report.as_json(warned)["consistent"] is False
