@@ -12,10 +12,10 @@ from motor_env import Recording, commission, diagnose, identify
 from motor_env.diagnosis.diagnose import Diagnosis
 from motor_env.diagnosis.misreading import BEYOND_WEAR, EXPLAINED, SWAPPED
 from motor_env.diagnosis.verdict import Verdict
-from motor_env.fitting.starts.plausibility import NOT_TURNING
 from motor_env.motor.data_sheet import Motor
 
 SHEET = Path(__file__).resolve().parents[3] / "examples" / "motor.toml"
+NOT_TURNING = "does not show that a motor turns"
 FORMS = {
     "start": (),
     "start without speed": ("speed_rad_s",),
