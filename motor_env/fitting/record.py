@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from motor_env.fitting.kernel import BEGIN, OPEN, REST, SWITCH, predict_each
+from motor_env.fitting.kernel import BEGIN, LOST, OPEN, REST, SWITCH, predict_each
 from motor_env.fitting.places import AFTER, CURVE, DELAY, NOISE_I, OFFSET_I, ONSET, RISE, ZONE, R
 from motor_env.motor.parameters import FloatArray
 
@@ -31,11 +32,12 @@ class Record:
 
     Attributes:
         dt_s: sampling interval.
-        voltage_v: shape (n,).
+        voltage_v: shape (n,); a guess where it is not known.
         readings: current and speed, shape (n, 2); zero where not recorded, NaN where a sample does not count.
         seen: 1 where current, speed were recorded, shape (2,).
-        marks: `kernel.BEGIN` at the first sample of each recording, `kernel.OPEN` where the circuit is open; (n,). A
-            start begins with `kernel.REST` or `kernel.STEADY`.
+        marks: `kernel.BEGIN` at the first sample of each recording, and at the next ones until all channels are read;
+            `kernel.OPEN` where the circuit is open, `kernel.LOST` where the voltage was not known; (n,). A start begins
+            with `kernel.REST` or `kernel.STEADY`.
         hold: what the voltage does between two samples; in a start it changes once between them, in the middle where
             there is no delay.
         averaged: number of samples whose mean is one sample here.
@@ -66,6 +68,17 @@ class Record:
     def begins(self) -> FloatArray:
         """1 at the first sample of each recording, shape (n,)."""
         return np.where(self.marks == BEGIN, 1.0, 0.0)
+
+    @property
+    def told(self) -> NDArray[np.bool_]:
+        """Which readings the motor's quantities are told by, shape (n, 2): all that are there and not `kernel.LOST`."""
+        told: NDArray[np.bool_] = np.isfinite(self.readings) & np.outer(self.marks != LOST, self.seen > 0.0)
+        return told
+
+    @property
+    def count(self) -> int:
+        """Number of these readings, without those that a recording begins with."""
+        return int(self.told[self.marks != BEGIN].sum())
 
     @property
     def duration_s(self) -> float:
@@ -165,20 +178,51 @@ class Record:
         """So many of its samples: stretches of equal length, evenly spread."""
         begins = np.arange(STRETCHES) * (len(self.voltage_v) // STRETCHES)
         some = (begins[:, None] + np.arange(count // STRETCHES)).ravel()
-        marks = self.marks[some]
-        marks[:: count // STRETCHES] = BEGIN
-        return replace(self, voltage_v=self.voltage_v[some], readings=self.readings[some], marks=marks)
+        return self._begun(some, np.arange(0, len(some), count // STRETCHES))
 
     def part(self, first: int, count: int) -> Record:
         """So many of its samples from one on, as a recording of its own."""
-        some = slice(first, first + count)
-        marks = self.marks[some].copy()
-        marks[0] = BEGIN
-        return replace(self, voltage_v=self.voltage_v[some], readings=self.readings[some], marks=marks)
+        return self._begun(np.arange(first, first + count), np.array([0]))
+
+    def _begun(self, some: NDArray[np.intp], begins: NDArray[np.intp]) -> Record:
+        """Some of its samples, of which some begin a recording."""
+        marks, readings = self.marks[some], self.readings[some]
+        marks[begins] = BEGIN
+        marks = with_begins(marks, readings, self.seen)
+        return replace(self, voltage_v=self.voltage_v[some], readings=readings, marks=marks)
 
     def only(self, *, current: bool, speed: bool) -> Record:
         """The same with some of the channels."""
         return replace(self, seen=self.seen * np.array([current, speed], dtype=np.float64))
+
+
+def with_begins(marks: FloatArray, readings: FloatArray, seen: FloatArray) -> FloatArray:
+    """Marks of recordings that begin again until the voltage is known and each channel is read twice in a row."""
+    marks, is_read = marks.copy(), np.isfinite(readings[:, seen > 0.0]).all(axis=1)
+    known = is_read[:-1] & is_read[1:] & (marks[1:] != LOST)
+    for begin in np.flatnonzero(marks == BEGIN).tolist():
+        while begin < len(known) and not known[begin]:
+            begin += 1
+            marks[begin] = BEGIN
+    return marks
+
+
+def lost_intervals(missing: NDArray[np.bool_], readings: FloatArray, seen: FloatArray) -> NDArray[np.bool_]:
+    """Which intervals, by the sample that ends each, have a voltage that is not known, shape (n,).
+
+    Two before a missing one and two after it: the voltage may be held either way, and come late. And those after them
+    until each channel has been read again.
+    """
+    unknown = np.pad(missing, 2)
+    lost: NDArray[np.bool_] = unknown[:-4] | unknown[1:-3] | unknown[2:-2] | unknown[3:-1]
+    is_read = np.isfinite(readings) | (seen == 0.0)
+    for last in np.flatnonzero(lost[:-1] & ~lost[1:]).tolist():
+        waiting = ~is_read[last]
+        while waiting.any() and last + 1 < len(lost):
+            last += 1
+            waiting &= ~is_read[last]
+            lost[last] = True
+    return lost
 
 
 def mean_rise(values: FloatArray, begin_s: FloatArray, end_s: FloatArray) -> FloatArray:

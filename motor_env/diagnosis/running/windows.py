@@ -21,7 +21,7 @@ from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.fitting import kernel, places
 from motor_env.fitting.record import Record
-from motor_env.fitting.recorded import block_means, from_recordings
+from motor_env.fitting.recorded import block_means, from_recordings, missing_blocks
 from motor_env.fitting.window import WindowFit, first_steps, fit_window
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
@@ -79,7 +79,8 @@ def averaged(recording: Recording, window_s: float) -> Recording:
         return recording
     columns = (recording.time_s, recording.current_a, *needed_columns(recording))
     time_s, current_a, voltage_v, speed_rad_s = (block_means(column, factor) for column in columns)
-    return Recording(recording.path, time_s, current_a, voltage_v, speed_rad_s)
+    missing = missing_blocks(recording, factor)
+    return Recording(recording.path, time_s, current_a, voltage_v, speed_rad_s, missing=missing)
 
 
 def windows_of(recording: Recording, window_s: float) -> list[Recording]:
