@@ -198,7 +198,8 @@ class Record:
 
 def with_begins(marks: FloatArray, readings: FloatArray, seen: FloatArray) -> FloatArray:
     """Marks of recordings that begin again until the voltage is known and each channel is read twice in a row."""
-    marks, is_read = marks.copy(), np.isfinite(readings[:, seen > 0.0]).all(axis=1)
+    marks = marks.copy()
+    is_read: NDArray[np.bool_] = np.all(np.isfinite(readings[:, seen > 0.0]), axis=1)
     known = is_read[:-1] & is_read[1:] & (marks[1:] != LOST)
     for begin in np.flatnonzero(marks == BEGIN).tolist():
         while begin < len(known) and not known[begin]:
@@ -215,7 +216,7 @@ def lost_intervals(missing: NDArray[np.bool_], readings: FloatArray, seen: Float
     """
     unknown = np.pad(missing, 2)
     lost: NDArray[np.bool_] = unknown[:-4] | unknown[1:-3] | unknown[2:-2] | unknown[3:-1]
-    is_read = np.isfinite(readings) | (seen == 0.0)
+    is_read: NDArray[np.bool_] = np.isfinite(readings) | (seen == 0.0)
     for last in np.flatnonzero(lost[:-1] & ~lost[1:]).tolist():
         waiting = ~is_read[last]
         while waiting.any() and last + 1 < len(lost):
