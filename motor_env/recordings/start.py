@@ -96,12 +96,13 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
 
     Raises:
         UnusableError: no start in it, or too few samples after it; a shunt is given and no voltage is known; samples of
-            the voltage are missing where it rises.
+            the voltage are missing where it rises, or of the current where it begins to.
     """
     alignment, missing = align(recording), recording.missing
     sign, after = alignment.sign, len(recording.time_s) - alignment.onset_index
     if missing is not None:
         after -= int(missing[alignment.onset_index :, 1].sum())
+        _refuse_lost_onset(missing[:, 1], alignment.onset_index)
     if after < _FEWEST_AFTER:
         raise UnusableError(f"only {after} samples follow the start; at least {_FEWEST_AFTER} are needed")
     supply, measured, level = recording.voltage_v, None, 1.0 if voltage_v is None else abs(voltage_v)
@@ -156,14 +157,33 @@ def _supply(
     return abs(tail) if abs(tail) > _REST_SHARE * largest else largest, voltage, 1.0
 
 
-def _refuse_lost_rise(voltage: FloatArray, missing: NDArray[np.bool_], largest: float) -> None:
-    """Refuse a measured curve with a hole in which it changes: how the current rose there is known, and not by what.
+def _holes(missing: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First sample of each hole, and the first after it."""
+    edges = np.flatnonzero(np.diff(missing.astype(np.int8), prepend=0, append=0))
+    return edges[::2], edges[1::2]
+
+
+def _refuse_lost_onset(missing: NDArray[np.bool_], onset: int) -> None:
+    """Refuse a current with a hole of several samples where it begins to rise: in it the onset and L may be anything.
 
     Raises:
         UnusableError: it is one.
     """
-    edges = np.flatnonzero(np.diff(missing.astype(np.int8), prepend=0, append=0))
-    before, after = np.maximum(edges[::2] - 1, 0), np.minimum(edges[1::2], len(voltage) - 1)
+    for first, end in zip(*_holes(missing), strict=True):
+        if first - 1 <= onset <= end and end - first > 1:
+            raise UnusableError(
+                f"{end - first} samples of the current are missing where it begins to rise: when it did is not known"
+            )
+
+
+def _refuse_lost_rise(voltage: FloatArray, missing: NDArray[np.bool_], largest: float) -> None:
+    """Refuse a measured curve with a hole in which it changes.
+
+    Raises:
+        UnusableError: it is one.
+    """
+    firsts, ends = _holes(missing)
+    before, after = np.maximum(firsts - 1, 0), np.minimum(ends, len(voltage) - 1)
     change = np.abs(voltage[after] - voltage[before])
     if change.max() > _REST_SHARE * largest:
         n = int(np.argmax(change))
