@@ -40,10 +40,10 @@ from motor_env.fitting.update import begin, lag_of, spread, steady, update
 from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, FloatArray
 
-BEGIN, OPEN, LOST, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0
-"""Marks of a sample: the first of a recording; an open circuit; after an interval whose voltage is not known; the
-first, of a motor that stands without current, or runs steadily under the first voltage; switched on after standing, so
-long before the sample as the value AFTER says."""
+BEGIN, OPEN, LOST, FOUND, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
+"""Marks of a sample: the first of a recording; an open circuit; after an interval whose voltage is not known; where the
+state behind it is not known yet; the first, of a motor that stands without current, or runs steadily under the first
+voltage; switched on after standing, so long before the sample as the value AFTER says."""
 _SLOW = 0.02  # of the largest speed: where dry friction is larger
 
 
@@ -100,12 +100,12 @@ def _read(
     is_known: bool,
     row: FloatArray,
 ) -> tuple[float, float]:
-    """Weigh in one reading: whitened innovation, and the logarithm of its variance; none behind an unknown voltage.
+    """Weigh in one reading: whitened innovation, and the logarithm of its variance; none LOST or FOUND.
 
     There it tells where the motor is, and nothing of what it is. The model that runs freely begins again as shown.
     """
     white, log = update(x, cov, place, shown, noise, learn and not is_known, row)
-    if mark != LOST:
+    if mark != LOST and mark != FOUND:
         return white, log
     if not learn:
         x[channel] = x[3 + channel] = shown

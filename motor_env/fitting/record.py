@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from motor_env.fitting.kernel import BEGIN, LOST, OPEN, REST, SWITCH, predict_each
+from motor_env.fitting.kernel import BEGIN, FOUND, LOST, OPEN, REST, SWITCH, predict_each
 from motor_env.fitting.places import AFTER, CURVE, DELAY, NOISE_I, OFFSET_I, ONSET, RISE, ZONE, R
 from motor_env.motor.parameters import FloatArray
 
@@ -36,7 +36,7 @@ class Record:
         readings: current and speed, shape (n, 2); zero where not recorded, NaN where a sample does not count.
         seen: 1 where current, speed were recorded, shape (2,).
         marks: `kernel.BEGIN` at the first sample of each recording, and at the next ones until all channels are read;
-            `kernel.OPEN` where the circuit is open, `kernel.LOST` where the voltage was not known; (n,). A start begins
+            `kernel.OPEN` where the circuit is open, `kernel.LOST` and `kernel.FOUND` after a hole; (n,). A start begins
             with `kernel.REST` or `kernel.STEADY`.
         hold: what the voltage does between two samples; in a start it changes once between them, in the middle where
             there is no delay.
@@ -71,8 +71,10 @@ class Record:
 
     @property
     def told(self) -> NDArray[np.bool_]:
-        """Which readings the motor's quantities are told by, shape (n, 2): all that are there and not `kernel.LOST`."""
-        told: NDArray[np.bool_] = np.isfinite(self.readings) & np.outer(self.marks != LOST, self.seen > 0.0)
+        """Which readings the motor's quantities are told by, shape (n, 2): all that are there and not behind a hole."""
+        told: NDArray[np.bool_] = np.isfinite(self.readings) & np.outer(
+            (self.marks != LOST) & (self.marks != FOUND), self.seen > 0.0
+        )
         return told
 
     @property
@@ -208,22 +210,28 @@ def with_begins(marks: FloatArray, readings: FloatArray, seen: FloatArray) -> Fl
     return marks
 
 
-def lost_intervals(missing: NDArray[np.bool_], readings: FloatArray, seen: FloatArray) -> NDArray[np.bool_]:
-    """Which intervals, by the sample that ends each, have a voltage that is not known, shape (n,).
+def with_holes(
+    marks: FloatArray, missing: NDArray[np.bool_], readings: FloatArray, seen: FloatArray
+) -> FloatArray:
+    """Marks of a record whose voltage has missing samples.
 
-    Two before a missing one and two after it: the voltage may be held either way, and come late. And those after them
-    until each channel has been read again.
+    Not known is the voltage of two intervals before such a sample and of two after it: it may be held either way, and
+    come late; and of those after them until each channel is read again. One reading more of each finds the state that
+    no reading shows.
     """
     unknown = np.pad(missing, 2)
     lost: NDArray[np.bool_] = unknown[:-4] | unknown[1:-3] | unknown[2:-2] | unknown[3:-1]
-    is_read: NDArray[np.bool_] = np.isfinite(readings) | (seen == 0.0)
-    for last in np.flatnonzero(lost[:-1] & ~lost[1:]).tolist():
-        waiting = ~is_read[last]
-        while waiting.any() and last + 1 < len(lost):
-            last += 1
-            waiting &= ~is_read[last]
-            lost[last] = True
-    return lost
+    marks, is_read = np.where(lost & (marks != BEGIN), LOST, marks), np.isfinite(readings) | (seen == 0.0)
+    for last in np.flatnonzero(lost & ~np.append(lost[1:], False)).tolist():
+        k, waiting, mark = last, ~is_read[last], LOST
+        while k + 1 < len(lost) and not lost[k + 1] and (waiting.any() or mark == LOST):
+            k += 1
+            if not waiting.any():
+                waiting, mark = np.ones(2, dtype=np.bool_), FOUND
+            if marks[k] != BEGIN:
+                marks[k] = mark
+            waiting &= ~is_read[k]
+    return marks
 
 
 def mean_rise(values: FloatArray, begin_s: FloatArray, end_s: FloatArray) -> FloatArray:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from motor_env.fitting.kernel import BEGIN, LOST, OPEN
-from motor_env.fitting.record import STRETCHES, Record, lost_intervals, with_begins
+from motor_env.fitting.kernel import BEGIN, OPEN
+from motor_env.fitting.record import STRETCHES, Record, with_begins, with_holes
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut
@@ -73,8 +73,7 @@ def from_recordings(
         begins = np.where(open_circuit(volts, readings, begins) & (begins == 0.0), OPEN, begins)
     if missing.any():
         readings[missing[:, 1:] & (seen > 0.0)] = np.nan
-        lost = lost_intervals(missing[:, 0], readings, seen)
-        begins = with_begins(np.where(lost & (begins != BEGIN), LOST, begins), readings, seen)
+        begins = with_begins(with_holes(begins, missing[:, 0], readings, seen), readings, seen)
     record = Record(
         dt_s=float(steps.mean()) * factor,
         voltage_v=volts,
