@@ -78,6 +78,14 @@ class Record:
         return told
 
     @property
+    def steps_seen(self) -> float:
+        """Share of the voltage's changes, squared, that no hole hides: they tell L, and how the voltage is held."""
+        if LOST not in self.marks:
+            return 1.0
+        changes = np.square(np.diff(self.voltage_v)) * (self.marks[1:] != BEGIN)
+        return float(np.sum(changes[self.marks[1:] != LOST])) / max(float(np.sum(changes)), 1e-300)
+
+    @property
     def count(self) -> int:
         """Number of these readings, without those that a recording begins with."""
         return int(self.told[self.marks != BEGIN].sum())
