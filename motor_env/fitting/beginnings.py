@@ -16,6 +16,7 @@ from motor_env.fitting.places import N_VALUES
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import noise_of
 from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.noise import filled
 
 _WINDOWS = (2, 5, 12, 30, 80, 200)
 _RESISTANCES = np.geomspace(0.04, 2.0, 9)
@@ -87,8 +88,8 @@ def _values(record: Record, **given: float) -> FloatArray:
     for name, value in given.items():
         values[getattr(places, name)] = value
     values[places.L] = max(values[places.L], _LEAST_LAG * values[places.R] * record.dt_s)
-    values[places.NOISE_I] = noise_of(record.readings[:, 0]) if record.seen[0] else 1.0
-    values[places.NOISE_W] = noise_of(record.readings[:, 1]) if record.seen[1] else 1.0
+    values[places.NOISE_I] = noise_of(filled(record.readings[:, 0])) if record.seen[0] else 1.0
+    values[places.NOISE_W] = noise_of(filled(record.readings[:, 1])) if record.seen[1] else 1.0
     return values
 
 
@@ -105,7 +106,7 @@ def _held(record: Record, column: FloatArray, window: int) -> FloatArray:
 
 def _both(record: Record, window: int, *, loaded: bool) -> FloatArray | None:
     """Current and speed: V = R i + L di/dt + K w + drop, K i = J dw/dt + B w + Tc sign(w)."""
-    i, w = record.readings[:, 0], record.readings[:, 1]
+    i, w = filled(record.readings[:, 0]), filled(record.readings[:, 1])
     means = {name: _windows(column, window, record.begins) for name, column in (("i", i), ("w", w))}
     direction = _windows(_sign(w), window, record.begins)
     volts = _held(record, record.voltage_v, window)
@@ -122,7 +123,7 @@ def _both(record: Record, window: int, *, loaded: bool) -> FloatArray | None:
 
 def _current(record: Record, window: int, share: float, *, loaded: bool) -> FloatArray | None:
     """Current alone, with K = 1: the speed is what is left of the voltage."""
-    i = record.readings[:, 0]
+    i = filled(record.readings[:, 0])
     volts, amps, _ = record.peaks
     r = share * volts / amps
     v, mean_i = _held(record, record.voltage_v, window), _windows(i, window, record.begins)
@@ -136,7 +137,7 @@ def _current(record: Record, window: int, share: float, *, loaded: bool) -> Floa
 
 def _speed(record: Record, window: int) -> FloatArray | None:
     """Speed alone, with R = 1 and B = 0: V = K w + J/K dw/dt + Tc/K sign(w)."""
-    w = record.readings[:, 1]
+    w = filled(record.readings[:, 1])
     volts = _held(record, record.voltage_v, window)
     k, lag, dead = _solve(
         [

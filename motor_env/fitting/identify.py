@@ -21,6 +21,10 @@ from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.periodic_lines import PeriodicLine
 from motor_env.recordings.recording import Recording
 
+FEWEST_STEPS = (
+    0.2  # of the voltage's changes: where holes hide more, the smallest misfit may be that of another motor
+)
+UNSEEN_STEPS = "how the current follows them is hardly seen, and with it the inductance"
 _UNTOLD = 0.5
 _LONGEST_LAG_S = 0.2  # L/R of brushed motors, with a margin
 _UNFIT = "its voltage hardly moves, or is a raw pulse-width modulation that was sampled more slowly than it switches"
@@ -251,6 +255,8 @@ def _notes(
     ]
     if untold:
         sentences.append(f"not determined by this record: {', '.join(untold)}")
+    if record.steps_seen < FEWEST_STEPS:
+        sentences.append(f"samples are missing at the voltage's steps: {UNSEEN_STEPS}")
     if lines:
         loudest = max(lines, key=lambda line: line.amplitude_a)
         where = f"{loudest.amplitude_a:.3g} A at {loudest.frequency_hz:.4g} Hz (or an alias of it)"

@@ -40,9 +40,10 @@ from motor_env.fitting.update import begin, lag_of, spread, steady, update
 from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, FloatArray
 
-BEGIN, OPEN, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0
-"""Marks of a sample: the first of a recording; an open circuit; the first, of a motor that stands without current, or
-runs steadily under the first voltage; switched on after standing, so long before the sample as the value AFTER says."""
+BEGIN, OPEN, LOST, FOUND, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
+"""Marks of a sample: the first of a recording; an open circuit; after an interval whose voltage is not known; where the
+state behind it is not known yet; the first, of a motor that stands without current, or runs steadily under the first
+voltage; switched on after standing, so long before the sample as the value AFTER says."""
 _SLOW = 0.02  # of the largest speed: where dry friction is larger
 
 
@@ -84,6 +85,31 @@ def _advance(
         for c in range(5):
             f[2, c] = m[2, 5] if c == 4 else 0.0
     x[4] = lag[0] * x[4] + lag[1] * w + lag[2] * x[1]
+
+
+@inlined
+def _read(
+    x: FloatArray,
+    cov: FloatArray,
+    channel: int,
+    place: int,
+    shown: float,
+    noise: float,
+    mark: float,
+    learn: bool,
+    is_known: bool,
+    row: FloatArray,
+) -> tuple[float, float]:
+    """Weigh in one reading: whitened innovation, and the logarithm of its variance; none LOST or FOUND.
+
+    There it tells where the motor is, and nothing of what it is. The model that runs freely begins again as shown.
+    """
+    white, log = update(x, cov, place, shown, noise, learn and not is_known, row)
+    if mark != LOST and mark != FOUND:
+        return white, log
+    if not learn:
+        x[channel] = x[3 + channel] = shown
+    return 0.0, 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -146,14 +172,15 @@ def predict(
             of, slow = (tables(p, p[AFTER]), lag_of(p, p[AFTER])) if mark == SWITCH else (usual, lag)
             _advance(of, slow, warm_k, m, x, u, p, dry, mark, marks[k - 1], dt_s, f)
             if learn and not is_known:
-                spread(cov, f, p, dt_s, slow, work)
+                # Whatever the voltage was, it was one that the motor knows.
+                spread(cov, f, p, max(p[NOISE_V], reach) if mark == LOST else p[NOISE_V], dt_s, slow, work)
         out[k, 0] = out[k, 1] = 0.0
         out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
         if seen[0] > 0.0 and shown_i == shown_i:
-            out[k, 0], log = update(x, cov, place_i, shown_i, p[NOISE_I], learn and not is_known, row)
+            out[k, 0], log = _read(x, cov, 0, place_i, shown_i, p[NOISE_I], mark, learn, is_known, row)
             logs += log
         if seen[1] > 0.0 and shown_w == shown_w:
-            out[k, 1], log = update(x, cov, place_w, shown_w, p[NOISE_W], learn and not is_known, row)
+            out[k, 1], log = _read(x, cov, 1, place_w, shown_w, p[NOISE_W], mark, learn, is_known, row)
             logs += log
         if learn:
             out[k, 4] = x[2]

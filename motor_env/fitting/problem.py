@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.optimize import least_squares
 
-from motor_env.fitting import kernel, places
+from motor_env.fitting import places
 from motor_env.fitting.record import Record
 from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
@@ -77,8 +77,7 @@ class Problem:
     @cached_property
     def count(self) -> int:
         """Number of readings."""
-        seen = np.isfinite(self.record.readings) & (self.record.seen > 0.0)
-        return int(np.sum(seen & (self.record.marks != kernel.BEGIN)[:, None]))
+        return self.record.count
 
     def jacobian(self, theta: FloatArray, base: FloatArray) -> FloatArray:
         """Derivatives of the residuals, which are `base` there, by differences in one direction."""
@@ -181,19 +180,18 @@ class Solution:
         """Physical values and noises, the noises scaled to what is left."""
         values = self.problem.values(self.theta)
         out, _ = self.problem.record.predict(values)
-        white = out[:, :2][:, self.problem.record.seen > 0.0]
-        values[[places.NOISE_I, places.NOISE_W, places.NOISE_V, places.WALK]] *= math.sqrt(
-            float(np.mean(white**2))
-        )
+        left = float(np.mean(out[:, :2][self.problem.record.told] ** 2))
+        values[[places.NOISE_I, places.NOISE_W, places.NOISE_V, places.WALK]] *= math.sqrt(left)
         return values
 
     def weighed(self) -> Problem:
         """The same problem with the noise of each channel as large as what is left of it."""
         problem, known = self.problem, self.problem.known.copy()
         left = problem.record.readings - problem.record.predict(problem.values(self.theta))[0][:, 2:4]
+        left[~problem.record.told] = np.nan
         for n, place in enumerate((places.NOISE_I, places.NOISE_W)):
             if problem.record.seen[n] > 0.0:
-                known[place] = max(float(np.std(np.nan_to_num(left[:, n]))), _LEAST_NOISE * known[place])
+                known[place] = max(float(np.nanstd(left[:, n])), _LEAST_NOISE * known[place])
         return replace(problem, known=known)
 
     def free(self) -> tuple[FloatArray, FloatArray]:
@@ -205,7 +203,10 @@ class Solution:
     def explained(self) -> tuple[float | None, float | None]:
         """Share of the variance of current and speed that the free model explains; None where not used."""
         record, free = self.problem.record, self.free()[1]
-        r2 = [_r2(record.readings[:, n], free[:, 2 + n]) if record.seen[n] else None for n in range(2)]
+        r2 = [
+            _r2(record.readings[told, n], free[told, 2 + n]) if record.seen[n] else None
+            for n, told in enumerate(record.told.T)
+        ]
         return r2[0], r2[1]
 
     def penalised(self) -> float:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from motor_env.fitting.kernel import BEGIN, OPEN, REST, SWITCH, predict_each
+from motor_env.fitting.kernel import BEGIN, FOUND, LOST, OPEN, REST, SWITCH, predict_each
 from motor_env.fitting.places import AFTER, CURVE, DELAY, NOISE_I, OFFSET_I, ONSET, RISE, ZONE, R
 from motor_env.motor.parameters import FloatArray
 
@@ -31,11 +32,12 @@ class Record:
 
     Attributes:
         dt_s: sampling interval.
-        voltage_v: shape (n,).
+        voltage_v: shape (n,); a guess where it is not known.
         readings: current and speed, shape (n, 2); zero where not recorded, NaN where a sample does not count.
         seen: 1 where current, speed were recorded, shape (2,).
-        marks: `kernel.BEGIN` at the first sample of each recording, `kernel.OPEN` where the circuit is open; (n,). A
-            start begins with `kernel.REST` or `kernel.STEADY`.
+        marks: `kernel.BEGIN` at the first sample of each recording, and at the next ones until all channels are read;
+            `kernel.OPEN` where the circuit is open, `kernel.LOST` and `kernel.FOUND` after a hole; (n,). A start begins
+            with `kernel.REST` or `kernel.STEADY`.
         hold: what the voltage does between two samples; in a start it changes once between them, in the middle where
             there is no delay.
         averaged: number of samples whose mean is one sample here.
@@ -66,6 +68,27 @@ class Record:
     def begins(self) -> FloatArray:
         """1 at the first sample of each recording, shape (n,)."""
         return np.where(self.marks == BEGIN, 1.0, 0.0)
+
+    @property
+    def told(self) -> NDArray[np.bool_]:
+        """Which readings the motor's quantities are told by, shape (n, 2): all that are there and not behind a hole."""
+        told: NDArray[np.bool_] = np.isfinite(self.readings) & np.outer(
+            (self.marks != LOST) & (self.marks != FOUND), self.seen > 0.0
+        )
+        return told
+
+    @property
+    def steps_seen(self) -> float:
+        """Share of the voltage's changes, squared, that no hole hides: they tell L, and how the voltage is held."""
+        if LOST not in self.marks:
+            return 1.0
+        changes = np.square(np.diff(self.voltage_v)) * (self.marks[1:] != BEGIN)
+        return float(np.sum(changes[self.marks[1:] != LOST])) / max(float(np.sum(changes)), 1e-300)
+
+    @property
+    def count(self) -> int:
+        """Number of these readings, without those that a recording begins with."""
+        return int(self.told[self.marks != BEGIN].sum())
 
     @property
     def duration_s(self) -> float:
@@ -165,20 +188,58 @@ class Record:
         """So many of its samples: stretches of equal length, evenly spread."""
         begins = np.arange(STRETCHES) * (len(self.voltage_v) // STRETCHES)
         some = (begins[:, None] + np.arange(count // STRETCHES)).ravel()
-        marks = self.marks[some]
-        marks[:: count // STRETCHES] = BEGIN
-        return replace(self, voltage_v=self.voltage_v[some], readings=self.readings[some], marks=marks)
+        return self._begun(some, np.arange(0, len(some), count // STRETCHES))
 
     def part(self, first: int, count: int) -> Record:
         """So many of its samples from one on, as a recording of its own."""
-        some = slice(first, first + count)
-        marks = self.marks[some].copy()
-        marks[0] = BEGIN
-        return replace(self, voltage_v=self.voltage_v[some], readings=self.readings[some], marks=marks)
+        return self._begun(np.arange(first, first + count), np.array([0]))
+
+    def _begun(self, some: NDArray[np.intp], begins: NDArray[np.intp]) -> Record:
+        """Some of its samples, of which some begin a recording."""
+        marks, readings = self.marks[some], self.readings[some]
+        marks[begins] = BEGIN
+        marks = with_begins(marks, readings, self.seen)
+        return replace(self, voltage_v=self.voltage_v[some], readings=readings, marks=marks)
 
     def only(self, *, current: bool, speed: bool) -> Record:
         """The same with some of the channels."""
         return replace(self, seen=self.seen * np.array([current, speed], dtype=np.float64))
+
+
+def with_begins(marks: FloatArray, readings: FloatArray, seen: FloatArray) -> FloatArray:
+    """Marks of recordings that begin again until the voltage is known and each channel is read twice in a row."""
+    marks = marks.copy()
+    is_read: NDArray[np.bool_] = np.all(np.isfinite(readings[:, seen > 0.0]), axis=1)
+    known = is_read[:-1] & is_read[1:] & (marks[1:] != LOST)
+    for begin in np.flatnonzero(marks == BEGIN).tolist():
+        while begin < len(known) and not known[begin]:
+            begin += 1
+            marks[begin] = BEGIN
+    return marks
+
+
+def with_holes(
+    marks: FloatArray, missing: NDArray[np.bool_], readings: FloatArray, seen: FloatArray
+) -> FloatArray:
+    """Marks of a record whose voltage has missing samples.
+
+    Not known is the voltage of two intervals before such a sample and of two after it: it may be held either way, and
+    come late; and of those after them until each channel is read again. One reading more of each finds the state that
+    no reading shows.
+    """
+    unknown = np.pad(missing, 2)
+    lost: NDArray[np.bool_] = unknown[:-4] | unknown[1:-3] | unknown[2:-2] | unknown[3:-1]
+    marks, is_read = np.where(lost & (marks != BEGIN), LOST, marks), np.isfinite(readings) | (seen == 0.0)
+    for last in np.flatnonzero(lost & ~np.append(lost[1:], False)).tolist():
+        k, waiting, mark = last, ~is_read[last], LOST
+        while k + 1 < len(lost) and not lost[k + 1] and (waiting.any() or mark == LOST):
+            k += 1
+            if not waiting.any():
+                waiting, mark = np.ones(2, dtype=np.bool_), FOUND
+            if marks[k] != BEGIN:
+                marks[k] = mark
+            waiting &= ~is_read[k]
+    return marks
 
 
 def mean_rise(values: FloatArray, begin_s: FloatArray, end_s: FloatArray) -> FloatArray:

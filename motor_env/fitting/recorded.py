@@ -11,8 +11,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from motor_env.fitting.kernel import OPEN
-from motor_env.fitting.record import STRETCHES, Record
+from motor_env.fitting.kernel import BEGIN, OPEN
+from motor_env.fitting.record import STRETCHES, Record, with_begins, with_holes
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut
@@ -21,7 +21,7 @@ from motor_env.recordings.start import Circuit
 
 FEWEST = 40
 MOST = 10_000
-_LOOKED_AT, _LOST = 1_000_000, 0.02
+_LOOKED_AT, _LOST, _MISSING = 1_000_000, 0.02, 0.1
 _SAME_DT = 0.02
 _FEWEST_OPEN, _NO_CURRENT = 6, 0.95  # samples, and the share of them without current
 _COASTS, _SLOWS, _ZERO = 0.02, 0.1, 0.003  # of the largest voltage, speed, current
@@ -64,13 +64,17 @@ def from_recordings(
             columns[place].append(np.zeros(len(voltage)) if column is None else block_means(column, factor))
         columns[3].append(np.eye(1, len(voltage))[0])
     volts, current, speed, begins = (np.concatenate(each) for each in columns)
+    missing = np.concatenate([missing_blocks(recording, factor) for recording in whole])
     seen = np.array([float(parts[0][1] is not None), float(parts[0][2] is not None)])
     if len(volts) < FEWEST:
         raise UnusableError(f"only {len(volts)} samples; at least {FEWEST} are needed")
     readings = np.ascontiguousarray(np.stack([current, speed], axis=1))
     if seen[0]:
         begins = np.where(open_circuit(volts, readings, begins) & (begins == 0.0), OPEN, begins)
-    return Record(
+    if missing.any():
+        readings[missing[:, 1:] & (seen > 0.0)] = np.nan
+        begins = with_begins(with_holes(begins, missing[:, 0], readings, seen), readings, seen)
+    record = Record(
         dt_s=float(steps.mean()) * factor,
         voltage_v=volts,
         readings=readings,
@@ -80,6 +84,13 @@ def from_recordings(
         averaged=factor * recordings[0].averaged,
         share=share,
     )
+    told = int(record.told[begins != BEGIN][:, seen > 0.0].sum(axis=0).min())
+    if missing.any() and told < FEWEST:
+        raise UnusableError(
+            f"only {told} of {len(volts)} samples are there, and follow others {record.dt_s:.4g} s apart without a"
+            f" hole; at least {FEWEST} are needed"
+        )
+    return record
 
 
 def open_circuit(voltage_v: FloatArray, readings: FloatArray, begins: FloatArray) -> NDArray[np.bool_]:
@@ -147,6 +158,16 @@ def block_means(values: FloatArray, factor: int) -> FloatArray:
     return means
 
 
+def missing_blocks(recording: Recording, factor: int) -> NDArray[np.bool_]:
+    """Which means of neighbours are missing, shape (n, 3): those of which more than a tenth is."""
+    if recording.missing is None:
+        return np.zeros((len(recording.time_s) // factor, 3), dtype=np.bool_)
+    whole = len(recording.time_s) // factor * factor
+    shares = recording.missing[:whole].reshape(-1, factor, 3).mean(axis=1)
+    missing: NDArray[np.bool_] = shares > _MISSING
+    return missing
+
+
 def _averageable(recording: Recording, wanted: int) -> int:
     """Number of neighbours whose means keep nearly all that the current, beyond its noise, or the speed tells."""
     column = (
@@ -190,6 +211,8 @@ def at_terminals(
         voltage = recording.duty * voltage_v
     if voltage is not None and circuit is not None:
         voltage = voltage - circuit.shunt_ohm * recording.current_a
+        if recording.missing is not None and circuit.shunt_ohm > 0.0:
+            voltage = np.where(recording.missing[:, 1], np.nan, voltage)
     return replace(recording, voltage_v=voltage)
 
 

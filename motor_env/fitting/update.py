@@ -10,7 +10,6 @@ from motor_env.fitting.places import (
     LAG_W,
     LOAD,
     NOISE_I,
-    NOISE_V,
     NOISE_W,
     SQUARE,
     WALK,
@@ -45,13 +44,14 @@ def spread(
     cov: FloatArray,
     f: FloatArray,
     p: FloatArray,
+    noise_v: float,
     dt_s: float,
     lag: tuple[float, float, float],
     work: FloatArray,
 ) -> None:
     """Covariance after an interval, in place: P = F P F' + Q. Only the upper triangle is used."""
     a, b, c, d, e, h = f[0, 0], f[0, 1], f[0, 2], f[1, 0], f[1, 1], f[1, 2]
-    noise_i, noise_w = p[NOISE_V] * f[0, 3], p[NOISE_V] * f[1, 3]
+    noise_i, noise_w = noise_v * f[0, 3], noise_v * f[1, 3]
     ii, iw, ww = cov[0, 0], cov[0, 1], cov[1, 1]
     if cov.shape[0] == 2:
         cov[0, 0] = a * a * ii + 2.0 * a * b * iw + b * b * ww + noise_i * noise_i
@@ -80,7 +80,7 @@ def spread(
     product(whole, cov, half)
     for r in range(5):
         for k in range(r, 5):
-            total = p[NOISE_V] ** 2 * by_volt[r] * by_volt[k]
+            total = noise_v**2 * by_volt[r] * by_volt[k]
             for n in range(5):
                 total += half[r, n] * whole[k, n]
             cov[r, k] = total
@@ -120,8 +120,13 @@ def begin(
 ) -> None:
     """State at the first sample of a recording: as shown; what is not seen from the balance of the voltages.
 
-    `shown` is what this sample and the next show, shape (2, 2), `volts` the voltage between them.
+    `shown` is what this sample and the next show, shape (2, 2), `volts` the voltage between them. Where a reading is
+    missing the recording begins again at the next sample; until then any number will do.
     """
+    for r in range(2):
+        for c in range(2):
+            if shown[r, c] != shown[r, c]:
+                shown[r, c] = 0.0
     n, i, next_i = cov.shape[0], shown[0, 0], shown[1, 0]
     x[:] = 0.0
     inner = p[R] * 0.5 * (i + next_i) + p[L] * (next_i - i) / dt_s

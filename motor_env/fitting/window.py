@@ -59,7 +59,7 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
     way = math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
     slope = np.diag([1.0, 1.0, 1.0, way])
     logs = np.log([values[places.R], values[places.K], values[places.J], factor])
-    whitened = record.predict(values)[0][1:, :2]
+    whitened = np.where(record.told, record.predict(values)[0][:, :2], np.nan)[1:]
     return WindowFit(logs, capped(slope @ spread[np.ix_(at, at)] @ slope), values, whitened)
 
 

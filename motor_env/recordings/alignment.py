@@ -83,7 +83,8 @@ def align(recording: Recording) -> Alignment:
     sign = 1.0 if deviation.max() >= -deviation.min() else -1.0
     noise = difference_noise(current)
     onset = _onset(sign * deviation, noise)
-    steps = np.abs(np.diff(current))
+    there = current if recording.missing is None else current[~recording.missing[:, 1]]
+    steps = np.abs(np.diff(there))
     quantum = float(np.min(steps, where=steps > 0.0, initial=span))
     rectified = _is_rectified(current, onset, quantum)
     quiet = current[: max(onset - _GUARD, 0)]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
@@ -24,6 +25,7 @@ from motor_env.recordings.headers import (
     unit_key,
     unit_quantity,
 )
+from motor_env.recordings.noise import filled
 from motor_env.recordings.plausible import (
     LARGE_CURRENT_A,
     LARGEST_CURRENT_A,
@@ -51,11 +53,15 @@ def recognise(
 ) -> tuple[dict[str, Column], tuple[str, ...]]:
     """The quantities of a table, `time` and `current` among them, and the names of the columns that are not used.
 
+    A value that is missing is NaN; where the time is missing, all others are.
+
     Raises:
         InputError: one of these two is missing, two columns look alike, or a column's unit cannot be told; the sentence
             names the option that helps.
     """
     meanings = [understand(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
+    missing = np.isnan(table.values)
+    table = replace(table, values=_whole(table.values))
     found: dict[str, Column] = {}
     chosen: dict[str, int] = {}
     suggested = Suggestions(path, table, meanings, chosen)
@@ -71,7 +77,7 @@ def recognise(
     told = {meanings[k].quantity for k in free} - {choice.quantity for choice in choices}
     if "current" not in found and "current" not in told:
         raise InputError(suggested.missing_current(free))
-    used = set()
+    places = dict(chosen)
     for quantity in dict.fromkeys(meanings[k].quantity for k in free):
         if quantity is not None and quantity in told:
             alike = [k for k in free if meanings[k].quantity == quantity]
@@ -80,15 +86,36 @@ def recognise(
                 alike = rising if len(rising) == 1 else alike
             if len(alike) > 1:
                 raise InputError(suggested.ambiguous(quantity, alike))
-            used.add(alike[0])
             found[quantity] = _column(suggested, meanings[alike[0]], alike[0], quantity)
+            places[quantity] = alike[0]
     counter = next((k for k, meaning in enumerate(meanings) if meaning.unit == NUMBERED), None)
     if "time" not in found:
         found["time"] = _counted(suggested, counter)
     found["time"] = _unrounded(found["time"])
     _refuse_no_current(path, found)
-    unused = tuple(suggested.name(k) for k in free if k not in used and k != counter)
+    unused = tuple(suggested.name(k) for k in free if k not in places.values() and k != counter)
+    _restore(found, places, missing)
     return {quantity: found[quantity] for quantity in QUANTITIES if quantity in found}, unused
+
+
+def _whole(values: FloatArray) -> FloatArray:
+    """Columns with their missing values filled; of whole numbers with whole ones, since counts are known by that."""
+    if not np.isnan(values).any():
+        return values
+    is_whole = np.array([np.array_equal(column, np.round(column), equal_nan=True) for column in values.T])
+    full = np.stack([filled(column) for column in values.T], axis=1)
+    return np.where(is_whole, np.round(full), full)
+
+
+def _restore(found: dict[str, Column], places: Mapping[str, int], missing: NDArray[np.bool_]) -> None:
+    """Make the missing values of each quantity NaN again, all of them where the time is missing."""
+    untimed = missing[:, places["time"]] if "time" in places else np.zeros(len(missing), dtype=np.bool_)
+    for quantity in places.keys() - {"time"}:
+        lost = missing[:, places[quantity]] | untimed
+        if lost.any():
+            values, origin, warning = found[quantity]
+            words = f"{origin}, {np.count_nonzero(lost)} of {len(lost)} values missing"
+            found[quantity] = Column(np.where(lost, np.nan, values), words, warning)
 
 
 def _unrounded(time: Column) -> Column:

@@ -80,6 +80,17 @@ def without_wild(current: FloatArray, wild: Sequence[int]) -> FloatArray:
     return mended
 
 
+def filled(values: FloatArray) -> FloatArray:
+    """Values with straight lines in place of NaN; zeros where nothing else is there."""
+    known = ~np.isnan(values)
+    if known.all():
+        return values
+    if not known.any():
+        return np.zeros(len(values))
+    places = np.arange(len(values))
+    return np.interp(places, places[known], values[known])
+
+
 def hidden_level(quiet: FloatArray, noise: float, quantum: float) -> float:
     """What a converter's steps hide of a steady current, given the quiet part, or without one the noise all through.
 

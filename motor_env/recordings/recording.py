@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.columns import recognise
 from motor_env.recordings.headers import SI, ColumnChoice
+from motor_env.recordings.noise import filled
 from motor_env.recordings.tables import read_table
 from motor_env.recordings.text.block import FEWEST_SAMPLES
 from motor_env.recordings.text.settings import Table
@@ -24,13 +26,21 @@ if TYPE_CHECKING:
 _SHORTEST_STEP_S, _LONGEST_STEP_S = 1e-10, 1e4
 _SMALLEST_READING, _LARGEST_READING = 1e-12, 1e9
 _LATEST_BEGIN_S = 1e7  # seconds of a computer's clock count from 1970
-_GAP_STEPS = 100.0  # median steps without a sample: what lies between is not known
+_GAP_STEPS = 100.0  # median steps without a sample: the recording is cut there
 _Record = TypeVar("_Record", bound="DataclassInstance")
+_AS_LONG, _ALIKE = 0.2, 0.05  # of the median step: usual ones; standard deviation of a clock's
+_MOSTLY = 0.9  # of the steps: where fewer are usual, times near even ones were rounded
+_HOLE = 1.75  # median steps of a clock that is not even: nearly all of its own steps are shorter
+_MOST_PLACES = 4_000_000
+_CHANNELS = {"voltage_v": 0, "duty": 0, "current_a": 1, "speed_rad_s": 2}
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
     """One recording, in SI units, on an even time axis.
+
+    NaN is a missing sample. It is filled in a straight line, so that pictures and first guesses have numbers, and is
+    kept as `missing`, so that no fit takes them for readings.
 
     Attributes:
         path: where it was read from.
@@ -42,6 +52,7 @@ class Recording:
         columns: how the columns were understood, for the user.
         averaged: number of samples of the file whose mean is one sample here.
         warnings: what contradicts itself in what was said of the columns.
+        missing: which samples of voltage (or duty), current and speed are missing, shape (n_samples, 3); None for none.
     """
 
     path: Path
@@ -53,6 +64,19 @@ class Recording:
     columns: tuple[str, ...] = ()
     averaged: int = 1
     warnings: tuple[str, ...] = ()
+    missing: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        for name, channel in _CHANNELS.items():
+            values = getattr(self, name)
+            if values is None or not (lost := np.isnan(values)).any():
+                continue
+            missing = (
+                np.zeros((len(values), 3), dtype=np.bool_) if self.missing is None else self.missing.copy()
+            )
+            missing[:, channel] |= lost
+            object.__setattr__(self, "missing", missing)
+            object.__setattr__(self, name, filled(values))
 
     @property
     def dt_s(self) -> float:
@@ -112,7 +136,7 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
     if not _SHORTEST_STEP_S <= float(np.median(steps)) <= _LONGEST_STEP_S:
         raise InputError(f"{path}: samples {np.median(steps):.3g} s apart are no recording of a motor")
     for name, values in columns.items():
-        largest = float(np.max(np.abs(values)))
+        largest = float(np.nanmax(np.abs(values)))
         if largest > _LARGEST_READING or (name != "time" and 0.0 < largest < _SMALLEST_READING):
             raise InputError(f"{path}: a {name} of {largest:.3g} is no reading of a motor")
     stretch, gap_note = _without_gaps(time, steps)
@@ -137,7 +161,7 @@ def _summary(time_s: FloatArray, columns: dict[str, FloatArray]) -> str:
     """Number, rate and ranges of the samples, by which a wrong unit is seen."""
     rate = (len(time_s) - 1) / (time_s[-1] - time_s[0])
     ranges = [
-        f"{name} {values.min():.4g} to {values.max():.4g} {SI[name]}"
+        f"{name} {np.nanmin(values):.4g} to {np.nanmax(values):.4g} {SI[name]}"
         for name, values in columns.items()
         if name != "time"
     ]
@@ -159,13 +183,65 @@ def _without_gaps(time_s: FloatArray, steps: FloatArray) -> tuple[slice, tuple[s
 def evened(
     time_s: FloatArray, columns: dict[str, FloatArray]
 ) -> tuple[FloatArray, dict[str, FloatArray], tuple[str, ...]]:
-    """Columns on an even time axis, and a note where they had to be interpolated."""
-    even = np.linspace(time_s[0], time_s[-1], len(time_s))
+    """Columns on an even time axis, and a note where they had to be changed.
+
+    A clock that is not quite even is interpolated. Where an even one left samples out, or changed its rate, what lies
+    between two samples is not known: it is NaN on the axis, and an interval of another length has one NaN in it at
+    least. A voltage that was interpolated there would step at another time than the motor's.
+    """
+    count, steps = len(time_s), np.diff(time_s)
+    even = np.linspace(time_s[0], time_s[-1], count)
     off = float(np.max(np.abs(even - time_s)) / (even[1] - even[0]))
     if off <= 0.02:
         return even, columns, ()
-    if off >= 0.5:  # gaps: evenly at the median step
-        count = int(min((time_s[-1] - time_s[0]) / np.median(np.diff(time_s)), 4 * len(time_s)))
-        even = np.linspace(time_s[0], time_s[-1], max(count, 1) + 1)
+    step_s, is_usual, is_clock = _usual(steps)
+    if is_clock and not is_usual.all() and (off >= 0.5 or float(np.mean(is_usual)) > _MOSTLY):
+        samples, places = _placed(time_s, step_s, is_usual)
+        if places[-1] < max(4 * count, _MOST_PLACES):
+            even = time_s[0] + step_s * np.arange(places[-1] + 1)
+            whole = {name: np.full(len(even), np.nan) for name in columns}
+            for name, values in columns.items():
+                whole[name][places] = values[samples]
+            words = f"{count} samples, most of them {step_s:.6g} s apart: what lies between others counts as missing"
+            return even, whole, (words,)
+    if off >= 0.5:  # evenly at the median step
+        many = int(min((time_s[-1] - time_s[0]) / np.median(steps), 4 * count))
+        even = np.linspace(time_s[0], time_s[-1], max(many, 1) + 1)
     columns = {name: np.interp(even, time_s, values) for name, values in columns.items()}
+    if not is_clock:
+        after = np.clip(np.searchsorted(time_s, even), 1, count - 1)
+        is_hole = (
+            (steps[after - 1] > _HOLE * np.median(steps))
+            & (even < time_s[after])
+            & (even > time_s[after - 1])
+        )
+        columns = {name: np.where(is_hole, np.nan, values) for name, values in columns.items()}
     return even, columns, ("the time axis is uneven: interpolated to an even one",)
+
+
+def _usual(steps: FloatArray) -> tuple[float, NDArray[np.bool_], bool]:
+    """The usual step, which steps are about as long, and whether they are so alike that a clock made them."""
+    median = float(np.median(steps))
+    is_usual = np.abs(steps - median) <= _AS_LONG * median
+    usual = steps[is_usual]
+    return float(usual.mean()), is_usual, float(usual.std()) < _ALIKE * median
+
+
+def _placed(
+    time_s: FloatArray, step_s: float, is_usual: NDArray[np.bool_]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Samples, and their places on an even axis: neighbours a usual step apart, two places at least between others.
+
+    Samples that lie too close to those before are left out until there is room.
+    """
+    firsts = np.append(0, np.flatnonzero(~is_usual) + 1)
+    samples, places, end = [], [], -2
+    for first, last in pairwise([*firsts.tolist(), len(time_s)]):
+        place = round((time_s[first] - time_s[0]) / step_s)
+        begin = first + max(end + 2 - place, 0)
+        if begin < last:
+            place += begin - first
+            end = place + last - 1 - begin
+            samples.append(np.arange(begin, last))
+            places.append(np.arange(place, end + 1))
+    return np.concatenate(samples), np.concatenate(places)

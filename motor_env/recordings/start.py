@@ -45,6 +45,7 @@ class Start:
         from_rest: whether the motor stands before; else it runs steadily under the first voltage.
         circuit: what is known of the measuring circuit.
         lines: ripple of constant frequency in the current of the running motor, which belongs to the supply.
+        missing: which samples of current and speed are missing, shape (n_samples, 2); None for none.
     """
 
     time_s: FloatArray
@@ -57,6 +58,7 @@ class Start:
     from_rest: bool = True
     circuit: Circuit = Circuit()
     lines: tuple[PeriodicLine, ...] = ()
+    missing: NDArray[np.bool_] | None = None
 
     @property
     def dt_s(self) -> float:
@@ -65,8 +67,8 @@ class Start:
 
     @property
     def counted(self) -> NDArray[np.bool_]:
-        """Which samples of the current count: all but the wild ones, shape (n_samples,)."""
-        out = np.ones(len(self.time_s), dtype=np.bool_)
+        """Which samples of the current count: all but the wild and the missing ones, shape (n_samples,)."""
+        out = np.ones(len(self.time_s), dtype=np.bool_) if self.missing is None else ~self.missing[:, 0]
         out[[k for k in self.alignment.wild if k < len(out)]] = False
         return out
 
@@ -93,10 +95,14 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
         circuit: what is known of the measuring circuit.
 
     Raises:
-        UnusableError: no start in it, or too few samples after it; a shunt is given and no voltage is known.
+        UnusableError: no start in it, or too few samples after it; a shunt is given and no voltage is known; samples of
+            the voltage are missing where it rises, or of the current where it begins to.
     """
-    alignment = align(recording)
+    alignment, missing = align(recording), recording.missing
     sign, after = alignment.sign, len(recording.time_s) - alignment.onset_index
+    if missing is not None:
+        after -= int(missing[alignment.onset_index :, 1].sum())
+        _refuse_lost_onset(missing[:, 1], alignment.onset_index)
     if after < _FEWEST_AFTER:
         raise UnusableError(f"only {after} samples follow the start; at least {_FEWEST_AFTER} are needed")
     supply, measured, level = recording.voltage_v, None, 1.0 if voltage_v is None else abs(voltage_v)
@@ -104,7 +110,7 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
     if supply is None and recording.duty is not None:
         supply = level * recording.duty
     if supply is not None:
-        level, measured, sign = _supply(supply, sign)
+        level, measured, sign = _supply(supply, sign, None if missing is None else missing[:, 0])
     if circuit is not None and circuit.shunt_ohm > 0.0 and not known:
         raise UnusableError("a shunt in series can be taken off only where the voltage is known")
     speed = None
@@ -116,7 +122,16 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
         alignment = replace(alignment, offset_a=0.0, n_quiet=0)
     current = sign * recording.current_a
     return Start(
-        recording.time_s, current, speed, measured, level, known, alignment, from_rest, circuit or Circuit()
+        recording.time_s,
+        current,
+        speed,
+        measured,
+        level,
+        known,
+        alignment,
+        from_rest,
+        circuit or Circuit(),
+        missing=None if missing is None else missing[:, 1:],
     )
 
 
@@ -125,9 +140,11 @@ def mean_tail(values: FloatArray) -> float:
     return float(np.mean(values[-max(len(values) // 10, 1) :]))
 
 
-def _supply(voltage: FloatArray, sign: float) -> tuple[float, FloatArray | None, float]:
+def _supply(
+    voltage: FloatArray, sign: float, missing: NDArray[np.bool_] | None
+) -> tuple[float, FloatArray | None, float]:
     """Level of a commanded step, or the measured curve: a command takes at most two values."""
-    levels = np.unique(voltage)
+    levels = np.unique(voltage if missing is None else voltage[~missing])
     tail = float(np.median(voltage[-max(len(voltage) // 4, 1) :]))
     if len(levels) == 1 or (len(levels) == 2 and 0.0 in levels):
         if tail == 0.0:
@@ -135,4 +152,42 @@ def _supply(voltage: FloatArray, sign: float) -> tuple[float, FloatArray | None,
         return abs(tail), None, sign
     # An even square wave has the median 0.
     largest = float(np.max(np.abs(voltage)))
+    if missing is not None and missing.any():
+        _refuse_lost_rise(voltage, missing, largest)
     return abs(tail) if abs(tail) > _REST_SHARE * largest else largest, voltage, 1.0
+
+
+def _holes(missing: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First sample of each hole, and the first after it."""
+    edges = np.flatnonzero(np.diff(missing.astype(np.int8), prepend=0, append=0))
+    return edges[::2], edges[1::2]
+
+
+def _refuse_lost_onset(missing: NDArray[np.bool_], onset: int) -> None:
+    """Refuse a current with a hole of several samples where it begins to rise: in it the onset and L may be anything.
+
+    Raises:
+        UnusableError: it is one.
+    """
+    for first, end in zip(*_holes(missing), strict=True):
+        if first - 1 <= onset <= end and end - first > 1:
+            raise UnusableError(
+                f"{end - first} samples of the current are missing where it begins to rise: when it did is not known"
+            )
+
+
+def _refuse_lost_rise(voltage: FloatArray, missing: NDArray[np.bool_], largest: float) -> None:
+    """Refuse a measured curve with a hole in which it changes.
+
+    Raises:
+        UnusableError: it is one.
+    """
+    firsts, ends = _holes(missing)
+    before, after = np.maximum(firsts - 1, 0), np.minimum(ends, len(voltage) - 1)
+    change = np.abs(voltage[after] - voltage[before])
+    if change.max() > _REST_SHARE * largest:
+        n = int(np.argmax(change))
+        raise UnusableError(
+            f"samples of the voltage are missing where it goes from {voltage[before[n]]:.3g} to"
+            f" {voltage[after[n]]:.3g} V: the start cannot be fitted without them"
+        )

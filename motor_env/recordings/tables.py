@@ -50,7 +50,7 @@ def read_table(path: Path, wanted: Sequence[str] = ()) -> Table:
         wanted: columns that must not be left out.
 
     Raises:
-        InputError: the file is missing, empty, too large or of no kind that can be read; a cell is no finite number.
+        InputError: the file is missing, empty, too large or of no kind that can be read; a cell holds no number.
     """
     size, averaged = 0, 1
     with suppress(OSError):  # it is told when the file is opened
@@ -180,7 +180,7 @@ def _columns(path: Path, arrays: dict[str, Any], averaged: int, wanted: Sequence
     """Table of the arrays of one length, that of a wanted one or the most frequent, and of the columns of a matrix.
 
     Raises:
-        InputError: no such array, a value that is not finite, or a quantity would be lost with an array of another
+        InputError: no such array, a value that is infinite, or a quantity would be lost with an array of another
             length.
     """
     numbers: dict[str, FloatArray] = {
@@ -208,7 +208,7 @@ def _columns(path: Path, arrays: dict[str, Any], averaged: int, wanted: Sequence
         if name in wanted or (understand(name).quantity not in there and len(values) >= FEWEST_SAMPLES):
             raise InputError(f"{path}: {name} has {len(values)} values where the others have {length}")
     values = np.column_stack(list(flat.values()))
-    bad = np.argwhere(~np.isfinite(values))
+    bad = np.argwhere(np.isinf(values))
     if len(bad):
         row, column = bad[0]
         raise InputError(

@@ -22,7 +22,7 @@ from motor_env.diagnosis.running.windows import (
     windows_of,
 )
 from motor_env.fitting import places
-from motor_env.fitting.identify import Operation, identify_operation
+from motor_env.fitting.identify import FEWEST_STEPS, UNSEEN_STEPS, Operation, identify_operation
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.window import fit_window
@@ -72,6 +72,8 @@ def learn_windows(
     joint = identify_operation(chosen, most=max(MOST, sum(len(one.time_s) for one in chosen)))
     if not joint.record.seen.all():
         raise UnusableError(NEEDED)
+    if joint.record.steps_seen < FEWEST_STEPS:
+        raise UnusableError(f"samples are missing at the voltage's steps: {UNSEEN_STEPS}")
     known, wanted, hold = known_of(joint), joint.solution.names, joint.record.hold
     if steady:
         wanted = tuple(name for name in wanted if not name.startswith("offset"))

@@ -68,8 +68,11 @@ class Looks:
 
     def at_end(self, recording: Recording, due: Sequence[int]) -> Judgement | None:
         """The first alarm of looks at the end of a recording; None where all is well."""
+        recording = averaged(recording, self.judge.windows.window_s)
+        if not self.judge.is_sampled_alike(recording):
+            return None
         try:
-            record = from_recordings([averaged(recording, self.judge.windows.window_s)])
+            record = from_recordings([recording])
         except UnusableError:
             return None
         record = replace(record, hold=self.judge.windows.hold)

@@ -21,7 +21,7 @@ from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.fitting import kernel, places
 from motor_env.fitting.record import Record
-from motor_env.fitting.recorded import block_means, from_recordings
+from motor_env.fitting.recorded import block_means, from_recordings, missing_blocks
 from motor_env.fitting.window import WindowFit, first_steps, fit_window
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
@@ -79,7 +79,8 @@ def averaged(recording: Recording, window_s: float) -> Recording:
         return recording
     columns = (recording.time_s, recording.current_a, *needed_columns(recording))
     time_s, current_a, voltage_v, speed_rad_s = (block_means(column, factor) for column in columns)
-    return Recording(recording.path, time_s, current_a, voltage_v, speed_rad_s)
+    missing = missing_blocks(recording, factor)
+    return Recording(recording.path, time_s, current_a, voltage_v, speed_rad_s, missing=missing)
 
 
 def windows_of(recording: Recording, window_s: float) -> list[Recording]:
@@ -137,6 +138,10 @@ class WindowJudge:
         for step, error in first_steps(parts, self.physical(at), self.windows.terms, peaks):
             yield at + step, spread + beyond(spread, error)
 
+    def is_sampled_alike(self, recording: Recording) -> bool:
+        """Whether the sampling interval is about that of the healthy windows."""
+        return 1.0 / _REGIME <= recording.dt_s / self.windows.dt_s <= _REGIME
+
     def judge(self, recording: Recording, rate: float) -> tuple[list[Judgement], int]:
         """A judgement on each window, and how many windows there are; together they alarm at the rate (Bonferroni).
 
@@ -155,7 +160,7 @@ class WindowJudge:
             raise UnusableError(
                 f"outside the commissioned regime: {volts:.3g} V effective, commissioned {low:.3g} to {high:.3g} V"
             )
-        if not 1.0 / _REGIME <= parts[0].dt_s / self.windows.dt_s <= _REGIME:
+        if not self.is_sampled_alike(parts[0]):
             raise UnusableError("outside the commissioned regime: another sampling interval")
         chosen = range(len(parts)) if len(parts) <= MANY else self._chosen(recording, parts)
         return [self._judged(parts[n], rate / len(parts)).on(parts[n]) for n in chosen], len(parts)

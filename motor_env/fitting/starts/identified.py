@@ -98,7 +98,7 @@ class Identified:
 
     @property
     def residual_a(self) -> FloatArray:
-        """Measured minus fitted current; 0 at wild samples."""
+        """Measured minus fitted current; 0 at samples that do not count."""
         return np.where(self.start.counted, self.start.current_a - self.expected[:, 0], 0.0)
 
     @property
@@ -186,11 +186,13 @@ class Identified:
 
 
 def record_of(start: Start) -> Record:
-    """What is fitted of a start: its current without ripple and the quiet part's offset, wild samples left out."""
+    """What is fitted of a start: its current without ripple and offset; what does not count is left out."""
     n, alignment = len(start.time_s), start.alignment
     current = start.current_a - start.ripple_a - alignment.offset_a
     current[~start.counted] = np.nan
     speed = np.zeros(n) if start.speed_rad_s is None else start.speed_rad_s
+    if start.missing is not None and start.speed_rad_s is not None:
+        speed = np.where(start.missing[:, 1], np.nan, speed)
     marks = np.zeros(n)
     marks[0] = REST if start.from_rest else STEADY
     is_step = start.voltage_v is None

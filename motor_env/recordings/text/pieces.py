@@ -109,7 +109,7 @@ def _numbers(block: Block, piece: bytes, begin: int, rows: int) -> tuple[FloatAr
     for quick in (_plain_numbers, _most_numbers):
         with suppress(ValueError, KeyError):
             values = quick(block, piece, rows)
-            if len(values) == rows and np.isfinite(values).all():
+            if len(values) == rows and not np.isinf(values).any():
                 return values, range(begin, begin + rows)
     return _numbers_cell_by_cell(block, piece.decode("utf-8", "replace").splitlines(), begin)
 
@@ -180,7 +180,7 @@ def _numbers_cell_by_cell(block: Block, lines: list[str], begin: int) -> tuple[F
 
 
 def _value(block: Block, place: int, row: list[str], line: int) -> float | str:
-    """The number of a cell; its text in a column of a clock."""
+    """The number of a cell, NaN of an empty one; its text in a column of a clock."""
     column = block.columns[place]
     cell = row[column] if column < len(row) else ""
     where = f"{block.table.path}, line {line}: the column {block.names[place] or f'number {column + 1}'}"
@@ -188,10 +188,10 @@ def _value(block: Block, place: int, row: list[str], line: int) -> float | str:
         if not CLOCK.match(cell):
             raise InputError(f"{where} must hold times such as 12:34:56.789, got {cell[:40]!r}")
         return cell
-    if not cell.strip():
+    if column >= len(row):
         raise InputError(f"{where} has no value")
-    value = block.table.number(cell)
-    if value is None or not math.isfinite(value):
+    value = block.table.number(cell) if cell.strip() else math.nan
+    if value is None or math.isinf(value):
         kind = "numbers" if value is None else "finite numbers"
         raise InputError(f"{where} must hold {kind}, got {cell[:40]!r}")
     return value

@@ -25,7 +25,7 @@ class Table:
 
     Attributes:
         names: header of each column, empty strings where there is none.
-        values: shape (n_rows, n_columns); times of a clock in seconds since the first.
+        values: shape (n_rows, n_columns), NaN where there is none; times of a clock in seconds since the first.
         lines: where each row stands in the file, for error messages; row numbers for binary files.
         units: unit of each column where it stands elsewhere than in its header, else empty strings.
         numbers: of each column in the file, counted from 1.

@@ -187,8 +187,8 @@ def test_a_capture_without_a_start_is_unusable_and_never_healthy() -> None:
         (b"time_s,current_a\n0,0\n", "at least 20 samples, got 1"),
         (b"time_s,volts\n0,0\n1,0\n", "line 1: the column current_a is missing"),
         (
-            HEAD + b"30,nan\n",
-            "line 32: the column current_a must hold finite numbers, got 'nan'",
+            HEAD + b"30,inf\n",
+            "line 32: the column current_a must hold finite numbers, got 'inf'",
         ),
         (HEAD + b"30,x\n", "line 32: the column current_a must hold numbers, got 'x'"),
         (HEAD + b"30\n", "line 32: the column current_a has no value"),
