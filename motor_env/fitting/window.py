@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.fit import without_lines
 from motor_env.fitting.problem import STEP, Problem, Solution
@@ -93,11 +94,18 @@ def first_steps(
 def _problem(
     record: Record, known: FloatArray, others: Sequence[str], peaks: tuple[float, float, float] | None = None
 ) -> tuple[Problem, FloatArray]:
-    """R, K, J, the drag and others as unknowns; their known values."""
+    """R, K, J, the drag and others as unknowns; their known values.
+
+    Raises:
+        InputError: a noise or a constant that is 0 gives them no unit.
+    """
     every = terms(record, known, peaks)
     every["drag"] = replace(every["coulomb"], name="drag", place=places.DRAG, unit=1.0, low=0.05, high=20.0)
     free = tuple(every[name] for name in (*_MOTOR, *others))
-    at = [known[term.place] / term.unit for term in free]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = [known[term.place] / term.unit for term in free]
+    if not np.isfinite(at).all():
+        raise InputError("healthy.windows.physical of the motor file holds the values of no motor")
     begin = [math.log(max(one, 1e-300)) if term.is_log else one for term, one in zip(free, at, strict=True)]
     return Problem(record, known, free), np.array(begin)
 

@@ -28,6 +28,7 @@ from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import understand
+from motor_env.recordings.plausible import LARGEST_CURRENT_A
 from motor_env.recordings.recording import Recording, evened
 
 YEAR_S = 365.25 * 86_400.0
@@ -146,7 +147,7 @@ class Watch:
             sample = [float(words[k]) * factor for k, factor in self._columns]
         except (ValueError, IndexError):
             sample = []
-        if sample and math.isfinite(sum(sample)):
+        if sample and math.isfinite(sum(sample)) and abs(sample[2]) <= LARGEST_CURRENT_A:
             yield from self._sample(sample)
         # A device that begins anew says its header again.
         elif text and text[0] != "#" and not self._read_header(text):

@@ -70,14 +70,16 @@ def load_profile(path: Path) -> Profile:
     """A profile out of its TOML file.
 
     Raises:
-        InputError: no such file, not TOML, an unknown key or a value out of range.
+        InputError: no such file, not TOML, an unknown key, a value out of range, or a column that is no choice.
     """
+    content = read_toml(path, "no such profile")
     try:
-        return from_dict(Profile, read_toml(path, "no such profile"), "the profile")
-    except InputError:
-        raise
+        profile = from_dict(Profile, content, "the profile")
+        for text in profile.column:
+            ColumnChoice.parse(text)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
+    return profile
 
 
 def save_profile(profile: Profile, path: Path) -> None:

@@ -271,3 +271,9 @@ def test_two_shifts_of_one_name_are_refused(folder: Path) -> None:
         replace(SHORT, shifts=(Shift("warm"), Shift("warm")))
     told(folder, lambda manifest: manifest["files"].append(manifest["files"][0]))
     assert "named twice" in refused(lambda: load(folder), folder)
+
+
+@pytest.mark.parametrize("value", ["x" * 5000, [0] * 5000])
+def test_a_long_value_in_a_manifest_is_not_said_whole(folder: Path, value: Any) -> None:
+    told(folder, lambda manifest: manifest["files"][0].update(rows=value))
+    assert len(refusal(folder).replace(str(folder), "")) < 400

@@ -642,6 +642,14 @@ def test_first_steps_of_parts_are_linear_least_squares() -> None:
     np.testing.assert_allclose(covariance[3], once[3], rtol=0.01, atol=1e-9)
 
 
+@pytest.mark.parametrize("place", [places.NOISE_I, places.NOISE_W])
+def test_values_of_no_motor_are_refused(place: int) -> None:
+    known = values(DRAG=1.0)
+    known[place] = 0.0
+    with pytest.raises(InputError, match="holds the values of no motor"):
+        fit_window(worked(values(), n=80), known, ("noise_current", "noise_speed"))
+
+
 def test_a_window_is_fitted_near_the_healthy_motor() -> None:
     known = values(DRAG=1.0, COULOMB=0.004)
     changed = values(R=2.4, K=0.029, J=4.4e-6, COULOMB=0.008, B=4e-6)

@@ -44,7 +44,7 @@ def samples(count: int, first_ms: int = 0) -> list[Piece]:
 def test_what_is_wrong_with_a_stream_is_said_at_once() -> None:
     good: list[Piece] = [HEADER, *samples(50)]
     assert kinds(good) == []
-    for bad in (b"x,y\n", b"60,nan,1,1\n", b"\xff\xfe\n"):
+    for bad in (b"x,y\n", b"60,nan,1,1\n", b"\xff\xfe\n", b"60,12,-127283000,500\n"):
         assert kinds([*good, bad, b"# a remark\n", HEADER]) == ["malformed"]
     assert kinds([*good, *samples(50, 500)]) == ["gap"]
     assert kinds([*good, *samples(50, 10)]) == ["time_jump"]

@@ -704,3 +704,10 @@ def test_parquet_is_parsed_in_a_process_of_its_own(tmp_path: Path) -> None:
     array_parser.check_count(50_000_000)
     with pytest.raises(ValueError, match="unpacks to 50,000,001 numbers; at most 50,000,000 are read"):
         array_parser.check_count(50_000_001)
+
+
+def test_a_profile_with_a_column_that_is_no_choice_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text('column = ["bench"]')
+    with pytest.raises(InputError, match=r"p\.toml: --column must read QUANTITY=COLUMN.*got 'bench'"):
+        load_profile(path)
