@@ -581,7 +581,10 @@ def test_eight_jumps_of_the_voltage_must_show_in_the_current() -> None:
         else:
             refuse_aliased(volts, noise)
     volts, noise = off_on(*([20] * 500)), np.random.default_rng(7).standard_normal(10_000)
-    for off_level, is_refused in ((200, True), (201, False)):  # two of a hundred samples lie between the levels
+    for off_level, is_refused in (
+        (200, True),
+        (201, False),
+    ):  # two of a hundred samples lie between the levels
         volts[10 : 10 + 20 * off_level : 20] = 6.0
         if is_refused:
             with pytest.raises(UnusableError, match="does not follow the voltage"):
