@@ -182,7 +182,7 @@ def members_of(content: bytes) -> dict[str, bytes]:
 def archive_of(members: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> bytes:
     """A zip archive of files."""
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", method) as archive:
+    with zipfile.ZipFile(buffer, "w", method, compresslevel=1) as archive:
         for name, content in members.items():
             archive.writestr(name, content)
     return buffer.getvalue()
