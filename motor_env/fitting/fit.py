@@ -60,7 +60,7 @@ def without_lines(found: Solution, record: Record) -> tuple[Record, tuple[Period
     """
     if record.seen[0] == 0.0:
         return record, ()
-    free = found.free()[1]
+    free = found.free[1]
     residual, readings = np.nan_to_num(record.readings[:, 0] - free[:, 2]), record.readings.copy()
     begins, every = np.flatnonzero(record.marks == kernel.BEGIN), []
     for first, end in zip(begins, [*begins[1:], len(residual)], strict=True):
@@ -143,7 +143,7 @@ def _shaped(best: Solution) -> Solution:
     begins = [begin, calm]
     if {"coulomb", "load_constant"} <= set(best.names):
         dry, load = problem.names.index("coulomb"), problem.names.index("load_constant")
-        turns = math.copysign(1.0, float(best.free()[0][:, 3].mean()))
+        turns = math.copysign(1.0, float(best.free[0][:, 3].mean()))
         for more in (-begin[dry], abs(begin[load])):
             moved = begin.copy()
             moved[dry] += more

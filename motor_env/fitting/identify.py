@@ -162,7 +162,7 @@ def _described(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> Oper
     record = solution.problem.record
     every = terms(record, solution.problem.known)
     spread = covariance(solution, every)
-    filtered, free = solution.free()
+    filtered, free = solution.free
     r2 = solution.explained()
     quantities = tuple(_quantities(solution, spread))
     return Operation(
@@ -209,8 +209,7 @@ def _drag(solution: Solution, spread: FloatArray, name: str, unit: str) -> Quant
     problem, values = solution.problem, solution.values
     if "B" not in problem.names:
         return None
-    out, _ = problem.record.predict(values)
-    speed = out[:, 3]
+    speed = solution.free[0][:, 3]
     w = float(np.sqrt(np.mean(speed**2)))
     slopes = {"B": w, "coulomb": 1.0, "load_square": w * w}
     terms_ = [problem.free[n] for n in motor_places(problem)]

@@ -154,7 +154,7 @@ def _moved(theta: FloatArray, n: int, step: float) -> FloatArray:
     return moved
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Solution:
     """A problem with its best unknowns.
 
@@ -194,6 +194,7 @@ class Solution:
                 known[place] = max(float(np.nanstd(left[:, n])), _LEAST_NOISE * known[place])
         return replace(problem, known=known)
 
+    @cached_property
     def free(self) -> tuple[FloatArray, FloatArray]:
         """The filter's table, and that of the model that runs freely under the voltage and the filter's load."""
         record, values = self.problem.record, self.values
@@ -202,7 +203,7 @@ class Solution:
 
     def explained(self) -> tuple[float | None, float | None]:
         """Share of the variance of current and speed that the free model explains; None where not used."""
-        record, free = self.problem.record, self.free()[1]
+        record, free = self.problem.record, self.free[1]
         r2 = [
             _r2(record.readings[told, n], free[told, 2 + n]) if record.seen[n] else None
             for n, told in enumerate(record.told.T)

@@ -89,7 +89,7 @@ def test_what_the_voltage_has_too_is_the_motors_answer() -> None:
     noise = values[places.NOISE_I] * rng.standard_normal(800)
     record = replace(record, readings=np.stack([answer[:, 2] + noise, answer[:, 3]], axis=1))
     found = replace(plain, problem=replace(plain.problem, record=record))
-    residual = record.readings[:, 0] - found.free()[1][:, 2]
+    residual = record.readings[:, 0] - found.free[1][:, 2]
     assert constant_lines(residual, np.linspace(0.0, 799.0 * record.dt_s, 800), np.abs(answer[:, 3]))
     assert without_lines(found, record) == (record, ())
     blind = record.only(current=False, speed=True)
