@@ -159,7 +159,7 @@ def json_text(value: Any, *, indent: int | None = 1) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """The same for JSON, which has no number for what is infinite or none: null."""
+    """A value as JSON can hold it: null for a number that is infinite or none."""
     if isinstance(value, dict):
         return {key: _finite(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

@@ -14,11 +14,11 @@ from typing import Any, Literal, Protocol
 from motor_env.errors import InputError
 
 LARGEST_NOTE_BYTES = 1_000_000
-"""Of what people write by hand, and of records of what was made: motors, recipes, cards, seeds, methods."""
+"""Largest file that people write by hand, or record of what was made: motors, recipes, cards, seeds, methods."""
 LARGEST_TABLE_BYTES = 20_000_000
-"""Of what is kept as it is, cell by cell: estimates, answers, verdicts, scores, states."""
+"""Largest file of what is kept as it is, cell by cell: estimates, answers, verdicts, scores, states."""
 LARGEST_DATA_BYTES = 200_000_000
-"""Of recordings, models, data sets."""
+"""Largest recording, model, or file of a data set."""
 
 
 class Readable(Protocol):

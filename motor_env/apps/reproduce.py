@@ -115,7 +115,7 @@ def markdown(blocks: Sequence[Block]) -> str:
 
 
 def record(image_format: str) -> dict[str, Any]:
-    """The same for machines; `paper` is null where the paper prints no number."""
+    """The figures' numbers for machines; `paper` is null where the paper prints no number."""
     return {
         "made_by": MADE_BY,
         "numbers": [

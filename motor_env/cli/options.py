@@ -80,7 +80,7 @@ class Reading:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class Measurement(Reading):
-    """The same, and how the motor was measured.
+    """How a file is read, and how the motor was measured.
 
     Attributes:
         voltage: Level of the supply in volt, for recordings without a voltage.
@@ -96,14 +96,14 @@ class Measurement(Reading):
 
     @property
     def options(self) -> dict[str, Any]:
-        """The same as the functions behind the commands take it."""
+        """Arguments of the functions behind the commands."""
         return self.chosen.options | {"start": self.start}
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class StartMeasurement(Measurement):
-    """The same, and what is known of its commutation ripple.
+    """How a file is read and the motor was measured, and what is known of its commutation ripple.
 
     Attributes:
         ripple_periods_per_turn: Periods of the current's commutation ripple in a turn, for the true speed, K, J and B.

@@ -93,7 +93,7 @@ class Judgement:
     duration_s: float = 0.0
 
     def on(self, piece: Recording) -> Judgement:
-        """The same, on a piece of a recording."""
+        """The judgement, with the place of its piece in the recording."""
         return replace(self, begin_s=float(piece.time_s[0]), duration_s=len(piece.time_s) * piece.dt_s)
 
     @property
@@ -150,7 +150,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> Verdict:
-        """Of the recording."""
+        """The recording's verdict: that of the piece that tells most."""
         return self.telling.verdict
 
     @property

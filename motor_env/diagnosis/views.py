@@ -40,7 +40,7 @@ class Fitted(Protocol):
 
     @property
     def white_covariance(self) -> FloatArray:
-        """The same from white noise alone: what differs between pieces of one motor, shape (n, n)."""
+        """Their covariance from white noise alone: what differs between pieces of one motor, shape (n, n)."""
 
     @property
     def whitened(self) -> FloatArray:

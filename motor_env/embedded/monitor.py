@@ -52,11 +52,11 @@ class CusumBank:
 
     @property
     def shifts(self) -> tuple[float, ...]:
-        """Of all sums."""
+        """Shift of each sum."""
         return (*self.friction, *self.winding)
 
     def thresholds_for(self, arl0: float) -> tuple[float, ...]:
-        """Of each sum; each has an equal share of the false alarms."""
+        """Threshold of each sum; all have an equal share of the false alarms."""
         overlap = min(_OVERLAP / math.sqrt(arl0), 0.1) if len(self.shifts) > 1 else 0.0
         alone = arl0 * len(self.shifts) * (1.0 - overlap)
         return tuple(Cusum(shift, two_sided=True).threshold_for(arl0=alone).value for shift in self.shifts)

@@ -82,7 +82,7 @@ def write(frame: Frame, text: str, at: tuple[int, int], colour: str, *, size_px:
 
 
 def write_figures(frame: Frame, text: str, at: tuple[int, int], colour: str, *, size_px: int) -> None:
-    """The same for text that changes: character by character, each of which is drawn once and kept."""
+    """Write text that changes, character by character: each is drawn once and kept."""
     for place, character in enumerate(text):
         if character != " ":
             write(frame, character, (at[0] + round(0.62 * size_px * place), at[1]), colour, size_px=size_px)

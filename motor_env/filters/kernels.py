@@ -181,7 +181,7 @@ def filter_two_channels(
     innovation: AnyFloat,
     nis: AnyFloat,
 ) -> None:
-    """The same (paper, Table 1) for two channels, in the states themselves.
+    """Kalman filter (paper, Table 1) for two channels, in the states themselves.
 
     `gain` is A K, shape (n_samples, 2, 2), `weight` S^-1, `expected` (rows, n_samples, 2).
     """

@@ -172,7 +172,7 @@ def _chosen(first: Solution, every: dict[str, Term]) -> Solution:
 
 
 def _undisturbed(solutions: Sequence[Solution]) -> list[Solution]:
-    """The same terms without noise inside the motor: output-error fits, which real model errors may leave ahead."""
+    """Fits of the same terms without noise inside the motor: output errors, which real model errors may leave ahead."""
     found = []
     for one in solutions:
         kept = [n for n, name in enumerate(one.names) if name not in ("noise_voltage", "load_walk")]

@@ -45,7 +45,7 @@ class Problem:
         return values
 
     def values_each(self, thetas: FloatArray) -> FloatArray:
-        """The same for several vectors of unknowns, shape (m, n_unknowns)."""
+        """Physical values for several vectors of unknowns, shape (m, n_unknowns)."""
         values = np.tile(self.known, (len(thetas), 1))
         for term, column in zip(self.free, thetas.T, strict=True):
             values[:, term.place] = term.unit * (np.exp(column) if term.is_log else column)
@@ -63,7 +63,7 @@ class Problem:
         return residuals
 
     def residuals_each(self, thetas: FloatArray) -> FloatArray:
-        """The same for several vectors of unknowns, shape (m, n_unknowns)."""
+        """Residuals for several vectors of unknowns, shape (m, n_unknowns)."""
         out, logs = self.record.predict_each(self.values_each(thetas))
         white = out[:, :, :2][:, :, self.record.seen > 0.0].reshape(len(thetas), -1)
         white[~(np.abs(white) < _LARGEST)] = 1e6
@@ -139,7 +139,7 @@ class Problem:
         return self.count * math.log(max(squares, 1e-300) / self.count)
 
     def with_terms(self, added: Sequence[Term]) -> Problem:
-        """The same with more terms."""
+        """The problem with more terms."""
         return replace(self, free=(*self.free, *added))
 
     @property
@@ -185,7 +185,7 @@ class Solution:
         return values
 
     def weighed(self) -> Problem:
-        """The same problem with the noise of each channel as large as what is left of it."""
+        """The problem with the noise of each channel as large as what is left of it."""
         problem, known = self.problem, self.problem.known.copy()
         left = problem.record.readings - problem.record.predict(problem.values(self.theta))[0][:, 2:4]
         left[~problem.record.told] = np.nan

@@ -144,7 +144,7 @@ class Record:
         return out[0], float(self._run(values[None], out, learn=learn)[0])
 
     def predict_each(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The same for several vectors of values, shape (m, N_VALUES): tables, and the sums."""
+        """What `predict` gives for several vectors of values, shape (m, N_VALUES): tables, and the sums."""
         out = np.zeros((len(values), len(self.voltage_v), 6))
         return out, self._run(values, out, learn=True)
 
@@ -181,7 +181,7 @@ class Record:
         table[:, 0] = np.nan_to_num((self.readings[:, 0] - table[:, 2]) / p[NOISE_I])
 
     def closed(self) -> Record:
-        """The same without open circuits."""
+        """The record without open circuits."""
         return replace(self, marks=np.where(self.marks == OPEN, 0.0, self.marks))
 
     def sample(self, count: int) -> Record:
@@ -202,7 +202,7 @@ class Record:
         return replace(self, voltage_v=self.voltage_v[some], readings=readings, marks=marks)
 
     def only(self, *, current: bool, speed: bool) -> Record:
-        """The same with some of the channels."""
+        """The record with some of its channels."""
         return replace(self, seen=self.seen * np.array([current, speed], dtype=np.float64))
 
 

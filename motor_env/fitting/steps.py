@@ -232,7 +232,7 @@ def _kneed(free: float, reach: float, knee: float, near: float) -> float:
 
 @inlined
 def _opposed(before: float, free: float, reach: float, knee: float) -> float:
-    """The same for an input that sets in at a knee."""
+    """What an input that sets in at a knee leaves of it."""
     opposed: float = _turned(before, free, reach)
     if knee > 0.0 and min(abs(before), abs(opposed)) < _SATURATED * knee:
         opposed = _kneed(free, reach, knee, abs(before) if before * free > 0.0 else 0.0)

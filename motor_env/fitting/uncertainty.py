@@ -134,7 +134,7 @@ def _weakly_believed(problem: Problem, theta: FloatArray) -> FloatArray:
 
 
 def _autocovariance(series: FloatArray, lags: int) -> FloatArray:
-    """Of samples 0, 1, ... apart, under a Bartlett window, shape (lags,)."""
+    """Autocovariance of samples 0, 1, ... apart, under a Bartlett window, shape (lags,)."""
     n = len(series)
     length = fft.next_fast_len(2 * n - 1, real=True)
     spectrum = fft.rfft(series, length) * fft.rfft(series[::-1], length)

@@ -47,7 +47,7 @@ class Linear:
     slopes: FloatArray
 
     def posterior(self, model: ClassModel) -> TruncatedNormal:
-        """Of the coordinates, were the motor linear and the noise normal."""
+        """Posterior of the coordinates, were the motor linear and the noise normal."""
         mean, precision = model.prior
         information = self.slopes.T @ self.slopes + np.diag(precision)
         pull = self.slopes.T @ self.left + precision * (mean - self.at)
@@ -61,7 +61,7 @@ class Linear:
 
 
 class Evidence(NamedTuple):
-    """Of one class.
+    """Evidence of one class.
 
     Attributes:
         log_value: log of the probability density of what was measured; -inf where no fit comes near the best class's.

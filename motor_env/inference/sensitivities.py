@@ -110,7 +110,7 @@ class Observed:
         )
 
     def with_variance(self, factor: float) -> Observed:
-        """The same transients, with the noise's variance believed to be `factor` times as large."""
+        """These transients, with the noise's variance believed to be `factor` times as large."""
         root = float(np.sqrt(factor))
         return replace(
             self,

@@ -34,7 +34,7 @@ def _kinds(recipe: Recipe) -> tuple[FaultKind, ...]:
 
 
 def _severities(recipe: Recipe) -> FloatArray:
-    """Of each class and kind, in the middle of a range, shape (n_classes, n_kinds)."""
+    """Severity of each class and kind, in the middle of its range, shape (n_classes, n_kinds)."""
     kinds = _kinds(recipe)
     table = np.zeros((len(recipe.classes), len(kinds)))
     for row, fault_class in zip(table, recipe.classes, strict=True):

@@ -82,7 +82,7 @@ def watch(
 
 
 def _digest(motor: Path) -> str:
-    """Of the motor file, which was read; empty where there is none, since it is to be learned."""
+    """Digest of the motor file, which was read; empty where there is none, since it is to be learned."""
     return hashlib.sha256(read_file(motor, LARGEST_NOTE_BYTES)).hexdigest() if motor.exists() else ""
 
 

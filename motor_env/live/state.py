@@ -97,7 +97,7 @@ class State:
 
     @property
     def exit_status(self) -> ExitStatus:
-        """Of the verdicts on windows; undecided where there is none."""
+        """Exit status of the verdicts on windows; undecided where there is none."""
         return worst(
             Verdict(name.removeprefix(WINDOW)).status
             for name, n in self.counts.items()

@@ -39,9 +39,9 @@ RAD_S_PER_RPM = 2.0 * math.pi / 60.0
 COPPER_PER_KELVIN = 0.00393
 """Relative rise of a winding's resistance (IEC 60028)."""
 MAGNET_PER_KELVIN = -0.001
+"""Relative change of both constants with the temperature of ferrite or NdFeB magnets."""
 FRICTION_PER_KELVIN = -0.003
 """Friction falls as the lubricant warms: a round number for small motors, for a kelvin of the winding."""
-"""Relative change of both constants with the temperature of ferrite or NdFeB magnets."""
 
 
 SMALLEST, LARGEST = 1e-15, 1e12
@@ -207,7 +207,7 @@ class SensorParameters:
         return np.array([by_channel[channel] for channel in self.channels])
 
     def with_noise(self, factor: float) -> SensorParameters:
-        """The same sensor with so many times the noise."""
+        """This sensor with `factor` times the noise."""
         current, speed = factor * self.current_noise_a, factor * self.speed_noise_rad_s
         return replace(self, current_noise_a=current, speed_noise_rad_s=speed)
 

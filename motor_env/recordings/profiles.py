@@ -34,7 +34,7 @@ class Profile:
 
     @property
     def options(self) -> dict[str, Any]:
-        """The same as the functions that read and fit take it.
+        """Arguments of the functions that read and fit.
 
         Raises:
             InputError: a choice that cannot be understood.

@@ -82,7 +82,7 @@ class Start:
         return out
 
     def shortened(self, count: int) -> Start:
-        """The same with at most `count` samples after the onset."""
+        """The start with at most `count` samples after its onset."""
         return cut(self, slice(self.alignment.onset_index + count))
 
 

@@ -165,7 +165,7 @@ class Suggestions:
         ]
 
     def _beside(self, columns: list[int]) -> list[int]:
-        """Of several motors the columns of that of which a column is chosen already."""
+        """Columns of the motor of which one is chosen already, where the file has several motors."""
         parts = [set(name_parts(self.meanings[k].name)) for k in self.chosen.values()]
         shared = [sum(len(own & set(name_parts(self.meanings[k].name))) for own in parts) for k in columns]
         return [k for k, count in zip(columns, shared, strict=True) if count == max(shared)]

@@ -29,7 +29,7 @@ from motor_env.recordings.text.pieces import large_block, whole_block
 from motor_env.recordings.text.settings import Table
 
 LARGEST_WHOLE_BYTES = 50_000_000
-"""Of text; longer ones are read in pieces."""
+"""Size of a text up to which it is read whole; a longer one is read in pieces."""
 _CONTROL = bytes(code for code in range(32) if code not in (9, 10, 11, 12, 13))
 _CONTROL_SHARE = 0.01  # more control characters than that are no text
 _FOREIGN = {  # how they begin, and what helps

@@ -70,7 +70,7 @@ def glr_of_block(
     total: FloatArray,
     best: FloatArray,
 ) -> None:
-    """The same for the `count` samples from place `stored` on, age by age."""
+    """Raise the best statistics of the `count` samples from place `stored` on, age by age."""
     last = stored + count
     for j in range(len(ages)):
         age = ages[j]
@@ -93,7 +93,7 @@ def glr_of_block(
 def glr_of_one(
     sums: FloatArray, stored: int, n_past: int, ages: NDArray[np.int64], bonus: FloatArray, two_sided: bool
 ) -> float:
-    """The same after one more sample, for a step."""
+    """The statistic of a step after one more sample."""
     best = -np.inf
     for j in range(len(ages)):
         age = ages[j]

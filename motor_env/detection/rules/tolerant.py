@@ -141,7 +141,7 @@ def second_order(recipe: Recipe, belief: KalmanFilter) -> tuple[FloatArray, Floa
 
 
 def _seen(slopes: FloatArray) -> FloatArray:
-    """The same covariance from the directions that the noise does not hide: principal components (Hotelling 1933)."""
+    """A covariance from the directions that the noise does not hide: principal components (Hotelling 1933)."""
     if slopes.shape[-1] == 0:
         return slopes
     left, sizes, _ = np.linalg.svd(slopes.reshape(-1, slopes.shape[-1]), full_matrices=False)

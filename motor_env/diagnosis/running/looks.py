@@ -135,7 +135,7 @@ class Looks:
         return judged if judged.verdict.is_fault else None
 
     def _rate(self, halvings: int) -> float:
-        """Of one look. All lengths have an equal share.
+        """Rate of false alarms of one look. All lengths have an equal share.
 
         Looks that overlap alarm together: all of them in a share of 1 - rate^0.2 / 2 of the sum of their rates, by
         simulation (0.65 to 0.94 for rates of 1/6 to 2e-5).

@@ -122,7 +122,7 @@ def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, An
 
 
 def ripple_lines(ripple: Mapping[str, Any] | None) -> list[str]:
-    """The same in sentences, none without a ripple."""
+    """What the commutation ripple tells, in sentences; none without a ripple."""
     if ripple is None:
         return []
     line = f"  commutation ripple of {ripple['ripple_hz']:.5g} Hz at the end"

@@ -111,7 +111,7 @@ class PosteriorPolicy(ThresholdPolicy):
         self._sample = -1
 
     def _deviation(self, observations: Observations) -> FloatArray:
-        """Of the current from its nominal rest, in standard deviations of the noise."""
+        """Deviation of the current from its nominal rest, in standard deviations of the noise."""
         return observations[:, self._measured].astype(np.float64) * self._to_stds - self._rest_stds
 
     def _decision(self, quiet: FloatArray, classes: FloatArray) -> tuple[FloatArray, Actions]:

@@ -109,7 +109,7 @@ class Identified:
 
     @property
     def r2_speed(self) -> float | None:
-        """The same for the speed; None where it was not recorded."""
+        """Share of the speed's variance that the fit explains; None where it was not recorded."""
         speed = self.start.speed_rad_s
         return None if speed is None else _r2(speed, speed - self.expected[:, 1])
 

@@ -156,7 +156,7 @@ def _most_numbers(block: Block, piece: bytes, rows: int) -> FloatArray:
 
 
 def _numbers_cell_by_cell(block: Block, lines: list[str], begin: int) -> tuple[FloatArray, Sequence[int]]:
-    """The same slowly, with blank lines and quotes, and a sentence that tells the cell which is no number."""
+    """Numbers of a piece, cell by cell: with blank lines and quotes; a sentence tells the cell that is none."""
     table = block.table
     at: list[int] = []
     columns: list[list[Any]] = [[] for _ in block.columns]
