@@ -48,7 +48,7 @@ from motor_env.motor.parameters import FloatArray
 
 DEFAULT_FALSE_ALARM_RATE = 0.01
 _TELLING_WARMTH_K = 8.0
-_DOUBLED = 1.0
+_DOUBLED, _TENFOLD = 1.0, 9.0
 
 
 class Limits(NamedTuple):
@@ -248,9 +248,10 @@ def _unseen(smallest: dict[str, float], source: str) -> Iterator[str]:
         if severity is None:
             yield f"the {quantity} is undecided: it cannot be compared with {source}"
         elif severity > _DOUBLED:
+            shown = f"only a rise of {severity:.0%}" if severity < _TENFOLD else "not even a tenfold one"
             yield (
-                f"the {quantity} is undecided: the recording is too coarse, too noisy or too short to tell it, only a"
-                f" rise of {severity:.0%} would show"
+                f"the {quantity} is undecided: the recording is too coarse, too noisy or too short to tell it,"
+                f" {shown} would show"
             )
 
 

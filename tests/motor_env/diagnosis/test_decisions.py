@@ -155,6 +155,12 @@ def test_a_start_that_hides_a_doubled_friction_says_so_and_one_that_hides_all_is
                 1 + len(unseen),
             )
             assert found.confidence is not None
+    for deviations, shown in (
+        (3.31, "only a rise of 893%"),
+        (3.33, "not even a tenfold one"),
+    ):  # log 10 over log 2: 3.32
+        (said,) = (one for one in doubled(deviations, 0.99).reasons if "is undecided" in one)
+        assert said.endswith(f"too short to tell it, {shown} would show")
 
 
 @pytest.mark.parametrize(
