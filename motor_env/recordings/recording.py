@@ -29,7 +29,7 @@ _LATEST_BEGIN_S = 1e7  # seconds of a computer's clock count from 1970
 _GAP_STEPS = 100.0  # median steps without a sample: the recording is cut there
 _Record = TypeVar("_Record", bound="DataclassInstance")
 _AS_LONG, _ALIKE = 0.2, 0.05  # of the median step: usual ones; standard deviation of a clock's
-_MOSTLY = 0.9  # of the steps: where fewer are usual, times near even ones were rounded
+_MOSTLY = 0.8  # of the steps: where fewer are usual, times near even ones were rounded
 _HOLE = 1.75  # median steps of a clock that is not even: nearly all of its own steps are shorter
 _MOST_PLACES = 4_000_000
 _CHANNELS = {"voltage_v": 0, "duty": 0, "current_a": 1, "speed_rad_s": 2}
