@@ -34,6 +34,7 @@ from motor_env.recordings.recording import Recording, evened
 YEAR_S = 365.25 * 86_400.0
 STUCK_AFTER = 200
 _GAP_STEPS = 20.0
+_SAME_STEP = 0.2
 _MOST_COLUMNS = 1000
 _LONGEST_NAME = 100
 _QUANTITIES = ("time", "voltage", "current", "speed")
@@ -71,8 +72,8 @@ def _columns(samples: array[float]) -> dict[str, FloatArray]:
     return dict(zip(_QUANTITIES, np.array(samples).reshape(-1, len(_QUANTITIES)).T, strict=True))
 
 
-def _recording(columns: dict[str, FloatArray]) -> Recording:
-    even, values, _ = evened(columns["time"], {name: columns[name] for name in _QUANTITIES[1:]})
+def _recording(columns: dict[str, FloatArray], step_s: float | None) -> Recording:
+    even, values, _ = evened(columns["time"], {name: columns[name] for name in _QUANTITIES[1:]}, step_s)
     return Recording(Path("stream"), even, values["current"], values["voltage"], values["speed"])
 
 
@@ -103,6 +104,7 @@ class Watch:
         self._at: FloatArray | None = None  # logarithms over the healthy motor in the last healthy window
         self._last: list[float] | None = None
         self._same = 0
+        self._step_s: float | None = None  # between samples, once it was that of the healthy windows
         self._streamed_s = 0.0  # by the stream's own time, gaps left out
         self._is_begin = True  # whether the next bytes begin a line
         self._seldom = Seldom()
@@ -191,7 +193,7 @@ class Watch:
             last = self._window[-needed:]
             if len(last) < needed and self._before:
                 last = self._before[len(last) - needed :] + last
-            if alarm := looks.at_end(_recording(_columns(last)), due):
+            if alarm := looks.at_end(_recording(_columns(last), self._step_s), due):
                 self._next_look_s = math.inf
                 # Part of these samples may be healthy: how large the fault is shows only at the window's end.
                 span_s = round(self._time_s - alarm.begin_s, 6)
@@ -203,7 +205,9 @@ class Watch:
                 return Event(
                     self._time_s, "stuck_sensor", f"the {name} of a whole window is {columns[name][0]:.6g}"
                 )
-        recording = _recording(columns)
+        recording = _recording(columns, self._step_s)
+        if abs(recording.dt_s - self._pace.dt_s) < _SAME_STEP * self._pace.dt_s:
+            self._step_s = self._pace.dt_s
         if isinstance(self._motor, Lesson):
             return self._taught(recording, self._motor)
         try:

@@ -29,7 +29,7 @@ _LATEST_BEGIN_S = 1e7  # seconds of a computer's clock count from 1970
 _GAP_STEPS = 100.0  # median steps without a sample: the recording is cut there
 _Record = TypeVar("_Record", bound="DataclassInstance")
 _AS_LONG, _ALIKE = 0.2, 0.05  # of the median step: usual ones; standard deviation of a clock's
-_MOSTLY = 0.9  # of the steps: where fewer are usual, times near even ones were rounded
+_MOSTLY = 0.8  # of the steps: where fewer are usual, times near even ones were rounded
 _HOLE = 1.75  # median steps of a clock that is not even: nearly all of its own steps are shorter
 _MOST_PLACES = 4_000_000
 _CHANNELS = {"voltage_v": 0, "duty": 0, "current_a": 1, "speed_rad_s": 2}
@@ -181,21 +181,27 @@ def _without_gaps(time_s: FloatArray, steps: FloatArray) -> tuple[slice, tuple[s
 
 
 def evened(
-    time_s: FloatArray, columns: dict[str, FloatArray]
+    time_s: FloatArray, columns: dict[str, FloatArray], step_s: float | None = None
 ) -> tuple[FloatArray, dict[str, FloatArray], tuple[str, ...]]:
     """Columns on an even time axis, and a note where they had to be changed.
 
     A clock that is not quite even is interpolated. Where an even one left samples out, or changed its rate, what lies
     between two samples is not known: it is NaN on the axis, and an interval of another length has one NaN in it at
     least. A voltage that was interpolated there would step at another time than the motor's.
+
+    Args:
+        time_s: rising.
+        columns: their values at these times.
+        step_s: interval of the samples before, where there were any; else the usual one is that of most samples.
     """
     count, steps = len(time_s), np.diff(time_s)
     even = np.linspace(time_s[0], time_s[-1], count)
     off = float(np.max(np.abs(even - time_s)) / (even[1] - even[0]))
-    if off <= 0.02:
+    is_other = step_s is not None and abs(even[1] - even[0] - step_s) > _AS_LONG * step_s
+    if off <= 0.02 and not is_other:
         return even, columns, ()
-    step_s, is_usual, is_clock = _usual(steps)
-    if is_clock and not is_usual.all() and (off >= 0.5 or float(np.mean(is_usual)) > _MOSTLY):
+    step_s, is_usual, is_clock = _usual(steps, step_s, is_other=is_other)
+    if is_clock and not is_usual.all() and (off >= 0.5 or is_other or float(np.mean(is_usual)) > _MOSTLY):
         samples, places = _placed(time_s, step_s, is_usual)
         if places[-1] < max(4 * count, _MOST_PLACES):
             even = time_s[0] + step_s * np.arange(places[-1] + 1)
@@ -219,12 +225,16 @@ def evened(
     return even, columns, ("the time axis is uneven: interpolated to an even one",)
 
 
-def _usual(steps: FloatArray) -> tuple[float, NDArray[np.bool_], bool]:
+def _usual(
+    steps: FloatArray, before_s: float | None, *, is_other: bool
+) -> tuple[float, NDArray[np.bool_], bool]:
     """The usual step, which steps are about as long, and whether they are so alike that a clock made them."""
-    median = float(np.median(steps))
-    is_usual = np.abs(steps - median) <= _AS_LONG * median
-    usual = steps[is_usual]
-    return float(usual.mean()), is_usual, float(usual.std()) < _ALIKE * median
+    about = float(np.median(steps))
+    if before_s is not None and (is_other or (np.abs(steps - before_s) <= _AS_LONG * before_s).any()):
+        about = before_s
+    is_usual = np.abs(steps - about) <= _AS_LONG * about
+    usual = steps[is_usual] if is_usual.any() else np.array([about])
+    return float(usual.mean()), is_usual, float(usual.std()) < _ALIKE * about
 
 
 def _placed(

@@ -222,10 +222,6 @@ def test_uneven_times_are_evened_from_a_fiftieth_of_an_interval_on() -> None:
         assert (values is columns, note == ()) == (is_kept, is_kept)
         expected = WAVE if is_kept else np.interp(PLACES, time, WAVE)
         np.testing.assert_array_equal(values["current"], expected)
-    time = np.delete(PLACES, [10, 11, 12])
-    even, values, _ = evened(time, {"current": 2.0 * time})
-    np.testing.assert_allclose(even, PLACES)
-    np.testing.assert_allclose(values["current"], 2.0 * PLACES)
 
 
 def noisy(

@@ -1,0 +1,232 @@
+"""Logs and starts with missing samples, and logs that change their rate: no fault of the motor."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from recording_csv import csv_text, write_csv
+
+from motor_env import (
+    PAPER_MOTOR,
+    Fault,
+    FaultKind,
+    InputError,
+    Recording,
+    Verdict,
+    diagnose,
+    load_motor,
+    simulate_states,
+)
+from motor_env.diagnosis.commission import commission
+from motor_env.diagnosis.running.looks import Looks
+from motor_env.diagnosis.running.windows import NAMES, judge_of
+from motor_env.fitting import places
+from motor_env.live.state import State
+from motor_env.live.watch import Watch
+from motor_env.motor.healthy import Healthy, Windows
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.start import prepare
+
+FINE_S, DT_S, EACH_S = 5e-4, 2e-3, 0.05  # of the simulation, of the log; how long a voltage lasts
+KINDS = {
+    "healthy": (),
+    "bearing": (Fault(FaultKind.BEARING, 1.0),),
+    "winding": (Fault(FaultKind.WINDING_CONTACT, 0.25),),
+}
+Columns = dict[str, FloatArray]
+Holes = NDArray[np.bool_]
+
+
+def taught() -> Healthy:
+    """The paper's motor, as windows of a second would have taught it."""
+    p, physical = PAPER_MOTOR, np.zeros(places.N_VALUES)
+    known = (p.resistance_ohm, p.inductance_h, p.back_emf_constant_v_s_per_rad, p.inertia_kg_m2)
+    physical[[places.R, places.L, places.K, places.J]] = [float(np.mean(one)) for one in known]
+    physical[places.B] = float(np.mean(p.viscous_friction_n_m_s_per_rad))
+    physical[[places.NOISE_I, places.NOISE_W]] = 0.02, 1.0
+    terms = ("R", "K", "J", "B", "noise_current", "noise_speed")
+    windows = Windows(
+        1.0, terms, physical, "late", DT_S, 200.0, (3.0, 9.0), (10.0, 6.0, 430.0), excess=(1.5,) * 3
+    )
+    quantities = physical[[places.R, places.K, places.J, places.B]]
+    spread = np.diag([0.005, 0.005, 0.005, 0.06]) ** 2
+    return Healthy(20, 23.0, NAMES, quantities, spread, temperature_k=0.0, windows=windows)
+
+
+HEALTHY = taught()
+MOTOR = replace(load_motor("paper"), healthy=HEALTHY)
+
+
+@cache
+def simulated(kind: str, seed: int = 1) -> Columns:
+    """Four seconds at 2 kHz."""
+    rng = np.random.default_rng(seed)
+    volts = np.repeat(rng.uniform(-10.0, 10.0, 80), round(EACH_S / FINE_S))
+    current, speed = simulate_states(PAPER_MOTOR, volts, FINE_S, faults=KINDS[kind]).T
+    return {
+        "time_s": FINE_S * np.arange(len(volts)),
+        "voltage_v": volts,
+        "current_a": current + rng.normal(0.0, 0.02, len(volts)),
+        "speed_rad_s": speed + rng.normal(0.0, 1.0, len(volts)),
+    }
+
+
+def log(kind: str, every: int = 4) -> Columns:
+    """At 500 Hz, but from 1 to 3 s one of so many samples of the simulation."""
+    parts = [np.arange(3, 2003, 4), np.arange(2003, 6003, every), np.arange(6003, 8000, 4)]
+    some = np.concatenate(parts)
+    return {name: values[some] for name, values in simulated(kind).items()}
+
+
+def bursts(n: int) -> Holes:
+    missing = np.zeros(n, dtype=np.bool_)
+    for first in range(60, n, 500):
+        missing[first : first + 25] = True
+    return missing
+
+
+def at_steps(columns: Columns) -> Holes:
+    return np.append(False, np.diff(columns["voltage_v"]) != 0.0)
+
+
+def scattered(n: int) -> Holes:
+    return np.random.default_rng(5).random(n) < 0.05
+
+
+def holed(columns: Columns, pattern: str) -> Columns:
+    """With NaN, in all channels or in one, or without the lines."""
+    how, which = pattern.split(" ", 1)
+    n = len(columns["time_s"])
+    missing = {
+        "at steps": at_steps(columns),
+        "before steps": np.append(at_steps(columns)[1:], False),
+        "in bursts": bursts(n),
+        "anywhere": scattered(n),
+        "of every 20th": np.arange(n) % 20 == 10,
+    }[which]
+    if how == "lines":
+        return {name: values[~missing] for name, values in columns.items()}
+    lost = ("voltage_v", "current_a", "speed_rad_s") if how == "all" else (how,)
+    return columns | {name: np.where(missing, np.nan, columns[name]) for name in lost}
+
+
+def verdicts(path: Path, columns: Columns) -> list[str]:
+    return [str(piece.verdict) for piece in diagnose(write_csv(path, columns), MOTOR).pieces]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "kind"),
+    [
+        ("lines at steps", "healthy"),
+        ("lines before steps", "winding"),
+        ("lines of every 20th", "healthy"),
+        ("all anywhere", "bearing"),
+        ("all at steps", "healthy"),
+        ("voltage_v at steps", "healthy"),
+        ("current_a in bursts", "winding"),
+    ],
+)
+def test_holes_are_no_fault_and_hide_none(tmp_path: Path, pattern: str, kind: str) -> None:
+    found = verdicts(tmp_path / "log.csv", holed(log(kind), pattern))
+    assert len(found) in (3, 4)
+    assert set(found) == {kind}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("how", ["lines", "all", "voltage_v", "current_a", "speed_rad_s"])
+def test_no_pattern_of_holes_is_a_fault_or_hides_one(tmp_path: Path, how: str, kind: str) -> None:
+    for which in ("at steps", "before steps", "in bursts", "anywhere", "of every 20th"):
+        assert set(verdicts(tmp_path / "log.csv", holed(log(kind), f"{how} {which}"))) == {kind}
+
+
+@pytest.mark.parametrize("every", [5, 28])
+def test_a_log_that_changes_its_rate_is_judged_where_it_has_its_own(tmp_path: Path, every: int) -> None:
+    """To 400 and 71 Hz and back, after which the samples fall between the places of the first ones."""
+    found = diagnose(write_csv(tmp_path / "log.csv", log("healthy", every)), MOTOR).pieces
+    said = [str(piece.verdict) for piece in found]
+    assert said[0] == said[-1] == "healthy"
+    assert "unusable" in said
+    assert set(said) == {"healthy", "unusable"}
+    told = next(piece.reasons[0] for piece in found if piece.verdict is Verdict.UNUSABLE)
+    assert "samples are there, and follow others 0.002 s apart without a hole" in told
+
+
+def streamed(columns: Columns) -> list[str]:
+    """What is said of the windows of a stream."""
+    lines = (line.encode() for line in csv_text(columns).splitlines(keepends=True))
+    events = Watch(HEALTHY, State(), false_alarms_per_year=1.0).events(lines)
+    return [event.text for event in events if event.kind == "window"]
+
+
+def test_a_stream_with_holes_is_judged_and_one_that_changes_its_rate_is_not() -> None:
+    assert streamed(holed(log("healthy"), "all at steps")) == ["healthy"] * 3
+    assert streamed(log("healthy", 5)) == ["healthy", "unusable", "unusable"]
+
+
+def test_a_look_at_another_sampling_interval_says_nothing() -> None:
+    looks = Looks(judge_of(HEALTHY), 0.05, np.zeros(4))
+    worn = simulated("bearing")
+    for every, is_said in ((4, True), (9, False)):
+        some = {name: values[:4000:every] for name, values in worn.items()}
+        recording = Recording(
+            Path("x"), some["time_s"], some["current_a"], some["voltage_v"], some["speed_rad_s"]
+        )
+        assert (looks.at_end(recording, [1]) is not None) is is_said
+
+
+@pytest.mark.long
+def test_logs_teach_where_holes_leave_the_steps_to_be_seen(tmp_path: Path) -> None:
+    files = {}
+    for pattern in ("all anywhere", "all at steps"):
+        for seed in (1, 2):
+            some = {name: values[3::4] for name, values in simulated("healthy", seed).items()}
+            files[pattern, seed] = write_csv(tmp_path / f"{pattern}{seed}.csv", holed(some, pattern))
+    learned = commission([files["all anywhere", seed] for seed in (1, 2)], window_s=1.0).motor
+    for kind in KINDS:
+        found = diagnose(write_csv(tmp_path / "log.csv", log(kind)), learned).pieces
+        assert {str(piece.verdict) for piece in found} == {kind}
+    with pytest.raises(
+        InputError, match="samples are missing at the voltage's steps: how the current follows"
+    ):
+        commission([files["all at steps", seed] for seed in (1, 2)], window_s=1.0)
+
+
+def started(*missing: int, noise_v: float = 0.0, channel: str = "") -> Recording:
+    """A start at 10 kHz, switched on at 20 ms (sample 200), with missing samples."""
+    rng, n = np.random.default_rng(4), 1200
+    volts = np.where(np.arange(n) >= 200, 12.0, 0.0)
+    current, speed = simulate_states(load_motor("paper").parameters, volts, 1e-4).T
+    columns: list[FloatArray] = [
+        current + rng.normal(0.0, 0.02, n),
+        volts + noise_v * rng.standard_normal(n),
+        speed + rng.normal(0.0, 1.0, n),
+    ]
+    for name, values in zip(("current", "voltage", "speed"), columns, strict=True):
+        if channel in ("", name):
+            values[list(missing)] = np.nan
+    return Recording(Path("start"), np.linspace(0.0, 1e-4 * (n - 1), n), columns[0], columns[1], columns[2])
+
+
+def test_a_start_is_fitted_without_its_missing_samples() -> None:
+    anywhere = [n for n in np.flatnonzero(scattered(1200)).tolist() if not 197 < n < 203]
+    whole, some = (diagnose(started(*missing, noise_v=0.01), "paper") for missing in ((), anywhere))
+    assert whole.verdict is some.verdict is Verdict.HEALTHY
+    start = prepare(started(*anywhere))
+    assert not start.counted[anywhere].any()
+    assert start.voltage_v is None  # a command: what fills a hole at its step is no third level
+    assert prepare(started(200)).voltage_v is None
+
+
+def test_a_start_whose_rise_is_missing_is_unusable() -> None:
+    with pytest.raises(UnusableError, match=r"voltage are missing where it goes from .* to 12 V"):
+        prepare(started(200, noise_v=0.01))
+    prepare(started(100, 101, 102, 300, noise_v=0.01))
+    hole = range(198, 212)
+    with pytest.raises(UnusableError, match="14 samples of the current are missing where it begins to rise"):
+        prepare(started(*hole, channel="current"))
+    prepare(started(201, channel="current"))
