@@ -388,7 +388,7 @@ def defect(said: str, *, seen: bool, new: set[Path]) -> str:
         "a fault": status == 1 and seen,
         "half-written files": any(path.name.startswith(".") for path in new),
         "files of a refusal": status == 2 and bool(new),
-        "no sentence": status == 2 and not (lines and all(len(line) < LONGEST_SENTENCE for line in lines)),
+        "no sentence": status == 2 and (len(lines) != 1 or len(lines[0]) > LONGEST_SENTENCE),
     }
     words = ", ".join(words for words, holds in wrong.items() if holds)
     return words and f"{words}: {said[:2000]}"
