@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+_LONGEST = 1000  # characters: a value of a stranger's file may have thousands
+
 
 class InputError(ValueError):
-    """Input that cannot be used; the message is the sentence that the user reads."""
+    """Input that cannot be used; the message is the sentence that the user reads, cut where it has no end."""
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(sentence if len(sentence) <= _LONGEST else f"{sentence[:_LONGEST]} ...")
 
 
 def require_extra(module: str, extra: str) -> None:

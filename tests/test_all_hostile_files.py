@@ -312,13 +312,13 @@ KINDS = {
         100, f"motor-env diagnose FOLDER/start.csv --motor {MOTOR} --profile FOLDER/p.toml", "p.toml", profile
     ),
     "motor": Kind(
-        250,
+        340,
         "motor-env diagnose FOLDER/start.csv --motor FOLDER/m.toml --out FOLDER/out --json",
         "m.toml",
         strange_file(MOTORS),
     ),
     "export-c": Kind(
-        150,
+        100,
         "motor-env export-c FOLDER/m.toml --rate-hz 1000 --rule nis --out FOLDER/out",
         "m.toml",
         strange_file(MOTORS),
@@ -339,7 +339,7 @@ KINDS = {
         "r.toml",
         strange_file(RECIPES),
     ),
-    "manifest": Kind(200, "motor-datasets verify FOLDER/set", "set/dataset.json", manifest),
+    "manifest": Kind(300, "motor-datasets verify FOLDER/set", "set/dataset.json", manifest),
     "manifest, export": Kind(
         100, "motor-datasets export FOLDER/set FOLDER/out/a.npz", "set/dataset.json", manifest
     ),
@@ -359,10 +359,10 @@ KINDS = {
         400, "motor-classifiers predict FOLDER/start.csv --model FOLDER/model --json", "model", model
     ),
     "card": Kind(
-        150, "motor-classifiers score FOLDER --keep FOLDER/out", "card.toml", submission("card.toml")
+        60, "motor-classifiers score FOLDER --keep FOLDER/out", "card.toml", submission("card.toml")
     ),
     "answers": Kind(
-        150,
+        100,
         "motor-classifiers score FOLDER --keep FOLDER/out",
         "answers.parquet",
         submission("answers.parquet"),
@@ -388,7 +388,7 @@ def defect(said: str, *, seen: bool, new: set[Path]) -> str:
         "a fault": status == 1 and seen,
         "half-written files": any(path.name.startswith(".") for path in new),
         "files of a refusal": status == 2 and bool(new),
-        "no sentence": status == 2 and not (lines and all(len(line) < LONGEST_SENTENCE for line in lines)),
+        "no sentence": status == 2 and (len(lines) != 1 or len(lines[0]) > LONGEST_SENTENCE),
     }
     words = ", ".join(words for words, holds in wrong.items() if holds)
     return words and f"{words}: {said[:2000]}"

@@ -112,7 +112,7 @@ def read_manifest(folder: Folder) -> Manifest:
         files = tuple(Entry(**entry) for entry in content["files"])
         return Manifest(recipe_from_dict(content["recipe"]), content["seed"], content["cases"], files)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{path} cannot be read as a data set's manifest: {str(error)[:300]}") from error
+        raise InputError(f"{path} cannot be read as a data set's manifest: {error}") from error
 
 
 def size_and_digest(path: Path) -> tuple[int, str]:

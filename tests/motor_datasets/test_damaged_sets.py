@@ -276,4 +276,4 @@ def test_two_shifts_of_one_name_are_refused(folder: Path) -> None:
 @pytest.mark.parametrize("value", ["x" * 5000, [0] * 5000])
 def test_a_long_value_in_a_manifest_is_not_said_whole(folder: Path, value: Any) -> None:
     told(folder, lambda manifest: manifest["files"][0].update(rows=value))
-    assert len(refusal(folder).replace(str(folder), "")) < 400
+    assert refusal(folder).endswith(" ...")

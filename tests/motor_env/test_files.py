@@ -5,10 +5,10 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from hostile import odd_places, refused
+from hostile import deep, odd_places, refused
 
 from motor_env import InputError, load_motor, load_recipe
-from motor_env.files import filling, read_file
+from motor_env.files import filling, read_file, read_json, require_ours
 
 
 @pytest.mark.timeout(20)
@@ -60,3 +60,32 @@ def test_what_is_made_in_a_folder_appears_there_at_the_end(tmp_path: Path) -> No
     with pytest.raises(InputError, match="out: cannot be written"):
         made("a")
     assert [path for path in folder.iterdir() if path.name.startswith(".")] == []
+
+
+def test_a_file_that_is_too_large_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"abc")
+    monkeypatch.setattr(Path, "open", None)
+    assert "is larger than" in refused(partial(read_file, path, 2), path)
+
+
+def test_json_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    for text, reason in ((deep(), "nested too deep"), ("", "Expecting value"), ("9" * 5000, "digits")):
+        path.write_text(text)
+        assert reason in refused(partial(read_json, path, 10**6), path)
+    path.write_text('{"a": [1]}', encoding="utf-16")
+    assert read_json(path, 10**6) == {"a": [1]}
+
+
+def test_a_folder_of_others_is_refused(tmp_path: Path) -> None:
+    ours = partial(require_ours, command="make-it", more=", or --force")
+    ours(tmp_path / "new", "a.json", "mark")
+    ours(tmp_path, "a.json", "mark")
+    path = tmp_path / "a.json"
+    path.write_text("another's")
+    sentence = refused(lambda: ours(tmp_path, "a.json", "mark"), tmp_path)
+    assert sentence.endswith("make-it did not make it; give a new or empty folder, or --force")
+    refused(lambda: ours(path, "a.json", "mark"), path)
+    path.write_text("with a mark")
+    ours(tmp_path, "a.json", "mark")

@@ -83,28 +83,29 @@ def read_submission(folder: Path | str, *, seed: int = SEED) -> tuple[Card, Task
             twice, or with a value that cannot be one.
     """
     path = Path(folder) / CARD
+    content = read_toml(path, "a submission needs a card")
     try:
-        card = from_dict(Card, read_toml(path, "a submission needs a card"), "card")
+        card = from_dict(Card, content, "card")
         task = load_task(card.task)
         _check_card(card, task, seed)
-    except InputError:
-        raise
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     path = Path(folder) / ANSWERS
-    content = read_file(path, LARGEST_TABLE_BYTES, "a submission needs a table of answers")
+    answers = read_file(path, LARGEST_TABLE_BYTES, "a submission needs a table of answers")
     try:
-        return card, task, _checked(task, _table(task, content))
+        return card, task, _checked(task, _table(task, answers))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
 def _check_card(card: Card, task: Task, seed: int) -> None:
     if card.version != VERSION:
-        raise InputError(f"the submission is for motor-bench {card.version}, this is motor-bench {VERSION}")
+        raise InputError(
+            f"the submission is for motor-bench {card.version!r:.60}, this is motor-bench {VERSION}"
+        )
     if card.draw != task.draw_id(seed):
         raise InputError(
-            f"the submission answers split {card.draw} of task {task.name}, this split is {task.draw_id(seed)}"
+            f"the submission answers split {card.draw!r:.60} of task {task.name}, this split is {task.draw_id(seed)}"
         )
     for name, text in asdict(card).items():
         if len(text) > _LONGEST or not text.isprintable():

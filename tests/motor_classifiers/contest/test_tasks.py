@@ -131,6 +131,7 @@ BAD_FILES: dict[str, Callable[[Path], object]] = {
     "large": lambda folder: (folder / ANSWERS).write_bytes(b"x" * (LARGEST_TABLE_BYTES + 1)),
     "version": lambda folder: _edit_card(folder, '"1.0"', '"0.9"'),
     "draw": lambda folder: _edit_card(folder, load_task("bench").draw_id(), "0" * 16),
+    "lines": lambda folder: _edit_card(folder, load_task("bench").draw_id(), "a\\nb"),
     "task": lambda folder: _edit_card(folder, '"bench"', '"wrench"'),
     "key": lambda folder: _edit_card(folder, "about =", "run = 1\nabout ="),
 }
@@ -162,8 +163,9 @@ def _spoil(how: str, folder: Path) -> None:
         ("damaged", "is no Parquet file, or damaged"),
         ("absent", "a submission needs a table of answers"),
         ("large", "is larger than 20 MB"),
-        ("version", "the submission is for motor-bench 0.9, this is motor-bench 1.0"),
-        ("draw", "answers split 0000000000000000 of task bench"),
+        ("version", "the submission is for motor-bench '0.9', this is motor-bench 1.0"),
+        ("draw", "answers split '0000000000000000' of task bench"),
+        ("lines", "answers split 'a\\nb' of task bench"),
         ("task", "task must be one of bench,"),
         ("key", "unknown key 'run' in card"),
     ],
@@ -173,7 +175,7 @@ def test_a_bad_submission_is_one_sentence(how: str, sentence: str, tmp_path: Pat
     write_submission(tmp_path, task, good_answers(task), WHO)
     _spoil(how, tmp_path)
     path = tmp_path / ANSWERS
-    assert sentence in refused(lambda: main(["score", str(tmp_path)]), path, named=False)
+    assert sentence in refused(lambda: main(["score", str(tmp_path)]), path, named=str(tmp_path))
 
 
 def test_rows_are_counted_before_they_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

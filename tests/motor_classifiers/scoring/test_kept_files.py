@@ -38,7 +38,7 @@ def test_only_regular_files_are_read(tmp_path: Path) -> None:
 def test_kept_json_that_is_none_is_a_sentence(tmp_path: Path) -> None:
     path = tmp_path / "bench" / "a.json"
     path.parent.mkdir()
-    for text, reason in ((deep(), "nested too deep"), ("{", "Expecting"), ("9" * 5000, "digits")):
+    for text, reason in ((deep(), "nested too deep"), ("{", "Expecting")):
         path.write_text(text)
         assert reason in refused(partial(read_scores, tmp_path), path)
         assert load_figures(path) is None

@@ -39,3 +39,8 @@ def test_options_at_their_bounds() -> None:
     require_options(false_alarm_rate=math.nextafter(0.5, 0.0))
     with pytest.raises(InputError):
         require_options(false_alarm_rate=0.5)
+
+
+def test_a_sentence_has_an_end() -> None:
+    assert str(InputError("x" * 1000)) == "x" * 1000
+    assert str(InputError("x" * 1001)) == "x" * 1000 + " ..."
