@@ -33,6 +33,11 @@ class NormalEquations(NamedTuple):
     information: FloatArray
 
 
+def _own(values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    """Values of that shape in an array of their own: for one that cannot be written to, kernels are compiled again."""
+    return np.array(np.broadcast_to(np.asarray(values, dtype=np.float64), shape), order="C")
+
+
 @dataclass(frozen=True, slots=True)
 class Observed:
     """Measured transients in units of their noise, and what drove them.
@@ -95,7 +100,7 @@ class Observed:
             f"voltage_v must have shape ({measured.shape[-1]},) or {(len(measured), measured.shape[-1])}, "
             f"got {np.shape(voltage_v)}",
         )
-        load = np.broadcast_to(np.asarray(load_torque_n_m, dtype=np.float64), voltage.shape)
+        load = _own(load_torque_n_m, voltage.shape)
         for name, driving in (("voltage_v", voltage), ("load_torque_n_m", load)):
             require(bool(np.isfinite(driving).all()), f"{name} must be finite, got a value that is not")
         n_samples = measured.shape[-1]
@@ -106,7 +111,7 @@ class Observed:
             observation=sensor.observation / std[:, None],
             log_normaliser=-n_samples * float(np.log(std).sum() + 0.5 * n_channels * np.log(2.0 * np.pi)),
             initial_state=np.asarray(initial_state, dtype=np.float64),
-            load_torque_n_m=np.ascontiguousarray(load),
+            load_torque_n_m=load,
         )
 
     def with_variance(self, factor: float) -> Observed:
@@ -214,7 +219,7 @@ def jacobian(
     """
     at = np.zeros(coordinates.size) if values is None else np.asarray(values, dtype=np.float64)
     voltage = np.ascontiguousarray(voltage_v, dtype=np.float64)
-    load = np.ascontiguousarray(np.broadcast_to(np.asarray(load_torque_n_m, dtype=np.float64), voltage.shape))
+    load = _own(load_torque_n_m, voltage.shape)
     states, slopes = _state_slopes(coordinates, at, dt_s, (voltage, load, np.zeros(N_STATES)))
     response: FloatArray = sensor.observation @ states
     return response, np.einsum("cs,jsk->ckj", sensor.observation, slopes)

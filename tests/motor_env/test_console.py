@@ -185,3 +185,11 @@ def test_a_closed_pipe_ends_quietly() -> None:
         said = process.stderr.read()
     assert said == b""
     assert process.returncode == 128 + 13  # SIGPIPE
+
+
+def test_what_is_no_number_of_json_is_null() -> None:
+    value = {"a": (1, float("nan"), [float("-inf")]), "b": "inf", "c": {"d": 0.5}, "e": None}
+    assert (
+        console.json_text(value, indent=None)
+        == '{"a": [1, null, [null]], "b": "inf", "c": {"d": 0.5}, "e": null}'
+    )

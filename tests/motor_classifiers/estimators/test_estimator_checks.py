@@ -35,7 +35,7 @@ ESTIMATORS = [
     OpenSetClassifier(),
     PerceptronClassifier(epochs=15),
     ResNetClassifier(epochs=6, stem=4, width=8),
-    TorchClassifier(epochs=40),
+    TorchClassifier(epochs=20),
     PosteriorNetwork(steps=40, batch_size=32, n_hidden=32),
     PhysicalFeatures(),
     ResidualProjection(),

@@ -18,7 +18,7 @@ TEST = generate_arrays(RECIPE, 6, 200)
 
 # What a method needs to learn something in a second; the benchmark's own settings take longer.
 QUICK = {
-    "residual-network": {"epochs": 25, "stem": 4, "width": 8, "batch_size": 32},
+    "residual-network": {"epochs": 12, "stem": 4, "width": 8, "batch_size": 32},
     "posterior-network": {"steps": 60, "batch_size": 128},
     "network": {"epochs": 30},
     "physical-boosting": {"classify__estimator__max_iter": 30},

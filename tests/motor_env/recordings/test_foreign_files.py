@@ -106,6 +106,22 @@ def test_times_that_repeat_by_rounding_tell_their_rate(
     assert abs(np.mean(spread[0]) - 1.7e6 - np.mean(time_s)) < 0.6e-3
 
 
+@pytest.mark.parametrize(
+    ("names", "alike"),
+    [
+        (("left (A)", "right (A)"), "left (A) and right (A) both"),
+        (("red (A)", "blue (A)", "green (A)"), "red (A), blue (A) and green (A) all"),
+    ],
+)
+def test_columns_that_look_alike_are_offered_one_by_one(
+    names: tuple[str, ...], alike: str, tmp_path: Path
+) -> None:
+    path = write_csv(tmp_path / "a.csv", {"time_s": TIME} | dict.fromkeys(names, CURRENT))
+    options = " or ".join(f'--column "current={name}"' for name in names)
+    sentence = refused(lambda: read_recording(path), path)
+    assert sentence == f"{path}: the columns {alike} look like the current; say which: {options}"
+
+
 @pytest.mark.parametrize(("interval", "spreads"), [(0.895, True), (0.905, False)])
 def test_times_that_repeat_seldom_are_not_spread(interval: float, spreads: bool) -> None:
     """From nine tenths of the rounding on."""
