@@ -159,8 +159,8 @@ def test_a_start_that_hides_a_doubled_friction_says_so_and_one_that_hides_all_is
         (3.31, "only a rise of 893%"),
         (3.33, "not even a tenfold one"),
     ):  # log 10 over log 2: 3.32
-        (said,) = (one for one in doubled(deviations, 0.99).reasons if "is undecided" in one)
-        assert said.endswith(f"too short to tell it, {shown} would show")
+        (told,) = (one for one in doubled(deviations, 0.99).reasons if "is undecided" in one)
+        assert told.endswith(f"too short to tell it, {shown} would show")
 
 
 @pytest.mark.parametrize(
