@@ -638,7 +638,7 @@ class Lesson:
     def identify(self, recordings: Sequence[Recording], *, most: int) -> Any:
         self.joint.append(sum(len(one.time_s) for one in recordings))
         assert most == max(10_000, self.joint[-1])
-        record = SimpleNamespace(seen=np.ones(2), hold="late")
+        record = SimpleNamespace(seen=np.ones(2), hold="late", steps_seen=1.0)
         solution = SimpleNamespace(values=self.values, names=("R", "K", "offset_speed"))
         speeds = np.array([[9.0, 140.0], [9.0, -20.0]])  # 100 effective
         return SimpleNamespace(record=record, solution=solution, expected=speeds)
