@@ -6,10 +6,11 @@ _LONGEST = 1000  # characters: a value of a stranger's file may have thousands
 
 
 class InputError(ValueError):
-    """Input that cannot be used; the message is the sentence that the user reads, cut where it has no end."""
+    """Input that cannot be used; the message is the sentence that the user reads: one line, cut where it has no end."""
 
     def __init__(self, sentence: str) -> None:
-        super().__init__(sentence if len(sentence) <= _LONGEST else f"{sentence[:_LONGEST]} ...")
+        line = " ".join(sentence.splitlines())  # a name in a stranger's file may have several
+        super().__init__(line if len(line) <= _LONGEST else f"{line[:_LONGEST]} ...")
 
 
 def require_extra(module: str, extra: str) -> None:

@@ -42,8 +42,8 @@ def test_a_refusal_is_one_sentence_that_names_the_file_and_leaves_nothing(
     path = tmp_path / "a.csv"
     assert refused(said("a.csv: is bad", error=error), path) == "a.csv: is bad"
     assert refused(said("it is bad", error=error), path, named=False) == "it is bad"
-    bad = [said(words, error=error) for words in ("", "b.csv is bad", "a.csv:\nbad")]
-    bad += [said("a.csv" + "x" * 1500)]
+    bad = [said(words, error=error) for words in ("", "b.csv is bad")]
+    bad += [said("a.csv:\nbad"), said("a.csv" + "x" * 1500)]
     bad += [said("a.csv: is bad", status) for status in (0, 1, 70)]
     bad.append(lambda: (tmp_path / "half").write_text("") + said("a.csv: is bad", error=error)())
     for call in bad:

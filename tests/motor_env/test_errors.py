@@ -41,6 +41,7 @@ def test_options_at_their_bounds() -> None:
         require_options(false_alarm_rate=0.5)
 
 
-def test_a_sentence_has_an_end() -> None:
+def test_a_sentence_is_one_line_and_has_an_end() -> None:
+    assert str(InputError("a\nb\u2028c")) == "a b c"
     assert str(InputError("x" * 1000)) == "x" * 1000
     assert str(InputError("x" * 1001)) == "x" * 1000 + " ..."
