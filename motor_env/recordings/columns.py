@@ -91,10 +91,12 @@ def recognise(
     counter = next((k for k, meaning in enumerate(meanings) if meaning.unit == NUMBERED), None)
     if "time" not in found:
         found["time"] = _counted(suggested, counter)
+    if "time" in places:
+        found["time"] = _timed(found["time"], missing[:, places["time"]])
     found["time"] = _unrounded(found["time"])
     _refuse_no_current(path, found)
     unused = tuple(suggested.name(k) for k in free if k not in places.values() and k != counter)
-    _restore(found, places, missing)
+    _restore(path, found, places, missing)
     return {quantity: found[quantity] for quantity in QUANTITIES if quantity in found}, unused
 
 
@@ -107,13 +109,31 @@ def _whole(values: FloatArray) -> FloatArray:
     return np.where(is_whole, np.round(full), full)
 
 
-def _restore(found: dict[str, Column], places: Mapping[str, int], missing: NDArray[np.bool_]) -> None:
-    """Make the missing values of each quantity NaN again, all of them where the time is missing."""
+def _timed(time: Column, missing: NDArray[np.bool_]) -> Column:
+    """A time that goes on at its usual pace where it is missing at the begin and at the end."""
+    known = np.flatnonzero(~missing)
+    if len(known) in (0, 1, len(missing)):
+        return time
+    places, pace = np.arange(len(missing)), np.median(np.diff(time.values[known]) / np.diff(known))
+    nearest = np.clip(places, known[0], known[-1])
+    return time._replace(values=time.values + pace * (places - nearest))
+
+
+def _restore(
+    path: Path, found: dict[str, Column], places: Mapping[str, int], missing: NDArray[np.bool_]
+) -> None:
+    """Make the missing values of each quantity NaN again, all of them where the time is missing.
+
+    Raises:
+        InputError: one has no value at all.
+    """
     untimed = missing[:, places["time"]] if "time" in places else np.zeros(len(missing), dtype=np.bool_)
     for quantity in places.keys() - {"time"}:
         lost = missing[:, places[quantity]] | untimed
         if lost.any():
             values, origin, warning = found[quantity]
+            if lost.all():
+                raise InputError(f"{path}: the {quantity} ({origin}) has no value")
             words = f"{origin}, {np.count_nonzero(lost)} of {len(lost)} values missing"
             found[quantity] = Column(np.where(lost, np.nan, values), words, warning)
 

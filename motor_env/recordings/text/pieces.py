@@ -106,7 +106,7 @@ def _numbers(block: Block, piece: bytes, begin: int, rows: int) -> tuple[FloatAr
     Raises:
         InputError: a cell is no number.
     """
-    for quick in (_plain_numbers, _most_numbers):
+    for quick in (_plain_numbers, _most_numbers, _numbers_with_holes):
         with suppress(ValueError, KeyError):
             values = quick(block, piece, rows)
             if len(values) == rows and not np.isinf(values).any():
@@ -130,11 +130,12 @@ def _plain_numbers(block: Block, piece: bytes, rows: int) -> FloatArray:
     )
 
 
-def _most_numbers(block: Block, piece: bytes, rows: int) -> FloatArray:
+def _most_numbers(block: Block, piece: bytes, rows: int, *, holes: bool = False) -> FloatArray:
     """Those of a block without quotes or blank lines; ValueError or KeyError for any other."""
     import pandas as pd
 
-    delimiter = block.table.delimiter
+    delimiter, missing = block.table.delimiter, ["", "nan", "NaN"]
+    na_values: Any = {k: missing for k in block.columns if k not in block.clocks}
     frame = pd.read_csv(
         io.BytesIO(piece),
         header=None,
@@ -142,7 +143,9 @@ def _most_numbers(block: Block, piece: bytes, rows: int) -> FloatArray:
         dtype={k: str if k in block.clocks else np.float64 for k in block.columns},
         decimal="," if block.table.decimal_comma else ".",
         quoting=csv.QUOTE_NONE,
-        na_filter=False,
+        na_filter=holes,
+        keep_default_na=False,
+        na_values=na_values,
         skip_blank_lines=False,
     )
     # A number behind the last column is one cell too many, or the mark of a decimal.
@@ -153,6 +156,14 @@ def _most_numbers(block: Block, piece: bytes, rows: int) -> FloatArray:
             [_seconds(frame[k].tolist()) if k in block.clocks else frame[k].to_numpy() for k in block.columns]
         )
     )
+
+
+def _numbers_with_holes(block: Block, piece: bytes, rows: int) -> FloatArray:
+    """The same with empty cells; ValueError where a row ends before them."""
+    mark = None if block.table.delimiter == " " else block.table.delimiter.encode()
+    if min(len(line.split(mark)) for line in piece.removesuffix(b"\n").split(b"\n")) <= max(block.columns):
+        raise ValueError("a row that ends too soon")
+    return _most_numbers(block, piece, rows, holes=True)
 
 
 def _numbers_cell_by_cell(block: Block, lines: list[str], begin: int) -> tuple[FloatArray, Sequence[int]]:

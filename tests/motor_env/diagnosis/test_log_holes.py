@@ -19,13 +19,12 @@ from motor_env import (
     diagnose,
     load_motor,
     simulate_states,
+    watch,
 )
 from motor_env.diagnosis.commission import commission
 from motor_env.diagnosis.running.looks import Looks
 from motor_env.diagnosis.running.windows import NAMES, judge_of
 from motor_env.fitting import places
-from motor_env.live.state import State
-from motor_env.live.watch import Watch
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -158,8 +157,7 @@ def test_a_log_that_changes_its_rate_is_judged_where_it_has_its_own(tmp_path: Pa
 
 def streamed(columns: Columns) -> list[str]:
     """What is said of the windows of a stream."""
-    lines = (line.encode() for line in csv_text(columns).splitlines(keepends=True))
-    events = Watch(HEALTHY, State(), false_alarms_per_year=1.0).events(lines)
+    events = watch(MOTOR, csv_text(columns).splitlines())
     return [event.text for event in events if event.kind == "window"]
 
 

@@ -623,8 +623,14 @@ class Lesson:
     """Instead of fits: windows with these logarithms, errors and noises."""
 
     def __init__(
-        self, monkeypatch: pytest.MonkeyPatch, *, load_sd: float = 0.2, scatter: float = 1.0
+        self,
+        monkeypatch: pytest.MonkeyPatch,
+        *,
+        load_sd: float = 0.2,
+        scatter: float = 1.0,
+        steps_seen: float = 1.0,
     ) -> None:
+        self.steps_seen = steps_seen
         self.logs = scatter * LOGS
         self.wanted: list[tuple[str, ...]] = []
         self.joint: list[int] = []
@@ -638,7 +644,7 @@ class Lesson:
     def identify(self, recordings: Sequence[Recording], *, most: int) -> Any:
         self.joint.append(sum(len(one.time_s) for one in recordings))
         assert most == max(10_000, self.joint[-1])
-        record = SimpleNamespace(seen=np.ones(2), hold="late", steps_seen=1.0)
+        record = SimpleNamespace(seen=np.ones(2), hold="late", steps_seen=self.steps_seen)
         solution = SimpleNamespace(values=self.values, names=("R", "K", "offset_speed"))
         speeds = np.array([[9.0, 140.0], [9.0, -20.0]])  # 100 effective
         return SimpleNamespace(record=record, solution=solution, expected=speeds)
@@ -732,6 +738,18 @@ def test_a_lesson_needs_four_windows_and_chooses_some_of_many(monkeypatch: pytes
     learn_windows([recording(10_500)], 0.5)
     learn_windows([recording(30_000)], 0.5)
     assert lesson.joint == [2000, 10_000, 5500, 10_000]  # all; all; every second window; every third
+
+
+def test_logs_whose_holes_hide_the_steps_of_the_voltage_teach_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    Lesson(monkeypatch, steps_seen=0.21)
+    assert learn_windows([recording(3100)], 0.5)[0].pieces == 6
+    Lesson(monkeypatch, steps_seen=0.19)
+    with pytest.raises(
+        UnusableError, match="samples are missing at the voltage's steps: how the current follows"
+    ):
+        learn_windows([recording(3100)], 0.5)
 
 
 def test_parts_are_looked_at_down_to_eight_samples_and_a_fifth_of_a_second(

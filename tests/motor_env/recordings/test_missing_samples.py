@@ -90,6 +90,35 @@ def test_empty_cells_and_nan_are_missing_samples(tmp_path: Path) -> None:
     assert cut(found, slice(5, 9)).missing is not None
 
 
+def test_a_line_without_a_time_is_missing_wherever_it_stands(tmp_path: Path) -> None:
+    rows = [f"{0.01 * n},{value}" for n, value in enumerate(WAVE)]
+    for n in (0, 1, 7, 39):
+        rows[n] = "nan,5.0"
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time_s,current_a", *rows, ""]))
+    found = read_recording(path)
+    np.testing.assert_allclose(found.time_s, 0.01 * PLACES, atol=1e-12)
+    assert found.missing is not None
+    assert np.flatnonzero(found.missing[:, 1]).tolist() == [0, 1, 7, 39]
+    path.write_text("\n".join(["time_s,current_a", *(f"{n},nan" for n in range(40)), ""]))
+    with pytest.raises(InputError, match=r"the current \(column 2 \(current_a\)\) has no value"):
+        read_recording(path)
+
+
+def test_blank_lines_and_short_ones_are_no_missing_samples(tmp_path: Path) -> None:
+    rows = [f"{0.01 * n:.2f};{value};{value}" for n, value in enumerate(WAVE)]
+    rows[5] = "0.05;;1"
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time_s;current_a;speed_rad_s", *rows[:20], "", *rows[20:], ""]))
+    found = read_recording(path)
+    assert len(found.time_s) == 40
+    assert found.missing is not None
+    assert found.missing.sum() == 1
+    path.write_text("\n".join(["time_s;current_a;speed_rad_s", *rows[:20], "0.2;1", *rows[21:], ""]))
+    with pytest.raises(InputError, match="line 22: the column speed_rad_s has no value"):
+        read_recording(path)
+
+
 def test_counts_stay_counts_where_one_is_missing(tmp_path: Path) -> None:
     current = np.round(100.0 * np.abs(np.random.default_rng(2).standard_normal(200)))
     rows = [f"{0.01 * n:.2f},{'' if n == 50 else int(value)}" for n, value in enumerate(current)]
