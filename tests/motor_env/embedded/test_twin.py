@@ -520,6 +520,7 @@ def test_the_source_holds_the_numbers_of_its_twin(fixed: bool, rule: str, tmp_pa
     assert {source, header} <= set(files)
     text, head = source.read_text(encoding="utf-8"), header.read_text(encoding="utf-8")
     numbers = fixed_point(believed, steps) if steps else floating(believed)
+    assert f"typedef {'int32_t' if fixed else 'float'} m_number;" in head
 
     def table(name: str) -> NDArray[np.float64]:
         found = re.search(rf"\b{name}\[.*?= (\{{.*?\}});", text, re.DOTALL)

@@ -379,7 +379,8 @@ def test_the_noise_of_second_differences() -> None:
     rng = np.random.default_rng(3)
     quantiles = stats.norm.ppf((np.arange(100_000) + 0.5) / 100_000)
     values = np.cumsum(np.cumsum(rng.permutation(quantiles)))
-    assert difference_noise(values) == pytest.approx(1.0 / math.sqrt(6.0), rel=1e-3)
+    for scale in (1.0, 30.0):
+        assert difference_noise(scale * values) == pytest.approx(scale / math.sqrt(6.0), rel=1e-3)
     second = np.array([0.0, 0.0, 0.0, 0.0, 8.0, -8.0, 0.0, 0.0])
     rare = np.cumsum(np.cumsum(second))
     assert difference_noise(rare) == pytest.approx(0.5 * np.std(second[2:]) / math.sqrt(6.0))
