@@ -136,7 +136,10 @@ def diagnose(
 
     found = judged(recording)
     if motor is not None and recording.voltage_v is not None and is_strange(found.telling):
-        swapped = replace(recording, current_a=recording.voltage_v, voltage_v=recording.current_a)
+        lost = None if recording.missing is None else recording.missing[:, [1, 0, 2]]
+        swapped = replace(
+            recording, current_a=recording.voltage_v, voltage_v=recording.current_a, missing=lost
+        )
         with suppress(InputError):
             again = judged(swapped).telling
             if again.verdict is not Verdict.OTHER and not is_strange(again):
