@@ -47,8 +47,8 @@ _SCALES = {
 _ROUND = (2.0, 10.0, 100.0, 1e3)
 _NEAR, _SURE = 0.05, 3.0  # of a factor, and its standard errors, within which it is a unit's
 _FAR, _NOT_NEAR = math.log(3.0), math.log(1.5)
-_MOST = {"B": math.log(30.0), "R": math.log(10.0)}
-"""Beyond these factors, and beyond 3 of anything else, no wear explains a change."""
+_MOST = {"B": math.log(10.0), "R": math.log(10.0)}
+"""Beyond a factor of 10 on friction and R, and of 3 on anything else, no wear explains a change."""
 BEYOND_WEAR = (
     "so large a change is no wear: this is another motor or load, or no motor at all, or columns, units or a rate were"
     " read wrongly"

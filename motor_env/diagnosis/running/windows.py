@@ -151,7 +151,10 @@ class WindowJudge:
         Raises:
             UnusableError: the record is outside the commissioned regime, or shorter than a window.
         """
-        parts = windows_of(recording, self.windows.window_s)
+        sampled = averaged(recording, self.windows.window_s)
+        if not self.is_sampled_alike(sampled):
+            raise UnusableError("outside the commissioned regime: another sampling interval")
+        parts = windows_of(sampled, self.windows.window_s)
         if not parts:
             raise UnusableError(f"the record is shorter than a window of {self.windows.window_s:g} s")
         volts = rms_volts(recording)
@@ -160,9 +163,7 @@ class WindowJudge:
             raise UnusableError(
                 f"outside the commissioned regime: {volts:.3g} V effective, commissioned {low:.3g} to {high:.3g} V"
             )
-        if not self.is_sampled_alike(parts[0]):
-            raise UnusableError("outside the commissioned regime: another sampling interval")
-        chosen = range(len(parts)) if len(parts) <= MANY else self._chosen(recording, parts)
+        chosen = range(len(parts)) if len(parts) <= MANY else self._chosen(sampled, parts)
         return [self._judged(parts[n], rate / len(parts)).on(parts[n]) for n in chosen], len(parts)
 
     def _chosen(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:

@@ -242,6 +242,8 @@ def test_of_many_windows_some_are_judged_and_the_rate_is_still_shared_by_all(
         ({"dt_s": 2.01e-3}, "another sampling interval"),
         ({"dt_s": 0.505e-3}, ""),
         ({"dt_s": 0.495e-3}, "another sampling interval"),
+        ({"dt_s": 0.5}, "another sampling interval"),  # a window is one sample, or none
+        ({"dt_s": 2.0}, "another sampling interval"),
         ({"n": 499}, "shorter than a window of 0.5 s"),
     ],
 )
