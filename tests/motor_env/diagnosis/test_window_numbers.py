@@ -376,7 +376,7 @@ def test_a_quiet_window_decides_nothing_where_no_doubling_would_show() -> None:
     # Healthy windows that scatter more are no defect of one that tells enough; and an alarm is one in any case.
     wide = Reference("it", NAMES, np.zeros(4), (2.0 * alone) ** 2 * shape, 30.0, includes_fit_error=True)
     assert decide(FittedWindow(np.zeros(4), 1e-4 * shape), wide, 0.02).verdict == "healthy"
-    far = np.array([0.0, 0.0, 0.0, 3.0])
+    far = np.array([0.0, 0.0, 0.0, 2.0])
     assert decided(far, (1.005 * alone) ** 2 * shape, 0.02, 30.0).verdict == "bearing"
 
 
