@@ -35,7 +35,7 @@ _UNITS = {
     "time": {
         1e3: "in ms, and was read in s",
         1e6: "in microseconds, and was read in s",
-        1 / 60.0: "in minutes",
+        1 / 60.0: "in minutes, and was read in s",
     },
 }
 _SCALES = {
