@@ -25,6 +25,8 @@ FORMAT_VERSION = 1
 MANIFEST = "dataset.json"
 
 
+LARGEST_MANIFEST_BYTES = 2**28
+"""Size of the largest manifest: that of a million files."""
 _FILE_NAME = re.compile(r"data/(train|validation|test|shift_\w+)-\d{6}\.parquet")
 
 
@@ -104,7 +106,7 @@ def read_manifest(folder: Folder) -> Manifest:
         InputError: no data set there, or one of another kind.
     """
     path = folder / MANIFEST
-    content = read_json(path, LARGEST_DATA_BYTES, "no such file; its folder is no data set")
+    content = read_json(path, LARGEST_MANIFEST_BYTES, "no such file; its folder is no data set")
     try:
         require(content["format"] == FORMAT, f"format must be {FORMAT}, got {content['format']!r}")
         version = content["version"]
