@@ -74,9 +74,10 @@ def wrong_scale(difference: Difference, names: tuple[str, ...], limit: float, ra
         z, step, step_sd, p_left_over = along(difference, direction)
         if abs(z) <= limit or p_left_over <= rate:
             continue
-        # One quantity alone moves by faults and loads as well.
+        # One quantity alone moves by faults and loads as well: only a known factor, and no other near it, counts.
         is_shared = np.count_nonzero(np.abs(step * direction) > limit * sd) > 1
-        word = _factor(column, step, max(_NEAR, _SURE * step_sd), only_known=not is_shared)
+        near = max(_NEAR, _SURE * step_sd) if is_shared else _NEAR
+        word = _factor(column, step, near, only_known=not is_shared)
         found += [f"the {column} is {word}"] if word else []
     return f"{EXPLAINED} if {', or if '.join(sorted(found))}" if found else ""
 

@@ -84,10 +84,15 @@ def test_without_a_speed_a_larger_current_is_a_smaller_voltage() -> None:
 
 def test_an_inertia_that_moved_alone_is_put_down_to_the_clock_only_by_a_round_factor() -> None:
     exponents, moved = EXPONENTS[FULL][[0, 2, 3, 4]], np.zeros(4)
-    for factor, words in ((2.0, "time is 2 times"), (2.3, "")):
+    for factor, sd, words in (
+        (2.0, 0.01, "time is 2 times"),
+        (2.3, 0.01, ""),
+        (1.96, 0.1, "2 times"),
+        (1.7, 0.1, ""),
+    ):
         moved[2] = math.log(factor)
         sentence = wrong_scale(
-            Difference(moved, 1e-4 * np.eye(4), exponents, 1e6), ("R", "K", "J", "B"), 3.0, 0.01
+            Difference(moved, sd**2 * np.eye(4), exponents, 1e6), ("R", "K", "J", "B"), 3.0, 0.01
         )
         assert (words in sentence) is bool(words or not sentence)
         assert bool(sentence) is bool(words)
