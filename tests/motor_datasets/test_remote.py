@@ -193,7 +193,8 @@ def test_local_folders_need_no_fsspec(tmp_path: Path) -> None:
 def test_objects_are_of_a_stated_size(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     generate_dataset(SHORT, 30, 1, url)
     largest = max(len(content) for content in objects_of(url).values())
-    monkeypatch.setattr(manifest, "LARGEST_DATA_BYTES", largest)
+    for limit in ("LARGEST_DATA_BYTES", "LARGEST_MANIFEST_BYTES"):
+        monkeypatch.setattr(manifest, limit, largest)
     load(url)
     for name in ("data/train-000000.parquet", "dataset.json"):
         fsspec.filesystem("memory").pipe_file(f"{url}/{name}", bytes(largest + 1))
