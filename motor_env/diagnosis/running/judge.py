@@ -74,5 +74,11 @@ def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -
 def _misread(judgement: Judgement, misread: str) -> Judgement:
     """A judgement of a window, with what the whole log says instead of what its own fit did."""
     own = (one for one in judgement.reasons if one != BEYOND_WEAR and not one.startswith(EXPLAINED))
-    reasons = (misread, *own)
-    return replace(judgement, verdict=Verdict.OTHER, reasons=reasons, severity=None, severity_interval=None)
+    return replace(
+        judgement,
+        verdict=Verdict.OTHER,
+        reasons=(misread, *own),
+        severity=None,
+        severity_interval=None,
+        fault_kind=None,
+    )

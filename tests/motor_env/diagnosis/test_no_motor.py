@@ -105,6 +105,7 @@ def test_a_wrong_scale_is_named_first(form: str, name: str, first: str) -> None:
     assert found.verdict == "other"
     assert found.reasons[0] == f"{EXPLAINED} if {first}"
     assert BEYOND_WEAR not in found.reasons
+    assert all(one.fault_kind is None for one in found.pieces if one.verdict == "other")
 
 
 @pytest.mark.parametrize("form", ["start without speed", "log"])
