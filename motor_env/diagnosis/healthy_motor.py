@@ -136,7 +136,7 @@ def reference_of_pieces(
     same_kind = are_starts == (healthy.starts is not None)
     starts = healthy.starts if are_starts else None
     return Reference(
-        source=f"{healthy.pieces} healthy {'windows' if healthy.starts is None else 'starts'} of {motor}",
+        source=_source(healthy, motor),
         names=tuple(name for name, is_known in zip(names, follow.tolist(), strict=True) if is_known),
         log_values=powers @ np.log(healthy.values) + wanted[follow, _FRICTION] * math.log(friction),
         log_covariance=powers @ healthy.log_covariance @ powers.T,
@@ -144,12 +144,19 @@ def reference_of_pieces(
         log_noise=None if starts is None else starts.log_noise,
         log_noise_sd=SHEET_NOISE_SD if starts is None else starts.log_noise_sd,
         model=None if starts is None else starts.model,
-        includes_fit_error=same_kind,
+        includes_fit_error=same_kind and healthy.fleet is None,
         temperature_k=spread_k,
         warmer_k=warmer_k,
         own_friction=healthy.own_friction,
         excess=healthy.windows.window_excess if healthy.windows is not None and same_kind else 1.0,
     )
+
+
+def _source(healthy: Healthy, motor: str) -> str:
+    """What a piece is compared with, in words."""
+    if healthy.fleet is not None:
+        return f"{healthy.fleet.motors} sisters of {motor}"
+    return f"{healthy.pieces} healthy {'windows' if healthy.starts is None else 'starts'} of {motor}"
 
 
 def beyond(healthy: FloatArray, error: FloatArray) -> FloatArray:

@@ -30,12 +30,16 @@ _UNTOLD = 10.0  # standard deviation of a logarithm of which the samples tell no
 
 
 class WindowFit(NamedTuple):
-    """Logarithms of R, K, J and the drag of one window, their covariance, all its physical values, its innovations."""
+    """Logarithms of R, K, J and the drag of one window, their covariance, all its physical values, its innovations.
+
+    The misfit is -2 log likelihood, without a constant.
+    """
 
     logs: FloatArray
     covariance: FloatArray
     values: FloatArray
     whitened: FloatArray
+    misfit: float
 
 
 @on_one_thread
@@ -61,7 +65,7 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
     slope = np.diag([1.0, 1.0, 1.0, way])
     logs = np.log([values[places.R], values[places.K], values[places.J], factor])
     whitened = np.where(record.told, record.predict(values)[0][:, :2], np.nan)[1:]
-    return WindowFit(logs, capped(slope @ spread[np.ix_(at, at)] @ slope), values, whitened)
+    return WindowFit(logs, capped(slope @ spread[np.ix_(at, at)] @ slope), values, whitened, best.misfit)
 
 
 def first_steps(

@@ -257,7 +257,7 @@ def to_toml(motor: Motor) -> str:
         tables["assumed"] = content["assumed"]
     if motor.healthy is not None:
         whole = content["healthy"]
-        parts = {name: whole.pop(name) for name in ("starts", "windows")}
+        parts = {name: whole.pop(name) for name in ("starts", "windows", "fleet")}
         tables["healthy"] = whole
         tables |= {f"healthy.{name}": part for name, part in parts.items() if part is not None}
     return toml_text(top, tables)

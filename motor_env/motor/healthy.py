@@ -81,6 +81,19 @@ class Windows:
 
 
 @dataclass(frozen=True, slots=True)
+class Fleet:
+    """From which sisters the healthy motor was learned.
+
+    Attributes:
+        motors: number of them.
+        log_within: covariance of the logarithms from record to record of one motor, shape (n, n).
+    """
+
+    motors: Annotated[int, Field(ge=1)]
+    log_within: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
+
+
+@dataclass(frozen=True, slots=True)
 class Healthy:
     """Where the quantities of a healthy motor lie, and how far those of its next healthy piece may be off.
 
@@ -95,6 +108,8 @@ class Healthy:
         own_friction: share of the drag that is the motor's own friction, the rest being a load; None if not told.
         starts: how starts were recorded and fitted; None for windows.
         windows: how windows were recorded and fitted; None for starts.
+        fleet: sisters that it was learned from; the covariance is then that of another healthy motor, without the
+            errors of fits. None where the pieces are its own.
     """
 
     pieces: Annotated[int, Field(ge=1)]
@@ -107,6 +122,7 @@ class Healthy:
     own_friction: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
     starts: Starts | None = None
     windows: Windows | None = None
+    fleet: Fleet | None = None
 
     def __post_init__(self) -> None:
         n, covariance = len(self.quantities), self.log_covariance
@@ -117,6 +133,10 @@ class Healthy:
         require(
             np.allclose(covariance, covariance.T) and np.linalg.eigvalsh(covariance)[0] > 0.0,
             "healthy.log_covariance must be symmetric and positive definite",
+        )
+        require(
+            self.fleet is None or np.shape(self.fleet.log_within) == (n, n),
+            f"healthy.fleet.log_within must have the size of the {n} quantities",
         )
         require(
             (self.starts is None) != (self.windows is None),

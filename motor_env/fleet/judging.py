@@ -1,0 +1,225 @@
+"""Each motor of a fleet judged by its sisters: `motor-env diagnose --fleet`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import fdtrc
+
+from motor_env.console import ExitStatus, worst
+from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
+from motor_env.diagnosis.diagnose import Diagnosis, diagnose
+from motor_env.diagnosis.verdict import Verdict
+from motor_env.errors import InputError, require_options
+from motor_env.fleet.fits import Reading
+from motor_env.fleet.learning import LearnedFleet, learn_fleet
+from motor_env.fleet.names import Place
+from motor_env.pages.html import render
+
+_CLEAR = 2.0  # standard deviations
+_MOST_ODD = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Sister:
+    """A motor of the fleet, judged by the others.
+
+    Attributes:
+        place: machine and motor.
+        records: diagnosis of each of its files.
+        ratios: of its quantities over those of a healthy sister.
+        off: how far each lies from the core, in standard deviations of another healthy motor.
+        p_value: of healthy sisters this share is as odd; None where no fit tells.
+    """
+
+    place: Place
+    records: dict[Path, Diagnosis]
+    ratios: dict[str, float]
+    off: dict[str, float]
+    p_value: float | None
+
+    @property
+    def telling(self) -> Diagnosis:
+        """The record that the verdict rests on: the surest of those with a fault."""
+        faults = [one for one in self.records.values() if one.verdict.is_fault]
+        calm = [one for one in self.records.values() if one.verdict is Verdict.HEALTHY]
+        rest = next(iter([*calm, *self.records.values()]))
+        return max(faults, key=lambda one: one.confidence or 0.0, default=rest)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Of the motor."""
+        return self.telling.verdict
+
+    @property
+    def odd(self) -> str:
+        """What is odd: the quantities that lie farthest from the core's."""
+        far = sorted(self.off, key=lambda name: -abs(self.off[name]))
+        named = [name for name in far if abs(self.off[name]) > _CLEAR][:_MOST_ODD]
+        return ", ".join(f"{name} {self.ratios[name] - 1.0:+.0%}" for name in named)
+
+    def to_json(self) -> dict[str, Any]:
+        """One object for programs."""
+        one = self.telling
+        return {
+            "motor": self.place.name,
+            "machine": self.place.machine,
+            "files": [str(path) for path in self.records],
+            "verdict": str(one.verdict),
+            "kind": None if one.kind is None else str(one.kind),
+            "severity": one.severity,
+            "severity_interval": one.severity_interval,
+            "confidence": one.confidence,
+            "p_value": self.p_value,
+            "ratios": self.ratios,
+            "standard_deviations": self.off,
+            "reasons": list(one.reasons),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class FleetDiagnosis:
+    """A fleet, judged.
+
+    Attributes:
+        sisters: the motors, the oddest first.
+        quantities: that were compared.
+        false_alarm_rate: of each healthy motor.
+    """
+
+    sisters: tuple[Sister, ...]
+    quantities: tuple[str, ...]
+    false_alarm_rate: float
+
+    @property
+    def status(self) -> ExitStatus:
+        """Exit status: that of the worst motor."""
+        return worst(sister.verdict.status for sister in self.sisters)
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """An object a motor, the oddest first."""
+        return [sister.to_json() for sister in self.sisters]
+
+    @property
+    def summary(self) -> str:
+        """How many are odd, and how many would be by chance."""
+        odd = sum(sister.verdict.is_fault for sister in self.sisters)
+        chance = self.false_alarm_rate * len(self.sisters)
+        return (
+            f"{odd} of {len(self.sisters)} motors stand out; of as many healthy ones {chance:.1f} would, by chance"
+        )
+
+    def text(self) -> str:
+        """A table, the oddest motor first."""
+        width = max(len(sister.place.name) for sister in self.sisters)
+        rows = [
+            f"{sister.place.name:<{width}}  {sister.verdict:<12} {_severity(sister):>6}"
+            f"  {sister.odd or _why(sister)}"
+            for sister in self.sisters
+        ]
+        return "\n".join([self.summary, *rows])
+
+    def page(self) -> str:
+        """A self-contained HTML page: a picture of the fleet, and the table."""
+        from motor_env.fleet.picture import picture
+
+        rows = [
+            {
+                "name": sister.place.name,
+                "verdict": str(sister.verdict),
+                "status": "limit" if sister.verdict.is_fault else "good" if not sister.verdict.status else "",
+                "severity": _severity(sister),
+                "odd": sister.odd,
+                "why": _why(sister),
+            }
+            for sister in self.sisters
+        ]
+        return render(
+            "motor_env.fleet",
+            "fleet.html.j2",
+            title="A motor among its sisters",
+            summary=self.summary,
+            chart=picture(self),
+            rows=rows,
+        )
+
+
+def _severity(sister: Sister) -> str:
+    severity = sister.telling.severity
+    return f"{severity:+.0%}" if severity and sister.verdict.is_fault else ""
+
+
+def _why(sister: Sister) -> str:
+    """What is said of it, where no quantity is odd or its verdict needs a word."""
+    return "" if sister.verdict is Verdict.HEALTHY else sister.telling.reasons[0]
+
+
+def diagnose_fleet(
+    files: Sequence[Path],
+    *,
+    group: str | None = None,
+    reading: Reading | None = None,
+    false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
+    workers: int = 1,
+    progress: Callable[[Path], None] = lambda path: None,
+) -> FleetDiagnosis:
+    """Judge each motor of a fleet by all others; those of its own machine teach nothing about it.
+
+    Args:
+        files: recordings, see `learn_fleet`.
+        group: regular expression that reads machine, motor and repeat from a file's name.
+        reading: how the files are read.
+        false_alarm_rate: how often a healthy motor may be called faulty.
+        workers: processes.
+        progress: told each file, twice.
+
+    Raises:
+        InputError: too few motors, or records that cannot be used together.
+    """
+    require_options(false_alarm_rate=false_alarm_rate)
+    fleet = learn_fleet(files, group=group, reading=reading, workers=workers, progress=progress)
+    reading = fleet.fits.reading
+    found: list[Sister] = []
+    for machine in dict.fromkeys(place.machine for place in fleet.every.values()):
+        core = fleet.core_without(machine)
+        for place in dict.fromkeys(one for one in fleet.every.values() if one.machine == machine):
+            if place.motor not in fleet.positions:
+                raise InputError(f"no motor of the place {place.motor} can be fitted, nothing judges {place.name}")
+            own = [path for path, one in fleet.every.items() if one == place]
+            motor = fleet.motor("a healthy one", core, place.motor)
+            records = {
+                path: diagnose(
+                    path,
+                    motor,
+                    columns=reading.columns,
+                    regime=reading.regime,
+                    voltage_v=reading.voltage_v,
+                    circuit=reading.circuit,
+                    false_alarm_rate=false_alarm_rate / len(own),
+                )
+                for path in own
+            }
+            found.append(Sister(place, records, *_apart(fleet, core, place)))
+    found.sort(key=lambda one: (not one.verdict.is_fault, 0.0 if one.p_value is None else one.p_value))
+    return FleetDiagnosis(tuple(found), fleet.fits.quantities, false_alarm_rate)
+
+
+def _apart(fleet: LearnedFleet, core: Any, place: Place) -> tuple[dict[str, float], dict[str, float], float | None]:
+    """Ratios of its quantities to a healthy sister's, standard deviations, and the share that is as odd."""
+    if place not in fleet.motors:
+        return {}, {}, None
+    number, names = fleet.motors.index(place), fleet.fits.quantities
+    kept = np.array([n == number for n in range(len(fleet.motors))])
+    logs, errors = fleet.records.only(kept).means(core.within)
+    at = fleet.positions.index(place.motor)
+    off, spread = logs[0] - core.centres[at], core.next_motor(at) + errors[0]
+    squared = float(off @ np.linalg.solve(spread, off))
+    p_value = float(fdtrc(len(off), core.degrees_of_freedom, squared / len(off)))
+    ratios = {name: math.exp(one) for name, one in zip(names, off.tolist(), strict=True)}
+    deviations = (off / np.sqrt(np.diag(spread))).tolist()
+    return ratios, dict(zip(names, deviations, strict=True)), p_value

@@ -1,0 +1,208 @@
+"""What sisters teach about a healthy motor: `motor-env commission --fleet`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy.special import stdtrit
+
+from motor_env.diagnosis.learning import START_SPREAD, learn_starts
+from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
+from motor_env.diagnosis.running.windows import viscous
+from motor_env.diagnosis.shown.report import UNITS
+from motor_env.errors import InputError
+from motor_env.fitting import places
+from motor_env.fleet.fits import FleetFits, Reading, fit_fleet
+from motor_env.fleet.names import Place, places_of
+from motor_env.fleet.population import Core, Motors, learn_core
+from motor_env.motor import identifiable
+from motor_env.motor.data_sheet import Motor, Tolerance
+from motor_env.motor.healthy import Fleet, Healthy, Windows
+from motor_env.motor.parameters import FloatArray
+
+FEWEST_SISTERS = 5
+BELIEVED = Tolerance(
+    supply=0.01, resistance=0.05, inductance=0.10, constants=0.025, inertia=0.05, friction=0.15, temperature_k=0.0
+)
+"""Spread from motor to motor that is believed before any is seen: that of makers' sheets, wider for friction."""
+_LOST = 0.5  # probability of the core below which a motor teaches nothing of how starts are recorded
+
+
+@dataclass(frozen=True)
+class LearnedFleet:
+    """A fleet, and the healthy core of its motors.
+
+    Attributes:
+        fits: of its records.
+        of: number of the motor of each record.
+        motors: whose they are.
+        every: all files with their motors, those that no motor explains too.
+    """
+
+    fits: FleetFits
+    of: tuple[int, ...]
+    motors: tuple[Place, ...]
+    every: dict[Path, Place]
+
+    @property
+    def positions(self) -> list[str]:
+        """Places in a machine, such as left and right."""
+        return sorted({motor.motor for motor in self.motors})
+
+    @cached_property
+    def records(self) -> Motors:
+        """What the records tell."""
+        exponents = identifiable.matrix(self.fits.quantities)
+        return Motors(
+            np.array([one.log_values for one in self.fits.seconds]),
+            np.array([one.covariance for one in self.fits.seconds]),
+            np.array(self.of),
+            np.array([self.positions.index(motor.motor) for motor in self.motors]),
+            exponents @ identifiable.tolerance_covariance(BELIEVED) @ exponents.T + _least(exponents),
+            np.eye(len(exponents)) * START_SPREAD**2,
+        )
+
+    @cached_property
+    def core(self) -> Core:
+        """The healthy core of all motors."""
+        return learn_core(self.records)
+
+    def core_without(self, machine: str) -> Core:
+        """The core of all other machines."""
+        kept = np.array([motor.machine != machine for motor in self.motors])
+        others = self.records.only(kept)
+        if len(np.unique(others.position)) < len(self.positions):
+            raise InputError(f"no other machine than {machine} has a motor in the same place")
+        return learn_core(others, begin=self.core)
+
+    def motor(self, name: str, core: Core | None = None, position: str | None = None) -> Motor:
+        """The healthy motor, as motor files hold it.
+
+        Args:
+            name: of it.
+            core: of the motors; that of all unless given.
+            position: place in the machine; without it, a motor of any place.
+        """
+        core = self.core if core is None else core
+        centre, covariance = self._next(core, position)
+        count = len(core.probability)
+        healthy = Healthy(
+            count,
+            core.degrees_of_freedom,
+            self.fits.quantities,
+            np.exp(centre),
+            covariance,
+            0.0,
+            windows=None if self.fits.windows is None else _at(self.fits.windows, centre),
+            # learned below, of starts
+            starts=None if self.fits.windows is not None else self._starts.starts,
+            fleet=Fleet(count, core.within),
+        )
+        if self.fits.windows is not None:
+            return motor_of_windows(healthy, name)
+        fits = [one.start for one in self.fits.seconds if one.start is not None]
+        return to_motor(fits, name, kind="commissioned", healthy=healthy)
+
+    @cached_property
+    def _starts(self) -> Healthy:
+        """How starts of motors that seem healthy are recorded."""
+        seen = zip(self.fits.seconds, self.of, strict=True)
+        good = [
+            one.start
+            for one, motor in seen
+            if one.start is not None and self.core.probability[motor] > _LOST
+        ]
+        return learn_starts(good)
+
+    def _next(self, core: Core, position: str | None) -> tuple[FloatArray, FloatArray]:
+        """Centre and covariance of another healthy motor's record."""
+        if position is not None:
+            at = self.positions.index(position)
+            return core.centres[at], core.next_motor(at) + core.within
+        centre, off = core.centres.mean(axis=0), core.centres - core.centres.mean(axis=0)
+        apart = off.T @ off / max(len(off) - 1, 1)
+        return centre, core.between + core.centre_covariances.mean(axis=0) + apart + core.within
+
+    def text(self, rate: float) -> str:
+        """What was learned, with the interval of the next healthy motor."""
+        core = self.core
+        centre, covariance = self._next(core, None)
+        half = -float(stdtrit(core.degrees_of_freedom, rate / 2.0)) * np.sqrt(np.diag(covariance))
+        sick = int(np.sum(core.probability < _LOST))
+        lines = [
+            f"{len(self.motors)} motors with {len(self.of)} records; {sick} of them seem sick, and teach nothing",
+            f"interval of the next healthy motor ({1.0 - rate:.0%},"
+            f" Student t, {core.degrees_of_freedom:.0f} degrees)",
+            *(
+                f"  {name:<12} {math.exp(at):11.4g} {UNITS[name]:<12}"
+                f" {math.expm1(-width):+.1%} to {math.expm1(width):+.1%}"
+                for name, at, width in zip(
+                    self.fits.quantities, centre.tolist(), half.tolist(), strict=True
+                )
+            ),
+            *self._positions(),
+            *(f"  not used: {path} ({reason})" for path, reason in self.fits.troubles.items()),
+        ]
+        return "\n".join(lines)
+
+    def _positions(self) -> list[str]:
+        if len(self.positions) < 2:
+            return []
+        off = np.expm1(self.core.centres - self.core.centres.mean(axis=0))
+        return [
+            f"  {position}: "
+            + ", ".join(
+                f"{name} {one:+.0%}" for name, one in zip(self.fits.quantities, row.tolist(), strict=True)
+            )
+            for position, row in zip(self.positions, off, strict=True)
+        ]
+
+
+def _least(exponents: FloatArray) -> FloatArray:
+    """So that the covariance of quantities which share their parameters has an inverse."""
+    return np.eye(len(exponents)) * 1e-4**2
+
+
+def _at(windows: Windows, centre: FloatArray) -> Windows:
+    """How windows are fitted, about a motor of these logarithms of R, K, J and the drag over the speed."""
+    known = windows.physical.copy()
+    drag = math.exp(centre[3]) / viscous(known, windows.speed_rad_s)
+    known[[places.R, places.K, places.J]] = np.exp(centre[:3])
+    known[[places.B, places.COULOMB]] *= drag
+    return replace(windows, physical=known)
+
+
+def learn_fleet(
+    files: Sequence[Path],
+    *,
+    group: str | None = None,
+    reading: Reading | None = None,
+    workers: int = 1,
+    progress: Callable[[Path], None] = lambda path: None,
+) -> LearnedFleet:
+    """Learn a healthy motor from sisters, of which some may be sick.
+
+    Args:
+        files: recordings; each of another motor, unless names tell otherwise.
+        group: regular expression that reads machine, motor and repeat from a file's name, see `places_of`.
+        reading: how the files are read.
+        workers: processes.
+        progress: told each file, twice.
+
+    Raises:
+        InputError: too few motors, or records that cannot be used together.
+    """
+    files = [Path(path) for path in files]
+    if len({path.resolve() for path in files}) < len(files):
+        raise InputError("a record of the fleet is given twice: it would count as two motors")
+    every = dict(zip(files, places_of(files, group), strict=True))
+    fits = fit_fleet(files, reading or Reading(), workers=workers, progress=progress)
+    motors = tuple(dict.fromkeys(every[path] for path in fits.files))
+    if len(motors) < FEWEST_SISTERS:
+        raise InputError(f"a fleet needs at least {FEWEST_SISTERS} motors that can be fitted, got {len(motors)}")
+    return LearnedFleet(fits, tuple(motors.index(every[path]) for path in fits.files), motors, every)

@@ -1,0 +1,223 @@
+"""A population of motors: where its healthy core lies and how far it scatters, learned while sick ones are in it.
+
+Each motor's logarithms are those of its core, off by what differs from motor to motor; each record of it is off again
+by what differs from record to record, and by its fit's own error. A motor is of the core, or sick: off along one
+quantity, or along all (a contaminated normal distribution; Tukey 1960). Expectation and maximisation give each motor
+its probability of being of the core (Dempster, Laird & Rubin 1977). Motors are judged by the core alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from motor_env.diagnosis.learning import PRIOR_WEIGHT
+from motor_env.motor.parameters import FloatArray
+
+_SICK_SPREAD = 10.0  # of a sick motor, over what is believed of healthy ones
+_TIGHTEST = 0.75  # of the motors, from which the core grows
+_STEPS = 20
+_SICK, _SICK_OF = 1.0, 10.0  # prior: one motor in ten
+_MAD = 1.4826  # of a normal distribution
+_ROUNDS, _SETTLED = 200, 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Motors:
+    """Records of several motors: all their quantities.
+
+    Attributes:
+        logs: logarithms that each record tells, shape (n_records, p).
+        errors: their covariance by the fit, shape (n_records, p, p).
+        motor: number of each record's motor, 0 to n_motors - 1, shape (n_records,).
+        position: number of each motor's place in its machine, such as left or right, shape (n_motors,).
+        between, within: covariance from motor to motor, and from record to record of one motor, as believed before any
+            is seen, shape (p, p).
+    """
+
+    logs: FloatArray
+    errors: FloatArray
+    motor: NDArray[np.intp]
+    position: NDArray[np.intp]
+    between: FloatArray
+    within: FloatArray
+
+    def only(self, kept: NDArray[np.bool_]) -> Motors:
+        """Those motors alone, `kept` of shape (n_motors,)."""
+        records = kept[self.motor]
+        number = np.cumsum(kept) - 1
+        return replace(
+            self,
+            logs=self.logs[records],
+            errors=self.errors[records],
+            motor=number[self.motor[records]],
+            position=self.position[kept],
+        )
+
+    def spread_of_records(self) -> FloatArray:
+        """Covariance from record to record of one motor, by those that are repeated, shape (p, p).
+
+        Medians: a record may be wrong, and few motors are repeated.
+        """
+        off = []
+        for motor in np.flatnonzero(np.bincount(self.motor) > 1):
+            own = self.logs[self.motor == motor]
+            off.append((own - np.median(own, axis=0)) * np.sqrt(len(own) / (len(own) - 1.0)))
+        if not off:
+            return self.within
+        told = sum(len(own) - 1 for own in off)
+        error = np.median(self.errors.diagonal(axis1=1, axis2=2), axis=0)
+        seen = np.maximum(np.square(_MAD * np.median(np.abs(np.concatenate(off)), axis=0)) - error, 0.0)
+        return (told * np.diag(seen) + PRIOR_WEIGHT * self.within) / (told + PRIOR_WEIGHT)
+
+    def means(self, within: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Each motor's own logarithms and their covariance, shapes (n_motors, p) and (n_motors, p, p).
+
+        Args:
+            within: covariance from record to record, shape (p, p).
+        """
+        count, p = len(self.position), self.logs.shape[1]
+        weights = np.linalg.inv(within + self.errors)
+        information, pulled = np.zeros((count, p, p)), np.zeros((count, p))
+        np.add.at(information, self.motor, weights)
+        np.add.at(pulled, self.motor, np.einsum("npq,nq->np", weights, self.logs))
+        covariance = np.linalg.inv(information)
+        return np.einsum("npq,nq->np", covariance, pulled), covariance
+
+
+@dataclass(frozen=True, slots=True)
+class Core:
+    """The healthy core of a population.
+
+    Attributes:
+        centres: mean logarithms for each position, shape (n_positions, p).
+        centre_covariances: their errors, shape (n_positions, p, p).
+        between: covariance from motor to motor, shape (p, p).
+        within: covariance from record to record of one motor, shape (p, p).
+        degrees_of_freedom: of their sum.
+        probability: that each motor is of the core, shape (n_motors,).
+    """
+
+    centres: FloatArray
+    centre_covariances: FloatArray
+    between: FloatArray
+    within: FloatArray
+    degrees_of_freedom: float
+    probability: FloatArray
+
+    def next_motor(self, position: int = 0) -> FloatArray:
+        """Covariance of another healthy motor about the centre, without errors of records, shape (p, p)."""
+        found: FloatArray = self.between + self.centre_covariances[position]
+        return found
+
+
+def learn_core(motors: Motors, begin: Core | None = None) -> Core:
+    """Find the healthy core of some motors.
+
+    Args:
+        motors: their records.
+        begin: a core of nearly the same motors, to begin from.
+    """
+    within = motors.spread_of_records()
+    logs, errors = motors.means(within)
+    if begin is None:
+        core = _tightest(motors, within, logs, errors)
+    else:
+        core = replace(begin, within=within, probability=np.ones(len(motors.position)))
+    for _ in range(_ROUNDS):
+        before, core = core, _updated(core, motors, logs, errors)
+        moved = max(np.abs(core.centres - before.centres).max(), np.abs(core.between - before.between).max())
+        if moved < _SETTLED:
+            break
+    return core
+
+
+def _tightest(motors: Motors, within: FloatArray, logs: FloatArray, errors: FloatArray) -> Core:
+    """Where to begin: at the tightest three quarters of the motors (concentration steps; Rousseeuw & Van Driessen 1999).
+
+    The spread of these is less than that of all of a normal distribution, by a known factor.
+    """
+    (count, p), places = logs.shape, int(motors.position.max()) + 1
+    kept = max(math.ceil(_TIGHTEST * count), min(p + 1, count))
+    far = float(chi2.ppf(kept / count, p)) if kept < count else math.inf
+    factor = kept / count / float(chi2.cdf(far, p + 2))
+    error = np.median(errors.diagonal(axis1=1, axis2=2), axis=0)
+    healthy = np.ones(count)
+    centres = np.stack([np.median(logs[motors.position == n], axis=0) for n in range(places)])
+    off = logs - centres[motors.position]
+    scatter = np.square(_MAD * np.median(np.abs(off), axis=0)) - error
+    between = np.diag(np.maximum(scatter, motors.between.diagonal() / PRIOR_WEIGHT))
+    for _ in range(_STEPS):
+        distance = np.einsum("np,npq,nq->n", off, np.linalg.inv(between + errors), off)
+        before, healthy = healthy, np.zeros(count)
+        healthy[np.argsort(distance, kind="stable")[:kept]] = 1.0
+        if np.array_equal(before, healthy):
+            break
+        some = [(motors.position == n) & (healthy > 0.0) for n in range(places)]
+        centres = np.stack(
+            [logs[one].mean(axis=0) if one.any() else centres[n] for n, one in enumerate(some)]
+        )
+        off = logs - centres[motors.position]
+        inside = off[healthy > 0.0]
+        scatter = factor * (inside.T @ inside) - kept * np.diag(error)
+        between = _positive(
+            (scatter + PRIOR_WEIGHT * motors.between) / (kept + PRIOR_WEIGHT), motors.between / count
+        )
+    zeros = np.zeros((places, p, p))
+    return Core(centres, zeros, between, within, PRIOR_WEIGHT, healthy)
+
+
+def _positive(covariance: FloatArray, least: FloatArray) -> FloatArray:
+    """A covariance that is at least another one in each direction (of an estimate that may be negative)."""
+    root = np.linalg.cholesky(least)
+    inverse = np.linalg.inv(root)
+    sizes, axes = np.linalg.eigh(inverse @ covariance @ inverse.T)
+    found: FloatArray = (root @ axes * np.maximum(sizes, 1.0)) @ (root @ axes).T
+    return found
+
+
+def _log_density(off: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Logarithms of normal densities without their constant; shapes (n, p) and (n, p, p)."""
+    root = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(root, off[..., None])[..., 0]
+    size = np.log(root.diagonal(axis1=-2, axis2=-1)).sum(axis=-1)
+    found: FloatArray = -0.5 * np.square(white).sum(axis=-1) - size
+    return found
+
+
+def _updated(core: Core, motors: Motors, logs: FloatArray, errors: FloatArray) -> Core:
+    """One round: probabilities, centres, and the spread from motor to motor."""
+    p, off = logs.shape[1], logs - core.centres[motors.position]
+    spread = core.between + errors
+    well = _log_density(off, spread)
+    sick = _SICK_SPREAD**2 * motors.between.diagonal()
+    ways = [np.diag(axis) for axis in sick * np.vstack([np.eye(p), np.ones(p)])]
+    ill = np.logaddexp.reduce([_log_density(off, spread + way) for way in ways], axis=0) - np.log(len(ways))
+    share = (_SICK + float(np.sum(1.0 - core.probability))) / (_SICK_OF + len(logs))
+    healthy = 1.0 / (1.0 + share / (1.0 - share) * np.exp(np.clip(ill - well, -500.0, 500.0)))
+    weights = np.linalg.inv(spread) * healthy[:, None, None]
+    centres, covariances = [], []
+    for n in range(len(core.centres)):
+        here = motors.position == n
+        covariance = np.linalg.inv(weights[here].sum(axis=0))
+        centres.append(covariance @ np.einsum("npq,nq->p", weights[here], logs[here]))
+        covariances.append(covariance)
+    off = logs - np.stack(centres)[motors.position]
+    gain = core.between @ np.linalg.inv(spread)
+    own = np.einsum("npq,nq->np", gain, off)
+    left = core.between - gain @ core.between
+    scatter = np.einsum("n,npq->pq", healthy, own[:, :, None] * own[:, None, :] + left)
+    freedom = max(float(healthy.sum()) - len(centres), 0.0) + PRIOR_WEIGHT
+    between = (scatter + PRIOR_WEIGHT * motors.between) / freedom
+    return replace(
+        core,
+        centres=np.stack(centres),
+        centre_covariances=np.stack(covariances),
+        between=0.5 * (between + between.T),
+        degrees_of_freedom=freedom,
+        probability=healthy,
+    )
