@@ -7,8 +7,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from motor_env import console
 from motor_env.cli import options
 from motor_env.console import ExitStatus, printable
+from motor_env.errors import InputError
 
 
 def identify(
@@ -72,10 +74,16 @@ def commission(
     torque_constant: float | None = None,
     no_load_current: float | None = None,
     name: str = "commissioned motor",
+    fleet: bool = False,
+    group: str | None = None,
+    motor: Path | None = None,
+    workers: console.Whole = 1,
 ) -> int:
     """Learn a motor from three or more healthy starts, or from logs of it at work, for `motor-env diagnose --motor`.
 
     Example: motor-env commission healthy_1.csv healthy_2.csv healthy_3.csv -o out/motor.toml
+
+    With --fleet the recordings are of sisters, motors of the same make, of which some may be faulty.
 
     Args:
         files: Healthy recordings of one motor: all starts, of which a file may hold several, or all logs.
@@ -90,7 +98,37 @@ def commission(
         torque_constant: In N m/A, where known and the speed was not recorded: the current alone does not tell it.
         no_load_current: In A, of the motor uncoupled from its load: tells its own friction from the load.
         name: Name of the motor in that file.
+        fleet: Each file is of another motor; learn how healthy sisters differ.
+        group: For --fleet: a regular expression that reads machine, motor and repeat from a file's name, by named
+            groups, such as "(?P<machine>[0-9]+)_(?P<motor>left|right)".
+        motor: Motor file of --fleet: one healthy recording of this motor is enough beside its sisters.
+        workers: Processes, for --fleet.
     """
+    if fleet or motor is not None:
+        for option, given in (
+            ("motor", fleet and motor is not None),
+            ("temperature-c", temperature_c is not None),
+            ("window", window is not None),
+            ("steady", steady),
+            ("torque-constant", torque_constant is not None),
+            ("no-load-current", no_load_current is not None),
+            ("out", out is not None),
+        ):
+            if given:
+                raise InputError(f"--{option} does not go with --{'fleet' if fleet else 'motor'}")
+        return _sisters(
+            files,
+            output,
+            measurement,
+            regime=regime,
+            name=name,
+            group=group,
+            motor=motor,
+            workers=workers,
+            false_alarm_rate=false_alarm_rate,
+        )
+    if group is not None:
+        raise InputError("--group goes with --fleet")
     from motor_env.diagnosis.commission import commission as learned
     from motor_env.motor.data_sheet import save_motor
 
@@ -110,6 +148,41 @@ def commission(
     if out is not None:
         result.plot(out / f"{output.stem}.png")
     print(result.text())
+    print(printable(f"written: {output}"))
+    measurement.keep()
+    return 0
+
+
+def _sisters(
+    files: list[Path],
+    output: Path,
+    measurement: options.Measurement,
+    *,
+    regime: str,
+    name: str,
+    group: str | None,
+    motor: Path | None,
+    workers: int,
+    false_alarm_rate: float,
+) -> int:
+    """`commission` with sisters: of a fleet, or of one motor beside the fleet's file."""
+    from motor_env.fleet.fits import Reading
+    from motor_env.fleet.learning import learn_fleet
+    from motor_env.fleet.own import learn_own
+    from motor_env.motor.data_sheet import load_motor, save_motor
+
+    reading = Reading(regime=regime, **options.for_files(measurement))
+    if motor is not None:
+        learned = learn_own(files, load_motor(motor), name, reading=reading)
+        text = f"{len(files)} own recordings beside the sisters of {motor}"
+    else:
+        with console.progress_bar(2 * len(files), "fitting") as advance:
+            fleet = learn_fleet(
+                files, group=group, reading=reading, workers=workers, progress=lambda _: advance(advance=1)
+            )
+        learned, text = fleet.motor(name), fleet.text(false_alarm_rate)
+    save_motor(learned, output)
+    print(printable(text))
     print(printable(f"written: {output}"))
     measurement.keep()
     return 0

@@ -11,6 +11,7 @@ from cyclopts import Parameter, Token
 
 from motor_env import console
 from motor_env.console import json_text, printable
+from motor_env.errors import InputError
 
 if TYPE_CHECKING:
     from motor_env.recordings.profiles import Profile
@@ -110,6 +111,13 @@ class StartMeasurement(Measurement):
     """
 
     ripple_periods_per_turn: float | None = None
+
+
+def for_files(measurement: Measurement) -> dict[str, Any]:
+    """Options of recordings with one piece each; which start of several is none of them."""
+    if measurement.start is not None:
+        raise InputError("--start does not go with a fleet: give each start in a file of its own")
+    return measurement.chosen.options
 
 
 READING, MEASUREMENT, START = Reading(), Measurement(), StartMeasurement()

@@ -9,8 +9,9 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from motor_env import console
-from motor_env.cli.options import READING, START, Reading, StartMeasurement, show
+from motor_env.cli.options import READING, START, Reading, StartMeasurement, for_files, show
 from motor_env.console import printable
+from motor_env.errors import InputError
 
 
 def diagnose(
@@ -25,12 +26,17 @@ def diagnose(
     regime: str = "auto",
     verbose: bool = False,
     json_: bool = False,
+    fleet: bool = False,
+    group: str | None = None,
+    workers: console.Whole = 1,
 ) -> int:
     """Verdict on recordings of a motor: healthy, bearing, winding, magnet, noise, other, no_reference or unusable.
 
     Example: motor-env diagnose examples/startup_capture.csv --motor examples/motor.toml
 
     A recording is one start, several, or a log of the motor at work, which is judged by windows.
+
+    With --fleet each file is of another motor of the same make, and each motor is judged by the others.
 
     Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
 
@@ -45,8 +51,28 @@ def diagnose(
         temperature_c: Temperature of the motor; it counts where `commission` was told one too.
         regime: start, operation (a motor at work), or auto: decided by what the voltage does.
         verbose: Print how well model and filter fit, too.
-        json_: Print one array with one object a file.
+        json_: Print one array with one object a file, with --fleet one a motor.
+        fleet: Judge each motor by its sisters. Those of its own machine do not count.
+        group: For --fleet: a regular expression that reads machine, motor and repeat from a file's name, by named
+            groups, such as "(?P<machine>[0-9]+)_(?P<motor>left|right)".
+        workers: Processes, for --fleet.
     """
+    if fleet:
+        for option, given in (("motor", motor), ("healthy", healthy), ("temperature-c", temperature_c)):
+            if given is not None:
+                raise InputError(f"--{option} does not go with --fleet, where sisters are the reference")
+        return _fleet(
+            files,
+            out,
+            measurement,
+            group=group,
+            regime=regime,
+            workers=workers,
+            false_alarm_rate=false_alarm_rate,
+            json_=json_,
+        )
+    if group is not None:
+        raise InputError("--group goes with --fleet")
     from motor_env.diagnosis.files import diagnose_files
 
     with console.working("reading") as say:
@@ -74,6 +100,38 @@ def diagnose(
         )
     measurement.keep()
     return int(console.worst(outcome.status for outcome in outcomes))
+
+
+def _fleet(
+    files: list[Path],
+    out: Path | None,
+    measurement: StartMeasurement,
+    *,
+    group: str | None,
+    regime: str,
+    workers: int,
+    false_alarm_rate: float,
+    json_: bool,
+) -> int:
+    """`diagnose --fleet`."""
+    from motor_env.files import write_text
+    from motor_env.fleet.fits import Reading
+    from motor_env.fleet.judging import diagnose_fleet
+
+    with console.progress_bar(2 * len(files), "fitting") as advance:
+        found = diagnose_fleet(
+            files,
+            group=group,
+            reading=Reading(regime=regime, **for_files(measurement)),
+            false_alarm_rate=false_alarm_rate,
+            workers=workers,
+            progress=lambda _: advance(advance=1),
+        )
+    show(json_, found.to_json, found.text)
+    if out is not None:
+        write_text(out / "fleet.html", found.page())
+    measurement.keep()
+    return int(found.status)
 
 
 def trend(

@@ -13,73 +13,15 @@ from scipy.special import fdtrc
 
 from motor_env.console import ExitStatus, worst
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
-from motor_env.diagnosis.diagnose import Diagnosis, diagnose
-from motor_env.diagnosis.verdict import Verdict
+from motor_env.diagnosis.diagnose import diagnose
 from motor_env.errors import InputError, require_options
 from motor_env.fleet.fits import Reading
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
 from motor_env.fleet.names import Place
+from motor_env.fleet.picture import picture
+from motor_env.fleet.population import Core
+from motor_env.fleet.sister import Sister
 from motor_env.pages.html import render
-
-_CLEAR = 2.0  # standard deviations
-_MOST_ODD = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Sister:
-    """A motor of the fleet, judged by the others.
-
-    Attributes:
-        place: machine and motor.
-        records: diagnosis of each of its files.
-        ratios: of its quantities over those of a healthy sister.
-        off: how far each lies from the core, in standard deviations of another healthy motor.
-        p_value: of healthy sisters this share is as odd; None where no fit tells.
-    """
-
-    place: Place
-    records: dict[Path, Diagnosis]
-    ratios: dict[str, float]
-    off: dict[str, float]
-    p_value: float | None
-
-    @property
-    def telling(self) -> Diagnosis:
-        """The record that the verdict rests on: the surest of those with a fault."""
-        faults = [one for one in self.records.values() if one.verdict.is_fault]
-        calm = [one for one in self.records.values() if one.verdict is Verdict.HEALTHY]
-        rest = next(iter([*calm, *self.records.values()]))
-        return max(faults, key=lambda one: one.confidence or 0.0, default=rest)
-
-    @property
-    def verdict(self) -> Verdict:
-        """Of the motor."""
-        return self.telling.verdict
-
-    @property
-    def odd(self) -> str:
-        """What is odd: the quantities that lie farthest from the core's."""
-        far = sorted(self.off, key=lambda name: -abs(self.off[name]))
-        named = [name for name in far if abs(self.off[name]) > _CLEAR][:_MOST_ODD]
-        return ", ".join(f"{name} {self.ratios[name] - 1.0:+.0%}" for name in named)
-
-    def to_json(self) -> dict[str, Any]:
-        """One object for programs."""
-        one = self.telling
-        return {
-            "motor": self.place.name,
-            "machine": self.place.machine,
-            "files": [str(path) for path in self.records],
-            "verdict": str(one.verdict),
-            "kind": None if one.kind is None else str(one.kind),
-            "severity": one.severity,
-            "severity_interval": one.severity_interval,
-            "confidence": one.confidence,
-            "p_value": self.p_value,
-            "ratios": self.ratios,
-            "standard_deviations": self.off,
-            "reasons": list(one.reasons),
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,32 +52,28 @@ class FleetDiagnosis:
         """How many are odd, and how many would be by chance."""
         odd = sum(sister.verdict.is_fault for sister in self.sisters)
         chance = self.false_alarm_rate * len(self.sisters)
-        return (
-            f"{odd} of {len(self.sisters)} motors stand out; of as many healthy ones {chance:.1f} would, by chance"
-        )
+        return f"{odd} of {len(self.sisters)} motors stand out; of as many healthy ones {chance:.1f} would, by chance"
 
     def text(self) -> str:
         """A table, the oddest motor first."""
         width = max(len(sister.place.name) for sister in self.sisters)
         rows = [
-            f"{sister.place.name:<{width}}  {sister.verdict:<12} {_severity(sister):>6}"
-            f"  {sister.odd or _why(sister)}"
+            f"{sister.place.name:<{width}}  {sister.verdict:<12} {sister.shown_severity:>6}"
+            f"  {sister.odd or sister.why}"
             for sister in self.sisters
         ]
         return "\n".join([self.summary, *rows])
 
     def page(self) -> str:
         """A self-contained HTML page: a picture of the fleet, and the table."""
-        from motor_env.fleet.picture import picture
-
         rows = [
             {
                 "name": sister.place.name,
                 "verdict": str(sister.verdict),
                 "status": "limit" if sister.verdict.is_fault else "good" if not sister.verdict.status else "",
-                "severity": _severity(sister),
+                "severity": sister.shown_severity,
                 "odd": sister.odd,
-                "why": _why(sister),
+                "why": sister.why,
             }
             for sister in self.sisters
         ]
@@ -144,19 +82,9 @@ class FleetDiagnosis:
             "fleet.html.j2",
             title="A motor among its sisters",
             summary=self.summary,
-            chart=picture(self),
+            chart=picture(self.quantities, self.sisters),
             rows=rows,
         )
-
-
-def _severity(sister: Sister) -> str:
-    severity = sister.telling.severity
-    return f"{severity:+.0%}" if severity and sister.verdict.is_fault else ""
-
-
-def _why(sister: Sister) -> str:
-    """What is said of it, where no quantity is odd or its verdict needs a word."""
-    return "" if sister.verdict is Verdict.HEALTHY else sister.telling.reasons[0]
 
 
 def diagnose_fleet(
@@ -189,7 +117,9 @@ def diagnose_fleet(
         core = fleet.core_without(machine)
         for place in dict.fromkeys(one for one in fleet.every.values() if one.machine == machine):
             if place.motor not in fleet.positions:
-                raise InputError(f"no motor of the place {place.motor} can be fitted, nothing judges {place.name}")
+                raise InputError(
+                    f"no motor of the place {place.motor} can be fitted, nothing judges {place.name}"
+                )
             own = [path for path, one in fleet.every.items() if one == place]
             motor = fleet.motor("a healthy one", core, place.motor)
             records = {
@@ -209,7 +139,9 @@ def diagnose_fleet(
     return FleetDiagnosis(tuple(found), fleet.fits.quantities, false_alarm_rate)
 
 
-def _apart(fleet: LearnedFleet, core: Any, place: Place) -> tuple[dict[str, float], dict[str, float], float | None]:
+def _apart(
+    fleet: LearnedFleet, core: Core, place: Place
+) -> tuple[dict[str, float], dict[str, float], float | None]:
     """Ratios of its quantities to a healthy sister's, standard deviations, and the share that is as odd."""
     if place not in fleet.motors:
         return {}, {}, None

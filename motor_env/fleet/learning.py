@@ -27,7 +27,13 @@ from motor_env.motor.parameters import FloatArray
 
 FEWEST_SISTERS = 5
 BELIEVED = Tolerance(
-    supply=0.01, resistance=0.05, inductance=0.10, constants=0.025, inertia=0.05, friction=0.15, temperature_k=0.0
+    supply=0.01,
+    resistance=0.05,
+    inductance=0.10,
+    constants=0.025,
+    inertia=0.05,
+    friction=0.15,
+    temperature_k=0.0,
 )
 """Spread from motor to motor that is believed before any is seen: that of makers' sheets, wider for friction."""
 _LOST = 0.5  # probability of the core below which a motor teaches nothing of how starts are recorded
@@ -98,7 +104,7 @@ class LearnedFleet:
             np.exp(centre),
             covariance,
             0.0,
-            windows=None if self.fits.windows is None else _at(self.fits.windows, centre),
+            windows=None if self.fits.windows is None else at_centre(self.fits.windows, centre),
             # learned below, of starts
             starts=None if self.fits.windows is not None else self._starts.starts,
             fleet=Fleet(count, core.within),
@@ -113,9 +119,7 @@ class LearnedFleet:
         """How starts of motors that seem healthy are recorded."""
         seen = zip(self.fits.seconds, self.of, strict=True)
         good = [
-            one.start
-            for one, motor in seen
-            if one.start is not None and self.core.probability[motor] > _LOST
+            one.start for one, motor in seen if one.start is not None and self.core.probability[motor] > _LOST
         ]
         return learn_starts(good)
 
@@ -136,14 +140,11 @@ class LearnedFleet:
         sick = int(np.sum(core.probability < _LOST))
         lines = [
             f"{len(self.motors)} motors with {len(self.of)} records; {sick} of them seem sick, and teach nothing",
-            f"interval of the next healthy motor ({1.0 - rate:.0%},"
-            f" Student t, {core.degrees_of_freedom:.0f} degrees)",
+            f"interval of the next healthy motor ({1.0 - rate:.0%}, Student t, {core.degrees_of_freedom:.0f} degrees)",
             *(
                 f"  {name:<12} {math.exp(at):11.4g} {UNITS[name]:<12}"
                 f" {math.expm1(-width):+.1%} to {math.expm1(width):+.1%}"
-                for name, at, width in zip(
-                    self.fits.quantities, centre.tolist(), half.tolist(), strict=True
-                )
+                for name, at, width in zip(self.fits.quantities, centre.tolist(), half.tolist(), strict=True)
             ),
             *self._positions(),
             *(f"  not used: {path} ({reason})" for path, reason in self.fits.troubles.items()),
@@ -168,7 +169,7 @@ def _least(exponents: FloatArray) -> FloatArray:
     return np.eye(len(exponents)) * 1e-4**2
 
 
-def _at(windows: Windows, centre: FloatArray) -> Windows:
+def at_centre(windows: Windows, centre: FloatArray) -> Windows:
     """How windows are fitted, about a motor of these logarithms of R, K, J and the drag over the speed."""
     known = windows.physical.copy()
     drag = math.exp(centre[3]) / viscous(known, windows.speed_rad_s)
@@ -204,5 +205,7 @@ def learn_fleet(
     fits = fit_fleet(files, reading or Reading(), workers=workers, progress=progress)
     motors = tuple(dict.fromkeys(every[path] for path in fits.files))
     if len(motors) < FEWEST_SISTERS:
-        raise InputError(f"a fleet needs at least {FEWEST_SISTERS} motors that can be fitted, got {len(motors)}")
+        raise InputError(
+            f"a fleet needs at least {FEWEST_SISTERS} motors that can be fitted, got {len(motors)}"
+        )
     return LearnedFleet(fits, tuple(motors.index(every[path]) for path in fits.files), motors, every)

@@ -1,26 +1,94 @@
-"""A motor between its sisters and its own records: `motor-env commission --motor fleet.toml`."""
+"""A motor between its sisters and its own healthy records: `motor-env commission --motor fleet.toml`.
+
+The sisters are the prior of where the motor lies (mean and spread from motor to motor), and of how far its records
+scatter. Each record of its own adds what it tells (Gelman et al. 2013, ch. 5): after the first the healthy values lie
+where sisters and record agree, after ten they are the motor's own.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from motor_env.diagnosis.commission import fit_starts
+from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.learning import PRIOR_WEIGHT
-from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
-from motor_env.diagnosis.running.windows import judge_of
+from motor_env.diagnosis.verdict import Verdict
 from motor_env.diagnosis.views import Fitted
 from motor_env.errors import InputError
-from motor_env.fitting.recorded import at_terminals, from_recordings
-from motor_env.fitting.starts.identified import Identified
 from motor_env.fleet.fits import Reading
-from motor_env.fleet.learning import about
+from motor_env.fleet.learning import at_centre
 from motor_env.fleet.population import at_least
 from motor_env.motor.data_sheet import Motor
-from motor_env.motor.healthy import Healthy
+from motor_env.motor.healthy import Fleet
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording, recording_of
+
+
+def learn_own(
+    files: Sequence[str | Path], sisters: Motor, name: str, *, reading: Reading | None = None
+) -> Motor:
+    """The healthy motor that own records and sisters teach together.
+
+    Args:
+        files: healthy records of this motor.
+        sisters: motor that was learned from a fleet, or by this function before.
+        name: of the motor.
+        reading: how the files are read.
+
+    Raises:
+        InputError: the motor was not learned from a fleet, or a record cannot be used.
+    """
+    healthy = sisters.healthy
+    if healthy is None or healthy.fleet is None:
+        raise InputError("--motor must be a motor file that `motor-env commission --fleet` has written")
+    fits = [fit for path in files for fit in _fits(Path(path), sisters, reading or Reading())]
+    logs = np.array([fit.log_values for fit in fits])
+    errors = np.array([fit.log_covariance for fit in fits])
+    within = _of_records(logs, errors, healthy.fleet)
+    between = at_least(healthy.log_covariance - healthy.fleet.log_within, 1e-6 * healthy.log_covariance)
+    prior, told = np.linalg.inv(between), np.linalg.inv(within + errors)
+    left = np.linalg.inv(prior + told.sum(axis=0))
+    centre = left @ (prior @ np.log(healthy.values) + np.einsum("npq,nq->p", told, logs))
+    learned = replace(
+        healthy,
+        pieces=len(fits),
+        degrees_of_freedom=healthy.degrees_of_freedom + len(fits),
+        values=np.exp(centre),
+        log_covariance=left + within,
+        windows=None if healthy.windows is None else at_centre(healthy.windows, centre),
+        fleet=replace(healthy.fleet, log_within=within),
+    )
+    return replace(sisters, name=name, healthy=learned)
+
+
+def _fits(path: Path, sisters: Motor, reading: Reading) -> list[Fitted]:
+    """The fits of a record's pieces.
+
+    Raises:
+        InputError: it has none, or they tell other quantities than the sisters' records.
+    """
+    found = diagnose(
+        path,
+        sisters,
+        columns=reading.columns,
+        regime=reading.regime,
+        voltage_v=reading.voltage_v,
+        circuit=reading.circuit,
+    )
+    fits = [one.fit for one in found.pieces if one.fit is not None and one.verdict is not Verdict.UNUSABLE]
+    if not fits:
+        raise InputError(f"{path}: a healthy record cannot be used: {found.reasons[0]}")
+    names = sisters.healthy.quantities if sisters.healthy is not None else ()
+    if any(fit.quantity_names != names for fit in fits):
+        raise InputError(f"{path}: its columns are not those of the sisters, which tell {', '.join(names)}")
+    return fits
+
+
+def _of_records(logs: FloatArray, errors: FloatArray, fleet: Fleet) -> FloatArray:
+    """How far records of the motor scatter: as the fleet's, and as its own, which count by their number."""
+    off = logs - logs.mean(axis=0)
+    seen = off.T @ off - max(len(logs) - 1, 0) * errors.mean(axis=0)
+    spread = (seen + PRIOR_WEIGHT * fleet.log_within) / (len(logs) - 1 + PRIOR_WEIGHT)
+    return at_least(spread, fleet.log_within / PRIOR_WEIGHT)

@@ -85,8 +85,9 @@ class Motors:
         information, pulled = np.zeros((count, p, p)), np.zeros((count, p))
         np.add.at(information, self.motor, weights)
         np.add.at(pulled, self.motor, np.einsum("npq,nq->np", weights, self.logs))
-        covariance = np.linalg.inv(information)
-        return np.einsum("npq,nq->np", covariance, pulled), covariance
+        covariance: FloatArray = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        own: FloatArray = np.einsum("npq,nq->np", covariance, pulled)
+        return own, covariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +138,7 @@ def learn_core(motors: Motors, begin: Core | None = None) -> Core:
 
 
 def _tightest(motors: Motors, within: FloatArray, logs: FloatArray, errors: FloatArray) -> Core:
-    """Where to begin: at the tightest three quarters of the motors (concentration steps; Rousseeuw & Van Driessen 1999).
+    """Where to begin: at the tightest three quarters of the motors, by concentration (Rousseeuw & Van Driessen 1999).
 
     The spread of these is less than that of all of a normal distribution, by a known factor.
     """
@@ -164,14 +165,14 @@ def _tightest(motors: Motors, within: FloatArray, logs: FloatArray, errors: Floa
         off = logs - centres[motors.position]
         inside = off[healthy > 0.0]
         scatter = factor * (inside.T @ inside) - kept * np.diag(error)
-        between = _positive(
+        between = at_least(
             (scatter + PRIOR_WEIGHT * motors.between) / (kept + PRIOR_WEIGHT), motors.between / count
         )
     zeros = np.zeros((places, p, p))
     return Core(centres, zeros, between, within, PRIOR_WEIGHT, healthy)
 
 
-def _positive(covariance: FloatArray, least: FloatArray) -> FloatArray:
+def at_least(covariance: FloatArray, least: FloatArray) -> FloatArray:
     """A covariance that is at least another one in each direction (of an estimate that may be negative)."""
     root = np.linalg.cholesky(least)
     inverse = np.linalg.inv(root)
