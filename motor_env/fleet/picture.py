@@ -21,7 +21,7 @@ def picture(names: Sequence[str], sisters: Sequence[Sister]) -> str:
         sisters: the motors, the oddest first.
     """
     columns = Axis("", -0.5, len(names) - 0.5)
-    rows = Axis("", -_FARTHEST, _FARTHEST, (-6, -4, -2, 0, 2, 4, 6), number="{:+g}".format)
+    rows = Axis("", -_FARTHEST, _FARTHEST, (-6, -4, -2, 0, 2, 4, 6), number="{:g}".format)
     chart = Chart(
         columns,
         rows,

@@ -23,6 +23,7 @@ _TIGHTEST = 0.75  # of the motors, from which the core grows
 _STEPS = 20
 _SICK, _SICK_OF = 1.0, 10.0  # prior: one motor in ten
 _MAD = 1.4826  # of a normal distribution
+_MOST_WITHIN = 0.8  # of the variance of another motor's record
 _ROUNDS, _SETTLED = 200, 1e-6
 
 
@@ -61,15 +62,15 @@ class Motors:
     def spread_of_records(self) -> FloatArray:
         """Covariance from record to record of one motor, by those that are repeated, shape (p, p).
 
-        Medians: a record may be wrong, and few motors are repeated.
+        The median of their deviations counts: a record may be wrong, and few motors are repeated.
         """
-        off = []
+        off, told = [], 0
         for motor in np.flatnonzero(np.bincount(self.motor) > 1):
             own = self.logs[self.motor == motor]
-            off.append((own - np.median(own, axis=0)) * np.sqrt(len(own) / (len(own) - 1.0)))
+            off.append((own - own.mean(axis=0)) * math.sqrt(len(own) / (len(own) - 1.0)))
+            told += len(own) - 1
         if not off:
             return self.within
-        told = sum(len(own) - 1 for own in off)
         error = np.median(self.errors.diagonal(axis1=1, axis2=2), axis=0)
         seen = np.maximum(np.square(_MAD * np.median(np.abs(np.concatenate(off)), axis=0)) - error, 0.0)
         return (told * np.diag(seen) + PRIOR_WEIGHT * self.within) / (told + PRIOR_WEIGHT)
@@ -119,37 +120,48 @@ class Core:
 def learn_core(motors: Motors, begin: Core | None = None) -> Core:
     """Find the healthy core of some motors.
 
+    Records are taken by themselves, those of one motor together as one: their spread is that of another motor's
+    record. How much of it is from record to record is told by the motors that are repeated.
+
     Args:
         motors: their records.
         begin: a core of nearly the same motors, to begin from.
     """
-    within = motors.spread_of_records()
-    logs, errors = motors.means(within)
+    repeats = np.bincount(motors.motor)
+    share = 1.0 / repeats[motors.motor]
     if begin is None:
-        core = _tightest(motors, within, logs, errors)
+        core = _tightest(motors)
     else:
-        core = replace(begin, within=within, probability=np.ones(len(motors.position)))
+        core = replace(begin, between=begin.between + begin.within, probability=np.ones(len(motors.logs)))
     for _ in range(_ROUNDS):
-        before, core = core, _updated(core, motors, logs, errors)
+        before, core = core, _updated(core, motors, share)
         moved = max(np.abs(core.centres - before.centres).max(), np.abs(core.between - before.between).max())
         if moved < _SETTLED:
             break
-    return core
+    total, of_records = core.between, motors.spread_of_records()
+    within = np.diag(np.minimum(of_records.diagonal(), _MOST_WITHIN * total.diagonal()))
+    return replace(
+        core,
+        between=at_least(total - within, (1.0 - _MOST_WITHIN) * total),
+        within=within,
+        probability=np.bincount(motors.motor, core.probability) / repeats,
+    )
 
 
-def _tightest(motors: Motors, within: FloatArray, logs: FloatArray, errors: FloatArray) -> Core:
-    """Where to begin: at the tightest three quarters of the motors, by concentration (Rousseeuw & Van Driessen 1999).
+def _tightest(motors: Motors) -> Core:
+    """Where to begin: at the tightest three quarters of the records, by concentration (Rousseeuw & Van Driessen 1999).
 
     The spread of these is less than that of all of a normal distribution, by a known factor.
     """
-    (count, p), places = logs.shape, int(motors.position.max()) + 1
+    logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
+    (count, p), places = logs.shape, int(position.max()) + 1
     kept = max(math.ceil(_TIGHTEST * count), min(p + 1, count))
     far = float(chi2.ppf(kept / count, p)) if kept < count else math.inf
     factor = kept / count / float(chi2.cdf(far, p + 2))
     error = np.median(errors.diagonal(axis1=1, axis2=2), axis=0)
     healthy = np.ones(count)
-    centres = np.stack([np.median(logs[motors.position == n], axis=0) for n in range(places)])
-    off = logs - centres[motors.position]
+    centres = np.stack([np.median(logs[position == n], axis=0) for n in range(places)])
+    off = logs - centres[position]
     scatter = np.square(_MAD * np.median(np.abs(off), axis=0)) - error
     between = np.diag(np.maximum(scatter, motors.between.diagonal() / PRIOR_WEIGHT))
     for _ in range(_STEPS):
@@ -158,18 +170,18 @@ def _tightest(motors: Motors, within: FloatArray, logs: FloatArray, errors: Floa
         healthy[np.argsort(distance, kind="stable")[:kept]] = 1.0
         if np.array_equal(before, healthy):
             break
-        some = [(motors.position == n) & (healthy > 0.0) for n in range(places)]
+        some = [(position == n) & (healthy > 0.0) for n in range(places)]
         centres = np.stack(
             [logs[one].mean(axis=0) if one.any() else centres[n] for n, one in enumerate(some)]
         )
-        off = logs - centres[motors.position]
+        off = logs - centres[position]
         inside = off[healthy > 0.0]
         scatter = factor * (inside.T @ inside) - kept * np.diag(error)
         between = at_least(
             (scatter + PRIOR_WEIGHT * motors.between) / (kept + PRIOR_WEIGHT), motors.between / count
         )
     zeros = np.zeros((places, p, p))
-    return Core(centres, zeros, between, within, PRIOR_WEIGHT, healthy)
+    return Core(centres, zeros, between, motors.within, PRIOR_WEIGHT, healthy)
 
 
 def at_least(covariance: FloatArray, least: FloatArray) -> FloatArray:
@@ -190,29 +202,31 @@ def _log_density(off: FloatArray, covariance: FloatArray) -> FloatArray:
     return found
 
 
-def _updated(core: Core, motors: Motors, logs: FloatArray, errors: FloatArray) -> Core:
-    """One round: probabilities, centres, and the spread from motor to motor."""
-    p, off = logs.shape[1], logs - core.centres[motors.position]
+def _updated(core: Core, motors: Motors, share: FloatArray) -> Core:
+    """One round: probabilities, centres, and the spread; each record counts by its share of its motor, (n_records,)."""
+    logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
+    p, off = logs.shape[1], logs - core.centres[position]
     spread = core.between + errors
     well = _log_density(off, spread)
-    sick = _SICK_SPREAD**2 * motors.between.diagonal()
-    ways = [np.diag(axis) for axis in sick * np.vstack([np.eye(p), np.ones(p)])]
+    far = _SICK_SPREAD**2 * motors.between.diagonal()
+    ways = [np.diag(axis) for axis in far * np.vstack([np.eye(p), np.ones(p)])]
     ill = np.logaddexp.reduce([_log_density(off, spread + way) for way in ways], axis=0) - np.log(len(ways))
-    share = (_SICK + float(np.sum(1.0 - core.probability))) / (_SICK_OF + len(logs))
-    healthy = 1.0 / (1.0 + share / (1.0 - share) * np.exp(np.clip(ill - well, -500.0, 500.0)))
-    weights = np.linalg.inv(spread) * healthy[:, None, None]
+    sick = (_SICK + float(share @ (1.0 - core.probability))) / (_SICK_OF + float(share.sum()))
+    healthy = 1.0 / (1.0 + sick / (1.0 - sick) * np.exp(np.clip(ill - well, -500.0, 500.0)))
+    counts = share * healthy
+    weights = np.linalg.inv(spread) * counts[:, None, None]
     centres, covariances = [], []
     for n in range(len(core.centres)):
-        here = motors.position == n
+        here = position == n
         covariance = np.linalg.inv(weights[here].sum(axis=0))
         centres.append(covariance @ np.einsum("npq,nq->p", weights[here], logs[here]))
         covariances.append(covariance)
-    off = logs - np.stack(centres)[motors.position]
+    off = logs - np.stack(centres)[position]
     gain = core.between @ np.linalg.inv(spread)
     own = np.einsum("npq,nq->np", gain, off)
     left = core.between - gain @ core.between
-    scatter = np.einsum("n,npq->pq", healthy, own[:, :, None] * own[:, None, :] + left)
-    freedom = max(float(healthy.sum()) - len(centres), 0.0) + PRIOR_WEIGHT
+    scatter = np.einsum("n,npq->pq", counts, own[:, :, None] * own[:, None, :] + left)
+    freedom = max(float(counts.sum()) - len(centres), 0.0) + PRIOR_WEIGHT
     between = (scatter + PRIOR_WEIGHT * motors.between) / freedom
     return replace(
         core,

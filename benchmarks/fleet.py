@@ -1,0 +1,159 @@
+"""A fleet's false alarms, power and names beside an oracle that knows the healthy motors' true distribution.
+
+python benchmarks/fleet.py --healthy 3000 --sick 300 --workers 2
+
+Fits are drawn from their own law: the motor's quantities from the spread found in a fleet of real robots, the errors
+from the fit's covariance. `--check 300` compares that law with full fits of simulated logs.
+"""
+
+import math
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from cyclopts import run
+from tables import keep_table
+
+from motor_env.diagnosis.decision import decide
+from motor_env.diagnosis.healthy_motor import Reference
+from motor_env.diagnosis.running.windows import NAMES, FittedWindow
+from motor_env.diagnosis.verdict import Judgement
+from motor_env.fleet.learning import BELIEVED
+from motor_env.fleet.population import Core, Motors, learn_core
+from motor_env.motor import identifiable
+from motor_env.motor.parameters import FloatArray
+
+SIZES, SICK_SHARES = (10, 30, 100), (0.0, 0.05, 0.2)
+RATE = 0.01
+# From motor to motor (R, K, J, drag), from record to record, and of the fits, about as in a fleet of real robots:
+# regbot of SebastianBitsch/robobot-project.
+BETWEEN = np.diag(np.square([0.065, 0.025, 0.065, 0.30]))
+WITHIN = np.diag(np.square([0.02, 0.01, 0.02, 0.10]))
+ERROR = np.diag(np.square([0.010, 0.007, 0.010, 0.02]))
+CENTRE = np.log([4.0, 0.09, 8e-5, 3.5e-4])
+TOTAL = BETWEEN + WITHIN
+GAINS = {
+    "current gain": np.array([-1.0, 0.0, 1.0, 1.0]),
+    "speed gain": np.array([0.0, -1.0, -2.0, -2.0]),
+    "voltage gain": np.array([1.0, 1.0, 1.0, 1.0]),
+}
+BELIEF = (
+    identifiable.matrix(NAMES) @ identifiable.tolerance_covariance(BELIEVED) @ identifiable.matrix(NAMES).T
+)
+
+
+class Fault(NamedTuple):
+    """A fault: what is said of it, how R, K, J and the drag move, and the verdict that names it."""
+
+    name: str
+    moves: FloatArray
+    verdict: str
+
+
+def faults() -> Iterator[Fault]:
+    """Those of the tables."""
+    for factor in (1.5, 2.0, 3.0):
+        yield Fault(f"friction x {factor:g}", np.array([0.0, 0.0, 0.0, math.log(factor)]), "bearing")
+    yield Fault("R +25 %", np.array([math.log(1.25), 0.0, 0.0, 0.0]), "winding")
+    yield Fault("K -10 %", np.array([0.0, math.log(0.9), 0.0, 0.0]), "magnet")
+    for (name, way), sd in product(GAINS.items(), (3.0, 4.0, 6.0)):
+        size = sd / math.sqrt(way @ np.linalg.solve(TOTAL + ERROR, way))
+        yield Fault(f"{name}, {sd:g} sd", size * way, "sensor")
+
+
+def drawn(rng: np.random.Generator, count: int) -> FloatArray:
+    """Fits of healthy motors."""
+    return CENTRE + rng.multivariate_normal(np.zeros(4), TOTAL + ERROR, count)
+
+
+def judged(logs: FloatArray, core: Core) -> Judgement:
+    """One motor by a core."""
+    reference = Reference(
+        "sisters", NAMES, core.centres[0], core.next_motor() + core.within, core.degrees_of_freedom
+    )
+    return decide(FittedWindow(logs, ERROR), reference, RATE)
+
+
+ORACLE = Core(CENTRE[None], np.zeros((1, 4, 4)), BETWEEN, WITHIN, 1e6, np.ones(1))
+
+
+class Cell(NamedTuple):
+    """Counts of a fleet: healthy ones judged and called faulty, by fleet and oracle; by fault: judged, found, named."""
+
+    healthy: FloatArray
+    by_fault: FloatArray
+
+
+def one(job: tuple[int, float, int, int, int]) -> Cell:
+    """A fleet, and fresh motors judged by it."""
+    size, share, seed, healthy, sick = job
+    rng, every = np.random.default_rng([size, round(100 * share), seed]), list(faults())
+    logs = drawn(rng, size)
+    for n in range(round(share * size)):
+        logs[n] += every[rng.integers(len(every))].moves
+    errors = np.tile(ERROR, (size, 1, 1))
+    core = learn_core(
+        Motors(logs, errors, np.arange(size), np.zeros(size, dtype=np.intp), BELIEF, np.eye(4) * 0.02**2)
+    )
+    counts = np.zeros(3)
+    for fit in drawn(rng, healthy):
+        counts += [1, judged(fit, core).verdict.is_fault, judged(fit, ORACLE).verdict.is_fault]
+    rows = np.zeros((len(every), 5))
+    for row, fault in zip(rows, every, strict=True):
+        for fit in drawn(rng, sick) + fault.moves:
+            found, known = judged(fit, core), judged(fit, ORACLE)
+            row += [
+                1,
+                found.verdict.is_fault,
+                known.verdict.is_fault,
+                found.verdict == fault.verdict,
+                known.verdict == fault.verdict,
+            ]
+    return Cell(counts, rows)
+
+
+def main(*, healthy: int = 3000, sick: int = 300, workers: int = 1) -> None:
+    """Judge fresh motors by simulated fleets and keep the tables of docs/fleet.md.
+
+    Args:
+        healthy: number of healthy motors judged in each cell, at least.
+        sick: number of motors with each fault, in each cell.
+        workers: processes.
+    """
+    alarms, power = [], []
+    with ProcessPoolExecutor(workers) as pool:
+        for size, share in product(SIZES, SICK_SHARES):
+            fleets = max(healthy // 10, 1)
+            each = max(math.ceil(sick / fleets), 1)
+            jobs = [(size, share, seed, 10, each) for seed in range(fleets)]
+            cells = list(pool.map(one, jobs, chunksize=4))
+            counts = np.sum([cell.healthy for cell in cells], axis=0)
+            by_fault = np.sum([cell.by_fault for cell in cells], axis=0)
+            share_of = counts[1:] / counts[0]
+            half = 1.96 * np.sqrt(np.var([cell.healthy[1] / 10.0 for cell in cells]) / len(cells))
+            alarms.append(
+                [
+                    str(size),
+                    f"{share:.0%}",
+                    f"{counts[0]:.0f}",
+                    f"{share_of[0]:.2%}",
+                    f"{half:.2%}",
+                    f"{share_of[1]:.2%}",
+                ]
+            )
+            power += [
+                [str(size), f"{share:.0%}", fault.name, *(f"{one:.2f}" for one in row[1:] / row[0])]
+                for fault, row in zip(faults(), by_fault, strict=True)
+            ]
+            print(alarms[-1], *power[-len(by_fault) :], sep="\n  ", file=sys.stderr, flush=True)
+    keep_table("fleet", "alarms", ["motors", "sick", "judged", "false alarms", "±", "oracle"], alarms)
+    keep_table(
+        "fleet", "power", ["motors", "sick", "fault", "found", "oracle", "named", "oracle's names"], power
+    )
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,182 @@
+"""Motors judged by their sisters, from files to the table, and a motor between its sisters and its own records."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from motor_env import PAPER_MOTOR, Fault, diagnose, load_motor, simulate_states
+from motor_env.cli import main
+from motor_env.errors import InputError
+from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet
+from motor_env.fleet.learning import learn_fleet
+from motor_env.motor.parameters import FloatArray
+
+STEPS_V = np.repeat([0.0, 4.0, 10.0, -10.0, -4.0, 8.0], 60)
+START_V = np.repeat([0.0, 12.0], [40, 260])
+GROUP = r"(?P<machine>\d+)_(?P<motor>left|right)(_(?P<repeat>[a-z]))?"
+SICK = "3_left"
+
+
+def record(path: Path, seed: list[int], voltage_v: FloatArray, faults: tuple[Fault, ...] = ()) -> None:
+    """A log of one motor of a fleet; the first number of the seed tells the motor."""
+    r, k, j, b = np.exp(np.random.default_rng(seed[:2]).normal(0.0, [0.06, 0.025, 0.06, 0.1])).tolist()
+    p = PAPER_MOTOR
+    motor = replace(
+        p,
+        resistance_ohm=r * p.resistance_ohm,
+        back_emf_constant_v_s_per_rad=k * p.back_emf_constant_v_s_per_rad,
+        torque_constant_n_m_per_a=k * p.torque_constant_n_m_per_a,
+        inertia_kg_m2=j * p.inertia_kg_m2,
+        viscous_friction_n_m_s_per_rad=b * p.viscous_friction_n_m_s_per_rad,
+    )
+    rng = np.random.default_rng([*seed, 9])
+    current_a, speed_rad_s = simulate_states(motor, voltage_v, 1e-3, faults=faults).T
+    columns = {
+        "time_s": 1e-3 * np.arange(len(voltage_v)),
+        "voltage_v": voltage_v,
+        "current_a": current_a + rng.normal(0.0, 0.02, len(voltage_v)),
+        "speed_rad_s": speed_rad_s + rng.normal(0.0, 1.0, len(voltage_v)),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pd.DataFrame(columns).round(5).to_csv(path, index=False)
+
+
+def fleet(folder: Path, voltage_v: FloatArray) -> list[Path]:
+    """Four machines of two motors each, one sick."""
+    files = []
+    for machine in range(1, 5):
+        for side, motor in enumerate(("left", "right")):
+            name = f"{machine}_{motor}"
+            faults = (Fault("bearing", 3.0),) if name == SICK else ()
+            files.append(folder / f"{name}.csv")
+            record(files[-1], [machine, side], voltage_v, faults)
+    return files
+
+
+@pytest.fixture(scope="module")
+def starts(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return fleet(tmp_path_factory.mktemp("starts"), START_V)
+
+
+@pytest.fixture(scope="module")
+def found(starts: list[Path]) -> FleetDiagnosis:
+    return diagnose_fleet(starts, group=GROUP)
+
+
+def test_the_sick_motor_leads_the_table(found: FleetDiagnosis) -> None:
+    worst = found.sisters[0]
+    assert worst.place.name == "3 left"
+    assert worst.verdict == "bearing"
+    assert worst.ratios["B"] == pytest.approx(4.0, rel=0.3)
+    assert worst.off["B"] > 3.0
+    assert worst.p_value is not None
+    assert worst.p_value < 0.01
+    assert {one.verdict for one in found.sisters[1:]} == {"healthy"}
+    assert found.status == 1
+
+
+def test_table_json_and_page_say_the_same(found: FleetDiagnosis) -> None:
+    first, second = found.text().splitlines()[:2]
+    assert first == "1 of 8 motors stand out; of as many healthy ones 0.1 would, by chance"
+    assert second.split()[:3] == ["3", "left", "bearing"]
+    (worst, *rest) = found.to_json()
+    json.dumps(found.to_json(), allow_nan=False)
+    assert (worst["motor"], worst["machine"], worst["verdict"]) == ("3 left", "3", "bearing")
+    assert len(rest) == 7
+    page = found.page()
+    assert page.count('class="odd"') == len(found.quantities)
+    assert page.count('class="sister"') == 7 * len(found.quantities)
+    assert "http" not in page.replace("http://www.w3.org", "")
+
+
+def test_motors_of_one_machine_do_not_count_for_each_other(starts: list[Path]) -> None:
+    """Both motors of a machine off alike are both odd, however many motors it has."""
+    learned = learn_fleet(starts, group=GROUP)
+    core = learned.core_without("3")
+    assert len(core.probability) == 6
+    with_sick = learned.motor("all").healthy
+    without = learned.motor("others", core, "left").healthy
+    assert with_sick is not None
+    assert without is not None
+    assert without.fleet is not None
+    assert without.fleet.motors == 6
+
+
+def test_logs_at_work_make_a_motor_file_that_judges_another_sister(tmp_path: Path) -> None:
+    files, toml = fleet(tmp_path / "fleet", STEPS_V), tmp_path / "fleet.toml"
+    assert main(["commission", "--fleet", *map(str, files), "--group", GROUP, "-o", str(toml)]) == 0
+    motor = load_motor(toml)
+    assert motor.healthy is not None
+    assert motor.healthy.fleet is not None
+    assert motor.healthy.fleet.motors == 8
+    record(tmp_path / "new.csv", [50, 0], STEPS_V)
+    record(tmp_path / "worn.csv", [50, 0], STEPS_V, (Fault("winding_contact", 0.8),))
+    assert diagnose(tmp_path / "new.csv", motor).verdict == "healthy"
+    worn = diagnose(tmp_path / "worn.csv", motor)
+    assert (worn.verdict, worn.severity) == ("winding", pytest.approx(0.8, abs=0.25))
+    assert worn.reasons[1] == "compared with 8 sisters of commissioned motor"
+
+    # With each own record the healthy values come closer to the motor's own, and the spread falls.
+    own = []
+    for repeat in range(6):
+        own.append(tmp_path / f"own_{repeat}.csv")
+        record(own[-1], [50, 0, repeat], STEPS_V)
+    spreads, kept = [motor.healthy.log_covariance], tmp_path / "own.toml"
+    for count in (1, 6):
+        given = [str(path) for path in own[:count]]
+        assert main(["commission", *given, "--motor", str(toml), "-o", str(kept)]) == 0
+        learned = load_motor(kept).healthy
+        assert learned is not None
+        spreads.append(learned.log_covariance)
+    sd = np.sqrt(np.diagonal(spreads, axis1=1, axis2=2))
+    assert (sd[1] < 0.75 * sd[0])[:3].all()
+    assert (sd[2] < sd[1]).all()
+    assert learned.values[0] == pytest.approx(np.exp(drawn(50)) * PAPER_MOTOR.resistance_ohm, rel=0.03)
+
+
+def drawn(machine: int) -> float:
+    """Logarithm of the factor on R of a motor of `record`."""
+    return float(np.random.default_rng([machine, 0]).normal(0.0, 0.06))
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda files: learn_fleet(files[:3]), "a fleet needs at least 5 motors that can be fitted, got 3"),
+        (lambda files: learn_fleet([*files, files[0]]), "given twice"),
+        (lambda files: diagnose_fleet(files, false_alarm_rate=2.0), "false-alarm-rate"),
+    ],
+)
+def test_what_makes_no_fleet_is_refused(
+    starts: list[Path], call: Callable[[list[Path]], object], words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        call(starts)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["diagnose", "x.csv", "--group", "(?P<machine>x)"], "--group goes with --fleet"),
+        (["diagnose", "x.csv", "--fleet", "--motor", "m.toml"], "--motor does not go with --fleet"),
+        (["diagnose", "x.csv", "--fleet", "--start", "2"], "--start does not go with a fleet"),
+        (["commission", "x.csv", "--group", "(?P<machine>x)", "-o", "m.toml"], "--group goes with --fleet"),
+        (["commission", "x.csv", "--fleet", "--steady", "-o", "m.toml"], "--steady does not go with --fleet"),
+    ],
+)
+def test_options_that_do_not_go_together(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_own_records_need_the_file_of_a_fleet(starts: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["commission", str(starts[0]), "--motor", "paper", "-o", "never.toml"]) == 2
+    assert "`motor-env commission --fleet` has written" in capsys.readouterr().err
+    assert not Path("never.toml").exists()
