@@ -18,12 +18,15 @@ from cyclopts import run
 from tables import keep_table
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.healthy_motor import Reference
+from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
+from motor_env.diagnosis.learning import START_SPREAD, next_piece
 from motor_env.diagnosis.running.windows import NAMES, FittedWindow
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.fleet.learning import BELIEVED
+from motor_env.fleet.own import with_own
 from motor_env.fleet.population import Core, Motors, learn_core
 from motor_env.motor import identifiable
+from motor_env.motor.healthy import Fleet, Healthy, Starts
 from motor_env.motor.parameters import FloatArray
 
 SIZES, SICK_SHARES = (10, 30, 100), (0.0, 0.05, 0.2)
@@ -115,6 +118,40 @@ def one(job: tuple[int, float, int, int, int]) -> Cell:
     return Cell(counts, rows)
 
 
+def smallest_faults(motors: int) -> Iterator[list[str]]:
+    """Median smallest bearing and winding fault by the number of own healthy records, and by what else is known."""
+    rng = np.random.default_rng(33)
+    sisters = Healthy(
+        30,
+        33.0,
+        NAMES,
+        np.exp(CENTRE),
+        TOTAL * (1.0 + 1.0 / 30.0),
+        0.0,
+        fleet=Fleet(30, WITHIN),
+        starts=Starts(0.0, 0.1),
+    )
+    for count in (0, 1, 2, 3, 10):
+        found: dict[str, list[dict[str, float]]] = {"sisters": [], "own": []}
+        for own in CENTRE + rng.multivariate_normal(np.zeros(4), BETWEEN, motors):
+            logs = own + rng.multivariate_normal(np.zeros(4), WITHIN + ERROR, count + 1)
+            today, records = FittedWindow(logs[0], ERROR), [FittedWindow(one, ERROR) for one in logs[1:]]
+            known = with_own(sisters, logs[1:], np.tile(ERROR, (count, 1, 1))) if count else sisters
+            reference = reference_of_pieces(known, NAMES, "this motor")
+            assert reference is not None
+            found["sisters"].append(decide(today, reference, RATE).smallest_changes)
+            if count:
+                centre, covariance, freedom = next_piece(records, START_SPREAD)
+                alone = Reference("own", NAMES, centre, covariance, freedom, includes_fit_error=True)
+                found["own"].append(decide(today, alone, RATE).smallest_changes)
+        cells = [
+            f"{np.median([one[kind] for one in each]):.0%}" if each else "-"
+            for each in found.values()
+            for kind in ("bearing", "winding_contact")
+        ]
+        yield [str(count), *cells]
+
+
 def main(*, healthy: int = 3000, sick: int = 300, workers: int = 1) -> None:
     """Judge fresh motors by simulated fleets and keep the tables of docs/fleet.md.
 
@@ -123,6 +160,14 @@ def main(*, healthy: int = 3000, sick: int = 300, workers: int = 1) -> None:
         sick: number of motors with each fault, in each cell.
         workers: processes.
     """
+    header = [
+        "own records",
+        "bearing, 30 sisters",
+        "winding, 30 sisters",
+        "bearing, own alone",
+        "winding, own alone",
+    ]
+    keep_table("fleet", "own", header, smallest_faults(100))
     alarms, power = [], []
     with ProcessPoolExecutor(workers) as pool:
         for size, share in product(SIZES, SICK_SHARES):

@@ -56,4 +56,6 @@ if __name__ == "__main__":
         for side, motor in enumerate(("left", "right")):
             name = f"{robot:02d}_{motor}"
             rng = np.random.default_rng([robot, side])
-            log(rng, (SICK[name],) if name in SICK else ()).round(5).to_csv(folder / f"{name}.csv", index=False)
+            log(rng, (SICK[name],) if name in SICK else ()).round(5).to_csv(
+                folder / f"{name}.csv", index=False
+            )

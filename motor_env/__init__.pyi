@@ -58,6 +58,12 @@ from .filters.smoothing import (
 from .filters.stream import (
     FilterStream as FilterStream,
 )
+from .fleet.judging import (
+    diagnose_fleet as diagnose_fleet,
+)
+from .fleet.learning import (
+    learn_fleet as learn_fleet,
+)
 from .inference.identifiability import (
     Experiment as Experiment,
     cramer_rao_bound as cramer_rao_bound,

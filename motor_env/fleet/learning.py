@@ -28,14 +28,15 @@ from motor_env.motor.parameters import FloatArray
 FEWEST_SISTERS = 5
 BELIEVED = Tolerance(
     supply=0.01,
-    resistance=0.05,
+    resistance=0.075,
     inductance=0.10,
-    constants=0.025,
-    inertia=0.05,
-    friction=0.15,
+    constants=0.03,
+    inertia=0.075,
+    friction=0.35,
     temperature_k=0.0,
 )
-"""Spread from motor to motor that is believed before any is seen: that of makers' sheets, wider for friction."""
+"""Spread from motor to motor that is believed before any is seen: about that of a fleet of real gear motors (see
+docs/howto/fleet.md). One that is too small costs false alarms in small fleets, one that is too large costs power."""
 _LOST = 0.5  # probability of the core below which a motor teaches nothing of how starts are recorded
 
 

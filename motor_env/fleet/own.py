@@ -22,7 +22,7 @@ from motor_env.fleet.fits import Reading
 from motor_env.fleet.learning import at_centre
 from motor_env.fleet.population import at_least
 from motor_env.motor.data_sheet import Motor
-from motor_env.motor.healthy import Fleet
+from motor_env.motor.healthy import Fleet, Healthy
 from motor_env.motor.parameters import FloatArray
 
 
@@ -44,23 +44,37 @@ def learn_own(
     if healthy is None or healthy.fleet is None:
         raise InputError("--motor must be a motor file that `motor-env commission --fleet` has written")
     fits = [fit for path in files for fit in _fits(Path(path), sisters, reading or Reading())]
-    logs = np.array([fit.log_values for fit in fits])
-    errors = np.array([fit.log_covariance for fit in fits])
+    learned = with_own(
+        healthy,
+        np.array([fit.log_values for fit in fits]),
+        np.array([fit.log_covariance for fit in fits]),
+    )
+    return replace(sisters, name=name, healthy=learned)
+
+
+def with_own(healthy: Healthy, logs: FloatArray, errors: FloatArray) -> Healthy:
+    """What sisters and own records teach together.
+
+    Args:
+        healthy: what the sisters teach.
+        logs: logarithms of the quantities of each own record, shape (n, p).
+        errors: their covariance by the fit, shape (n, p, p).
+    """
+    assert healthy.fleet is not None  # noqa: S101  # the callers have seen to it
     within = _of_records(logs, errors, healthy.fleet)
     between = at_least(healthy.log_covariance - healthy.fleet.log_within, 1e-6 * healthy.log_covariance)
     prior, told = np.linalg.inv(between), np.linalg.inv(within + errors)
     left = np.linalg.inv(prior + told.sum(axis=0))
     centre = left @ (prior @ np.log(healthy.values) + np.einsum("npq,nq->p", told, logs))
-    learned = replace(
+    return replace(
         healthy,
-        pieces=len(fits),
-        degrees_of_freedom=healthy.degrees_of_freedom + len(fits),
+        pieces=len(logs),
+        degrees_of_freedom=healthy.degrees_of_freedom + len(logs),
         values=np.exp(centre),
         log_covariance=left + within,
         windows=None if healthy.windows is None else at_centre(healthy.windows, centre),
         fleet=replace(healthy.fleet, log_within=within),
     )
-    return replace(sisters, name=name, healthy=learned)
 
 
 def _fits(path: Path, sisters: Motor, reading: Reading) -> list[Fitted]:

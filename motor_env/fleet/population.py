@@ -130,14 +130,12 @@ def learn_core(motors: Motors, begin: Core | None = None) -> Core:
     repeats = np.bincount(motors.motor)
     share = 1.0 / repeats[motors.motor]
     if begin is None:
-        core = _tightest(motors)
+        # Few healthy motors have a tight half by chance; of many with sick ones among them the tight one is likelier.
+        ends = [_settled(first, motors, share) for first in (_tightest(motors), _tightest(motors, 1.0))]
+        core, _ = max(ends, key=lambda end: end[1])
     else:
-        core = replace(begin, between=begin.between + begin.within, probability=np.ones(len(motors.logs)))
-    for _ in range(_ROUNDS):
-        before, core = core, _updated(core, motors, share)
-        moved = max(np.abs(core.centres - before.centres).max(), np.abs(core.between - before.between).max())
-        if moved < _SETTLED:
-            break
+        at_once = replace(begin, between=begin.between + begin.within, probability=np.ones(len(motors.logs)))
+        core, _ = _settled(at_once, motors, share)
     total, of_records = core.between, motors.spread_of_records()
     within = np.diag(np.minimum(of_records.diagonal(), _MOST_WITHIN * total.diagonal()))
     return replace(
@@ -148,14 +146,28 @@ def learn_core(motors: Motors, begin: Core | None = None) -> Core:
     )
 
 
-def _tightest(motors: Motors) -> Core:
-    """Where to begin: at the tightest three quarters of the records, by concentration (Rousseeuw & Van Driessen 1999).
+def _settled(core: Core, motors: Motors, share: FloatArray) -> tuple[Core, float]:
+    """Where the rounds end, and the logarithm of its posterior probability."""
+    for _ in range(_ROUNDS):
+        before, (core, likelihood) = core, _updated(core, motors, share)
+        moved = max(np.abs(core.centres - before.centres).max(), np.abs(core.between - before.between).max())
+        if moved < _SETTLED:
+            break
+    log_size = float(np.linalg.slogdet(core.between)[1])
+    believed = (
+        -0.5 * PRIOR_WEIGHT * (log_size + float(np.trace(np.linalg.solve(core.between, motors.between))))
+    )
+    return core, likelihood + believed
+
+
+def _tightest(motors: Motors, part: float = _TIGHTEST) -> Core:
+    """Where to begin: at a part of the records that lies closest together (Rousseeuw & Van Driessen 1999).
 
     The spread of these is less than that of all of a normal distribution, by a known factor.
     """
     logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
     (count, p), places = logs.shape, int(position.max()) + 1
-    kept = max(math.ceil(_TIGHTEST * count), min(p + 1, count))
+    kept = max(math.ceil(part * count), min(p + 1, count))
     far = float(chi2.ppf(kept / count, p)) if kept < count else math.inf
     factor = kept / count / float(chi2.cdf(far, p + 2))
     error = np.median(errors.diagonal(axis1=1, axis2=2), axis=0)
@@ -202,8 +214,11 @@ def _log_density(off: FloatArray, covariance: FloatArray) -> FloatArray:
     return found
 
 
-def _updated(core: Core, motors: Motors, share: FloatArray) -> Core:
-    """One round: probabilities, centres, and the spread; each record counts by its share of its motor, (n_records,)."""
+def _updated(core: Core, motors: Motors, share: FloatArray) -> tuple[Core, float]:
+    """One round: probabilities, centres, and the spread; and the log likelihood before it.
+
+    Each record counts by its share of its motor, shape (n_records,).
+    """
     logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
     p, off = logs.shape[1], logs - core.centres[position]
     spread = core.between + errors
@@ -214,6 +229,7 @@ def _updated(core: Core, motors: Motors, share: FloatArray) -> Core:
     sick = (_SICK + float(share @ (1.0 - core.probability))) / (_SICK_OF + float(share.sum()))
     healthy = 1.0 / (1.0 + sick / (1.0 - sick) * np.exp(np.clip(ill - well, -500.0, 500.0)))
     counts = share * healthy
+    likelihood = float(share @ np.logaddexp(well + math.log1p(-sick), ill + math.log(sick)))
     weights = np.linalg.inv(spread) * counts[:, None, None]
     centres, covariances = [], []
     for n in range(len(core.centres)):
@@ -228,7 +244,7 @@ def _updated(core: Core, motors: Motors, share: FloatArray) -> Core:
     scatter = np.einsum("n,npq->pq", counts, own[:, :, None] * own[:, None, :] + left)
     freedom = max(float(counts.sum()) - len(centres), 0.0) + PRIOR_WEIGHT
     between = (scatter + PRIOR_WEIGHT * motors.between) / freedom
-    return replace(
+    after = replace(
         core,
         centres=np.stack(centres),
         centre_covariances=np.stack(covariances),
@@ -236,3 +252,4 @@ def _updated(core: Core, motors: Motors, share: FloatArray) -> Core:
         degrees_of_freedom=freedom,
         probability=healthy,
     )
+    return after, likelihood
