@@ -78,6 +78,8 @@ def commission(
     group: str | None = None,
     motor: Path | None = None,
     workers: console.Whole = 1,
+    scheduler: str | None = None,
+    kept: Path | None = None,
 ) -> int:
     """Learn a motor from three or more healthy starts, or from logs of it at work, for `motor-env diagnose --motor`.
 
@@ -103,6 +105,8 @@ def commission(
             groups, such as "(?P<machine>[0-9]+)_(?P<motor>left|right)".
         motor: Motor file of --fleet: one healthy recording of this motor is enough beside its sisters.
         workers: Processes, for --fleet.
+        scheduler: For --fleet: address of a Dask scheduler, whose workers fit instead.
+        kept: For --fleet: file that keeps the fits as they come. A fleet that was stopped goes on where it was.
     """
     if fleet or motor is not None:
         for option, given in (
@@ -124,7 +128,8 @@ def commission(
             name=name,
             group=group,
             motor=motor,
-            workers=workers,
+            spread=(workers, scheduler),
+            kept=kept,
             false_alarm_rate=false_alarm_rate,
         )
     if group is not None:
@@ -162,12 +167,14 @@ def _sisters(
     name: str,
     group: str | None,
     motor: Path | None,
-    workers: int,
+    spread: tuple[int, str | None],
+    kept: Path | None,
     false_alarm_rate: float,
 ) -> int:
     """`commission` with sisters: of a fleet, or of one motor beside the fleet's file."""
-    from motor_env.fleet.fits import Reading
+    from motor_env.fleet.first import Reading
     from motor_env.fleet.learning import learn_fleet
+    from motor_env.fleet.mapping import processes
     from motor_env.fleet.own import learn_own
     from motor_env.motor.data_sheet import load_motor, save_motor
 
@@ -176,9 +183,14 @@ def _sisters(
         learned = learn_own(files, load_motor(motor), name, reading=reading)
         text = f"{len(files)} own recordings beside the sisters of {motor}"
     else:
-        with console.progress_bar(2 * len(files), "fitting") as advance:
+        with console.progress_bar(2 * len(files), "fitting") as advance, processes(*spread) as each:
             fleet = learn_fleet(
-                files, group=group, reading=reading, workers=workers, progress=lambda _: advance(advance=1)
+                files,
+                group=group,
+                reading=reading,
+                each=each,
+                kept=kept,
+                progress=lambda _: advance(advance=1),
             )
         learned, text = fleet.motor(name), fleet.text(false_alarm_rate)
     save_motor(learned, output)

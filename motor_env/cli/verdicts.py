@@ -29,6 +29,8 @@ def diagnose(
     fleet: bool = False,
     group: str | None = None,
     workers: console.Whole = 1,
+    scheduler: str | None = None,
+    kept: Path | None = None,
 ) -> int:
     """Verdict on recordings of a motor: healthy, bearing, winding, magnet, noise, other, no_reference or unusable.
 
@@ -56,6 +58,8 @@ def diagnose(
         group: For --fleet: a regular expression that reads machine, motor and repeat from a file's name, by named
             groups, such as "(?P<machine>[0-9]+)_(?P<motor>left|right)".
         workers: Processes, for --fleet.
+        scheduler: For --fleet: address of a Dask scheduler, whose workers fit instead.
+        kept: For --fleet: file that keeps the fits as they come. A fleet that was stopped goes on where it was.
     """
     if fleet:
         for option, given in (("motor", motor), ("healthy", healthy), ("temperature-c", temperature_c)):
@@ -67,7 +71,8 @@ def diagnose(
             measurement,
             group=group,
             regime=regime,
-            workers=workers,
+            spread=(workers, scheduler),
+            kept=kept,
             false_alarm_rate=false_alarm_rate,
             json_=json_,
         )
@@ -109,22 +114,25 @@ def _fleet(
     *,
     group: str | None,
     regime: str,
-    workers: int,
+    spread: tuple[int, str | None],
+    kept: Path | None,
     false_alarm_rate: float,
     json_: bool,
 ) -> int:
     """`diagnose --fleet`."""
     from motor_env.files import write_text
-    from motor_env.fleet.fits import Reading
+    from motor_env.fleet.first import Reading
     from motor_env.fleet.judging import diagnose_fleet
+    from motor_env.fleet.mapping import processes
 
-    with console.progress_bar(2 * len(files), "fitting") as advance:
+    with console.progress_bar(2 * len(files), "fitting") as advance, processes(*spread) as each:
         found = diagnose_fleet(
             files,
             group=group,
             reading=Reading(regime=regime, **for_files(measurement)),
             false_alarm_rate=false_alarm_rate,
-            workers=workers,
+            each=each,
+            kept=kept,
             progress=lambda _: advance(advance=1),
         )
     show(json_, found.to_json, found.text)

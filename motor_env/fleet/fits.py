@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,67 +17,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from motor_env.diagnosis.diagnose import unusable_reason
-from motor_env.diagnosis.running.lessons import effective_speed, known_of
-from motor_env.diagnosis.running.windows import NAMES, averaged, over_speed, rms_volts
+from motor_env.diagnosis.running.windows import over_speed
 from motor_env.errors import InputError
 from motor_env.fitting import places
-from motor_env.fitting.identify import identify_operation
-from motor_env.fitting.recorded import at_terminals, from_recordings
-from motor_env.fitting.starts.choice import NUISANCES, identify_best
+from motor_env.fitting.recorded import from_recordings
+from motor_env.fitting.starts.choice import NUISANCES
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
 from motor_env.fitting.window import fit_window
+from motor_env.fleet.first import REASONS, First, Reading, first_fit, regime_of
+from motor_env.fleet.kept import Kept
+from motor_env.fleet.mapping import Map
 from motor_env.motor.healthy import Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.processes import end_with_parent
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.headers import ColumnChoice
-from motor_env.recordings.recording import Recording, recording_of
-from motor_env.recordings.regime import taken_for
-from motor_env.recordings.splitting import chosen_starts
-from motor_env.recordings.start import Circuit, prepare
 
 _LOADS = ("load_constant", "load_square", "load_walk")
 _DRY = (0.0, 0.35, 0.7, 1.0)  # shares of dry friction that are tried
 _MOST_TRIED = 12  # records
 _SHARED_NOT = [places.HEATING, places.COOLING, places.WALK, places.LOAD, places.SQUARE]
-
-
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """How the records are read.
-
-    Attributes:
-        columns: named by the user.
-        regime: start, operation, or auto.
-        voltage_v: level of the supply where none was recorded.
-        circuit: what is known of the measuring circuit.
-    """
-
-    columns: Sequence[ColumnChoice] = ()
-    regime: str = "auto"
-    voltage_v: float | None = None
-    circuit: Circuit | None = None
-
-
-class First(NamedTuple):
-    """The first fit of a record; `trouble` says why there is none.
-
-    Attributes:
-        names: of the terms.
-        quantities: that it tells.
-        values: physical values, or the quantities' logarithms of a start.
-        hold: of the voltage.
-        speed_rad_s: effective speed.
-    """
-
-    trouble: str = ""
-    names: tuple[str, ...] = ()
-    quantities: tuple[str, ...] = ()
-    values: FloatArray | None = None
-    hold: str = "held"
-    speed_rad_s: float = 0.0
 
 
 class Second(NamedTuple):
@@ -122,7 +78,8 @@ def fit_fleet(
     files: Sequence[Path],
     reading: Reading,
     *,
-    workers: int = 1,
+    each: Map = map,
+    kept: Path | None = None,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> FleetFits:
     """Fit the records of a fleet.
@@ -130,47 +87,40 @@ def fit_fleet(
     Args:
         files: recordings, one motor each; a start, or a log of the motor at work.
         reading: how they are read.
-        workers: processes.
+        each: what maps over files, see `processes`.
+        kept: file that keeps the first fits: a fleet that was stopped goes on where it was.
         progress: told each file, twice.
 
     Raises:
         InputError: no record can be used, or starts stand beside logs.
     """
-    with _mapping(workers) as each:
-        kinds = set(each(partial(_regime, reading), files))
-        # A start is a short log, too; a log is no start.
-        reading = replace(reading, regime="operation" if "operation" in kinds else "start")
-        firsts = dict(zip(files, _told(each(partial(_first, reading), files), files, progress), strict=True))
-        troubles = {path: one.trouble for path, one in firsts.items() if one.trouble}
-        good = {path: one for path, one in firsts.items() if not one.trouble}
-        if not good:
-            raise InputError(f"no record of the fleet can be used: {next(iter(troubles.values()))}")
-        quantities = Counter(one.quantities for one in good.values()).most_common(1)[0][0]
-        for path in [path for path, one in good.items() if one.quantities != quantities]:
-            troubles[path] = "it was recorded with other columns than most"
-            del good[path]
-        if reading.regime == "start":
-            windows = None
-            job = partial(_second_start, reading, *_shared_by_starts(list(good.values()), quantities))
-        else:
-            windows = _shared_by_logs(good, reading)
-            job = partial(_second_log, reading, windows)
-        seconds = tuple(_told(each(job, list(good)), list(good), progress))
-    return FleetFits(tuple(good), seconds, quantities, windows, troubles, reading)
-
-
-class _mapping:  # noqa: N801  # a context, used as a function is
-    """`map`, or that of a pool of processes."""
-
-    def __init__(self, workers: int) -> None:
-        self.pool = ProcessPoolExecutor(workers, initializer=end_with_parent) if workers > 1 else None
-
-    def __enter__(self) -> Callable[..., Iterable[Any]]:
-        return map if self.pool is None else self.pool.map
-
-    def __exit__(self, *_: object) -> None:
-        if self.pool is not None:
-            self.pool.shutdown(cancel_futures=True)
+    kinds = set(each(partial(regime_of, reading), files))
+    # A start is a short log, too; a log is no start.
+    reading = replace(reading, regime="operation" if "operation" in kinds else "start")
+    with Kept(kept, reading) as known:
+        missing = [path for path in files if path not in known]
+        for path, one in zip(missing, each(partial(first_fit, reading), missing), strict=True):
+            known.add(path, one)
+            progress(path)
+    firsts = {path: known[path] for path in files}
+    troubles = {path: one.trouble for path, one in firsts.items() if one.trouble}
+    good = {path: one for path, one in firsts.items() if not one.trouble}
+    if not good:
+        raise InputError(f"no record of the fleet can be used: {next(iter(troubles.values()))}")
+    quantities = Counter(one.quantities for one in good.values()).most_common(1)[0][0]
+    for path in [path for path, one in good.items() if one.quantities != quantities]:
+        troubles[path] = "it was recorded with other columns than most"
+        del good[path]
+    if reading.regime == "start":
+        windows = None
+        job = partial(_second_start, reading, *_shared_by_starts(list(good.values()), quantities))
+    else:
+        windows = _shared_by_logs(good, reading)
+        job = partial(_second_log, reading, windows)
+    again = dict(zip(good, _told(each(job, list(good)), list(good), progress), strict=True))
+    troubles |= {path: one for path, one in again.items() if isinstance(one, str)}
+    seconds = {path: one for path, one in again.items() if not isinstance(one, str)}
+    return FleetFits(tuple(seconds), tuple(seconds.values()), quantities, windows, troubles, reading)
 
 
 def _told(found: Iterable[Any], files: Sequence[Path], progress: Callable[[Path], None]) -> list[Any]:
@@ -179,32 +129,6 @@ def _told(found: Iterable[Any], files: Sequence[Path], progress: Callable[[Path]
         progress(path)
         every.append(one)
     return every
-
-
-def _regime(reading: Reading, path: Path) -> str:
-    try:
-        return taken_for(recording_of(path, reading.columns), reading.regime).regime
-    except InputError:
-        return "start"  # the first fit says why it cannot be read
-
-
-def _first(reading: Reading, path: Path) -> First:
-    try:
-        recording = recording_of(path, reading.columns)
-        if reading.regime == "start":
-            (part,) = chosen_starts(recording, 1)
-            fit = identify_best(prepare(part, reading.voltage_v, reading.circuit), NUISANCES)
-            reason = unusable_reason(fit)
-            if reason is not None:
-                return First(reason)
-            return First("", fit.model, fit.quantity_names, fit.log_values)
-        found = identify_operation([at_terminals(recording, reading.voltage_v, reading.circuit)])
-    except (UnusableError, InputError) as error:
-        return First(str(error).removeprefix(f"{path}: "))
-    if not found.record.seen.all() or found.r2_current is None:
-        return First("the current tells no motor")
-    names, hold = found.solution.names, found.record.hold
-    return First("", names, NAMES, known_of(found), hold, effective_speed(found))
 
 
 def _wanted(firsts: Sequence[First]) -> list[str]:
@@ -222,9 +146,13 @@ def _shared_by_starts(
     return tuple(name for name in NUISANCES if name in wanted), dict(zip(quantities, middle, strict=True))
 
 
-def _second_start(reading: Reading, model: tuple[str, ...], typical: dict[str, float], path: Path) -> Second:
-    (part,) = chosen_starts(recording_of(path, reading.columns), 1)
-    fit = identify(prepare(part, reading.voltage_v, reading.circuit), model, typical=typical)
+def _second_start(
+    reading: Reading, model: tuple[str, ...], typical: dict[str, float], path: Path
+) -> Second | str:
+    try:
+        fit = identify(reading.start(path), model, typical=typical)
+    except REASONS as error:
+        return str(error)
     return Second(fit.log_values, fit.log_covariance, fit)
 
 
@@ -236,19 +164,15 @@ def _shared_by_logs(firsts: dict[Path, First], reading: Reading) -> Windows:
     speed = float(np.median([one.speed_rad_s for one in every]))
     drag = float(np.median([_drag(one) for one in every])) * speed
     hold = Counter(one.hold for one in every).most_common(1)[0][0]
-    recordings = [_log(reading, path) for path in firsts]
-    volts = [rms_volts(one) for one in recordings]
-    shortest_s = min(len(one.time_s) * one.dt_s for one in recordings)
-    peaks = np.median([from_recordings([one]).peaks for one in recordings], axis=0)
     windows = Windows(
-        window_s=shortest_s,
+        window_s=min(one.duration_s for one in every),
         terms=tuple(name for name in _wanted(every) if name not in _LOADS),
         physical=known,
         hold=hold,  # type: ignore[arg-type]  # a literal that went through a counter
-        dt_s=float(np.median([one.dt_s for one in recordings])),
+        dt_s=float(np.median([one.dt_s for one in every])),
         speed_rad_s=speed,
-        rms_volts=(min(volts), max(volts)),
-        peaks=tuple(peaks.tolist()),
+        rms_volts=(min(one.rms_volts for one in every), max(one.rms_volts for one in every)),
+        peaks=tuple(np.median([one.peaks for one in every], axis=0).tolist()),
     )
     some = list(firsts)[:: -(-len(firsts) // _MOST_TRIED)]
     tried = []
@@ -256,23 +180,24 @@ def _shared_by_logs(firsts: dict[Path, First], reading: Reading) -> Windows:
         known = known.copy()
         known[[places.B, places.COULOMB]] = (1.0 - share) * drag / speed, share * drag
         tried.append(replace(windows, physical=known))
-    misfits = [sum(_second_log(reading, one, path).misfit for path in some) for one in tried]
+    misfits = [sum(_log_fit(reading, one, path).misfit for path in some) for one in tried]
     return tried[int(np.argmin(misfits))]
 
 
 def _drag(first: First) -> float:
     """Drag over the speed."""
-    assert first.values is not None  # noqa: S101  # it has no trouble
     return float(first.values[places.B] + first.values[places.COULOMB] / first.speed_rad_s)
 
 
-def _log(reading: Reading, path: Path) -> Recording:
-    recording = at_terminals(recording_of(path, reading.columns), reading.voltage_v, reading.circuit)
-    return averaged(recording, len(recording.time_s) * recording.dt_s)
+def _second_log(reading: Reading, windows: Windows, path: Path) -> Second | str:
+    try:
+        return _log_fit(reading, windows, path)
+    except REASONS as error:
+        return str(error)
 
 
-def _second_log(reading: Reading, windows: Windows, path: Path) -> Second:
-    record = replace(from_recordings([_log(reading, path)]), hold=windows.hold)
+def _log_fit(reading: Reading, windows: Windows, path: Path) -> Second:
+    record = replace(from_recordings([reading.log(path)]), hold=windows.hold)
     fit = fit_window(record, windows.physical, windows.terms)
     found = over_speed(fit, windows.physical, windows.speed_rad_s)
     return Second(found.log_values, found.log_covariance, misfit=fit.misfit)

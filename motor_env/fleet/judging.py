@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,9 @@ from motor_env.console import ExitStatus, worst
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.errors import InputError, require_options
-from motor_env.fleet.fits import Reading
+from motor_env.fleet.first import Reading
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
+from motor_env.fleet.mapping import Map
 from motor_env.fleet.names import Place
 from motor_env.fleet.picture import picture
 from motor_env.fleet.population import Core
@@ -93,7 +95,8 @@ def diagnose_fleet(
     group: str | None = None,
     reading: Reading | None = None,
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
-    workers: int = 1,
+    each: Map = map,
+    kept: Path | None = None,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> FleetDiagnosis:
     """Judge each motor of a fleet by all others; those of its own machine teach nothing about it.
@@ -103,40 +106,46 @@ def diagnose_fleet(
         group: regular expression that reads machine, motor and repeat from a file's name.
         reading: how the files are read.
         false_alarm_rate: how often a healthy motor may be called faulty.
-        workers: processes.
+        each: what maps over files, see `motor_env.fleet.mapping.processes`.
+        kept: file that keeps first fits, so that a fleet that was stopped goes on where it was.
         progress: told each file, twice.
 
     Raises:
         InputError: too few motors, or records that cannot be used together.
     """
     require_options(false_alarm_rate=false_alarm_rate)
-    fleet = learn_fleet(files, group=group, reading=reading, workers=workers, progress=progress)
-    reading = fleet.fits.reading
-    found: list[Sister] = []
-    for machine in dict.fromkeys(place.machine for place in fleet.every.values()):
-        core = fleet.core_without(machine)
-        for place in dict.fromkeys(one for one in fleet.every.values() if one.machine == machine):
-            if place.motor not in fleet.positions:
-                raise InputError(
-                    f"no motor of the place {place.motor} can be fitted, nothing judges {place.name}"
-                )
-            own = [path for path, one in fleet.every.items() if one == place]
-            motor = fleet.motor("a healthy one", core, place.motor)
-            records = {
-                path: diagnose(
-                    path,
-                    motor,
-                    columns=reading.columns,
-                    regime=reading.regime,
-                    voltage_v=reading.voltage_v,
-                    circuit=reading.circuit,
-                    false_alarm_rate=false_alarm_rate / len(own),
-                )
-                for path in own
-            }
-            found.append(Sister(place, records, *_apart(fleet, core, place)))
+    fleet = learn_fleet(files, group=group, reading=reading, each=each, kept=kept, progress=progress)
+    machines = list(dict.fromkeys(place.machine for place in fleet.every.values()))
+    job = partial(_of_machine, fleet, false_alarm_rate)
+    found = [sister for sisters in each(job, machines) for sister in sisters]
     found.sort(key=lambda one: (not one.verdict.is_fault, 0.0 if one.p_value is None else one.p_value))
     return FleetDiagnosis(tuple(found), fleet.fits.quantities, false_alarm_rate)
+
+
+def _of_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Sister]:
+    """The motors of a machine, judged by those of all others."""
+    core, reading, found = fleet.core_without(machine), fleet.fits.reading, []
+    for place in dict.fromkeys(one for one in fleet.every.values() if one.machine == machine):
+        if place.motor not in fleet.positions:
+            raise InputError(
+                f"no motor of the place {place.motor} can be fitted: nothing judges {place.name}"
+            )
+        own = [path for path, one in fleet.every.items() if one == place]
+        motor = fleet.motor("a healthy one", core, place.motor)
+        records = {
+            path: diagnose(
+                path,
+                motor,
+                columns=reading.columns,
+                regime=reading.regime,
+                voltage_v=reading.voltage_v,
+                circuit=reading.circuit,
+                false_alarm_rate=rate / len(own),
+            )
+            for path in own
+        }
+        found.append(Sister(place, records, *_apart(fleet, core, place)))
+    return found
 
 
 def _apart(

@@ -17,7 +17,9 @@ from motor_env.diagnosis.running.windows import viscous
 from motor_env.diagnosis.shown.report import UNITS
 from motor_env.errors import InputError
 from motor_env.fitting import places
-from motor_env.fleet.fits import FleetFits, Reading, fit_fleet
+from motor_env.fleet.first import Reading
+from motor_env.fleet.fits import FleetFits, fit_fleet
+from motor_env.fleet.mapping import Map
 from motor_env.fleet.names import Place, places_of
 from motor_env.fleet.population import Core, Motors, learn_core
 from motor_env.motor import identifiable
@@ -37,6 +39,7 @@ BELIEVED = Tolerance(
 )
 """Spread from motor to motor that is believed before any is seen: about that of a fleet of real gear motors (see
 docs/howto/fleet.md). One that is too small costs false alarms in small fleets, one that is too large costs power."""
+_MANY = 500
 _LOST = 0.5  # probability of the core below which a motor teaches nothing of how starts are recorded
 
 
@@ -81,6 +84,8 @@ class LearnedFleet:
 
     def core_without(self, machine: str) -> Core:
         """The core of all other machines."""
+        if len({motor.machine for motor in self.motors}) > _MANY:
+            return self.core  # one machine of so many moves nothing
         kept = np.array([motor.machine != machine for motor in self.motors])
         others = self.records.only(kept)
         if len(np.unique(others.position)) < len(self.positions):
@@ -184,7 +189,8 @@ def learn_fleet(
     *,
     group: str | None = None,
     reading: Reading | None = None,
-    workers: int = 1,
+    each: Map = map,
+    kept: Path | None = None,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> LearnedFleet:
     """Learn a healthy motor from sisters, of which some may be sick.
@@ -193,7 +199,8 @@ def learn_fleet(
         files: recordings; each of another motor, unless names tell otherwise.
         group: regular expression that reads machine, motor and repeat from a file's name, see `places_of`.
         reading: how the files are read.
-        workers: processes.
+        each: what maps over files, see `motor_env.fleet.mapping.processes`.
+        kept: file that keeps first fits, so that a fleet that was stopped goes on where it was.
         progress: told each file, twice.
 
     Raises:
@@ -203,7 +210,7 @@ def learn_fleet(
     if len({path.resolve() for path in files}) < len(files):
         raise InputError("a record of the fleet is given twice: it would count as two motors")
     every = dict(zip(files, places_of(files, group), strict=True))
-    fits = fit_fleet(files, reading or Reading(), workers=workers, progress=progress)
+    fits = fit_fleet(files, reading or Reading(), each=each, kept=kept, progress=progress)
     motors = tuple(dict.fromkeys(every[path] for path in fits.files))
     if len(motors) < FEWEST_SISTERS:
         raise InputError(

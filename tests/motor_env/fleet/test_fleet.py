@@ -12,8 +12,10 @@ import pytest
 from motor_env import PAPER_MOTOR, Fault, FaultKind, diagnose, load_motor, simulate_states
 from motor_env.cli import main
 from motor_env.errors import InputError
+from motor_env.fleet.first import Reading
 from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet
 from motor_env.fleet.learning import learn_fleet
+from motor_env.fleet.mapping import processes
 from motor_env.motor.parameters import FloatArray
 
 STEPS_V = np.repeat([0.0, 4.0, 10.0, -10.0, -4.0, 8.0], 60)
@@ -183,3 +185,43 @@ def test_own_records_need_the_file_of_a_fleet(starts: list[Path], capsys: pytest
     assert main(["commission", str(starts[0]), "--motor", "paper", "-o", "never.toml"]) == 2
     assert "`motor-env commission --fleet` has written" in capsys.readouterr().err
     assert not Path("never.toml").exists()
+
+
+def test_a_fleet_that_was_stopped_goes_on_where_it_was(starts: list[Path], tmp_path: Path) -> None:
+    class StoppedError(Exception):
+        pass
+
+    kept, fitted = tmp_path / "fits.jsonl", list[Path]()
+
+    def stop(path: Path) -> None:
+        fitted.append(path)
+        if len(fitted) == 6:
+            raise StoppedError
+
+    with pytest.raises(StoppedError):
+        learn_fleet(starts, group=GROUP, kept=kept, progress=stop)
+    with kept.open("a") as file:
+        file.write('{"record": "cut sh')
+    fitted.clear()
+    found = learn_fleet(starts, group=GROUP, kept=kept, progress=fitted.append)
+    assert fitted == [*starts[6:], *starts]  # first fits of the rest, then second ones of all
+    assert found.core.centres.tolist() == learn_fleet(starts, group=GROUP).core.centres.tolist()
+
+
+def test_kept_fits_of_others_are_refused(starts: list[Path], tmp_path: Path) -> None:
+    kept = tmp_path / "fits.jsonl"
+    learn_fleet(starts, kept=kept)
+    with pytest.raises(InputError, match="holds no fits of records that were read like these"):
+        learn_fleet(starts, kept=kept, reading=Reading(voltage_v=9.0))
+    lines = kept.read_text().splitlines()
+    kept.write_text("\n".join([lines[0], '{"record": 3}', *lines[2:], ""]))
+    with pytest.raises(InputError, match="line 2 is no kept fit"):
+        learn_fleet(starts, kept=kept)
+
+
+@pytest.mark.long
+def test_a_cluster_finds_the_same(starts: list[Path], found: FleetDiagnosis) -> None:
+    distributed = pytest.importorskip("distributed")
+    cluster = distributed.LocalCluster(n_workers=1, dashboard_address=None)
+    with cluster, processes(1, cluster.scheduler_address) as each:
+        assert diagnose_fleet(starts, group=GROUP, each=each).to_json() == found.to_json()
