@@ -20,6 +20,7 @@ from motor_env.motor.parameters import FloatArray, MotorParameters
 
 _DIFFERENT = 2.0  # standard errors
 _UNTOLD = 0.5  # standard deviation of a logarithm
+_SMALL = 1e-6
 
 
 def to_motor(
@@ -101,8 +102,23 @@ def motor_of_log(found: Operation, name: str) -> Motor:
 
 def motor_of_windows(healthy: Healthy, name: str) -> Motor:
     """The motor that windows have taught."""
-    assert healthy.windows is not None  # noqa: S101  # it was learned from them
-    return replace(_motor_of(healthy.windows.physical, name), kind="commissioned", healthy=healthy)
+    windows = healthy.windows
+    assert windows is not None  # noqa: S101  # it was learned from them
+    motor = _motor_of(windows.physical, name)
+    volts = 1.0 if windows.peaks is None else windows.peaks[0]
+    drag = motor.parameters.viscous_friction_n_m_s_per_rad * windows.speed_rad_s
+    return replace(
+        motor,
+        kind="commissioned",
+        healthy=healthy,
+        coulomb_friction_n_m=_unless_small(motor.coulomb_friction_n_m, drag),
+        brush_drop_v=_unless_small(motor.brush_drop_v, volts),
+    )
+
+
+def _unless_small(value: float, beside: float) -> float:
+    """0 for what a bounded fit left of nothing: linear models, as those of environments, have neither."""
+    return value if value > _SMALL * beside else 0.0
 
 
 def _motor_of(values: FloatArray, name: str) -> Motor:

@@ -116,7 +116,8 @@ class LearnedFleet:
             fleet=Fleet(count, core.within),
         )
         if self.fits.windows is not None:
-            return motor_of_windows(healthy, name)
+            volts = (self.fits.windows.peaks or (None,))[0]
+            return replace(motor_of_windows(healthy, name), nominal_voltage_v=volts)
         fits = [one.start for one in self.fits.seconds if one.start is not None]
         return to_motor(fits, name, kind="commissioned", healthy=healthy)
 
