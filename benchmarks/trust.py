@@ -14,10 +14,10 @@ from cyclopts import run
 from shifts import shift_scores, textbook_shifts
 from sklearn.base import BaseEstimator
 from tables import keep_table
-from trust_tables import percent
 
 from motor_classifiers.estimators.methods import METHODS, make_method
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers.report.trust_tables import percent
 from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.trust import network_for

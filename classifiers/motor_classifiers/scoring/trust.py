@@ -19,9 +19,10 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # c
 from motor_classifiers.estimators.methods import ESTIMATE
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_classifiers.scoring.judging import Cell, digest_of, judged_starts
+from motor_classifiers.scoring.judging import digest_of
 from motor_classifiers.scoring.metrics import IntArray
 from motor_classifiers.scoring.severities import severity_figures
+from motor_classifiers.scoring.task import ClassTask, judged_starts
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, Confidence, foreign_scores
 from motor_classifiers.scoring.verdict_times import (
     accuracy_by_moment,
@@ -148,62 +149,62 @@ def set_figures(probabilities: Mapping[str, FloatArray], test: Dataset) -> Figur
     return {"n_test": len(test), "promised": _PROMISED, "methods": rows}
 
 
-def trust_key(cell: Cell, *, with_network: bool) -> str:
+def trust_key(task: ClassTask, *, with_network: bool) -> str:
     """Digest of all that the figures depend on."""
     contents = {
         "what": TRUST,
-        "recipe": recipe_to_dict(cell.recipe),
-        "n_train": cell.n_train,
-        "seed": cell.seed,
+        "recipe": recipe_to_dict(task.recipe),
+        "n_train": task.n_train,
+        "seed": task.seed,
         "counts": asdict(COUNTS),
         "network": with_network,
     }
     return digest_of(contents)
 
 
-def expected_seconds(cell: Cell, *, with_network: bool) -> float:
+def expected_seconds(task: ClassTask, *, with_network: bool) -> float:
     """About how long the figures take on one core."""
-    if cell.recipe.field is not None:
+    if task.recipe.field is not None:
         return 1.0
-    samples = cell.recipe.timing.n_samples / 1000.0
+    samples = task.recipe.timing.n_samples / 1000.0
     return (20.0 + 40.0 * samples) if with_network else 5.0 + 30.0 * samples
 
 
-def trust_figures(cell: Cell, *, with_network: bool) -> Figures:
+def trust_figures(task: ClassTask, *, with_network: bool) -> Figures:
     """All figures of a setting; sections that it cannot have say why.
 
     Args:
-        cell: setting; its training starts are those of the early verdicts.
+        task: setting; its training starts are those of the early verdicts.
         with_network: whether a posterior network is asked for.
     """
     counts = {"counts": asdict(COUNTS)}
-    if cell.recipe.field is not None:
+    if task.recipe.field is not None:
         reason = {
-            "reason": f"the likelihood of recipe {cell.recipe.name} has no closed form, and these figures need it"
+            "reason": f"the likelihood of recipe {task.recipe.name} has no closed form, and these figures need it"
         }
         return {**counts, **dict.fromkeys(SECTIONS, reason)}
-    seed = cell.seed % 2**32
+    seed = task.seed % 2**32
     with threadpool_limits(1):
-        network = network_for(cell.recipe, seed) if with_network else None
+        network = network_for(task.recipe, seed) if with_network else None
         return {
             **counts,
-            "unknown": _unknown(cell, network),
-            "severity": _severity(cell, network),
-            "early": _early(cell),
-            "race": _race(cell),
+            "unknown": _unknown(task, network),
+            "severity": _severity(task, network),
+            "early": _early(task),
+            "race": _race(task),
         }
 
 
-def _unknown(cell: Cell, network: PosteriorNetwork | None) -> Figures:
+def _unknown(task: ClassTask, network: PosteriorNetwork | None) -> Figures:
     """Faults never trained on, told by distance and by confidence."""
-    settings = [(cell.recipe, network)]
-    if cell.recipe.timing.sampling_rate_hz > TELLING_RATE_HZ:
+    settings = [(task.recipe, network)]
+    if task.recipe.timing.sampling_rate_hz > TELLING_RATE_HZ:
         slow = replace(
-            cell.recipe, timing=replace(cell.recipe.timing, sampling_rate_hz=TELLING_RATE_HZ), shifts=()
+            task.recipe, timing=replace(task.recipe.timing, sampling_rate_hz=TELLING_RATE_HZ), shifts=()
         )
         trained = None
         if network is not None:
-            trained = network_for(slow, cell.seed % 2**32, steps=COUNTS.steps, with_severity=False)
+            trained = network_for(slow, task.seed % 2**32, steps=COUNTS.steps, with_severity=False)
         settings.append((slow, trained))
     rows = []
     for recipe, own in settings:
@@ -211,32 +212,32 @@ def _unknown(cell: Cell, network: PosteriorNetwork | None) -> Figures:
         if own is not None:
             confidences[ESTIMATE] = own.predict_proba
         scores = foreign_scores(
-            recipe, confidences, UNKNOWN_FAULTS, seed=cell.seed, first_case=FIRST_CASE,
+            recipe, confidences, UNKNOWN_FAULTS, seed=task.seed, first_case=FIRST_CASE,
             n_threshold=COUNTS.threshold, n_known=COUNTS.known, n_foreign=COUNTS.foreign,
         )  # fmt: skip
         rows.append({"sampling_rate_hz": recipe.timing.sampling_rate_hz, **scores})
     return {"settings": rows}
 
 
-def _severity(cell: Cell, network: PosteriorNetwork | None) -> Figures:
+def _severity(task: ClassTask, network: PosteriorNetwork | None) -> Figures:
     """Severities, uniform over the range, beside the exact posterior's."""
     if network is None:
         return {"reason": f"{ESTIMATE}, which tells severities, is not among the methods"}
     kinds = [
         {"kind": str(prior.kind), "largest": prior.largest}
-        | severity_figures(network, cell.recipe, prior, cell.seed, COUNTS.severity)
+        | severity_figures(network, task.recipe, prior, task.seed, COUNTS.severity)
         for prior in network.severity_priors_
     ]
-    return {"network_is_shipped": shipped_network(cell.recipe) is not None, "kinds": kinds}
+    return {"network_is_shipped": shipped_network(task.recipe) is not None, "kinds": kinds}
 
 
-def _early(cell: Cell) -> Figures:
+def _early(task: ClassTask) -> Figures:
     """Accuracy by what was seen, and the stopping rule."""
-    recipe, seen = cell.recipe, moments(cell.recipe.timing)
+    recipe, seen = task.recipe, moments(task.recipe.timing)
     if len(seen.samples) < 2:
         return {"reason": f"a start of recipe {recipe.name} has too few samples to be cut short"}
-    test = judged_starts(recipe, cell.seed, FIRST_CASE, COUNTS.early)
-    probabilities = probabilities_by_moment(recipe, cell.seed % 2**32, cell.train(), test)
+    test = judged_starts(recipe, task.seed, FIRST_CASE, COUNTS.early)
+    probabilities = probabilities_by_moment(recipe, task.seed % 2**32, task.train(), test)
     return {
         "time_s": seen.time_s.tolist(),
         "accuracy": {
@@ -246,15 +247,15 @@ def _early(cell: Cell) -> Figures:
     }
 
 
-def _race(cell: Cell) -> Figures:
+def _race(task: ClassTask) -> Figures:
     """The largest bearing fault or none, by the limit and by the sequential rules."""
-    recipe = cell.recipe
+    recipe = task.recipe
     bearings = [c for c in recipe.classes if [part.kind for part in c.parts] == [FaultKind.BEARING]]
     if not bearings or len(moments(recipe.timing).samples) < 2:
         return {"reason": f"recipe {recipe.name} has no class of a bearing fault alone, or too few samples"}
     fault = max(bearings, key=lambda c: c.severity)
     curves = race(
-        recipe, FaultClass(fault.kind, fault.severity), seed=cell.seed, first_case=FIRST_CASE,
+        recipe, FaultClass(fault.kind, fault.severity), seed=task.seed, first_case=FIRST_CASE,
         n_cases=COUNTS.early, n_healthy=COUNTS.healthy,
     )  # fmt: skip
     return {

@@ -21,7 +21,8 @@ from motor_classifiers.estimators import own_methods
 from motor_classifiers.estimators.own_methods import answered, fed, find_method
 
 # Reaches in: no public name shows under which key answers are kept, or how a process is judged that breaks.
-from motor_classifiers.scoring.judging import Cell, answer_key, judge, judge_apart
+from motor_classifiers.scoring.judging import answer_key, judge, judge_apart
+from motor_classifiers.scoring.task import class_task
 from motor_datasets import generate_arrays
 from motor_env import InputError, Timing, load_recipe
 
@@ -70,10 +71,10 @@ class ThreeAxes(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit
 def test_a_function_of_a_file_is_a_method_with_its_own_answers(own: Path) -> None:
     name = f"{own}:trees"
     assert find_method(name).title == "Fifty random trees on raw samples."
-    cell = Cell(RECIPE, 150, 100)
+    cell = class_task(RECIPE, 150, 100)
     answer = judge(name, cell)
     assert answer.is_graded
-    assert (answer.decided == cell.test().class_index).mean() > 0.5
+    assert (answer.decided == cell.starts().class_index).mean() > 0.5
     before = answer_key(name, cell)
     own.write_text(SOURCE.replace("(50,", "(60,"), encoding="utf-8")
     assert answer_key(name, cell) != before  # an edited method is another one
@@ -122,7 +123,7 @@ def test_what_is_no_method_is_a_sentence(own: Path, name: str, sentence: str) ->
 
 def test_a_method_that_fails_is_named_with_its_line(own: Path) -> None:
     with pytest.raises(InputError, match=r"ZeroDivisionError: division by zero \(.*own.py, line 13\)"):
-        judge_apart(f"{own}:broken", Cell(RECIPE, 150, 100))
+        judge_apart(f"{own}:broken", class_task(RECIPE, 150, 100))
 
 
 def test_flat_unless_the_estimator_says_otherwise() -> None:

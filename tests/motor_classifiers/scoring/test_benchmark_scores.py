@@ -21,6 +21,7 @@ from motor_classifiers.scoring.metrics import (
     root_mean_square,
     scores,
 )
+from motor_classifiers.scoring.task import class_task
 from motor_datasets import generate_arrays
 from motor_env import Timing, load_recipe
 
@@ -59,12 +60,12 @@ def test_a_wrong_kind_costs_both_severities() -> None:
 
 
 def test_comparison_is_the_exact_sign_test() -> None:
-    first = np.array([True] * 30 + [False] * 10 + [True] * 60)
-    second = np.array([False] * 30 + [True] * 10 + [True] * 60)
-    found = compare(first, second, resampling_weights(100, 0, 100))
+    first = np.repeat([0.0, 1.0, 0.0], [30, 10, 60])
+    second = np.repeat([1.0, 0.0, 0.0], [30, 10, 60])
+    found = compare(class_task(RECIPE), first, second, resampling_weights(100, 0, 100))
     assert (found.only_first, found.only_second) == (30, 10)
     assert found.p_above == pytest.approx(binomtest(30, 40, alternative="greater").pvalue)
-    assert found.difference.value == pytest.approx(0.2)
+    assert found.difference.value == pytest.approx(-20.0)
 
 
 def test_the_network_repeats_itself_to_the_bit_and_learns() -> None:
@@ -104,9 +105,11 @@ def test_starts_of_one_motor_are_drawn_together() -> None:
     by_motor = weights.reshape(301, 50, 4)
     assert (by_motor == by_motor[..., :1]).all()
     assert (by_motor[..., 0].sum(axis=1) == 50).all()
-    hits = np.repeat(np.random.default_rng(0).random(50) < 0.7, 4)
-    alone = compare(hits, np.zeros(200, bool), resampling_weights(200, 0, 300)).difference
-    grouped = compare(hits, np.zeros(200, bool), weights).difference
+    costs = np.repeat(np.random.default_rng(0).random(50) < 0.3, 4).astype(np.float64)
+    alone, grouped = (
+        compare(class_task(RECIPE), costs, np.zeros(200), drawn).difference
+        for drawn in (resampling_weights(200, 0, 300), weights)
+    )
     # Four starts that always agree are worth one: the interval is twice as wide.
     assert (grouped.high - grouped.low) / (alone.high - alone.low) == pytest.approx(2.0, rel=0.25)
 

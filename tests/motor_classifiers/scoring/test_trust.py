@@ -13,7 +13,7 @@ from trust import plot_roc
 
 from motor_classifiers import ConformalSets, FaultFamilyDetector
 from motor_classifiers.scoring import trust as trust_module
-from motor_classifiers.scoring.judging import Cell
+from motor_classifiers.scoring.task import class_task
 from motor_classifiers.scoring.trust import (
     SECTIONS,
     Counts,
@@ -166,7 +166,7 @@ FEW = Counts(threshold=100, known=60, foreign=20, severity=40, early=60, healthy
 
 def test_figures_are_json_and_survive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trust_module, "COUNTS", FEW)
-    cell = Cell(BENCH, 200, 100)
+    cell = class_task(BENCH, 200, 100)
     told = trust_figures(cell, with_network=False)
     assert told["severity"].keys() == {"reason"}
     assert len(told["unknown"]["settings"]) == 1
@@ -189,7 +189,7 @@ def test_the_shipped_network_is_taken_where_the_recipe_is_its_own(monkeypatch: p
     recipe = load_recipe("bench")
     assert shipped_network(recipe) is not None
     assert shipped_network(BENCH) is None
-    told = trust_module._severity(Cell(recipe), shipped_network(recipe))
+    told = trust_module._severity(class_task(recipe), shipped_network(recipe))
     assert told["network_is_shipped"]
     by_kind = {row["kind"]: row for row in told["kinds"]}
     assert set(by_kind) == {"bearing", "winding_contact", "winding_short"}
@@ -199,18 +199,18 @@ def test_the_shipped_network_is_taken_where_the_recipe_is_its_own(monkeypatch: p
 
 def test_what_a_setting_cannot_have_is_left_out_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trust_module, "COUNTS", FEW)
-    told = trust_figures(Cell(load_recipe("field"), 100, 100), with_network=True)
+    told = trust_figures(class_task(load_recipe("field"), 100, 100), with_network=True)
     assert all("no closed form" in told[name]["reason"] for name in SECTIONS)
     no_bearing = replace(BENCH, classes=(BENCH.classes[0], BENCH.classes[3]))
-    assert "bearing" in trust_module._race(Cell(no_bearing))["reason"]
+    assert "bearing" in trust_module._race(class_task(no_bearing))["reason"]
 
 
 def test_the_key_holds_all_that_the_figures_depend_on(monkeypatch: pytest.MonkeyPatch) -> None:
     cells = (
-        Cell(BENCH, 200),
-        Cell(BENCH, 300),
-        Cell(BENCH, 200, seed=1),
-        Cell(replace(BENCH, name="b"), 200),
+        class_task(BENCH, 200),
+        class_task(BENCH, 300),
+        class_task(BENCH, 200, seed=1),
+        class_task(replace(BENCH, name="b"), 200),
     )
     keys = {trust_key(cell, with_network=also) for cell in cells for also in (False, True)}
     assert len(keys) == 2 * len(cells)

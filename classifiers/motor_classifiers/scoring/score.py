@@ -1,0 +1,184 @@
+"""Scores: what a method's answers to a task are worth, beside the best possible answers to the same cases."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from motor_classifiers.scoring.calibration import CalibrationScores, calibration_scores
+from motor_classifiers.scoring.judging import LIMIT, Answer, expected_severity
+from motor_classifiers.scoring.metrics import (
+    Comparison,
+    IntArray,
+    Score,
+    Scores,
+    compare,
+    interval,
+    resampling_weights,
+    root_mean_square,
+    scores,
+)
+from motor_classifiers.scoring.task import Cases, ClassTask, Task
+from motor_env.motor.parameters import FloatArray
+
+SIGNIFICANCE = 0.01
+"""Of the check that no method beats the limit: shared among all comparisons of a run (Bonferroni), one-sided."""
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One method on one task.
+
+    Attributes:
+        name: of the method.
+        costs: of each case, shape (n_test,).
+        value: the task's metric; smaller is better.
+        against_limit: compared in pairs with the best possible; None where that is not known.
+    """
+
+    name: str
+    costs: FloatArray
+    value: Score
+    against_limit: Comparison | None
+
+
+def score(
+    task: Task, cases: Cases, answers: Mapping[str, NDArray[Any]], limit: str | None = None, seed: int = 0
+) -> dict[str, Result]:
+    """Score answers to the same cases.
+
+    Args:
+        task: what is asked.
+        cases: the task's, with the truth.
+        answers: by method, each of shape (n_test, n_columns).
+        limit: name of the best possible answers among them.
+        seed: of the bootstrap; the same resamples for all methods.
+    """
+    weights = resampling_weights(len(cases.truth), seed, groups=cases.motor)
+    costs = {name: task.costs(cases.truth, own) for name, own in answers.items()}
+    return {
+        name: Result(
+            name,
+            own,
+            interval(task.figures(own, weights)),
+            None if limit is None else compare(task, own, costs[limit], weights),
+        )
+        for name, own in costs.items()
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class ClassResult(Result):
+    """One method on a task that asks for the class.
+
+    Attributes:
+        against_limit: compared in pairs with the limit's decisions.
+        answer: what was said of each case.
+        scores: of the decisions, with intervals.
+        calibration: of the probabilities; None for a method that only decides.
+        severity: mean severity over the classes by their probabilities, 0.01 for a point, shape (n_test,).
+        severity_rmse: root mean square of its error.
+        origin: where a peer's answers come from; empty for methods that this run judged.
+    """
+
+    against_limit: Comparison
+    answer: Answer
+    scores: Scores
+    calibration: CalibrationScores | None
+    severity: FloatArray
+    severity_rmse: Score
+    origin: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """All methods on one task that asks for the class.
+
+    Attributes:
+        task: the task.
+        truth: index of the true class of each case.
+        severity: true severity of each.
+        limit: the Bayes-optimal posterior, or its estimate where the likelihood has no closed form.
+        methods: in the order given.
+        weights: of the bootstrap, shape (1 + n_resamples, n_test).
+        n_comparisons: comparisons with the limit that share `SIGNIFICANCE`.
+        trust: figures on trust, in the reference setting alone.
+    """
+
+    task: ClassTask
+    truth: IntArray
+    severity: FloatArray
+    limit: ClassResult
+    methods: tuple[ClassResult, ...]
+    weights: FloatArray
+    n_comparisons: int = 1
+    trust: dict[str, Any] | None = None
+
+    @property
+    def limit_is_estimate(self) -> bool:
+        """Whether no better limit is known than an estimate."""
+        return self.task.recipe.field is not None
+
+    def is_above(self, method: ClassResult) -> bool:
+        """Whether a method of this run is significantly better than what is possible: then something leaks."""
+        if method.origin or self.limit_is_estimate:
+            return False
+        return method.against_limit.p_above < SIGNIFICANCE / self.n_comparisons
+
+    @property
+    def leaks(self) -> tuple[str, ...]:
+        """Names of the methods that are significantly above the limit."""
+        return tuple(method.name for method in self.methods if self.is_above(method))
+
+    def ranked(self) -> tuple[ClassResult, ...]:
+        """Methods, the most accurate first."""
+        return tuple(sorted(self.methods, key=lambda method: -method.scores.accuracy.value))
+
+    def difference(self, first: ClassResult, second: ClassResult) -> Comparison:
+        """Two methods compared in pairs."""
+        return compare(self.task, first.costs, second.costs, self.weights)
+
+
+def score_classes(
+    task: ClassTask,
+    answers: Mapping[str, Answer],
+    limit: Answer,
+    *,
+    origins: Mapping[str, str] = {},
+    n_comparisons: int = 1,
+) -> Results:
+    """Score probabilities of classes in every way.
+
+    Args:
+        task: what is asked.
+        answers: by method.
+        limit: the best possible ones, or their estimate.
+        origins: of peers' answers.
+        n_comparisons: methods and settings that share the check against the limit.
+    """
+    starts, recipe = task.starts(), task.recipe
+    truth, severity = starts.class_index, starts.severity
+    weights = resampling_weights(len(starts), task.seed, groups=starts.motor_id)
+    limit_costs = task.costs(truth, limit.probabilities)
+
+    def result(name: str, answer: Answer) -> ClassResult:
+        costs = task.costs(truth, answer.probabilities)
+        own = expected_severity(recipe, answer.probabilities)
+        return ClassResult(
+            name,
+            costs,
+            interval(task.figures(costs, weights)),
+            compare(task, costs, limit_costs, weights),
+            answer,
+            scores(recipe, truth, answer.decided, weights),
+            calibration_scores(answer.probabilities, truth) if answer.is_graded else None,
+            own,
+            root_mean_square(own - severity, weights),
+            origins.get(name, ""),
+        )
+
+    methods = tuple(result(name, answer) for name, answer in answers.items())
+    return Results(task, truth, severity, result(LIMIT, limit), methods, weights, n_comparisons)
