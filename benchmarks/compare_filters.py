@@ -37,7 +37,7 @@ IntArray = NDArray[np.int64]
 LARGE_Q = (1e-2, 0.316)
 RECIPE = named_recipe("paper")
 KINDS = np.array([0, 1, 1, 2, 2])
-"""Of the recipe's classes: healthy, bearing, winding; checked in `main`."""
+"""Kinds of the recipe's classes: healthy, bearing, winding; checked in `main`."""
 
 WATCH = Cusum(shift=0.13, two_sided=True)
 """The shift of a bearing fault of 10 % at 20 mA, to either side."""

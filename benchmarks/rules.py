@@ -65,7 +65,7 @@ def simulated(rule: Rule, threshold: float, runs: int, mean: ArrayLike) -> tuple
 
 
 def delays(runs: int, calibration: int) -> Iterable[Iterable[str]]:
-    """Of every rule, over the exact one of the matched CUSUM; and of an onset after a thousand healthy samples."""
+    """Delays of every rule, over the exact one of the matched CUSUM, and after a thousand healthy samples."""
     for shift in SHIFTS:
         least = Cusum(shift).average_run_length(threshold_of(Cusum(shift), calibration).value, shift)
         for name, rule in {**informed(shift), **BLIND}.items():

@@ -30,7 +30,7 @@ from motor_env.simulation.simulate import simulate
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceTask(ClassTask):
-    """The same with healthy starts of the same motor as further channels."""
+    """Name the class, given healthy starts of the same motor as further channels."""
 
     n_references: int = 1
 
@@ -146,7 +146,7 @@ class StreamTask(DrawnTask):
         return self._drawn(self.test_seed, TEST_FIRST_CASE, self.n_test)
 
     def train_streams(self) -> Cases:
-        """The same of other motors, to choose thresholds on."""
+        """Starts of other motors that go on, to choose thresholds on."""
         return self._drawn(self.seed, TRAIN_FIRST_CASE, self.n_train)
 
     def learned(self) -> dict[str, NDArray[Any]]:

@@ -124,7 +124,7 @@ def _foreign_types(node: Any) -> set[str]:
 
 
 def with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
-    """The same fitted model whose physical steps hold another recipe; the given one stays as it is."""
+    """A copy of a fitted model whose physical steps hold another recipe; the given one stays as it is."""
     changed = copy(model)
     if isinstance(model, Pipeline):
         changed.steps = [(name, with_recipe(step, recipe)) for name, step in model.steps]

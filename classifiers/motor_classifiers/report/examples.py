@@ -17,7 +17,7 @@ from motor_env.motor.parameters import Channel, FloatArray
 from motor_env.simulation.simulate import simulate_states
 
 ALARM_RATE = 0.01
-"""Of the thresholds drawn, for a start of a motor known exactly."""
+"""False alarms at the thresholds drawn, in starts of a motor known exactly."""
 
 SMOOTH = 50
 """Samples of the running mean at most, and a twentieth of the start."""

@@ -25,7 +25,7 @@ from motor_classifiers.scoring.task import Cases, ClassTask, Task
 from motor_env.motor.parameters import FloatArray
 
 SIGNIFICANCE = 0.01
-"""Of the check that no method beats the limit: shared among all comparisons of a run (Bonferroni), one-sided."""
+"""Level of the check that no method beats the limit: shared among all comparisons of a run (Bonferroni), one-sided."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,10 +24,10 @@ from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
 
 VERSION = "1.0"
-"""Of the frozen tasks: one with another recipe, seed or count belongs to another version."""
+"""Version of the frozen tasks: one with another recipe, seed or count belongs to another."""
 
 SEED = 20_261
-"""Of the public splits of frozen tasks; a sealed split has a secret one."""
+"""Seed of the public splits of frozen tasks; a sealed split has a secret one."""
 
 TRAIN_FIRST_CASE = 0
 TEST_FIRST_CASE = 1_000_000_000

@@ -47,10 +47,10 @@ Figures = dict[str, Any]
 """What JSON can hold; a section that is left out holds its `reason` alone."""
 
 FIRST_CASE = 2_000_000_000
-"""Of the starts that are judged here: neither training nor test starts of the benchmark."""
+"""First number of the starts judged here: neither training nor test starts of the benchmark."""
 
 TELLING_RATE_HZ = 1_000.0
-"""Of a second setting of the unknown faults: at 10 kHz every one of them is found."""
+"""Rate of a second setting of the unknown faults: at 10 kHz every one of them is found."""
 
 SECTIONS = ("unknown", "severity", "early", "race")
 
