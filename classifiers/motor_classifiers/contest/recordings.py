@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_classifiers.scoring.metrics import resampling_weights
 from motor_classifiers.scoring.score import score
 from motor_classifiers.scoring.task import Cases, Task
 from motor_env.errors import InputError
@@ -82,9 +83,11 @@ def score_recordings(truth: Path | str, said: Path | str) -> list[dict[str, Any]
     task = RecordingsTask(
         "recordings", "Verdicts on your own recordings", len(rows), "wrong", rows=tuple(rows)
     )
+    cases = task.test()
     counts = {"n_recordings": len(rows), "n_motors": len({row["motor"] for row in rows})}
     scored = []
-    for method, result in score(task, task.test(), answers).items():
+    weights = resampling_weights(len(rows), 0, groups=cases.motor)
+    for method, result in score(task, cases.truth, answers, weights).items():
         wrong, low, high = result.value
         silent = float((answers[method] == _SILENT).mean())
         scored.append(

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
 
 from motor_classifiers.contest.tasks import load_task
+from motor_classifiers.scoring.metrics import resampling_weights
 from motor_classifiers.scoring.score import score
 from motor_classifiers.scoring.task import VERSION, DrawnTask
 from motor_env.errors import InputError
@@ -177,7 +178,8 @@ def score_submission(folder: Path | str, *, sealed: int | None = None) -> dict[s
     cases = task.test()
     best = task.limit(cases.X)
     every = {"mine": answers} | ({} if best is None else {"limit": best})
-    results = score(task, cases, every, None if best is None else "limit")
+    weights = resampling_weights(task.n_test, 0, groups=cases.motor)
+    results = score(task, cases.truth, every, weights, None if best is None else "limit")
     own = results["mine"]
     row = {**asdict(card), "metric": task.metric, "n_test": task.n_test, **own.value._asdict()}
     if task.bracket is not None:

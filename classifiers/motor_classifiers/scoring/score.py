@@ -21,14 +21,14 @@ from motor_classifiers.scoring.metrics import (
     root_mean_square,
     scores,
 )
-from motor_classifiers.scoring.task import Cases, ClassTask, Task
+from motor_classifiers.scoring.task import ClassTask, Task
 from motor_env.motor.parameters import FloatArray
 
 SIGNIFICANCE = 0.01
 """Level of the check that no method beats the limit: shared among all comparisons of a run (Bonferroni), one-sided."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Result:
     """One method on one task.
 
@@ -45,32 +45,7 @@ class Result:
     against_limit: Comparison | None
 
 
-def score(
-    task: Task, cases: Cases, answers: Mapping[str, NDArray[Any]], limit: str | None = None, seed: int = 0
-) -> dict[str, Result]:
-    """Score answers to the same cases.
-
-    Args:
-        task: what is asked.
-        cases: the task's, with the truth.
-        answers: by method, each of shape (n_test, n_columns).
-        limit: name of the best possible answers among them.
-        seed: of the bootstrap; the same resamples for all methods.
-    """
-    weights = resampling_weights(len(cases.truth), seed, groups=cases.motor)
-    costs = {name: task.costs(cases.truth, own) for name, own in answers.items()}
-    return {
-        name: Result(
-            name,
-            own,
-            interval(task.figures(own, weights)),
-            None if limit is None else compare(task, own, costs[limit], weights),
-        )
-        for name, own in costs.items()
-    }
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ClassResult(Result):
     """One method on a task that asks for the class.
 
@@ -142,6 +117,33 @@ class Results:
         return compare(self.task, first.costs, second.costs, self.weights)
 
 
+def score(
+    task: Task,
+    truth: NDArray[Any],
+    answers: Mapping[str, NDArray[Any]],
+    weights: FloatArray,
+    limit: str | None = None,
+) -> dict[str, Result]:
+    """Score answers to the same cases.
+
+    Args:
+        task: what is asked.
+        truth: of the task's cases.
+        answers: by method, each of shape (n_test, n_columns).
+        weights: from `resampling_weights`, the same for all methods.
+        limit: name of the best possible answers among them.
+    """
+    costs = {name: task.costs(truth, own) for name, own in answers.items()}
+    against = {
+        name: None if limit is None else compare(task, own, costs[limit], weights)
+        for name, own in costs.items()
+    }
+    return {
+        name: Result(name, own, interval(task.figures(own, weights)), against[name])
+        for name, own in costs.items()
+    }
+
+
 def score_classes(
     task: ClassTask,
     answers: Mapping[str, Answer],
@@ -159,26 +161,22 @@ def score_classes(
         origins: of peers' answers.
         n_comparisons: methods and settings that share the check against the limit.
     """
-    starts, recipe = task.starts(), task.recipe
-    truth, severity = starts.class_index, starts.severity
+    starts, recipe, every = task.starts(), task.recipe, {LIMIT: limit, **answers}
+    truth, true_severity = starts.class_index, starts.severity
     weights = resampling_weights(len(starts), task.seed, groups=starts.motor_id)
-    limit_costs = task.costs(truth, limit.probabilities)
-
-    def result(name: str, answer: Answer) -> ClassResult:
-        costs = task.costs(truth, answer.probabilities)
-        own = expected_severity(recipe, answer.probabilities)
-        return ClassResult(
-            name,
-            costs,
-            interval(task.figures(costs, weights)),
-            compare(task, costs, limit_costs, weights),
-            answer,
-            scores(recipe, truth, answer.decided, weights),
-            calibration_scores(answer.probabilities, truth) if answer.is_graded else None,
-            own,
-            root_mean_square(own - severity, weights),
-            origins.get(name, ""),
+    said = {name: answer.probabilities for name, answer in every.items()}
+    made = []
+    for name, result in score(task, truth, said, weights, LIMIT).items():
+        severity = expected_severity(recipe, said[name])
+        made.append(
+            ClassResult(
+                **vars(result),
+                answer=every[name],
+                scores=scores(recipe, truth, every[name].decided, weights),
+                calibration=calibration_scores(said[name], truth) if every[name].is_graded else None,
+                severity=severity,
+                severity_rmse=root_mean_square(severity - true_severity, weights),
+                origin=origins.get(name, ""),
+            )
         )
-
-    methods = tuple(result(name, answer) for name, answer in answers.items())
-    return Results(task, truth, severity, result(LIMIT, limit), methods, weights, n_comparisons)
+    return Results(task, truth, true_severity, made[0], tuple(made[1:]), weights, n_comparisons)
