@@ -220,7 +220,7 @@ def test_motors_with_several_starts_are_drawn_whole() -> None:
 
 
 @pytest.mark.usefixtures("small")
-def test_a_page_has_what_stands_above_the_limit(tmp_path: Path) -> None:
+def test_a_page_has_what_stands_above_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     above = {"limit": 4.5, "above_limit": 5.25, "above_limit_low": -0.004, "above_limit_high": 7.125}
     costs = (np.arange(120) % 10 == 0).astype(float)
     text = page({"bench": [kept("mine", costs, **above)]})
@@ -230,6 +230,12 @@ def test_a_page_has_what_stands_above_the_limit(tmp_path: Path) -> None:
     plain = page({"bench": [kept("mine", costs)]})
     assert "| 1 | mine | who | 10.00 (9.00 to 11.50) | what |" in plain
     assert "above the best" not in plain
+    bracketed = {"bench": replace(load_task("bench"), bracket=(4.0, 5.0))}
+    with monkeypatch.context() as patch:
+        patch.setattr("motor_classifiers.contest.leaderboard.TASKS", bracketed)
+        assert "The best possible on average: between 4.00 and 5.00." in page(
+            {"bench": [kept("mine", costs)]}
+        )
     scored = kept("my-method_2", costs, task="bench")
     path = file_of(tmp_path, scored)
     assert path == tmp_path / "bench" / "my-method_2.json"

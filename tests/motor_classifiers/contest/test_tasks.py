@@ -1,8 +1,6 @@
 """The frozen tasks: they stay what they are, answers to them are checked and scored, and ranks know ties."""
 
-import base64
 import json
-import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -20,13 +18,11 @@ from sklearn.metrics import roc_auc_score
 from motor_classifiers import load_task, score_submission, write_submission
 from motor_classifiers.cli.main import main
 from motor_classifiers.contest import submissions, tasks
-from motor_classifiers.contest.leaderboard import page, ranks
 from motor_classifiers.contest.questions import StrangerTask
 from motor_classifiers.contest.submissions import ANSWERS, CARD, unpacked_costs
 from motor_classifiers.contest.tasks import TASKS, current_digests, frozen_digests
 
 # Reaches in: a comparison of two answers by hand needs the weights that cases are drawn again with.
-from motor_classifiers.scoring.metrics import compare, resampling_weights
 from motor_classifiers.scoring.task import DrawnTask
 from motor_env.files import LARGEST_TABLE_BYTES
 
@@ -272,35 +268,3 @@ def test_commands_make_answer_and_score_a_sealed_split(
         seed.write_text(text)
         sentence = refused(lambda: main(["score", str(mine), *options]), seed)
         assert "must hold one whole number from 2^48 to 2^64 - 1" in sentence
-
-
-def _kept(name: str, costs: Any) -> dict[str, Any]:
-    packed = base64.b64encode(zlib.compress(np.asarray(costs, dtype=np.float32).tobytes())).decode()
-    value = 100.0 * float(np.mean(costs))
-    return {
-        "method": name,
-        "authors": "",
-        "about": "a|b<script>",
-        "value": value,
-        "low": value,
-        "high": value,
-        "costs": packed,
-    }
-
-
-def test_methods_that_cannot_be_told_apart_share_a_rank(monkeypatch: pytest.MonkeyPatch) -> None:
-    task, rng = load_task("bench"), np.random.default_rng(3)
-    first = (rng.random(80) < 0.2).astype(float)
-    same = first.copy()
-    same[:1] = 1.0 - same[:1]
-    bad = np.ones(80)
-    ranked = ranks(task, [_kept("bad", bad), _kept("second", same), _kept("first", first)])
-    assert [rank for rank, _ in ranked] == [1, 1, 3]
-    assert ranked[-1][1]["method"] == "bad"
-    assert compare(task, bad, first, resampling_weights(80, 0)).difference.low > 0.0
-    bracketed = {"bench": replace(task, bracket=(4.0, 5.0))}
-    monkeypatch.setattr("motor_classifiers.contest.leaderboard.TASKS", bracketed)
-    text = page({"bench": [_kept("bad", bad), _kept("first", first), _kept("second", same)]})
-    assert "The best possible on average: between 4.00 and 5.00." in text
-    assert "| 3 | bad |" in text
-    assert "| a/b&lt;script&gt; |" in text  # what a stranger wrote stays text

@@ -33,7 +33,7 @@ from motor_classifiers.scoring.judging import (
 )
 from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, make_tasks, units
 from motor_classifiers.scoring.results import result_rows
-from motor_classifiers.scoring.task import ClassTask, class_task, judged_cases
+from motor_classifiers.scoring.task import ClassTask, class_task
 from motor_classifiers.scoring.trust import TRUST, Counts
 from motor_env import InputError, Recipe, Timing, load_recipe
 
@@ -302,14 +302,6 @@ def test_dry_run_tells_what_is_there_and_makes_nothing(
     assert not any(row["done"] for row in rows)
     assert all(row["about_s"] > 0.0 for row in rows)
     assert not list(tmp_path.iterdir())
-
-
-def test_commissioning_starts_are_not_judged() -> None:
-    field = load_recipe("field")
-    cases = judged_cases(field, 0, 5)
-    assert cases.tolist() == [3, 4, 8, 9, 13]
-    assert (judged_cases(SLOW, 7, 3) == [7, 8, 9]).all()
-    assert set(class_task(field, 200, 200).starts().class_name.tolist()) == set(field.class_names)
 
 
 def _field_cell() -> ClassTask:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest
 from sklearn.metrics import (
     accuracy_score,
     balanced_accuracy_score,
@@ -15,13 +14,9 @@ from sklearn.metrics import (
 
 from motor_classifiers import PerceptronClassifier
 from motor_classifiers.scoring.metrics import (
-    compare,
-    level_distance,
     resampling_weights,
-    root_mean_square,
     scores,
 )
-from motor_classifiers.scoring.task import class_task
 from motor_datasets import generate_arrays
 from motor_env import Timing, load_recipe
 
@@ -49,23 +44,6 @@ def test_bootstrap_interval_is_that_of_the_binomial() -> None:
     assert (found.low, found.high) == pytest.approx(
         (0.8 - 1.96 * deviation, 0.8 + 1.96 * deviation), abs=0.003
     )
-
-
-def test_a_wrong_kind_costs_both_severities() -> None:
-    names = RECIPE.class_names
-    distance = level_distance(RECIPE)
-    assert distance[names.index("bearing_10"), names.index("bearing_25")] == pytest.approx(0.15)
-    assert distance[names.index("bearing_10"), names.index("winding_contact_25")] == pytest.approx(0.35)
-    assert distance[0, 0] == 0.0
-
-
-def test_comparison_is_the_exact_sign_test() -> None:
-    first = np.repeat([0.0, 1.0, 0.0], [30, 10, 60])
-    second = np.repeat([1.0, 0.0, 0.0], [30, 10, 60])
-    found = compare(class_task(RECIPE), first, second, resampling_weights(100, 0, 100))
-    assert (found.only_first, found.only_second) == (30, 10)
-    assert found.p_above == pytest.approx(binomtest(30, 40, alternative="greater").pvalue)
-    assert found.difference.value == pytest.approx(-20.0)
 
 
 def test_the_network_repeats_itself_to_the_bit_and_learns() -> None:
@@ -97,25 +75,3 @@ def test_a_recipe_without_windings_has_no_winding_score() -> None:
     found = scores(bearings, truth, truth, resampling_weights(90, 0, 20))
     assert np.isnan(found.winding.value)
     assert found.bearing.value == 1.0
-
-
-def test_starts_of_one_motor_are_drawn_together() -> None:
-    groups = np.repeat(np.arange(50), 4)
-    weights = resampling_weights(200, 0, 300, groups=groups)
-    by_motor = weights.reshape(301, 50, 4)
-    assert (by_motor == by_motor[..., :1]).all()
-    assert (by_motor[..., 0].sum(axis=1) == 50).all()
-    costs = np.repeat(np.random.default_rng(0).random(50) < 0.3, 4).astype(np.float64)
-    alone, grouped = (
-        compare(class_task(RECIPE), costs, np.zeros(200), drawn).difference
-        for drawn in (resampling_weights(200, 0, 300), weights)
-    )
-    # Four starts that always agree are worth one: the interval is twice as wide.
-    assert (grouped.high - grouped.low) / (alone.high - alone.low) == pytest.approx(2.0, rel=0.25)
-
-
-def test_root_mean_square_is_that_of_numpy() -> None:
-    errors = np.random.default_rng(2).normal(size=400)
-    found = root_mean_square(errors, resampling_weights(400, 0, 500))
-    assert found.value == pytest.approx(np.sqrt(np.square(errors).mean()))
-    assert found.low < 1.0 < found.high

@@ -24,8 +24,6 @@ from motor_classifiers.scoring.judging import (
     best_probabilities,
     expected_severity,
     in_recipe_order,
-    load_answer,
-    save_answer,
 )
 from motor_classifiers.scoring.metrics import (
     compare,
@@ -252,14 +250,6 @@ def test_columns_come_in_the_order_of_the_recipe() -> None:
     assert expected_severity(both, np.array([[0.5, 0.5]])).tolist() == pytest.approx([0.175])
     assert answer(np.zeros(4, dtype=np.int64), 1.0).is_graded is False
     assert answer(np.zeros(4, dtype=np.int64), 0.5).is_graded is True
-
-
-def test_an_answer_is_kept_with_its_costs(tmp_path: Path) -> None:
-    made = answer(np.zeros(60, dtype=np.int64))
-    save_answer(made, tmp_path / "a.npz")
-    found = load_answer(tmp_path / "a.npz", TASK)
-    assert found is not None
-    assert (found.train, found.inference) == (Cost(1.5, 20.0), Cost(0.003, None))
 
 
 def test_a_sweep_tries_sizes_at_the_usual_noise() -> None:

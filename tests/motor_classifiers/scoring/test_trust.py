@@ -28,13 +28,11 @@ from motor_classifiers.scoring.unknown_faults import (
     DISTANCE,
     FALSE_ALARM_RATES,
     UNKNOWN_FAULTS,
-    ForeignFault,
     foreign_scores,
     foreign_starts,
 )
 from motor_datasets import generate_arrays
 from motor_env import Recipe, Timing, class_probabilities, load_recipe
-from motor_env.simulation.recipes import FaultClass, Spread
 
 BENCH = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 
@@ -96,17 +94,6 @@ def test_a_field_needs_a_reference() -> None:
     assert estimated.limit == estimated.accuracy
     with pytest.raises(ValueError, match="has a field"):
         foreign_starts(still, UNKNOWN_FAULTS[0], 0, np.arange(2))
-
-
-def test_foreign_starts_are_the_healthy_motors_with_the_change() -> None:
-    certain = replace(BENCH, spread=Spread(), classes=(FaultClass(),))
-    none = ForeignFault("none")
-    starts = foreign_starts(certain, none, 4, np.arange(5))
-    np.testing.assert_allclose(starts, generate_arrays(certain, 4, 5).X, atol=1e-6)
-    weak = ForeignFault("supply -50 %", supply=0.5)
-    silent = replace(certain, sensor=replace(certain.sensor, current_noise_a=1e-9))
-    half, full = (foreign_starts(silent, fault, 4, np.arange(1)) for fault in (weak, none))
-    np.testing.assert_allclose(half, 0.5 * full, atol=1e-6)
 
 
 def foreign() -> Any:
