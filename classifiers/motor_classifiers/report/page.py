@@ -38,7 +38,7 @@ def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
     """
     result = results[plan.reference]
     recipe, ranked = result.task.recipe, result.ranked()
-    ours = [method for method in ranked if not method.origin]
+    ours = [method for method in ranked if not method.answer.origin]
     return render(
         "motor_classifiers.report",
         "report.html.j2",
@@ -48,8 +48,8 @@ def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
         recipe=recipe,
         machine=machine,
         best=ours[0],
-        best_peer=next((method for method in ranked if method.origin), None),
-        origins=sorted({method.origin for method in ranked if method.origin}),
+        best_peer=next((method for method in ranked if method.answer.origin), None),
+        origins=sorted({method.answer.origin for method in ranked if method.answer.origin}),
         titles=PEERS | {name: find_method(name).title for name in plan.methods},
         methods=ranked,
         limit=result.limit,
@@ -140,8 +140,8 @@ def _severity_methods(ranked: Sequence[ClassResult]) -> list[ClassResult]:
         (method for method in ranked if method.calibration is not None),
         key=lambda method: method.severity_rmse.value,
     )
-    ours = [method for method in graded if not method.origin][:1]
-    return ours + [method for method in graded if method.origin][:1]
+    ours = [method for method in graded if not method.answer.origin][:1]
+    return ours + [method for method in graded if method.answer.origin][:1]
 
 
 def _severity_chart(result: Results, chosen: Sequence[ClassResult]) -> str:

@@ -62,8 +62,6 @@ def _sets(result: Results) -> Figures:
 
 def _scored(plan: Plan, task: ClassTask, store: AnswerStore) -> Results:
     answers: dict[str, Answer] = {name: store.find(unit_of(task, name)) for name in plan.methods}
-    peers = None if plan.peers is None else read_peers(plan.peers, task)
-    others = peers.answers if peers else {}
-    origins = dict.fromkeys(others, peers.origin if peers else "")
+    peers = {} if plan.peers is None else read_peers(plan.peers, task) or {}
     limit: Answer = store.find(unit_of(task, limit_of(task)))
-    return score_classes(task, answers | others, limit, origins=origins, n_comparisons=plan.n_comparisons)
+    return score_classes(task, answers | peers, limit, plan.n_comparisons)

@@ -46,11 +46,13 @@ class Answer(NamedTuple):
         train: seconds and memory of training.
         inference: seconds and memory of judging all starts in one batch on one thread; of quick methods the least time
             of three.
+        origin: where a peer's answers come from; empty for methods that this run judged.
     """
 
     probabilities: FloatArray
     train: Cost
     inference: Cost
+    origin: str = ""
 
     @property
     def decided(self) -> NDArray[np.int64]:

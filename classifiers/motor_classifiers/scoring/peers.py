@@ -7,7 +7,6 @@ and `read_peers` brings the answers back. Answers for the shipped setting are pa
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -39,19 +38,6 @@ def shipped_peers() -> Path:
     return Path(str(files("motor_classifiers.scoring"))) / "peers.npz"
 
 
-@dataclass(frozen=True, slots=True)
-class Peers:
-    """Answers of peers on the test starts of one setting.
-
-    Attributes:
-        answers: by name; a slow peer may have judged the first starts only.
-        origin: when, where and by which command they were measured.
-    """
-
-    answers: dict[str, Answer]
-    origin: str
-
-
 def _means(X: NDArray[np.float32]) -> NDArray[np.float32]:
     means: NDArray[np.float32] = X.mean(axis=(1, 2), dtype=np.float64).astype(np.float32)
     return means
@@ -75,8 +61,10 @@ def export_starts(train: Dataset, test: Dataset, path: Path) -> None:
         np.savez(temporary, allow_pickle=False, train_X=train.X, test_X=test.X, **arrays)
 
 
-def read_peers(path: Path, task: ClassTask) -> Peers | None:
-    """Answers of peers to the starts of a setting; None when the file's starts are others.
+def read_peers(path: Path, task: ClassTask) -> dict[str, Answer] | None:
+    """Answers of peers to the starts of a setting, by name; None when the file's starts are others.
+
+    A slow peer may have judged the first starts only.
 
     Raises:
         InputError: no such file, or not one that benchmarks/aeon_peers.py wrote.
@@ -86,17 +74,16 @@ def read_peers(path: Path, task: ClassTask) -> Peers | None:
         facts = json.loads(str(arrays["facts"]))
         if not _same_starts(arrays, task):
             return None
-        answers = {
-            name: _answer(arrays[name].astype(np.float64), measured, task)
+        origin = f"{facts['date']}, {facts['machine']}, aeon {facts['aeon']}, {facts['command']}"
+        return {
+            name: _answer(arrays[name].astype(np.float64), measured, task)._replace(origin=origin)
             for name, measured in facts["methods"].items()
             if len(arrays[name]) >= task.n_test
         }
-        origin = f"{facts['date']}, {facts['machine']}, aeon {facts['aeon']}, {facts['command']}"
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             f"{path}: holds no answers of peers ({' '.join(str(error).split())[:100]})"
         ) from None
-    return Peers(answers, origin)
 
 
 def _same_starts(arrays: dict[str, NDArray[Any]], task: ClassTask) -> bool:

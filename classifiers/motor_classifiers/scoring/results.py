@@ -83,7 +83,7 @@ def result_rows(every: Sequence[Results]) -> list[dict[str, Any]]:
                 **of_limit,
                 **comparison_fields(method),
                 "above_bayes": results.is_above(method),
-                "origin": method.origin or "this run",
+                "origin": method.answer.origin or "this run",
             }
             for method in results.methods
         ]
@@ -109,7 +109,7 @@ def trust_document(every: Sequence[Results]) -> dict[str, Any]:
 
 def family(method: ClassResult) -> str:
     """Family of a method: threshold, scikit-learn, torch, own or peer."""
-    return "peer" if method.origin else find_method(method.name).family
+    return "peer" if method.answer.origin else find_method(method.name).family
 
 
 def as_csv(rows: Sequence[dict[str, Any]]) -> str:

@@ -56,7 +56,6 @@ class ClassResult(Result):
         calibration: of the probabilities; None for a method that only decides.
         severity: mean severity over the classes by their probabilities, 0.01 for a point, shape (n_test,).
         severity_rmse: root mean square of its error.
-        origin: where a peer's answers come from; empty for methods that this run judged.
     """
 
     against_limit: Comparison
@@ -65,7 +64,6 @@ class ClassResult(Result):
     calibration: CalibrationScores | None
     severity: FloatArray
     severity_rmse: Score
-    origin: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +97,7 @@ class Results:
 
     def is_above(self, method: ClassResult) -> bool:
         """Whether a method of this run is significantly better than what is possible: then something leaks."""
-        if method.origin or self.limit_is_estimate:
+        if method.answer.origin or self.limit_is_estimate:
             return False
         return method.against_limit.p_above < SIGNIFICANCE / self.n_comparisons
 
@@ -145,12 +143,7 @@ def score(
 
 
 def score_classes(
-    task: ClassTask,
-    answers: Mapping[str, Answer],
-    limit: Answer,
-    *,
-    origins: Mapping[str, str] = {},
-    n_comparisons: int = 1,
+    task: ClassTask, answers: Mapping[str, Answer], limit: Answer, n_comparisons: int = 1
 ) -> Results:
     """Score probabilities of classes in every way.
 
@@ -158,25 +151,22 @@ def score_classes(
         task: what is asked.
         answers: by method.
         limit: the best possible ones, or their estimate.
-        origins: of peers' answers.
         n_comparisons: methods and settings that share the check against the limit.
     """
-    starts, recipe, every = task.starts(), task.recipe, {LIMIT: limit, **answers}
+    starts, recipe, every = task.starts(), task.recipe, {**answers, LIMIT: limit}
     truth, true_severity = starts.class_index, starts.severity
     weights = resampling_weights(len(starts), task.seed, groups=starts.motor_id)
     said = {name: answer.probabilities for name, answer in every.items()}
-    made = []
+    made = {}
     for name, result in score(task, truth, said, weights, LIMIT).items():
         severity = expected_severity(recipe, said[name])
-        made.append(
-            ClassResult(
-                **vars(result),
-                answer=every[name],
-                scores=scores(recipe, truth, every[name].decided, weights),
-                calibration=calibration_scores(said[name], truth) if every[name].is_graded else None,
-                severity=severity,
-                severity_rmse=root_mean_square(severity - true_severity, weights),
-                origin=origins.get(name, ""),
-            )
+        made[name] = ClassResult(
+            **vars(result),
+            answer=every[name],
+            scores=scores(recipe, truth, every[name].decided, weights),
+            calibration=calibration_scores(said[name], truth) if every[name].is_graded else None,
+            severity=severity,
+            severity_rmse=root_mean_square(severity - true_severity, weights),
         )
-    return Results(task, truth, true_severity, made[0], tuple(made[1:]), weights, n_comparisons)
+    best = made.pop(LIMIT)
+    return Results(task, truth, true_severity, best, tuple(made.values()), weights, n_comparisons)

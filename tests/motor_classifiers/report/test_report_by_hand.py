@@ -302,7 +302,8 @@ def test_the_page_is_given_what_was_scored(
     plan, plain = made
     spread = np.random.default_rng(0).uniform(0.0, 0.3, 60)
     peers = tuple(
-        replace(plain.methods[n], name=name, origin="elsewhere") for n, name in ((0, "quant"), (2, "peer"))
+        replace(plain.methods[n], name=name, answer=plain.methods[n].answer._replace(origin="elsewhere"))
+        for n, name in ((0, "quant"), (2, "peer"))
     )
     alone = replace(plain, limit=replace(plain.limit, severity=spread))
     result = replace(alone, methods=plain.methods + peers)

@@ -67,7 +67,7 @@ def test_peers_stand_in_the_table_and_are_no_leak(peers: Path, monkeypatch: pyte
     (result,) = run_plan(Plan((TASK,), (), peers))
     (quant,) = result.methods
     assert quant.name == "quant"
-    assert quant.origin.startswith("2026-11-21")
+    assert quant.answer.origin.startswith("2026-11-21")
     expected = np.where(np.arange(60) % 2 == 0, 0, 1)
     np.testing.assert_array_equal(quant.answer.decided, expected)
     row = result_rows([result])[1]
@@ -123,11 +123,11 @@ def test_poisoned_and_damaged_files_are_refused(
 def test_shipped_answers_are_those_of_the_default_setting() -> None:
     found = read_peers(shipped_peers(), class_task(load_recipe("bench")))
     assert found is not None
-    assert set(found.answers) == set(PEERS)
+    assert set(found) == set(PEERS)
     truth = class_task(load_recipe("bench")).starts().class_index
-    accuracy = {name: (answer.decided == truth).mean() for name, answer in found.answers.items()}
+    accuracy = {name: (answer.decided == truth).mean() for name, answer in found.items()}
     # Measured before: QUANT 0.932, MiniRocket 0.817, MultiRocket-Hydra 0.828 on other starts of the recipe.
     assert accuracy["quant"] == pytest.approx(0.935, abs=0.02)
     assert accuracy["minirocket"] == pytest.approx(0.82, abs=0.03)
     assert accuracy["multirocket-hydra"] == pytest.approx(0.83, abs=0.03)
-    assert [name for name, answer in found.answers.items() if answer.is_graded] == ["quant"]
+    assert [name for name, answer in found.items() if answer.is_graded] == ["quant"]

@@ -492,11 +492,11 @@ def test_peers_answers_are_scaled_to_the_starts_shown(tmp_path: Path) -> None:
         peers = read_peers(tmp_path / "p.npz", TASK)
         assert (peers is not None) is found
         if peers is not None:
-            got: Answer = peers.answers["quant"]
+            got: Answer = peers["quant"]
             assert got.probabilities[0].tolist() == [0.5, 0.25, 0.0, 0.0, 0.25]
             assert (got.train, got.inference.memory_mb) == (Cost(7.0, 3.0), 4.0)
             assert got.inference.seconds == pytest.approx(0.015)
-            assert peers.origin == "d, m, aeon a, c"
+            assert got.origin == "d, m, aeon a, c"
 
 
 def test_lines_of_an_evaluation() -> None:
