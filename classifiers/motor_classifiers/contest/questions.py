@@ -43,7 +43,7 @@ class ReferenceTask(ClassTask):
         motors = np.arange(self.n_test) + TEST_FIRST_CASE // 10
         return referenced_starts(self.recipe, self.test_seed, motors, self.n_references)
 
-    def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
+    def best(self, X: NDArray[np.float32]) -> FloatArray:
         """The exact posterior given the references."""
         return referenced_probabilities(self.recipe, X)
 

@@ -24,35 +24,23 @@ COLUMNS = ("file", "motor", "verdict")
 _SILENT = "unusable"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingsTask(Task):
     """Verdicts on recordings that somebody brings; no verdict counts as wrong.
 
     Attributes:
-        rows: file, motor and true verdict of each recording.
+        given: true verdicts, and motors; what was measured stays with its owner.
     """
 
-    rows: tuple[dict[str, str], ...] = ()
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """One verdict."""
-        return ("verdict",)
+    given: Cases
 
     def test(self) -> Cases:
-        """The true verdicts, and the motors; what was measured stays with its owner."""
-        truth = np.array([row["verdict"] for row in self.rows])
-        motors = np.unique([row["motor"] for row in self.rows], return_inverse=True)[1]
-        return Cases(np.empty((len(truth), 0, 0), np.float32), truth, motors)
+        """The recordings that are there."""
+        return self.given
 
     def costs(self, truth: NDArray[Any], answers: NDArray[Any]) -> FloatArray:
         """1 for a wrong verdict."""
-        return np.asarray(answers[:, 0] != truth, dtype=np.float64)
-
-    def figures(self, costs: FloatArray, weights: FloatArray) -> FloatArray:
-        """Share of wrong verdicts."""
-        shares: FloatArray = weights @ costs / weights.sum(axis=1)
-        return shares
+        return np.asarray(answers != truth, dtype=np.float64)
 
 
 def score_recordings(truth: Path | str, said: Path | str) -> list[dict[str, Any]]:
@@ -79,21 +67,22 @@ def score_recordings(truth: Path | str, said: Path | str) -> list[dict[str, Any]
             raise InputError(
                 f"{said}: has no verdict of {method} on {len(missing)} recordings, the first is {missing[0]}"
             )
-        answers[method] = np.array([[verdicts[row["file"]]] for row in rows])
-    task = RecordingsTask(
-        "recordings", "Verdicts on your own recordings", len(rows), "wrong", rows=tuple(rows)
-    )
-    cases = task.test()
-    counts = {"n_recordings": len(rows), "n_motors": len({row["motor"] for row in rows})}
-    scored = []
-    weights = resampling_weights(len(rows), 0, groups=cases.motor)
-    for method, result in score(task, cases.truth, answers, weights).items():
-        wrong, low, high = result.value
-        silent = float((answers[method] == _SILENT).mean())
-        scored.append(
-            {"method": method, **counts, "wrong": wrong, "low": low, "high": high, "silent": silent}
-        )
-    return scored
+        answers[method] = np.array([verdicts[row["file"]] for row in rows])
+    motors = np.unique([row["motor"] for row in rows], return_inverse=True)[1]
+    verdicts_of = np.array([row["verdict"] for row in rows])
+    cases = Cases(np.empty((len(rows), 0, 0), np.float32), verdicts_of, motors)
+    task = RecordingsTask("recordings", "Verdicts on your own recordings", len(rows), given=cases)
+    weights = resampling_weights(len(rows), 0, groups=motors)
+    counts = {"n_recordings": len(rows), "n_motors": int(motors.max()) + 1}
+    return [
+        {
+            "method": method,
+            **counts,
+            **{name: 0.01 * end for name, end in zip(("wrong", "low", "high"), result.value, strict=True)},
+            "silent": float((answers[method] == _SILENT).mean()),
+        }
+        for method, result in score(task, cases.truth, answers, weights).items()
+    ]
 
 
 def _truth(path: Path) -> list[dict[str, str]]:

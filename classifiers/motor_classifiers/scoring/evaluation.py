@@ -6,7 +6,7 @@ from typing import Any
 
 from sklearn.base import BaseEstimator
 
-from motor_classifiers.scoring.judging import Answer, answer_of, best_probabilities
+from motor_classifiers.scoring.judging import Answer, answer_of
 from motor_classifiers.scoring.progress import Cost
 from motor_classifiers.scoring.results import SCORES, comparison_fields, limit_fields, score_fields
 from motor_classifiers.scoring.score import score_classes
@@ -35,7 +35,7 @@ def evaluate_model(model: BaseEstimator, recipe: Recipe, test: Dataset, seed: in
     task = GivenTask(theirs.name, "a data set", len(test), recipe=theirs, seed=seed, given=test)
     model_says, best = (
         Answer(probabilities, _UNTOLD, _UNTOLD)
-        for probabilities in (answer_of(model, recipe, test.X), best_probabilities(theirs, test.X))
+        for probabilities in (answer_of(model, recipe, test.X), task.best(test.X))
     )
     results = score_classes(task, {"model": model_says}, best)
     (own,) = results.methods

@@ -24,8 +24,6 @@ from motor_classifiers.scoring.task import ClassTask
 from motor_env import __version__
 from motor_env.errors import InputError
 from motor_env.files import replacing
-from motor_env.inference.posterior import class_probabilities
-from motor_env.inference.work_features import work_probabilities
 from motor_env.motor.parameters import FloatArray
 from motor_env.processes import end_with_parent
 from motor_env.simulation.recipe_files import recipe_to_dict
@@ -144,22 +142,12 @@ def judge_apart(name: str, task: ClassTask) -> Answer:
     raise InputError(f"{name} on {task.title}: {reason}")
 
 
-def best_probabilities(recipe: Recipe, X: NDArray[np.float32]) -> FloatArray:
-    """Bayes-optimal probabilities; where the likelihood has no closed form, of the motor without its field.
-
-    Of motors at work the posterior of the motor that is linear around its fit.
-    """
-    if recipe.duty is None:
-        return class_probabilities(recipe, X)
-    return work_probabilities(recipe, X.astype(np.float64))
-
-
 def posterior(task: ClassTask) -> Answer:
     """Bayes-optimal probabilities of the test starts, or their estimate; nothing is trained."""
     X = task.test().X
     with threadpool_limits(1):
-        best_probabilities(task.recipe, X[:8])  # compiles, or loads what was compiled
-        probabilities, inference = with_cost(lambda: best_probabilities(task.recipe, X))
+        task.best(X[:8])  # compiles, or loads what was compiled
+        probabilities, inference = with_cost(lambda: task.best(X))
     return Answer(probabilities, Cost(0.0, 0.0), inference)
 
 

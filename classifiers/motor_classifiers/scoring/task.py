@@ -19,6 +19,7 @@ from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.errors import InputError
 from motor_env.inference.posterior import class_probabilities
+from motor_env.inference.work_features import work_probabilities
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
@@ -69,11 +70,6 @@ class Task(ABC):
     metric: str = "error rate, %"
     bracket: tuple[float, float] | None = None
 
-    @property
-    @abstractmethod
-    def columns(self) -> tuple[str, ...]:
-        """What is answered for each case, by name."""
-
     @abstractmethod
     def test(self) -> Cases:
         """What is judged, with the truth."""
@@ -103,6 +99,11 @@ class DrawnTask(Task):
     n_train: int = 2000
     seed: int = SEED
     sealed: int | None = field(default=None, repr=False)
+
+    @property
+    @abstractmethod
+    def columns(self) -> tuple[str, ...]:
+        """What is answered for each case, by name."""
 
     @property
     def test_seed(self) -> int:
@@ -187,9 +188,18 @@ class ClassTask(DrawnTask):
         wrong: FloatArray = (answers.argmax(axis=1) != truth).astype(np.float64)
         return wrong
 
+    def best(self, X: NDArray[np.float32]) -> FloatArray:
+        """Bayes-optimal probabilities; where the likelihood has no closed form, of the motor without its field.
+
+        For motors at work the posterior of the motor that is linear around its fit.
+        """
+        if self.recipe.duty is None:
+            return class_probabilities(self.recipe, X)
+        return work_probabilities(self.recipe, X.astype(np.float64))
+
     def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
         """The exact posterior where the likelihood has a closed form."""
-        return None if self.recipe.field is not None else class_probabilities(self.recipe, X)
+        return None if self.recipe.field is not None else self.best(X)
 
     def check(self, answers: FloatArray) -> None:
         """Probabilities lie in 0 .. 1 and sum to 1 within a thousandth."""

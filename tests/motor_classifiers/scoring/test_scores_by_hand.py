@@ -21,7 +21,6 @@ from motor_classifiers.scoring.evaluation import evaluation_lines
 from motor_classifiers.scoring.judging import (
     LIMIT,
     Answer,
-    best_probabilities,
     expected_severity,
     in_recipe_order,
 )
@@ -36,9 +35,6 @@ from motor_classifiers.scoring.peers import export_starts, read_peers
 from motor_classifiers.scoring.plan import Plan, make_tasks, unit_of, units
 from motor_classifiers.scoring.progress import Cost, with_cost
 from motor_classifiers.scoring.results import as_csv, result_rows
-from motor_classifiers.scoring.severities import (
-    _scored,
-)  # a handful of severities hold its two figures exactly
 from motor_classifiers.scoring.task import class_task, judged_cases
 from motor_classifiers.scoring.trust import Counts, expected_seconds, set_figures
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, foreign_scores, foreign_starts
@@ -149,7 +145,7 @@ def test_bars_of_reliability_are_one_standard_error(tmp_path: Path, monkeypatch:
 
 
 def test_severities_are_scored() -> None:
-    got = _scored(
+    got = trust_module._scored(  # a handful of severities hold its two figures exactly
         np.array([0.1, 0.2, 0.3, 0.0]), np.array([[0.0, 0.2], [0.1, 0.2], [0.1, 0.2], [0.0, 0.1]]),
         np.array([0.2, 0.2, 0.1, 0.2]),
     )  # fmt: skip
@@ -545,5 +541,5 @@ def test_motors_at_work_have_the_posterior_around_their_fit() -> None:
     recipe = load_recipe("operation")
     X = generate_arrays(recipe, 1, 3).X
     np.testing.assert_array_equal(
-        best_probabilities(recipe, X), work_probabilities(recipe, X.astype(np.float64))
+        class_task(recipe).best(X), work_probabilities(recipe, X.astype(np.float64))
     )
