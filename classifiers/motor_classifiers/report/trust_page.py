@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from motor_classifiers.estimators.methods import ESTIMATE
@@ -22,14 +23,19 @@ def trust_section(result: Results) -> Figures | None:
     """Figures, charts and keys for the template; None where a setting has none."""
     if result.trust is None:
         return None
-    figures = {**result.trust, "tables": trust_tables(result.trust)}
+    return {**with_charts(result.trust, result.task.setting()), "tables": trust_tables(result.trust)}
+
+
+def with_charts(figures: Figures, setting: Mapping[str, Any]) -> Figures:
+    """Figures of a setting (`ClassTask.setting`), and for each section that is drawn its chart and keys."""
+    drawn = dict(figures)
     for name, adds in (("unknown", _unknown), ("early", _early), ("race", _race)):
         if "reason" not in figures[name]:
-            figures[name] = {**figures[name], **adds(figures[name], result)}
-    return figures
+            drawn[name] = {**figures[name], **adds(figures[name], setting)}
+    return drawn
 
 
-def _unknown(figures: Figures, result: Results) -> dict[str, Any]:
+def _unknown(figures: Figures, setting: Mapping[str, Any]) -> dict[str, Any]:
     """The curves of the last setting: at the lowest rate."""
     setting = figures["settings"][-1]
     rates = FALSE_ALARM_RATES.tolist()
@@ -51,7 +57,7 @@ def _unknown(figures: Figures, result: Results) -> dict[str, Any]:
     }
 
 
-def _early(figures: Figures, result: Results) -> dict[str, Any]:
+def _early(figures: Figures, setting: Mapping[str, Any]) -> dict[str, Any]:
     time_ms = [1e3 * t for t in figures["time_s"]]
     styles = ("limit", "s1")
     lines = [
@@ -64,11 +70,11 @@ def _early(figures: Figures, result: Results) -> dict[str, Any]:
     return {
         "chart": line_chart(lines, x_axis, y_axis, named=False),
         "legend": [(line.style, line.label) for line in lines],
-        "n_train": result.task.n_train,
+        "n_train": setting["n_train"],
     }
 
 
-def _race(figures: Figures, result: Results) -> dict[str, Any]:
+def _race(figures: Figures, setting: Mapping[str, Any]) -> dict[str, Any]:
     lines = []
     for (name, points), style in zip(figures["curves"].items(), _RACE_STYLES, strict=True):
         # A rule without an error on so many starts has no place on a logarithmic axis.
@@ -76,7 +82,7 @@ def _race(figures: Figures, result: Results) -> dict[str, Any]:
         if seen:
             xs, ys = [1e3 * point["time_s"] for point in seen], [point["wrong"] for point in seen]
             lines.append(Line(name, style, xs, ys))
-    end = 1e3 * result.task.recipe.timing.duration_s
+    end = 1e3 * setting["duration_s"]
     x_axis = Axis("mean ms to the verdict on faulty motors", 0.0, end, [end * share for share in _TICKS])
     y_axis = Axis("wrong verdicts", 0.0005, 0.6, _RACE_TICKS, percent, is_log=True)
     return {
