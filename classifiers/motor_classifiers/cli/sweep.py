@@ -66,7 +66,7 @@ def table_lines(result: Results) -> list[str]:
     lines = [result.task.title, f"{'method':{width}}{heads}{'us':>9}{'MB':>7}"]
     for name, own in rows:
         scores, memory = own.scores, own.answer.inference.memory_mb
-        below = 0.01 * own.against_limit.difference.value
+        below = own.against_limit.difference.value / 100.0
         lines.append(
             f"{name:{width}}{scores.accuracy.value:9.4f}{scores.accuracy.low:9.4f}..{scores.accuracy.high:.4f}"
             f"{below:13.4f}{scores.winding.value:9.4f}{scores.bearing.value:9.4f}{scores.level.value:8.4f}"

@@ -78,7 +78,7 @@ def score_recordings(truth: Path | str, said: Path | str) -> list[dict[str, Any]
         {
             "method": method,
             **counts,
-            **{name: 0.01 * end for name, end in zip(("wrong", "low", "high"), result.value, strict=True)},
+            **{name: end / 100.0 for name, end in zip(("wrong", "low", "high"), result.value, strict=True)},
             "silent": float((answers[method] == _SILENT).mean()),
         }
         for method, result in score(task, cases.truth, answers, weights).items()

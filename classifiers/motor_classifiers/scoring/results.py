@@ -58,7 +58,7 @@ def comparison_fields(method: ClassResult) -> dict[str, Any]:
     """The comparison with the limit as fields of a row; differences are the limit's accuracy minus the method's."""
     against = method.against_limit
     return {
-        **_interval_fields("below_bayes", Score(*(0.01 * points for points in against.difference))),
+        **_interval_fields("below_bayes", Score(*(points / 100.0 for points in against.difference))),
         "only_method_right": against.only_first,
         "only_bayes_right": against.only_second,
         "p_above_bayes": against.p_above,
