@@ -16,6 +16,7 @@ from sklearn.decomposition import PCA
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis, QuadraticDiscriminantAnalysis
 from sklearn.linear_model import LogisticRegression
 from sklearn.naive_bayes import GaussianNB
+from sklearn.neural_network import MLPClassifier
 from sklearn.pipeline import FeatureUnion, Pipeline
 from sklearn.preprocessing import MinMaxScaler, RobustScaler, StandardScaler
 
@@ -28,8 +29,8 @@ from motor_env.simulation.recipes import Recipe
 
 _WITH_RECIPE = (PhysicalFeatures, ResidualProjection, RecentredStarts, RuleStatistics)
 _STEPS = {
-    *_WITH_RECIPE, FeatureUnion, GaussianNB, LinearDiscriminantAnalysis, LogisticRegression, MinMaxScaler, PCA,
-    Pipeline, QuadraticDiscriminantAnalysis, RobustScaler, StandardScaler,
+    *_WITH_RECIPE, FeatureUnion, GaussianNB, LinearDiscriminantAnalysis, LogisticRegression, MinMaxScaler,
+    MLPClassifier, PCA, Pipeline, QuadraticDiscriminantAnalysis, RobustScaler, StandardScaler,
 }  # fmt: skip
 _SCHEMA = "schema.json"
 TRUSTED = [f"{made.__module__}.{made.__name__}" for made in _WITH_RECIPE]
@@ -39,6 +40,7 @@ _ALLOWED = {
     *(f"{step.__module__}.{step.__name__}" for step in _STEPS),
     *(f"builtins.{name}" for name in ("dict", "list", "str", "tuple")),
     *(f"numpy.{name}" for name in ("bool", "float32", "float64", "int32", "int64", "ndarray")),
+    "sklearn.preprocessing._label.LabelBinarizer",
 }
 """All types that a saved pipeline is made of; skops itself would take any of scikit-learn, NumPy and SciPy."""
 
@@ -132,6 +134,9 @@ def with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
         changed.transformer_list = [(n, with_recipe(step, recipe)) for n, step in model.transformer_list]
     elif isinstance(model, _WITH_RECIPE):
         changed.recipe = recipe
+    elif isinstance(model, MLPClassifier):
+        for name in ("_random_state", "_optimizer"):  # of the training alone, and not safe to load
+            vars(changed).pop(name, None)
     return changed
 
 

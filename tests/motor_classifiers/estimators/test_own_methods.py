@@ -11,6 +11,7 @@ from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.decomposition import PCA
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.linear_model import LogisticRegression, RidgeClassifier
+from sklearn.neural_network import MLPClassifier
 from sklearn.pipeline import FeatureUnion, make_pipeline
 from sklearn.preprocessing import StandardScaler
 from torch import nn
@@ -161,9 +162,12 @@ def test_a_torch_module_learns_the_same_from_the_same_seed() -> None:
     [
         make_pipeline(PCA(5, random_state=0), StandardScaler(), LogisticRegression()),
         LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto"),
+        MLPClassifier((8,), max_iter=40, random_state=0),
+        MLPClassifier((8,), solver="lbfgs", max_iter=2000, random_state=0),
     ],
-    ids=["pipeline", "alone"],
+    ids=["pipeline", "alone", "perceptron", "perceptron of lbfgs"],
 )
+@pytest.mark.filterwarnings("ignore:Stochastic Optimizer")
 def test_trusted_steps_are_saved_and_loaded(model: BaseEstimator, tmp_path: Path) -> None:
     model.fit(fed(model, TRAIN.X), TRAIN.class_name)
     save_model(model, RECIPE, "own", tmp_path / "own.model")
