@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup hand lint types imports unit test test-long benchmark peers peers-anew bench docs format constraints clean distclean
+.PHONY: help setup hand lint types imports lines unit test test-long benchmark peers peers-anew bench docs format constraints clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -68,6 +68,9 @@ types: $(READY) ## mypy, strict
 
 imports: $(READY) ## import-linter: imports go one way
 	$(BIN)/lint-imports
+
+lines: $(READY) ## count lines and statements of every part
+	@$(BIN)/python benchmarks/lines.py
 
 unit: $(READY) ## the quick tests; PYTEST_ARGS="-k kalman" narrows them
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal --durations 10 -m "not long" $(PYTEST_ARGS)

@@ -20,8 +20,8 @@ from timing import best_rate
 
 from motor_classifiers.estimators.methods import make_method
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
-from motor_classifiers.scoring.judging import Cell
 from motor_classifiers.scoring.peers import export_starts
+from motor_classifiers.scoring.task import class_task
 from motor_datasets.arrays import Dataset
 from motor_env.inference.fit import Prior, fit
 from motor_env.inference.posterior import class_coordinates, recipe_observed
@@ -31,7 +31,7 @@ from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FACTORS
 from motor_env.simulation.simulate import simulate_states
 
-CELL = Cell(named_recipe("bench"), 2000, 1000)
+TASK = class_task(named_recipe("bench"), 2000, 1000)
 ROUNDS = 4
 FITTED = 10
 """Starts that the general fit is measured on."""
@@ -42,9 +42,9 @@ Judge = Callable[[], object]
 def _judges(train: Dataset, test: Dataset) -> dict[str, Judge]:
     """Fitted methods of ours. The posterior network's speed does not depend on how long it has learned."""
     made = {
-        name: make_method(name, CELL.recipe, 0) for name in ("residual-qda", "network", "physical-logistic")
+        name: make_method(name, TASK.recipe, 0) for name in ("residual-qda", "network", "physical-logistic")
     }
-    made["posterior-network"] = PosteriorNetwork(CELL.recipe, steps=20, random_state=0)
+    made["posterior-network"] = PosteriorNetwork(TASK.recipe, steps=20, random_state=0)
     return {
         name: partial(method.fit(train.X, train.class_name).predict_proba, test.X)
         for name, method in made.items()
@@ -53,7 +53,7 @@ def _judges(train: Dataset, test: Dataset) -> dict[str, Judge]:
 
 def general_fit(measured: FloatArray) -> FloatArray:
     """Most probable tolerances of one start, in standard deviations, shape (5,): as one would write it for scipy."""
-    recipe = CELL.recipe
+    recipe = TASK.recipe
     std = recipe.spread.std
     supply = FACTORS.index("supply")
     voltage = recipe.nominal_voltage_v
@@ -76,7 +76,7 @@ def fit_all(transients: Sequence[FloatArray]) -> list[FloatArray]:
 
 def _check_fit(test: Dataset) -> None:
     """Both fits find the same tolerances: what is compared does the same work."""
-    recipe = CELL.recipe
+    recipe = TASK.recipe
     healthy = np.flatnonzero(test.class_index == 0)[:3]
     coordinates = class_coordinates(recipe, recipe.classes[0])
     ours = fit(recipe_observed(recipe, test.X[healthy]), coordinates, Prior.from_std(np.ones(5))).values
@@ -86,7 +86,7 @@ def _check_fit(test: Dataset) -> None:
 
 def run() -> list[Result]:
     """Rates in starts a second."""
-    train, test = CELL.train(), CELL.test()
+    train, test = TASK.train(), TASK.starts()
     judges = _judges(train, test)
     _check_fit(test)
     rates = dict.fromkeys([*judges, "quant", "fit"], 0.0)
@@ -108,13 +108,13 @@ def run() -> list[Result]:
                 peer.stdin.flush()
                 rates["quant"] = max(rates["quant"], float(peer.stdout.readline()))
                 for name, judge in judges.items():
-                    rates[name] = max(rates[name], best_rate(judge, CELL.n_test, rounds=1))
+                    rates[name] = max(rates[name], best_rate(judge, TASK.n_test, rounds=1))
                 fits = [test.X[n, 0].astype(np.float64) for n in range(FITTED)]
                 rates["fit"] = max(rates["fit"], best_rate(partial(fit_all, fits), FITTED, rounds=1))
             peer.stdin.close()
     least = "scipy least_squares, a start at a time"
     return [
-        Result(f"{name}, {CELL.n_test} starts", rates[name], rates[peer], title, 10.0)
+        Result(f"{name}, {TASK.n_test} starts", rates[name], rates[peer], title, 10.0)
         for peer, title in (("quant", "QUANT of aeon"), ("fit", least))
         for name in judges
     ]

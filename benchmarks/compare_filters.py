@@ -26,19 +26,18 @@ from motor_env.filters.batch import FilterResult, run_filter
 from motor_env.filters.consistency import check_consistency
 from motor_env.filters.joint import JointKind, JointResult, joint_filter
 from motor_env.filters.kalman import KalmanFilter, schedule
-from motor_env.filters.process_noise import signature_energy
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.drawing import draw
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import Recipe
-from motor_env.simulation.simulate import simulate
+from motor_env.simulation.simulate import simulate, simulate_states
 
 IntArray = NDArray[np.int64]
 LARGE_Q = (1e-2, 0.316)
 RECIPE = named_recipe("paper")
 KINDS = np.array([0, 1, 1, 2, 2])
-"""Of the recipe's classes: healthy, bearing, winding; checked in `main`."""
+"""Kinds of the recipe's classes: healthy, bearing, winding; checked in `main`."""
 
 WATCH = Cusum(shift=0.13, two_sided=True)
 """The shift of a bearing fault of 10 % at 20 mA, to either side."""
@@ -134,7 +133,11 @@ def noise_row(
     variant = partial(noisy, std=std)
     belief = class_filter(RECIPE, RECIPE.classes[0])
     other = replace(belief, process_covariance=np.diag(np.square(std)))
-    separation = signature_energy(other, motor, voltage, RECIPE.timing.dt_s)
+    states = simulate_states(motor, voltage, RECIPE.timing.dt_s)
+    signature = run_filter(
+        other, other.observation @ states.T, voltage
+    ).whitened  # without noise (Turin 1960)
+    separation = float(np.linalg.norm(signature))
     squares = check_consistency(variant(belief, healthy, voltage).whitened).mean_square
     alarms = watch(variant, faulty, voltage) > np.quantile(watch(variant, healthy, voltage), 0.99)
     return [f"{std[0]:g} A, {std[1]:g} rad/s", f"{squares:.2f}", f"{separation:.2f}", share(alarms)]

@@ -197,7 +197,6 @@ def rules(white: NDArray[Any]) -> Items:
         "windowed": motor_env.WindowedNis(20),
         "cusum": motor_env.Cusum(0.5),
         "cusum_two_sided": motor_env.Cusum(0.5, two_sided=True),
-        "signature": motor_env.SignatureCusum((0.1, 0.3, 0.6)),
         "shiryaev_roberts": motor_env.ShiryaevRoberts(0.5),
         "sprt": motor_env.Sprt(0.5),
         "sprt_restart": motor_env.Sprt(0.5, restart=True),

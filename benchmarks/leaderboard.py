@@ -26,16 +26,16 @@ from tables import marked
 from motor_classifiers.cli.main import main as motor_classifiers
 from motor_classifiers.contest import tasks
 from motor_classifiers.contest.leaderboard import page, read_scores
-from motor_classifiers.contest.questions import ClassTask, StreamTask
+from motor_classifiers.contest.questions import StreamTask
 from motor_classifiers.contest.submissions import write_submission
-from motor_classifiers.contest.task import SEED, VERSION, Task
 from motor_classifiers.contest.tasks import load_task
 from motor_classifiers.estimators.methods import METHODS
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.own_methods import fed
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_classifiers.scoring.judging import TEST_FIRST_CASE, judged_starts
+from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.peers import PEERS, export_starts
+from motor_classifiers.scoring.task import VERSION, ClassTask, DrawnTask
 from motor_classifiers.wrappers.open_set import FaultFamilyDetector
 from motor_env import Cusum, Glr, TolerantFilter
 from motor_env.detection.rules.base import Rule, first_above
@@ -48,7 +48,7 @@ PAGE = FOLDER.parent / "docs" / "leaderboard.md"
 DIGESTS = Path(tasks.__file__).parent / "motor_bench.json"
 
 US, SKLEARN = "motor-env", "scikit-learn"
-Answer = Callable[[Task], FloatArray]
+Answer = Callable[[DrawnTask], FloatArray]
 
 _OURS = {
     "bench": ("threshold", "rules", "physical-logistic", "raw-logistic", "residual-qda"),
@@ -65,21 +65,19 @@ _OF_SKLEARN = {
 }
 
 
-def network(task: Task) -> FloatArray:
+def network(task: DrawnTask) -> FloatArray:
     """The posterior network of the task's recipe, which may take reference starts."""
     model = network_of(task.recipe, getattr(task, "n_references", 0))
-    order = [list(model.classes_).index(name) for name in task.columns]
-    answers: FloatArray = model.predict_proba(task.test().X)[:, order]
-    return answers
+    return in_recipe_order(model, model.predict_proba(task.test().X), task.recipe)
 
 
-def shipped_severity(task: Task) -> FloatArray:
+def shipped_severity(task: DrawnTask) -> FloatArray:
     """The severity that the shipped network reads off."""
     network: PosteriorNetwork = load_model(PRETRAINED)[0]
     return network.predict_severity(task.test().X, "bearing").mean
 
 
-def least_squares(task: Task) -> FloatArray:
+def least_squares(task: DrawnTask) -> FloatArray:
     """Partial least squares of scikit-learn."""
     train, test = task.train(), task.test()
     model = sklearn_methods.least_squares(task.recipe, 0)
@@ -87,20 +85,20 @@ def least_squares(task: Task) -> FloatArray:
     return answers
 
 
-def distance(task: Task) -> FloatArray:
+def distance(task: DrawnTask) -> FloatArray:
     """Distance from all faults of the known kinds."""
     answers: FloatArray = -FaultFamilyDetector(task.recipe).fit(task.train().X).score_samples(task.test().X)
     return answers
 
 
-def isolation(task: Task) -> FloatArray:
+def isolation(task: DrawnTask) -> FloatArray:
     """Isolation forest of scikit-learn."""
     model = sklearn_methods.isolation(task.recipe, 0)
     answers: FloatArray = -model.fit(fed(model, task.train().X)).score_samples(fed(model, task.test().X))
     return answers
 
 
-def alarms(rule: Rule, task: Task) -> FloatArray:
+def alarms(rule: Rule, task: DrawnTask) -> FloatArray:
     """Alarms of a rule behind the tolerant filter, its threshold the cheapest on the training streams."""
     assert isinstance(task, StreamTask)
     timing, tolerant = task.recipe.timing, TolerantFilter.from_recipe(task.recipe)
@@ -177,8 +175,7 @@ def _enter_peer(name: str, method: str, folder: str) -> None:
     task = load_task(name)
     assert isinstance(task, ClassTask)
     cases, answers = Path(folder) / "cases.npz", Path(folder) / "answers.npz"
-    test = judged_starts(task.recipe, SEED, TEST_FIRST_CASE, task.n_test)
-    export_starts(task.train(), test, cases)
+    export_starts(task.train(), task.starts(), cases)
     subprocess.run(command(cases, answers, method), env=environment(), check=True)
     with np.load(answers) as arrays:
         shares = arrays[method].astype(np.float64)

@@ -42,7 +42,7 @@ def accuracy(n_cases: int) -> Iterable[Iterable[str]]:
 
 
 def variants(n_cases: int) -> Iterable[Iterable[str]]:
-    """The same when more or less is known of the motor, or the speed is measured."""
+    """The best accuracy when more or less is known of the motor, or the speed is measured."""
     own = Spread(supply=0.01, resistance=0.003, constants=0.002, inertia=0.002, friction=0.002)
     both = SensorParameters(channels=(Channel.CURRENT, Channel.SPEED), speed_noise_rad_s=1.0)
     wide = (
@@ -65,7 +65,7 @@ def variants(n_cases: int) -> Iterable[Iterable[str]]:
 
 
 def early(n_cases: int) -> Iterable[Iterable[str]]:
-    """The same by the samples seen."""
+    """The best accuracy by the samples seen."""
     seen_ms = (1, 2, 5, 10, 20, 40, 60, 80, 100)
     limits = class_limits(BENCH, SEED, n_cases, [10 * ms for ms in seen_ms])
     for ms, ((limit, error), _) in zip(seen_ms, limits, strict=True):

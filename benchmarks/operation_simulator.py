@@ -261,7 +261,7 @@ def recorded(
 
 
 def warmed(motor: Motor, kelvin: float) -> Motor:
-    """The same motor at another temperature."""
+    """A copy of the motor at another temperature."""
     friction = 1.0 - 0.003 * kelvin
     return replace(
         motor,

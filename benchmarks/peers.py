@@ -14,8 +14,8 @@ from pathlib import Path
 import cyclopts
 from run import FOLDER, ONE_THREAD
 
-from motor_classifiers.scoring.judging import Cell
 from motor_classifiers.scoring.peers import PEERS, export_starts, shipped_peers
+from motor_classifiers.scoring.task import class_task
 from motor_env.simulation.named_recipes import named_recipe
 
 PYTHON = FOLDER.parent / ".venv-aeon" / "bin" / "python"
@@ -47,10 +47,10 @@ def main(
     only: list[str] | None = None,
 ) -> int:
     """Export the starts, let the peers judge them, keep the answers; by default of all and where they are shipped."""
-    cell = Cell(named_recipe(recipe), n_train, n_test, seed)
+    task = class_task(named_recipe(recipe), n_train, n_test, seed)
     with tempfile.TemporaryDirectory() as folder:
         cases = Path(folder) / "cases.npz"
-        export_starts(cell.train(), cell.test(), cases)
+        export_starts(task.train(), task.starts(), cases)
         target = (out or shipped_peers()).resolve()
         target.parent.mkdir(parents=True, exist_ok=True)
         done = subprocess.run(command(cases, target, *(only or PEERS)), env=environment(), check=False)

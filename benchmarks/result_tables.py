@@ -13,9 +13,9 @@ from typing import Any
 import pandas as pd
 import watch_tables
 from tables import KEPT, kept_tables, marked, table
-from trust_tables import trust_tables
 
 from motor_classifiers.contest.leaderboard import read_scores
+from motor_classifiers.report.trust_tables import trust_tables
 
 FOLDER = Path(__file__).resolve().parent
 README, DOCS = FOLDER.parent / "README.md", FOLDER.parent / "docs"
@@ -196,7 +196,9 @@ def pages() -> dict[Path, str]:
             name: table(one["header"], one["rows"]) for name, one in tables.items()
         }
     trust = json.loads((FOLDER / "results" / "trust.json").read_bytes())
-    parts.setdefault(DOCS / "trust.md", {}).update(trust_tables(trust))
+    parts.setdefault(DOCS / "trust.md", {}).update(
+        {name: table(*made) for name, made in trust_tables(trust).items()}
+    )
     parts.setdefault(DOCS / "limits.md", {}).update(
         {"field": field_table(), "operation": field_table("operation")}
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -14,15 +14,14 @@ from cyclopts import run
 from shifts import shift_scores, textbook_shifts
 from sklearn.base import BaseEstimator
 from tables import keep_table
-from trust_tables import percent
 
 from motor_classifiers.estimators.methods import METHODS, make_method
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers.report.trust_page import with_charts
+from motor_classifiers.report.trust_tables import percent
 from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.trust import network_for
-from motor_classifiers.scoring.unknown_faults import DISTANCE, FALSE_ALARM_RATES
-from motor_classifiers.scoring.verdict_times import FIXED_TIME, STOPPING_RULE, VerdictTime
 from motor_classifiers.wrappers.conformal import ConformalSets
 from motor_classifiers.wrappers.fault_family import family_fit
 from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClassifier
@@ -31,7 +30,6 @@ from motor_datasets.generate import generate_arrays
 from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, SensorParameters
-from motor_env.plotting import INK, QUIET, drawing, save, subplots
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass, Recipe
 from motor_env.simulation.simulate import Timing
@@ -86,32 +84,6 @@ def draw_reliability(n_cases: int) -> None:
         plot_reliability(scores, IMAGES / f"reliability-{setting.split()[0]}khz.svg")
 
 
-def plot_roc(faults: list[dict[str, Any]], classifier: str, path: Path) -> None:
-    """Draw how well foreign faults are told from known ones, by distance and by a classifier's confidence.
-
-    Args:
-        faults: of `foreign_scores`.
-        classifier: name of the one whose confidence is drawn.
-        path: file to write, SVG or PNG by its ending.
-    """
-    colours = ("#0b6fa4", "#d98300", "#c8442b", "#12805c", "#6b4fa0")
-    with drawing():
-        figure, (axes,) = subplots(1, width_in=7.5, height_in=7.0)
-        axes.plot([0.0, 1.0], [0.0, 1.0], color=QUIET, linewidth=1.0)
-        for n, (colour, scored) in enumerate(zip(colours, faults, strict=False)):
-            for title, key, style in (("distance", DISTANCE, "-"), ("confidence", classifier, ":")):
-                # Curves that lie on each other stay visible: the first are drawn wider.
-                width = 2.0 + 2.0 * (len(faults) - 1 - n) * (style == "-")
-                label = f"{scored['fault']}, {title}: {scored['auroc'][key]:.3f}"
-                curve = scored["roc"][key]
-                axes.plot(FALSE_ALARM_RATES, curve, style, color=colour, linewidth=width, label=label)
-        axes.set(xlabel="known motors called other", ylabel="foreign faults called other")
-        axes.set_title("Distance tells foreign faults, confidence does not")
-        axes.set_ylim(0.0, 1.01)
-        figure.legend(loc="outside lower center", ncols=2, fontsize=10, title="area under the curve")
-        save(figure, path)
-
-
 def out_of_range(n_cases: int) -> Iterable[Iterable[str]]:
     """Severities beyond the trained ones, through the wrapper around the discriminant analysis."""
     for setting, recipe in SETTINGS.items():
@@ -136,34 +108,6 @@ def out_of_range(n_cases: int) -> Iterable[Iterable[str]]:
                 *(percent(told.mean()) for told in (is_kind, said.out_of_range, said.is_other)),
                 f"{100.0 * nearest.mean():.1f} ± {100.0 * nearest.std():.1f}",
             )  # fmt: skip
-
-
-def plot_race(curves: Mapping[str, tuple[VerdictTime, ...]]) -> None:
-    """Draw errors against the time of the verdict."""
-    styles = {
-        STOPPING_RULE: (INK, "-", "o"),
-        FIXED_TIME: ("#7b8794", "--", ""),
-        "SPRT": ("#0b6fa4", "-", "s"),
-        "CUSUM": ("#d98300", "-", "^"),
-        "GLR": ("#c8442b", "-", "v"),
-    }
-    with drawing():
-        figure, (axes,) = subplots(1, width_in=8.0, height_in=5.0)
-        for name, points in curves.items():
-            colour, line, marker = styles[name]
-            time_s, wrong = np.array(points).T
-            axes.plot(1e3 * time_s, 100.0 * wrong, line, color=colour, marker=marker, label=name)
-        axes.set_yscale("log")
-        ticks = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)
-        axes.set_yticks(ticks, [f"{tick:g} %" for tick in ticks])
-        axes.set(
-            xlabel="mean time to the verdict on faulty motors, ms",
-            ylabel="wrong verdicts, healthy and faulty",
-        )
-        axes.set_title("Bearing +25 % or none, 10 kHz, 20 mA: how soon, how sure")
-        axes.minorticks_off()
-        axes.legend()
-        save(figure, IMAGES / "early-verdicts.svg")
 
 
 def shifts(n_cases: int) -> Iterable[Iterable[str]]:
@@ -204,12 +148,38 @@ def shifts(n_cases: int) -> Iterable[Iterable[str]]:
                 )  # fmt: skip
 
 
+STYLE = """svg { background: #fff; font: 12px system-ui, sans-serif; } text { fill: #1d2733; }
+.tick { fill: #5d6b7a; font-size: 11px; } .grid { stroke: #e3e8ee; } .limit { --own: #c62828; } .s1 { --own: #0b6fa4; }
+.s2 { --own: #12805c; } .s8 { --own: #c05a00; } polyline, .key { fill: none; stroke: var(--own); stroke-width: 1.8; }
+circle { fill: var(--own); } .dashed polyline, .dashed .key { stroke-dasharray: 5 4; }"""
+
+
+def stand_alone(chart: str, legend: Sequence[tuple[str, str]]) -> str:
+    """A chart of the benchmark's page as a file of its own, its keys below it."""
+    height = 408 + 18 * len(legend)
+    keys = "".join(
+        f'<g class="{style}"><line class="key" x1="58" y1="{y}" x2="88" y2="{y}"/>'
+        f'<text x="96" y="{y + 4}">{name}</text></g>'
+        for y, (style, name) in zip(range(412, height, 18), legend, strict=True)
+    )
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 520 {height}"><style>{STYLE}</style>'
+    return f"{head}{chart}{keys}</svg>\n".replace(
+        '<svg viewBox="0 0 520 400"', '<svg width="520" height="400" viewBox="0 0 520 400"'
+    )
+
+
 def draw_kept() -> None:
     """Charts of the figures that the benchmark has kept."""
-    figures = json.loads(KEPT.read_bytes())
-    plot_roc(figures["unknown"]["settings"][-1]["faults"], "limit", IMAGES / "other-roc.svg")
-    curves = figures["race"]["curves"].items()
-    plot_race({name: tuple(VerdictTime(**point) for point in points) for name, points in curves})
+    kept = json.loads(KEPT.read_bytes())
+    figures = with_charts(kept, kept)
+    solid = [(style, f"{name}, distance") for style, name in figures["unknown"]["legend"]]
+    dashed = [
+        (f"{style} dashed", f"{name}, the limit's confidence") for style, name in figures["unknown"]["legend"]
+    ]
+    for name, section, legend in (
+        ("other-roc", "unknown", [*solid, *dashed]), ("early-verdicts", "race", figures["race"]["legend"]),
+    ):  # fmt: skip
+        (IMAGES / f"{name}.svg").write_text(stand_alone(figures[section]["chart"], legend), encoding="utf-8")
 
 
 OF_RANGE = ("setting", "fault", "kind right", "out of range", "other", "severity")

@@ -66,7 +66,7 @@ TEMPERATURES = ("wandering", "allowed", "steady")
 
 
 def temperatures(rng: np.random.Generator, windows: int, *, allowed: bool) -> Floats:
-    """Of each STEP_S, in kelvin over the usual one: what wanders, followed by a winding."""
+    """Temperature at each STEP_S, in kelvin over the usual one: what wanders, followed by a winding."""
     steps = round(WINDOW_S / STEP_S)
     wanders = wandering(rng.standard_normal(windows * steps), 1.0, WARM_S / STEP_S)
     follows = STEP_S / WINDING_S
@@ -109,7 +109,7 @@ def shared(fit: Callable[..., Any], key: Callable[..., Any]) -> Callable[..., An
 
 
 def recording_of(samples: Floats) -> Recording:
-    """Of rows of time, voltage, current, speed."""
+    """A recording from rows of time, voltage, current, speed."""
     time_s, volts, current_a, speed = np.ascontiguousarray(samples.T)
     return Recording(Path("stream"), time_s, current_a, volts, speed)
 

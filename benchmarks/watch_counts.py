@@ -56,7 +56,7 @@ def heavy(inertia: float = FLYWHEEL) -> MotorParameters:
 
 
 def warmed(motor: MotorParameters, kelvin: float) -> MotorParameters:
-    """The same motor at another temperature."""
+    """A copy of the motor at another temperature."""
     magnets = 1.0 + MAGNET_PER_KELVIN * kelvin
     return replace(
         motor,

@@ -10,7 +10,6 @@ from .detection.rules import (
     MOfN as MOfN,
     Rule as Rule,
     ShiryaevRoberts as ShiryaevRoberts,
-    SignatureCusum as SignatureCusum,
     Sprt as Sprt,
     TolerantFilter as TolerantFilter,
     WindowedNis as WindowedNis,
@@ -48,9 +47,6 @@ from .filters.joint import (
 )
 from .filters.kalman import (
     KalmanFilter as KalmanFilter,
-)
-from .filters.process_noise import (
-    choose_process_noise as choose_process_noise,
 )
 from .filters.smoothing import (
     smooth as smooth,

@@ -39,7 +39,7 @@ LABEL_COLUMNS = (
     Column("kind", "text", "", "healthy, or kind of the (first) fault"),
     Column("severity", "number", "1", "relative size of the fault, 0.25 for 25 %"),
 )
-"""Of the truth about a case."""
+"""Names of the columns that tell the truth about a case."""
 MOTOR_PARAMETERS = {
     "resistance_ohm": ("ohm", "winding resistance without the fault"),
     "inductance_h": ("H", "winding inductance"),

@@ -10,7 +10,7 @@ from motor_datasets.describe import describe
 from motor_datasets.manifest import Manifest
 
 LICENSE = "https://spdx.org/licenses/MIT.html"
-"""Of generated data: that of the package."""
+"""Licence of generated data: that of the package."""
 
 _TERMS = (
     "citeAs column extract field fileObject fileProperty fileSet format includes isLiveDataset jsonPath key md5"

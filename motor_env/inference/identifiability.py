@@ -16,10 +16,7 @@ from numpy.typing import ArrayLike
 from motor_env.inference.fit import Prior, inverse_information
 from motor_env.inference.parametrisation import QUANTITIES, Coordinates
 from motor_env.inference.sensitivities import jacobian
-from motor_env.inference.whitening import MarginalWhitener
-from motor_env.motor.faults import FaultKind, motor_kinds
 from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, SensorParameters, require
-from motor_env.simulation.recipes import FACTORS, Spread
 from motor_env.simulation.simulate import Timing
 
 MOTOR_QUANTITIES = tuple(name for name in QUANTITIES if name != "supply")
@@ -196,46 +193,3 @@ def _reduced(directions: FloatArray) -> FloatArray:
         row += 1
     reduced: FloatArray = np.round(basis, 3) + 0.0
     return reduced
-
-
-class Isolability(NamedTuple):
-    """How far faults of one size stand out, in standard deviations of the best statistic (d').
-
-    Attributes:
-        kinds: the faults.
-        detectable: d' of each against the healthy motor, the tolerances marginalised, shape (n,).
-        isolable: entry i, j: d' of fault i against fault j of any size and sign, shape (n, n); on the diagonal as
-            `detectable`. Near 0: i looks like some j, and a verdict must name both.
-    """
-
-    kinds: tuple[FaultKind, ...]
-    detectable: FloatArray
-    isolable: FloatArray
-
-
-def isolability(
-    parameters: MotorParameters, experiment: Experiment, spread: Spread, severity: float = 0.10
-) -> Isolability:
-    """Detectability and isolability of the motor's faults, to first order in the severity and the tolerances.
-
-    Distances of linear hypotheses (Basseville & Nikiforov 1993, ch. 7).
-
-    Args:
-        parameters: the nominal motor.
-        experiment: what drives it and what is read.
-        spread: tolerances of motor and supply.
-        severity: size of the faults.
-    """
-    slopes = dict(zip(QUANTITIES, experiment.slopes(parameters, QUANTITIES).T, strict=True))
-    nuisances = np.stack([slopes[name] * getattr(spread, name) for name in FACTORS], axis=-1)
-    kinds = motor_kinds()
-    signatures = np.stack(
-        [severity * sum(power * slopes[name] for name, power in kind.motor_powers.items()) for kind in kinds]
-    )
-    white = MarginalWhitener.from_slopes(nuisances).whiten(signatures[..., None])[..., 0]
-    gram = white @ white.T
-    squares = np.diag(gram)
-    # What is left of fault i when the best multiple of fault j is taken off.
-    left = squares[:, None] - np.square(gram) / np.maximum(squares, 1e-300)
-    np.fill_diagonal(left, squares)
-    return Isolability(kinds, np.sqrt(squares), np.sqrt(np.maximum(left, 0.0)))

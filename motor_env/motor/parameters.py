@@ -252,14 +252,3 @@ CATALOGUE: dict[str, MotorParameters] = {
     "paper-matrices": PAPER_MATRICES_MOTOR,
 }
 """Catalogue presets by name."""
-
-
-def catalogue_motor(name: str) -> MotorParameters:
-    """Catalogue motor of that name.
-
-    Raises:
-        ValueError: no such motor; the sentence lists those that exist.
-    """
-    if name not in CATALOGUE:
-        raise ValueError(f"motor must be one of {', '.join(sorted(CATALOGUE))}, got {name!r}")
-    return CATALOGUE[name]

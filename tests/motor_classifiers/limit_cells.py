@@ -10,7 +10,7 @@ from motor_classifiers import PosteriorNetwork
 from motor_classifiers.scoring.calibration import calibration_scores
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.metrics import IntArray
-from motor_classifiers.scoring.severities import severity_figures
+from motor_classifiers.scoring.trust import severity_figures
 from motor_datasets import generate_arrays
 from motor_env import Recipe, class_probabilities, excess_over_limit
 from motor_env.motor.parameters import FloatArray

@@ -5,16 +5,18 @@ from typing import Any
 import numpy as np
 
 # Reaches in: results are made up as the benchmark keeps them: to run it takes minutes.
-from motor_classifiers.scoring.benchmark import CellResult, run_plan
-from motor_classifiers.scoring.judging import LIMIT, Answer, Cell, expected_severity
+from motor_classifiers.scoring.benchmark import run_plan
+from motor_classifiers.scoring.judging import LIMIT, Answer
 from motor_classifiers.scoring.metrics import IntArray
 from motor_classifiers.scoring.plan import AnswerStore, Plan, units
 from motor_classifiers.scoring.progress import Cost
+from motor_classifiers.scoring.score import Results
+from motor_classifiers.scoring.task import class_task
 from motor_classifiers.scoring.trust import SECTIONS, TRUST
 from motor_env import Timing, load_recipe
 
 RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
-CELL = Cell(RECIPE, 100, 60)
+TASK = class_task(RECIPE, 100, 60)
 
 
 def answer(decided: IntArray, sure: float = 0.75) -> Answer:
@@ -22,20 +24,20 @@ def answer(decided: IntArray, sure: float = 0.75) -> Answer:
     probabilities = np.full((len(decided), 5), (1.0 - sure) / 4.0)
     probabilities[np.arange(len(decided)), decided] = sure
     costs = Cost(1.5, 20.0), Cost(0.003, None)
-    return Answer(probabilities, expected_severity(RECIPE, probabilities), *costs)
+    return Answer(probabilities, *costs)
 
 
 def decisions(wrong: slice) -> IntArray:
     """The true classes, but the next class in some rows."""
-    decided = CELL.test().class_index.copy()
+    decided = TASK.starts().class_index.copy()
     decided[wrong] = (decided[wrong] + 1) % 5
     return decided
 
 
-def made_results(limit: Answer, **methods: Answer) -> tuple[Plan, CellResult]:
+def made_results(limit: Answer, **methods: Answer) -> tuple[Plan, Results]:
     """Results of the one setting, as if a run had had these answers; `residual_qda` is residual-qda."""
     by_name: dict[str, Any] = {name.replace("_", "-"): one for name, one in methods.items()}
-    plan, store = Plan((CELL,), tuple(by_name)), AnswerStore()
+    plan, store = Plan((TASK,), tuple(by_name)), AnswerStore()
     for unit in units(plan):
         left_out = {"counts": {}, **{name: {"reason": "made"} for name in SECTIONS}}
         store.put(unit, (by_name | {LIMIT: limit, TRUST: left_out})[unit.name])

@@ -10,7 +10,7 @@ from hostile import archive_of, damaged, forged, json_of, members_of
 from safetensors.numpy import load
 from saved_models import QUICK, content, head_of, with_head
 
-NAMES = ("threshold", "residual-qda", "physical-svm", "rules", *QUICK)
+NAMES = ("threshold", "residual-qda", "physical-logistic", "rules", *QUICK)
 SEED = 21
 
 

@@ -23,8 +23,6 @@ QUICK: dict[str, dict[str, Any]] = {
     "posterior-network": {"steps": 3, "batch_size": 32},
     "residual-network": {"epochs": 1, "stem": 4, "width": 4},
     "network": {"epochs": 2},
-    "physical-boosting": {"classify__estimator__max_iter": 2},
-    "physical-forest": {"classify__n_estimators": 3},
 }
 
 

@@ -7,13 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.io import loadmat
+from small_sets import SHORT, files_of
 
 from motor_datasets import (
     generate_arrays,
     generate_dataset,
     load,
-    split_of,
-    stream,
     to_pandas,
     to_torch,
     to_torch_iterable,
@@ -23,21 +22,12 @@ from motor_datasets.export import export
 from motor_env import Channel, FaultKind, InputError, SensorParameters, Timing, load_recipe
 from motor_env.simulation.recipes import FaultClass
 
-SHORT = replace(load_recipe("bench"), timing=Timing(duration_s=0.01))
-
 
 def test_a_case_does_not_depend_on_its_neighbours() -> None:
     together = generate_arrays(SHORT, 7, 40)
     alone = generate_arrays(SHORT, 7, [23])
     assert np.array_equal(together.X[23:24], alone.X)
     assert together.split[23] == alone.split[0]
-
-
-def test_splits_are_dealt_exactly_and_by_motor_alone() -> None:
-    splits = split_of(3, np.arange(2000))
-    assert [(splits == name).sum() for name in ("train", "validation", "test")] == [1400, 300, 300]
-    assert np.array_equal(split_of(3, np.arange(977, 1003)), splits[977:1003])
-    assert not np.array_equal(split_of(4, np.arange(2000)), splits)
 
 
 def test_the_truth_explains_the_transient() -> None:
@@ -73,10 +63,6 @@ def test_what_is_loaded_is_what_was_generated(tmp_path: Path) -> None:
     transients, labels, _ = to_torch(test)[:]
     assert np.array_equal(transients.numpy(), test.X)
     assert np.array_equal(labels.numpy(), test.class_index)
-
-
-def files_of(folder: Path) -> dict[Path, bytes]:
-    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_the_command_writes_the_same_bytes_and_never_over_others(
@@ -157,21 +143,6 @@ def test_continuous_and_joint_severities() -> None:
     contact = replace(SHORT, classes=(FaultClass(FaultKind.WINDING_CONTACT, 0.25),), spread=recipe.spread)
     expected = generate_arrays(contact, 2, 500).X[:, 0].max(axis=1).mean()
     assert peak[data.class_name == joint.name].mean() == pytest.approx(expected, abs=0.005)
-
-
-def test_a_stream_repeats_and_is_shared_among_workers() -> None:
-    whole = list(stream(SHORT, 1, 16, split="train", batches=6))
-    again = list(stream(SHORT, 1, 16, split="train", batches=6))
-    parts = [list(stream(SHORT, 1, 16, split="train", batches=6, share=(n, 2))) for n in range(2)]
-    for n, batch in enumerate(whole):
-        assert set(batch.split) == {"train"}
-        assert np.array_equal(batch.X, again[n].X)
-        assert np.array_equal(batch.X, parts[n % 2][n // 2].X)
-    cases = np.concatenate([batch.case_id for batch in whole])
-    assert len(np.unique(cases)) == 96
-    transients, labels, _ = next(iter(to_torch_iterable(SHORT, 1, 16, split="train")))
-    assert np.array_equal(transients.numpy(), whole[0].X)
-    assert np.array_equal(labels.numpy(), whole[0].class_index)
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])  # each imports torch

@@ -258,6 +258,7 @@ def test_the_disk_must_hold_three_tenths_of_the_samples(
         else:
             with pytest.raises(InputError, match=r"0\.0 GB of data do not fit onto its disk"):
                 generate_dataset(SHORT, 60, 1, tmp_path / "set")
+            assert list(tmp_path.iterdir()) == []  # it was not begun
     (tmp_path / "set/data/test-000000.parquet").unlink()
     # Of three files one is missing: only that needs room.
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0.0995 * size))

@@ -4,7 +4,6 @@ import subprocess
 import sys
 import uuid
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +11,14 @@ import fsspec
 import numpy as np
 import pytest
 from fsspec.registry import known_implementations
+from small_sets import SHARD_BYTES, SHORT, Stopped, files_of
 from upath import UPath
 
 from motor_datasets import generate_dataset, layout, load, manifest
 from motor_datasets.cli import main
-from motor_env import InputError, Timing, load_recipe
+from motor_env import InputError
 
-SHORT = replace(load_recipe("bench"), timing=Timing(duration_s=0.01))
 OPTIONS = ["generate", "bench", "--cases", "30", "--seed", "2", "--duration-s", "0.01"]
-
-
-def files_of(folder: Path) -> dict[str, bytes]:
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
-    }
 
 
 def objects_of(url: str) -> dict[str, bytes]:
@@ -44,11 +37,7 @@ def url() -> Iterator[str]:
 
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(layout, "_SHARD_BYTES", 50_000)
-
-
-class Stopped(Exception):  # noqa: N818 - it is no error, it stops the writing
-    """Raised in the middle of a generation, or in place of a driver's own error."""
+    monkeypatch.setattr(layout, "_SHARD_BYTES", SHARD_BYTES)
 
 
 @pytest.mark.usefixtures("small_shards")

@@ -8,34 +8,22 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from small_sets import SHARD_BYTES, SHORT, Stopped, files_of
 
 from motor_datasets import generate_dataset, layout, load
 from motor_datasets.cli import main
-from motor_env import InputError, Timing, load_recipe
-
-SHORT = replace(load_recipe("bench"), timing=Timing(duration_s=0.01))
-
-
-def files_of(folder: Path) -> dict[str, bytes]:
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
-    }
+from motor_env import InputError
 
 
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(layout, "_SHARD_BYTES", 50_000)
-
-
-class Stopped(Exception):  # noqa: N818 - it is no error, it stops the writing
-    """Raised in the middle of a generation."""
+    monkeypatch.setattr(layout, "_SHARD_BYTES", SHARD_BYTES)
 
 
 @pytest.mark.usefixtures("small_shards")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,10 @@ from motor_env.errors import InputError, require_extra
 from motor_env.files import LARGEST_NOTE_BYTES, read_file
 
 
-def _seed(sealed: Path | None) -> int:
-    """The public seed, or the one number of a file."""
-    from motor_classifiers.contest.task import SEED
-
+def _seed(sealed: Path | None) -> int | None:
+    """The one number of a file; None for the public split."""
     if sealed is None:
-        return SEED
+        return None
     content = read_file(sealed, LARGEST_NOTE_BYTES)
     try:
         seed = int(content)
@@ -43,13 +42,13 @@ def task(name: str, /, *, out: Path, sealed: Path | None = None) -> int:
     from motor_classifiers.contest.tasks import load_task
     from motor_env.files import replacing, write_text
 
-    chosen, seed = load_task(name), _seed(sealed)
-    train, test = chosen.learned(), chosen.test(seed)
+    chosen = replace(load_task(name), sealed=_seed(sealed))
+    train, test = chosen.learned(), chosen.test()
     arrays: dict[str, dict[str, Any]] = {"train": train, "test": {"X": test.X}}
     for part, content in arrays.items():
         with replacing(out / f"{part}.npz") as temporary:
             np.savez(temporary, allow_pickle=False, **content)
-    write_text(out / "task.json", json.dumps(chosen.as_json(seed), indent=1) + "\n")
+    write_text(out / "task.json", json.dumps(chosen.as_json(), indent=1) + "\n")
     print(f"{chosen.title}: {chosen.n_train} starts to learn from, {len(test.X)} cases to answer: {out}")
     return 0
 
@@ -83,23 +82,20 @@ def submit(
     require_extra("sklearn", "classifiers")
     from rich.console import Console
 
-    from motor_classifiers.contest.questions import ClassTask
     from motor_classifiers.contest.submissions import write_submission
     from motor_classifiers.contest.tasks import load_task
-    from motor_classifiers.estimators.own_methods import answered, fed, find_method
-    from motor_classifiers.scoring.judging import in_recipe_order
+    from motor_classifiers.estimators.own_methods import find_method
+    from motor_classifiers.scoring.judging import judge
+    from motor_classifiers.scoring.task import ClassTask
 
-    asked, chosen, split = load_task(task), find_method(method), _seed(sealed)
+    asked, chosen = replace(load_task(task), sealed=_seed(sealed)), find_method(method)
     if not isinstance(asked, ClassTask):
         raise InputError(f"task {task} asks for no probabilities; write its answers with write_submission")
     with Console(stderr=True).status(f"training {method}"):
-        train, test = asked.train(), asked.test(split)
-        model = chosen.make(asked.recipe, seed)
-        model = chosen.train(model, fed(model, train.X), train.class_name)
-        answers = in_recipe_order(model, answered(model, test.X), asked.recipe)
+        answers = judge(method, asked, seed).probabilities
     name = method.rpartition(":")[2]
     card = {"method": name, "authors": authors, "about": about or chosen.title, "link": link}
-    write_submission(out, asked, answers, card, seed=split)
+    write_submission(out, asked, answers, card)
     print(f"{name} on task {task}: {len(answers)} cases answered: {out}")
     return 0
 
@@ -122,7 +118,7 @@ def score(
     from motor_classifiers.contest.submissions import score_submission
     from motor_env.files import write_text
 
-    scored = score_submission(submission, seed=_seed(sealed))
+    scored = score_submission(submission, sealed=_seed(sealed))
     if sealed is not None:
         scored.pop("costs", None)  # beside one's own answers they tell the truth
     text = json.dumps(scored, indent=1) + "\n"

@@ -268,14 +268,14 @@ def benchmark(
     from motor_classifiers.estimators.methods import AT_WORK, METHODS
     from motor_classifiers.report.page import write_results
     from motor_classifiers.scoring.peers import shipped_peers
-    from motor_classifiers.scoring.plan import AnswerStore, Plan, make_cells
+    from motor_classifiers.scoring.plan import AnswerStore, Plan, make_tasks
     from motor_classifiers.scoring.results import result_rows
     from motor_env.simulation.named_recipes import changed_recipe, named_recipe
 
     usual = FULL_SWEEP if full else {}
     measured = tuple(channels.split(",")) if channels else None
     names = (recipe or usual.get("recipe", "bench")).split(",")
-    cells = make_cells(
+    tasks = make_tasks(
         [changed_recipe(named_recipe(name), duration_s=duration_s, channels=measured) for name in names],
         rates_hz=numbers("sampling-rate-hz", sampling_rate_hz or usual.get("sampling_rate_hz")),
         noises_a=numbers("current-noise-a", current_noise_a or usual.get("current_noise_a")),
@@ -283,12 +283,12 @@ def benchmark(
         n_test=n_test,
         seed=seed,
     )
-    at_work = any(cell.recipe.duty is not None for cell in cells)
+    at_work = any(task.recipe.duty is not None for task in tasks)
     usual_methods = AT_WORK if at_work else tuple(METHODS)
     plan = Plan(
-        cells, (*(methods.split(",") if methods else usual_methods), *with_), peers or shipped_peers()
+        tasks, (*(methods.split(",") if methods else usual_methods), *with_), peers or shipped_peers()
     )
-    folder = out / "answers" if len(cells) > 1 else None
+    folder = out / "answers" if len(tasks) > 1 else None
     if peers is not None and not peers.is_file():
         raise InputError(f"{peers}: no such file of answers of peers")
     if dry_run:
@@ -302,10 +302,10 @@ def benchmark(
     else:
         print("\n".join(table_lines(results[plan.reference])))
         print(f"report: {page}")
-    leaks = [(name, result.cell) for result in results for name in result.leaks]
-    for name, cell in leaks:
+    leaks = [(name, result.task) for result in results for name in result.leaks]
+    for name, task in leaks:
         print(
-            f"motor-classifiers: check failed: {name} scored above the Bayes limit on {cell.title}",
+            f"motor-classifiers: check failed: {name} scored above the Bayes limit on {task.title}",
             file=sys.stderr,
         )
     return 1 if leaks else 0

@@ -26,7 +26,7 @@ def numbers(option: str, text: str | None) -> tuple[float, ...]:
 
 
 def whole_numbers(option: str, text: str) -> list[int]:
-    """The same, without fractions."""
+    """Whole numbers with commas between, none twice."""
     values = numbers(option, text)
     if not all(value.is_integer() for value in values):
         raise InputError(f"--{option} must be whole numbers, got {text!r}")

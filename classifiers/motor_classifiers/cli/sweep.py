@@ -7,8 +7,9 @@ from collections import Counter
 
 from rich.console import Console
 
-from motor_classifiers.scoring.benchmark import CellResult, run_plan
+from motor_classifiers.scoring.benchmark import run_plan
 from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, units
+from motor_classifiers.scoring.score import Results
 from motor_env.console import progress_bar
 
 FULL_SWEEP = {
@@ -25,20 +26,20 @@ def plan_lines(plan: Plan, store: AnswerStore, *, as_json: bool) -> list[str]:
     todo = [(unit, store.find(unit) is not None) for unit in units(plan)]
     if as_json:
         rows = [
-            {"setting": unit.cell.title, "method": unit.name, "done": done, "about_s": unit.seconds}
+            {"setting": unit.task.title, "method": unit.name, "done": done, "about_s": unit.seconds}
             for unit, done in todo
         ]
         return [json.dumps(rows, indent=1)]
-    total = Counter(unit.cell.title for unit, _ in todo)
-    done_of = Counter(unit.cell.title for unit, done in todo if done)
+    total = Counter(unit.task.title for unit, _ in todo)
+    done_of = Counter(unit.task.title for unit, done in todo if done)
     minutes = sum(unit.seconds for unit, done in todo if not done) / 60.0
     return [
         *(f"{name:58} {done_of[name]:3} of {count:3} answers there" for name, count in total.items()),
-        f"{len(plan.cells)} settings, {len(todo)} answers, about {minutes:.0f} minutes of one core to go",
+        f"{len(plan.tasks)} settings, {len(todo)} answers, about {minutes:.0f} minutes of one core to go",
     ]
 
 
-def run_with_progress(plan: Plan, store: AnswerStore) -> tuple[CellResult, ...]:
+def run_with_progress(plan: Plan, store: AnswerStore) -> tuple[Results, ...]:
     """Run a plan with a progress bar, or a line an answer where standard error is no terminal."""
     todo, errors = units(plan), Console(stderr=True)
     begun, before = 0, 0.0
@@ -46,7 +47,7 @@ def run_with_progress(plan: Plan, store: AnswerStore) -> tuple[CellResult, ...]:
     def step(unit: Unit, known: bool) -> None:
         nonlocal begun, before
         begun += 1
-        sentence = f"{begun} of {len(todo)}: {unit.name} on {unit.cell.title}"
+        sentence = f"{begun} of {len(todo)}: {unit.name} on {unit.task.title}"
         update(advance=before, description=sentence)
         before = unit.seconds
         if not errors.is_terminal:
@@ -56,21 +57,19 @@ def run_with_progress(plan: Plan, store: AnswerStore) -> tuple[CellResult, ...]:
         return run_plan(plan, store, step)
 
 
-def table_lines(result: CellResult) -> list[str]:
+def table_lines(result: Results) -> list[str]:
     """The table of one setting."""
     heads = f"{'accuracy':>9}{'95 % interval':>17}{'below limit':>13}{'winding':>9}{'bearing':>9}{'level':>8}"
-    rows = [
-        ("Bayes estimate" if result.limit_is_estimate else "Bayes limit", result.limit, 0.0),
-        *((m.name, m.judged, -m.against_limit.difference.value) for m in result.ranked()),
-    ]
-    width = max(len(name) for name, *_ in rows)
-    lines = [result.cell.title, f"{'method':{width}}{heads}{'us':>9}{'MB':>7}"]
-    for name, judged, below in rows:
-        accuracy, cost = judged.scores.accuracy, judged.answer
-        memory = cost.inference.memory_mb
+    limit_name = "Bayes estimate" if result.limit_is_estimate else "Bayes limit"
+    rows = [(limit_name, result.limit), *((method.name, method) for method in result.ranked())]
+    width = max(len(name) for name, _ in rows)
+    lines = [result.task.title, f"{'method':{width}}{heads}{'us':>9}{'MB':>7}"]
+    for name, own in rows:
+        scores, memory = own.scores, own.answer.inference.memory_mb
+        below = own.against_limit.difference.value / 100.0
         lines.append(
-            f"{name:{width}}{accuracy.value:9.4f}{accuracy.low:9.4f}..{accuracy.high:.4f}{below:13.4f}"
-            f"{judged.scores.winding.value:9.4f}{judged.scores.bearing.value:9.4f}{judged.scores.level.value:8.4f}"
-            f"{cost.microseconds_per_transient:9.1f}{'' if memory is None else f'{memory:7.0f}'}"
+            f"{name:{width}}{scores.accuracy.value:9.4f}{scores.accuracy.low:9.4f}..{scores.accuracy.high:.4f}"
+            f"{below:13.4f}{scores.winding.value:9.4f}{scores.bearing.value:9.4f}{scores.level.value:8.4f}"
+            f"{own.answer.microseconds_per_transient:9.1f}{'' if memory is None else f'{memory:7.0f}'}"
         )
     return lines

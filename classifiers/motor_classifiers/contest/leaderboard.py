@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from motor_classifiers.contest.submissions import paired, unpacked_costs
-from motor_classifiers.contest.task import VERSION, Task
+from motor_classifiers.contest.submissions import unpacked_costs
 from motor_classifiers.contest.tasks import TASKS
-from motor_classifiers.scoring.metrics import resampling_weights
+from motor_classifiers.scoring.metrics import compare, resampling_weights
+from motor_classifiers.scoring.task import VERSION, DrawnTask
 from motor_env.files import LARGEST_TABLE_BYTES, read_json
 
 Scored = dict[str, Any]
@@ -38,7 +38,7 @@ def read_scores(folder: Path) -> dict[str, list[Scored]]:
     return scores
 
 
-def ranks(task: Task, scored: Sequence[Scored]) -> list[tuple[int, Scored]]:
+def ranks(task: DrawnTask, scored: Sequence[Scored]) -> list[tuple[int, Scored]]:
     """Rank and score, the best first.
 
     A method shares the rank of the best one of its group as long as the 95 % interval of their paired difference holds
@@ -51,7 +51,7 @@ def ranks(task: Task, scored: Sequence[Scored]) -> list[tuple[int, Scored]]:
     ranked: list[tuple[int, Scored]] = []
     best, rank = ordered[0], 1
     for place, one in enumerate(ordered, start=1):
-        if paired(task, unpacked_costs(one), unpacked_costs(best), weights)[1] > 0.0:
+        if compare(task, unpacked_costs(one), unpacked_costs(best), weights).difference.low > 0.0:
             best, rank = one, place
         ranked.append((rank, one))
     return ranked

@@ -1,4 +1,4 @@
-"""What tasks ask: classes, severities, strangeness, the time of an alarm; each with its cases and its costs."""
+"""What frozen tasks ask beside the class: severities, strangeness, the time of an alarm; with their cases and costs."""
 
 from __future__ import annotations
 
@@ -8,84 +8,48 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_classifiers.contest.task import SEED, Cases, Task
 from motor_classifiers.estimators.reference_starts import referenced_probabilities, referenced_starts
-from motor_classifiers.scoring.judging import TEST_FIRST_CASE, TRAIN_FIRST_CASE, judged_starts
+from motor_classifiers.scoring.task import (
+    TEST_FIRST_CASE,
+    TRAIN_FIRST_CASE,
+    Cases,
+    ClassTask,
+    DrawnTask,
+    Task,
+    judged_starts,
+)
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, foreign_starts
 from motor_datasets.arrays import Dataset
 from motor_env.errors import InputError
-from motor_env.inference.posterior import class_probabilities
 from motor_env.inference.severity import SeverityPrior, severity_posterior
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.drawing import draw
 from motor_env.simulation.random_streams import Stream, uniforms
 from motor_env.simulation.simulate import simulate
 
-_TOLERANCE = 1e-3  # of a sum of probabilities
 
-
-@dataclass(frozen=True, slots=True)
-class ClassTask(Task):
-    """Name the class; the answer is a probability of each, the decision the largest."""
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """One column a class."""
-        return self.recipe.class_names
-
-    def test(self, seed: int = SEED) -> Cases:
-        """Starts of other motors than those of the training."""
-        starts = judged_starts(self.recipe, seed, TEST_FIRST_CASE, self.n_test)
-        return Cases(starts.X, starts.class_index, starts.motor_id)
-
-    def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
-        """1 for a wrong decision."""
-        wrong: FloatArray = (answers.argmax(axis=1) != truth).astype(np.float64)
-        return wrong
-
-    def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
-        """The exact posterior where the likelihood has a closed form."""
-        return None if self.recipe.field is not None else class_probabilities(self.recipe, X)
-
-    def check(self, answers: FloatArray) -> None:
-        """Probabilities lie in 0 .. 1 and sum to 1 within a thousandth."""
-        Task.check(self, answers)
-        outside = np.argwhere((answers < 0.0) | (answers > 1.0))
-        if len(outside):
-            case, column = outside[0]
-            value = answers[case, column]
-            raise InputError(
-                f"case {case}: {self.columns[column]} must be a probability from 0 to 1, got {value:g}"
-            )
-        total = answers.sum(axis=1)
-        wrong = np.flatnonzero(np.abs(total - 1.0) > _TOLERANCE)
-        if len(wrong):
-            raise InputError(f"case {wrong[0]}: its probabilities must sum to 1, got {total[wrong[0]]:g}")
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceTask(ClassTask):
-    """The same with healthy starts of the same motor as further channels."""
+    """Name the class, given healthy starts of the same motor as further channels."""
 
     n_references: int = 1
 
     def train(self) -> Dataset:
         """Starts with their references."""
-        return referenced_starts(self.recipe, SEED, np.arange(self.n_train), self.n_references)
+        return referenced_starts(self.recipe, self.seed, np.arange(self.n_train), self.n_references)
 
-    def test(self, seed: int = SEED) -> Cases:
+    def starts(self) -> Dataset:
         """Starts of other motors, with their references."""
         motors = np.arange(self.n_test) + TEST_FIRST_CASE // 10
-        starts = referenced_starts(self.recipe, seed, motors, self.n_references)
-        return Cases(starts.X, starts.class_index)
+        return referenced_starts(self.recipe, self.test_seed, motors, self.n_references)
 
-    def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
+    def best(self, X: NDArray[np.float32]) -> FloatArray:
         """The exact posterior given the references."""
         return referenced_probabilities(self.recipe, X)
 
 
-@dataclass(frozen=True, slots=True)
-class SeverityTask(Task):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeverityTask(DrawnTask):
     """Tell the severity of a fault whose kind is known; the answer is a number, 0.01 for a point."""
 
     @property
@@ -93,9 +57,9 @@ class SeverityTask(Task):
         """One estimate."""
         return ("severity",)
 
-    def test(self, seed: int = SEED) -> Cases:
+    def test(self) -> Cases:
         """Starts of other motors, severities uniform."""
-        starts = judged_starts(self.recipe, seed, TEST_FIRST_CASE, self.n_test)
+        starts = judged_starts(self.recipe, self.test_seed, TEST_FIRST_CASE, self.n_test)
         return Cases(starts.X, starts.severity)
 
     def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
@@ -116,8 +80,8 @@ class SeverityTask(Task):
         return severity_posterior(self.recipe, prior, X).mean[:, None]
 
 
-@dataclass(frozen=True, slots=True)
-class StrangerTask(Task):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StrangerTask(DrawnTask):
     """Say how strange a start is: motors of the known classes against faults that nobody was trained on.
 
     The metric is 1 minus the area under the ROC curve, averaged over the unknown faults. The cost of a case is its part
@@ -129,13 +93,13 @@ class StrangerTask(Task):
         """One score, the larger the stranger."""
         return ("strangeness",)
 
-    def test(self, seed: int = SEED) -> Cases:
+    def test(self) -> Cases:
         """As many starts of the known classes as of each unknown fault, in an order of the seed's own."""
         per_kind = self.n_test // (1 + len(UNKNOWN_FAULTS))
         numbers = np.arange(per_kind) + TEST_FIRST_CASE
-        known = judged_starts(self.recipe, seed, TEST_FIRST_CASE, per_kind).X
-        foreign = [foreign_starts(self.recipe, fault, seed, numbers) for fault in UNKNOWN_FAULTS]
-        order = np.random.default_rng(seed).permutation(per_kind * (1 + len(foreign)))
+        known = judged_starts(self.recipe, self.test_seed, TEST_FIRST_CASE, per_kind).X
+        foreign = [foreign_starts(self.recipe, fault, self.test_seed, numbers) for fault in UNKNOWN_FAULTS]
+        order = np.random.default_rng(self.test_seed).permutation(per_kind * (1 + len(foreign)))
         kinds = np.repeat(np.arange(1 + len(foreign)), per_kind)
         return Cases(np.concatenate([known, *foreign])[order], kinds[order])
 
@@ -162,8 +126,8 @@ def _share_below(others: FloatArray, score: FloatArray) -> FloatArray:
     return share
 
 
-@dataclass(frozen=True, slots=True)
-class StreamTask(Task):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamTask(DrawnTask):
     """Sound an alarm soon after a fault sets in: half of the motors stay healthy; the answer is a time, nan for none.
 
     A false alarm costs 1, a miss costs 1, and a delay its share of `longest_delay_s`.
@@ -177,13 +141,13 @@ class StreamTask(Task):
         """Time of the alarm after the step of the supply."""
         return ("alarm_s",)
 
-    def test(self, seed: int = SEED) -> Cases:
+    def test(self) -> Cases:
         """Starts that go on; where the class is a fault, it sets in at one of the onsets."""
-        return self._drawn(seed, TEST_FIRST_CASE, self.n_test)
+        return self._drawn(self.test_seed, TEST_FIRST_CASE, self.n_test)
 
     def train_streams(self) -> Cases:
-        """The same of other motors, to choose thresholds on."""
-        return self._drawn(SEED, TRAIN_FIRST_CASE, self.n_train)
+        """Starts of other motors that go on, to choose thresholds on."""
+        return self._drawn(self.seed, TRAIN_FIRST_CASE, self.n_train)
 
     def learned(self) -> dict[str, NDArray[Any]]:
         """Streams, and when their faults set in."""

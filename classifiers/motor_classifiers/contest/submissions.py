@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,9 +13,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
 
-from motor_classifiers.contest.task import SEED, VERSION, Task
 from motor_classifiers.contest.tasks import load_task
 from motor_classifiers.scoring.metrics import resampling_weights
+from motor_classifiers.scoring.score import score
+from motor_classifiers.scoring.task import VERSION, DrawnTask
 from motor_env.errors import InputError
 from motor_env.files import LARGEST_TABLE_BYTES, read_file, replacing, write_text
 from motor_env.motor.parameters import FloatArray
@@ -50,9 +51,7 @@ class Card:
     __pydantic_config__: ClassVar = {"extra": "forbid"}
 
 
-def write_submission(
-    folder: Path | str, task: Task, answers: ArrayLike, card: dict[str, str], *, seed: int = SEED
-) -> None:
+def write_submission(folder: Path | str, task: DrawnTask, answers: ArrayLike, card: dict[str, str]) -> None:
     """Write answers and their card; both are checked as they are when they are scored.
 
     Args:
@@ -60,22 +59,21 @@ def write_submission(
         task: that is answered.
         answers: shape (n_test, n_columns) in the order of `task.columns`, of the test cases in their order.
         card: `method` and `authors`, perhaps `about` and `link`.
-        seed: of the split.
 
     Raises:
         InputError: answers that would be refused.
     """
     values = np.asarray(answers, dtype=np.float64).reshape(len(np.asarray(answers)), -1)
     columns = {"case": np.arange(len(values))} | dict(zip(task.columns, values.T, strict=True))
-    full = from_dict(Card, card | {"task": task.name, "version": VERSION, "draw": task.draw_id(seed)}, "card")
-    _check_card(full, task, seed)
+    full = from_dict(Card, card | {"task": task.name, "version": VERSION, "draw": task.draw_id}, "card")
+    _check_card(full, task)
     _checked(task, pa.table(columns))
     with replacing(Path(folder) / ANSWERS) as temporary:
         pq.write_table(pa.table(columns), temporary, compression="zstd")
     write_text(Path(folder) / CARD, toml_text(asdict(full), {}))
 
 
-def read_submission(folder: Path | str, *, seed: int = SEED) -> tuple[Card, Task, FloatArray]:
+def read_submission(folder: Path | str, *, sealed: int | None = None) -> tuple[Card, DrawnTask, FloatArray]:
     """Card, task and checked answers, shape (n_test, n_columns).
 
     Raises:
@@ -86,8 +84,8 @@ def read_submission(folder: Path | str, *, seed: int = SEED) -> tuple[Card, Task
     content = read_toml(path, "a submission needs a card")
     try:
         card = from_dict(Card, content, "card")
-        task = load_task(card.task)
-        _check_card(card, task, seed)
+        task = replace(load_task(card.task), sealed=sealed)
+        _check_card(card, task)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     path = Path(folder) / ANSWERS
@@ -98,14 +96,14 @@ def read_submission(folder: Path | str, *, seed: int = SEED) -> tuple[Card, Task
         raise InputError(f"{path}: {error}") from None
 
 
-def _check_card(card: Card, task: Task, seed: int) -> None:
+def _check_card(card: Card, task: DrawnTask) -> None:
     if card.version != VERSION:
         raise InputError(
             f"the submission is for motor-bench {card.version!r:.60}, this is motor-bench {VERSION}"
         )
-    if card.draw != task.draw_id(seed):
+    if card.draw != task.draw_id:
         raise InputError(
-            f"the submission answers split {card.draw!r:.60} of task {task.name}, this split is {task.draw_id(seed)}"
+            f"the submission answers split {card.draw!r:.60} of task {task.name}, this split is {task.draw_id}"
         )
     for name, text in asdict(card).items():
         if len(text) > _LONGEST or not text.isprintable():
@@ -114,7 +112,7 @@ def _check_card(card: Card, task: Task, seed: int) -> None:
         raise InputError("the card must name method and authors")
 
 
-def _table(task: Task, content: bytes) -> pa.Table:
+def _table(task: DrawnTask, content: bytes) -> pa.Table:
     """The table of a file. What it says of itself is checked first: a run of equal numbers takes no room in a file."""
     try:
         with pq.ParquetFile(pa.BufferReader(content)) as file:
@@ -128,7 +126,7 @@ def _table(task: Task, content: bytes) -> pa.Table:
         raise InputError(f"is no Parquet file, or damaged ({' '.join(str(error).split())[:100]})") from None
 
 
-def _check_columns(task: Task, schema: pa.Schema) -> None:
+def _check_columns(task: DrawnTask, schema: pa.Schema) -> None:
     wanted = ["case", *task.columns]
     if sorted(schema.names) != sorted(wanted):
         raise InputError(f"must have the columns {', '.join(wanted)}, got {', '.join(schema.names)[:200]}")
@@ -138,12 +136,12 @@ def _check_columns(task: Task, schema: pa.Schema) -> None:
             raise InputError(f"column {name} must hold {'whole ' * (name == 'case')}numbers, got {kind}")
 
 
-def _check_rows(task: Task, count: int) -> None:
+def _check_rows(task: DrawnTask, count: int) -> None:
     if count > task.n_test:
         raise InputError(f"must have the cases 0 to {task.n_test - 1} and no others, got {count} rows")
 
 
-def _checked(task: Task, table: pa.Table) -> FloatArray:
+def _checked(task: DrawnTask, table: pa.Table) -> FloatArray:
     _check_columns(task, table.schema)
     _check_rows(task, table.num_rows)
     case = table["case"].to_numpy()
@@ -161,8 +159,12 @@ def _checked(task: Task, table: pa.Table) -> FloatArray:
     return answers
 
 
-def score_submission(folder: Path | str, *, seed: int = SEED) -> dict[str, Any]:
+def score_submission(folder: Path | str, *, sealed: int | None = None) -> dict[str, Any]:
     """Score a submission beside the limit on the same cases.
+
+    Args:
+        folder: of card and answers.
+        sealed: secret seed of the split that it answers; None for the public one.
 
     Returns:
         For JSON: the card's fields, `metric`, its `value` with `low` and `high` (95 %), and `costs`, what the cases
@@ -172,41 +174,22 @@ def score_submission(folder: Path | str, *, seed: int = SEED) -> dict[str, Any]:
     Raises:
         InputError: the submission is refused.
     """
-    card, task, answers = read_submission(folder, seed=seed)
-    cases = task.test(seed)
-    weights = resampling_weights(task.n_test, 0, groups=cases.motor)
-    costs = task.costs(cases.truth, answers)
-    value, low, high = interval(task.figures(costs, weights))
-    scored = {
-        **asdict(card),
-        "metric": task.metric,
-        "n_test": task.n_test,
-        "value": value,
-        "low": low,
-        "high": high,
-    }
-    if task.bracket is not None:
-        scored["bracket"] = task.bracket
+    card, task, answers = read_submission(folder, sealed=sealed)
+    cases = task.test()
     best = task.limit(cases.X)
-    if best is not None:
-        best_costs = task.costs(cases.truth, best)
-        scored["limit"] = float(task.figures(best_costs, weights)[0])
+    every = {"mine": answers} | ({} if best is None else {"limit": best})
+    weights = resampling_weights(task.n_test, 0, groups=cases.motor)
+    results = score(task, cases.truth, every, weights, None if best is None else "limit")
+    own = results["mine"]
+    row = {**asdict(card), "metric": task.metric, "n_test": task.n_test, **own.value._asdict()}
+    if task.bracket is not None:
+        row["bracket"] = task.bracket
+    if own.against_limit is not None:
+        row["limit"] = results["limit"].value.value
         names = ("above_limit", "above_limit_low", "above_limit_high")
-        scored |= dict(zip(names, paired(task, costs, best_costs, weights), strict=True))
-    return scored | {"costs": base64.b64encode(zlib.compress(costs.astype(np.float32).tobytes(), 9)).decode()}
-
-
-def interval(figures: FloatArray) -> tuple[float, float, float]:
-    """A figure and the ends of its 95 % interval, from its values under bootstrap weights (the first: itself)."""
-    low, high = np.quantile(figures[1:], [0.025, 0.975])
-    return float(figures[0]), float(low), float(high)
-
-
-def paired(
-    task: Task, costs: FloatArray, others: FloatArray, weights: FloatArray
-) -> tuple[float, float, float]:
-    """The metric minus another's on the same cases, with its 95 % interval."""
-    return interval(task.figures(costs, weights) - task.figures(others, weights))
+        row |= dict(zip(names, own.against_limit.difference, strict=True))
+    packed = zlib.compress(own.costs.astype(np.float32).tobytes(), 9)
+    return row | {"costs": base64.b64encode(packed).decode()}
 
 
 def unpacked_costs(scored: dict[str, Any]) -> FloatArray:

@@ -7,8 +7,8 @@ from dataclasses import replace
 from importlib.resources import files
 from typing import Any
 
-from motor_classifiers.contest import questions
-from motor_classifiers.contest.task import Task
+from motor_classifiers.contest.questions import ReferenceTask, SeverityTask, StrangerTask, StreamTask
+from motor_classifiers.scoring.task import ClassTask, DrawnTask
 from motor_env.errors import InputError
 from motor_env.motor.faults import FaultKind
 from motor_env.simulation.named_recipes import named_recipe
@@ -16,7 +16,7 @@ from motor_env.simulation.recipes import FaultClass
 from motor_env.simulation.simulate import Timing
 
 
-def _tasks() -> dict[str, Task]:
+def _tasks() -> dict[str, DrawnTask]:
     bench = named_recipe("bench")
     severities = replace(bench, classes=(FaultClass(FaultKind.BEARING, 0.0, severity_to=0.30),))
     # A winding that ages under a motor without load hardly changes its current: bearings alone.
@@ -24,43 +24,29 @@ def _tasks() -> dict[str, Task]:
     half = (FaultClass(weight=float(len(bearings))), *bearings)
     stream = replace(bench, classes=half, timing=Timing(1_000.0, 0.7))
     slow = replace(bench, timing=Timing(1_000.0, 0.1))
-    every = (
-        questions.ClassTask("bench", "Which of five classes: tolerances, current alone, 10 kHz", bench),
-        questions.ClassTask(
-            "bench-full", "Which of nine classes: all kinds of faults", named_recipe("bench-full")
+    full, field, operation = map(named_recipe, ("bench-full", "field", "operation"))
+    friction = "Which class in the field: friction, ramps, sensor errors"
+    at_work = "Which class at work: another voltage, which is a channel, and load in each case"
+    late = "When did a bearing fault set in: delay against false alarms"
+    every: tuple[DrawnTask, ...] = (
+        ClassTask("bench", "Which of five classes: tolerances, current alone, 10 kHz", recipe=bench),
+        ClassTask("bench-full", "Which of nine classes: all kinds of faults", recipe=full),
+        ClassTask("field", friction, bracket=(16.29, 16.97), recipe=field),
+        ClassTask("operation", at_work, bracket=(18.72, 20.17), recipe=operation),
+        ReferenceTask(
+            "reference", "Which class, with one healthy start of the same motor", 2000, recipe=bench
         ),
-        questions.ClassTask(
-            "field",
-            "Which class in the field: friction, ramps, sensor errors",
-            named_recipe("field"),
-            bracket=(16.29, 16.97),
+        SeverityTask(
+            "severity", "How large a bearing fault, 0 to 30 %", 2000, "RMSE, points", recipe=severities
         ),
-        questions.ClassTask(
-            "operation",
-            "Which class at work: another voltage, which is a channel, and load in each case",
-            named_recipe("operation"),
-            bracket=(18.72, 20.17),
-        ),
-        questions.ReferenceTask(
-            "reference", "Which class, with one healthy start of the same motor", bench, n_test=2000
-        ),
-        questions.SeverityTask(
-            "severity", "How large a bearing fault, 0 to 30 %", severities, n_test=2000, metric="RMSE, points"
-        ),
-        questions.StrangerTask(
+        StrangerTask(
             "unknown",
             "How strange: faults never trained on, 1 kHz",
-            slow,
-            n_test=4000,
-            metric="100 (1 - area under the ROC curve)",
+            4000,
+            "100 (1 - area under the ROC curve)",
+            recipe=slow,
         ),
-        questions.StreamTask(
-            "stream",
-            "When did a bearing fault set in: delay against false alarms",
-            stream,
-            n_test=2000,
-            metric="100 x mean cost",
-        ),
+        StreamTask("stream", late, 2000, "100 x mean cost", recipe=stream),
     )
     return {task.name: task for task in every}
 
@@ -69,7 +55,7 @@ TASKS = _tasks()
 """Every task by name."""
 
 
-def load_task(name: str) -> Task:
+def load_task(name: str) -> DrawnTask:
     """A task of motor-bench.
 
     Raises:

@@ -153,7 +153,7 @@ class ThresholdRule:
         return statistic
 
     def _log_likelihood(self, features: FloatArray) -> FloatArray:
-        """Of each class for each case, shape (n, n_classes), the windows taken as independent."""
+        """Log-likelihood of each class for each case, shape (n, n_classes), the windows taken as independent."""
         log_likelihood: FloatArray = -0.5 * np.square(features / self.own_scale).sum(axis=(-2, -1)).T
         return log_likelihood
 

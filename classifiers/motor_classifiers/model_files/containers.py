@@ -18,7 +18,7 @@ from motor_env.files import LARGEST_DATA_BYTES, read_file
 from motor_env.motor.parameters import require
 
 LARGEST_TEXT_BYTES = 32_000_000
-"""Of a JSON text: what is made of it takes up to forty times as much."""
+"""Longest JSON text: what is made of it takes up to forty times as much."""
 _CENTRAL_ENTRY = b"PK\x01\x02"
 MOST_MEMBERS = 50_000
 """Members of an archive; a forest of 200 trees has 600."""

@@ -32,7 +32,7 @@ UNDECIDED = "unusable"
 """Verdict where the model has no say: another motor, another supply, too short, too coarse."""
 
 LEAST_PROBABILITY = 0.5
-"""Of the decided verdict; below it the opinion is undecided."""
+"""Least probability of a verdict; below it the opinion is undecided."""
 
 
 class Opinion(NamedTuple):

@@ -10,14 +10,14 @@ from scipy.stats import norm
 from motor_classifiers.estimators.features import whitened_residual
 from motor_classifiers.report.charts import trace_chart
 from motor_classifiers.report.names import readable
-from motor_classifiers.scoring.benchmark import CellResult, MethodResult
-from motor_classifiers.scoring.judging import TEST_FIRST_CASE, judged_cases
+from motor_classifiers.scoring.score import ClassResult, Results
+from motor_classifiers.scoring.task import TEST_FIRST_CASE, judged_cases
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.parameters import Channel, FloatArray
 from motor_env.simulation.simulate import simulate_states
 
 ALARM_RATE = 0.01
-"""Of the thresholds drawn, for a start of a motor known exactly."""
+"""False alarms at the thresholds drawn, in starts of a motor known exactly."""
 
 SMOOTH = 50
 """Samples of the running mean at most, and a twentieth of the start."""
@@ -31,9 +31,9 @@ def running_mean(values: FloatArray, count: int) -> FloatArray:
     return mean
 
 
-def examples(result: CellResult, best: MethodResult) -> list[dict[str, Any]]:
+def examples(result: Results, best: ClassResult) -> list[dict[str, Any]]:
     """The first test start of each class, drawn anew; empty without a current or a step of the supply."""
-    recipe = result.cell.recipe
+    recipe = result.task.recipe
     if Channel.CURRENT not in recipe.sensor.channels or recipe.duty is not None:
         return []
     column = recipe.sensor.channels.index(Channel.CURRENT)
@@ -41,9 +41,9 @@ def examples(result: CellResult, best: MethodResult) -> list[dict[str, Any]]:
     nominal = simulate_states(recipe.motor, recipe.nominal_voltage_v, recipe.timing.dt_s)[:, 0]
     rows = [np.flatnonzero(result.truth == n) for n in range(len(recipe.classes))]
     chosen = [(n, int(members[0])) for n, members in enumerate(rows) if len(members)]
-    numbers = judged_cases(recipe, TEST_FIRST_CASE, result.cell.n_test)[[case for _, case in chosen]]
-    cases = generate_arrays(recipe, result.cell.seed, numbers).X.astype(np.float64)
-    answer = best.judged.answer
+    numbers = judged_cases(recipe, TEST_FIRST_CASE, result.task.n_test)[[case for _, case in chosen]]
+    cases = generate_arrays(recipe, result.task.seed, numbers).X.astype(np.float64)
+    answer = best.answer
     smooth_over = min(SMOOTH, max(1, recipe.timing.n_samples // 20))
     n_channels = cases.shape[1]
     whitened = whitened_residual(recipe, cases).reshape(len(cases), -1, n_channels)[..., column]

@@ -16,11 +16,11 @@ from motor_classifiers.report.examples import ALARM_RATE, examples
 from motor_classifiers.report.names import readable, short
 from motor_classifiers.report.sweep_page import sweep_section
 from motor_classifiers.report.trust_page import trust_section
-from motor_classifiers.scoring.benchmark import SIGNIFICANCE, CellResult, Judged, MethodResult
 from motor_classifiers.scoring.metrics import Score
 from motor_classifiers.scoring.peers import PEERS
 from motor_classifiers.scoring.plan import Plan
 from motor_classifiers.scoring.results import as_csv, family, result_rows, trust_document
+from motor_classifiers.scoring.score import SIGNIFICANCE, ClassResult, Results
 from motor_env.files import write_text
 from motor_env.pages.html import render
 from motor_env.simulation.recipe_files import recipe_to_dict
@@ -28,7 +28,7 @@ from motor_env.simulation.recipe_files import recipe_to_dict
 _QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
 
 
-def render_report(plan: Plan, results: Sequence[CellResult], machine: str) -> str:
+def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
     """The page as HTML.
 
     Args:
@@ -37,34 +37,35 @@ def render_report(plan: Plan, results: Sequence[CellResult], machine: str) -> st
         machine: what it ran on, in words.
     """
     result = results[plan.reference]
-    recipe, ranked = result.cell.recipe, result.ranked()
-    ours = [method for method in ranked if not method.origin]
+    recipe, ranked = result.task.recipe, result.ranked()
+    ours = [method for method in ranked if not method.answer.origin]
     return render(
         "motor_classifiers.report",
         "report.html.j2",
         title=f"Motor fault classifiers on {recipe.name}",
         filters={"share": _share, "points": _points, "quantity": _quantity, "readable": readable},
-        cell=result.cell,
+        task=result.task,
         recipe=recipe,
         machine=machine,
         best=ours[0],
-        best_peer=next((method for method in ranked if method.origin), None),
-        origins=sorted({method.origin for method in ranked if method.origin}),
+        best_peer=next((method for method in ranked if method.answer.origin), None),
+        origins=sorted({method.answer.origin for method in ranked if method.answer.origin}),
         titles=PEERS | {name: find_method(name).title for name in plan.methods},
         methods=ranked,
         limit=result.limit,
         estimated=result.limit_is_estimate,
         limit_name="Best estimate of the limit" if result.limit_is_estimate else "Bayes limit",
         limit_expected=float(result.limit.answer.probabilities.max(axis=1).mean()),
-        leaks=[(name, other.cell.title) for other in results for name in other.leaks],
+        leaks=[(name, other.task.title) for other in results for name in other.leaks],
+        above=result.leaks,
         significance=SIGNIFICANCE,
         n_comparisons=plan.n_comparisons,
         short_titles=[short(name) for name in recipe.class_names],
         class_titles=[readable(name) for name in recipe.class_names],
         accuracy_chart=_score_chart(result, ranked, "accuracy", "Bayes limit on these motors"),
         sub_charts=_sub_charts(result, ranked),
-        confusions=[_confusion("limit", result.limit), *(_confusion(m.name, m.judged) for m in ranked)],
-        reliability=_reliability(result, ranked),
+        confusions=[_confusion(one) for one in (result.limit, *ranked)],
+        reliability=_reliability((result.limit, *ranked)),
         severity_chart=_severity_chart(result, _severity_methods(ranked)),
         severity_methods=[method.name for method in _severity_methods(ranked)],
         examples=examples(result, ours[0]),
@@ -72,9 +73,7 @@ def render_report(plan: Plan, results: Sequence[CellResult], machine: str) -> st
         trust=trust_section(result),
         sweep=sweep_section(plan, results) if len(results) > 1 else None,
         against=[
-            (method.name, result.difference(ours[0].name, method.name))
-            for method in ranked
-            if method is not ours[0]
+            (method.name, result.difference(method, ours[0])) for method in ranked if method is not ours[0]
         ],
     )
 
@@ -84,7 +83,7 @@ def _share(score: Score, digits: int = 1) -> str:
 
 
 def _points(value: float, digits: int = 2) -> str:
-    text = f"{100.0 * value:.{digits}f}"
+    text = f"{value:.{digits}f}"
     return text.replace("-", "−") if float(text) else f"{0.0:.{digits}f}"
 
 
@@ -95,16 +94,14 @@ def _quantity(value: float | None) -> str:
     return f"{value:.0f}" if value >= 20.0 else f"{value:.1f}"
 
 
-def _score_chart(
-    result: CellResult, ranked: Sequence[MethodResult], name: str, label: str, **shape: Any
-) -> str:
+def _score_chart(result: Results, ranked: Sequence[ClassResult], name: str, label: str, **shape: Any) -> str:
     limit: Score = getattr(result.limit.scores, name)
-    bars = [(m.name, family(m), getattr(m.judged.scores, name)) for m in ranked]
+    bars = [(m.name, family(m), getattr(m.scores, name)) for m in ranked]
     text = label.replace("Bayes limit", "Estimated limit") if result.limit_is_estimate else label
     return interval_chart(bars, limit.value, f"{text}: {100.0 * limit.value:.1f} %", **shape)
 
 
-def _sub_charts(result: CellResult, ranked: Sequence[MethodResult]) -> list[dict[str, str]]:
+def _sub_charts(result: Results, ranked: Sequence[ClassResult]) -> list[dict[str, str]]:
     parts = {
         "winding": ("Winding", "a winding fault or none"),
         "bearing": ("Bearing", "a bearing fault or none"),
@@ -121,15 +118,14 @@ def _sub_charts(result: CellResult, ranked: Sequence[MethodResult]) -> list[dict
     ]
 
 
-def _confusion(name: str, judged: Judged) -> dict[str, Any]:
-    counts = judged.scores.confusion
+def _confusion(result: ClassResult) -> dict[str, Any]:
+    counts = result.scores.confusion
     totals = np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    return {"name": name, "counts": counts.tolist(), "shares": (100.0 * counts / totals).tolist()}
+    return {"name": result.name, "counts": counts.tolist(), "shares": (100.0 * counts / totals).tolist()}
 
 
-def _reliability(result: CellResult, ranked: Sequence[MethodResult]) -> list[dict[str, Any]]:
-    judged = [("limit", result.limit), *((method.name, method.judged) for method in ranked)]
-    graded = [(name, one.calibration) for name, one in judged if one.calibration is not None]
+def _reliability(shown: Sequence[ClassResult]) -> list[dict[str, Any]]:
+    graded = [(one.name, one.calibration) for one in shown if one.calibration is not None]
     lowest = min(float(np.nanmin(scores.reliability.confidence)) for _, scores in graded)
     low = max(0.0, np.floor(10.0 * lowest) / 10.0)
     return [
@@ -138,43 +134,39 @@ def _reliability(result: CellResult, ranked: Sequence[MethodResult]) -> list[dic
     ]
 
 
-def _severity_methods(ranked: Sequence[MethodResult]) -> list[MethodResult]:
+def _severity_methods(ranked: Sequence[ClassResult]) -> list[ClassResult]:
     """The most exact of ours, and of the peers that grade."""
     graded = sorted(
-        (method for method in ranked if method.judged.calibration is not None),
-        key=lambda method: method.judged.severity_rmse.value,
+        (method for method in ranked if method.calibration is not None),
+        key=lambda method: method.severity_rmse.value,
     )
-    ours = [method for method in graded if not method.origin][:1]
-    return ours + [method for method in graded if method.origin][:1]
+    ours = [method for method in graded if not method.answer.origin][:1]
+    return ours + [method for method in graded if method.answer.origin][:1]
 
 
-def _severity_chart(result: CellResult, chosen: Sequence[MethodResult]) -> str:
-    recipe = result.cell.recipe
-    shown = [
-        ("limit", "limit", result.limit),
-        *((m.name, style, m.judged) for m, style in zip(chosen, ("s1", "s4"), strict=False)),
-    ]
+def _severity_chart(result: Results, chosen: Sequence[ClassResult]) -> str:
+    recipe = result.task.recipe
     present = [n for n in range(len(recipe.classes)) if (result.truth == n).any()]
     boxes = [
         (
-            name,
+            one.name,
             style,
-            [np.quantile(one.answer.severity[result.truth == n], _QUANTILES).tolist() for n in present],
+            [np.quantile(one.severity[result.truth == n], _QUANTILES).tolist() for n in present],
         )
-        for name, style, one in shown
+        for one, style in zip((result.limit, *chosen), ("limit", "s1", "s4"), strict=False)
     ]
     truth = [float(result.severity[result.truth == n].mean()) for n in present]
     return severity_chart([readable(recipe.class_names[n]) for n in present], truth, boxes)
 
 
-def write_results(plan: Plan, results: Sequence[CellResult], folder: Path) -> Path:
+def write_results(plan: Plan, results: Sequence[Results], folder: Path) -> Path:
     """Write results.json, results.csv, trust.json, recipes.json and report.html, each whole or not at all.
 
     Returns:
         The page's path.
     """
     rows = result_rows(results)
-    recipes = {cell.recipe.name: recipe_to_dict(cell.recipe) for cell in reversed(plan.cells)}
+    recipes = {task.recipe.name: recipe_to_dict(task.recipe) for task in reversed(plan.tasks)}
     write_text(folder / "results.json", json.dumps(rows, indent=1) + "\n")
     write_text(folder / "results.csv", as_csv(rows))
     write_text(folder / "trust.json", json.dumps(trust_document(results), indent=1, allow_nan=False) + "\n")

@@ -6,14 +6,16 @@ from typing import Any
 
 from sklearn.base import BaseEstimator
 
-from motor_classifiers.estimators.own_methods import answered
-from motor_classifiers.scoring.calibration import calibration_scores
-from motor_classifiers.scoring.judging import best_probabilities, expected_severity, in_recipe_order
-from motor_classifiers.scoring.metrics import compare, resampling_weights, root_mean_square, scores
-from motor_classifiers.scoring.results import SCORES, comparison_fields, score_fields
+from motor_classifiers.scoring.judging import Answer, answer_of
+from motor_classifiers.scoring.progress import Cost
+from motor_classifiers.scoring.results import SCORES, comparison_fields, limit_fields, score_fields
+from motor_classifiers.scoring.score import score_classes
+from motor_classifiers.scoring.task import GivenTask
 from motor_datasets.arrays import Dataset
 from motor_env.errors import InputError
 from motor_env.simulation.recipes import Recipe
+
+_UNTOLD = Cost(0.0, None)  # what answers took is not asked
 
 
 def evaluate_model(model: BaseEstimator, recipe: Recipe, test: Dataset, seed: int) -> dict[str, Any]:
@@ -30,23 +32,18 @@ def evaluate_model(model: BaseEstimator, recipe: Recipe, test: Dataset, seed: in
         raise InputError(
             f"the data set has the classes {', '.join(theirs.class_names)}, the model {', '.join(recipe.class_names)}"
         )
-    weights = resampling_weights(len(test), seed, groups=test.motor_id)
-    probabilities = in_recipe_order(model, answered(model, test.X), recipe)
-    limit = best_probabilities(theirs, test.X)
-    right = limit.argmax(axis=1) == test.class_index
-    decided = probabilities.argmax(axis=1)
-    calibration = calibration_scores(probabilities, test.class_index)
-    severity_error = expected_severity(recipe, probabilities) - test.severity
+    task = GivenTask(theirs.name, "a data set", len(test), recipe=theirs, seed=seed, given=test)
+    model_says, best = (
+        Answer(probabilities, _UNTOLD, _UNTOLD)
+        for probabilities in (answer_of(model, recipe, test.X), task.best(test.X))
+    )
+    results = score_classes(task, {"model": model_says}, best)
+    (own,) = results.methods
     return {
         "n_test": len(test),
-        **score_fields(recipe, scores(recipe, test.class_index, decided, weights)),
-        "severity_rmse": root_mean_square(severity_error, weights).value,
-        "log_loss": calibration.log_loss,
-        "ece": calibration.ece,
-        "bayes_accuracy": float(right.mean()),
-        "bayes_log_loss": calibration_scores(limit, test.class_index).log_loss,
-        "bayes_is_estimate": theirs.field is not None,
-        **comparison_fields(compare(decided == test.class_index, right, weights)),
+        **score_fields(recipe, own),
+        **limit_fields(results),
+        **comparison_fields(own),
     }
 
 

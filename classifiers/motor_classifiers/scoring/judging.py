@@ -8,7 +8,6 @@ import multiprocessing
 import traceback
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,21 +20,14 @@ from motor_classifiers.estimators.methods import METHODS
 from motor_classifiers.estimators.own_methods import answered, fed, find_method, source_of
 from motor_classifiers.model_files.containers import read_arrays
 from motor_classifiers.scoring.progress import Cost, with_cost
-from motor_datasets.arrays import Dataset
-from motor_datasets.generate import generate_arrays
+from motor_classifiers.scoring.task import ClassTask
 from motor_env import __version__
 from motor_env.errors import InputError
 from motor_env.files import replacing
-from motor_env.inference.posterior import class_probabilities
-from motor_env.inference.work_features import work_probabilities
-from motor_env.motor.parameters import FloatArray, require
+from motor_env.motor.parameters import FloatArray
 from motor_env.processes import end_with_parent
 from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
-
-TRAIN_FIRST_CASE = 0
-TEST_FIRST_CASE = 1_000_000_000
-"""Training and test motors are different cases of one seed, so they never meet."""
 
 LIMIT = "limit"
 """Name of the posterior's answer among the methods'."""
@@ -44,84 +36,21 @@ _ROUNDS = 3
 _LONG_ENOUGH_S = 2.0  # of a timing: slower methods are timed once
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """One setting of the benchmark.
-
-    Attributes:
-        recipe: what motors are drawn from, with its rate and noise.
-        n_train: starts to learn from.
-        n_test: starts to be judged on.
-        seed: of motors, noise, training and bootstrap.
-    """
-
-    recipe: Recipe
-    n_train: int = 2000
-    n_test: int = 2000
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("n_train", "n_test"):
-            require(getattr(self, name) >= 50, f"{name} must be >= 50, got {getattr(self, name)}")
-
-    @property
-    def title(self) -> str:
-        """The setting in words."""
-        rate, noise = self.recipe.timing.sampling_rate_hz, self.recipe.sensor.current_noise_a
-        return f"{self.recipe.name}, {rate / 1e3:g} kHz, {1e3 * noise:g} mA, {self.n_train} training starts"
-
-    def as_json(self) -> dict[str, Any]:
-        """The setting as fields of a row."""
-        timing, sensor = self.recipe.timing, self.recipe.sensor
-        return {
-            "recipe": self.recipe.name,
-            "sampling_rate_hz": timing.sampling_rate_hz,
-            "duration_s": timing.duration_s,
-            "noise_a": sensor.current_noise_a,
-            "channels": [str(channel) for channel in sensor.channels],
-            "n_train": self.n_train,
-            "n_test": self.n_test,
-            "seed": self.seed,
-        }
-
-    def train(self) -> Dataset:
-        """Starts to learn from."""
-        return judged_starts(self.recipe, self.seed, TRAIN_FIRST_CASE, self.n_train)
-
-    def test(self) -> Dataset:
-        """Starts to be judged on, the same for every method."""
-        return judged_starts(self.recipe, self.seed, TEST_FIRST_CASE, self.n_test)
-
-
-def judged_cases(recipe: Recipe, first: int, count: int) -> NDArray[np.int64]:
-    """Numbers of the first cases that are no commissioning starts: those are healthy, and known to be."""
-    starts, healthy = recipe.starts_per_motor, recipe.healthy_starts
-    if healthy == starts:
-        raise InputError(f"all starts of recipe {recipe.name} are healthy ones: nothing to tell")
-    per_motor = starts - healthy
-    motors = np.arange(-(-count // per_motor))[:, None] + -(-first // starts)
-    return (motors * starts + np.arange(healthy, starts)).ravel()[:count]
-
-
-def judged_starts(recipe: Recipe, seed: int, first: int, count: int) -> Dataset:
-    """The starts of these numbers (`judged_cases`)."""
-    return generate_arrays(recipe, seed, judged_cases(recipe, first, count))
-
-
 class Answer(NamedTuple):
     """What a method says of the test starts, and what that took.
 
     Attributes:
         probabilities: in the recipe's order of classes, shape (n_test, n_classes).
-        severity: estimate, 0.01 for a point, shape (n_test,).
         train: seconds and memory of training.
-        inference: the same of all test starts in one batch on one thread; of quick methods the least of three times.
+        inference: seconds and memory of judging all starts in one batch on one thread; of quick methods the least time
+            of three.
+        origin: where a peer's answers come from; empty for methods that this run judged.
     """
 
     probabilities: FloatArray
-    severity: FloatArray
     train: Cost
     inference: Cost
+    origin: str = ""
 
     @property
     def decided(self) -> NDArray[np.int64]:
@@ -155,27 +84,31 @@ def expected_severity(recipe: Recipe, probabilities: FloatArray) -> FloatArray:
     return expected
 
 
-def judge(name: str, cell: Cell) -> Answer:
-    """Train a method and let it judge, in this process."""
-    train, test = cell.train(), cell.test()
+def answer_of(model: BaseEstimator, recipe: Recipe, X: NDArray[np.float32]) -> FloatArray:
+    """A fitted model's probabilities in the order of the recipe's classes, shape (n_cases, n_classes)."""
+    return in_recipe_order(model, answered(model, X), recipe)
+
+
+def judge(name: str, task: ClassTask, random_state: int | None = None) -> Answer:
+    """Train a method, by default with the task's seed, and let it judge, in this process."""
+    train, X = task.train(), task.test().X
     method = find_method(name)
-    unfitted = method.make(cell.recipe, cell.seed % 2**32)
+    unfitted = method.make(task.recipe, task.seed % 2**32 if random_state is None else random_state)
     if method.from_stream:
         unfitted.set_params(with_severity=False)  # only probabilities are asked for
     with threadpool_limits(1):
         model, training = with_cost(lambda: method.train(unfitted, fed(unfitted, train.X), train.class_name))
-        raw, inference = with_cost(lambda: answered(model, test.X))
+        probabilities, inference = with_cost(lambda: answer_of(model, task.recipe, X))
         if inference.seconds < _LONG_ENOUGH_S:
-            again = min(with_cost(lambda: answered(model, test.X))[1].seconds for _ in range(_ROUNDS - 1))
+            again = min(with_cost(lambda: answered(model, X))[1].seconds for _ in range(_ROUNDS - 1))
             inference = inference._replace(seconds=min(inference.seconds, again))
-    probabilities = in_recipe_order(model, raw, cell.recipe)
-    return Answer(probabilities, expected_severity(cell.recipe, probabilities), training, inference)
+    return Answer(probabilities, training, inference)
 
 
-def _judge_foreign(name: str, cell: Cell) -> Answer:
-    """The same for a method of somebody else's: whatever it raises becomes a sentence that says where."""
+def _judge_foreign(name: str, task: ClassTask) -> Answer:
+    """Judge by a method of somebody else's: whatever it raises becomes a sentence that says where."""
     try:
-        return judge(name, cell)
+        return judge(name, task)
     except InputError:
         raise
     except Exception as error:
@@ -185,8 +118,8 @@ def _judge_foreign(name: str, cell: Cell) -> Answer:
         ) from error
 
 
-def judge_apart(name: str, cell: Cell) -> Answer:
-    """The same in a fresh process: no method sees what another one left in memory, caches or thread pools.
+def judge_apart(name: str, task: ClassTask) -> Answer:
+    """Train and judge in a fresh process: no method sees what another left in memory, caches or thread pools.
 
     Raises:
         InputError: the method cannot learn from these starts, or its process ended without an answer.
@@ -197,7 +130,7 @@ def judge_apart(name: str, cell: Cell) -> Answer:
         context.set_forkserver_preload([__name__])  # imports are paid once, not for every method
     with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
         try:
-            return pool.submit(judge if name in METHODS else _judge_foreign, name, cell).result()
+            return pool.submit(judge if name in METHODS else _judge_foreign, name, task).result()
         except KeyboardInterrupt:
             for worker in multiprocessing.active_children():
                 worker.terminate()  # closing the pool would wait for its answer
@@ -206,38 +139,28 @@ def judge_apart(name: str, cell: Cell) -> Answer:
             reason = "its process ended without an answer; is there memory enough?"
         except (ValueError, np.linalg.LinAlgError) as error:
             reason = str(error)
-    raise InputError(f"{name} on {cell.title}: {reason}")
+    raise InputError(f"{name} on {task.title}: {reason}")
 
 
-def best_probabilities(recipe: Recipe, X: NDArray[np.float32]) -> FloatArray:
-    """Bayes-optimal probabilities; where the likelihood has no closed form, of the motor without its field.
-
-    Of motors at work the posterior of the motor that is linear around its fit.
-    """
-    if recipe.duty is None:
-        return class_probabilities(recipe, X)
-    return work_probabilities(recipe, X.astype(np.float64))
-
-
-def posterior(cell: Cell) -> Answer:
+def posterior(task: ClassTask) -> Answer:
     """Bayes-optimal probabilities of the test starts, or their estimate; nothing is trained."""
-    test = cell.test()
+    X = task.test().X
     with threadpool_limits(1):
-        best_probabilities(cell.recipe, test.X[:8])  # compiles, or loads what was compiled
-        probabilities, inference = with_cost(lambda: best_probabilities(cell.recipe, test.X))
-    return Answer(probabilities, expected_severity(cell.recipe, probabilities), Cost(0.0, 0.0), inference)
+        task.best(X[:8])  # compiles, or loads what was compiled
+        probabilities, inference = with_cost(lambda: task.best(X))
+    return Answer(probabilities, Cost(0.0, 0.0), inference)
 
 
-def answer_key(name: str, cell: Cell) -> str:
+def answer_key(name: str, task: ClassTask) -> str:
     """Digest of all that an answer depends on: setting, method, version of the package."""
     contents: dict[str, Any] = {
         "method": name,
-        "recipe": recipe_to_dict(cell.recipe),
-        "n_test": cell.n_test,
-        "seed": cell.seed,
+        "recipe": recipe_to_dict(task.recipe),
+        "n_test": task.n_test,
+        "seed": task.seed,
     }
     if name != LIMIT and not find_method(name).from_stream:
-        contents["n_train"] = cell.n_train
+        contents["n_train"] = task.n_train
         contents |= {"source": source} if (source := source_of(name)) else {}
     return digest_of(contents)
 
@@ -251,26 +174,22 @@ def digest_of(contents: dict[str, Any]) -> str:
 def save_answer(answer: Answer, path: Path) -> None:
     """Write an answer; the file appears whole or not at all."""
     costs = [*answer.train, *answer.inference]
+    known = np.array([np.nan if cost is None else cost for cost in costs], dtype=np.float64)
     with replacing(path) as temporary:
-        np.savez_compressed(
-            temporary,
-            probabilities=answer.probabilities,
-            severity=answer.severity,
-            costs=np.array([np.nan if cost is None else cost for cost in costs], dtype=np.float64),
-        )
+        np.savez_compressed(temporary, probabilities=answer.probabilities, costs=known)
 
 
-def load_answer(path: Path, cell: Cell) -> Answer | None:
+def load_answer(path: Path, task: ClassTask) -> Answer | None:
     """Read an answer; None where there is none, or only a damaged one."""
     try:
         found = read_arrays(path)
     except InputError:
         return None
-    n_test = cell.n_test
-    wanted = {"probabilities": (n_test, len(cell.recipe.classes)), "severity": (n_test,), "costs": (4,)}
-    if {name: values.shape for name, values in found.items()} != wanted:
+    wanted = {"probabilities": (task.n_test, len(task.recipe.classes)), "costs": (4,)}
+    # Files of older versions hold the severity, too, which follows from the probabilities.
+    if {name: values.shape for name, values in found.items() if name != "severity"} != wanted:
         return None
     train, inference = (
         Cost(s, None if np.isnan(mb) else mb) for s, mb in found["costs"].reshape(2, 2).tolist()
     )
-    return Answer(found["probabilities"], found["severity"], train, inference)
+    return Answer(found["probabilities"], train, inference)

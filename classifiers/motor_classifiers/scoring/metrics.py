@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
+from motor_classifiers.scoring.task import Task
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
@@ -15,8 +16,8 @@ from motor_env.simulation.recipes import Recipe
 IntArray = NDArray[np.int64]
 
 N_RESAMPLES = 2000
-LEVEL = 0.95
-"""Of every interval."""
+ENDS = (0.025, 0.975)
+"""Quantiles at which every interval ends."""
 
 WINDING = frozenset({FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT})
 BEARING = frozenset({FaultKind.BEARING})
@@ -104,11 +105,12 @@ def _ratio(part: FloatArray, whole: FloatArray) -> FloatArray:
     return ratio
 
 
-def _interval(values: FloatArray) -> Score:
+def interval(values: FloatArray) -> Score:
+    """A figure and its interval, from its values under bootstrap weights: the first is the figure itself."""
     rest = values[1:][np.isfinite(values[1:])]
     if not np.isfinite(values[0]) or not len(rest):
         return Score(float("nan"), float("nan"), float("nan"))
-    low, high = np.quantile(rest, [0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0])
+    low, high = np.quantile(rest, ENDS)
     return Score(float(values[0]), float(low), float(high))
 
 
@@ -132,22 +134,22 @@ def scores(recipe: Recipe, truth: IntArray, decided: IntArray, weights: FloatArr
     kinds = np.array([c.label_kind for c in recipe.classes])
     same_kind = (kinds[:, None] == kinds) & ~healthy
     return Scores(
-        accuracy=_interval(hits.sum(axis=1) / total),
-        macro_f1=_interval(f1.mean(axis=1)),
-        recall=tuple(_interval(recall[:, n]) for n in range(n_classes)),
-        false_alarm_rate=_interval(_share_called(matrices, healthy, ~healthy)),
-        missed_detection_rate=_interval(_share_called(matrices, ~healthy, healthy)),
-        level_error=_interval((matrices * level_distance(recipe)).sum(axis=(1, 2)) / total),
-        winding=_interval(_balanced_accuracy(matrices, _classes_with(recipe, WINDING))),
-        bearing=_interval(_balanced_accuracy(matrices, _classes_with(recipe, BEARING))),
-        level=_interval(_ratio(hits[:, ~healthy].sum(axis=1), (matrices * same_kind).sum(axis=(1, 2)))),
+        accuracy=interval(hits.sum(axis=1) / total),
+        macro_f1=interval(f1.mean(axis=1)),
+        recall=tuple(interval(recall[:, n]) for n in range(n_classes)),
+        false_alarm_rate=interval(_share_called(matrices, healthy, ~healthy)),
+        missed_detection_rate=interval(_share_called(matrices, ~healthy, healthy)),
+        level_error=interval((matrices * level_distance(recipe)).sum(axis=(1, 2)) / total),
+        winding=interval(_balanced_accuracy(matrices, _classes_with(recipe, WINDING))),
+        bearing=interval(_balanced_accuracy(matrices, _classes_with(recipe, BEARING))),
+        level=interval(_ratio(hits[:, ~healthy].sum(axis=1), (matrices * same_kind).sum(axis=(1, 2)))),
         confusion=matrices[0].astype(np.int64),
     )
 
 
 def root_mean_square(errors: FloatArray, weights: FloatArray) -> Score:
     """Root mean square of errors of the cases, shape (n_cases,)."""
-    return _interval(np.sqrt(weights @ np.square(errors) / weights.sum(axis=1)))
+    return interval(np.sqrt(weights @ np.square(errors) / weights.sum(axis=1)))
 
 
 def _share_called(matrices: FloatArray, true: NDArray[np.bool_], called: NDArray[np.bool_]) -> FloatArray:
@@ -170,9 +172,9 @@ class Comparison(NamedTuple):
     """Two methods on the same cases.
 
     Attributes:
-        difference: accuracy of the first minus that of the second, with its paired bootstrap interval.
-        only_first: cases that only the first decides rightly.
-        only_second: cases that only the second decides rightly.
+        difference: the metric of the first minus that of the second, with its paired bootstrap interval.
+        only_first: cases that cost the first less: of class tasks those that only it decides rightly.
+        only_second: cases that cost the second less.
         p_above: probability of so many wins of the first, or more, if both were equally good (exact one-sided
             McNemar test, 1947).
     """
@@ -183,11 +185,9 @@ class Comparison(NamedTuple):
     p_above: float
 
 
-def compare(
-    first_right: NDArray[np.bool_], second_right: NDArray[np.bool_], weights: FloatArray
-) -> Comparison:
-    """Compare in pairs; arguments are hits on the same cases, shape (n_cases,)."""
-    gain = first_right.astype(np.float64) - second_right
-    only_first, only_second = int((gain > 0).sum()), int((gain < 0).sum())
+def compare(task: Task, first: FloatArray, second: FloatArray, weights: FloatArray) -> Comparison:
+    """Compare in pairs; `first` and `second` are costs of the same cases, shape (n_cases,)."""
+    only_first, only_second = int((first < second).sum()), int((second < first).sum())
     p_above = float(binom.sf(only_first - 1, only_first + only_second, 0.5)) if only_first else 1.0
-    return Comparison(_interval(weights @ gain / weights.sum(axis=1)), only_first, only_second, p_above)
+    difference = interval(task.figures(first, weights) - task.figures(second, weights))
+    return Comparison(difference, only_first, only_second, p_above)

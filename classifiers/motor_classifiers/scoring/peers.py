@@ -7,7 +7,6 @@ and `read_peers` brings the answers back. Answers for the shipped setting are pa
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_classifiers.model_files.containers import read_arrays
-from motor_classifiers.scoring.judging import Answer, Cell, expected_severity
+from motor_classifiers.scoring.judging import Answer
 from motor_classifiers.scoring.progress import Cost
+from motor_classifiers.scoring.task import ClassTask
 from motor_datasets.arrays import Dataset
 from motor_env.errors import InputError
 from motor_env.files import replacing
@@ -36,19 +36,6 @@ _SAME_MEAN_A = 1e-6  # between machines the last bits of a simulated start may d
 def shipped_peers() -> Path:
     """Answers for the default setting: made by `make peers-anew`."""
     return Path(str(files("motor_classifiers.scoring"))) / "peers.npz"
-
-
-@dataclass(frozen=True, slots=True)
-class Peers:
-    """Answers of peers on the test starts of one setting.
-
-    Attributes:
-        answers: by name; a slow peer may have judged the first starts only.
-        origin: when, where and by which command they were measured.
-    """
-
-    answers: dict[str, Answer]
-    origin: str
 
 
 def _means(X: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -74,8 +61,10 @@ def export_starts(train: Dataset, test: Dataset, path: Path) -> None:
         np.savez(temporary, allow_pickle=False, train_X=train.X, test_X=test.X, **arrays)
 
 
-def read_peers(path: Path, cell: Cell) -> Peers | None:
-    """Answers of peers to the starts of a setting; None when the file's starts are others.
+def read_peers(path: Path, task: ClassTask) -> dict[str, Answer] | None:
+    """Answers of peers to the starts of a setting, by name; None when the file's starts are others.
+
+    A slow peer may have judged the first starts only.
 
     Raises:
         InputError: no such file, or not one that benchmarks/aeon_peers.py wrote.
@@ -83,41 +72,39 @@ def read_peers(path: Path, cell: Cell) -> Peers | None:
     arrays = read_arrays(path)
     try:
         facts = json.loads(str(arrays["facts"]))
-        if not _same_starts(arrays, cell):
+        if not _same_starts(arrays, task):
             return None
-        answers = {
-            name: _answer(arrays[name].astype(np.float64), measured, cell)
-            for name, measured in facts["methods"].items()
-            if len(arrays[name]) >= cell.n_test
-        }
         origin = f"{facts['date']}, {facts['machine']}, aeon {facts['aeon']}, {facts['command']}"
+        return {
+            name: _answer(arrays[name].astype(np.float64), measured, task)._replace(origin=origin)
+            for name, measured in facts["methods"].items()
+            if len(arrays[name]) >= task.n_test
+        }
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             f"{path}: holds no answers of peers ({' '.join(str(error).split())[:100]})"
         ) from None
-    return Peers(answers, origin)
 
 
-def _same_starts(arrays: dict[str, NDArray[Any]], cell: Cell) -> bool:
+def _same_starts(arrays: dict[str, NDArray[Any]], task: ClassTask) -> bool:
     """Whether a file speaks of the starts of this setting; the file may hold more test starts."""
-    if len(arrays["test_mean"]) < cell.n_test or len(arrays["train_mean"]) != cell.n_train:
+    if len(arrays["test_mean"]) < task.n_test or len(arrays["train_mean"]) != task.n_train:
         return False
-    ours = _identity(cell.train(), cell.test())
+    ours = _identity(task.train(), task.starts())
     return all(
         np.allclose(arrays[name][: len(values)], values, rtol=0.0, atol=_SAME_MEAN_A)
         for name, values in ours.items()
     )
 
 
-def _answer(probabilities: FloatArray, measured: dict[str, Any], cell: Cell) -> Answer:
-    if probabilities.ndim != 2 or probabilities.shape[1] != len(cell.recipe.classes):
+def _answer(probabilities: FloatArray, measured: dict[str, Any], task: ClassTask) -> Answer:
+    if probabilities.ndim != 2 or probabilities.shape[1] != len(task.recipe.classes):
         raise ValueError(f"probabilities of shape {probabilities.shape}")
-    shown = probabilities[: cell.n_test]
+    shown = probabilities[: task.n_test]
     shown = shown / shown.sum(axis=1, keepdims=True)
     seconds = 1e-6 * float(measured["microseconds_per_transient"]) * len(shown)
     return Answer(
         shown,
-        expected_severity(cell.recipe, shown),
         Cost(float(measured["train_s"]), measured["train_memory_mb"]),
         Cost(seconds, measured["inference_memory_mb"]),
     )

@@ -13,7 +13,8 @@ import numpy as np
 from motor_classifiers.estimators.methods import ESTIMATE, METHODS
 from motor_classifiers.estimators.own_methods import find_method
 from motor_classifiers.scoring import trust
-from motor_classifiers.scoring.judging import LIMIT, Answer, Cell, answer_key, load_answer, save_answer
+from motor_classifiers.scoring.judging import LIMIT, Answer, answer_key, load_answer, save_answer
+from motor_classifiers.scoring.task import ClassTask, class_task
 from motor_env.motor.parameters import require
 from motor_env.simulation.named_recipes import changed_recipe
 from motor_env.simulation.recipes import Recipe
@@ -29,15 +30,15 @@ REFERENCE: dict[str, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is run: each method in each setting.
+    """What is run: each method on each task.
 
     Attributes:
-        cells: settings.
+        tasks: one a setting.
         methods: names of `METHODS`, of entry points, or `FILE.py:NAME` (`find_method`).
         peers: file with answers of peers; they join where its starts are those of a setting.
     """
 
-    cells: tuple[Cell, ...]
+    tasks: tuple[ClassTask, ...]
     methods: tuple[str, ...] = tuple(METHODS)
     peers: Path | None = None
 
@@ -49,7 +50,7 @@ class Plan:
     @property
     def n_comparisons(self) -> int:
         """Comparisons with the limit."""
-        return len(self.cells) * len(self.methods)
+        return len(self.tasks) * len(self.methods)
 
     @property
     def with_network(self) -> bool:
@@ -59,11 +60,11 @@ class Plan:
     @property
     def reference(self) -> int:
         """Index of the setting that the page shows in full: the one nearest to `REFERENCE`."""
-        settings = [cell.as_json() for cell in self.cells]
+        settings = [task.setting() for task in self.tasks]
         return int(np.argmax([sum(one[name] == REFERENCE[name] for name in REFERENCE) for one in settings]))
 
 
-def make_cells(
+def make_tasks(
     recipes: Sequence[Recipe],
     *,
     rates_hz: Sequence[float],
@@ -71,8 +72,8 @@ def make_cells(
     train_sizes: Sequence[int],
     n_test: int,
     seed: int,
-) -> tuple[Cell, ...]:
-    """Settings of a sweep: recipes, rates and noises crossed, and training sizes at the usual noise.
+) -> tuple[ClassTask, ...]:
+    """Tasks of a sweep: recipes, rates and noises crossed, and training sizes at the usual noise.
 
     Args:
         recipes: what motors are drawn from.
@@ -82,7 +83,7 @@ def make_cells(
         n_test: starts to be judged on.
         seed: of everything.
     """
-    cells: dict[Cell, None] = {}
+    tasks: dict[ClassTask, None] = {}
     for recipe in recipes:
         rates = rates_hz or (recipe.timing.sampling_rate_hz,)
         noises = noises_a or (recipe.sensor.current_noise_a,)
@@ -90,21 +91,21 @@ def make_cells(
         for rate, noise, n_train in product(rates, noises, train_sizes):
             if n_train == train_sizes[0] or noise == usual:
                 own = changed_recipe(recipe, sampling_rate_hz=rate, current_noise_a=noise)
-                cells[Cell(own, n_train, n_test, seed)] = None
-    return tuple(cells)
+                tasks[class_task(own, n_train, n_test, seed)] = None
+    return tuple(tasks)
 
 
 class Unit(NamedTuple):
     """One answer to be had.
 
     Attributes:
-        cell: setting.
+        task: setting.
         name: method, `LIMIT`, or `TRUST` for the figures on trust of the reference setting.
         key: of its answer.
         seconds: about how long it takes.
     """
 
-    cell: Cell
+    task: ClassTask
     name: str
     key: str
     seconds: float
@@ -113,38 +114,38 @@ class Unit(NamedTuple):
 def units(plan: Plan) -> tuple[Unit, ...]:
     """All answers that a plan needs, each once: the limit does not depend on the training starts."""
     needed: dict[str, Unit] = {}
-    for cell in plan.cells:
-        for name in (limit_of(cell), *plan.methods):
-            unit = unit_of(cell, name)
+    for task in plan.tasks:
+        for name in (limit_of(task), *plan.methods):
+            unit = unit_of(task, name)
             needed.setdefault(unit.key, unit)
     return (*needed.values(), trust_unit(plan))
 
 
-def limit_of(cell: Cell) -> str:
+def limit_of(task: ClassTask) -> str:
     """What stands for the limit: the exact posterior, its estimate at work, or the method that estimates it."""
-    return LIMIT if cell.recipe.field is None or cell.recipe.duty is not None else ESTIMATE
+    return LIMIT if task.recipe.field is None or task.recipe.duty is not None else ESTIMATE
 
 
-def unit_of(cell: Cell, name: str) -> Unit:
+def unit_of(task: ClassTask, name: str) -> Unit:
     """A method's answer, or the limit's, in a setting."""
-    return Unit(cell, name, answer_key(name, cell), _expected_seconds(name, cell))
+    return Unit(task, name, answer_key(name, task), _expected_seconds(name, task))
 
 
 def trust_unit(plan: Plan) -> Unit:
     """The figures on trust of the reference setting."""
-    cell = plan.cells[plan.reference]
-    key = trust.trust_key(cell, with_network=plan.with_network)
-    return Unit(cell, trust.TRUST, key, trust.expected_seconds(cell, with_network=plan.with_network))
+    task = plan.tasks[plan.reference]
+    key = trust.trust_key(task, with_network=plan.with_network)
+    return Unit(task, trust.TRUST, key, trust.expected_seconds(task, with_network=plan.with_network))
 
 
-def _expected_seconds(name: str, cell: Cell) -> float:
-    samples = cell.recipe.timing.n_samples / 1000.0
+def _expected_seconds(name: str, task: ClassTask) -> float:
+    samples = task.recipe.timing.n_samples / 1000.0
     if name == LIMIT:
-        return 0.5 + 1e-3 * cell.n_test * samples * len(cell.recipe.classes) / 5.0
+        return 0.5 + 1e-3 * task.n_test * samples * len(task.recipe.classes) / 5.0
     method = find_method(name)
-    if method.from_stream and cell.recipe.field is not None:
+    if method.from_stream and task.recipe.field is not None:
         return 20.0 * method.seconds  # whatever the rate: the motor's equations take small steps
-    size = 0.5 if method.from_stream else 0.5 * (cell.n_train + cell.n_test) / 2000.0
+    size = 0.5 if method.from_stream else 0.5 * (task.n_train + task.n_test) / 2000.0
     return 1.0 + method.seconds * size * (0.2 + 0.8 * samples)
 
 
@@ -168,7 +169,7 @@ class AnswerStore:
             self._answers[unit.key] = (
                 trust.load_figures(path.with_suffix(".json"))
                 if unit.name == trust.TRUST
-                else load_answer(path.with_suffix(".npz"), unit.cell)
+                else load_answer(path.with_suffix(".npz"), unit.task)
             )
         return self._answers.get(unit.key)
 

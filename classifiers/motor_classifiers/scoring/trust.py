@@ -19,9 +19,9 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # c
 from motor_classifiers.estimators.methods import ESTIMATE
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_classifiers.scoring.judging import Cell, digest_of, judged_starts
+from motor_classifiers.scoring.judging import digest_of
 from motor_classifiers.scoring.metrics import IntArray
-from motor_classifiers.scoring.severities import severity_figures
+from motor_classifiers.scoring.task import TEST_FIRST_CASE, ClassTask, judged_starts
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, Confidence, foreign_scores
 from motor_classifiers.scoring.verdict_times import (
     accuracy_by_moment,
@@ -32,8 +32,10 @@ from motor_classifiers.scoring.verdict_times import (
 )
 from motor_classifiers.wrappers.conformal import ConformalSets, Coverage, measured_coverage
 from motor_datasets.arrays import Dataset
+from motor_datasets.generate import generate_arrays
 from motor_env.files import LARGEST_TABLE_BYTES, read_json, write_text
 from motor_env.inference.posterior import class_probabilities
+from motor_env.inference.severity import SeverityPrior, severity_posterior
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipe_files import recipe_to_dict
@@ -46,10 +48,10 @@ Figures = dict[str, Any]
 """What JSON can hold; a section that is left out holds its `reason` alone."""
 
 FIRST_CASE = 2_000_000_000
-"""Of the starts that are judged here: neither training nor test starts of the benchmark."""
+"""First number of the starts judged here: neither training nor test starts of the benchmark."""
 
 TELLING_RATE_HZ = 1_000.0
-"""Of a second setting of the unknown faults: at 10 kHz every one of them is found."""
+"""Rate of a second setting of the unknown faults: at 10 kHz every one of them is found."""
 
 SECTIONS = ("unknown", "severity", "early", "race")
 
@@ -148,62 +150,62 @@ def set_figures(probabilities: Mapping[str, FloatArray], test: Dataset) -> Figur
     return {"n_test": len(test), "promised": _PROMISED, "methods": rows}
 
 
-def trust_key(cell: Cell, *, with_network: bool) -> str:
+def trust_key(task: ClassTask, *, with_network: bool) -> str:
     """Digest of all that the figures depend on."""
     contents = {
         "what": TRUST,
-        "recipe": recipe_to_dict(cell.recipe),
-        "n_train": cell.n_train,
-        "seed": cell.seed,
+        "recipe": recipe_to_dict(task.recipe),
+        "n_train": task.n_train,
+        "seed": task.seed,
         "counts": asdict(COUNTS),
         "network": with_network,
     }
     return digest_of(contents)
 
 
-def expected_seconds(cell: Cell, *, with_network: bool) -> float:
+def expected_seconds(task: ClassTask, *, with_network: bool) -> float:
     """About how long the figures take on one core."""
-    if cell.recipe.field is not None:
+    if task.recipe.field is not None:
         return 1.0
-    samples = cell.recipe.timing.n_samples / 1000.0
+    samples = task.recipe.timing.n_samples / 1000.0
     return (20.0 + 40.0 * samples) if with_network else 5.0 + 30.0 * samples
 
 
-def trust_figures(cell: Cell, *, with_network: bool) -> Figures:
+def trust_figures(task: ClassTask, *, with_network: bool) -> Figures:
     """All figures of a setting; sections that it cannot have say why.
 
     Args:
-        cell: setting; its training starts are those of the early verdicts.
+        task: setting; its training starts are those of the early verdicts.
         with_network: whether a posterior network is asked for.
     """
     counts = {"counts": asdict(COUNTS)}
-    if cell.recipe.field is not None:
+    if task.recipe.field is not None:
         reason = {
-            "reason": f"the likelihood of recipe {cell.recipe.name} has no closed form, and these figures need it"
+            "reason": f"the likelihood of recipe {task.recipe.name} has no closed form, and these figures need it"
         }
         return {**counts, **dict.fromkeys(SECTIONS, reason)}
-    seed = cell.seed % 2**32
+    seed = task.seed % 2**32
     with threadpool_limits(1):
-        network = network_for(cell.recipe, seed) if with_network else None
+        network = network_for(task.recipe, seed) if with_network else None
         return {
             **counts,
-            "unknown": _unknown(cell, network),
-            "severity": _severity(cell, network),
-            "early": _early(cell),
-            "race": _race(cell),
+            "unknown": _unknown(task, network),
+            "severity": _severity(task, network),
+            "early": _early(task),
+            "race": _race(task),
         }
 
 
-def _unknown(cell: Cell, network: PosteriorNetwork | None) -> Figures:
+def _unknown(task: ClassTask, network: PosteriorNetwork | None) -> Figures:
     """Faults never trained on, told by distance and by confidence."""
-    settings = [(cell.recipe, network)]
-    if cell.recipe.timing.sampling_rate_hz > TELLING_RATE_HZ:
+    settings = [(task.recipe, network)]
+    if task.recipe.timing.sampling_rate_hz > TELLING_RATE_HZ:
         slow = replace(
-            cell.recipe, timing=replace(cell.recipe.timing, sampling_rate_hz=TELLING_RATE_HZ), shifts=()
+            task.recipe, timing=replace(task.recipe.timing, sampling_rate_hz=TELLING_RATE_HZ), shifts=()
         )
         trained = None
         if network is not None:
-            trained = network_for(slow, cell.seed % 2**32, steps=COUNTS.steps, with_severity=False)
+            trained = network_for(slow, task.seed % 2**32, steps=COUNTS.steps, with_severity=False)
         settings.append((slow, trained))
     rows = []
     for recipe, own in settings:
@@ -211,32 +213,57 @@ def _unknown(cell: Cell, network: PosteriorNetwork | None) -> Figures:
         if own is not None:
             confidences[ESTIMATE] = own.predict_proba
         scores = foreign_scores(
-            recipe, confidences, UNKNOWN_FAULTS, seed=cell.seed, first_case=FIRST_CASE,
+            recipe, confidences, UNKNOWN_FAULTS, seed=task.seed, first_case=FIRST_CASE,
             n_threshold=COUNTS.threshold, n_known=COUNTS.known, n_foreign=COUNTS.foreign,
         )  # fmt: skip
         rows.append({"sampling_rate_hz": recipe.timing.sampling_rate_hz, **scores})
     return {"settings": rows}
 
 
-def _severity(cell: Cell, network: PosteriorNetwork | None) -> Figures:
+def _severity(task: ClassTask, network: PosteriorNetwork | None) -> Figures:
     """Severities, uniform over the range, beside the exact posterior's."""
     if network is None:
         return {"reason": f"{ESTIMATE}, which tells severities, is not among the methods"}
     kinds = [
         {"kind": str(prior.kind), "largest": prior.largest}
-        | severity_figures(network, cell.recipe, prior, cell.seed, COUNTS.severity)
+        | severity_figures(network, task.recipe, prior, task.seed, COUNTS.severity)
         for prior in network.severity_priors_
     ]
-    return {"network_is_shipped": shipped_network(cell.recipe) is not None, "kinds": kinds}
+    return {"network_is_shipped": shipped_network(task.recipe) is not None, "kinds": kinds}
 
 
-def _early(cell: Cell) -> Figures:
+def severity_figures(
+    model: PosteriorNetwork, recipe: Recipe, prior: SeverityPrior, seed: int, n_cases: int
+) -> dict[str, dict[str, float]]:
+    """Judge severities, drawn uniformly over the range, of motors that have this kind of fault.
+
+    Returns:
+        Of the `network` and of the `limit`, on the same cases: `rmse`, the root mean square error, 0.01 for a point,
+        and `coverage`, the share of the 90 % intervals that hold the severity.
+    """
+    own = replace(recipe, classes=(FaultClass(prior.kind, 0.0, severity_to=prior.largest),))
+    test = generate_arrays(own, seed, np.arange(n_cases) + TEST_FIRST_CASE)
+    estimated = model.predict_severity(test.X, str(prior.kind))
+    exact = severity_posterior(recipe, prior, test.X)
+    intervals = np.column_stack([estimated.low, estimated.high]), exact.interval(0.90)
+    return {
+        "network": _scored(estimated.mean, intervals[0], test.severity),
+        "limit": _scored(exact.mean, intervals[1], test.severity),
+    }
+
+
+def _scored(mean: FloatArray, interval: FloatArray, truth: FloatArray) -> dict[str, float]:
+    inside = (interval[:, 0] <= truth) & (truth <= interval[:, 1])
+    return {"rmse": float(np.sqrt(np.square(mean - truth).mean())), "coverage": float(inside.mean())}
+
+
+def _early(task: ClassTask) -> Figures:
     """Accuracy by what was seen, and the stopping rule."""
-    recipe, seen = cell.recipe, moments(cell.recipe.timing)
+    recipe, seen = task.recipe, moments(task.recipe.timing)
     if len(seen.samples) < 2:
         return {"reason": f"a start of recipe {recipe.name} has too few samples to be cut short"}
-    test = judged_starts(recipe, cell.seed, FIRST_CASE, COUNTS.early)
-    probabilities = probabilities_by_moment(recipe, cell.seed % 2**32, cell.train(), test)
+    test = judged_starts(recipe, task.seed, FIRST_CASE, COUNTS.early)
+    probabilities = probabilities_by_moment(recipe, task.seed % 2**32, task.train(), test)
     return {
         "time_s": seen.time_s.tolist(),
         "accuracy": {
@@ -246,15 +273,15 @@ def _early(cell: Cell) -> Figures:
     }
 
 
-def _race(cell: Cell) -> Figures:
+def _race(task: ClassTask) -> Figures:
     """The largest bearing fault or none, by the limit and by the sequential rules."""
-    recipe = cell.recipe
+    recipe = task.recipe
     bearings = [c for c in recipe.classes if [part.kind for part in c.parts] == [FaultKind.BEARING]]
     if not bearings or len(moments(recipe.timing).samples) < 2:
         return {"reason": f"recipe {recipe.name} has no class of a bearing fault alone, or too few samples"}
     fault = max(bearings, key=lambda c: c.severity)
     curves = race(
-        recipe, FaultClass(fault.kind, fault.severity), seed=cell.seed, first_case=FIRST_CASE,
+        recipe, FaultClass(fault.kind, fault.severity), seed=task.seed, first_case=FIRST_CASE,
         n_cases=COUNTS.early, n_healthy=COUNTS.healthy,
     )  # fmt: skip
     return {

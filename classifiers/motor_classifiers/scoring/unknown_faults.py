@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.metrics import roc_auc_score, roc_curve
 
-from motor_classifiers.scoring.judging import judged_cases
+from motor_classifiers.scoring.task import judged_cases
 from motor_classifiers.wrappers.open_set import FaultFamilyDetector
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.parameters import FloatArray, SupplyParameters

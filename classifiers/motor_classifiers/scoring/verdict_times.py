@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_classifiers.estimators.methods import make_method
-from motor_classifiers.scoring.judging import in_recipe_order, judged_starts
+from motor_classifiers.scoring.judging import in_recipe_order
+from motor_classifiers.scoring.task import judged_starts
 from motor_classifiers.wrappers.early import EarlyClassifier, limit_by_samples, stop_when_sure, stopping_score
 from motor_datasets.arrays import Dataset
 from motor_env.detection.rules import Cusum, Glr, Rule, Sprt

@@ -8,7 +8,7 @@ n_channels): `FilterResult.whitened` of a known motor, `TolerantFilter.white` of
 
 from motor_env.detection.rules.base import Rule, RuleStream, first_above
 from motor_env.detection.rules.calibration import recipe_thresholds, run_lengths
-from motor_env.detection.rules.cusum import Cusum, ModelBank, ShiryaevRoberts, SignatureCusum, Sprt
+from motor_env.detection.rules.cusum import Cusum, ModelBank, ShiryaevRoberts, Sprt
 from motor_env.detection.rules.nis import MOfN, in_a_row, nis_rule
 from motor_env.detection.rules.thresholds import Threshold
 from motor_env.detection.rules.tolerant import TolerantFilter
@@ -22,7 +22,6 @@ __all__ = [
     "Rule",
     "RuleStream",
     "ShiryaevRoberts",
-    "SignatureCusum",
     "Sprt",
     "Threshold",
     "TolerantFilter",

@@ -73,36 +73,6 @@ class Cusum(DirectedRule, ExactRule):
 
 
 @dataclass(frozen=True, slots=True)
-class SignatureCusum(DirectedRule):
-    """CUSUM matched to a fault that grows: the largest log-likelihood ratio over the onsets.
-
-    After an onset the mean of the innovation is s_1, s_2, ...; the statistic is the largest over m of
-    sum_i (s_i r_i - s_i^2 / 2), i = 1 .. m samples since the onset (Lorden 1971; Nikiforov 1983), and 0 where no onset
-    is likely. With a constant signature it is the CUSUM. Its threshold is simulated.
-
-    Attributes:
-        signature: s_1, s_2, ... in standard deviations of the innovation; beyond its end the last value stays.
-        direction: over the channels; by default the first one.
-    """
-
-    signature: tuple[float, ...]
-    direction: tuple[float, ...] | None = None
-
-    def __post_init__(self) -> None:
-        require(len(self.signature) > 0 and any(self.signature), "signature must not be empty or all zero")
-
-    def start(self, n_streams: int, n_channels: int) -> FloatArray:
-        """No onset so far: of no age, nor older than the signature."""
-        return np.full((n_streams, len(self.signature) + 1), -np.inf)
-
-    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
-        """Largest log-likelihood ratio over the onsets."""
-        signature = np.asarray(self.signature, dtype=np.float64)
-        statistic: FloatArray = kernels.signature_cusum(self.series(whitened), signature, state)
-        return statistic
-
-
-@dataclass(frozen=True, slots=True)
 class ShiryaevRoberts(DirectedRule, ExactRule):
     """Shiryaev-Roberts: R = (1 + R) L, with L the likelihood ratio of a shift d; the statistic is log R.
 

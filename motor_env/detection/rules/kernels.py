@@ -68,34 +68,6 @@ def cusum(series: FloatArray, half: float, sums: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)
-def signature_cusum(series: FloatArray, shape: FloatArray, state: FloatArray) -> FloatArray:
-    """Largest sum of s r - s^2 / 2 over the onsets (Lorden 1971).
-
-    The state is that sum for each age, and the best of the onsets that are older than the signature.
-    """
-    out = np.empty(series.shape)
-    count, last = len(shape), shape[-1]
-    half = 0.5 * shape * shape
-    earlier, now = np.empty(count), np.empty(count)
-    for n in range(series.shape[0]):
-        earlier[:] = state[n, :count]
-        older = state[n, count]
-        for k in range(series.shape[1]):
-            value = series[n, k]
-            if np.isnan(value):
-                out[n, k] = max(0.0, older, earlier.max())
-                continue
-            older = max(older, earlier[count - 1]) + last * (value - 0.5 * last)
-            now[0] = shape[0] * value - half[0]
-            advance(earlier[: count - 1], shape[1:], half[1:], value, now[1:])
-            out[n, k] = max(0.0, older, largest(now))
-            earlier, now = now, earlier
-        state[n, :count] = earlier
-        state[n, count] = older
-    return out
-
-
-@njit(cache=True)
 def sprt(series: FloatArray, shift: float, lower: float, restart: bool, ratios: FloatArray) -> FloatArray:
     """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins (Wald 1945)."""
     out = np.empty(series.shape)
@@ -175,31 +147,6 @@ def windowed_sum(squares: FloatArray, recent: FloatArray) -> FloatArray:
             out[n, k] = total
         recent[n, window], recent[n, window + 1] = oldest, total
     return out
-
-
-# Each a plain loop over contiguous values, so that it vectorises.
-
-
-@njit(cache=True)
-def advance(earlier: FloatArray, shape: FloatArray, half: FloatArray, value: float, now: FloatArray) -> None:
-    """Each onset's sum, one sample older."""
-    for i in range(len(now)):
-        now[i] = earlier[i] + (shape[i] * value - half[i])
-
-
-@njit(cache=True)
-def largest(values: FloatArray) -> float:
-    """Largest value, eight at a time: a single running maximum would not vectorise."""
-    lanes = np.full(8, -np.inf)
-    whole = len(values) - len(values) % 8
-    for i in range(0, whole, 8):
-        for j in range(8):
-            value, before = values[i + j], lanes[j]
-            lanes[j] = value if value > before else before
-    best = float(lanes.max())
-    for i in range(whole, len(values)):
-        best = max(best, values[i])
-    return best
 
 
 @njit(cache=True)

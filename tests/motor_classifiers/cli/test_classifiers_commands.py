@@ -2,13 +2,12 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from made_results import CELL, RECIPE, answer, decisions, made_results
+from made_results import RECIPE, TASK, answer, decisions, made_results
 
 from motor_classifiers import METHODS, Opinion
 from motor_classifiers.cli.main import main
@@ -16,12 +15,12 @@ from motor_classifiers.cli.opinions import opinion_lines
 from motor_classifiers.cli.options import numbers, require_writable, whole_numbers
 from motor_classifiers.cli.sweep import plan_lines, table_lines
 from motor_classifiers.cli.training import network_recipe, noise_factors
-
-# Reaches in: made-up answers and costs fill a plan at once; defaults are the rooms' own.
-from motor_classifiers.contest.task import SEED
 from motor_classifiers.estimators.methods import AT_WORK
 from motor_classifiers.scoring.plan import AnswerStore, Plan, units
 from motor_classifiers.scoring.progress import Cost
+
+# Reaches in: made-up answers and costs fill a plan at once; defaults are the rooms' own.
+from motor_classifiers.scoring.task import class_task
 from motor_env import InputError, load_motor, load_recipe
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -51,7 +50,7 @@ def test_the_table_tells_how_far_below_the_limit() -> None:
         threshold=answer(decisions(slice(0, 16))), network=answer(decisions(slice(0, 4))),
     )  # fmt: skip
     title, head, *rows = table_lines(result)
-    assert title == CELL.title
+    assert title == TASK.title
     assert head.split() == [
         "method", "accuracy", "95", "%", "interval", "below", "limit", "winding", "bearing", "level", "us", "MB",
     ]  # fmt: skip
@@ -64,7 +63,7 @@ def test_the_table_tells_how_far_below_the_limit() -> None:
         "50.0",
     )  # above it: below by less than nothing
     assert (worst[0], worst[3]) == ("0.7333", "0.1000")
-    scores = result.methods[0].judged.scores
+    scores = result.methods[0].scores
     expected = (
         scores.accuracy.low, scores.accuracy.high, scores.winding.value, scores.bearing.value, scores.level.value
     )  # fmt: skip
@@ -72,8 +71,8 @@ def test_the_table_tells_how_far_below_the_limit() -> None:
 
 
 def test_a_plan_tells_what_is_there_and_the_minutes_left() -> None:
-    other = replace(CELL, n_train=200)
-    plan, store = Plan((CELL, other), ("threshold", "network")), AnswerStore()
+    other = class_task(RECIPE, 200, 60)
+    plan, store = Plan((TASK, other), ("threshold", "network")), AnswerStore()
     todo = units(plan)
     store.put(todo[1], answer(decisions(slice(0, 4))))
     left = sum(unit.seconds for unit in todo) - todo[1].seconds
@@ -83,7 +82,7 @@ def test_a_plan_tells_what_is_there_and_the_minutes_left() -> None:
         ["0", "of", "2", "answers", "there"],
     ]
     assert lines[2] == f"2 settings, 6 answers, about {left / 60:.0f} minutes of one core to go"
-    slow = replace(CELL, recipe=load_recipe("field"))
+    slow = class_task(load_recipe("field"), 100, 60)
     (*_, last) = plan_lines(Plan((slow,), ("posterior-network",)), AnswerStore(), as_json=False)
     assert last == "1 settings, 2 answers, about 10 minutes of one core to go"
 
@@ -142,14 +141,14 @@ SCORED = {
 
 
 @pytest.fixture
-def scored(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int]]:
+def scored(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int | None]]:
     """Have `score` find what a test says; the list holds the seeds that it asked with."""
 
-    def find(**more: Any) -> list[int]:
-        seeds: list[int] = []
+    def find(**more: Any) -> list[int | None]:
+        seeds: list[int | None] = []
 
-        def found(folder: Path, *, seed: int) -> dict[str, Any]:
-            seeds.append(seed)
+        def found(folder: Path, *, sealed: int | None) -> dict[str, Any]:
+            seeds.append(sealed)
             return SCORED | more
 
         monkeypatch.setattr("motor_classifiers.contest.submissions.score_submission", found)
@@ -175,7 +174,7 @@ def scored(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int]]:
 def test_a_score_in_words(
     more: dict[str, Any],
     lines: list[str],
-    scored: Callable[..., list[int]],
+    scored: Callable[..., list[int | None]],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert scored(**more) == []
@@ -205,7 +204,7 @@ def test_a_sealed_seed_has_64_bits(
     text: str,
     status: int,
     tmp_path: Path,
-    scored: Callable[..., list[int]],
+    scored: Callable[..., list[int | None]],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     seeds = scored()
@@ -215,7 +214,7 @@ def test_a_sealed_seed_has_64_bits(
     assert main(["score", "folder", "--sealed", str(tmp_path / "none")]) == 2
     assert "no such file" in capsys.readouterr().err
     assert main(["score", "folder"]) == 0
-    assert seeds[-1] == SEED
+    assert seeds[-1] is None
 
 
 def test_recordings_are_scored_in_per_cent(

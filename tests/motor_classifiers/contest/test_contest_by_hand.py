@@ -19,12 +19,12 @@ from motor_classifiers import load_task, score_submission, write_submission
 from motor_classifiers.contest import submissions, tasks
 from motor_classifiers.contest.leaderboard import file_of, page, ranks, read_scores
 from motor_classifiers.contest.recordings import score_recordings
-from motor_classifiers.contest.submissions import interval, paired, unpacked_costs
-from motor_classifiers.contest.task import SEED, VERSION
+from motor_classifiers.contest.submissions import unpacked_costs
 from motor_classifiers.contest.tasks import TASKS, frozen_digests
 
 # Reaches in: the intervals by hand need the very weights that cases are drawn again with.
-from motor_classifiers.scoring.metrics import resampling_weights
+from motor_classifiers.scoring.metrics import compare, interval, resampling_weights
+from motor_classifiers.scoring.task import SEED, VERSION
 from motor_env import InputError
 from motor_env.console import json_text
 
@@ -90,7 +90,7 @@ def test_the_names_of_the_public_splits_are_frozen() -> None:
     assert (SEED, VERSION) == (20261, "1.0")
     for name, task in TASKS.items():
         text = f"motor-bench 1.0 {name} 20261"
-        assert task.draw_id() == hashlib.sha256(text.encode()).hexdigest()[:16]
+        assert task.draw_id == hashlib.sha256(text.encode()).hexdigest()[:16]
     told = load_task("stream").as_json()
     assert told["columns"] == ["case", "alarm_s"]
     assert (told["n_train"], told["n_test"], told["version"]) == (2000, 2000, "1.0")
@@ -197,7 +197,9 @@ def test_the_next_group_begins_with_the_first_that_is_told_apart() -> None:
     got = ranks(task, [shuffled[name] for name in "edcba"])
     assert [rank for rank, _ in got] == [1, 1, 3, 3, 5]
     weights = resampling_weights(400, 0)
-    value, low, high = paired(task, unpacked_costs(shuffled["b"]), unpacked_costs(shuffled["a"]), weights)
+    value, low, high = compare(
+        task, unpacked_costs(shuffled["b"]), unpacked_costs(shuffled["a"]), weights
+    ).difference
     assert value == pytest.approx(1.0)
     assert low <= 0.0 < high
 
@@ -218,7 +220,7 @@ def test_motors_with_several_starts_are_drawn_whole() -> None:
 
 
 @pytest.mark.usefixtures("small")
-def test_a_page_has_what_stands_above_the_limit(tmp_path: Path) -> None:
+def test_a_page_has_what_stands_above_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     above = {"limit": 4.5, "above_limit": 5.25, "above_limit_low": -0.004, "above_limit_high": 7.125}
     costs = (np.arange(120) % 10 == 0).astype(float)
     text = page({"bench": [kept("mine", costs, **above)]})
@@ -228,6 +230,12 @@ def test_a_page_has_what_stands_above_the_limit(tmp_path: Path) -> None:
     plain = page({"bench": [kept("mine", costs)]})
     assert "| 1 | mine | who | 10.00 (9.00 to 11.50) | what |" in plain
     assert "above the best" not in plain
+    bracketed = {"bench": replace(load_task("bench"), bracket=(4.0, 5.0))}
+    with monkeypatch.context() as patch:
+        patch.setattr("motor_classifiers.contest.leaderboard.TASKS", bracketed)
+        assert "The best possible on average: between 4.00 and 5.00." in page(
+            {"bench": [kept("mine", costs)]}
+        )
     scored = kept("my-method_2", costs, task="bench")
     path = file_of(tmp_path, scored)
     assert path == tmp_path / "bench" / "my-method_2.json"

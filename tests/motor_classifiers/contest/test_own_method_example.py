@@ -1,4 +1,4 @@
-"""The script of a stranger: under forty lines, public names alone, from a method to its row, submission and score."""
+"""The script of a stranger: public names alone, from a method to its row, submission and score."""
 
 import ast
 import importlib
@@ -11,9 +11,8 @@ import pytest
 SCRIPT = Path(__file__).resolve().parents[3] / "examples" / "own_method.py"
 
 
-def test_it_is_short_and_takes_public_names_alone() -> None:
+def test_it_takes_public_names_alone() -> None:
     text = SCRIPT.read_text(encoding="utf-8")
-    assert text.count("\n") < 40
     imports = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)]
     ours = {
         node.module: [alias.name for alias in node.names]

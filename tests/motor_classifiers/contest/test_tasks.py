@@ -1,8 +1,6 @@
 """The frozen tasks: they stay what they are, answers to them are checked and scored, and ranks know ties."""
 
-import base64
 import json
-import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -20,14 +18,12 @@ from sklearn.metrics import roc_auc_score
 from motor_classifiers import load_task, score_submission, write_submission
 from motor_classifiers.cli.main import main
 from motor_classifiers.contest import submissions, tasks
-from motor_classifiers.contest.leaderboard import page, ranks
 from motor_classifiers.contest.questions import StrangerTask
-from motor_classifiers.contest.submissions import ANSWERS, CARD, paired, unpacked_costs
-from motor_classifiers.contest.task import Task
+from motor_classifiers.contest.submissions import ANSWERS, CARD, unpacked_costs
 from motor_classifiers.contest.tasks import TASKS, current_digests, frozen_digests
 
 # Reaches in: a comparison of two answers by hand needs the weights that cases are drawn again with.
-from motor_classifiers.scoring.metrics import resampling_weights
+from motor_classifiers.scoring.task import DrawnTask
 from motor_env.files import LARGEST_TABLE_BYTES
 
 WHO = {"method": "mine", "authors": "A Stranger"}
@@ -42,7 +38,7 @@ def small(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> No
         monkeypatch.setattr("motor_classifiers.contest.leaderboard.TASKS", few)
 
 
-def good_answers(task: Task) -> Any:
+def good_answers(task: DrawnTask) -> Any:
     best = task.limit(task.test().X)
     assert best is not None
     return best
@@ -130,8 +126,8 @@ BAD_FILES: dict[str, Callable[[Path], object]] = {
     "absent": lambda folder: (folder / ANSWERS).unlink(),
     "large": lambda folder: (folder / ANSWERS).write_bytes(b"x" * (LARGEST_TABLE_BYTES + 1)),
     "version": lambda folder: _edit_card(folder, '"1.0"', '"0.9"'),
-    "draw": lambda folder: _edit_card(folder, load_task("bench").draw_id(), "0" * 16),
-    "lines": lambda folder: _edit_card(folder, load_task("bench").draw_id(), "a\\nb"),
+    "draw": lambda folder: _edit_card(folder, load_task("bench").draw_id, "0" * 16),
+    "lines": lambda folder: _edit_card(folder, load_task("bench").draw_id, "a\\nb"),
     "task": lambda folder: _edit_card(folder, '"bench"', '"wrench"'),
     "key": lambda folder: _edit_card(folder, "about =", "run = 1\nabout ="),
 }
@@ -251,7 +247,7 @@ def test_commands_make_answer_and_score_a_sealed_split(
         assert not np.array_equal(arrays["X"], sealed.test().X)
     told = json.loads((tmp_path / "task" / "task.json").read_text())
     assert "18446744073709551615" not in json.dumps(told)
-    assert told["draw"] != sealed.draw_id()
+    assert told["draw"] != sealed.draw_id
     mine, kept = tmp_path / "mine", tmp_path / "kept"
     command = ["submit", "bench", "--method", "residual-qda", "--authors", "me", "--out", str(mine)]
     assert main([*command, *options]) == 0
@@ -272,35 +268,3 @@ def test_commands_make_answer_and_score_a_sealed_split(
         seed.write_text(text)
         sentence = refused(lambda: main(["score", str(mine), *options]), seed)
         assert "must hold one whole number from 2^48 to 2^64 - 1" in sentence
-
-
-def _kept(name: str, costs: Any) -> dict[str, Any]:
-    packed = base64.b64encode(zlib.compress(np.asarray(costs, dtype=np.float32).tobytes())).decode()
-    value = 100.0 * float(np.mean(costs))
-    return {
-        "method": name,
-        "authors": "",
-        "about": "a|b<script>",
-        "value": value,
-        "low": value,
-        "high": value,
-        "costs": packed,
-    }
-
-
-def test_methods_that_cannot_be_told_apart_share_a_rank(monkeypatch: pytest.MonkeyPatch) -> None:
-    task, rng = load_task("bench"), np.random.default_rng(3)
-    first = (rng.random(80) < 0.2).astype(float)
-    same = first.copy()
-    same[:1] = 1.0 - same[:1]
-    bad = np.ones(80)
-    ranked = ranks(task, [_kept("bad", bad), _kept("second", same), _kept("first", first)])
-    assert [rank for rank, _ in ranked] == [1, 1, 3]
-    assert ranked[-1][1]["method"] == "bad"
-    assert paired(task, bad, first, resampling_weights(80, 0))[1] > 0.0
-    bracketed = {"bench": replace(task, bracket=(4.0, 5.0))}
-    monkeypatch.setattr("motor_classifiers.contest.leaderboard.TASKS", bracketed)
-    text = page({"bench": [_kept("bad", bad), _kept("first", first), _kept("second", same)]})
-    assert "The best possible on average: between 4.00 and 5.00." in text
-    assert "| 3 | bad |" in text
-    assert "| a/b&lt;script&gt; |" in text  # what a stranger wrote stays text

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from motor_classifiers import ThresholdConfirmationClassifier
-from motor_classifiers.estimators.threshold_rule import window_features
 from motor_env import FaultKind, Recipe, Timing, draw, load_recipe, simulate
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass
@@ -31,14 +30,6 @@ def tuned() -> Tuned:
     measurements, labels = cases(recipe, 1, 1000)
     rule = ThresholdConfirmationClassifier(recipe, false_alarm_rate=0.05)
     return recipe, rule.fit(measurements, names(recipe, labels))
-
-
-def test_window_features_of_white_noise_are_standard_normal() -> None:
-    noise = np.random.default_rng(1).standard_normal((4000, 64, 2))
-    features = window_features(noise, (0, 8, 32, 64), True)
-    assert features.shape == (4000, 3, 4)
-    np.testing.assert_allclose(features.mean(axis=0), 0.0, atol=4.0 / np.sqrt(4000))
-    np.testing.assert_allclose(features.var(axis=0), 1.0, atol=0.15)
 
 
 def test_healthy_cases_alarm_at_the_wanted_rate_in_spite_of_tolerances(tuned: Tuned) -> None:

@@ -1,14 +1,13 @@
-"""Every method of the benchmark as scikit-learn's tools use it: pipelines, searches, cross-validation by motor."""
+"""Every method of the benchmark learns; what its networks must and must not do with the starts."""
 
 from typing import Any
 
 import numpy as np
 import pytest
 from sklearn.base import clone
-from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
-from sklearn.pipeline import Pipeline
 
-from motor_classifiers import METHODS, PosteriorNetwork, ResNetClassifier, make_method
+from motor_classifiers import METHODS, PerceptronClassifier, PosteriorNetwork, ResNetClassifier, make_method
+from motor_classifiers.estimators.networks.epoch_classifier import EpochClassifier
 from motor_datasets import generate_arrays
 from motor_env import Timing, load_recipe
 
@@ -47,34 +46,9 @@ def test_a_method_learns_and_leaves_its_input_alone(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["threshold", "residual-qda", "physical-logistic", "network", "residual-network"]
+    "model", [ResNetClassifier(RECIPE, epochs=2, stem=4, width=4), PerceptronClassifier(RECIPE, epochs=5)]
 )
-def test_cross_validation_by_motor(name: str) -> None:
-    motors = np.arange(len(TRAIN)) // 3
-    found = cross_val_score(quick(name), TRAIN.X, TRAIN.class_name, groups=motors, cv=GroupKFold(2))
-    assert found.shape == (2,)
-    assert (found > 0.35).all()
-
-
-@pytest.mark.parametrize(
-    ("name", "grid"),
-    [
-        ("residual-qda", {"method__features__n_components": [4, 6]}),
-        ("physical-logistic", {"method__classify__C": [0.1, 1.0]}),
-        ("network", {"method__n_hidden": [8, 16]}),
-        pytest.param("residual-network", {"method__noise": [0.5, 1.0]}, marks=pytest.mark.long),
-        ("threshold", {"method__false_alarm_rate": [0.1, None]}),
-    ],
-)
-def test_grid_search_over_a_pipeline(name: str, grid: dict[str, list[object]]) -> None:
-    search = GridSearchCV(Pipeline([("method", quick(name))]), grid, cv=2)
-    search.fit(TRAIN.X, TRAIN.class_name)
-    assert search.best_score_ > 0.35
-    assert set(search.best_params_) == set(grid)
-
-
-@pytest.mark.parametrize("model", [ResNetClassifier(RECIPE, epochs=2, stem=4, width=4)])
-def test_networks_repeat_themselves_to_the_bit(model: ResNetClassifier) -> None:
+def test_networks_repeat_themselves_to_the_bit(model: EpochClassifier) -> None:
     import torch
 
     torch.manual_seed(1)

@@ -10,13 +10,24 @@ from saved_models import RECIPE, TEST, TRAIN, content, fitted
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.pipeline import make_pipeline
 
-from motor_classifiers import METHODS, PosteriorNetwork, ResidualProjection, load_model, save_model
+from motor_classifiers import (
+    METHODS,
+    PosteriorNetwork,
+    ResidualProjection,
+    load_model,
+    make_method,
+    save_model,
+)
 
 # Reaches in: the step that centres starts on a motor's own has no public name, but stands in files.
 from motor_classifiers.estimators.reference_starts import RecentredStarts, referenced_starts
+from motor_classifiers.model_files.persistence import check_saveable
+from motor_env import InputError
+
+UNSAVED = ("physical-svm", "physical-boosting", "physical-forest")
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", [name for name in METHODS if name not in UNSAVED])
 def test_round_trip(name: str, tmp_path: Path) -> None:
     model = fitted(name)
     path = tmp_path / "model"
@@ -25,6 +36,12 @@ def test_round_trip(name: str, tmp_path: Path) -> None:
     assert (recipe, method) == (RECIPE, name)
     np.testing.assert_array_equal(loaded.predict_proba(TEST.X), model.predict_proba(TEST.X))
     np.testing.assert_array_equal(loaded.predict(TEST.X), model.predict(TEST.X))
+
+
+@pytest.mark.parametrize("name", UNSAVED)
+def test_methods_of_compiled_steps_are_refused_before_the_training(name: str) -> None:
+    with pytest.raises(InputError, match="cannot be saved: a file may hold FeatureUnion, GaussianNB"):
+        check_saveable(make_method(name, RECIPE, 0))
 
 
 def test_round_trip_with_reference_starts(tmp_path: Path) -> None:

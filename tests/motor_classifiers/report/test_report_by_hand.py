@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_results import CELL, RECIPE, answer, decisions, made_results
+from made_results import RECIPE, TASK, answer, decisions, made_results
 from scipy.stats import norm
 
 # Reaches in: the page is drawn from results made by hand, in the types that the other rooms give it.
@@ -23,10 +23,10 @@ from motor_classifiers.report.charts import (
 )
 from motor_classifiers.report.examples import examples, running_mean
 from motor_classifiers.report.names import readable, short
-from motor_classifiers.scoring.benchmark import CellResult
 from motor_classifiers.scoring.calibration import Reliability
-from motor_classifiers.scoring.judging import Cell
 from motor_classifiers.scoring.metrics import Score
+from motor_classifiers.scoring.score import Results
+from motor_classifiers.scoring.task import class_task
 from motor_classifiers.scoring.unknown_faults import FALSE_ALARM_RATES
 from motor_datasets import generate_arrays
 from motor_env import simulate_states
@@ -201,7 +201,7 @@ def test_a_running_mean_is_that_of_the_last_samples() -> None:
 
 
 @pytest.fixture(scope="module")
-def made() -> tuple[Any, CellResult]:
+def made() -> tuple[Any, Results]:
     """Two methods, one of which only decides; the limit errs on the first ten starts."""
     return made_results(
         answer(decisions(slice(0, 10)), 0.8125), threshold=answer(decisions(slice(5, 21))),
@@ -210,7 +210,7 @@ def made() -> tuple[Any, CellResult]:
 
 
 def test_examples_are_the_first_starts_of_each_class(
-    made: tuple[Any, CellResult], monkeypatch: pytest.MonkeyPatch
+    made: tuple[Any, Results], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[tuple[Any, ...]] = []
 
@@ -236,8 +236,8 @@ def test_examples_are_the_first_starts_of_each_class(
     for n, one in enumerate(told):
         row = first[n]
         assert one["truth"] == readable(RECIPE.class_names[n])
-        assert one["decided"] == readable(RECIPE.class_names[result.methods[0].judged.answer.decided[row]])
-        assert one["right"] == (result.methods[0].judged.answer.decided[row] == n)
+        assert one["decided"] == readable(RECIPE.class_names[result.methods[0].answer.decided[row]])
+        assert one["right"] == (result.methods[0].answer.decided[row] == n)
         assert (one["probability"], one["smooth_ms"]) == (0.75, pytest.approx(5.0))
         assert one["limit_probability"] == result.limit.answer.probabilities[row, n]
         beyond = np.flatnonzero(np.abs(smooth[n]) > threshold)
@@ -258,7 +258,7 @@ def test_examples_are_the_first_starts_of_each_class(
 
 @pytest.mark.parametrize(("noise_a", "reach"), [(0.5, None), (0.02, 16.0)])
 def test_residuals_are_shown_up_to_sixteen_deviations(
-    made: tuple[Any, CellResult], noise_a: float, reach: float | None, monkeypatch: pytest.MonkeyPatch
+    made: tuple[Any, Results], noise_a: float, reach: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At 20 mA a winding fault is far beyond; in half an ampere of noise nothing is beyond twice the threshold."""
     spans = []
@@ -269,14 +269,14 @@ def test_residuals_are_shown_up_to_sixteen_deviations(
 
     monkeypatch.setattr(examples_module, "trace_chart", noted)
     loud = replace(RECIPE, sensor=replace(RECIPE.sensor, current_noise_a=noise_a))
-    result = made[1]._replace(cell=replace(CELL, recipe=loud))
+    result = replace(made[1], task=replace(TASK, recipe=loud))
     examples(result, result.methods[0])
     span, levels = spans[2]
     assert span[1] == pytest.approx(2.0 * levels[1] if reach is None else reach)
 
 
 def test_the_page_is_given_what_was_scored(
-    made: tuple[Any, CellResult], monkeypatch: pytest.MonkeyPatch
+    made: tuple[Any, Results], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given: dict[str, list[tuple[Any, ...]]] = {
         "interval": [],
@@ -300,12 +300,13 @@ def test_the_page_is_given_what_was_scored(
 
     monkeypatch.setattr(page, "render", rendered)
     plan, plain = made
-    spread = plain.limit.answer._replace(severity=np.random.default_rng(0).uniform(0.0, 0.3, 60))
+    spread = np.random.default_rng(0).uniform(0.0, 0.3, 60)
     peers = tuple(
-        plain.methods[n]._replace(name=name, origin="elsewhere") for n, name in ((0, "quant"), (2, "peer"))
+        replace(plain.methods[n], name=name, answer=plain.methods[n].answer._replace(origin="elsewhere"))
+        for n, name in ((0, "quant"), (2, "peer"))
     )
-    alone = plain._replace(limit=plain.limit._replace(answer=spread))
-    result = alone._replace(methods=plain.methods + peers)
+    alone = replace(plain, limit=replace(plain.limit, severity=spread))
+    result = replace(alone, methods=plain.methods + peers)
     assert page.render_report(plan, [result], "a machine") == "page"
     assert not words["sweep"]
     assert (words["best_peer"].name, words["origins"]) == ("peer", ["elsewhere"])
@@ -316,7 +317,7 @@ def test_the_page_is_given_what_was_scored(
     assert both[2][0] in ("quant", "peer")
     assert page.render_report(plan, [alone, alone], "a machine") == "page"
     sweep: Any = words["sweep"]
-    assert sweep["settings"][0][0] == CELL
+    assert sweep["settings"][0][0] == TASK
     for calls in given.values():
         calls.clear()
     result = alone
@@ -329,7 +330,7 @@ def test_the_page_is_given_what_was_scored(
     assert words["significance"] == 0.01
     assert [name for name, _ in words["against"]] == ["network", "threshold"]
     between = words["against"][1][1]
-    assert (between.only_first, between.only_second) == (7, 3)  # rows 14 .. 20, and 2 .. 4
+    assert (between.only_first, between.only_second) == (3, 7)  # rows 2 .. 4, and 14 .. 20
     bars, limit, label, _ = given["interval"][0]
     assert [name for name, *_ in bars] == ["residual-qda", "network", "threshold"]
     assert (limit, label) == (pytest.approx(50 / 60), "Bayes limit on these motors: 83.3 %")
@@ -347,9 +348,9 @@ def test_the_page_is_given_what_was_scored(
     assert boxes[0] == [readable(name) for name in RECIPE.class_names]
     assert boxes[1] == pytest.approx([0.0, 0.1, 0.25, 0.1, 0.25])
     (limit_name, _, limit_rows), (best_name, style, _) = boxes[2]
-    rmse = {one.name: one.judged.severity_rmse.value for one in result.methods if one.name != "residual-qda"}
+    rmse = {one.name: one.severity_rmse.value for one in result.methods if one.name != "residual-qda"}
     assert (limit_name, best_name, style) == ("limit", min(rmse, key=lambda name: rmse[name]), "s1")
-    own = result.limit.answer.severity[result.truth == 2]
+    own = result.limit.severity[result.truth == 2]
     np.testing.assert_allclose(limit_rows[2], np.quantile(own, [0.05, 0.25, 0.5, 0.75, 0.95]))
 
 
@@ -357,7 +358,7 @@ def test_numbers_on_the_page() -> None:
     from motor_classifiers.report.page import _points, _quantity, _share  # the template's filters
 
     assert [_share(Score(value, 0, 0)) for value in (0.12345, 1.0, float("nan"))] == ["12.3", "100.0", "–"]
-    assert [_points(value) for value in (0.01234, -0.01234, -0.00004)] == ["1.23", "−1.23", "0.00"]
+    assert [_points(value) for value in (1.234, -1.234, -0.004)] == ["1.23", "−1.23", "0.00"]
     assert [_quantity(value) for value in (19.94, 20.0, 123.4, 0.25, None, float("nan"))] == [
         "19.9",
         "20",
@@ -380,14 +381,14 @@ def noted_lines(monkeypatch: pytest.MonkeyPatch, module: Any) -> list[tuple[Any,
 
 
 def test_a_sweep_is_drawn_by_size_and_by_noise(
-    made: tuple[Any, CellResult], monkeypatch: pytest.MonkeyPatch
+    made: tuple[Any, Results], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn = noted_lines(monkeypatch, sweep_page)
     plan, result = made
 
-    def at(noise_a: float, n_train: int) -> CellResult:
+    def at(noise_a: float, n_train: int) -> Results:
         recipe = replace(RECIPE, sensor=replace(RECIPE.sensor, current_noise_a=noise_a))
-        return result._replace(cell=Cell(recipe, n_train, 60))
+        return replace(result, task=class_task(recipe, n_train, 60))
 
     told = sweep_page.sweep_section(plan, [at(0.02, 200), at(0.1, 200), at(0.02, 100), at(0.005, 200)])
     assert told["learning"] == told["noise"] == [{"title": "bench, 1 kHz", "chart": "chart"}]
@@ -408,24 +409,34 @@ def test_a_sweep_is_drawn_by_size_and_by_noise(
     assert len(alone["settings"]) == 1
 
 
-def test_trust_is_drawn_from_its_figures(
-    made: tuple[Any, CellResult], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_trust_is_drawn_from_its_figures(made: tuple[Any, Results], monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = noted_lines(monkeypatch, trust_page)
     fault = {
         "fault": "weak",
         "roc": {"distance": [0.5], "limit": [0.25]},
         "auroc": {"distance": 0.9, "limit": 0.5},
+        "called_other": 0.75,
     }
-    settings = [{"sampling_rate_hz": 1e4, "faults": []}, {"sampling_rate_hz": 2500.0, "faults": [fault]}]
+    settings = [
+        {"sampling_rate_hz": 1e4, "faults": [], "false_alarms": 0.01},
+        {"sampling_rate_hz": 2500.0, "faults": [fault], "false_alarms": 0.0125},
+    ]
     curves: dict[str, list[Any]] = {name: [] for name in ("rule", "b", "c", "d", "e")}
     curves["rule"] = [{"time_s": 0.02, "wrong": 0.25}, {"time_s": 0.03, "wrong": 0.0}]
     accuracy = {"limit": [0.5, 0.6, 0.7], "own": [0.4, 0.5, 0.6]}
+    never: dict[str, Any] = {
+        "stated": 0.05,
+        "probabilities_of": "own",
+        "stopped": 0.0,
+        "mean_time_s": 0.1,
+        "accuracy": 0.6,
+    }
+    never |= dict.fromkeys(("error", "error_low", "error_high"))
     figures = {
-        "sets": {}, "severity": {"reason": "none"}, "unknown": {"settings": settings},
-        "early": {"time_s": [0.01, 0.05, 0.1], "accuracy": accuracy}, "race": {"curves": curves},
+        "sets": {"reason": "few"}, "severity": {"reason": "none"}, "unknown": {"settings": settings},
+        "early": {"time_s": [0.01, 0.05, 0.1], "accuracy": accuracy, "stopping": [never]}, "race": {"curves": curves},
     }  # fmt: skip
-    told = trust_page.trust_section(made[1]._replace(trust=figures))
+    told = trust_page.trust_section(replace(made[1], trust=figures))
     assert told is not None
     (unknown, *unknown_axes, _), (early, early_x, early_y, _), (race, race_x, race_y, _) = drawn
     assert [(line.label, line.style, line.y) for line in unknown] == [
@@ -445,4 +456,9 @@ def test_trust_is_drawn_from_its_figures(
     assert (race_x.high, race_y.low, race_y.high) == pytest.approx((100.0, 0.0005, 0.6))
     assert race_x.ticks == pytest.approx([0.0, 20.0, 40.0, 60.0, 80.0, 100.0])
     assert race_y.ticks == (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
-    assert trust_page.trust_section(made[1]._replace(trust=None)) is None
+    tables = told["tables"]
+    assert list(tables) == ["other", "seen", "stopping", "race"]
+    head = ["rate", "fault", "AUROC of distance", "of the limit's confidence", "called other", "false alarms"]
+    assert tables["other"] == (head, [["2.5 kHz", "weak", "0.9000", "0.5000", "75.0 %", "1.25 %"]])
+    assert tables["stopping"][1] == [["5 %", "own", "–", "0.0 %", "100.0 ms", "0.6000"]]
+    assert trust_page.trust_section(replace(made[1], trust=None)) is None

@@ -9,14 +9,14 @@ import pytest
 
 from motor_classifiers.scoring import trust as trust_module
 from motor_classifiers.scoring.benchmark import run_plan
-from motor_classifiers.scoring.judging import Cell
 from motor_classifiers.scoring.peers import PEERS, export_starts, read_peers, shipped_peers
 from motor_classifiers.scoring.plan import Plan
 from motor_classifiers.scoring.results import result_rows
+from motor_classifiers.scoring.task import class_task
 from motor_classifiers.scoring.trust import Counts
 from motor_env import InputError, Timing, load_recipe
 
-CELL = Cell(load_recipe("bench", timing=Timing(1_000.0, 0.1)), 100, 60)
+TASK = class_task(load_recipe("bench", timing=Timing(1_000.0, 0.1)), 100, 60)
 
 
 def _answers(cases: Path, target: Path, **changes: Any) -> None:
@@ -48,53 +48,53 @@ def _answers(cases: Path, target: Path, **changes: Any) -> None:
 
 @pytest.fixture
 def peers(tmp_path: Path) -> Path:
-    """A file of answers to the starts of `CELL`."""
-    export_starts(CELL.train(), CELL.test(), tmp_path / "cases.npz")
+    """A file of answers to the starts of `TASK`."""
+    export_starts(TASK.train(), TASK.starts(), tmp_path / "cases.npz")
     _answers(tmp_path / "cases.npz", tmp_path / "peers.npz")
     return tmp_path / "peers.npz"
 
 
 def test_exported_starts_are_those_of_the_benchmark(tmp_path: Path) -> None:
-    export_starts(CELL.train(), CELL.test(), tmp_path / "cases.npz")
+    export_starts(TASK.train(), TASK.starts(), tmp_path / "cases.npz")
     with np.load(tmp_path / "cases.npz") as held:
-        np.testing.assert_array_equal(held["train_X"], CELL.train().X)
-        np.testing.assert_array_equal(held["test_class_index"], CELL.test().class_index)
+        np.testing.assert_array_equal(held["train_X"], TASK.train().X)
+        np.testing.assert_array_equal(held["test_class_index"], TASK.starts().class_index)
 
 
 def test_peers_stand_in_the_table_and_are_no_leak(peers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few = Counts(threshold=100, known=60, foreign=20, early=40, healthy=60)
     monkeypatch.setattr(trust_module, "COUNTS", few)
-    (result,) = run_plan(Plan((CELL,), (), peers))
+    (result,) = run_plan(Plan((TASK,), (), peers))
     (quant,) = result.methods
     assert quant.name == "quant"
-    assert quant.origin.startswith("2026-11-21")
+    assert quant.answer.origin.startswith("2026-11-21")
     expected = np.where(np.arange(60) % 2 == 0, 0, 1)
-    np.testing.assert_array_equal(quant.judged.answer.decided, expected)
+    np.testing.assert_array_equal(quant.answer.decided, expected)
     row = result_rows([result])[1]
     assert row["family"] == "peer"
     assert row["train_memory_mb"] is None
     assert row["microseconds_per_transient"] == pytest.approx(200.0)
-    assert row["accuracy"] == pytest.approx((expected == CELL.test().class_index).mean())
+    assert row["accuracy"] == pytest.approx((expected == TASK.starts().class_index).mean())
 
 
 def test_answers_to_other_starts_are_left_out(peers: Path) -> None:
-    recipe = CELL.recipe
-    assert read_peers(peers, CELL) is not None
-    assert read_peers(peers, Cell(recipe, 100, 50)) is not None  # the first of its starts
+    recipe = TASK.recipe
+    assert read_peers(peers, TASK) is not None
+    assert read_peers(peers, class_task(recipe, 100, 50)) is not None  # the first of its starts
     for other in (
-        Cell(recipe, 101, 60),
-        Cell(recipe, 100, 61),
-        Cell(recipe, 100, 60, seed=1),
-        Cell(load_recipe("bench", timing=Timing(2_000.0, 0.1)), 100, 60),
+        class_task(recipe, 101, 60),
+        class_task(recipe, 100, 61),
+        class_task(recipe, 100, 60, seed=1),
+        class_task(load_recipe("bench", timing=Timing(2_000.0, 0.1)), 100, 60),
     ):
         assert read_peers(peers, other) is None
 
 
 def test_a_shifted_level_is_another_start(tmp_path: Path) -> None:
-    export_starts(CELL.train(), CELL.test(), tmp_path / "cases.npz")
-    moved = CELL.test().X.mean(axis=(1, 2)) + np.float32(1e-4)
+    export_starts(TASK.train(), TASK.starts(), tmp_path / "cases.npz")
+    moved = TASK.starts().X.mean(axis=(1, 2)) + np.float32(1e-4)
     _answers(tmp_path / "cases.npz", tmp_path / "peers.npz", test_mean=moved)
-    assert read_peers(tmp_path / "peers.npz", CELL) is None
+    assert read_peers(tmp_path / "peers.npz", TASK) is None
 
 
 class _Evil:
@@ -116,18 +116,18 @@ def test_poisoned_and_damaged_files_are_refused(
     text.write_text("no archive")
     for path in (poisoned, cut, text, tmp_path / "none.npz"):
         with pytest.raises(InputError, match=path.name):
-            read_peers(path, CELL)
+            read_peers(path, TASK)
     assert "poisoned" not in capsys.readouterr().out
 
 
 def test_shipped_answers_are_those_of_the_default_setting() -> None:
-    found = read_peers(shipped_peers(), Cell(load_recipe("bench")))
+    found = read_peers(shipped_peers(), class_task(load_recipe("bench")))
     assert found is not None
-    assert set(found.answers) == set(PEERS)
-    truth = Cell(load_recipe("bench")).test().class_index
-    accuracy = {name: (answer.decided == truth).mean() for name, answer in found.answers.items()}
+    assert set(found) == set(PEERS)
+    truth = class_task(load_recipe("bench")).starts().class_index
+    accuracy = {name: (answer.decided == truth).mean() for name, answer in found.items()}
     # Measured before: QUANT 0.932, MiniRocket 0.817, MultiRocket-Hydra 0.828 on other starts of the recipe.
     assert accuracy["quant"] == pytest.approx(0.935, abs=0.02)
     assert accuracy["minirocket"] == pytest.approx(0.82, abs=0.03)
     assert accuracy["multirocket-hydra"] == pytest.approx(0.83, abs=0.03)
-    assert [name for name, answer in found.answers.items() if answer.is_graded] == ["quant"]
+    assert [name for name, answer in found.items() if answer.is_graded] == ["quant"]

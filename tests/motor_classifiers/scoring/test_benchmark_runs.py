@@ -24,22 +24,21 @@ from motor_classifiers.scoring.benchmark import run_plan
 from motor_classifiers.scoring.judging import (
     LIMIT,
     Answer,
-    Cell,
     answer_key,
     judge,
     judge_apart,
-    judged_cases,
     load_answer,
     posterior,
     save_answer,
 )
-from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, make_cells, units
+from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, make_tasks, units
 from motor_classifiers.scoring.results import result_rows
+from motor_classifiers.scoring.task import ClassTask, class_task
 from motor_classifiers.scoring.trust import TRUST, Counts
 from motor_env import InputError, Recipe, Timing, load_recipe
 
 SLOW = load_recipe("bench", timing=Timing(1_000.0, 0.1))
-CELL = Cell(SLOW, 300, 200)
+TASK = class_task(SLOW, 300, 200)
 FAST = ["benchmark", "--sampling-rate-hz", "1000", "--n-train", "300", "--n-test", "200"]
 
 
@@ -96,7 +95,7 @@ def test_a_method_above_the_limit_fails_the_run(
 ) -> None:
     """The limit is made worse here, so that an honest method stands above it."""
 
-    def worse(cell: Cell) -> Answer:
+    def worse(cell: ClassTask) -> Answer:
         true = posterior(cell)
         return true._replace(probabilities=np.roll(true.probabilities, 1, axis=1))
 
@@ -107,7 +106,7 @@ def test_a_method_above_the_limit_fails_the_run(
 
 
 def test_a_process_of_its_own_gives_the_same_answer() -> None:
-    here, apart = judge("residual-qda", CELL), judge_apart("residual-qda", CELL)
+    here, apart = judge("residual-qda", TASK), judge_apart("residual-qda", TASK)
     np.testing.assert_array_equal(here.probabilities, apart.probabilities)
     assert apart.train.seconds > 0.0
     if sys.platform == "linux":
@@ -117,19 +116,19 @@ def test_a_process_of_its_own_gives_the_same_answer() -> None:
 
 
 def test_a_process_that_dies_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match=r"residual-qda on bench, .*: its process ended without an answer"):
-        judge_apart("residual-qda", _Deadly(SLOW, 300, 200))
+    with pytest.raises(InputError, match=r"residual-qda on deadly: its process ended without an answer"):
+        judge_apart("residual-qda", _Deadly("", "deadly", 200, recipe=SLOW))
 
 
-class _Monotonous(Cell):
+class _Monotonous(ClassTask):
     """A setting whose training starts are all healthy."""
 
     def train(self) -> Any:
-        starts = super().train()
+        starts = ClassTask.train(self)
         return starts.select(np.flatnonzero(starts.class_index == 0))
 
 
-class _Deadly(Cell):
+class _Deadly(ClassTask):
     """A setting whose starts kill the process that asks for them, as too little memory would."""
 
     def train(self) -> Any:
@@ -139,19 +138,23 @@ class _Deadly(Cell):
 def test_a_method_that_fails_is_named_and_costs_no_other_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def judged(name: str, cell: Cell) -> Answer:
-        return judge_apart(name, _Monotonous(SLOW, 50, 50)) if name == "residual-qda" else judge(name, cell)
+    def judged(name: str, cell: ClassTask) -> Answer:
+        return (
+            judge_apart(name, _Monotonous("", "bench, healthy", 50, recipe=SLOW, n_train=50))
+            if name == "residual-qda"
+            else judge(name, cell)
+        )
 
     monkeypatch.setattr(benchmark_module, "judge_apart", judged)
     store = AnswerStore(tmp_path)
-    plan = Plan((Cell(SLOW, 50, 50),), ("residual-qda", "raw-logistic"))
+    plan = Plan((class_task(SLOW, 50, 50),), ("residual-qda", "raw-logistic"))
     with pytest.raises(InputError, match=r"1 of 4 answers failed, the first: residual-qda on bench.*class"):
         run_plan(plan, store)
     assert [store.find(unit) is not None for unit in units(plan)] == [True, False, True, True]
 
 
 def test_sweep_crosses_rates_and_noises_and_tries_sizes_at_the_usual_noise() -> None:
-    cells = make_cells(
+    cells = make_tasks(
         (SLOW,), rates_hz=(1e3, 1e4), noises_a=(0.02, 0.1), train_sizes=(300, 100), n_test=200, seed=0
     )
     found = {(c.recipe.timing.sampling_rate_hz, c.recipe.sensor.current_noise_a, c.n_train) for c in cells}
@@ -166,33 +169,39 @@ def test_sweep_crosses_rates_and_noises_and_tries_sizes_at_the_usual_noise() -> 
 
 
 def test_answers_survive_and_damaged_ones_are_had_again(tmp_path: Path) -> None:
-    answer = posterior(CELL)
+    answer = posterior(TASK)
     path = tmp_path / "answer.npz"
     save_answer(answer, path)
-    found = load_answer(path, CELL)
+    found = load_answer(path, TASK)
     assert found is not None
     np.testing.assert_array_equal(found.probabilities, answer.probabilities)
     assert (found.train, found.inference) == (answer.train, answer.inference)
-    assert load_answer(path, Cell(SLOW, 300, 201)) is None
+    assert load_answer(path, class_task(SLOW, 300, 201)) is None
     whole = path.read_bytes()
     for cut in (0, 10, len(whole) // 2, len(whole) - 3):
         path.write_bytes(whole[:cut])
-        assert load_answer(path, CELL) is None
-    assert load_answer(tmp_path / "none.npz", CELL) is None
+        assert load_answer(path, TASK) is None
+    assert load_answer(tmp_path / "none.npz", TASK) is None
 
 
 def test_the_key_holds_all_that_an_answer_depends_on() -> None:
     other = load_recipe("bench", timing=Timing(2_000.0, 0.1))
-    cells = [CELL, Cell(SLOW, 301, 200), Cell(SLOW, 300, 201), Cell(SLOW, 300, 200, 1), Cell(other, 300, 200)]
+    cells = [
+        TASK,
+        class_task(SLOW, 301, 200),
+        class_task(SLOW, 300, 201),
+        class_task(SLOW, 300, 200, 1),
+        class_task(other, 300, 200),
+    ]
     assert len({answer_key("residual-qda", cell) for cell in cells}) == len(cells)
     assert answer_key(LIMIT, cells[0]) == answer_key(LIMIT, cells[1])
-    assert answer_key("network", CELL) != answer_key("residual-qda", CELL)
+    assert answer_key("network", TASK) != answer_key("residual-qda", TASK)
 
 
 @pytest.mark.usefixtures("at_once")
 def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
     plan = Plan(
-        make_cells((SLOW,), rates_hz=(), noises_a=(0.02, 0.1), train_sizes=(300,), n_test=200, seed=0),
+        make_tasks((SLOW,), rates_hz=(), noises_a=(0.02, 0.1), train_sizes=(300,), n_test=200, seed=0),
         ("residual-qda",),
     )
     first = units(plan)[2]
@@ -216,7 +225,7 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
     run_plan(plan, AnswerStore(tmp_path, fresh=True), lambda unit, known: asked.append(known))
     assert not any(asked)
     for result in results:
-        assert result.methods[0].judged.scores.accuracy.value > 0.4
+        assert result.methods[0].scores.accuracy.value > 0.4
     page = write_results(plan, results, tmp_path / "page").read_text()
     assert "Against the noise of the sensor" in page
     settings = page.split('id="settings"')[1].split("</tbody>")[0]
@@ -250,7 +259,7 @@ def test_a_killed_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert len(kept) >= 2
     asked: list[str] = []
     plan = Plan(
-        make_cells((SLOW,), rates_hz=(1e3,), noises_a=(0.02, 0.1), train_sizes=(300,), n_test=200, seed=0),
+        make_tasks((SLOW,), rates_hz=(1e3,), noises_a=(0.02, 0.1), train_sizes=(300,), n_test=200, seed=0),
         ("residual-qda", "threshold"),
     )
     results = run_plan(plan, AnswerStore(answers), lambda unit, known: asked.append(f"{unit.name} {known}"))
@@ -260,9 +269,7 @@ def test_a_killed_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
     fresh = run_plan(plan)
     for one, other in zip(results, fresh, strict=True):
         for mine, theirs in zip(one.methods, other.methods, strict=True):
-            np.testing.assert_array_equal(
-                mine.judged.answer.probabilities, theirs.judged.answer.probabilities
-            )
+            np.testing.assert_array_equal(mine.answer.probabilities, theirs.answer.probabilities)
 
 
 @pytest.mark.long
@@ -297,17 +304,9 @@ def test_dry_run_tells_what_is_there_and_makes_nothing(
     assert not list(tmp_path.iterdir())
 
 
-def test_commissioning_starts_are_not_judged() -> None:
-    field = load_recipe("field")
-    cases = judged_cases(field, 0, 5)
-    assert cases.tolist() == [3, 4, 8, 9, 13]
-    assert (judged_cases(SLOW, 7, 3) == [7, 8, 9]).all()
-    assert set(Cell(field, 200, 200).test().class_name.tolist()) == set(field.class_names)
-
-
-def _field_cell() -> Cell:
+def _field_cell() -> ClassTask:
     recipe: Recipe = load_recipe("field", timing=Timing(1_000.0, 0.1, 0.02))
-    return Cell(recipe, 200, 100)
+    return class_task(recipe, 200, 100)
 
 
 def test_the_limit_of_the_field_is_called_an_estimate(

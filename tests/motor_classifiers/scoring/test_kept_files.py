@@ -13,11 +13,12 @@ from motor_classifiers.contest.leaderboard import read_scores
 from motor_classifiers.estimators.own_methods import find_method
 from motor_classifiers.model_files import containers
 from motor_classifiers.model_files.containers import read_arrays
-from motor_classifiers.scoring.judging import Cell, load_answer
+from motor_classifiers.scoring.judging import load_answer
+from motor_classifiers.scoring.task import class_task
 from motor_classifiers.scoring.trust import load_figures
 from motor_env import load_recipe
 
-CELL = Cell(load_recipe("bench"), 50, 50)
+TASK = class_task(load_recipe("bench"), 50, 50)
 
 
 @pytest.mark.timeout(20)
@@ -25,7 +26,7 @@ def test_only_regular_files_are_read(tmp_path: Path) -> None:
     folder = tmp_path / "bench"
     folder.mkdir()
     for path in odd_places(folder / "a.json"):
-        assert load_answer(path, CELL) is None
+        assert load_answer(path, TASK) is None
         assert load_figures(path) is None
         assert "is no regular file" in refused(partial(read_arrays, path), path)
         if path.parent == folder:
@@ -57,11 +58,12 @@ def test_an_archive_that_unpacks_to_too_much_is_not_read(
 
 
 @pytest.mark.parametrize(
-    "changed", [{"costs": np.float64(1.0)}, {"severity": np.zeros(4)}, {"more": np.zeros(1)}]
+    "changed", [{"costs": np.float64(1.0)}, {"probabilities": np.zeros((4, 5))}, {"more": np.zeros(1)}]
 )
 def test_an_answer_of_another_shape_is_had_again(changed: dict[str, Any], tmp_path: Path) -> None:
-    whole = {"probabilities": np.full((50, 5), 0.2), "severity": np.zeros(50), "costs": np.ones(4)}
-    np.savez(tmp_path / "a.npz", allow_pickle=False, **whole)
-    assert load_answer(tmp_path / "a.npz", CELL) is not None
+    whole: dict[str, Any] = {"probabilities": np.full((50, 5), 0.2), "costs": np.ones(4)}
+    for older in ({}, {"severity": np.zeros(50)}):  # which earlier versions kept beside the probabilities
+        np.savez(tmp_path / "a.npz", allow_pickle=False, **whole, **older)
+        assert load_answer(tmp_path / "a.npz", TASK) is not None
     np.savez(tmp_path / "a.npz", allow_pickle=False, **whole | changed)
-    assert load_answer(tmp_path / "a.npz", CELL) is None
+    assert load_answer(tmp_path / "a.npz", TASK) is None

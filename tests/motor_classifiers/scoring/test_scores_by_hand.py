@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_results import CELL, RECIPE, answer, decisions, made_results
+from made_results import RECIPE, TASK, answer, decisions, made_results
 from scipy.stats import binom
 from sklearn.metrics import brier_score_loss, log_loss
 
@@ -21,13 +21,8 @@ from motor_classifiers.scoring.evaluation import evaluation_lines
 from motor_classifiers.scoring.judging import (
     LIMIT,
     Answer,
-    Cell,
-    best_probabilities,
     expected_severity,
     in_recipe_order,
-    judged_cases,
-    load_answer,
-    save_answer,
 )
 from motor_classifiers.scoring.metrics import (
     compare,
@@ -37,12 +32,10 @@ from motor_classifiers.scoring.metrics import (
     scores,
 )
 from motor_classifiers.scoring.peers import export_starts, read_peers
-from motor_classifiers.scoring.plan import Plan, make_cells, unit_of, units
+from motor_classifiers.scoring.plan import Plan, make_tasks, unit_of, units
 from motor_classifiers.scoring.progress import Cost, with_cost
-from motor_classifiers.scoring.results import as_csv, comparison_fields, result_rows
-from motor_classifiers.scoring.severities import (
-    _scored,
-)  # a handful of severities hold its two figures exactly
+from motor_classifiers.scoring.results import as_csv, result_rows
+from motor_classifiers.scoring.task import class_task, judged_cases
 from motor_classifiers.scoring.trust import Counts, expected_seconds, set_figures
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, foreign_scores, foreign_starts
 from motor_classifiers.scoring.verdict_times import STATED_ERRORS, accuracy_by_moment, moments
@@ -101,14 +94,14 @@ def test_scores_of_a_small_table_of_confusions() -> None:
 
 
 def test_a_comparison_counts_wins() -> None:
-    first, second = np.array([1, 1, 1, 0, 0], bool), np.array([1, 0, 0, 1, 0], bool)
-    got = compare(first, second, identity([0.0] * 5))
+    first, second = np.array([0.0, 0, 0, 1, 1]), np.array([0.0, 1, 1, 0, 1])
+    got = compare(TASK, first, second, identity([0.0] * 5))
     assert (got.only_first, got.only_second) == (2, 1)
     assert got.p_above == pytest.approx(4 / 8)  # two or three heads of three
-    assert got.difference.value == pytest.approx(0.2)
-    assert (got.difference.low, got.difference.high) == pytest.approx((-0.9, 1.0))
-    assert compare(second, second, identity([0.0] * 5)).p_above == 1.0
-    assert compare(np.array([False, True]), np.array([True, True]), identity([0.0] * 2)).p_above == 1.0
+    assert got.difference.value == pytest.approx(-20.0)
+    assert (got.difference.low, got.difference.high) == pytest.approx((-100.0, 90.0))
+    assert compare(TASK, second, second, identity([0.0] * 5)).p_above == 1.0
+    assert compare(TASK, np.array([1.0, 0.0]), np.zeros(2), identity([0.0] * 2)).p_above == 1.0
 
 
 def test_calibration_against_scikit_learn_and_on_the_edges() -> None:
@@ -152,7 +145,7 @@ def test_bars_of_reliability_are_one_standard_error(tmp_path: Path, monkeypatch:
 
 
 def test_severities_are_scored() -> None:
-    got = _scored(
+    got = trust_module._scored(  # a handful of severities hold its two figures exactly
         np.array([0.1, 0.2, 0.3, 0.0]), np.array([[0.0, 0.2], [0.1, 0.2], [0.1, 0.2], [0.0, 0.1]]),
         np.array([0.2, 0.2, 0.1, 0.2]),
     )  # fmt: skip
@@ -169,9 +162,7 @@ def test_rows_of_a_run_on_made_answers() -> None:
     assert second["below_bayes"] == pytest.approx(6 / 60)
     assert second["below_bayes_low"] < second["below_bayes"] < second["below_bayes_high"]
     difference = result.methods[0].against_limit.difference
-    assert (difference.value, difference.low, difference.high) == (
-        -second["below_bayes"], -second["below_bayes_high"], -second["below_bayes_low"],
-    )  # fmt: skip
+    assert difference == pytest.approx([100.0 * second[f"below_bayes{end}"] for end in ("", "_low", "_high")])
     assert (second["only_method_right"], second["only_bayes_right"]) == (5, 11)
     assert second["p_above_bayes"] == pytest.approx(binom.sf(4, 16, 0.5))
     assert second["bayes_expected_accuracy"] == pytest.approx(0.8125)
@@ -180,19 +171,19 @@ def test_rows_of_a_run_on_made_answers() -> None:
     assert second["log_loss"] == pytest.approx(-(44 * np.log(0.75) + 16 * np.log(0.0625)) / 60)
     assert second["ece"] == pytest.approx(0.75 - 44 / 60)
     assert third["log_loss"] is None  # it decides and grades nothing
-    test = CELL.test()
+    test = TASK.starts()
     levels = np.array([0.0, 0.1, 0.25, 0.1, 0.25])
-    np.testing.assert_allclose(worse.severity, worse.probabilities @ levels)
-    assert second["severity_rmse"] == pytest.approx(np.sqrt(np.square(worse.severity - test.severity).mean()))
+    severity = worse.probabilities @ levels
+    np.testing.assert_allclose(result.methods[0].severity, severity)
+    assert second["severity_rmse"] == pytest.approx(np.sqrt(np.square(severity - test.severity).mean()))
     assert second["origin"] == "this run"
     assert result.leaks == ()
     assert [one.name for one in result.ranked()] == ["residual-qda", "threshold"]
-    between = result.difference("residual-qda", "threshold")
+    between = result.difference(*reversed(result.methods))
     assert (between.only_first, between.only_second) == (9, 3)
     (flat, *_) = csv.DictReader(io.StringIO(as_csv([second])))
     assert float(flat["below_bayes"]) == second["below_bayes"]
     assert not {"recall", "confusion", "channels"} & set(flat)
-    assert comparison_fields(result.methods[0].against_limit)["below_bayes"] == second["below_bayes"]
 
 
 @pytest.mark.parametrize(
@@ -214,21 +205,21 @@ def test_a_leak_is_one_in_a_hundred_shared_among_the_comparisons(
     better = answer(decisions(slice(wins, wins + losses)))
     names = ("threshold", "network")[:n_methods]
     _, result = made_results(limit, **dict.fromkeys(names, better))
-    assert result.methods[0].above_limit is leaks
+    assert ("threshold" in result.leaks) is leaks
 
 
 def test_settings_say_what_they_are() -> None:
-    assert CELL.title == "bench, 1 kHz, 20 mA, 100 training starts"
-    assert CELL.as_json() == {
+    assert TASK.title == "bench, 1 kHz, 20 mA, 100 training starts"
+    assert TASK.setting() == {
         "recipe": "bench", "sampling_rate_hz": 1000.0, "duration_s": 0.1, "noise_a": 0.02, "channels": ["current"],
         "n_train": 100, "n_test": 60, "seed": 0,
     }  # fmt: skip
-    assert Cell(RECIPE, 50, 50).n_test == 50
+    assert class_task(RECIPE, 50, 50).n_test == 50
     for numbers in ((49, 50), (50, 49)):
         with pytest.raises(ValueError, match="must be >= 50, got 49"):
-            Cell(RECIPE, *numbers)
-    assert CELL.test().case_id.tolist() == list(range(10**9, 10**9 + 60))
-    assert CELL.train().case_id.tolist() == list(range(100))
+            class_task(RECIPE, *numbers)
+    assert TASK.starts().case_id.tolist() == list(range(10**9, 10**9 + 60))
+    assert TASK.train().case_id.tolist() == list(range(100))
 
 
 @pytest.mark.parametrize(("starts", "healthy"), [(1, 0), (5, 3), (4, 1), (2, 0)])
@@ -257,17 +248,9 @@ def test_columns_come_in_the_order_of_the_recipe() -> None:
     assert answer(np.zeros(4, dtype=np.int64), 0.5).is_graded is True
 
 
-def test_an_answer_is_kept_with_its_costs(tmp_path: Path) -> None:
-    made = answer(np.zeros(60, dtype=np.int64))
-    save_answer(made, tmp_path / "a.npz")
-    found = load_answer(tmp_path / "a.npz", CELL)
-    assert found is not None
-    assert (found.train, found.inference) == (Cost(1.5, 20.0), Cost(0.003, None))
-
-
 def test_a_sweep_tries_sizes_at_the_usual_noise() -> None:
     def told(**options: Any) -> list[tuple[float, float, int]]:
-        cells = make_cells([RECIPE], n_test=60, seed=0, **options)
+        cells = make_tasks([RECIPE], n_test=60, seed=0, **options)
         return [(c.recipe.timing.sampling_rate_hz, c.recipe.sensor.current_noise_a, c.n_train) for c in cells]
 
     assert told(rates_hz=(), noises_a=(), train_sizes=[200, 100]) == [(1e3, 0.02, 200), (1e3, 0.02, 100)]
@@ -277,7 +260,7 @@ def test_a_sweep_tries_sizes_at_the_usual_noise() -> None:
     assert told(rates_hz=(1e3,), noises_a=(0.1, 0.05), train_sizes=[200, 100]) == [
         (1e3, 0.1, 200), (1e3, 0.1, 100), (1e3, 0.05, 200),
     ]  # fmt: skip
-    cells = make_cells(
+    cells = make_tasks(
         [RECIPE], rates_hz=(1e3, 1e4), noises_a=(0.1, 0.02), train_sizes=[200], n_test=60, seed=0
     )
     plan = Plan(cells, ("threshold", "posterior-network"))
@@ -289,18 +272,18 @@ def test_a_sweep_tries_sizes_at_the_usual_noise() -> None:
 
 def test_times_that_are_expected() -> None:
     """What progress bars go by, in seconds: measured once on two cores, and linear in the work."""
-    usual = Cell(load_recipe("bench"))
+    usual = class_task(load_recipe("bench"))
     by_name = {
         unit.name: unit.seconds for unit in units(Plan((usual,), ("residual-qda", "posterior-network")))
     }
     assert by_name == pytest.approx(
         {LIMIT: 0.5 + 2.0, "residual-qda": 1.0 + 1.0, "posterior-network": 1.0 + 15.0, "trust": 60.0}
     )
-    slow = {unit.name: unit.seconds for unit in units(Plan((CELL,), ("residual-qda",)))}
+    slow = {unit.name: unit.seconds for unit in units(Plan((TASK,), ("residual-qda",)))}
     assert slow == pytest.approx(
         {LIMIT: 0.5 + 0.006, "residual-qda": 1.0 + 0.5 * 160 / 2000 * (0.2 + 0.08), "trust": 5.0 + 3.0}
     )
-    field = Cell(load_recipe("field"))
+    field = class_task(load_recipe("field"))
     assert unit_of(field, "posterior-network").seconds == pytest.approx(600.0)
     assert expected_seconds(field, with_network=True) == 1.0
 
@@ -454,9 +437,9 @@ def test_early_verdicts_need_two_moments(
 ) -> None:
     monkeypatch.setattr(trust_module, "COUNTS", Counts(early=60, healthy=60))
     short = load_recipe("bench", timing=Timing(1_000.0, 0.001 * n_samples))
-    early = trust_module._early(Cell(short, 150, 60))  # the section alone: all of them train a network
+    early = trust_module._early(class_task(short, 150, 60))  # the section alone: all of them train a network
     assert early.get("time_s") == ([0.010, 0.011] if has_figures else None)
-    raced = trust_module._race(Cell(short, 150, 60))
+    raced = trust_module._race(class_task(short, 150, 60))
     assert ("curves" in raced) is has_figures
     if has_figures:
         assert raced["severity"] == 0.25
@@ -464,7 +447,7 @@ def test_early_verdicts_need_two_moments(
 
 
 def test_figures_of_sets_are_those_of_the_coverage() -> None:
-    test = CELL.test()
+    test = TASK.starts()
     told = answer(test.class_index, 0.75).probabilities
     got = set_figures({"one": told}, test)
     assert (got["n_test"], got["promised"]) == (60, 0.9)
@@ -476,14 +459,14 @@ def test_figures_of_sets_are_those_of_the_coverage() -> None:
     assert (row["method"], row["coverage"], row["empty"]) == ("one", 1.0, 0.0)
     assert row["mean_size"] == pytest.approx(np.mean(size))
     assert row["by_class"] == [1.0] * 5
-    few = CELL.test().select(np.arange(3))
+    few = TASK.starts().select(np.arange(3))
     assert set_figures({"one": told[:3]}, few) == {
         "reason": "3 test starts are too few: a class has none in one of their halves"
     }
 
 
 def test_peers_answers_are_scaled_to_the_starts_shown(tmp_path: Path) -> None:
-    export_starts(CELL.train(), CELL.test(), tmp_path / "cases.npz")
+    export_starts(TASK.train(), TASK.starts(), tmp_path / "cases.npz")
     with np.load(tmp_path / "cases.npz") as held:
         arrays = {name: held[name] for name in held.files if name.endswith(("mean", "index"))}
     told = {
@@ -502,15 +485,14 @@ def test_peers_answers_are_scaled_to_the_starts_shown(tmp_path: Path) -> None:
             quant=uneven,
             **(arrays | {"test_mean": moved}),
         )
-        peers = read_peers(tmp_path / "p.npz", CELL)
+        peers = read_peers(tmp_path / "p.npz", TASK)
         assert (peers is not None) is found
         if peers is not None:
-            got: Answer = peers.answers["quant"]
+            got: Answer = peers["quant"]
             assert got.probabilities[0].tolist() == [0.5, 0.25, 0.0, 0.0, 0.25]
             assert (got.train, got.inference.memory_mb) == (Cost(7.0, 3.0), 4.0)
             assert got.inference.seconds == pytest.approx(0.015)
-            assert got.severity[0] == pytest.approx(0.25 * 0.1 + 0.25 * 0.25)
-            assert peers.origin == "d, m, aeon a, c"
+            assert got.origin == "d, m, aeon a, c"
 
 
 def test_lines_of_an_evaluation() -> None:
@@ -559,5 +541,5 @@ def test_motors_at_work_have_the_posterior_around_their_fit() -> None:
     recipe = load_recipe("operation")
     X = generate_arrays(recipe, 1, 3).X
     np.testing.assert_array_equal(
-        best_probabilities(recipe, X), work_probabilities(recipe, X.astype(np.float64))
+        class_task(recipe).best(X), work_probabilities(recipe, X.astype(np.float64))
     )

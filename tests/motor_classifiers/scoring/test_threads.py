@@ -10,10 +10,11 @@ import pytest
 
 CODE = """
 import hashlib, sys, torch
-from motor_classifiers.scoring.judging import Cell, judge
+from motor_classifiers.scoring.judging import judge
+from motor_classifiers.scoring.task import class_task
 from motor_env.simulation.simulate import Timing
 torch.set_num_threads(int(sys.argv[1]))
-cell = Cell(load_recipe("bench", timing=Timing(1_000.0, 0.1)), 120, 60)
+cell = class_task(load_recipe("bench", timing=Timing(1_000.0, 0.1)), 120, 60)
 def digest(values):
     return hashlib.sha256(values.tobytes()).hexdigest()
 print("starts", digest(cell.train().X), digest(cell.test().X))

@@ -1,15 +1,11 @@
 """Times of verdicts: moments, the alarm by hand, and the order of the rules that theory gives."""
 
 import numpy as np
-import pytest
 
 from motor_classifiers.scoring.verdict_times import (
-    FEWEST_SAMPLES,
     FIXED_TIME,
     STATED_ERRORS,
     STOPPING_RULE,
-    _verdict_time,
-    moments,
     race,
     stopping_rows,
 )
@@ -18,26 +14,6 @@ from motor_classifiers.scoring.verdict_times import (
 from motor_classifiers.wrappers.early import stop_when_sure, stopping_score
 from motor_env import FaultKind, Timing, load_recipe
 from motor_env.simulation.recipes import FaultClass
-
-
-def test_moments_count_from_the_step() -> None:
-    plain = moments(Timing(10_000.0, 0.1))
-    assert len(plain.samples) == 18
-    assert (plain.samples[0], plain.samples[-1]) == (10, 1000)
-    quiet = moments(Timing(10_000.0, 0.1, 0.02))
-    np.testing.assert_array_equal(quiet.samples, plain.samples + 200)
-    np.testing.assert_allclose(quiet.time_s, plain.time_s)
-    slow = moments(Timing(1_000.0, 0.1))
-    assert slow.samples[0] == FEWEST_SAMPLES
-    np.testing.assert_allclose(slow.time_s, slow.samples / 1_000.0)
-
-
-def test_time_of_an_alarm_by_hand() -> None:
-    above = np.array([[0, 0, 1, 1], [0, 0, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0]], dtype=bool)
-    faulty = np.array([True, True, False, False])
-    got = _verdict_time(above, faulty, Timing(1_000.0, 0.004))
-    assert got.wrong == 0.5  # one fault missed, one false alarm
-    assert got.time_s == pytest.approx((0.003 + 0.004) / 2.0)
 
 
 def test_rows_are_the_scores_of_the_stopping_rule() -> None:

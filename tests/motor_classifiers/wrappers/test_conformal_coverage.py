@@ -1,7 +1,5 @@
 """Conformal coverage on a stream of cases, and calibration measures against what is known of them."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -11,7 +9,7 @@ from sklearn.linear_model import LogisticRegression
 from motor_classifiers import ConformalClassifier, ConformalIntervals, ConformalSets
 
 # Reaches in: what wrapped models promise is judged by the benchmark's scores, pinned here beside it.
-from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability, reliability
+from motor_classifiers.scoring.calibration import calibration_scores
 from motor_classifiers.wrappers.conformal import measured_coverage
 
 N_CLASSES = 4
@@ -129,25 +127,3 @@ def test_scores_of_the_true_posterior_and_of_one_that_boasts() -> None:
         if n > 0:
             low, high = binom.interval(0.9999, int(n), confidence)
             assert low <= share * n <= high
-
-
-def test_bins_by_hand() -> None:
-    probabilities = np.array([[0.9, 0.1], [0.8, 0.2], [0.4, 0.6]])
-    binned = reliability(probabilities, [0, 1, 1], np.array([0.0, 0.7, 1.0]))
-    np.testing.assert_allclose(binned.confidence, [0.6, 0.85])
-    np.testing.assert_allclose(binned.accuracy, [1.0, 0.5])
-    scores = calibration_scores(probabilities, [0, 1, 1], np.array([0.0, 0.7, 1.0]))
-    assert scores.ece == pytest.approx((0.4 + 2 * 0.35) / 3)
-    assert scores.brier == pytest.approx((0.02 + 1.28 + 0.32) / 3)
-    assert scores.log_loss == pytest.approx(-np.log([0.9, 0.2, 0.6]).mean())
-
-
-def test_reliability_is_drawn(tmp_path: Path) -> None:
-    probabilities, truth = stream(np.random.default_rng(9), 2000)
-    scores = calibration_scores(probabilities, truth)
-    few = calibration_scores(probabilities[:10], truth[:10])
-    first, second = tmp_path / "one.svg", tmp_path / "two.svg"
-    plot_reliability({"limit": scores}, first)
-    plot_reliability({"limit": scores, "few cases": few}, second)
-    assert first.read_bytes() != second.read_bytes()
-    assert second.read_text().rstrip().endswith("</svg>")

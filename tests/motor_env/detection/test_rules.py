@@ -12,7 +12,6 @@ from motor_env import (
     MOfN,
     Rule,
     ShiryaevRoberts,
-    SignatureCusum,
     Sprt,
     WindowedNis,
     in_a_row,
@@ -194,7 +193,6 @@ def test_bad_requests_are_refused_in_one_sentence() -> None:
 
 
 WINDOWED: dict[str, Rule] = {
-    "cusum of a signature": SignatureCusum(tuple(0.5 * (1.0 - np.exp(-np.arange(1, 21) / 6.0)))),
     "summed nis": WindowedNis(10),
     "glr": Glr(2, 40),
     "two-sided glr": Glr(1, 30, two_sided=True),
@@ -345,21 +343,6 @@ def test_simulation_finds_the_threshold_that_the_integral_equation_gives() -> No
     found = ModelBank((1.0,)).threshold_for(arl0=300.0, runs=2000)
     assert found.value == pytest.approx(exact, abs=4.0 * found.standard_error)
     assert found.standard_error < 0.05
-
-
-def test_the_cusum_of_a_signature_looks_at_every_onset() -> None:
-    values = np.random.default_rng(7).standard_normal(80)
-    signature = np.array([0.1, 0.3, 0.6])
-    shape = np.concatenate([signature, np.full(77, 0.6)])
-    found = SignatureCusum(tuple(signature)).statistic(values[:, None])
-    for k in (0, 1, 5, 79):
-        sums = [shape[:m] @ values[k + 1 - m : k + 1] - 0.5 * shape[:m] @ shape[:m] for m in range(1, k + 2)]
-        assert found[k] == pytest.approx(max(0.0, *sums), abs=1e-12)
-    np.testing.assert_allclose(
-        SignatureCusum((0.5,)).statistic(values[:, None]),
-        Cusum(0.5).statistic(values[:, None]) * 0.5,
-        atol=1e-12,
-    )
 
 
 def test_one_glr_finds_faults_of_any_size_nearly_as_fast_as_the_matched_cusum() -> None:

@@ -1,10 +1,9 @@
-"""Consistency checks keep their level and see what is wrong; process noise is found and absorbs faults."""
+"""Consistency checks keep their level and see what is wrong; process noise absorbs faults."""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import chi2, norm
 
 from motor_env import (
@@ -17,14 +16,11 @@ from motor_env import (
     SensorParameters,
     Timing,
     check_consistency,
-    choose_process_noise,
     run_filter,
     simulate,
 )
 from motor_env.filters.consistency import Consistency
 from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD
-from motor_env.filters.process_noise import matched_power, signature_energy
-from motor_env.motor.faults import apply_fault
 from motor_env.motor.parameters import FloatArray
 
 SENSOR = SensorParameters()
@@ -93,20 +89,6 @@ def test_each_kind_of_inconsistency_is_named(spoil: Callable[[FloatArray], Float
     assert spoiled.n_values == 990
 
 
-def test_too_much_process_noise_absorbs_a_bearing_fault() -> None:
-    faulty = apply_fault(PAPER_MOTOR, Fault(FaultKind.BEARING, 0.1))
-    voltage = np.full(1000, 12.0)
-    beliefs = [
-        KalmanFilter.from_parameters(PAPER_MOTOR, SENSOR, 1e-4, process_noise_std=std)
-        for std in ((0.0, 0.0), (1e-5, 1e-3), (1e-2, 0.316))
-    ]
-    energy = [signature_energy(belief, faulty, voltage, 1e-4) for belief in beliefs]
-    # Without process noise it is the separation of the two known signals, 3.8 at 20 mA.
-    assert energy[0] == pytest.approx(3.8, abs=0.1)
-    assert energy[0] > energy[1] > energy[2]
-    assert energy[2] < 1.0
-
-
 def test_too_much_process_noise_blinds_a_cusum() -> None:
     """A residual against a threshold from healthy transients, at 1 % false alarms."""
     timing, fault = Timing(), Fault(FaultKind.BEARING, 0.1)
@@ -122,62 +104,6 @@ def test_too_much_process_noise_blinds_a_cusum() -> None:
         found.append((largest[1] > np.quantile(largest[0], 0.99)).mean())
     assert found[0] > 0.65
     assert found[1] < 0.08
-
-
-def test_the_power_of_a_matched_test_is_that_of_two_normals() -> None:
-    assert matched_power(0.0, 0.01) == pytest.approx(0.01)
-    generator = np.random.default_rng(3)
-    healthy, faulty = generator.standard_normal(200_000), generator.standard_normal(200_000) + 3.0
-    found = (faulty > np.quantile(healthy, 0.99)).mean()
-    assert matched_power(3.0, 0.01) == pytest.approx(found, abs=0.01)
-
-
-@pytest.mark.parametrize("true_std", [(0.0, 0.0), (5e-3, 0.5)])
-def test_process_noise_is_found_from_healthy_data(true_std: tuple[float, float]) -> None:
-    scenario = Scenario(PAPER_MOTOR, timing=Timing(duration_s=0.05), process_noise_std=true_std)
-    transients = simulate(scenario, seed=5, cases=range(40))
-    faulty = apply_fault(PAPER_MOTOR, Fault(FaultKind.BEARING, 0.1))
-    design = choose_process_noise(
-        PAPER_MOTOR, SENSOR, 1e-4, transients.measurements, transients.voltage_v[0], faulty=(faulty,)
-    )
-    assert design.consistency.holds
-    kept = design.separation[0] / design.separation_without[0]
-    assert kept < 0.6 if true_std[0] else kept == pytest.approx(1.0, abs=1e-3)
-    if true_std[0]:
-        assert design.scale == pytest.approx(0.5, rel=0.2)
-    else:
-        assert design.scale == pytest.approx(1e-6)
-
-
-def test_the_smallest_scale_is_where_the_likelihood_has_fallen_by_192() -> None:
-    """The end of a 95 % interval: a scale just outside is not taken, one just inside is."""
-    scenario = Scenario(PAPER_MOTOR, timing=Timing(duration_s=0.01), process_noise_std=(5e-3, 0.5))
-    transients = simulate(scenario, seed=5, cases=range(10))
-    data = transients.measurements, transients.voltage_v[0]
-
-    def fall(log_scale: float) -> float:
-        std = (1e-2 * np.exp(log_scale), np.exp(log_scale))
-        belief = KalmanFilter.from_parameters(PAPER_MOTOR, SENSOR, 1e-4, process_noise_std=std)
-        return -float(run_filter(belief, *data).log_likelihood.sum())
-
-    best = minimize_scalar(fall, bounds=(-2.0, 1.0), method="bounded", options={"xatol": 1e-8})
-    end = float(brentq(lambda x: fall(x) - best.fun - 0.5 * 1.96**2, best.x - 2.0, best.x))
-    step = (best.x - end) / 8.0
-    for inside in (True, False):
-        # The seventh scale of a grid of 33 lies beside the end of the interval.
-        seventh = end + (4e-3 if inside else -4e-3) * step
-        smallest = seventh - 6.0 * step
-        design = choose_process_noise(
-            PAPER_MOTOR,
-            SENSOR,
-            1e-4,
-            *data,
-            smallest=np.exp(smallest),
-            largest=np.exp(smallest + 32.0 * step),
-        )
-        expected = seventh if inside else seventh + step
-        assert np.log(design.scale) == pytest.approx(expected, abs=1e-6)
-        assert design.process_noise_std == pytest.approx((1e-2 * design.scale, design.scale))
 
 
 def test_bad_input_is_refused() -> None:

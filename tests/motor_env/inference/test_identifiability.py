@@ -10,7 +10,6 @@ from motor_env import (
     Channel,
     Experiment,
     Fault,
-    FaultKind,
     SensorParameters,
     Timing,
     cramer_rao_bound,
@@ -18,11 +17,9 @@ from motor_env import (
     load_recipe,
     simulate_states,
 )
-from motor_env.inference.identifiability import Identifiability, isolability
+from motor_env.inference.identifiability import Identifiability
 from motor_env.inference.parametrisation import QUANTITIES, Coordinates
-from motor_env.inference.whitening import MatchedTest
 from motor_env.motor.faults import apply_fault, motor_kinds
-from motor_env.simulation.recipes import Spread
 
 TIMING = Timing(10_000.0, 0.1)
 CURRENT = SensorParameters()
@@ -88,37 +85,6 @@ def test_unloaded_steady_state_hides_the_winding_and_load_shows_it() -> None:
     assert loaded < 0.1 * identifiability(PAPER_MOTOR, both, ("resistance",)).std[0]
 
 
-def test_detectability_is_the_separation_of_the_matched_test() -> None:
-    got = isolability(PAPER_MOTOR, START, BENCH.spread, severity=1e-4)
-    for kind, separation in zip(got.kinds, got.detectable, strict=True):
-        exact = MatchedTest.from_recipe(BENCH, Fault(kind, 1e-4)).separation
-        assert separation == pytest.approx(exact, rel=1e-3)
-
-
-def test_distances_are_what_regressions_leave_over() -> None:
-    """Tolerances as normal columns in a dense covariance, the best multiple of another fault by least squares."""
-    experiment = Experiment.start(Timing(1_000.0, 0.05), BOTH)
-    spread = Spread(supply=0.01, resistance=0.03, constants=0.02, inertia=0.04, friction=0.05)
-    got = isolability(PAPER_MOTOR, experiment, spread, severity=0.2)
-    slopes = dict(zip(QUANTITIES, experiment.slopes(PAPER_MOTOR, QUANTITIES).T, strict=True))
-    tolerances = {"supply": 0.01, "resistance": 0.03, "constants": 0.02, "inertia": 0.04, "friction": 0.05}
-    covariance = np.eye(100)
-    for name, std in tolerances.items():
-        covariance += std**2 * np.outer(slopes[name], slopes[name])
-    root = np.linalg.inv(np.linalg.cholesky(covariance))
-    signatures = np.array(
-        [
-            root @ (0.2 * sum(power * slopes[name] for name, power in kind.motor_powers.items()))
-            for kind in got.kinds
-        ]
-    )
-    np.testing.assert_allclose(got.detectable, np.linalg.norm(signatures, axis=1), rtol=1e-6)
-    for i, one in enumerate(signatures):
-        for j, other in enumerate(signatures):
-            left = one if i == j else one - other * (one @ other) / (other @ other)
-            assert got.isolable[i, j] == pytest.approx(np.linalg.norm(left), rel=1e-5, abs=1e-5)
-
-
 def test_a_direction_of_less_than_a_hundredth_is_open() -> None:
     """Of a noise so large that a factor of e would move the samples by just more, and just less."""
     loud = identifiability(PAPER_MOTOR, START, ("resistance",)).std[0]
@@ -153,14 +119,6 @@ def test_fault_directions_are_those_of_apply_fault() -> None:
             "viscous_friction_n_m_s_per_rad",
         ):
             assert getattr(motor, field) == pytest.approx(getattr(faulty, field), rel=1e-11)
-
-
-def test_steady_current_cannot_tell_a_bearing_from_a_short() -> None:
-    steady = isolability(PAPER_MOTOR, STEADY, Spread())
-    bearing, short = steady.kinds.index(FaultKind.BEARING), steady.kinds.index(FaultKind.WINDING_SHORT)
-    assert steady.detectable[bearing] > 3.0
-    assert steady.isolable[bearing, short] < 1e-3
-    assert isolability(PAPER_MOTOR, START, Spread()).isolable[bearing, short] > 3.0
 
 
 def test_bad_experiments_are_named() -> None:

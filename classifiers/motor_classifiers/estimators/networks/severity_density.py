@@ -72,7 +72,7 @@ def _log_mass(parameters: torch.Tensor) -> torch.Tensor:
 
 
 def negative_log_likelihood(parameters: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
-    """Of each position, shape (n,), under its density, (n, 2), relative to the uniform prior."""
+    """Loss of each position, shape (n,), under its density, (n, 2), relative to the uniform prior."""
     total = torch.logsumexp(_log_density(parameters, grid_like(parameters)) + _log_mass(parameters), dim=-1)
     return total - _log_density(parameters, position[:, None])[:, 0]
 

@@ -188,7 +188,7 @@ def with_more_noise(
     factor: FloatArray,
     generator: np.random.Generator,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """The same starts under more noise: what `SignalSpace.coordinates` would be.
+    """Coordinates of starts under more noise: what `SignalSpace.coordinates` would be.
 
     White noise along orthonormal directions is white; outside them n is added to what is left, v, of which only the
     squares matter: |v + n|^2 is (|v| + n_1)^2 and a chi-square with one degree of freedom less. Both are exact.

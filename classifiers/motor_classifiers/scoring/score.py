@@ -1,0 +1,172 @@
+"""Scores: what a method's answers to a task are worth, beside the best possible answers to the same cases."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from motor_classifiers.scoring.calibration import CalibrationScores, calibration_scores
+from motor_classifiers.scoring.judging import LIMIT, Answer, expected_severity
+from motor_classifiers.scoring.metrics import (
+    Comparison,
+    IntArray,
+    Score,
+    Scores,
+    compare,
+    interval,
+    resampling_weights,
+    root_mean_square,
+    scores,
+)
+from motor_classifiers.scoring.task import ClassTask, Task
+from motor_env.motor.parameters import FloatArray
+
+SIGNIFICANCE = 0.01
+"""Level of the check that no method beats the limit: shared among all comparisons of a run (Bonferroni), one-sided."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """One method on one task.
+
+    Attributes:
+        name: of the method.
+        costs: of each case, shape (n_test,).
+        value: the task's metric; smaller is better.
+        against_limit: compared in pairs with the best possible; None where that is not known.
+    """
+
+    name: str
+    costs: FloatArray
+    value: Score
+    against_limit: Comparison | None
+
+
+@dataclass(frozen=True)
+class ClassResult(Result):
+    """One method on a task that asks for the class.
+
+    Attributes:
+        against_limit: compared in pairs with the limit's decisions.
+        answer: what was said of each case.
+        scores: of the decisions, with intervals.
+        calibration: of the probabilities; None for a method that only decides.
+        severity: mean severity over the classes by their probabilities, 0.01 for a point, shape (n_test,).
+        severity_rmse: root mean square of its error.
+    """
+
+    against_limit: Comparison
+    answer: Answer
+    scores: Scores
+    calibration: CalibrationScores | None
+    severity: FloatArray
+    severity_rmse: Score
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """All methods on one task that asks for the class.
+
+    Attributes:
+        task: the task.
+        truth: index of the true class of each case.
+        severity: true severity of each.
+        limit: the Bayes-optimal posterior, or its estimate where the likelihood has no closed form.
+        methods: in the order given.
+        weights: of the bootstrap, shape (1 + n_resamples, n_test).
+        n_comparisons: comparisons with the limit that share `SIGNIFICANCE`.
+        trust: figures on trust, in the reference setting alone.
+    """
+
+    task: ClassTask
+    truth: IntArray
+    severity: FloatArray
+    limit: ClassResult
+    methods: tuple[ClassResult, ...]
+    weights: FloatArray
+    n_comparisons: int = 1
+    trust: dict[str, Any] | None = None
+
+    @property
+    def limit_is_estimate(self) -> bool:
+        """Whether no better limit is known than an estimate."""
+        return self.task.recipe.field is not None
+
+    def is_above(self, method: ClassResult) -> bool:
+        """Whether a method of this run is significantly better than what is possible: then something leaks."""
+        if method.answer.origin or self.limit_is_estimate:
+            return False
+        return method.against_limit.p_above < SIGNIFICANCE / self.n_comparisons
+
+    @property
+    def leaks(self) -> tuple[str, ...]:
+        """Names of the methods that are significantly above the limit."""
+        return tuple(method.name for method in self.methods if self.is_above(method))
+
+    def ranked(self) -> tuple[ClassResult, ...]:
+        """Methods, the most accurate first."""
+        return tuple(sorted(self.methods, key=lambda method: -method.scores.accuracy.value))
+
+    def difference(self, first: ClassResult, second: ClassResult) -> Comparison:
+        """Two methods compared in pairs."""
+        return compare(self.task, first.costs, second.costs, self.weights)
+
+
+def score(
+    task: Task,
+    truth: NDArray[Any],
+    answers: Mapping[str, NDArray[Any]],
+    weights: FloatArray,
+    limit: str | None = None,
+) -> dict[str, Result]:
+    """Score answers to the same cases.
+
+    Args:
+        task: what is asked.
+        truth: of the task's cases.
+        answers: by method, each of shape (n_test, n_columns).
+        weights: from `resampling_weights`, the same for all methods.
+        limit: name of the best possible answers among them.
+    """
+    costs = {name: task.costs(truth, own) for name, own in answers.items()}
+    against = {
+        name: None if limit is None else compare(task, own, costs[limit], weights)
+        for name, own in costs.items()
+    }
+    return {
+        name: Result(name, own, interval(task.figures(own, weights)), against[name])
+        for name, own in costs.items()
+    }
+
+
+def score_classes(
+    task: ClassTask, answers: Mapping[str, Answer], limit: Answer, n_comparisons: int = 1
+) -> Results:
+    """Score probabilities of classes in every way.
+
+    Args:
+        task: what is asked.
+        answers: by method.
+        limit: the best possible ones, or their estimate.
+        n_comparisons: methods and settings that share the check against the limit.
+    """
+    starts, recipe, every = task.starts(), task.recipe, {**answers, LIMIT: limit}
+    truth, true_severity = starts.class_index, starts.severity
+    weights = resampling_weights(len(starts), task.seed, groups=starts.motor_id)
+    said = {name: answer.probabilities for name, answer in every.items()}
+    made = {}
+    for name, result in score(task, truth, said, weights, LIMIT).items():
+        severity = expected_severity(recipe, said[name])
+        made[name] = ClassResult(
+            **vars(result),
+            answer=every[name],
+            scores=scores(recipe, truth, every[name].decided, weights),
+            calibration=calibration_scores(said[name], truth) if every[name].is_graded else None,
+            severity=severity,
+            severity_rmse=root_mean_square(severity - true_severity, weights),
+        )
+    best = made.pop(LIMIT)
+    return Results(task, truth, true_severity, best, tuple(made.values()), weights, n_comparisons)

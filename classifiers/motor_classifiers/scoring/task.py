@@ -1,0 +1,274 @@
+"""What is asked of methods: cases, what a wrong answer costs, the metric, and the best possible answers.
+
+Every metric comes from costs of cases, so any two methods are compared in pairs. Test cases are numbered from 0; their
+numbers tell nothing of the truth.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_datasets.arrays import Dataset
+from motor_datasets.generate import generate_arrays
+from motor_env.errors import InputError
+from motor_env.inference.posterior import class_probabilities
+from motor_env.inference.work_features import work_probabilities
+from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.recipe_files import recipe_to_dict
+from motor_env.simulation.recipes import Recipe
+
+VERSION = "1.0"
+"""Version of the frozen tasks: one with another recipe, seed or count belongs to another."""
+
+SEED = 20_261
+"""Seed of the public splits of frozen tasks; a sealed split has a secret one."""
+
+TRAIN_FIRST_CASE = 0
+TEST_FIRST_CASE = 1_000_000_000
+"""Training and test motors are different cases of one seed, so they never meet."""
+
+_TOLERANCE = 1e-3  # of a sum of probabilities
+
+
+class Cases(NamedTuple):
+    """Cases of a split.
+
+    Attributes:
+        X: measurements, float32, shape (n_cases, n_channels, n_samples).
+        truth: what the task's costs compare answers with, shape (n_cases,): class index, severity, unknown fault
+            (0: none), time of the onset in seconds (nan: no fault) or verdict.
+        motor: of each case, shape (n_cases,), where several are of one motor: intervals then draw motors.
+    """
+
+    X: NDArray[np.float32]
+    truth: NDArray[Any]
+    motor: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Task(ABC):
+    """One task, of cases that are drawn or that somebody brings.
+
+    Attributes:
+        name: on the command line, and in tables.
+        title: what is asked, for a person.
+        n_test: cases to be judged.
+        metric: what the mean cost is called; smaller is better.
+        bracket: between which the best possible lies on average, where it is not known case by case (docs/limits.md).
+    """
+
+    name: str
+    title: str
+    n_test: int = 5000
+    metric: str = "error rate, %"
+    bracket: tuple[float, float] | None = None
+
+    @abstractmethod
+    def test(self) -> Cases:
+        """What is judged, with the truth."""
+
+    @abstractmethod
+    def costs(self, truth: NDArray[Any], answers: NDArray[Any]) -> FloatArray:
+        """Cost of each case, shape (n_test,), for answers of shape (n_test, n_columns)."""
+
+    def figures(self, costs: FloatArray, weights: FloatArray) -> FloatArray:
+        """The metric, once for each row of weights, shape (n_rows,), from costs of shape (n_test,)."""
+        means: FloatArray = 100.0 * (weights @ costs) / weights.sum(axis=1)
+        return means
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnTask(Task):
+    """A task whose cases a recipe draws.
+
+    Attributes:
+        recipe: what motors are drawn from.
+        n_train: starts to learn from; no motor of theirs is judged.
+        seed: of motors and noise.
+        sealed: secret seed of the test split; None for the public one.
+    """
+
+    recipe: Recipe = field(repr=False)
+    n_train: int = 2000
+    seed: int = SEED
+    sealed: int | None = field(default=None, repr=False)
+
+    @property
+    @abstractmethod
+    def columns(self) -> tuple[str, ...]:
+        """What is answered for each case, by name."""
+
+    @property
+    def test_seed(self) -> int:
+        """Seed of the cases to be judged."""
+        return self.seed if self.sealed is None else self.sealed
+
+    def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
+        """Answers of the exact posterior, shape (n_test, n_columns); None where the best possible is not known."""
+        return None
+
+    def check(self, answers: FloatArray) -> None:
+        """Check answers beyond their shape.
+
+        Raises:
+            InputError: a value that cannot be one; the sentence names case and column.
+        """
+        wrong = np.argwhere(~np.isfinite(answers))
+        if len(wrong):
+            case, column = wrong[0]
+            raise InputError(
+                f"case {case}: {self.columns[column]} must be a number, got {answers[case, column]}"
+            )
+
+    def train(self) -> Dataset:
+        """Labelled starts to learn from."""
+        return judged_starts(self.recipe, self.seed, TRAIN_FIRST_CASE, self.n_train)
+
+    def learned(self) -> dict[str, NDArray[Any]]:
+        """What a stranger learns from, as arrays."""
+        train = self.train()
+        return {name: getattr(train, name) for name in ("X", "severity", "class_index", "class_name")}
+
+    @property
+    def draw_id(self) -> str:
+        """Name of the test split: a digest of task, version and seed, from which the seed cannot be told."""
+        return hashlib.sha256(f"motor-bench {VERSION} {self.name} {self.test_seed}".encode()).hexdigest()[:16]
+
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of the measurements and the truth of both splits."""
+        numbers = [values for values in self.learned().values() if values.dtype.kind != "U"]
+        return {"train": _digest(numbers), "test": _digest(self.test()[:2])}
+
+    def as_json(self) -> dict[str, Any]:
+        """What a stranger needs to know of it."""
+        return {
+            "task": self.name,
+            "version": VERSION,
+            "draw": self.draw_id,
+            "title": self.title,
+            "metric": self.metric,
+            "columns": ["case", *self.columns],
+            "n_train": self.n_train,
+            "n_test": self.n_test,
+            "recipe": recipe_to_dict(self.recipe),
+        }
+
+
+def _digest(arrays: Iterable[NDArray[Any]]) -> str:
+    return hashlib.sha256(b"".join(np.ascontiguousarray(values).tobytes() for values in arrays)).hexdigest()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClassTask(DrawnTask):
+    """Name the class; the answer is a probability of each, the decision the largest."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """One column a class."""
+        return self.recipe.class_names
+
+    def starts(self) -> Dataset:
+        """What is judged, with all labels: starts of other motors than those of the training."""
+        return judged_starts(self.recipe, self.test_seed, TEST_FIRST_CASE, self.n_test)
+
+    def test(self) -> Cases:
+        """What is judged, with the index of the class."""
+        starts = self.starts()
+        return Cases(starts.X, starts.class_index, starts.motor_id)
+
+    def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
+        """1 for a wrong decision."""
+        wrong: FloatArray = (answers.argmax(axis=1) != truth).astype(np.float64)
+        return wrong
+
+    def best(self, X: NDArray[np.float32]) -> FloatArray:
+        """Bayes-optimal probabilities; where the likelihood has no closed form, of the motor without its field.
+
+        For motors at work the posterior of the motor that is linear around its fit.
+        """
+        if self.recipe.duty is None:
+            return class_probabilities(self.recipe, X)
+        return work_probabilities(self.recipe, X.astype(np.float64))
+
+    def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
+        """The exact posterior where the likelihood has a closed form."""
+        return None if self.recipe.field is not None else self.best(X)
+
+    def check(self, answers: FloatArray) -> None:
+        """Probabilities lie in 0 .. 1 and sum to 1 within a thousandth."""
+        DrawnTask.check(self, answers)
+        outside = np.argwhere((answers < 0.0) | (answers > 1.0))
+        if len(outside):
+            case, column = outside[0]
+            value = answers[case, column]
+            raise InputError(
+                f"case {case}: {self.columns[column]} must be a probability from 0 to 1, got {value:g}"
+            )
+        total = answers.sum(axis=1)
+        wrong = np.flatnonzero(np.abs(total - 1.0) > _TOLERANCE)
+        if len(wrong):
+            raise InputError(f"case {wrong[0]}: its probabilities must sum to 1, got {total[wrong[0]]:g}")
+
+    def setting(self) -> dict[str, Any]:
+        """The recipe's setting and the counts as fields of a row."""
+        timing, sensor = self.recipe.timing, self.recipe.sensor
+        return {
+            "recipe": self.recipe.name,
+            "sampling_rate_hz": timing.sampling_rate_hz,
+            "duration_s": timing.duration_s,
+            "noise_a": sensor.current_noise_a,
+            "channels": [str(channel) for channel in sensor.channels],
+            "n_train": self.n_train,
+            "n_test": self.n_test,
+            "seed": self.seed,
+        }
+
+
+def class_task(recipe: Recipe, n_train: int = 2000, n_test: int = 2000, seed: int = 0) -> ClassTask:
+    """The task to name the classes of a recipe.
+
+    Raises:
+        ValueError: fewer than 50 starts.
+    """
+    for name, count in (("n_train", n_train), ("n_test", n_test)):
+        require(count >= 50, f"{name} must be >= 50, got {count}")
+    rate, noise = recipe.timing.sampling_rate_hz, recipe.sensor.current_noise_a
+    title = f"{recipe.name}, {rate / 1e3:g} kHz, {1e3 * noise:g} mA, {n_train} training starts"
+    return ClassTask(name=recipe.name, title=title, recipe=recipe, n_train=n_train, n_test=n_test, seed=seed)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GivenTask(ClassTask):
+    """Name the class of cases that are there: a split of a data set.
+
+    Attributes:
+        given: the cases with their labels.
+    """
+
+    given: Dataset = field(repr=False, compare=False)
+
+    def starts(self) -> Dataset:
+        """The cases that are there."""
+        return self.given
+
+
+def judged_cases(recipe: Recipe, first: int, count: int) -> NDArray[np.int64]:
+    """Numbers of the first cases that are no commissioning starts: those are healthy, and known to be."""
+    starts, healthy = recipe.starts_per_motor, recipe.healthy_starts
+    if healthy == starts:
+        raise InputError(f"all starts of recipe {recipe.name} are healthy ones: nothing to tell")
+    per_motor = starts - healthy
+    motors = np.arange(-(-count // per_motor))[:, None] + -(-first // starts)
+    return (motors * starts + np.arange(healthy, starts)).ravel()[:count]
+
+
+def judged_starts(recipe: Recipe, seed: int, first: int, count: int) -> Dataset:
+    """The starts of these numbers (`judged_cases`)."""
+    return generate_arrays(recipe, seed, judged_cases(recipe, first, count))
