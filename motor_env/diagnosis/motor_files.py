@@ -106,7 +106,7 @@ def motor_of_windows(healthy: Healthy, name: str) -> Motor:
     assert windows is not None  # noqa: S101  # it was learned from them
     motor = _motor_of(windows.physical, name)
     volts = 1.0 if windows.peaks is None else windows.peaks[0]
-    drag = motor.parameters.viscous_friction_n_m_s_per_rad * windows.speed_rad_s
+    drag = float(windows.physical[places.B]) * windows.speed_rad_s
     return replace(
         motor,
         kind="commissioned",

@@ -123,7 +123,9 @@ def _learned_spread(healthy: Healthy, supply: float) -> dict[str, float]:
         quantity = name.replace("(J V)", "J").removesuffix("/V")
         if quantity in _FACTOR_OF:
             factor, share = _FACTOR_OF[quantity]
-            values[factor] = share * value
+            # Sisters may differ by more than a factor about 1 can: their friction by half and more.
+            most = math.inf if healthy.fleet is None else LARGEST_SPREAD
+            values[factor] = min(share * value, most)
     return values
 
 

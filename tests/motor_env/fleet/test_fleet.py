@@ -11,6 +11,7 @@ import pytest
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind, diagnose, load_motor, simulate_states
 from motor_env.cli import main
+from motor_env.envs import MonitorEnv
 from motor_env.errors import InputError
 from motor_env.fleet.first import Reading
 from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet
@@ -116,6 +117,7 @@ def test_logs_at_work_make_a_motor_file_that_judges_another_sister(tmp_path: Pat
     assert motor.healthy is not None
     assert motor.healthy.fleet is not None
     assert motor.healthy.fleet.motors == 8
+    assert MonitorEnv(motor=str(toml)).reset(seed=0)[0].shape
     record(tmp_path / "new.csv", [50, 0], STEPS_V)
     record(tmp_path / "worn.csv", [50, 0], STEPS_V, (Fault(FaultKind.WINDING_CONTACT, 0.8),))
     assert diagnose(tmp_path / "new.csv", motor).verdict == "healthy"
