@@ -20,7 +20,7 @@ from motor_env.motor.parameters import FloatArray, MotorParameters
 
 _DIFFERENT = 2.0  # standard errors
 _UNTOLD = 0.5  # standard deviation of a logarithm
-_SMALL = 1e-6
+_SMALL = 1e-3
 
 
 def to_motor(
