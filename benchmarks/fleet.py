@@ -10,10 +10,14 @@ import math
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from cyclopts import run
 from tables import keep_table
 
@@ -22,13 +26,18 @@ from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
 from motor_env.diagnosis.learning import START_SPREAD, next_piece
 from motor_env.diagnosis.running.windows import NAMES, FittedWindow
 from motor_env.diagnosis.verdict import Judgement
+from motor_env.fleet.first import Reading
+from motor_env.fleet.fits import fit_fleet, second_log
 from motor_env.fleet.learning import BELIEVED
+from motor_env.fleet.mapping import processes
 from motor_env.fleet.own import with_own
 from motor_env.fleet.population import Core, Motors, learn_core
 from motor_env.motor import identifiable
 from motor_env.motor.healthy import Fleet, Healthy, Starts
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import PAPER_MOTOR, FloatArray, MotorParameters
+from motor_env.simulation.simulate import simulate_states
 
+_LEARNED = 20  # logs that tell the model of all
 SIZES, SICK_SHARES = (10, 30, 100), (0.0, 0.05, 0.2)
 RATE = 0.01
 # From motor to motor (R, K, J, drag), from record to record, and of the fits, about as in a fleet of real robots:
@@ -118,6 +127,52 @@ def one(job: tuple[int, float, int, int, int]) -> Cell:
     return Cell(counts, rows)
 
 
+def checked(count: int, workers: int) -> Iterator[list[str]]:
+    """Full fits of simulated logs against their own law: squared errors over the fit's variances, by quantity."""
+    rng = np.random.default_rng(34)
+    with TemporaryDirectory() as folder:
+        files, truths = [], []
+        for number in range(count):
+            spread = np.exp(rng.normal(0.0, [0.06, 0.025, 0.06, 0.2]))
+            files.append(Path(folder) / f"{number}.csv")
+            log(rng, spread).to_csv(files[-1], index=False)
+            p = PAPER_MOTOR
+            constant = float(p.back_emf_constant_v_s_per_rad)
+            of = [p.resistance_ohm, constant, p.inertia_kg_m2, p.viscous_friction_n_m_s_per_rad]
+            truths.append(np.log(np.array(of, dtype=np.float64) * spread))
+        with processes(workers) as each:
+            shared = fit_fleet(files[:_LEARNED], Reading(), each=each).windows
+            assert shared is not None
+            fits = list(each(partial(second_log, Reading(regime="operation"), shared), files))
+    off = np.array([fit.log_values for fit in fits]) - truths
+    squares = np.square(off) / np.array([np.diag(fit.covariance) for fit in fits])
+    for name, column in zip(NAMES, squares.T, strict=True):
+        yield [name, str(count), f"{np.mean(column):.2f}", f"{np.mean(column < 1.96**2):.1%}"]
+
+
+def log(rng: np.random.Generator, spread: FloatArray) -> pd.DataFrame:
+    """What the sensors of a motor see that differs from the paper's by factors on R, K, J and B."""
+    r, k, j, b = spread.tolist()
+    p = PAPER_MOTOR
+    motor = MotorParameters(
+        r * p.resistance_ohm,
+        p.inductance_h,
+        k * p.back_emf_constant_v_s_per_rad,
+        k * p.torque_constant_n_m_per_a,
+        j * p.inertia_kg_m2,
+        b * p.viscous_friction_n_m_s_per_rad,
+    )
+    voltage_v = np.repeat([0.0, 4.0, 10.0, -10.0, -4.0, 8.0], 170)
+    current_a, speed_rad_s = simulate_states(motor, voltage_v, 1e-3).T
+    columns = {
+        "time_s": 1e-3 * np.arange(len(voltage_v)),
+        "voltage_v": voltage_v,
+        "current_a": current_a + rng.normal(0.0, 0.02, len(voltage_v)),
+        "speed_rad_s": speed_rad_s + rng.normal(0.0, 1.0, len(voltage_v)),
+    }
+    return pd.DataFrame(columns)
+
+
 def smallest_faults(motors: int) -> Iterator[list[str]]:
     """Median smallest bearing and winding fault by the number of own healthy records, and by what else is known."""
     rng = np.random.default_rng(33)
@@ -152,12 +207,13 @@ def smallest_faults(motors: int) -> Iterator[list[str]]:
         yield [str(count), *cells]
 
 
-def main(*, healthy: int = 3000, sick: int = 300, workers: int = 1) -> None:
+def main(*, healthy: int = 3000, sick: int = 300, check: int = 300, workers: int = 1) -> None:
     """Judge fresh motors by simulated fleets and keep the tables of docs/fleet.md.
 
     Args:
         healthy: number of healthy motors judged in each cell, at least.
         sick: number of motors with each fault, in each cell.
+        check: number of full fits that the law of the drawn ones is compared with.
         workers: processes.
     """
     header = [

@@ -61,12 +61,12 @@ def spread(
     if cov.shape[0] == 3:
         il, wl, ll = cov[0, 2], cov[1, 2], cov[2, 2]
         # Of the new current and speed with the old current, speed and load.
-        i_i, i_w, i_l = a * ii + b * iw + c * il, a * iw + b * ww + c * wl, a * il + b * wl + c * ll
-        w_i, w_w, w_l = d * ii + e * iw + h * il, d * iw + e * ww + h * wl, d * il + e * wl + h * ll
-        cov[0, 0] = a * i_i + b * i_w + c * i_l + noise_i * noise_i
-        cov[0, 1] = d * i_i + e * i_w + h * i_l + noise_i * noise_w
-        cov[1, 1] = d * w_i + e * w_w + h * w_l + noise_w * noise_w
-        cov[0, 2], cov[1, 2], cov[2, 2] = i_l, w_l, ll + p[WALK] ** 2 * dt_s
+        ap_ii, ap_iw, ap_il = a * ii + b * iw + c * il, a * iw + b * ww + c * wl, a * il + b * wl + c * ll
+        ap_wi, ap_ww, ap_wl = d * ii + e * iw + h * il, d * iw + e * ww + h * wl, d * il + e * wl + h * ll
+        cov[0, 0] = a * ap_ii + b * ap_iw + c * ap_il + noise_i * noise_i
+        cov[0, 1] = d * ap_ii + e * ap_iw + h * ap_il + noise_i * noise_w
+        cov[1, 1] = d * ap_wi + e * ap_ww + h * ap_wl + noise_w * noise_w
+        cov[0, 2], cov[1, 2], cov[2, 2] = ap_il, ap_wl, ll + p[WALK] ** 2 * dt_s
         return
     whole, half, by_volt = work[0], work[1], work[2, 0]
     for c in range(3):

@@ -116,7 +116,7 @@ def fit_fleet(
         job = partial(_second_start, reading, *_shared_by_starts(list(good.values()), quantities))
     else:
         windows = _shared_by_logs(good, reading)
-        job = partial(_second_log, reading, windows)
+        job = partial(second_log, reading, windows)
     again = dict(zip(good, _told(each(job, list(good)), list(good), progress), strict=True))
     troubles |= {path: one for path, one in again.items() if isinstance(one, str)}
     seconds = {path: one for path, one in again.items() if not isinstance(one, str)}
@@ -189,7 +189,8 @@ def _drag(first: First) -> float:
     return float(first.values[places.B] + first.values[places.COULOMB] / first.speed_rad_s)
 
 
-def _second_log(reading: Reading, windows: Windows, path: Path) -> Second | str:
+def second_log(reading: Reading, windows: Windows, path: Path) -> Second | str:
+    """The fit of a log with what all share, or why there is none."""
     try:
         return _log_fit(reading, windows, path)
     except REASONS as error:
