@@ -28,6 +28,7 @@ class Starts:
         ripple_hz: commutation ripple at the last speed; None where not every start shows it.
         ripple_constant_v_s: K times the ripple's periods a turn, from that ripple; over volt where V is unknown.
         ripple_log_sd: standard deviation of the next start's logarithm of either.
+        turned: columns of a `Recording` that read with the other sign than the voltage, as they are wired.
     """
 
     log_noise: Finite
@@ -41,6 +42,7 @@ class Starts:
     ripple_hz: Positive | None = None
     ripple_constant_v_s: Positive | None = None
     ripple_log_sd: Positive | None = None
+    turned: tuple[Literal["current_a", "speed_rad_s", "voltage_v"], ...] = ()
 
     def __post_init__(self) -> None:
         require(
