@@ -273,6 +273,9 @@ SENSOR_KINDS = (
         "voltage_polarity",
         "the voltage reads with the wrong sign, or the motor's leads are exchanged: look at the direction of both",
     ),
-    _sensor("swapped", "a column is that of another quantity or of another motor: look at the order of the channels"),
+    _sensor(
+        "swapped",
+        "a column is that of another quantity or of another motor: look at the order of the channels",
+    ),
 )
 """What fails before motors do: kinds of the verdict `sensor`."""

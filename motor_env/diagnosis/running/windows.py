@@ -17,7 +17,8 @@ import numpy as np
 
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.healthy_motor import Reference, beyond, reference_of_pieces
-from motor_env.diagnosis.sensors import Seen, failure_in, judgement_of
+from motor_env.diagnosis.sensor_checks import Seen, failure_in
+from motor_env.diagnosis.sensors import judgement_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.fitting import kernel, places
@@ -185,7 +186,11 @@ class WindowJudge:
     def failed_sensor(self, part: Recording) -> Judgement | None:
         """The judgement on a part of a log of which a sensor failed; None where none did."""
         volts, speed = needed_columns(part)
-        found = failure_in(Seen(part.dt_s, volts, part.current_a, speed), self.physical()) if volts.any() else None
+        found = (
+            failure_in(Seen(part.dt_s, volts, part.current_a, speed), self.physical())
+            if volts.any()
+            else None
+        )
         return None if found is None else judgement_of(found)
 
     def _judged(self, part: Recording, rate: float) -> Judgement:

@@ -43,6 +43,7 @@ _SIZE = {
     FaultKind.BEARING: "Friction up by {}",
     FaultKind.WINDING_CONTACT: "Winding resistance up by {}",
     FaultKind.WINDING_SHORT: "{} of the turns shorted",
+    **dict.fromkeys(map(FaultKind, ("current_gain", "speed_gain", "voltage_gain")), "Off by {}"),
 }
 _WORDS: dict[Verdict | FaultKind, tuple[str, ...]] = {
     Verdict.HEALTHY: (
@@ -71,6 +72,64 @@ _WORDS: dict[Verdict | FaultKind, tuple[str, ...]] = {
         "Weak magnets",
         "Let the motor cool to the temperature of its healthy starts and record again: warm magnets are weaker.",
         "Still low: compare the no-load speed with the data sheet; it rises as magnets weaken.",
+    ),
+    Verdict.SENSOR: (
+        "A sensor, not the motor",
+        "Of the motor this recording says nothing: mend the sensor first, then record another start.",
+        "Read the quantity with another instrument beside it: agree, and something else is wrong; differ, and it is"
+        " the sensor, its cable or its range.",
+    ),
+    FaultKind("current_dead"): (
+        "The current's sensor shows nothing",
+        "Clamp another probe around a lead. Nothing there either: the circuit is open, or a fuse is.",
+        "A current there: check supply, cable and connector of the sensor, and the recorder's channel. Record again.",
+    ),
+    FaultKind("speed_dead"): (
+        "The speed's sensor shows nothing",
+        "Turn the shaft by hand and watch the reading: supply, cable and connector of the encoder or tachometer.",
+        "Look whether its wheel or coupling slips on the shaft. Then record again.",
+    ),
+    **dict.fromkeys(
+        map(FaultKind, ("current_polarity", "speed_polarity", "voltage_polarity")),
+        (
+            "A reading with the wrong sign",
+            "Check which way round probe, encoder and the motor's leads are connected: who worked on them last?",
+            "Turn the one round that differs, and record again; its size may be right.",
+        ),
+    ),
+    **dict.fromkeys(
+        map(FaultKind, ("current_clipped", "speed_clipped")),
+        (
+            "A reading at the end of its range",
+            "Choose a range of which the peak fills half, and record again: from before switching on.",
+            "Still flat: the supply limits the current, or the counter its rate; look at their settings.",
+        ),
+    ),
+    **dict.fromkeys(
+        map(FaultKind, ("current_stuck", "speed_stuck")),
+        (
+            "A reading that stands still",
+            "Move the cable and watch the reading; look whether the recorder repeats the last sample.",
+            "Switch sensor and recorder off and on, and record again.",
+        ),
+    ),
+    **dict.fromkeys(
+        map(FaultKind, ("current_gain", "speed_gain", "voltage_gain")),
+        (
+            "A scale that changed",
+            "Compare with a second instrument: a clamp meter, a stroboscope, a voltmeter at the terminals under load.",
+            "Check range switch, shunt or divider, pulses a turn and gear; a battery: charge it. Then record again.",
+        ),
+    ),
+    FaultKind("current_offset"): (
+        "A current that does not begin at zero",
+        "Read the current with the motor's lead off: what shows then is the offset. Balance the sensor there.",
+        "It comes back: look for a magnet or a high current beside the sensor.",
+    ),
+    FaultKind("swapped"): (
+        "Columns that are swapped",
+        "Check the order of the columns and which cable is in which channel: unplug one and see which reading stops.",
+        "Name the columns with --column, or swap the cables, and diagnose again.",
     ),
     Verdict.NOISE: (
         "Noisy current",
