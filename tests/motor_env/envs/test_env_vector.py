@@ -290,7 +290,7 @@ def test_episodes_are_the_draws_of_the_simulation(recipe: str, growth_s: float, 
     of_name = {
         "ranges": replace(
             TASKS["hard"],
-            classes=(FaultClass(), *(FaultClass(kind, 0.05, severity_to=0.3) for kind in FaultKind)),
+            classes=(FaultClass(), *(FaultClass(kind, 0.05, severity_to=0.3) for kind in BUILT_IN_KINDS)),
         ),
         "starts": replace(TASKS["hard"], starts_per_motor=3, healthy_starts=1),
     }
