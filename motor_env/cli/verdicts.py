@@ -32,7 +32,7 @@ def diagnose(
     scheduler: str | None = None,
     kept: Path | None = None,
 ) -> int:
-    """Verdict on recordings of a motor: healthy, bearing, winding, magnet, noise, other, no_reference or unusable.
+    """Verdict on recordings: healthy, sensor, bearing, winding, magnet, noise, other, no_reference or unusable.
 
     Example: motor-env diagnose examples/startup_capture.csv --motor examples/motor.toml
 

@@ -18,6 +18,7 @@ from motor_env.diagnosis.healthy_motor import Reference, reference_of
 from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, without
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.lessons import learn_windows
+from motor_env.diagnosis.sensors.failed import with_signs
 from motor_env.diagnosis.shown.report import UNITS, of_the_drag
 from motor_env.diagnosis.views import Fitted, smallest_of, views_of
 from motor_env.errors import InputError, require_options
@@ -214,6 +215,7 @@ def commission(
         if no_load_current_a is not None:
             healthy = replace(healthy, own_friction=_own_friction(starts, no_load_current_a))
         motor = to_motor(starts, name, kind="commissioned", healthy=healthy, constant=constant)
+        motor = with_signs(motor, [part for one in read for part in chosen_starts(one, start)], voltage_v)
         fits = tuple(starts)
     promise = _promise(motor, fits, temperature_c, false_alarm_rate)
     return Commissioned(motor, fits, *promise, false_alarm_rate, taken)
