@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import fdtrc
+from scipy.special import stdtrit
 
 from motor_env.console import ExitStatus, worst
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.explanations import Difference
+from motor_env.diagnosis.misreading import as_sentence, wrong_scales
 from motor_env.errors import InputError, require_options
 from motor_env.fleet.first import Reading
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
@@ -22,8 +23,11 @@ from motor_env.fleet.mapping import Map
 from motor_env.fleet.names import Place
 from motor_env.fleet.picture import picture
 from motor_env.fleet.population import Core
-from motor_env.fleet.sister import Sister
+from motor_env.fleet.sister import Apart, Sister
+from motor_env.motor import identifiable
 from motor_env.pages.html import render
+
+_GAINS = 3  # of voltage, current and speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,23 +148,36 @@ def _of_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Sister]:
             )
             for path in own
         }
-        found.append(Sister(place, records, *_apart(fleet, core, place)))
-    return found
+        found.append(Sister(place, records, apart=_apart(fleet, core, place)))
+    alike = together([one.apart for one in found if one.apart is not None], fleet.fits.quantities, core, rate)
+    return [replace(one, together=alike) for one in found]
 
 
-def _apart(
-    fleet: LearnedFleet, core: Core, place: Place
-) -> tuple[dict[str, float], dict[str, float], float | None]:
-    """Ratios of its quantities to a healthy sister's, standard deviations, and the share that is as odd."""
+def together(apart: Sequence[Apart], names: tuple[str, ...], core: Core, rate: float) -> str:
+    """What the motors of a machine show together: one sensor or supply at a wrong scale; empty for nothing.
+
+    Each motor may be too little off by itself.
+    """
+    if len(apart) < 2:
+        return ""
+    off = np.mean([one.off for one in apart], axis=0)
+    spread = np.mean([one.spread for one in apart], axis=0) / len(apart)
+    limit = -float(stdtrit(core.degrees_of_freedom, rate / (2.0 * _GAINS)))
+    difference = Difference(off, spread, identifiable.matrix(names), core.degrees_of_freedom)
+    return as_sentence([one for one in wrong_scales(difference, names, limit, rate) if one.gain is not None])
+
+
+def _apart(fleet: LearnedFleet, core: Core, place: Place) -> Apart | None:
+    """How far a motor lies from the core; None where no fit tells."""
     if place not in fleet.motors:
-        return {}, {}, None
-    number, names = fleet.motors.index(place), fleet.fits.quantities
+        return None
+    number = fleet.motors.index(place)
     kept = np.array([n == number for n in range(len(fleet.motors))])
     logs, errors = fleet.records.only(kept).means(core.within)
     at = fleet.positions.index(place.motor)
-    off, spread = logs[0] - core.centres[at], core.next_motor(at) + errors[0]
-    squared = float(off @ np.linalg.solve(spread, off))
-    p_value = float(fdtrc(len(off), core.degrees_of_freedom, squared / len(off)))
-    ratios = {name: math.exp(one) for name, one in zip(names, off.tolist(), strict=True)}
-    deviations = (off / np.sqrt(np.diag(spread))).tolist()
-    return ratios, dict(zip(names, deviations, strict=True)), p_value
+    return Apart(
+        fleet.fits.quantities,
+        logs[0] - core.centres[at],
+        core.next_motor(at) + errors[0],
+        core.degrees_of_freedom,
+    )

@@ -6,12 +6,50 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from scipy.special import fdtrc
+
 from motor_env.diagnosis.diagnose import Diagnosis
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.fleet.names import Place
+from motor_env.motor.parameters import FloatArray
 
 _CLEAR = 2.0  # standard deviations
 _MOST_ODD = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Apart:
+    """How far a motor lies from the healthy core of its sisters.
+
+    Attributes:
+        names: of the quantities.
+        off: their logarithms less those of a healthy sister, shape (p,).
+        spread: covariance of that difference for a healthy motor, shape (p, p).
+        degrees_of_freedom: of it.
+    """
+
+    names: tuple[str, ...]
+    off: FloatArray
+    spread: FloatArray
+    degrees_of_freedom: float
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """The quantities over those of a healthy sister."""
+        return dict(zip(self.names, np.exp(self.off).tolist(), strict=True))
+
+    @property
+    def deviations(self) -> dict[str, float]:
+        """The differences in standard deviations of another healthy motor."""
+        sd = np.sqrt(np.diag(self.spread))
+        return dict(zip(self.names, (self.off / sd).tolist(), strict=True))
+
+    @property
+    def p_value(self) -> float:
+        """Share of healthy sisters that are as odd (Hotelling)."""
+        squared = float(self.off @ np.linalg.solve(self.spread, self.off))
+        return float(fdtrc(len(self.off), self.degrees_of_freedom, squared / len(self.off)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,16 +59,29 @@ class Sister:
     Attributes:
         place: machine and motor.
         records: diagnosis of each of its files.
-        ratios: of its quantities over those of a healthy sister.
-        off: how far each lies from the core, in standard deviations of another healthy motor.
-        p_value: of healthy sisters this share is as odd; None where no fit tells.
+        apart: how far it lies from the core; None where no fit tells.
+        together: what all motors of its machine show together; empty for nothing.
     """
 
     place: Place
     records: dict[Path, Diagnosis]
-    ratios: dict[str, float]
-    off: dict[str, float]
-    p_value: float | None
+    apart: Apart | None = None
+    together: str = ""
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """Its quantities over those of a healthy sister; none where no fit tells."""
+        return {} if self.apart is None else self.apart.ratios
+
+    @property
+    def off(self) -> dict[str, float]:
+        """How far each lies from the core, in standard deviations of another healthy motor."""
+        return {} if self.apart is None else self.apart.deviations
+
+    @property
+    def p_value(self) -> float | None:
+        """Share of healthy sisters that are as odd."""
+        return None if self.apart is None else self.apart.p_value
 
     @property
     def telling(self) -> Diagnosis:
@@ -48,9 +99,11 @@ class Sister:
     @property
     def odd(self) -> str:
         """What is odd: the quantities that lie farthest from the core's."""
-        far = sorted(self.off, key=lambda name: -abs(self.off[name]))
-        named = [name for name in far if abs(self.off[name]) > _CLEAR][:_MOST_ODD]
-        return ", ".join(f"{name} {self.ratios[name] - 1.0:+.0%}" for name in named)
+        off, ratios = self.off, self.ratios
+        far = sorted(off, key=lambda name: -abs(off[name]))
+        return ", ".join(
+            f"{name} {ratios[name] - 1.0:+.0%}" for name in far[:_MOST_ODD] if abs(off[name]) > _CLEAR
+        )
 
     def to_json(self) -> dict[str, Any]:
         """One object for programs."""
@@ -68,6 +121,7 @@ class Sister:
             "ratios": self.ratios,
             "standard_deviations": self.off,
             "reasons": list(one.reasons),
+            "together": self.together or None,
         }
 
     @property
@@ -78,5 +132,7 @@ class Sister:
 
     @property
     def why(self) -> str:
-        """The first reason of a verdict that is not healthy."""
-        return "" if self.verdict is Verdict.HEALTHY else self.telling.reasons[0]
+        """The first reason of a verdict that is not healthy, and what the machine's motors show together."""
+        own = "" if self.verdict is Verdict.HEALTHY else self.telling.reasons[0]
+        both = f"all motors of {self.place.machine} together: {self.together}" if self.together else ""
+        return "; ".join(filter(None, (own, both)))

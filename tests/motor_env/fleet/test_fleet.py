@@ -14,9 +14,11 @@ from motor_env.cli import main
 from motor_env.envs import MonitorEnv
 from motor_env.errors import InputError
 from motor_env.fleet.first import Reading
-from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet
+from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet, together
 from motor_env.fleet.learning import learn_fleet
 from motor_env.fleet.mapping import processes
+from motor_env.fleet.population import Core
+from motor_env.fleet.sister import Apart
 from motor_env.motor.parameters import FloatArray
 
 STEPS_V = np.repeat([0.0, 4.0, 10.0, -10.0, -4.0, 8.0], 60)
@@ -227,3 +229,16 @@ def test_a_cluster_finds_the_same(starts: list[Path], found: FleetDiagnosis) -> 
     cluster = distributed.LocalCluster(n_workers=1, dashboard_address=None)
     with cluster, processes(1, cluster.scheduler_address) as each:
         assert diagnose_fleet(starts, group=GROUP, each=each).to_json() == found.to_json()
+
+
+def test_motors_of_a_machine_off_alike_are_told_together() -> None:
+    """A speed that reads 12 % high in both motors: a gear or an encoder of other pulses, too little for one alone."""
+    sd = np.array([0.1, 0.05, 0.1, 0.3])
+    low_k = np.array([0.0, -np.log(1.12), -2.0 * np.log(1.12), -2.0 * np.log(1.12)])
+    core = Core(np.zeros((1, 4)), np.zeros((1, 4, 4)), np.eye(4), np.eye(4), 60.0, np.ones(1))
+    names = ("R", "K", "J", "B")
+    both = [Apart(names, low_k, np.diag(sd**2), 60.0)] * 2
+    assert together(both, names, core, 0.01).startswith("all of it is explained if the speed is 1.12 times")
+    assert together(both[:1], names, core, 0.01) == ""
+    other = Apart(names, -low_k, np.diag(sd**2), 60.0)
+    assert together([both[0], other], names, core, 0.01) == ""
