@@ -84,7 +84,12 @@ def drawn(rng: np.random.Generator, count: int) -> FloatArray:
 def judged(logs: FloatArray, core: Core) -> Judgement:
     """One motor by a core."""
     reference = Reference(
-        "sisters", NAMES, core.centres[0], core.next_motor() + core.within, core.degrees_of_freedom
+        "sisters",
+        NAMES,
+        core.centres[0],
+        core.next_motor() + core.within,
+        core.degrees_of_freedom,
+        is_taught=True,
     )
     return decide(FittedWindow(logs, ERROR), reference, RATE)
 

@@ -145,8 +145,7 @@ def _with_alarm(
     first = views[0]
     scales = wrong_scales(first.difference, reference.names, limit, rate)
     also = [as_sentence(scales)] if scales else []
-    # A data sheet says nothing of the sensors.
-    gain = failed_gain(scales) if reference.includes_fit_error else None
+    gain = failed_gain(scales) if reference.is_taught else None
     for view in views[:1] if any(map(suffices, first.faults)) else views:
         difference = replace(first.difference, response=view.drag.response)
         faults = explain(difference)

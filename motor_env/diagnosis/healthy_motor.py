@@ -43,6 +43,7 @@ class Reference:
         warmer_k: how much warmer the motor is than the values say.
         own_friction: share of the drag that is the motor's own friction; None where a load was not told.
         excess: by which factor healthy pieces scatter more than covariance and fit say (variance).
+        is_taught: recordings have taught it, its sensors too; a data sheet says nothing of sensors.
     """
 
     source: str
@@ -58,6 +59,7 @@ class Reference:
     warmer_k: float = 0.0
     own_friction: float | None = None
     excess: float = 1.0
+    is_taught: bool = False
 
     @property
     def values(self) -> dict[str, float]:
@@ -148,6 +150,7 @@ def reference_of_pieces(
         temperature_k=spread_k,
         warmer_k=warmer_k,
         own_friction=healthy.own_friction,
+        is_taught=True,
         excess=healthy.windows.window_excess if healthy.windows is not None and same_kind else 1.0,
     )
 
