@@ -121,7 +121,7 @@ def test_a_gain_that_explains_as_much_as_a_fault_does_is_told_beside_it() -> Non
     """Twice the drag, where R and J are hardly told: a bearing, or a current that reads twice too large."""
     shape = np.diag(np.square([0.8, 0.03, 0.8, 0.03]))
     window = FittedWindow(np.array([0.0, 0.0, 0.0, math.log(2.0)]), 1e-6 * np.eye(4))
-    taught = Reference("it", NAMES, np.zeros(4), shape, 1e6, includes_fit_error=True)
+    taught = Reference("it", NAMES, np.zeros(4), shape, 1e6, includes_fit_error=True, is_taught=True)
     found = decide(window, taught, 0.01)
     assert found.verdict == "bearing"
     assert found.reasons[-1].startswith(f"{EXPLAINED} if the current is 2 times too large")
