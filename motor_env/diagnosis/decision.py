@@ -31,7 +31,7 @@ from motor_env.diagnosis.explanations import (
 )
 from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.loaded import LOADS
-from motor_env.diagnosis.misreading import as_wear, wrong_scale
+from motor_env.diagnosis.misreading import as_sentence, as_wear, failed_gain, wrong_scales
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import (
     Fitted,
@@ -143,8 +143,8 @@ def _with_alarm(
         return fault.z > limit and fault.p_left_over > rate and is_its_own(first.difference, fault.kind)
 
     first = views[0]
-    misread = wrong_scale(first.difference, reference.names, limit, rate)
-    also = (misread,) if misread else ()
+    scales = wrong_scales(first.difference, reference.names, limit, rate)
+    also = (as_sentence(scales),) if scales else ()
     for view in views[:1] if any(map(suffices, first.faults)) else views:
         difference = replace(first.difference, response=view.drag.response)
         faults = explain(difference)
@@ -154,6 +154,12 @@ def _with_alarm(
             (as_fitted,) = explain(replace(difference, log_ratios=log_ratios), (best.kind,))
             found = _with_fault(healthy, reference, as_fitted, probability, view.drag.load)
             return replace(found, reasons=(*found.reasons, *also))
+    gain = failed_gain(scales) if reference.includes_fit_error else None
+    if gain is not None:  # a data sheet says nothing of the sensors
+        probability = probabilities(first.difference, [*first.faults, gain])
+        if probability[gain.kind] >= probability["other"]:
+            found = _with_fault(healthy, reference, gain, probability, None)
+            return replace(found, reasons=(*also, *found.reasons))
     named = {fault.kind for fault in first.faults}
     unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
     # These cannot be named: a coupled load would look the same.
@@ -208,7 +214,7 @@ def _with_fault(
         ),
         severity=fault.severity / own,
         severity_interval=(low, high),
-        confidence=sum(probability.get(kind, 0.0) for kind in motor_kinds() if kind.verdict == verdict),
+        confidence=sum(probability.get(kind, 0.0) for kind in FaultKind if kind.verdict == verdict),
         fault_kind=fault.kind,
         kind_probability=probability[fault.kind],
     )

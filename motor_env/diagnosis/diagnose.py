@@ -17,6 +17,8 @@ from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.explanations import alarm_share, compare
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
 from motor_env.diagnosis.misreading import SWAPPED, is_strange
+from motor_env.diagnosis.sensor_checks import Failure
+from motor_env.diagnosis.sensors import failed_sensor, judgement_of
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError, require_options
@@ -27,6 +29,7 @@ from motor_env.fitting.starts.identify import identify
 from motor_env.fitting.starts.plausibility import NOT_TURNING, shows_turning
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import Motor, load_motor
+from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Starts
 from motor_env.motor.model import steady_state
 from motor_env.recordings.defects import UnusableError
@@ -142,9 +145,10 @@ def diagnose(
         )
         with suppress(InputError):
             again = judged(swapped).telling
-            if again.verdict is not Verdict.OTHER and not is_strange(again):
-                pieces = (replace(one, reasons=(SWAPPED, *one.reasons)) for one in found.pieces)
-                return replace(found, pieces=tuple(pieces))
+            if again.verdict not in (Verdict.OTHER, Verdict.SENSOR) and not is_strange(again):
+                said = judgement_of(Failure(FaultKind("swapped"), SWAPPED))
+                each = (replace(said, begin_s=one.begin_s, duration_s=one.duration_s) for one in found.pieces)
+                return replace(found, pieces=tuple(each))
     return found
 
 
@@ -159,6 +163,9 @@ def judge_start(
 ) -> Judgement:
     """The judgement on one start, see `diagnose`."""
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
+    failed = None if motor is None else failed_sensor(recording, motor, voltage_v, circuit)
+    if failed is not None:
+        return failed
     try:
         start = prepare(recording, voltage_v, circuit)
         reference = _reference(start, motor, temperature_c)

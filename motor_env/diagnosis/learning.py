@@ -115,6 +115,7 @@ def learn_starts(fits: Sequence[Identified]) -> Healthy:
     noise = np.log([max(fit.noise_a, 1e-12) for fit in fits])
     ripple = np.log([pair for pair in map(ripple_quantities, fits) if pair is not None])
     has_ripple = len(ripple) == len(fits)
+    signs = {fit.start.alignment.sign for fit in fits}
     starts = Starts(
         log_noise=float(noise.mean()),
         log_noise_sd=next_sd(noise, _NOISE_SPREAD),
@@ -127,6 +128,7 @@ def learn_starts(fits: Sequence[Identified]) -> Healthy:
         ripple_hz=float(np.exp(ripple[:, 0].mean())) if has_ripple else None,
         ripple_constant_v_s=float(np.exp(ripple[:, 1].mean())) if has_ripple else None,
         ripple_log_sd=max(next_sd(row, START_SPREAD) for row in ripple.T) if has_ripple else None,
+        direction=0 if len(signs) > 1 else 1 if signs == {1.0} else -1,
     )
     return Healthy(len(fits), freedom, fits[0].quantity_names, np.exp(centre), covariance, starts=starts)
 

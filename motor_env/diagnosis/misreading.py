@@ -8,13 +8,16 @@ speed is a smaller K, and J and B smaller by the square; longer times are a larg
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.diagnosis.explanations import Difference, along
+from motor_env.diagnosis.explanations import Difference, Explanation, along
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting.starts.plausibility import NOT_TURNING
+from motor_env.motor.faults import FaultKind
 from motor_env.motor.identifiable import PARAMETERS, fault_direction
 
 _POWERS = {
@@ -54,11 +57,39 @@ BEYOND_WEAR = (
     " read wrongly"
 )
 EXPLAINED = "all of it is explained"
-SWAPPED = "voltage and current seem to be swapped: read so, the recording is that of this motor"
+READ_SO = "seem to be swapped: read so, the recording is that of this motor"
+SWAPPED = f"voltage and current {READ_SO}"
+
+
+class Scale(NamedTuple):
+    """A column at a wrong scale that explains a difference: which one, what it is, and as an explanation.
+
+    The explanation's kind is the gain of a sensor; None where the scale is a unit's, or the clock's.
+    """
+
+    column: str
+    words: str
+    gain: Explanation | None
 
 
 def wrong_scale(difference: Difference, names: tuple[str, ...], limit: float, rate: float) -> str:
-    """The columns of which one, at a wrong scale, would explain a difference; empty without any.
+    """What `wrong_scales` gives, as a sentence; empty without any."""
+    return as_sentence(wrong_scales(difference, names, limit, rate))
+
+
+def as_sentence(scales: Sequence[Scale]) -> str:
+    """The columns of which one, at a wrong scale, would explain a difference; empty without any."""
+    words = sorted(f"the {scale.column} is {scale.words}" for scale in scales)
+    return f"{EXPLAINED} if {', or if '.join(words)}" if words else ""
+
+
+def failed_gain(scales: Sequence[Scale]) -> Explanation | None:
+    """The sensor's gain that alone explains a difference to what the same sensors have taught; None without one."""
+    return scales[0].gain if len(scales) == 1 else None
+
+
+def wrong_scales(difference: Difference, names: tuple[str, ...], limit: float, rate: float) -> list[Scale]:
+    """The columns of which each one, at a wrong scale, would explain a difference.
 
     Args:
         difference: of the logarithms to a healthy motor, shape (n,).
@@ -78,8 +109,12 @@ def wrong_scale(difference: Difference, names: tuple[str, ...], limit: float, ra
         is_shared = np.count_nonzero(np.abs(step * direction) > limit * sd) > 1
         near = max(_NEAR, _SURE * step_sd) if is_shared else _NEAR
         word = _factor(column, step, near, only_known=not is_shared)
-        found += [f"the {column} is {word}"] if word else []
-    return f"{EXPLAINED} if {', or if '.join(sorted(found))}" if found else ""
+        gain, turned = None, math.copysign(1.0, step)
+        if column != "time" and word not in _UNITS[column].values():
+            kind = FaultKind(f"{column}_gain")
+            gain = Explanation(kind, abs(z), abs(step), step_sd, p_left_over, turned * direction)
+        found += [Scale(column, word, gain)] if word else []
+    return found
 
 
 def _factor(column: str, step: float, near: float, *, only_known: bool) -> str:

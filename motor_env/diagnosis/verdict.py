@@ -28,6 +28,7 @@ class Verdict(StrEnum):
     BEARING = "bearing"
     WINDING = "winding"
     MAGNET = "magnet"
+    SENSOR = "sensor"
     NOISE = "noise"
     OTHER = "other"
     NO_REFERENCE = "no_reference"

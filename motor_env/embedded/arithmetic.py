@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.embedded.monitor import DEADBAND, CusumBank, Limits, Monitor
+from motor_env.embedded.monitor import DEAD_AFTER, DEADBAND, TELLING, CusumBank, Limits, Monitor
 from motor_env.motor.parameters import FloatArray, require
 
 Values = NDArray[Any]
@@ -29,6 +29,8 @@ _FULL_SCALE = 1 << 28
 STATISTIC_BITS = 26
 _MANTISSA_BITS, _MOST_SHIFT = 30, 62
 _LONGEST_MEMORY = 15  # as a power of two
+NOTHING_BITS, SOMETHING_BITS = 4, 1
+"""A current below the model's over 2^4 is nothing, one of half the model's is something."""
 
 
 class Steps(NamedTuple):
@@ -92,6 +94,8 @@ class Numbers:
         threshold: of the statistic: 1, or 1 << STATISTIC_BITS.
         ranges: largest readings of current, speed, voltage.
         stuck_after: so many equal readings in a row are no readings.
+        telling: the model's current above which a reading of nothing is that of a dead sensor.
+        dead_after: so many of these in a row.
         n_friction: how many of the sums look for friction; they are the first.
         memory: of the slow current and speed: the mechanical time constant in samples, as the nearest power of two.
     """
@@ -109,6 +113,8 @@ class Numbers:
     threshold: Values
     ranges: Values
     stuck_after: int
+    telling: Values
+    dead_after: int
     n_friction: int
     memory: int
 
@@ -177,6 +183,8 @@ def _numbers(
         threshold=rounded(np.array(1.0 / unit), dtype),
         ranges=(np.floor(ranges) if dtype == np.int64 else ranges).astype(dtype),
         stuck_after=limits.stuck_after,
+        telling=rounded(np.array(TELLING * limits.current_a / 2.0 / units[0]), dtype),
+        dead_after=DEAD_AFTER,
         n_friction=len(rule.friction),
         memory=max(memory, 0),
     )
@@ -189,6 +197,7 @@ class SampleVerdict(IntEnum):
     FAULT = 1
     SENSOR_STUCK = 2
     SENSOR_RANGE = 3
+    SENSOR_DEAD = 4
 
 
 class Answers(NamedTuple):
@@ -224,6 +233,7 @@ class _Twin:
         self.voltage, self.statistic = np.zeros((2, n_cases), numbers.dtype)
         self.sums = np.zeros((2, len(numbers.halves), n_cases), numbers.dtype)
         self.last, self.same = np.zeros((2, n_cases, numbers.n_channels), numbers.dtype)
+        self.hidden = np.zeros(n_cases, np.int64)
 
     def step(self, readings: Values) -> NDArray[np.int64]:
         """Verdicts on a sample of each case, shape (n_cases,); its readings are (n_cases, m + 1)."""
@@ -235,8 +245,9 @@ class _Twin:
         self.same = np.where(again, np.minimum(self.same + 1, numbers.stuck_after), 0)
         self.last = measured
         wrong, stuck = ~inside.all(axis=1), (self.same == numbers.stuck_after).any(axis=1)
-        used = ~(wrong | stuck)
         growth = self._growth()
+        dead = self._dead(growth, measured[:, 0], wrong)
+        used = ~(wrong | stuck | dead)
         forward = self._forward(growth)
         innovation = [measured[:, c] * numbers.scales[c] - self.state[c] - growth[c] for c in range(m)]
         correction = np.array([row.total(self.sample, innovation) for row in numbers.gain])
@@ -245,8 +256,25 @@ class _Twin:
         self.statistic = np.where(used, self._decided(white, forward, used), self.statistic)
         self.sample += 1
         fault = np.where(self.statistic > numbers.threshold, SampleVerdict.FAULT, SampleVerdict.HEALTHY)
-        sensor = np.where(wrong, SampleVerdict.SENSOR_RANGE, SampleVerdict.SENSOR_STUCK)
+        sensor = np.where(stuck, SampleVerdict.SENSOR_STUCK, SampleVerdict.SENSOR_DEAD)
+        sensor = np.where(wrong, SampleVerdict.SENSOR_RANGE, sensor)
         return np.where(used, fault, sensor)
+
+    def _dead(self, growth: Values, reading: Values, wrong: Values) -> NDArray[np.bool_]:
+        """Where the current reads nothing whenever the model has much; so it stays until one is read again."""
+        numbers, predicted = self.numbers, np.abs(self.state[0] + growth[0])
+        shown = np.abs(reading * numbers.scales[0])
+
+        def of(bits: int) -> Values:
+            if numbers.is_fixed:
+                return clamped(predicted) >> bits
+            return predicted * np.float32(2.0**-bits)
+
+        is_told = ~wrong & (predicted > numbers.telling)
+        more = np.minimum(self.hidden + 1, numbers.dead_after)
+        self.hidden = np.where(is_told & (shown < of(NOTHING_BITS)), more, self.hidden)
+        self.hidden = np.where(is_told & (shown >= of(SOMETHING_BITS)), 0, self.hidden)
+        return np.asarray(self.hidden == numbers.dead_after)
 
     def _growth(self) -> Values:
         (current, speed), drag = self.state, self.numbers.drag

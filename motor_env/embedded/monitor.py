@@ -16,6 +16,10 @@ from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters, require, require_positive
 
 STUCK_AFTER = 100
+DEAD_AFTER = 4
+"""So many samples whose current is nothing where the model has much, with no other between, show a dead sensor."""
+TELLING = 0.1
+"""Share of the current of a held rotor, above which the model's current is much."""
 DEADBAND = 0.01
 _HEADROOM = 2.0
 _SETTLED = 1e-6

@@ -11,6 +11,8 @@ from scipy.signal import dlsim
 
 from motor_env.embedded.arithmetic import (
     LARGEST,
+    NOTHING_BITS,
+    SOMETHING_BITS,
     STATISTIC_BITS,
     Numbers,
     SampleVerdict,
@@ -121,6 +123,10 @@ def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, A
         "counts": Steps(*(literal(np.float32(size)) for size in n.readings)),  # type: ignore[arg-type]
         "statistic_bits": STATISTIC_BITS,
         "memory_share": np.float32(2.0**-n.memory),
+        "nothing_bits": NOTHING_BITS,
+        "nothing_share": np.float32(2.0**-NOTHING_BITS),
+        "something_bits": SOMETHING_BITS,
+        "something_share": np.float32(2.0**-SOMETHING_BITS),
         "statistic_count": literal(np.float32(2.0**-STATISTIC_BITS if n.is_fixed else 1.0)),
         "largest": LARGEST,
         "slack": 0 if n.is_fixed else "1e-3f",

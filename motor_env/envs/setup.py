@@ -76,9 +76,10 @@ def make_setup(options: MonitorOptions) -> Setup:
     """Everything that follows from the options.
 
     Raises:
-        ValueError: the recipe has no fault, or a feature cannot be observed with its sensor.
+        ValueError: the recipe has no fault, or failed sensors, or a feature cannot be observed with its sensor.
     """
     recipe = options.task
+    recipe.require_motor_faults()
     kinds = tuple(dict.fromkeys(kind.verdict for kind in recipe.kinds))
     require(bool(kinds), f"recipe {recipe.name} must have a class with a fault, got healthy only")
     rest = steady_state(recipe.motor, float(recipe.supply.voltage_v), options.load_n_m)

@@ -69,8 +69,10 @@ def class_log_evidence(
             normal by default.
 
     Raises:
-        ValueError: shapes do not fit, a value is not finite, or the recipe's sensor has no noise.
+        ValueError: shapes do not fit, a value is not finite, the recipe's sensor has no noise, or one of its sensors
+            fails.
     """
+    recipe.require_motor_faults()
     observed = recipe_observed(recipe, measurements, voltage_v)
     return np.column_stack([class_evidence(recipe, observed, each, prior) for each in recipe.classes])
 

@@ -25,7 +25,7 @@ class Event:
             unplugged, lost or new_file.
         text: verdict of a window; else what was seen.
         ratios: quantities of the window over the healthy ones.
-        reason: why a window is unusable.
+        reason: why a window is unusable, or what shows that a sensor failed.
         span_s: of a verdict before the window's end: how many seconds it is about.
         fault_kind: kind of the fault, where it can be told from others of its family.
         undecided: quantities of a window of which a doubling would not show.

@@ -197,7 +197,7 @@ class Watch:
                 self._next_look_s = math.inf
                 # Part of these samples may be healthy: how large the fault is shows only at the window's end.
                 span_s = round(self._time_s - alarm.begin_s, 6)
-                yield replace(self._judged(alarm), ratios={}, reason="", undecided=(), span_s=span_s)
+                yield replace(self._judged(alarm), ratios={}, undecided=(), span_s=span_s)
 
     def _ended(self, columns: dict[str, FloatArray]) -> Event:
         for name in ("current", "speed"):
@@ -245,7 +245,7 @@ class Watch:
             "window",
             str(window.verdict),
             ratios,
-            reason=window.reasons[0] if window.verdict is Verdict.UNUSABLE else "",
+            reason=window.reasons[0] if window.verdict in (Verdict.UNUSABLE, Verdict.SENSOR) else "",
             fault_kind=None if window.kind is None else str(window.kind),
             undecided=tuple(change.name for change in window.changes if change.verdict == "undecided"),
         )

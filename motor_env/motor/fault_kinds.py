@@ -27,7 +27,10 @@ ENTRY_POINTS = "motor_env.fault_kinds"
 NOISE = "noise"
 """The quantity that a fault of a sensor changes: the variance of the noise."""
 
-_NO_FAULTS = (HEALTHY, "no_reference", "other", "unusable")  # verdicts that name no kind of fault
+SENSOR = "sensor"
+"""The verdict of all kinds that change what is read and not the motor."""
+
+_RESERVED = (HEALTHY, "no_reference", "other", "unusable", SENSOR)  # verdicts that are no registered kind's
 _WORD = re.compile("[a-z][a-z0-9_]{0,39}")
 _KINDS: dict[str, FaultKind] = {}
 
@@ -47,6 +50,7 @@ class FaultKind(str, metaclass=_Registry):
     Attributes:
         powers: power of (1 + severity) on each quantity, of `QUANTITY_FIELDS` or noise (the variance of the noise).
             Where all are negative, a quantity is multiplied by (1 - severity)^-power: the severity is what is lost.
+            None for a sensor's failure, which changes what is read (`motor_env.simulation.failed_sensors`).
         verdict: the word for it, which kinds may share.
         finding: one sentence for the reader of a diagnosis: what moved, and where to look.
 
@@ -71,6 +75,8 @@ class FaultKind(str, metaclass=_Registry):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Unpickled in another process, a kind registers itself there."""
+        if self.is_sensor:
+            return FaultKind, (str(self),)
         return register_fault_kind, (str(self), dict(self.powers), self.verdict, self.finding)
 
     def __deepcopy__(self, memo: object) -> Self:
@@ -94,9 +100,14 @@ class FaultKind(str, metaclass=_Registry):
         return NOISE in self.powers
 
     @property
+    def is_sensor(self) -> bool:
+        """Whether a sensor failed: it changes what is read, and nothing else."""
+        return self.verdict == SENSOR
+
+    @property
     def loses(self) -> bool:
         """Whether the severity is a share that is lost, below 1."""
-        return all(power < 0.0 for power in self.powers.values())
+        return bool(self.powers) and all(power < 0.0 for power in self.powers.values())
 
     def factor(self, quantity: str, severity: Floats) -> Floats:
         """What a fault multiplies a quantity by."""
@@ -124,6 +135,8 @@ class FaultKind(str, metaclass=_Registry):
     def require_severity(self, severity: Floats) -> None:
         """Raise `ValueError` unless a fault of this kind can be so large."""
         largest = float(np.max(severity))
+        is_share = self.is_sensor and not self.endswith(_WITHOUT_END)
+        require(not is_share or largest <= 1.0, f"severity of {self} must be <= 1, got {largest:g}")
         require(not self.loses or largest < 1.0, f"severity of {self} must be < 1, got {largest:g}")
 
 
@@ -146,8 +159,8 @@ def register_fault_kind(
     words: dict[str, Any] = {"name": name, "verdict": name if verdict is None else verdict}
     for field, word in words.items():
         require(
-            isinstance(word, str) and _WORD.fullmatch(word) is not None and word not in _NO_FAULTS,
-            f"{field} of a fault kind must be a word of a-z, 0-9 and _, and none of {', '.join(_NO_FAULTS)},"
+            isinstance(word, str) and _WORD.fullmatch(word) is not None and word not in _RESERVED,
+            f"{field} of a fault kind must be a word of a-z, 0-9 and _, and none of {', '.join(_RESERVED)},"
             f" got {word!r:.60}",
         )
     given: Mapping[str, Any] = powers
@@ -225,3 +238,44 @@ FaultKind.MAGNET = register_fault_kind(  # demagnetised: less flux, so both cons
 )
 BUILT_IN_KINDS = tuple(_KINDS.values())
 """The kinds of the package. Their order is that of the random numbers of a case: new ones stand at the end."""
+
+
+def _sensor(name: str, finding: str) -> FaultKind:
+    kind = str.__new__(FaultKind, name)
+    kind.powers, kind.verdict, kind.finding = {}, SENSOR, finding
+    return _KINDS.setdefault(name, kind)
+
+
+_WITHOUT_END = ("gain", "offset")  # a severity of these may be above 1
+_DEAD = "look at its supply, cable and connector, and at the channel of the recorder"
+_SCALE = "look at {}, and at the range that the recorder was set to"
+_REVERSED = "{} reads with the wrong sign: look at the direction of {}, and at the order of its leads"
+_STUCK = "{} no longer moves: look at its cable, and whether the recorder repeats the last sample"
+_CLIPPED = "{} stands at the end of its range: choose a larger range, {}"
+SENSOR_KINDS = (
+    _sensor("current_dead", f"the current's sensor shows nothing: {_DEAD}; or the circuit is open"),
+    _sensor("current_gain", f"the current's scale is wrong: {_SCALE.format('probe and shunt')}"),
+    _sensor("current_offset", "the current is off by a constant: balance its sensor while the motor stands"),
+    _sensor("current_polarity", _REVERSED.format("the current", "the probe")),
+    _sensor("current_stuck", _STUCK.format("the current")),
+    _sensor("current_clipped", _CLIPPED.format("the current", "or look at the limit of the supply")),
+    _sensor("speed_dead", f"the speed's sensor shows nothing: {_DEAD}"),
+    _sensor("speed_gain", f"the speed's scale is wrong: {_SCALE.format('pulses a turn, gear and coupling')}"),
+    _sensor("speed_polarity", _REVERSED.format("the speed", "the encoder's channels or of the tachometer")),
+    _sensor("speed_stuck", _STUCK.format("the speed")),
+    _sensor("speed_clipped", _CLIPPED.format("the speed", "or look at the counter of the encoder")),
+    _sensor(
+        "voltage_gain",
+        "the motor has another voltage than was recorded: look at the divider, or at battery and supply where the"
+        " voltage is a command",
+    ),
+    _sensor(
+        "voltage_polarity",
+        "the voltage reads with the wrong sign, or the motor's leads are exchanged: look at the direction of both",
+    ),
+    _sensor(
+        "swapped",
+        "a column is that of another quantity or of another motor: look at the order of the channels",
+    ),
+)
+"""What fails before motors do: kinds of the verdict `sensor`."""

@@ -14,6 +14,7 @@ from motor_env.motor.fault_kinds import (
     ENTRY_POINTS,
     HEALTHY,
     NOISE,
+    SENSOR_KINDS,
     FaultKind,
     motor_kinds,
     register_fault_kind,
@@ -32,6 +33,7 @@ __all__ = [
     "BUILT_IN_KINDS",
     "ENTRY_POINTS",
     "HEALTHY",
+    "SENSOR_KINDS",
     "FaultKind",
     "motor_kinds",
     "register_fault_kind",
@@ -62,7 +64,8 @@ class Fault:
     Attributes:
         kind: bearing: friction B up by the severity. winding_contact: resistance R up by the severity (bad contact or
             brush). winding_short: a fraction of the turns equal to the severity is shorted. noise: the variance of
-            `noise_source` up by the severity. magnet: torque and back-EMF constant down by the severity.
+            `noise_source` up by the severity. magnet: torque and back-EMF constant down by the severity. Those of
+            sensors (`SENSOR_KINDS`) change what is read: see `motor_env.simulation.failed_sensors`.
         severity: relative size, 0.25 for 25 %; a float, or one entry a motor. Below 1 where something is lost.
         onset_s: time of the onset, counted from the step of the supply; `ALWAYS` for a fault that was always there.
             The fault acts in every sampling interval that begins at or after it.

@@ -28,6 +28,8 @@ class Starts:
         ripple_hz: commutation ripple at the last speed; None where not every start shows it.
         ripple_constant_v_s: K times the ripple's periods a turn, from that ripple; over volt where V is unknown.
         ripple_log_sd: standard deviation of the next start's logarithm of either.
+        direction: sign of the current, where all starts have the same; 0 where they do not, or none was learned.
+        turned: columns of a `Recording` that read with the other sign than the voltage, as they are wired.
     """
 
     log_noise: Finite
@@ -41,6 +43,8 @@ class Starts:
     ripple_hz: Positive | None = None
     ripple_constant_v_s: Positive | None = None
     ripple_log_sd: Positive | None = None
+    direction: Literal[-1, 0, 1] = 0
+    turned: tuple[Literal["current_a", "speed_rad_s", "voltage_v"], ...] = ()
 
     def __post_init__(self) -> None:
         require(

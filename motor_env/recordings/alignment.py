@@ -152,7 +152,7 @@ def _is_rectified(current: FloatArray, onset: int, quantum: float) -> bool:
 def _defects(current: FloatArray, quantum: float, *, rectified: bool) -> tuple[Defect, ...]:
     """What the current alone shows of the sensor."""
     span, top = float(np.ptp(current)), float(np.max(np.abs(current)))
-    run = _clipped_run(current, quantum) if quantum < _COARSE_STEP * span else 0
+    run = clipped_run(current, quantum) if quantum < _COARSE_STEP * span else 0
     is_quantised = quantum > _QUANTISED_STEP * span
     texts = {
         DefectKind.SATURATION: f"saturation: {run} samples in a row stand at {top:.4g} A" if run else "",
@@ -164,8 +164,8 @@ def _defects(current: FloatArray, quantum: float, *, rectified: bool) -> tuple[D
     return tuple(Defect(kind, text) for kind, text in texts.items() if text)
 
 
-def _clipped_run(current: FloatArray, quantum: float) -> int:
-    """Number of samples in a row at the top of a clipped current; 0 where it is not clipped."""
+def clipped_run(current: FloatArray, quantum: float) -> int:
+    """Number of samples in a row at the top of a clipped channel; 0 where it is not clipped."""
     top = float(np.max(np.abs(current)))
     at_top = np.abs(np.abs(current) - top) <= 1e-9 * top
     edges = np.flatnonzero(np.diff(np.concatenate([[0], at_top.astype(np.int8), [0]])))

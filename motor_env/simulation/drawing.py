@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,10 +18,11 @@ from motor_env.motor.parameters import (
 from motor_env.simulation.disturbances import PER_MOTOR
 from motor_env.simulation.driven import Driving
 from motor_env.simulation.duty import N_UNIFORMS
+from motor_env.simulation.failed_sensors import SWAPPED
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.nonlinear import Effects
 from motor_env.simulation.random_streams import Stream, normals, uniforms
-from motor_env.simulation.recipes import FACTORS, Recipe
+from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 from motor_env.simulation.sensor import SensorChain
 from motor_env.simulation.simulate import Scenario
 
@@ -204,9 +205,14 @@ def driven(
 def measure_draw(
     drawn: Draw, recipe: Recipe, seed: int, out: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """Readings of drawn cases, float32, shape (n_cases, n_channels, n_samples)."""
-    return measure(
-        drawn.scenario,
+    """Readings of drawn cases, float32, shape (n_cases, n_channels, n_samples).
+
+    Where columns are swapped, the first channel is that of a healthy motor of the same recipe: of the case of the same
+    number under the next seed.
+    """
+    faults = drawn.scenario.faults
+    out = measure(
+        replace(drawn.scenario, faults=tuple(fault for fault in faults if fault.kind != SWAPPED)),
         seed,
         drawn.cases,
         effects=drawn.effects,
@@ -215,6 +221,12 @@ def measure_draw(
         driving=drawn.driving,
         out=out,
     )
+    swaps = [np.broadcast_to(fault.severity, drawn.cases.shape) for fault in faults if fault.kind == SWAPPED]
+    rows = np.flatnonzero(swaps[0]) if swaps else drawn.cases[:0]
+    if len(rows):
+        others, following = replace(recipe, classes=(FaultClass(),)), (seed + 1) % 2**64
+        out[rows, 0] = measure_draw(draw(others, following, drawn.cases[rows]), others, following)[:, 0]
+    return out
 
 
 def apply_factors(parameters: MotorParameters, factors: FloatArray) -> MotorParameters:

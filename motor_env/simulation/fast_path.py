@@ -14,6 +14,7 @@ from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_fac
 from motor_env.motor.model import State, discretize, steady_state
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, require
 from motor_env.simulation.driven import Driving, integrate_driven
+from motor_env.simulation.failed_sensors import VOLTAGE, fail_after_noise, fail_before_noise
 from motor_env.simulation.nonlinear import Effects, Sampling, integrate, substeps
 from motor_env.simulation.random_streams import Stream, normals, uniforms, whole_blocks
 from motor_env.simulation.sensor import SensorChain, read_sensors
@@ -98,7 +99,9 @@ def measure(
         n_channels = len(sensor.channels) + (driving is not None)
         out = np.empty((n_cases, n_channels, timing.n_samples), dtype=np.float32)
     is_current = np.array([channel is Channel.CURRENT for channel in sensor.channels])
-    constant = all(fault.is_constant for fault in scenario.faults) and not any(scenario.process_noise_std)
+    constant = all(fault.is_constant or fault.kind.is_sensor for fault in scenario.faults) and not any(
+        scenario.process_noise_std
+    )
     if effects is not None:
         require(constant, "effects need faults without an onset, and no process noise")
         motor = scenario.parameters if nominal is None else nominal
@@ -123,11 +126,14 @@ def measure(
         bool(np.isfinite(out[..., -1]).all()),
         "the simulated current or speed left the range of numbers: a value of the recipe is too large or too small",
     )
+    channels = [*sensor.channels, *([] if driving is None else [VOLTAGE])]
+    fail_before_noise(out, channels, scenario.faults, timing.interval_start_s)
     rows = _NO_CHAIN if chain is None else chain.rows(n_cases, timing.dt_s)
     read = out if driving is None else np.ascontiguousarray(out[:, :-1])
     read_sensors(read, is_current, rows, _noise_std(scenario), np.uint64(seed), numbers.astype(np.uint64))
     if driving is not None:
         out[:, :-1] = read
+    fail_after_noise(out, channels, scenario.faults, timing.interval_start_s)
     if chain is not None and chain.missing_fraction > 0.0:
         lost = uniforms(seed, Stream.MISSING, numbers, timing.n_samples) < chain.missing_fraction
         read = out[:, : len(is_current)]

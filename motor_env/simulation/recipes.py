@@ -293,6 +293,14 @@ class Recipe:
             f"recipe {self.name} has a voltage of its own in each case, and no step of the supply, which this needs",
         )
 
+    def require_motor_faults(self) -> None:
+        """Raise `ValueError` for failed sensors, of which what knows motors alone cannot judge."""
+        failed = [kind for kind in self.kinds if kind.is_sensor]
+        require(
+            not failed,
+            f"recipe {self.name} must have faults of motors alone for this, got {', '.join(failed)}",
+        )
+
     def shifted(self, name: str) -> Recipe:
         """The recipe under the conditions of one of its shifts.
 

@@ -19,6 +19,7 @@ from motor_env.motor.parameters import (
     require,
     require_positive,
 )
+from motor_env.simulation.failed_sensors import fail_after_noise, fail_before_noise
 from motor_env.simulation.random_streams import Stream, normals, whole_blocks
 
 MOST_SAMPLES = 10_000_000
@@ -252,10 +253,11 @@ def simulate(scenario: Scenario, seed: int, cases: ArrayLike) -> Transients:
     noise = noise.reshape(-1, n_channels, stride)[..., : timing.n_samples] * sensor.noise_std[:, None]
     factor = noise_variance_factor(scenario.faults, NoiseSource.MEASUREMENT, timing.interval_start_s)
     noise *= np.sqrt(factor)[:, None, :]
-    columns = sensor.observation @ np.moveaxis(states, -1, -2)
-    return Transients(
-        timing.time_s, level[:, None] * timing.step(1.0), columns + noise, sensor.channels, states
-    )
+    columns, begins = sensor.observation @ np.moveaxis(states, -1, -2), timing.interval_start_s
+    fail_before_noise(columns, sensor.channels, scenario.faults, begins)
+    columns += noise
+    fail_after_noise(columns, sensor.channels, scenario.faults, begins)
+    return Transients(timing.time_s, level[:, None] * timing.step(1.0), columns, sensor.channels, states)
 
 
 def scenario_states(scenario: Scenario, seed: int, cases: NDArray[np.int64]) -> FloatArray:

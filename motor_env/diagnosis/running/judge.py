@@ -13,6 +13,7 @@ from motor_env.diagnosis.misreading import BEYOND_WEAR, EXPLAINED, is_far, wrong
 from motor_env.diagnosis.running.lessons import effective_speed, known_of
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import EXPONENTS, NAMES, WindowJudge, viscous
+from motor_env.diagnosis.sensors import failed_sensor
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.fitting.identify import identify_record
@@ -40,6 +41,9 @@ def judge_log(
     whole = at_terminals(recording, voltage_v, circuit)
     if motor is None:
         return [Judgement(Verdict.NO_REFERENCE, (_NOTHING,)).on(whole)], 1
+    failed = failed_sensor(whole, motor, voltage_v, at_work=True)
+    if failed is not None:
+        return [failed], 1
     try:
         judge = judge_for(whole, motor, temperature_c)
         judged, count = judge.judge(whole, rate)

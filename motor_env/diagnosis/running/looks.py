@@ -28,7 +28,7 @@ from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import FEWEST, from_recordings
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, cut
 
 _LOOKS = 4  # while a part of that length passes
 _MOST_STEPS = 15
@@ -83,7 +83,11 @@ class Looks:
             return None
         for part, judged in zip(parts, self.judgements(parts, due[-len(parts) :]), strict=True):
             if judged is not None:
-                span_s = len(part.voltage_v) * record.dt_s
+                n = len(part.voltage_v)
+                span_s = n * record.dt_s
+                # A short part may be too steady to show that a sensor failed: the longest one is asked as well.
+                parts_of = (cut(recording, slice(-n, None)), recording)
+                judged = next(filter(None, map(self.judge.failed_sensor, parts_of)), judged)
                 return replace(judged, begin_s=float(recording.time_s[-1]) - span_s, duration_s=span_s)
         return None
 

@@ -17,6 +17,8 @@ import numpy as np
 
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.healthy_motor import Reference, beyond, reference_of_pieces
+from motor_env.diagnosis.sensor_checks import Seen, failure_in
+from motor_env.diagnosis.sensors import judgement_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.fitting import kernel, places
@@ -181,7 +183,20 @@ class WindowJudge:
         evenly = np.linspace(0, len(parts) - 1, MOST_JUDGED // 2).round().astype(int)
         return sorted({*evenly.tolist(), *np.argsort(misfits)[-MOST_JUDGED // 2 :].tolist()})
 
+    def failed_sensor(self, part: Recording) -> Judgement | None:
+        """The judgement on a part of a log of which a sensor failed; None where none did."""
+        volts, speed = needed_columns(part)
+        found = (
+            failure_in(Seen(part.dt_s, volts, part.current_a, speed), self.physical())
+            if volts.any()
+            else None
+        )
+        return None if found is None else judgement_of(found)
+
     def _judged(self, part: Recording, rate: float) -> Judgement:
+        failed = self.failed_sensor(part)
+        if failed is not None:
+            return failed
         try:
             fit = self.fitted(from_recordings([part]))
         except UnusableError as error:

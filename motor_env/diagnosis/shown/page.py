@@ -9,11 +9,11 @@ import numpy as np
 from motor_env.console import printable
 from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.shown.report import as_text, warnings_of
+from motor_env.diagnosis.shown.words import KIND, SIZE, WORDS
 from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.fitting.starts.belief import absolute
 from motor_env.fitting.starts.identified import Identified
-from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.pages.html import render
 from motor_env.pages.svg import Axis, Chart, round_ticks
@@ -33,67 +33,6 @@ _QUANTITY = {
     "B/J": "Friction B/J",
     "speed": "Speed (ripple)",
 }
-_KIND = {
-    "bearing": "more friction",
-    "winding_contact": "more winding resistance",
-    "winding_short": "shorted turns",
-    "magnet": "weaker magnets",
-}
-_SIZE = {
-    FaultKind.BEARING: "Friction up by {}",
-    FaultKind.WINDING_CONTACT: "Winding resistance up by {}",
-    FaultKind.WINDING_SHORT: "{} of the turns shorted",
-}
-_WORDS: dict[Verdict | FaultKind, tuple[str, ...]] = {
-    Verdict.HEALTHY: (
-        "Healthy",
-        "Nothing to do. Keep this recording: more healthy starts make smaller faults visible.",
-    ),
-    Verdict.BEARING: (
-        "More friction: bearing, lubricant or load",
-        "Switch off, lock out, and turn the shaft by hand: rough, stiff or noisy?",
-        "Uncouple the load and record another start. Still high: bearings or lubricant. Normal: the driven machine.",
-    ),
-    Verdict.WINDING: (
-        "Winding or brushes",
-        "Tighten and clean the terminals; measure the resistance with four leads at several rotor positions.",
-        "High at all positions: connections or brushes. High or low at some: commutator or winding.",
-    ),
-    FaultKind.WINDING_SHORT: (
-        "Winding: shorted turns",
-        "Take the motor out of service soon: shorted turns heat up and spread.",
-        (
-            "Measure the resistance with four leads at several rotor positions: low at some confirms it. Replace or"
-            " rewind."
-        ),
-    ),
-    Verdict.MAGNET: (
-        "Weak magnets",
-        "Let the motor cool to the temperature of its healthy starts and record again: warm magnets are weaker.",
-        "Still low: compare the no-load speed with the data sheet; it rises as magnets weaken.",
-    ),
-    Verdict.NOISE: (
-        "Noisy current",
-        "Check brushes and commutator for sparks and wear, then the probe, its cable and its ground.",
-        "Record again with the probe on another supply line to tell the motor's noise from the sensor's.",
-    ),
-    Verdict.OTHER: (
-        "Something changed that is no single known fault",
-        "Check the recording first: the probe's scale, the units and the supply voltage under Read as, below.",
-        "Is it this motor, with the usual load? Record two more starts; if they agree, take it out for inspection.",
-    ),
-    Verdict.NO_REFERENCE: (
-        "Nothing to compare with",
-        "Record three healthy starts and run: motor-env commission A.csv B.csv C.csv -o motor.toml",
-        "Or write the data sheet into a motor file, and run diagnose again with --motor motor.toml.",
-    ),
-    Verdict.UNUSABLE: (
-        "This recording cannot be judged",
-        "Record again: from before switching on until the current is steady, without clipping.",
-        "Choose the range so that the peak fills half of it, and leave some milliseconds without current before it.",
-    ),
-}
-"""The heading of a verdict, or of a kind of its own, and what to do first."""
 
 
 def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
@@ -106,8 +45,8 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
     telling, verdict = diagnosis.telling, diagnosis.verdict
     fit, expected = telling.identified, reference_current(telling)
     tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
-    named = telling.kind if telling.kind in _WORDS else verdict
-    title, *first = _WORDS.get(named, (str(verdict).capitalize(),))
+    named = telling.kind if telling.kind in WORDS else verdict
+    title, *first = WORDS.get(named, (str(verdict).capitalize(),))
     sure = "" if diagnosis.confidence is None else f"{diagnosis.confidence:.0%} sure"
     current, residual = ("", "") if fit is None else _currents(fit, expected)
     return render(
@@ -130,9 +69,7 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
         current=current,
         has_expected=expected is not None,
         residual=residual,
-        smallest=[
-            (_KIND.get(kind, kind), f"{share:.0%}") for kind, share in telling.smallest_changes.items()
-        ],
+        smallest=[(KIND.get(kind, kind), f"{share:.0%}") for kind, share in telling.smallest_changes.items()],
         expert=printable(as_text(diagnosis, periods_per_turn, verbose=True)),
     )
 
@@ -143,7 +80,7 @@ def _size(judgement: Judgement) -> str:
     if not size or not judgement.verdict.is_fault or kind is None:
         return ""
     between = "" if interval is None else f", between {interval[0]:.0%} and {interval[1]:.0%}"
-    return _SIZE.get(kind, "Size {}").format(f"{size:.0%}") + between
+    return SIZE.get(kind, "Size {}").format(f"{size:.0%}") + between
 
 
 def reference_current(judgement: Judgement) -> FloatArray | None:

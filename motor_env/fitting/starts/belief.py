@@ -15,6 +15,7 @@ from motor_env.fitting.record import CURVE_PARTS
 from motor_env.fitting.starts.identified import record_of
 from motor_env.fitting.terms import Term, terms
 from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.start import Start, mean_tail
 
 FIT_SAMPLES = 40_000
@@ -164,8 +165,14 @@ def parts_of(model: Sequence[str]) -> tuple[str, ...]:
 
 
 def believed(start: Start, constant: float | None, typical: Mapping[str, float] | None) -> Belief:
-    """What is believed of a start before it is fitted, see `identify`."""
+    """What is believed of a start before it is fitted, see `identify`.
+
+    Raises:
+        UnusableError: the current flows against the voltage.
+    """
     known = _by_eye(start, constant)
+    if known[places.R] <= 0.0:
+        raise UnusableError("no motor explains the current: it flows against the voltage")
     values = absolute(typical or {}, known[places.K])
     logs = {
         name: math.log(values[name] / known[getattr(places, name)])

@@ -53,6 +53,7 @@ from motor_env.diagnosis.running.windows import (
     viscous,
     windows_of,
 )
+from motor_env.diagnosis.sensor_checks import free_run
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature
@@ -220,6 +221,7 @@ def test_of_many_windows_some_are_judged_and_the_rate_is_still_shared_by_all(
         return out, 0.0
 
     monkeypatch.setattr(Record, "predict", predict)
+    monkeypatch.setattr(WindowJudge, "failed_sensor", lambda *_: None)
     few, _ = JUDGE.judge(recording(40 * 500), 0.03)
     assert len(few) == 40
     many, count = JUDGE.judge(recording(41 * 500), 0.03)
@@ -382,7 +384,12 @@ def test_a_quiet_window_decides_nothing_where_no_doubling_would_show() -> None:
 
 @pytest.mark.parametrize(
     ("off", "verdict"),
-    [((0.0, 0.0, 0.0, 0.0), "healthy"), ((0.0, 0.0, 0.0, 0.4), "bearing"), ((0.3, 0.3, 0.3, 0.3), "other")],
+    [
+        ((0.0, 0.0, 0.0, 0.0), "healthy"),
+        ((0.0, 0.0, 0.0, 0.4), "bearing"),
+        ((0.3, 0.3, 0.3, 0.3), "sensor"),  # of the voltage: it is in all of them
+        ((0.3, 0.3, 0.0, 0.0), "other"),
+    ],
 )
 def test_a_window_is_judged_as_anything_else_that_tells_the_same(
     off: tuple[float, ...], verdict: str
@@ -577,6 +584,16 @@ def test_the_steps_of_a_look_lead_to_a_warmer_motor_first(monkeypatch: pytest.Mo
     assert said is not None
     prior = HEALTHY.log_covariance + 15.0**2 * np.outer(WARMTH, WARMTH)
     np.testing.assert_allclose(asked[2], prior @ np.linalg.solve(prior + error, off), rtol=1e-9)
+
+
+def test_a_look_that_alarms_asks_for_the_sensors_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    dead = replace(recording(300), current_a=1e-3 * (np.arange(300.0) % 2.0))
+    monkeypatch.setattr(Looks, "judgements", lambda *_: [Judgement(Verdict.WINDING, ("worn",))])
+    driven, speed = free_run(looks().judge.physical(), np.asarray(dead.voltage_v), 1e-3)
+    for current_a, verdict in ((dead.current_a, "sensor"), (driven, "winding")):
+        judged = looks().at_end(replace(dead, current_a=current_a, speed_rad_s=speed), [1])
+        assert judged is not None
+        assert judged.verdict == verdict
 
 
 def test_a_look_ends_with_its_recording(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -161,6 +161,27 @@ def test_sensor_is_watched() -> None:
         assert (verdict[others] == SampleVerdict.HEALTHY).all()
 
 
+def test_a_current_that_reads_nothing_in_an_inrush_is_that_of_a_dead_sensor() -> None:
+    """It is said from the fourth sample on, and until a current is read where there must be one."""
+    believed = monitor(RULES["cusum"])
+    data = starts(believed, 1, 0.0)
+    alive, on = data.measurements[:, :1], int(np.argmax(data.voltage_v > 0.0))
+    quiet = np.random.default_rng(1).normal(0.0, 0.02, alive.shape)
+    mended = np.where(np.arange(alive.shape[-1]) < on + 20, quiet, alive)
+    for numbers in (floating(believed), fixed_point(believed, Steps.suited(believed.limits))):
+
+        def verdicts(current: NDArray[np.float64], numbers: Numbers = numbers) -> Any:
+            return answers(numbers, readings_of(numbers, current, data.voltage_v)).verdict[0]
+
+        assert not (verdicts(alive) == SampleVerdict.SENSOR_DEAD).any()
+        said = verdicts(quiet) == SampleVerdict.SENSOR_DEAD
+        assert int(np.argmax(said)) in range(on + 3, on + 7)
+        assert said[on + 7 :].all()
+        said = verdicts(mended) == SampleVerdict.SENSOR_DEAD
+        assert said[on + 7 : on + 20].all()
+        assert not said[on + 20 :].any()
+
+
 def test_brushes_and_dry_friction_are_known() -> None:
     motor = Motor("dry", "identified", PAPER_MOTOR, brush_drop_v=0.4, coulomb_friction_n_m=4e-4)
     believed = monitor_of(motor, 1e4, rule=RULES["cusum"], sensor=SensorParameters(), voltage_v=12.0)

@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from motor_env import Fault, FaultKind, discretize, draw
+from motor_env import Fault, discretize, draw
 from motor_env.envs import (
     MonitorEnv,
     MonitorVectorEnv,
@@ -24,7 +24,7 @@ from motor_env.envs import (
 )
 from motor_env.envs.noise import case_of
 from motor_env.envs.tasks import TASKS
-from motor_env.motor.faults import apply_faults
+from motor_env.motor.faults import BUILT_IN_KINDS, apply_faults
 from motor_env.simulation.recipes import FaultClass
 
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
@@ -290,7 +290,7 @@ def test_episodes_are_the_draws_of_the_simulation(recipe: str, growth_s: float, 
     of_name = {
         "ranges": replace(
             TASKS["hard"],
-            classes=(FaultClass(), *(FaultClass(kind, 0.05, severity_to=0.3) for kind in FaultKind)),
+            classes=(FaultClass(), *(FaultClass(kind, 0.05, severity_to=0.3) for kind in BUILT_IN_KINDS)),
         ),
         "starts": replace(TASKS["hard"], starts_per_motor=3, healthy_starts=1),
     }

@@ -146,7 +146,7 @@ def test_a_fault_without_onset_was_always_there() -> None:
         ({"onset_s": float("nan")}, "onset_s must be a number, got nan"),
         ({"onset_s": 0.0, "growth_s": -1.0}, "growth_s must be finite and >= 0, got -1"),
         ({"growth_s": 1.0}, "growth_s must be 0 for a fault that is always there, got 1"),
-        ({"kind": "rust"}, "kind must be one of bearing, .*, magnet, got 'rust'"),
+        ({"kind": "rust"}, "kind must be one of bearing, .*, swapped, got 'rust'"),
     ],
 )
 def test_bad_fault(arguments: dict[str, object], sentence: str) -> None:

@@ -1,0 +1,310 @@
+"""Checks of a channel against the others: does it carry something, and does it move as the healthy motor does?
+
+The healthy motor runs freely under the recorded voltage: so large is what each channel must show, and so it must move.
+Of three channels any two tell the third by V = R i + L di/dt + K w. The limits are wide: no wear moves a motor so far.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import permutations
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from motor_env.diagnosis.misreading import READ_SO
+from motor_env.fitting import kernel, places
+from motor_env.fitting.record import Record
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.alignment import clipped_run
+from motor_env.recordings.noise import difference_noise
+
+_NOTHING = 0.05  # of what the healthy motor shows: a channel of less is dead ...
+_A_SCALE = 0.7  # ... unless so much of its variance follows the motor: then it has another unit
+_ALIKE, _APART, _AGAINST, _OPPOSITE = (
+    0.8,
+    0.3,
+    -0.2,
+    -0.6,
+)  # correlations, from the same motion to the opposite one
+_SAME_SIZE = 2.0
+_FEWEST, _SHORTEST = 20, 0.05  # equal samples at the end, and their share of the record
+_MOVES, _NOISE_BEFORE = 0.2, 200  # of a channel's range; samples
+_ON = 0.1  # of the largest voltage
+_ABOVE, _MOSTLY = 1.1, 0.5  # what the motor shows over the top of a clipped channel; share of the samples
+_OFFSET_AT_REST, _OFFSET = 0.05, 0.15  # of the current of a rotor that is held
+_STANDS, _TURNS_BACK = 0.02, 0.1  # of the largest voltage and speed; share of the samples
+_HELD = 1e-6  # of K: the rotor gives no voltage
+
+
+class Seen(NamedTuple):
+    """What was recorded, side by side.
+
+    Attributes:
+        dt_s: sampling interval.
+        voltage_v: shape (n,).
+        current_a, speed_rad_s: shape (n,); None for a channel without a column.
+        has_sign: whether the sign of the voltage is known.
+        at_work: whether it is a log. The offset of a start is no failure: the quiet part before it tells it.
+        is_taught: whether recordings have taught the healthy motor. A data sheet says nothing of the sensors of a
+            start: which sign is forwards, and how far a range goes.
+    """
+
+    dt_s: float
+    voltage_v: FloatArray
+    current_a: FloatArray | None
+    speed_rad_s: FloatArray | None
+    has_sign: bool = True
+    at_work: bool = True
+    is_taught: bool = True
+
+    def since(self, first: int) -> Seen:
+        """The record from a sample on."""
+        current, speed = (None if one is None else one[first:] for one in (self.current_a, self.speed_rad_s))
+        return self._replace(voltage_v=self.voltage_v[first:], current_a=current, speed_rad_s=speed)
+
+
+class Failure(NamedTuple):
+    """A sensor that failed: its kind, or None where it cannot be told, and what shows it."""
+
+    kind: FaultKind | None
+    why: str
+
+
+def free_run(
+    physical: FloatArray, voltage_v: FloatArray, dt_s: float, *, from_rest: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """Current and speed of a motor of these physical values under a voltage, from its steady state or from rest."""
+    values = physical.copy()
+    values[[places.NOISE_I, places.NOISE_W]], values[[places.NOISE_V, places.WALK]] = 1.0, 0.0
+    n = len(voltage_v)
+    marks = np.append(kernel.REST if from_rest else kernel.STEADY, np.zeros(n - 1))
+    table = Record(dt_s, voltage_v, np.zeros((n, 2)), np.zeros(2), marks).predict(values, learn=False)[0]
+    return table[:, 2], table[:, 3]
+
+
+def failure_in(seen: Seen, physical: FloatArray) -> Failure | None:
+    """The sensor that failed in a record of a motor that is nearly that of these physical values; None for none."""
+    current, speed = free_run(physical, seen.voltage_v, seen.dt_s, from_rest=not seen.at_work)
+    expected = seen._replace(current_a=current, speed_rad_s=speed)
+    if not seen.has_sign:  # the motor is taken to turn as it is read to do
+        one, other = (_currents if seen.speed_rad_s is None else _speeds)(seen, expected)
+        turned = -1.0 if _likeness(one, other, about=0.0) < 0.0 else 1.0
+        volts = turned * seen.voltage_v
+        seen, expected = (
+            seen._replace(voltage_v=volts),
+            Seen(seen.dt_s, volts, turned * current, turned * speed),
+        )
+    checks = [_swapped, _dead, _stuck]
+    checks += [_contradicting, _clipped] if seen.at_work or seen.is_taught else []
+    checks += [_offset] if seen.at_work else []
+    found = (check(seen, expected, physical) for check in checks)
+    return next(filter(None, found), None)
+
+
+def _size(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _likeness(one: FloatArray | None, other: FloatArray | None, *, about: float | None = None) -> float:
+    """Correlation, about the means unless given; 0 where one of them does not move or is not there."""
+    if one is None or other is None:
+        return 0.0
+    a, b = (each - (each.mean() if about is None else about) for each in (one, other))
+    product = _size(a) * _size(b)
+    return float(np.mean(a * b)) / product if product > 0.0 else 0.0
+
+
+def _currents(seen: Seen, expected: Seen) -> tuple[FloatArray | None, FloatArray | None]:
+    return seen.current_a, expected.current_a
+
+
+def _speeds(seen: Seen, expected: Seen) -> tuple[FloatArray | None, FloatArray | None]:
+    return seen.speed_rad_s, expected.speed_rad_s
+
+
+def _channels(seen: Seen, expected: Seen) -> Iterator[tuple[str, str, FloatArray, FloatArray]]:
+    """Name, unit, readings and what is expected of each channel that has a column."""
+    for name, unit, pair in (("current", "A", _currents), ("speed", "rad/s", _speeds)):
+        shown, healthy = pair(seen, expected)
+        if shown is not None and healthy is not None:
+            yield name, unit, shown, healthy
+
+
+def _by_the_others(seen: Seen, physical: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
+    """Current and speed, each by the voltage and the other one, whatever the load is."""
+    if seen.current_a is None or seen.speed_rad_s is None:
+        return None, None
+    ohm, constant = float(physical[places.R]), float(physical[places.K])
+    kept = float(np.exp(-seen.dt_s * ohm / max(float(physical[places.L]), 1e-12)))
+    current = lfilter([1.0 - kept], [1.0, -kept], (seen.voltage_v - constant * seen.speed_rad_s) / ohm)
+    return current, (seen.voltage_v - ohm * seen.current_a) / constant
+
+
+def _quantum(values: FloatArray) -> float:
+    """Smallest step; infinite where there is none."""
+    steps = np.abs(np.diff(values))
+    return float(np.min(steps, where=steps > 0.0, initial=np.inf))
+
+
+def _turning(seen: Seen, expected: Seen, physical: FloatArray) -> bool | None:
+    """Whether the current is that of the motor that turns (True), or of a rotor that is held; None for neither."""
+    if seen.current_a is None or expected.current_a is None:
+        return None
+    held = physical.copy()
+    held[places.K] *= _HELD
+    blocked, _ = free_run(held, seen.voltage_v, seen.dt_s)
+    off, off_held = _size(seen.current_a - expected.current_a), _size(seen.current_a - blocked)
+    if off < _MOSTLY * off_held and _likeness(*_currents(seen, expected)) > _APART:
+        return True
+    return False if off_held < off else None
+
+
+def _dead(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
+    """A channel that shows nothing while another shows that the motor turns, or no other is there."""
+    for name, unit, shown, healthy in _channels(seen, expected):
+        if _size(shown) >= _NOTHING * _size(healthy) or _likeness(shown, healthy) ** 2 >= _A_SCALE:
+            continue
+        why = f"the {name} is {_size(shown):.3g} {unit} effective where the healthy motor shows {_size(healthy):.3g}"
+        if name == "current":
+            turns = abs(_likeness(*_speeds(seen, expected), about=0.0)) > _ALIKE
+            is_dead = turns or (seen.speed_rad_s is None and seen.is_taught)
+            return Failure(FaultKind("current_dead"), f"{why} {unit}") if is_dead else None
+        turning = _turning(seen, expected, physical)
+        if turning or seen.current_a is None:
+            return Failure(FaultKind("speed_dead"), f"{why} {unit}")
+        if turning is None:
+            neither = "and the current is neither that of this motor nor that of a held rotor"
+            return Failure(None, f"{why} {unit}, {neither}")
+    return None
+
+
+def _stuck(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
+    """A channel that ends in equal values while the motor moves, or the noise that it had is gone."""
+    on = np.abs(seen.voltage_v) > _ON * np.max(np.abs(seen.voltage_v))
+    for name, _, shown, healthy in _channels(seen, expected):
+        others = np.flatnonzero(shown != shown[-1])
+        first = int(others[-1]) + 1 if len(others) else 0
+        powered = healthy[first:][on[first:]]
+        if len(shown) - first < max(_FEWEST, _SHORTEST * len(shown)) or len(powered) < _FEWEST:
+            continue
+        # A rotor that stands shows no speed, and an open circuit no current.
+        is_none = abs(float(shown[-1])) < _NOTHING * _size(healthy)
+        if is_none and not _runs_on(name, first, seen, expected, physical):
+            continue
+        quantum, before = _quantum(shown[:first]), shown[max(first - _NOISE_BEFORE, 0) : first]
+        is_noisy = len(before) > _FEWEST and difference_noise(before) > quantum
+        is_moving = np.ptp(powered) > max(_MOVES * np.ptp(healthy), 3.0 * min(quantum, np.ptp(shown)))
+        if is_moving or is_noisy:
+            count = len(shown) - first
+            words = f"the {name} reads {shown[-1]:.4g} for its last {count} samples, while the motor runs"
+            return Failure(FaultKind(f"{name}_stuck"), words)
+    return None
+
+
+def _runs_on(name: str, first: int, seen: Seen, expected: Seen, physical: FloatArray) -> bool:
+    """Whether the other channel shows that the motor moves from a sample on."""
+    if name == "speed":
+        return bool(_turning(seen.since(first), expected.since(first), physical))
+    speed = seen.speed_rad_s
+    return speed is not None and bool(np.ptp(speed[first:]) > _MOVES * np.ptp(speed))
+
+
+def _swapped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
+    """Columns in another order, in which they are those of the healthy motor, as they are not as read."""
+    if seen.current_a is None or seen.speed_rad_s is None or not seen.has_sign or _is_of_it(seen, expected):
+        return None
+    names, columns = ("voltage", "current", "speed"), (seen.voltage_v, seen.current_a, seen.speed_rad_s)
+    for order in list(permutations(range(3)))[1:]:
+        volts, amps, speed = (columns[n] for n in order)
+        read = Seen(seen.dt_s, volts, amps, speed)
+        if _is_of_it(read, Seen(seen.dt_s, volts, *free_run(physical, volts, seen.dt_s))):
+            moved = " and ".join(name for n, name in enumerate(names) if order[n] != n)
+            return Failure(FaultKind("swapped"), f"{moved} {READ_SO}")
+    return None
+
+
+def _is_of_it(seen: Seen, expected: Seen) -> bool:
+    """Whether all channels move as expected, and about as far."""
+    return all(
+        _likeness(shown, healthy) > _ALIKE
+        and 1.0 / _SAME_SIZE < _size(shown) / max(_size(healthy), 1e-300) < _SAME_SIZE
+        for _, _, shown, healthy in _channels(seen, expected)
+    )
+
+
+def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
+    """A channel against which the other ones agree: it is reversed, or that of another motor."""
+    by_speed, by_current = _by_the_others(seen, physical)
+    current, speed = _likeness(*_currents(seen, expected)), _likeness(*_speeds(seen, expected), about=0.0)
+    is_pair = by_speed is None  # voltage, and one of the others
+    by_both = _likeness(seen.current_a, by_speed)
+    current_at_most, current_agreed = max(current, by_both), _likeness(expected.current_a, by_speed) > _ALIKE
+    speed_at_most = max(_likeness(*_speeds(seen, expected)), _likeness(seen.speed_rad_s, by_current))
+    speed_agreed = _likeness(expected.speed_rad_s, by_current) > _ALIKE
+    against = (current_agreed and current_at_most < _AGAINST) or (by_both < _OPPOSITE and current < -_AGAINST)
+    shown = {
+        ("voltage_polarity", "current and speed both go against the voltage of the healthy motor"): (
+            speed < -_ALIKE and current < _AGAINST
+        ),
+        ("speed_polarity", "the speed goes against the voltage, and the current does not"): speed < -_ALIKE,
+        ("current_polarity", "the current goes against the voltage of the healthy motor"): (
+            is_pair and seen.has_sign and current < -_ALIKE
+        ),
+        ("current_polarity", "the current goes against voltage and speed"): speed > _ALIKE and against,
+        ("swapped", "the current is not that of the motor that has this voltage and speed"): (
+            speed > _ALIKE and current_agreed and current_at_most < _APART
+        ),
+        ("swapped", "the speed is not that of the motor that has this voltage and current"): (
+            current > _ALIKE and speed_agreed and speed_at_most < _APART
+        ),
+    }
+    return next(
+        (Failure(FaultKind(kind), words) for (kind, words), is_shown in shown.items() if is_shown), None
+    )
+
+
+def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
+    """A channel that stands at its largest value where the motor shows more, and follows the motor elsewhere."""
+    by_speed, _ = _by_the_others(seen, physical)
+    for name, unit, shown, free in _channels(seen, expected):
+        healthy = free if name == "speed" or by_speed is None else by_speed
+        top = float(np.max(np.abs(shown)))
+        flat = np.abs(np.abs(shown) - top) <= 1e-9 * top
+        if top == 0.0 or flat.mean() > _MOSTLY or not clipped_run(shown, _quantum(shown)):
+            continue
+        is_more = float(np.mean(np.abs(healthy[flat]) > _ABOVE * top)) > _MOSTLY
+        limited = np.clip(healthy, -top, top)
+        if is_more and _likeness(shown, limited) > _ALIKE and _size(shown - limited) < _MOSTLY * _size(shown):
+            most = float(np.max(np.abs(healthy)))
+            words = f"{int(flat.sum())} samples of the {name} stand at {top:.4g} {unit}"
+            return Failure(
+                FaultKind(f"{name}_clipped"), f"{words}, where the healthy motor reaches {most:.3g} {unit}"
+            )
+    return None
+
+
+def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
+    """A current that is off by the same amount at every voltage and speed: at rest, or of a motor that reverses."""
+    current, speed = seen.current_a, seen.speed_rad_s
+    if current is None or speed is None or _likeness(*_currents(seen, expected)) < _ALIKE:
+        return None
+    sizes = [np.abs(each) / np.max(np.abs(each)) for each in (seen.voltage_v, speed)]
+    rests = (sizes[0] < _STANDS) & (sizes[1] < _STANDS)
+    backwards = float(np.mean((speed < 0.0) & (sizes[1] > _ON)))
+    if np.count_nonzero(rests) >= _FEWEST:
+        off, most = float(np.mean(current[rests])), _OFFSET_AT_REST
+    elif _TURNS_BACK < backwards < 1.0 - _TURNS_BACK:
+        by_speed, _ = _by_the_others(seen, physical)
+        shapes = np.stack([np.ones(len(current)), np.asarray(by_speed), speed, np.sign(speed)], axis=1)
+        off, most = float(np.linalg.lstsq(shapes, current, rcond=None)[0][0]), _OFFSET
+    else:
+        return None
+    off -= float(physical[places.OFFSET_I])
+    if abs(off) < most * float(np.max(np.abs(seen.voltage_v)) / physical[places.R]):
+        return None
+    return Failure(
+        FaultKind("current_offset"), f"the current is off by {off:.3g} A at every voltage and speed"
+    )

@@ -1,0 +1,125 @@
+"""Sensors before motors: of a piece whose channel carries nothing, or contradicts the others, no motor is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from motor_env.diagnosis.sensor_checks import Failure, Seen, failure_in
+from motor_env.diagnosis.verdict import Judgement, Verdict
+from motor_env.fitting import places
+from motor_env.motor.data_sheet import Motor
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.alignment import align
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import Recording
+from motor_env.recordings.start import Circuit
+
+_BACKWARDS = "the current has the other sign than in all healthy starts: it is reversed, or the motor started backwards"
+
+
+def failed_sensor(
+    recording: Recording,
+    motor: Motor,
+    voltage_v: float | None = None,
+    circuit: Circuit | None = None,
+    *,
+    at_work: bool = False,
+) -> Judgement | None:
+    """The judgement on a recording of which a sensor failed; None where none did, or nothing tells.
+
+    Args:
+        recording: one start, or a log.
+        motor: the healthy one.
+        voltage_v: level of the supply where it was not recorded.
+        circuit: what is known of the measuring circuit.
+        at_work: whether it is a log.
+    """
+    starts = None if motor.healthy is None else motor.healthy.starts
+    if starts is not None and starts.direction and _goes_backwards(recording, starts.direction):
+        return judgement_of(Failure(FaultKind("current_polarity"), _BACKWARDS)).on(recording)
+    recording = recording if starts is None else _turned(recording, starts.turned)
+    seen = _seen_in(recording, motor.nominal_voltage_v if voltage_v is None else voltage_v)
+    if seen is None:
+        return None
+    physical = physical_of(motor)
+    physical[places.R] += 0.0 if circuit is None else circuit.shunt_ohm
+    found = failure_in(seen._replace(at_work=at_work, is_taught=motor.healthy is not None), physical)
+    return None if found is None else judgement_of(found).on(recording)
+
+
+def physical_of(motor: Motor) -> FloatArray:
+    """Values of a healthy motor in the order of `motor_env.fitting.places`."""
+    if motor.healthy is not None and motor.healthy.windows is not None:
+        from motor_env.diagnosis.running.windows import judge_of
+
+        return judge_of(motor.healthy, motor.name).physical()
+    known, values = motor.parameters, np.zeros(places.N_VALUES)
+    constant = np.sqrt(known.back_emf_constant_v_s_per_rad * np.asarray(known.torque_constant_n_m_per_a))
+    values[[places.R, places.L, places.K, places.J, places.B, places.COULOMB, places.DROP]] = (
+        known.resistance_ohm,
+        known.inductance_h,
+        constant,
+        known.inertia_kg_m2,
+        known.viscous_friction_n_m_s_per_rad,
+        motor.coulomb_friction_n_m,
+        motor.brush_drop_v,
+    )
+    return values
+
+
+def judgement_of(found: Failure) -> Judgement:
+    """What is said of a piece of which a sensor failed: nothing of its motor."""
+    if found.kind is None:
+        return Judgement(Verdict.UNUSABLE, (found.why,))
+    return Judgement(
+        Verdict.SENSOR, (found.why, found.kind.finding), fault_kind=found.kind, kind_probability=1.0
+    )
+
+
+def _seen_in(recording: Recording, level_v: float | None) -> Seen | None:
+    """What was recorded, with the step of a supply whose voltage was not; None where it is not known at all."""
+    voltage, has_sign = recording.voltage_v, True
+    if voltage is None and recording.duty is not None and level_v is not None:
+        voltage = level_v * recording.duty
+    if voltage is None:
+        onset = _onset(recording)
+        if onset is None or level_v is None:
+            return None
+        voltage, has_sign = np.where(np.arange(len(recording.time_s)) >= onset, level_v, 0.0), False
+    if not np.any(voltage):
+        return None
+    return Seen(recording.dt_s, voltage, recording.current_a, recording.speed_rad_s, has_sign)
+
+
+def _turned(recording: Recording, names: Sequence[str]) -> Recording:
+    """The recording with the sign of some of its columns changed."""
+    changed: dict[str, Any] = {
+        name: None if getattr(recording, name) is None else -getattr(recording, name) for name in names
+    }
+    return replace(recording, **changed)
+
+
+def _goes_backwards(recording: Recording, direction: int) -> bool:
+    """Whether a current without voltage and speed has the other sign than that of the healthy starts."""
+    if any(column is not None for column in (recording.voltage_v, recording.duty, recording.speed_rad_s)):
+        return False
+    with suppress(UnusableError):
+        return align(recording).sign * direction < 0.0
+    return False
+
+
+def _onset(recording: Recording) -> int | None:
+    """Where the current, or else the speed, begins to move."""
+    for column in (recording.current_a, recording.speed_rad_s):
+        if column is not None:
+            try:
+                return align(replace(recording, current_a=column)).onset_index
+            except UnusableError:
+                continue
+    return None

@@ -1,0 +1,245 @@
+"""Sensors that failed: said before any fault of a motor is, and never where the motor alone is at fault."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from odd_recordings import at_work, scaled, started
+
+from motor_env import PAPER_MOTOR, Recording, commission, diagnose, read_recording
+from motor_env.diagnosis.commission import fit_starts, with_signs
+from motor_env.diagnosis.learning import learn_starts
+from motor_env.diagnosis.motor_files import to_motor
+from motor_env.diagnosis.sensor_checks import Seen, failure_in
+from motor_env.diagnosis.sensors import failed_sensor, physical_of
+from motor_env.errors import InputError
+from motor_env.motor.data_sheet import Motor
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.regime import taken_for
+from motor_env.simulation.drawing import draw, measure_draw
+from motor_env.simulation.named_recipes import RECIPES, changed_recipe
+from motor_env.simulation.recipes import FaultClass
+
+folder = os.environ.get("MOTOR_ENV_RECORDINGS")
+RECORDINGS = Path(folder or "recordings")
+needs_recordings = pytest.mark.skipif(
+    folder is None, reason="MOTOR_ENV_RECORDINGS does not point to the recordings of real motors"
+)
+SHEET = Motor("paper", "data_sheet", PAPER_MOTOR, 12.0)
+PHYSICAL = physical_of(SHEET)
+MOTORS_FAULTS = {"winding", "bearing", "magnet", "healthy"}
+"""What must not be said of a recording of which a sensor failed."""
+COLUMNS = {"current_a": "current", "speed_rad_s": "speed", "voltage_v": "voltage"}
+
+
+def failures(recording: Recording) -> Iterator[tuple[str, Recording]]:
+    """The recording with each failed sensor that its columns allow, by the kind."""
+    rng, count = np.random.default_rng(1), len(recording.time_s)
+    columns: dict[str, FloatArray] = {
+        name: getattr(recording, name) for name in COLUMNS if getattr(recording, name) is not None
+    }
+
+    def changed(**to: FloatArray) -> Recording:
+        given: dict[str, Any] = to
+        return replace(recording, **given)
+
+    for name, values in columns.items():
+        top = float(np.max(np.abs(values)))
+        half_way = int(np.argmax(np.abs(values) > 0.5 * top)) + 3
+        if len(columns) > 1:
+            yield f"{COLUMNS[name]}_polarity", changed(**{name: -values})
+        if name == "voltage_v":
+            continue
+        noise = 0.002 * top * np.round(rng.standard_normal(count), 1)
+        yield f"{COLUMNS[name]}_dead", changed(**{name: np.zeros(count)})
+        yield f"{COLUMNS[name]}_dead", changed(**{name: noise})
+        held = np.where(np.arange(count) < half_way, values, values[min(half_way, count - 1)])
+        yield f"{COLUMNS[name]}_stuck", changed(**{name: held})
+    names = list(columns)
+    for n, one in enumerate(names):
+        for other in names[n + 1 :]:
+            yield "swapped", changed(**{one: columns[other], other: columns[one]})
+
+
+def seen(recording: Recording, *, is_log: bool) -> Seen:
+    assert recording.voltage_v is not None
+    columns = recording.voltage_v, recording.current_a, recording.speed_rad_s
+    return Seen(recording.dt_s, *columns, at_work=is_log)
+
+
+@pytest.mark.parametrize("is_log", [False, True], ids=["start", "log"])
+@pytest.mark.parametrize("missing", [(), ("speed_rad_s",)], ids=["speed", "no speed"])
+def test_each_failure_is_named(is_log: bool, missing: tuple[str, ...]) -> None:
+    rng = np.random.default_rng(2)
+    recording = replace((at_work if is_log else started)(rng), **dict.fromkeys(missing))  # type: ignore[arg-type]
+    for kind, failed in failures(recording):
+        found = failure_in(seen(failed, is_log=is_log), PHYSICAL)
+        if kind == "swapped" and missing:
+            continue  # two columns are swapped back by `diagnose`
+        # Of two channels that go against each other the current is said to be reversed.
+        expected = "current_polarity" if missing and kind == "voltage_polarity" else kind
+        assert found is not None, kind
+        assert found.kind == expected
+
+
+def test_a_range_and_an_offset_are_named() -> None:
+    log, start = at_work(np.random.default_rng(3)), started(np.random.default_rng(3))
+    short = replace(start, current_a=np.clip(start.current_a, -2.5, 2.5))
+    found = failure_in(seen(short, is_log=False), PHYSICAL)
+    assert found is not None
+    assert found.kind == "current_clipped"
+    assert "stand at 2.5 A, where the healthy motor reaches 5." in found.why
+    # A data sheet says nothing of the sensor of a start.
+    assert failure_in(seen(short, is_log=False)._replace(is_taught=False), PHYSICAL) is None
+    off = replace(log, current_a=log.current_a + 1.0)
+    found = failure_in(seen(off, is_log=True), PHYSICAL)
+    assert found is not None
+    assert found.kind == "current_offset"
+    assert failure_in(seen(replace(log, current_a=log.current_a + 0.1), is_log=True), PHYSICAL) is None
+    known = PHYSICAL.copy()
+    known[9] = 1.0  # the healthy logs had that offset, too
+    assert failure_in(seen(off, is_log=True), known) is None
+
+
+LARGE = (("bearing", 3.0), ("winding_contact", 2.0), ("winding_short", 0.5), ("magnet", 0.5))
+
+
+@pytest.mark.parametrize("recipe", ["bench", "field", "operation"])
+def test_no_motor_is_taken_for_a_failed_sensor(recipe: str, request: pytest.FixtureRequest) -> None:
+    """350 each of healthy and faulty motors: more than a thousand, of which none is."""
+    classes = (FaultClass(weight=4.0), *(FaultClass(FaultKind(name), size) for name, size in LARGE))
+    drawn_from = changed_recipe(
+        replace(RECIPES[recipe], classes=classes, healthy_starts=0), channels=("current", "speed")
+    )
+    drawn = draw(drawn_from, 3, np.arange(350))
+    readings = measure_draw(drawn, drawn_from, 3).astype(np.float64)
+    is_log, time_s = drawn_from.duty is not None, drawn_from.timing.time_s
+    physical = physical_of(replace(SHEET, parameters=drawn_from.motor))
+    step = np.where(time_s > 1e-9, 12.0, 0.0)
+    for row in readings:
+        volts = row[-1] if is_log else step
+        for speed in (row[1], None):
+            one = Seen(drawn_from.timing.dt_s, volts, row[0], speed, at_work=is_log)
+            assert failure_in(one, physical) is None
+            assert failure_in(one._replace(has_sign=False), physical) is None
+
+
+@cache
+def learned() -> Motor:
+    """Commissioned from healthy starts."""
+    rngs = map(np.random.default_rng, range(3))
+    return commission([replace(started(rng), path=Path(f"{n}")) for n, rng in enumerate(rngs)]).motor
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "kind"),
+    [("current_a", 1.35, "current_gain"), ("speed_rad_s", 0.8, "speed_gain"), ("voltage_v", 1.15, "voltage_gain"),
+     ("current_a", 1000.0, None), ("time_s", 2.0, None)],
+)  # fmt: skip
+def test_a_gain_is_the_sensors_where_the_same_sensor_taught_the_motor(
+    column: str, factor: float, kind: str | None
+) -> None:
+    """No unit is, and no clock."""
+    found = diagnose(scaled(started(np.random.default_rng(7)), **{column: factor}), learned())
+    assert (found.verdict, found.kind) == ("other" if kind is None else "sensor", kind)
+    if kind is not None:
+        assert found.severity == pytest.approx(max(factor, 1.0 / factor) - 1.0, abs=0.05)
+        assert "all of it is explained if the" in found.reasons[0]
+
+
+def commanded(seed: int) -> Recording:
+    """A healthy start whose voltage is a command."""
+    start = started(np.random.default_rng(seed))
+    return replace(start, voltage_v=np.where(start.time_s >= 0.02, 12.0, 0.0))
+
+
+def test_a_probe_that_was_turned_when_the_motor_was_learned_is_no_failure() -> None:
+    turned = [scaled(commanded(n), current_a=-1.0) for n in range(3)]
+    motor = commission([replace(one, path=Path(f"{n}")) for n, one in enumerate(turned)]).motor
+    assert motor.healthy is not None
+    assert motor.healthy.starts is not None
+    assert motor.healthy.starts.turned == ("current_a",)
+    other = commanded(5)
+    assert diagnose(scaled(other, current_a=-1.0), motor).verdict == "healthy"
+    assert diagnose(other, motor).kind == "current_polarity"
+    assert diagnose(scaled(other, current_a=-1.0), learned()).kind == "current_polarity"
+    alone = replace(other, voltage_v=None, speed_rad_s=None)
+    assert failed_sensor(alone, learned()) is None
+    found = failed_sensor(scaled(alone, current_a=-1.0), learned())
+    assert found is not None
+    assert found.fault_kind == "current_polarity"
+
+
+def of_itself(recording: Recording, voltage_v: float | None) -> Motor:
+    """The healthy motor that a recording teaches by itself."""
+    if taken_for(recording).regime == "operation":
+        return commission([recording], voltage_v=voltage_v).motor
+    fits = fit_starts([recording], voltage_v=voltage_v)
+    motor = to_motor(fits, "it", kind="commissioned", healthy=learn_starts(fits))
+    return with_signs(motor, [recording], voltage_v)
+
+
+SOME = ("aalborg/startup_12v", "oscillo_lab/startup_F0001", "lieskjur/startup_120v")
+VOLTS = {"startup_120v": 120.0, "startup_F0000": 12.3, "startup_F0001": 12.3}
+
+
+def assert_no_motor_is_judged(recording: Recording, motor: Motor, voltage_v: float | None) -> None:
+    for kind, failed in failures(recording):
+        found = diagnose(failed, motor, voltage_v=voltage_v)
+        assert found.verdict not in MOTORS_FAULTS, (recording.path.name, kind, found.reasons)
+
+
+@needs_recordings
+@pytest.mark.parametrize("name", SOME)
+def test_no_real_motor_is_judged_by_a_failed_sensor(name: str) -> None:
+    path = RECORDINGS / f"{name}.csv"
+    recording, volts = read_recording(path), VOLTS.get(path.stem)
+    motor = of_itself(recording, volts)
+    assert diagnose(recording, motor, voltage_v=volts).verdict == "healthy"
+    assert_no_motor_is_judged(recording, motor, volts)
+
+
+@needs_recordings
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(
+    "path", sorted(RECORDINGS.glob("*/*.csv")) if RECORDINGS.is_dir() else [], ids=lambda p: p.stem
+)
+def test_no_recording_of_all_is_judged_by_a_failed_sensor(path: Path) -> None:
+    recording, volts = read_recording(path), VOLTS.get(path.stem)
+    if path.parent.name == "regbot":
+        motor = sisters(path.stem.rpartition("_")[2])
+    else:
+        try:
+            motor = of_itself(recording, volts)
+        except InputError as error:
+            pytest.skip(f"it teaches no healthy motor: {error}")
+    assert_no_motor_is_judged(recording, motor, volts)
+
+
+@cache
+def sisters(side: str) -> Motor:
+    """Commissioned from eight robots."""
+    folder = RECORDINGS / "regbot"
+    return commission([folder / f"regbot_{n:02d}_{side}.csv" for n in (1, 3, 5, 7, 9, 15, 21, 23)]).motor
+
+
+@needs_recordings
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+def test_the_failed_sensors_of_a_fleet_are_found() -> None:
+    """Dead channels, a reversed current, and currents at the end of their range; nothing else."""
+    found: dict[str, str] = {}
+    for path in sorted((RECORDINGS / "regbot").glob("*.csv")):
+        failed = failed_sensor(read_recording(path), sisters("left"), at_work=True)
+        if failed is not None:
+            found[path.stem.removeprefix("regbot_")] = str(failed.fault_kind)
+    clipped = dict.fromkeys(("61_right", "79_right", "81_right", "86_dagmar_right"), "current_clipped")
+    dead = dict.fromkeys(("13_left", "13_right", "17_left"), "current_dead")
+    assert found == {"11_right": "current_polarity", **clipped, **dead}
