@@ -54,11 +54,14 @@ def failed_sensor(
 
 
 def physical_of(motor: Motor) -> FloatArray:
-    """Values of a healthy motor in the order of `motor_env.fitting.places`."""
+    """Values of a healthy motor in the order of `motor_env.fitting.places`; those of windows hold their friction."""
     if motor.healthy is not None and motor.healthy.windows is not None:
-        from motor_env.diagnosis.running.windows import judge_of
-
-        return judge_of(motor.healthy, motor.name).physical()
+        physical = motor.healthy.windows.physical.copy()
+        learned = dict(zip(motor.healthy.quantities, motor.healthy.values.tolist(), strict=True))
+        places_of = {"R": places.R, "K": places.K, "J": places.J}
+        for name in learned.keys() & places_of:
+            physical[places_of[name]] = learned[name]
+        return physical
     known, values = motor.parameters, np.zeros(places.N_VALUES)
     constant = np.sqrt(known.back_emf_constant_v_s_per_rad * np.asarray(known.torque_constant_n_m_per_a))
     values[[places.R, places.L, places.K, places.J, places.B, places.COULOMB, places.DROP]] = (

@@ -260,15 +260,14 @@ class _Twin:
         sensor = np.where(wrong, SampleVerdict.SENSOR_RANGE, sensor)
         return np.where(used, fault, sensor)
 
-    def _dead(self, growth: Values, reading: Values, wrong: Values) -> NDArray[np.bool_]:
+    def _dead(self, growth: Values, reading: Values, wrong: Any) -> NDArray[np.bool_]:
         """Where the current reads nothing whenever the model has much; so it stays until one is read again."""
         numbers, predicted = self.numbers, np.abs(self.state[0] + growth[0])
+        predicted = clamped(predicted) if numbers.is_fixed else predicted
         shown = np.abs(reading * numbers.scales[0])
 
         def of(bits: int) -> Values:
-            if numbers.is_fixed:
-                return clamped(predicted) >> bits
-            return predicted * np.float32(2.0**-bits)
+            return np.asarray(predicted >> bits if numbers.is_fixed else predicted * np.float32(2.0**-bits))
 
         is_told = ~wrong & (predicted > numbers.telling)
         more = np.minimum(self.hidden + 1, numbers.dead_after)
