@@ -26,7 +26,7 @@ def diagnose(
     verbose: bool = False,
     json_: bool = False,
 ) -> int:
-    """Verdict on recordings of a motor: healthy, sensor, bearing, winding, magnet, noise, other, no_reference, unusable.
+    """Verdict on recordings: healthy, sensor, bearing, winding, magnet, noise, other, no_reference or unusable.
 
     Example: motor-env diagnose examples/startup_capture.csv --motor examples/motor.toml
 

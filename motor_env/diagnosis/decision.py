@@ -144,7 +144,9 @@ def _with_alarm(
 
     first = views[0]
     scales = wrong_scales(first.difference, reference.names, limit, rate)
-    also = (as_sentence(scales),) if scales else ()
+    also = [as_sentence(scales)] if scales else []
+    # A data sheet says nothing of the sensors.
+    gain = failed_gain(scales) if reference.includes_fit_error else None
     for view in views[:1] if any(map(suffices, first.faults)) else views:
         difference = replace(first.difference, response=view.drag.response)
         faults = explain(difference)
@@ -153,9 +155,13 @@ def _with_alarm(
         if best is not None and probability[best.kind] >= probability["other"]:
             (as_fitted,) = explain(replace(difference, log_ratios=log_ratios), (best.kind,))
             found = _with_fault(healthy, reference, as_fitted, probability, view.drag.load)
+            if gain is not None:
+                shares = probabilities(difference, [*faults, gain])
+                also = (
+                    f"{also[0]} (probability {shares[gain.kind]:.0%}, of {best.kind} {shares[best.kind]:.0%})",
+                )
             return replace(found, reasons=(*found.reasons, *also))
-    gain = failed_gain(scales) if reference.includes_fit_error else None
-    if gain is not None:  # a data sheet says nothing of the sensors
+    if gain is not None:
         probability = probabilities(first.difference, [*first.faults, gain])
         if probability[gain.kind] >= probability["other"]:
             found = _with_fault(healthy, reference, gain, probability, None)

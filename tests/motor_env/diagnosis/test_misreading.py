@@ -1,6 +1,8 @@
 """Numbers of what was read wrongly: which factor is which unit, and how far wear may go."""
 
 import math
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,3 +115,20 @@ def test_no_wear_goes_further_than_ten_times_in_friction_and_resistance_and_thre
     assert found.verdict == verdict
     assert (BEYOND_WEAR in found.reasons) is (verdict == "other")
     assert (found.severity is None) is (verdict == "other")
+
+
+def test_a_gain_that_explains_as_much_as_a_fault_does_is_told_beside_it() -> None:
+    """Twice the drag, where R and J are hardly told: a bearing, or a current that reads twice too large."""
+    shape = np.diag(np.square([0.8, 0.03, 0.8, 0.03]))
+    window = FittedWindow(np.array([0.0, 0.0, 0.0, math.log(2.0)]), 1e-6 * np.eye(4))
+    taught = Reference("it", NAMES, np.zeros(4), shape, 1e6, includes_fit_error=True)
+    found = decide(window, taught, 0.01)
+    assert found.verdict == "bearing"
+    assert found.reasons[-1].startswith(f"{EXPLAINED} if the current is 2 times too large")
+    share = re.search(r"\(probability (\d+)%, of bearing (\d+)%\)$", found.reasons[-1])
+    assert share is not None
+    gain, bearing = map(int, share.groups())
+    assert 5 < gain < bearing
+    assert gain + bearing <= 100
+    sheet = decide(window, replace(taught, includes_fit_error=False), 0.01)
+    assert "probability" not in sheet.reasons[-1]
