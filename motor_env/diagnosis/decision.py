@@ -157,9 +157,7 @@ def _with_alarm(
             found = _with_fault(healthy, reference, as_fitted, probability, view.drag.load)
             if gain is not None:
                 shares = probabilities(difference, [*faults, gain])
-                also = (
-                    f"{also[0]} (probability {shares[gain.kind]:.0%}, of {best.kind} {shares[best.kind]:.0%})",
-                )
+                also[0] += f" (probability {shares[gain.kind]:.0%}, of {best.kind} {shares[best.kind]:.0%})"
             return replace(found, reasons=(*found.reasons, *also))
     if gain is not None:
         probability = probabilities(first.difference, [*first.faults, gain])
