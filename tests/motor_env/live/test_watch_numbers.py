@@ -27,6 +27,8 @@ from motor_env.console import ExitStatus
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, judge_of
+from motor_env.diagnosis.sensor_checks import Failure
+from motor_env.diagnosis.sensors import judgement_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.live import command, watch as watching
@@ -250,10 +252,14 @@ def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
         replace(unsure, kind_probability=0.951),
         Judgement(Verdict.UNUSABLE, ("the motor stands", "all the time")),
         UnusableError("too short"),
+        judgement_of(Failure(FaultKind("current_dead"), "the current shows nothing")),
     ]
     Judge(monkeypatch, *verdicts)
     state = State()
-    told = [json.loads(event.as_json()) for event in watched(samples(7 * 101), state)]
+    told = [json.loads(event.as_json()) for event in watched(samples(8 * 101), state)]
+    failed = told.pop()
+    assert (failed["verdict"], failed["kind"]) == ("sensor", "current_dead")
+    assert (failed["reason"], state.counts.pop("window sensor")) == ("the current shows nothing", 1)
     assert told[0] == {
         "time_s": pytest.approx(0.1),
         "event": "window",
