@@ -17,9 +17,10 @@ from motor_env.diagnosis.learning import learn_starts
 from motor_env.diagnosis.motor_files import to_motor
 from motor_env.diagnosis.sensor_checks import Seen, failure_in
 from motor_env.diagnosis.sensors import failed_sensor, physical_of
+from motor_env.diagnosis.shown.words import WORDS
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import Motor
-from motor_env.motor.faults import FaultKind
+from motor_env.motor.faults import SENSOR_KINDS, FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.regime import taken_for
 from motor_env.simulation.drawing import draw, measure_draw
@@ -128,6 +129,18 @@ def test_no_motor_is_taken_for_a_failed_sensor(recipe: str, request: pytest.Fixt
             one = Seen(drawn_from.timing.dt_s, volts, row[0], speed, at_work=is_log)
             assert failure_in(one, physical) is None
             assert failure_in(one._replace(has_sign=False), physical) is None
+
+
+def test_every_failure_says_what_to_do_first() -> None:
+    for kind in SENSOR_KINDS:
+        title, *first = WORDS[kind]
+        assert len(first) >= 2
+        assert min(map(len, (kind.finding, title, *first))) > 15
+    log = at_work(np.random.default_rng(1))
+    page = diagnose(replace(log, current_a=0.0 * log.current_a), SHEET).page()
+    assert "sensor shows nothing" in page
+    assert "Clamp another probe" in page
+    assert "where the healthy motor shows 1" in page  # A
 
 
 @cache
