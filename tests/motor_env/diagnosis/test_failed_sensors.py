@@ -140,7 +140,7 @@ def test_every_failure_says_what_to_do_first() -> None:
     page = diagnose(replace(log, current_a=0.0 * log.current_a), SHEET).page()
     assert "sensor shows nothing" in page
     assert "Clamp another probe" in page
-    assert "where the healthy motor shows 1" in page  # A
+    assert "where the healthy motor shows 0." in page
 
 
 @cache
