@@ -18,7 +18,7 @@ from motor_env.diagnosis.healthy_motor import Reference, reference_of
 from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, without
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.sensors import failed_sensor
+from motor_env.diagnosis.sensors.failed import failed_sensor
 from motor_env.diagnosis.shown.report import UNITS, of_the_drag
 from motor_env.diagnosis.views import Fitted, smallest_of, views_of
 from motor_env.errors import InputError, require_options

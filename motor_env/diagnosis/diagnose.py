@@ -17,8 +17,8 @@ from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.explanations import alarm_share, compare
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
 from motor_env.diagnosis.misreading import SWAPPED, is_strange
-from motor_env.diagnosis.sensor_checks import Failure
-from motor_env.diagnosis.sensors import failed_sensor, judgement_of
+from motor_env.diagnosis.sensors.checks import Failure
+from motor_env.diagnosis.sensors.failed import failed_sensor, judgement_of
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError, require_options

@@ -13,7 +13,7 @@ from motor_env.diagnosis.misreading import BEYOND_WEAR, EXPLAINED, is_far, wrong
 from motor_env.diagnosis.running.lessons import effective_speed, known_of
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import EXPONENTS, NAMES, WindowJudge, viscous
-from motor_env.diagnosis.sensors import failed_sensor
+from motor_env.diagnosis.sensors.failed import failed_sensor
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.fitting.identify import identify_record

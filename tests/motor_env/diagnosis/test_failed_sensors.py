@@ -15,10 +15,12 @@ from motor_env import PAPER_MOTOR, Recording, commission, diagnose, read_recordi
 from motor_env.diagnosis.commission import fit_starts, with_signs
 from motor_env.diagnosis.learning import learn_starts
 from motor_env.diagnosis.motor_files import to_motor
-from motor_env.diagnosis.sensor_checks import Seen, failure_in
-from motor_env.diagnosis.sensors import failed_sensor, physical_of
+from motor_env.diagnosis.sensors.checks import Seen, failure_in
+from motor_env.diagnosis.sensors.failed import failed_sensor, physical_of
 from motor_env.diagnosis.shown.words import WORDS
 from motor_env.errors import InputError
+
+# Reaches in: motors that one recording teaches, and the checks by themselves.
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import SENSOR_KINDS, FaultKind
 from motor_env.motor.parameters import FloatArray
@@ -53,8 +55,7 @@ def failures(recording: Recording) -> Iterator[tuple[str, Recording]]:
     for name, values in columns.items():
         top = float(np.max(np.abs(values)))
         half_way = int(np.argmax(np.abs(values) > 0.5 * top)) + 3
-        if len(columns) > 1:
-            yield f"{COLUMNS[name]}_polarity", changed(**{name: -values})
+        yield f"{COLUMNS[name]}_polarity", changed(**{name: -values})
         if name == "voltage_v":
             continue
         noise = 0.002 * top * np.round(rng.standard_normal(count), 1)

@@ -53,7 +53,7 @@ from motor_env.diagnosis.running.windows import (
     viscous,
     windows_of,
 )
-from motor_env.diagnosis.sensor_checks import free_run
+from motor_env.diagnosis.sensors.checks import free_run
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature

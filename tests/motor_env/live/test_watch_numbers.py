@@ -27,8 +27,8 @@ from motor_env.console import ExitStatus
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, judge_of
-from motor_env.diagnosis.sensor_checks import Failure
-from motor_env.diagnosis.sensors import judgement_of
+from motor_env.diagnosis.sensors.checks import Failure
+from motor_env.diagnosis.sensors.failed import judgement_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.live import command, watch as watching

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind, Scenario, SensorParameters, Timing, load_recipe, simulate
+
+# Reaches in: the posterior and the environments refuse what they cannot judge.
 from motor_env.envs.options import MonitorOptions
 from motor_env.envs.setup import make_setup
 from motor_env.inference.posterior import class_probabilities

@@ -1,0 +1,1 @@
+"""Failed sensors: told before any fault of a motor."""
