@@ -47,6 +47,11 @@ def failed_sensor(
     seen = _seen_in(recording, motor.nominal_voltage_v if voltage_v is None else voltage_v)
     if seen is None:
         return None
+    speed = seen.speed_rad_s
+    if not (at_work or _tells_speed(motor)) and speed is not None and not np.ptp(speed):
+        seen = seen._replace(
+            speed_rad_s=None
+        )  # a column that never moves, as it did not where the motor was learned
     physical = physical_of(motor)
     physical[places.R] += 0.0 if circuit is None else circuit.shunt_ohm
     found = failure_in(seen._replace(at_work=at_work, is_taught=motor.healthy is not None), physical)
@@ -98,6 +103,11 @@ def _seen_in(recording: Recording, level_v: float | None) -> Seen | None:
     if not np.any(voltage):
         return None
     return Seen(recording.dt_s, voltage, recording.current_a, recording.speed_rad_s, has_sign)
+
+
+def _tells_speed(motor: Motor) -> bool:
+    """Whether the healthy pieces were recorded with the speed: they tell K, then."""
+    return motor.healthy is not None and not {"K", "K/V"}.isdisjoint(motor.healthy.quantities)
 
 
 def _turned(recording: Recording, names: Sequence[str]) -> Recording:

@@ -190,6 +190,16 @@ def test_a_probe_that_was_turned_when_the_motor_was_learned_is_no_failure() -> N
     assert found.fault_kind == "current_polarity"
 
 
+def test_a_column_that_never_moved_is_no_dead_sensor() -> None:
+    """Some recorders write a column of zeros where they have no sensor."""
+    start = commanded(5)
+    without = replace(start, speed_rad_s=np.zeros(len(start.time_s)))
+    assert failed_sensor(without, SHEET) is None
+    found = failed_sensor(without, learned())
+    assert found is not None
+    assert found.fault_kind == "speed_dead"
+
+
 def of_itself(recording: Recording, voltage_v: float | None) -> Motor:
     """The healthy motor that a recording teaches by itself."""
     if taken_for(recording).regime == "operation":
