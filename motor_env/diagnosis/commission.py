@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
@@ -18,7 +18,7 @@ from motor_env.diagnosis.healthy_motor import Reference, reference_of
 from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, without
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.sensors.failed import failed_sensor
+from motor_env.diagnosis.sensors.failed import with_signs
 from motor_env.diagnosis.shown.report import UNITS, of_the_drag
 from motor_env.diagnosis.views import Fitted, smallest_of, views_of
 from motor_env.errors import InputError, require_options
@@ -26,7 +26,6 @@ from motor_env.fitting.recorded import at_terminals
 from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.assumptions import lines as lines_of
 from motor_env.motor.data_sheet import Motor
-from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import steady_state
 from motor_env.recordings.defects import UnusableError
@@ -37,11 +36,6 @@ from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit
 
 FEWEST_STARTS = 3
-_TURNED: dict[str, Literal["current_a", "speed_rad_s", "voltage_v"]] = {
-    "current_polarity": "current_a",
-    "speed_polarity": "speed_rad_s",
-    "voltage_polarity": "voltage_v",
-}
 _NO_LOAD = 1.2  # of the current with the load: the same motor, within its friction's changes
 _WARMTH = (
     "  a motor that is warmer or colder by {:.0f} K (1 sd) is healthy too: R +0.39 %, K -0.1 % and friction -0.3 % a"
@@ -282,18 +276,6 @@ def fit_starts(
     if reason is not None:
         raise InputError(f"the healthy {word}s cannot be used: {reason}")
     return fits
-
-
-def with_signs(motor: Motor, healthy: Sequence[Recording], voltage_v: float | None) -> Motor:
-    """The motor, with the columns that read with the other sign in its healthy starts: that is how they are wired."""
-    found = [failed_sensor(one, motor, voltage_v) for one in healthy]
-    kinds = {None if one is None else one.fault_kind for one in found}
-    turned = next((column for kind, column in _TURNED.items() if kinds == {FaultKind(kind)}), None)
-    if turned is None or motor.healthy is None or motor.healthy.starts is None:
-        return motor
-    return replace(
-        motor, healthy=replace(motor.healthy, starts=replace(motor.healthy.starts, turned=(turned,)))
-    )
 
 
 def _own_friction(fits: Sequence[Identified], no_load_current_a: float) -> float:

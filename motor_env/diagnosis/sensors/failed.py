@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,6 +21,12 @@ from motor_env.recordings.recording import Recording
 from motor_env.recordings.start import Circuit
 
 _BACKWARDS = "the current has the other sign than in all healthy starts: it is reversed, or the motor started backwards"
+
+_TURNED: dict[str, Literal["current_a", "speed_rad_s", "voltage_v"]] = {
+    "current_polarity": "current_a",
+    "speed_polarity": "speed_rad_s",
+    "voltage_polarity": "voltage_v",
+}
 
 
 def failed_sensor(
@@ -103,6 +109,18 @@ def _seen_in(recording: Recording, level_v: float | None) -> Seen | None:
     if not np.any(voltage):
         return None
     return Seen(recording.dt_s, voltage, recording.current_a, recording.speed_rad_s, has_sign)
+
+
+def with_signs(motor: Motor, healthy: Sequence[Recording], voltage_v: float | None) -> Motor:
+    """The motor, with the columns that read with the other sign in its healthy starts: that is how they are wired."""
+    found = [failed_sensor(one, motor, voltage_v) for one in healthy]
+    kinds = {None if one is None else one.fault_kind for one in found}
+    turned = next((column for kind, column in _TURNED.items() if kinds == {FaultKind(kind)}), None)
+    if turned is None or motor.healthy is None or motor.healthy.starts is None:
+        return motor
+    return replace(
+        motor, healthy=replace(motor.healthy, starts=replace(motor.healthy.starts, turned=(turned,)))
+    )
 
 
 def _tells_speed(motor: Motor) -> bool:

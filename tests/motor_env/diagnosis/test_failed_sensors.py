@@ -12,11 +12,11 @@ import pytest
 from odd_recordings import at_work, scaled, started
 
 from motor_env import PAPER_MOTOR, Recording, commission, diagnose, read_recording
-from motor_env.diagnosis.commission import fit_starts, with_signs
+from motor_env.diagnosis.commission import fit_starts
 from motor_env.diagnosis.learning import learn_starts
 from motor_env.diagnosis.motor_files import to_motor
 from motor_env.diagnosis.sensors.checks import Seen, failure_in
-from motor_env.diagnosis.sensors.failed import failed_sensor, physical_of
+from motor_env.diagnosis.sensors.failed import failed_sensor, physical_of, with_signs
 from motor_env.diagnosis.shown.words import WORDS
 from motor_env.errors import InputError
 
