@@ -109,6 +109,17 @@ def test_a_range_and_an_offset_are_named() -> None:
     assert failure_in(seen(off, is_log=True), known) is None
 
 
+@pytest.mark.parametrize("column", ["current_a", "speed_rad_s"])
+def test_a_column_of_another_motor_is_named(column: str) -> None:
+    """Two motors of one machine, each under its own voltage, and their columns exchanged."""
+    one, other = (at_work(np.random.default_rng(seed)) for seed in (4, 5))
+    columns: dict[str, Any] = {column: getattr(other, column)}
+    found = failure_in(seen(replace(one, **columns), is_log=True), PHYSICAL)
+    assert found is not None
+    assert found.kind == "swapped"
+    assert found.why.startswith(f"the {COLUMNS[column]} is not that of the motor")
+
+
 LARGE = (("bearing", 3.0), ("winding_contact", 2.0), ("winding_short", 0.5), ("magnet", 0.5))
 
 
