@@ -11,7 +11,6 @@ from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from motor_env.diagnosis.misreading import READ_SO
 from motor_env.fitting import kernel, places
@@ -104,6 +103,13 @@ def failure_in(seen: Seen, physical: FloatArray) -> Failure | None:
     return next(filter(None, found), None)
 
 
+def _held(physical: FloatArray, voltage_v: FloatArray, dt_s: float) -> FloatArray:
+    """Current of a rotor that is held: that of the winding alone, shape (n,)."""
+    values = physical.copy()
+    values[places.K] *= _HELD
+    return free_run(values, voltage_v, dt_s)[0]
+
+
 def _size(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
@@ -138,8 +144,7 @@ def _by_the_others(seen: Seen, physical: FloatArray) -> tuple[FloatArray | None,
     if seen.current_a is None or seen.speed_rad_s is None:
         return None, None
     ohm, constant = float(physical[places.R]), float(physical[places.K])
-    kept = float(np.exp(-seen.dt_s * ohm / max(float(physical[places.L]), 1e-12)))
-    current = lfilter([1.0 - kept], [1.0, -kept], (seen.voltage_v - constant * seen.speed_rad_s) / ohm)
+    current = _held(physical, seen.voltage_v - constant * seen.speed_rad_s, seen.dt_s)
     return current, (seen.voltage_v - ohm * seen.current_a) / constant
 
 
@@ -153,9 +158,7 @@ def _turning(seen: Seen, expected: Seen, physical: FloatArray) -> bool | None:
     """Whether the current is that of the motor that turns (True), or of a rotor that is held; None for neither."""
     if seen.current_a is None or expected.current_a is None:
         return None
-    held = physical.copy()
-    held[places.K] *= _HELD
-    blocked, _ = free_run(held, seen.voltage_v, seen.dt_s)
+    blocked = _held(physical, seen.voltage_v, seen.dt_s)
     off, off_held = _size(seen.current_a - expected.current_a), _size(seen.current_a - blocked)
     if off < _MOSTLY * off_held and _likeness(*_currents(seen, expected)) > _APART:
         return True
