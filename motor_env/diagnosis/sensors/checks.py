@@ -104,9 +104,9 @@ def failure_in(seen: Seen, physical: FloatArray) -> Failure | None:
 
 
 def _held(physical: FloatArray, voltage_v: FloatArray, dt_s: float) -> FloatArray:
-    """Current of a rotor that is held: that of the winding alone, shape (n,)."""
+    """Current of a rotor that is held: that of the winding alone, without brushes, shape (n,)."""
     values = physical.copy()
-    values[places.K] *= _HELD
+    values[places.K], values[places.DROP] = _HELD * physical[places.K], 0.0
     return free_run(values, voltage_v, dt_s)[0]
 
 
