@@ -160,7 +160,7 @@ def _turning(seen: Seen, expected: Seen, physical: FloatArray) -> bool | None:
         return None
     blocked = _held(physical, seen.voltage_v, seen.dt_s)
     off, off_held = _size(seen.current_a - expected.current_a), _size(seen.current_a - blocked)
-    if off < _MOSTLY * off_held and _likeness(*_currents(seen, expected)) > _APART:
+    if off < _MOSTLY * off_held and _likeness(*_currents(seen, expected)) > _ALIKE:
         return True
     return False if off_held < off else None
 
