@@ -35,7 +35,7 @@ _ON = 0.1  # of the largest voltage
 _ABOVE, _MOSTLY = 1.1, 0.5  # what the motor shows over the top of a clipped channel; share of the samples
 _OFFSET_AT_REST, _OFFSET = 0.05, 0.15  # of the current of a rotor that is held
 _STANDS, _TURNS_BACK = 0.02, 0.1  # of the largest voltage and speed; share of the samples
-_HELD = 1e-6  # of K: the rotor gives no voltage
+_HELD = 1e9  # times the inertia: the rotor stays where it is
 
 
 class Seen(NamedTuple):
@@ -87,6 +87,8 @@ def free_run(
 def failure_in(seen: Seen, physical: FloatArray) -> Failure | None:
     """The sensor that failed in a record of a motor that is nearly that of these physical values; None for none."""
     current, speed = free_run(physical, seen.voltage_v, seen.dt_s, from_rest=not seen.at_work)
+    if not (np.isfinite(current).all() and np.isfinite(speed).all()):
+        return None
     expected = seen._replace(current_a=current, speed_rad_s=speed)
     if not seen.has_sign:  # the motor is taken to turn as it is read to do
         one, other = (_currents if seen.speed_rad_s is None else _speeds)(seen, expected)
@@ -106,8 +108,8 @@ def failure_in(seen: Seen, physical: FloatArray) -> Failure | None:
 def _held(physical: FloatArray, voltage_v: FloatArray, dt_s: float) -> FloatArray:
     """Current of a rotor that is held: that of the winding alone, without brushes, shape (n,)."""
     values = physical.copy()
-    values[places.K], values[places.DROP] = _HELD * physical[places.K], 0.0
-    return free_run(values, voltage_v, dt_s)[0]
+    values[places.J], values[places.DROP] = _HELD * physical[places.J], 0.0
+    return free_run(values, voltage_v, dt_s, from_rest=True)[0]
 
 
 def _size(values: FloatArray) -> float:
