@@ -11,7 +11,6 @@ from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from motor_env.diagnosis.misreading import READ_SO
 from motor_env.fitting import kernel, places
@@ -36,7 +35,7 @@ _ON = 0.1  # of the largest voltage
 _ABOVE, _MOSTLY = 1.1, 0.5  # what the motor shows over the top of a clipped channel; share of the samples
 _OFFSET_AT_REST, _OFFSET = 0.05, 0.15  # of the current of a rotor that is held
 _STANDS, _TURNS_BACK = 0.02, 0.1  # of the largest voltage and speed; share of the samples
-_HELD = 1e-6  # of K: the rotor gives no voltage
+_HELD = 1e9  # times the inertia: the rotor stays where it is
 
 
 class Seen(NamedTuple):
@@ -88,6 +87,8 @@ def free_run(
 def failure_in(seen: Seen, physical: FloatArray) -> Failure | None:
     """The sensor that failed in a record of a motor that is nearly that of these physical values; None for none."""
     current, speed = free_run(physical, seen.voltage_v, seen.dt_s, from_rest=not seen.at_work)
+    if not (np.isfinite(current).all() and np.isfinite(speed).all()):
+        return None
     expected = seen._replace(current_a=current, speed_rad_s=speed)
     if not seen.has_sign:  # the motor is taken to turn as it is read to do
         one, other = (_currents if seen.speed_rad_s is None else _speeds)(seen, expected)
@@ -102,6 +103,13 @@ def failure_in(seen: Seen, physical: FloatArray) -> Failure | None:
     checks += [_offset] if seen.at_work else []
     found = (check(seen, expected, physical) for check in checks)
     return next(filter(None, found), None)
+
+
+def _held(physical: FloatArray, voltage_v: FloatArray, dt_s: float) -> FloatArray:
+    """Current of a rotor that is held: that of the winding alone, without brushes, shape (n,)."""
+    values = physical.copy()
+    values[places.J], values[places.DROP] = _HELD * physical[places.J], 0.0
+    return free_run(values, voltage_v, dt_s, from_rest=True)[0]
 
 
 def _size(values: FloatArray) -> float:
@@ -138,8 +146,7 @@ def _by_the_others(seen: Seen, physical: FloatArray) -> tuple[FloatArray | None,
     if seen.current_a is None or seen.speed_rad_s is None:
         return None, None
     ohm, constant = float(physical[places.R]), float(physical[places.K])
-    kept = float(np.exp(-seen.dt_s * ohm / max(float(physical[places.L]), 1e-12)))
-    current = lfilter([1.0 - kept], [1.0, -kept], (seen.voltage_v - constant * seen.speed_rad_s) / ohm)
+    current = _held(physical, seen.voltage_v - constant * seen.speed_rad_s, seen.dt_s)
     return current, (seen.voltage_v - ohm * seen.current_a) / constant
 
 
@@ -153,11 +160,9 @@ def _turning(seen: Seen, expected: Seen, physical: FloatArray) -> bool | None:
     """Whether the current is that of the motor that turns (True), or of a rotor that is held; None for neither."""
     if seen.current_a is None or expected.current_a is None:
         return None
-    held = physical.copy()
-    held[places.K] *= _HELD
-    blocked, _ = free_run(held, seen.voltage_v, seen.dt_s)
+    blocked = _held(physical, seen.voltage_v, seen.dt_s)
     off, off_held = _size(seen.current_a - expected.current_a), _size(seen.current_a - blocked)
-    if off < _MOSTLY * off_held and _likeness(*_currents(seen, expected)) > _APART:
+    if off < _MOSTLY * off_held and _likeness(*_currents(seen, expected)) > _ALIKE:
         return True
     return False if off_held < off else None
 

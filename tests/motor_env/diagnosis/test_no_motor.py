@@ -52,7 +52,8 @@ def is_said(found: Diagnosis, name: str) -> bool:
         return True
     columns = [column.split("_")[0] for column in WRONG_SCALES.get(name, {})]
     is_named = EXPLAINED in told and all(f"the {column} is" in told for column in columns)
-    return found.verdict is Verdict.OTHER and (is_named or NOT_TURNING in told or BEYOND_WEAR in told)
+    is_odd = found.verdict in (Verdict.OTHER, Verdict.SENSOR)
+    return is_odd and (is_named or NOT_TURNING in told or BEYOND_WEAR in told)
 
 
 @pytest.mark.parametrize(
