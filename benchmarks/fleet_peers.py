@@ -2,8 +2,8 @@
 
 .venv-bench/bin/python benchmarks/fleet_peers.py --fleets 40
 
-Each detector learns from a fleet of which some are sick, and scores fresh motors. Its threshold is the one at which 1 in
-100 of fresh healthy motors alarms: better than it could know. Ours ranks by the p-value, without that help too.
+Each detector learns from a fleet of which some are sick, and scores fresh motors. Its threshold is the one at which 1
+in 100 of fresh healthy motors alarms: better than it could know. Ours ranks by the p-value, without that help too.
 """
 
 from collections.abc import Iterator
@@ -40,7 +40,9 @@ def ours(logs: FloatArray, fresh: FloatArray) -> FloatArray:
     """Squared distances from the healthy core of a fleet's fits, shape (n_fresh,)."""
     n = len(logs)
     errors = np.tile(ERROR, (n, 1, 1))
-    core = learn_core(Motors(logs, errors, np.arange(n), np.zeros(n, dtype=np.intp), BELIEF, np.eye(4) * 0.02**2))
+    core = learn_core(
+        Motors(logs, errors, np.arange(n), np.zeros(n, dtype=np.intp), BELIEF, np.eye(4) * 0.02**2)
+    )
     off = fresh - core.centres[0]
     spread = core.next_motor() + core.within + ERROR
     found: FloatArray = np.einsum("np,pq,nq->n", off, np.linalg.inv(spread), off)
@@ -62,9 +64,13 @@ def powers(fleets: int, *, raw: bool) -> Iterator[tuple[str, list[float]]]:
             logs[n] += list(FAULTS.values())[n % len(FAULTS)]
         fresh = [drawn(rng, HEALTHY), *(drawn(rng, SICK_JUDGED) + moves for moves in FAULTS.values())]
         scores = {"this package": [ours(logs, each) for each in fresh]}
-        seen, judged = (currents(rng, logs), [currents(rng, each) for each in fresh]) if raw else (logs, fresh)
+        seen, judged = (
+            (currents(rng, logs), [currents(rng, each) for each in fresh]) if raw else (logs, fresh)
+        )
         scale = np.sqrt(np.diag(TOTAL)) if not raw else 1.0  # detectors by distance need one scale
-        for make in DETECTORS if not raw else [one for one in DETECTORS if one is not MCD]:  # as many samples as that
+        for make in (
+            DETECTORS if not raw else [one for one in DETECTORS if one is not MCD]
+        ):  # as many samples as that
             detector = make().fit(seen / scale)
             scores[make.__name__] = [detector.decision_function(each / scale) for each in judged]
         for name, (healthy, *sick) in scores.items():
