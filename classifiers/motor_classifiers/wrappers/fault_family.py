@@ -58,7 +58,11 @@ def family_fit(recipe: Recipe, measurements: ArrayLike) -> FamilyFit:
     Args:
         recipe: nominal motor, tolerances, classes, supply, sensor and timing.
         measurements: shape (n_cases, n_channels, n_samples).
+
+    Raises:
+        ValueError: one of the recipe's sensors fails: that is no fault of a motor.
     """
+    recipe.require_motor_faults()
     observed = recipe_observed(recipe, measurements)
     parts = [
         _fit_part(recipe, observed.rows(slice(begin, begin + _AT_ONCE)))
