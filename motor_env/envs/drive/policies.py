@@ -1,4 +1,4 @@
-"""Controllers for the drive: PI, LQG with integral action, and the same reconfigured by a bank of filters.
+"""Controllers for the drive: LQG with integral action, and the same reconfigured by a bank of filters.
 
 They see what an agent sees, for many sub-environments at once: `start(count)`, then `act(observations)` each step.
 """
@@ -34,38 +34,10 @@ class DrivePolicy(Protocol):
         """Actions, shape (count, 2), from observations of shape (count, n_observed)."""
 
 
-def _named(setup: DriveSetup, observations: Observations) -> dict[str, FloatArray]:
+def named(setup: DriveSetup, observations: Observations) -> dict[str, FloatArray]:
     """The observed numbers by name, in SI units."""
     values = (observations * setup.view[0]).T
     return dict(zip(setup.observed, values, strict=True))
-
-
-class PI:
-    """A PI controller of the measured speed, with its integral held where the voltage is at its limit.
-
-    Args:
-        setup: of the environment.
-        gain: in V s/rad.
-        reset_s: time constant of its integral.
-    """
-
-    def __init__(self, setup: DriveSetup, *, gain: float = 0.06, reset_s: float = 0.03) -> None:
-        self.setup, self.gain, self.reset_s = setup, gain, reset_s
-
-    def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
-        self._integral = np.zeros(count)
-
-    def act(self, observations: Observations) -> FloatArray:
-        """Voltage that takes the speed to the profile."""
-        options, seen = self.setup.options, _named(self.setup, observations)
-        error = seen["profile_1"] - seen["measured_speed"]
-        self._integral = np.where(seen["time"] == 0.0, seen["voltage"], self._integral)
-        moved = self._integral + self.gain * options.period_s / self.reset_s * error
-        volts = self.gain * error + moved
-        free = np.abs(volts) < options.voltage_limit_v
-        self._integral = np.where(free, moved, self._integral)
-        return np.stack([volts / options.voltage_limit_v, np.full(len(volts), RUN)], axis=1)
 
 
 class Bank(NamedTuple):
@@ -195,7 +167,7 @@ class Lqg:
 
     def act(self, observations: Observations) -> FloatArray:
         """Voltage and decision from the posterior after the last measurement."""
-        limit, seen = self.setup.options.voltage_limit_v, _named(self.setup, observations)
+        limit, seen = self.setup.options.voltage_limit_v, named(self.setup, observations)
         self._follow(seen)
         volts = self._volts(seen)
         mean = (volts * self.probability).sum(axis=0) if self.reconfigures else volts[0]

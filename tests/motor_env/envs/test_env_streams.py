@@ -15,31 +15,30 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from clairvoyant import Clairvoyant
+from look_ahead import RatioTest
+from maintain_bounds import maintenance_bound
+from pi_controller import PI
+from tolerances import TolerancePolicy
 
 import motor_env  # noqa: F401  # registers the environments
 from motor_env import Channel, Cusum, SensorParameters, load_recipe
 from motor_env.envs import (
-    PI,
     BankPolicy,
     BayesPolicy,
-    Bursts,
-    Clairvoyant,
     DriveVectorEnv,
     Lqg,
     MaintainOptions,
     MonitorVectorEnv,
     OnDemand,
-    OpenLoop,
     PlannedUpkeep,
     ProbeVectorEnv,
-    RatioTest,
     RulePolicy,
-    TolerancePolicy,
     WorthTest,
     baseline_features,
     drive_episodes,
-    maintenance_bound,
 )
+from motor_env.envs.baselines.probing import Bursts, OpenLoop
 
 KEPT = Path(__file__).with_name("env_streams.json")
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))

@@ -4,23 +4,23 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+import clairvoyant
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from pi_controller import PI
 
 from motor_env import discretize
 from motor_env.envs import (
-    PI,
     DriveEnv,
     DriveOptions,
     DriveVectorEnv,
     Lqg,
-    clairvoyant_returns,
     drive_episodes,
 )
-from motor_env.envs.drive import evaluation, kernel
+from motor_env.envs.drive import kernel
 from motor_env.envs.drive.env import REWARDS
 from motor_env.envs.drive.evaluation import joined_drives
 from motor_env.envs.drive.options import LABELS
@@ -413,10 +413,10 @@ def test_detection_is_worth_something(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(fixed.class_index, bank.class_index)
     both = joined_drives([fixed, bank])
     assert (both.returns.shape, both.parts.shape, both.class_index.shape) == ((80,), (6, 80), (80,))
-    assert (evaluation.LIMP_FROM[:5], evaluation.STOP_FROM[0]) == ((0.0, 0.2, 0.35, 0.5, 0.7), 0.97)
-    monkeypatch.setattr(evaluation, "LIMP_FROM", (0.35, 0.7))
-    monkeypatch.setattr(evaluation, "STOP_FROM", (0.97,))
-    assert clairvoyant_returns(envs, seed=9).mean() > bank.returns.mean()
+    assert (clairvoyant.LIMP_FROM[:5], clairvoyant.STOP_FROM[0]) == ((0.0, 0.2, 0.35, 0.5, 0.7), 0.97)
+    monkeypatch.setattr(clairvoyant, "LIMP_FROM", (0.35, 0.7))
+    monkeypatch.setattr(clairvoyant, "STOP_FROM", (0.97,))
+    assert clairvoyant.clairvoyant_returns(envs, seed=9).mean() > bank.returns.mean()
 
 
 def test_a_picture_changes_nothing() -> None:

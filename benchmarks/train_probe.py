@@ -1,11 +1,11 @@
 """Train an agent to probe a motor and to declare its fault, by PPO of Stable-Baselines3 (extra rl), and score it.
 
-python examples/train_probe.py --steps 1200000 --out out/probe-agent
+python benchmarks/train_probe.py --steps 1200000 --out out/probe-agent
 
 The agent sees the summary of a posterior (`motor_env.envs.baselines.belief`), made from what the environment shows and
 nothing else, and learns by PPO (Schulman et al. 2017) from the reward that the posterior expects: the true one on
 average, without the noise of luck. It is scored on other seeds beside the best open-loop probe that
-examples/baselines.py finds, and beside a textbook rule in closed loop, all on the same episodes. Minutes on one core.
+benchmarks/baselines.py finds, and beside a textbook rule in closed loop, all on the same episodes. Minutes on one core.
 """
 
 import argparse
@@ -38,7 +38,7 @@ ON_DEMAND_ABOVE, ON_DEMAND_THRESHOLD = 0.065, 0.97
 
 
 def open_loop(setup: Setup) -> Policy:
-    """The best open-loop probe and its test, as tuned by examples/baselines.py."""
+    """The best open-loop probe and its test, as tuned by benchmarks/baselines.py."""
     return OpenLoop(WorthTest(setup, OPEN_LOOP_THRESHOLD), OPEN_LOOP.actions(setup.options.n_steps))
 
 
@@ -52,14 +52,15 @@ def agent(setup: Setup, model: BaseAlgorithm) -> Policy:
     return Summarised(ProbeBelief(setup), lambda seen: model.predict(seen, deterministic=True)[0])
 
 
-class Curve(BaseCallback):
+class Curve(BaseCallback):  # type: ignore[misc]  # it is untyped
     """Scores the agent on validation episodes now and then, keeps its best weights, and shows progress."""
 
     def __init__(self, steps: int, episodes: int, *, points: int = 8) -> None:
         super().__init__()
         self._envs, self._every, self._total = ProbeVectorEnv(episodes), max(1, steps // points), steps
         self.points: list[dict[str, float]] = []
-        self._best, self._weights, self._due = -np.inf, {}, 0
+        self._best, self._due = -np.inf, 0
+        self._weights: dict[str, torch.Tensor] = {}
         columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
         self._progress = Progress(*columns)
 
@@ -198,9 +199,9 @@ def main() -> None:
     draw_curve(points, compared, given.out / "learning-curve.png")
     film(model, given.out / "episode.gif")
     for name, found in compared["scores"].items():
-        print(f"{name:<10} return {found['mean_return']:+.4f} ± {found['return_half_width']:.4f}")  # noqa: T201
+        print(f"{name:<10} return {found['mean_return']:+.4f} ± {found['return_half_width']:.4f}")
     for name, found in compared["ahead"].items():
-        print(f"ahead of {name}: {found['mean']:+.4f} ± {found['half_width']:.4f}")  # noqa: T201
+        print(f"ahead of {name}: {found['mean']:+.4f} ± {found['half_width']:.4f}")
 
 
 if __name__ == "__main__":
