@@ -15,6 +15,7 @@ import gymnasium as gym
 import numpy as np
 from clairvoyant import clairvoyant_returns
 from pi_controller import PI
+from planned_drive import PlannedDrive
 
 from motor_env.envs import DriveVectorEnv, Lqg, drive_episodes
 from motor_env.envs.baselines.evaluation import interval
@@ -72,6 +73,7 @@ def main() -> None:
         "voltage by the bank": bank(envs.setup, decides=False),
         "decisions by the bank": bank(envs.setup, reconfigures=False, **best),
         "both by the bank": bank(envs.setup, **best),
+        "plan": PlannedDrive(envs.setup),
     }
     scored = {}
     for name, policy in policies.items():
@@ -80,6 +82,8 @@ def main() -> None:
     last = scored["both by the bank"]
     ahead, half = interval(last.returns - scored["LQG with integral action"].returns)
     print(f"bank ahead of the fixed LQG by {ahead:.3f} ± {half:.3f}")
+    ahead, half = interval(scored["plan"].returns - last.returns)
+    print(f"plan ahead of the bank by {ahead:.3f} ± {half:.3f}")
     known = np.concatenate([clairvoyant_returns(envs, seed) for seed in SEEDS])
     by_class = [f"{known[last.class_index == k].mean():.2f}" for k in np.unique(last.class_index)]
     mean, half = interval(known)

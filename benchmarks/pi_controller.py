@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from motor_env.envs.drive.policies import RUN, Observations, named
+from motor_env.envs.drive.actions import RUN
+from motor_env.envs.drive.policies import Observations, named
 from motor_env.envs.drive.setup import DriveSetup
 from motor_env.motor.parameters import FloatArray
 

@@ -11,6 +11,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from pi_controller import PI
+from planned_drive import PlannedDecisions, PlannedDrive
 
 from motor_env import discretize
 from motor_env.envs import (
@@ -21,10 +22,11 @@ from motor_env.envs import (
     drive_episodes,
 )
 from motor_env.envs.drive import kernel
+from motor_env.envs.drive.actions import LIMP, RUN, STOP
 from motor_env.envs.drive.env import REWARDS
 from motor_env.envs.drive.evaluation import joined_drives
 from motor_env.envs.drive.options import LABELS
-from motor_env.envs.drive.policies import LIMP, RUN, STOP, make_bank
+from motor_env.envs.drive.policies import make_bank
 from motor_env.envs.drive.setup import drive_filter, faulty
 from motor_env.envs.setup import converged_gain
 
@@ -390,6 +392,12 @@ def test_a_faulty_winding_burns() -> None:
         ({"ramp_s": (0.5, 0.2)}, "ramp_s must be the smaller, then the larger number, got 0.5, 0.2"),
         ({"horizon_s": 1e9}, "horizon_s must be 1 to 100000 periods"),
         ({"speed": 1.0}, "no option 'speed'"),
+        (
+            {"control": "torque"},
+            "control must be one of voltage_and_decision, voltage_limp_stop, decision, got",
+        ),
+        ({"steps_per_decision": 0}, "steps_per_decision must be a whole number >= 1, got 0"),
+        ({"steps_per_decision": 7}, "horizon_s must hold a whole number of decisions of 7 periods, got 800"),
     ],
 )
 def test_bad_options_get_their_sentence(options: dict[str, Any], sentence: str) -> None:
@@ -403,6 +411,82 @@ def test_bad_actions_get_their_sentence() -> None:
     for action in ([0.0], [np.nan, 0.0]):
         with pytest.raises(ValueError, match=r"action must be finite and have shape \(2,\)"):
             env.step(action)
+
+
+@pytest.mark.parametrize("control", ["voltage_limp_stop", "decision"])
+def test_other_actions_give_the_same_commands(control: str) -> None:
+    """Of a vector and of a single environment; the drive's own controller is the LQG of the healthy motor."""
+    changes: dict[str, Any] = {"control": control, "tracking_limit_per_s": 3.0}
+    plain, other = DriveVectorEnv(16, tracking_limit_per_s=3.0), DriveVectorEnv(16, **changes)
+    first, second = (drive_episodes(envs, Lqg(envs.setup, levels=3), seed=3) for envs in (plain, other))
+    off = np.abs(first.returns - second.returns)
+    assert (off == 0.0).all() if control == "voltage_limp_stop" else (np.median(off) < 0.02 < off.max())
+    single = DriveEnv(**changes)
+    seen, _ = single.reset(seed=3, options={"index": 7})
+    policy, total, over = Lqg(single.setup, levels=3), 0.0, False
+    policy.start(1)
+    while not over:
+        seen, reward, over, _, _ = single.step(policy.act(seen[None])[0])
+        total += reward
+    assert total == pytest.approx(second.returns[7], abs=1e-9)
+    for action in (3, [0.0, 0.0]):
+        single.reset()
+        with pytest.raises(ValueError, match="action must be"):
+            single.step(action)
+
+
+def test_its_own_controller_is_the_fixed_lqg() -> None:
+    plain, own = DriveVectorEnv(8), DriveVectorEnv(8, control="decision")
+    seen, _ = plain.reset(seed=3)
+    own.reset(seed=3)
+    policy = Lqg(plain.setup)
+    policy.start(8)
+    for _ in range(300):
+        seen = plain.step(policy.act(seen))[0]
+        other = own.step(np.zeros(8, dtype=np.int64))[0]
+    np.testing.assert_allclose(other, seen, atol=2e-4)
+    with pytest.raises(ValueError, match=r"actions must be in 0 .. 2, got 0 .. 3"):
+        own.step(np.arange(8) % 4)
+
+
+def test_a_decision_lasts_and_an_error_costs_so_much_at_most() -> None:
+    healthy: dict[str, Any] = {"control": "decision", "weights": (1.0, 0.0, 0.0)}
+    fine, coarse = DriveVectorEnv(4, **healthy), DriveVectorEnv(4, **healthy, steps_per_decision=5)
+    fine.reset(seed=5)
+    coarse.reset(seed=5)
+    for step in range(100):
+        limps = np.full(4, step % 3 == 0, dtype=np.int64)
+        inner = [fine.step(limps) for _ in range(5)]
+        seen, reward, over, _, info = coarse.step(limps)
+        np.testing.assert_array_equal(seen, inner[-1][0])
+        np.testing.assert_allclose(reward, sum(each[1] for each in inner), rtol=1e-12)
+        np.testing.assert_allclose(
+            info["reward_limp"], sum(each[4]["reward_limp"] for each in inner), rtol=1e-12
+        )
+        assert not over.any()
+    free, capped = DriveVectorEnv(50), DriveVectorEnv(50, tracking_limit_per_s=3.0)
+    for envs in (free, capped):
+        envs.reset(seed=5)
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        actions = np.stack([rng.uniform(-1.0, 1.0, 50), np.full(50, RUN)], axis=1)
+        errors = [-envs.step(actions)[4]["reward_tracking"] for envs in (free, capped)]
+        np.testing.assert_allclose(errors[1], errors[0] / (1.0 + errors[0] / 0.03), rtol=1e-12)
+    assert errors[0].max() > 0.5 > 0.03 > errors[1].max()
+
+
+@pytest.mark.long
+def test_the_plan_is_ahead_of_the_bank() -> None:
+    envs = DriveVectorEnv(150)
+    bank, plan = (
+        drive_episodes(envs, policy, seed=9).returns
+        for policy in (Lqg(envs.setup, levels=8), PlannedDrive(envs.setup))
+    )
+    ahead = plan - bank
+    assert ahead.mean() > 1.5 * ahead.std() / np.sqrt(150)
+    deciding = DriveVectorEnv(150, **gym.spec("motor_env/DriveDecide-v0").kwargs)
+    decided = drive_episodes(deciding, PlannedDecisions(deciding.setup), seed=9).returns
+    assert decided.mean() > bank.mean()
 
 
 def test_detection_is_worth_something(monkeypatch: pytest.MonkeyPatch) -> None:
