@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from bounds import upper_bound
+from drive_bound import drive_bound
 from look_ahead import LookAhead
 from maintain_bounds import maintenance_bound
 from numpy.typing import NDArray
@@ -102,7 +103,10 @@ def _ask(above: float, threshold: float) -> Make:
 def _drive() -> Reference:
     bank: Make = lambda envs: Lqg(envs.setup, levels=8)  # noqa: E731  # a name for its type
     return Reference(
-        ("LQG by a bank of filters", bank), ("plan", lambda envs: PlannedDrive(envs.setup)), episodes=500
+        ("LQG by a bank of filters", bank),
+        ("plan", lambda envs: PlannedDrive(envs.setup)),
+        drive_bound,
+        episodes=500,
     )
 
 
@@ -157,6 +161,7 @@ REFERENCES = {
     "DriveDecide-v0": Reference(
         ("two thresholds on what is seen", lambda envs: ShownFaults(envs.setup)),
         ("plan", lambda envs: PlannedDecisions(envs.setup)),
+        drive_bound,
         episodes=500,
     ),
     "DriveHeavy-v0": _drive(),

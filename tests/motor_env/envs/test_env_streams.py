@@ -2,8 +2,8 @@
 
 So is what the textbook policies say in some of them: their scores stand in tables, their thresholds were tuned to them.
 `PYTHONPATH=benchmarks python tests/motor_env/envs/test_env_streams.py` wrote the file, from the environments as they
-were when the tables in docs/environments.md and docs/decisions.md were made; it writes it anew after a change that is
-wanted.
+were when the tables in docs/environments.md and docs/drive-and-maintain.md were made; it writes it anew after a change
+that is wanted.
 """
 
 import hashlib

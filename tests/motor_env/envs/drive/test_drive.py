@@ -8,6 +8,7 @@ import clairvoyant
 import gymnasium as gym
 import numpy as np
 import pytest
+from drive_bound import drive_bounds
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from pi_controller import PI
@@ -188,7 +189,7 @@ def follow_truth(env: DriveEnv, actions: Iterable[Any]) -> Iterator[tuple[Any, A
 
 @pytest.mark.parametrize("kind", [0, 1, 2])
 def test_every_price_alone(kind: int) -> None:
-    """At the default prices, from the motor's true state, as docs/decisions.md has them."""
+    """At the default prices, from the motor's true state, as docs/drive-and-maintain.md has them."""
     weights = tuple(float(k == kind) for k in range(3))
     env = DriveEnv(weights=weights, mean_onset_s=0.0, warm_k=1.0, burn_k=1e3, growth_per_s=(1.2, 1.2))
     env.reset(seed=3)
@@ -473,6 +474,16 @@ def test_a_decision_lasts_and_an_error_costs_so_much_at_most() -> None:
         errors = [-envs.step(actions)[4]["reward_tracking"] for envs in (free, capped)]
         np.testing.assert_allclose(errors[1], errors[0] / (1.0 + errors[0] / 0.03), rtol=1e-12)
     assert errors[0].max() > 0.5 > 0.03 > errors[1].max()
+
+
+def test_no_controller_is_above_the_bound() -> None:
+    """In no episode, as it is told all that is to come; a controller that hardly errs comes near."""
+    envs = DriveVectorEnv(60)
+    bound = drive_bounds(envs.options, 60, seed=4)
+    rules = [clairvoyant.Clairvoyant(envs, limp_from=limp, stop_from=0.97) for limp in (0.0, 0.5, np.inf)]
+    best = np.max([drive_episodes(envs, rule, 4).returns for rule in rules], axis=0)
+    assert (best < bound + 1e-3).all()
+    assert bound.mean() - 0.35 < best.mean() < bound.mean() < -0.5
 
 
 @pytest.mark.long
