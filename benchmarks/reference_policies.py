@@ -100,7 +100,7 @@ def _ask(above: float, threshold: float) -> Make:
     return lambda envs: OnDemand(WorthTest(envs.setup, threshold), above)
 
 
-def _drive() -> Reference:
+def _drive(episodes: int = 200) -> Reference:
     bank: Make = lambda envs: Lqg(envs.setup, levels=8)  # noqa: E731  # a name for its type
     return Reference(
         ("LQG by a bank of filters", bank),
@@ -156,13 +156,13 @@ REFERENCES = {
         ("on demand", lambda envs: Continuous(envs, _ON_DEMAND[1])),
         ("look ahead", lambda envs: Continuous(envs, _look(0.0006, 0.961))),
     ),
-    "Drive-v0": _drive(),
+    "Drive-v0": _drive(500),
     "DriveBounded-v0": _drive(),
     "DriveDecide-v0": Reference(
         ("two thresholds on what is seen", lambda envs: ShownFaults(envs.setup)),
         ("plan", lambda envs: PlannedDecisions(envs.setup)),
         drive_bound,
-        episodes=500,
+        episodes=200,
     ),
     "DriveHeavy-v0": _drive(),
     "DriveBearing-v0": _drive(),
