@@ -34,7 +34,12 @@ RESULTS = Path(__file__).resolve().parent / "results" / "reference"
 SEEDS, TUNING_SEED, AGENT_SEED = tuple(range(1, 11)), 100, 77
 STEPS, POINTS, N_ENVS, AGENT_EPISODES = 300_000, 5, 8, 500
 TRIVIAL_EPISODES = 250
-METHODS = ("random", "trivial", "textbook", "best", "bound", "ppo")
+FEWEST = 3  # trainings of which an interval says anything
+LEARNERS = ("ppo", "dqn", "sac")
+METHODS = ("random", "trivial", "textbook", "best", "bound", *LEARNERS)
+OFF_POLICY = {"ProbeConfirm-v0": "dqn", "DriveDecide-v0": "dqn", "DriveBounded-v0": "sac"}
+"""Where another algorithm than PPO is tried, too, and which."""
+TUNED = Path(__file__).resolve().parents[1] / "examples" / "ppo"
 Result = dict[str, Any]
 
 
@@ -131,18 +136,19 @@ def scored(name: str, label: str, make: Callable[[Any], Player], options: Any, e
     }
 
 
-def trained(name: str, seed: int, steps: int) -> Result:
-    """PPO with its defaults, and its learning curve."""
+def trained(name: str, learner: str, seed: int, steps: int) -> Result:
+    """An agent of Stable-Baselines3 with its defaults, and its learning curve."""
+    import stable_baselines3
     import torch
-    from stable_baselines3 import PPO
 
     from motor_env.envs import StableBaselinesVecEnv
 
     torch.set_num_threads(1)
     envs = StableBaselinesVecEnv(vector(name, N_ENVS, autoreset_mode="SameStep"))
     envs.seed(1000 + seed)
-    model, test, curve = PPO("MlpPolicy", envs, seed=seed, device="cpu"), vector(name, AGENT_EPISODES), []
-    begun, rollout = time.process_time(), model.n_steps * N_ENVS
+    model = getattr(stable_baselines3, learner.upper())("MlpPolicy", envs, seed=seed, device="cpu")
+    test, curve = vector(name, AGENT_EPISODES), []
+    begun, rollout = time.process_time(), getattr(model, "n_steps", 1) * N_ENVS
     rollouts = -(-steps // rollout)
     for part in np.diff(np.linspace(0, rollouts, POINTS + 1).astype(int)):
         model.learn(int(part) * rollout, reset_num_timesteps=False)
@@ -157,8 +163,8 @@ def measure(name: str, method: str, seed: int) -> Result | None:
     if method == "bound":
         bound = reference.bound
         return None if bound is None else {"return": bound(vector(name, 1, **reference.options).options)}
-    if method == "ppo":
-        return trained(name, seed, STEPS)
+    if method in LEARNERS:
+        return trained(name, method, seed, STEPS)
     if method in ("textbook", "best"):
         label, make = getattr(reference, method)
         return scored(name, label, make, reference.options, reference.episodes)
@@ -174,7 +180,7 @@ def kept(name: str) -> dict[str, Any]:
     for path in sorted((RESULTS / name).glob("*.json")):
         result = json.loads(path.read_text(encoding="utf-8"))
         method = path.stem.partition("-")[0]
-        if method == "ppo":
+        if method in LEARNERS:
             found.setdefault(method, []).append(result)
         else:
             found[method] = result
@@ -205,20 +211,36 @@ def cell(result: Result | None) -> str:
     return f"{result['return']:+.3f}{half}"
 
 
+def runs(returns: list[float]) -> str:
+    """What agents of several training seeds return."""
+    if len(returns) < FEWEST:
+        return ", ".join(f"{value:+.3f}" for value in returns)
+    middle, low, high = interquartile(np.array(returns), np.random.default_rng(0))
+    return f"{middle:+.3f} ({low:+.3f} to {high:+.3f}; {len(returns)})"
+
+
+def tuned(name: str) -> list[float]:
+    """Returns of the tuned agents that are kept in examples/ppo."""
+    path = TUNED / f"{name.removesuffix('-v0').lower()}.json"
+    if not path.exists():
+        return []
+    return [agent["return"][0] for agent in json.loads(path.read_text(encoding="utf-8"))["agents"].values()]
+
+
 def row(name: str) -> str:
     """An id in the table."""
-    found, learned = kept(name), ""
-    if "ppo" in found:
-        returns = np.array([result["return"] for result in found["ppo"]])
-        middle, low, high = interquartile(returns, np.random.default_rng(0))
-        learned = f"{middle:+.3f} ({low:+.3f} to {high:+.3f}; {len(returns)})"
-    cells = [cell(found.get(method)) for method in METHODS[:-1]]
-    return "| " + " | ".join([f"[{name}](environments/{name}.md)", *cells, learned]) + " |"
+    found = kept(name)
+    cells = [cell(found.get(method)) for method in ("random", "trivial", "textbook", "best", "bound")]
+    learned = {method: runs([each["return"] for each in found.get(method, [])]) for method in LEARNERS}
+    other = " ".join(f"{method.upper()} {learned[method]}" for method in LEARNERS[1:] if learned[method])
+    names = [f"[{name}](environments/{name}.md)", *cells, learned["ppo"], other, runs(tuned(name))]
+    return "| " + " | ".join(names) + " |"
 
 
 def table() -> str:
     """All ids in the order of the registry."""
-    head = ["id", "random", "always", "textbook", "best known", "no policy exceeds", "PPO, defaults"]
+    head = ["id", "random", "always", "textbook", "best known", "no policy exceeds"]
+    head += ["PPO, defaults", "DQN or SAC, defaults", "tuned agents"]
     names = [spec.removeprefix("motor_env/") for spec in gym.registry if spec.startswith("motor_env/")]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *map(row, names)]
     return "\n".join(lines)
@@ -241,9 +263,11 @@ def main(
     """
     for name in REFERENCES:
         for method in methods:
-            for seed in seeds if method == "ppo" else (0,):
-                path = RESULTS / name / (f"ppo-{seed}.json" if method == "ppo" else f"{method}.json")
-                if show or only not in name or path.exists():
+            learns = method in LEARNERS
+            for seed in seeds if learns else (0,):
+                path = RESULTS / name / (f"{method}-{seed}.json" if learns else f"{method}.json")
+                elsewhere = method in LEARNERS[1:] and OFF_POLICY.get(name) != method
+                if show or elsewhere or only not in name or path.exists():
                     continue
                 begun = time.monotonic()
                 result = measure(name, method, seed)

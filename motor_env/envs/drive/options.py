@@ -164,7 +164,8 @@ class DriveOptions:
             1 <= self.n_steps <= MAX_STEPS,
             f"horizon_s must be 1 to {MAX_STEPS} periods, got {self.n_steps}",
         )
-        known = self.control in set(Control)
+        control: object = self.control
+        known = isinstance(control, str) and control in set(Control)
         require(known, f"control must be one of {', '.join(Control)}, got {self.control!r:.60}")
         object.__setattr__(self, "control", Control(self.control))
         repeats: object = self.steps_per_decision
