@@ -136,7 +136,7 @@ REFERENCES = {
         "hard",
         ("GLR of a step", _rule(Glr(5, 400, two_sided=True), 38.5)),
         ("Bayes posterior, tolerances integrated out", lambda envs: TolerancePolicy(envs.setup, 0.9974)),
-        episodes=100,
+        episodes=60,
     ),
     "MonitorSmall-v0": _monitor(
         "small", ("GLR of a step", _rule(Glr(40, 1600, two_sided=True), 24.71)), _bayes(0.9772)

@@ -121,7 +121,8 @@ def trivial(name: str) -> tuple[str, Player]:
 def scored(name: str, label: str, make: Callable[[Any], Player], options: Any, episodes: int) -> Result:
     """Mean over the episodes of all seeds, half its 95 % interval, and its standard error."""
     envs = vector(name, episodes, **options)
-    found = np.concatenate([returns_of(envs, make(envs), seed) for seed in SEEDS])
+    policy = make(envs)
+    found = np.concatenate([returns_of(envs, policy, seed) for seed in SEEDS])
     mean, half = interval(found)
     error = float(found.std(ddof=1) / len(found) ** 0.5)
     quarter, three = np.quantile(found, [0.25, 0.75])
