@@ -417,11 +417,12 @@ def test_bad_actions_get_their_sentence() -> None:
 @pytest.mark.parametrize("control", ["voltage_limp_stop", "decision"])
 def test_other_actions_give_the_same_commands(control: str) -> None:
     """Of a vector and of a single environment; the drive's own controller is the LQG of the healthy motor."""
-    changes: dict[str, Any] = {"control": control, "tracking_limit_per_s": 3.0}
-    plain, other = DriveVectorEnv(16, tracking_limit_per_s=3.0), DriveVectorEnv(16, **changes)
+    short: dict[str, Any] = {"tracking_limit_per_s": 3.0, "horizon_s": 3.0, "growth_per_s": (1.0, 3.0)}
+    changes = short | {"control": control}
+    plain, other = DriveVectorEnv(16, **short), DriveVectorEnv(16, **changes)
     first, second = (drive_episodes(envs, Lqg(envs.setup, levels=3), seed=3) for envs in (plain, other))
     off = np.abs(first.returns - second.returns)
-    assert (off == 0.0).all() if control == "voltage_limp_stop" else (np.median(off) < 0.02 < off.max())
+    assert (off == 0.0).all() if control == "voltage_limp_stop" else (np.median(off) < 0.02 and off.any())
     single = DriveEnv(**changes)
     seen, _ = single.reset(seed=3, options={"index": 7})
     policy, total, over = Lqg(single.setup, levels=3), 0.0, False
