@@ -115,7 +115,7 @@ def _upkeep() -> Reference:
         ("threshold on the remaining life", lambda envs: ReplaceFrom("risk", 0.01)),
         ("plan", lambda envs: PlannedUpkeep(envs.options)),
         maintenance_bound,
-        episodes=5000,
+        episodes=15_000,
     )
 
 
@@ -150,7 +150,7 @@ REFERENCES = {
     "Probe-v0": _SMALL_PROBE,
     "ProbeConfirm-v0": _SMALL_PROBE,
     "ProbeMedium-v0": Reference(
-        ("on demand", _ask(0.03, 0.9609)), ("look ahead", _look(0.0006, 0.961)), upper_bound
+        ("on demand", _ask(0.03, 0.9609)), ("look ahead", _look(0.0015, 0.9329)), upper_bound
     ),
     "ProbeContinuous-v0": Reference(
         ("on demand", lambda envs: Continuous(envs, _ON_DEMAND[1])),

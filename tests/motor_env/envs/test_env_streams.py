@@ -98,13 +98,12 @@ def plain(value: Any) -> Any:
 
 
 def specification(name: str) -> dict[str, Any]:
-    """Options, spaces, threshold, and what the first two episodes of some sub-environments are drawn to be."""
+    """Options, spaces, and what the first two episodes of some sub-environments are drawn to be."""
     identity, options = VARIANTS.get(name, (name, {}))
     env, envs = made(name), gym.make_vec(identity, num_envs=LANES, **options)
     limits = env.observation_space
     draws = [envs.reset(seed=11)[1], envs.reset()[1]]
     return {
-        "best": gym.spec(identity).reward_threshold,
         "options": plain(env.options),
         "observed": list(env.observed),
         "limits": [limits.low.tolist(), limits.high.tolist()],
