@@ -16,7 +16,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 # one learns to begin with, then the harder ones of each family.
 _DECIDE = {"tracking_limit_per_s": 3.0, "control": "decision", "steps_per_decision": 10}
 for _id, _class, _options, _best in (
-    ("Maintain", "maintain.environment:Maintain", {}, -2.293),
+    ("Maintain", "maintain.environment:Maintain", {}, -2.299),
     ("MonitorConfirm", "monitor:Monitor", {"confirm_steps": 5}, 0.888),
     ("DriveDecide", "drive.env:Drive", _DECIDE, -1.412),
     ("ProbeConfirm", "probe:Probe", {"confirm_steps": 5}, 0.881),
