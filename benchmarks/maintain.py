@@ -1,6 +1,6 @@
 """Policies of the maintenance task beside its bound.
 
-`python benchmarks/maintain.py` measures, `python benchmarks/result_tables.py` writes the tables of docs/decisions.md. A
+`python benchmarks/maintain.py` measures, `python benchmarks/result_tables.py` writes docs/drive-and-maintain.md. A
 threshold is tuned on seed 100 and scored on seed 1. A range runs from running to failure to an agent that sees level
 and rate every morning.
 """
@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 from cyclopts import run
+from maintain_bounds import clairvoyant_value, maintenance_bound
 
-from motor_env.envs import MaintainOptions, MaintainVectorEnv, PlannedUpkeep, ReplaceFrom, maintenance_bound
+from motor_env.envs import MaintainOptions, MaintainVectorEnv, PlannedUpkeep, ReplaceFrom
 from motor_env.envs.baselines.evaluation import interval
 from motor_env.envs.baselines.policies import Policy
-from motor_env.envs.maintain.policies import clairvoyant_value, returns_of
+from motor_env.envs.maintain.policies import returns_of
 
 RESULTS = Path(__file__).resolve().parent / "results" / "maintain.json"
 TASKS = {"Maintain-v0": MaintainOptions(), "MaintainUnknownRate-v0": MaintainOptions(rate_spread=0.5)}

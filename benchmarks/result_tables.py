@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import reference_scores
 import watch_tables
 from tables import KEPT, kept_tables, marked, table
 
@@ -203,7 +204,8 @@ def pages() -> dict[Path, str]:
         {"field": field_table(), "operation": field_table("operation")}
     )
     policies = json.loads((FOLDER / "results" / "maintain.json").read_bytes())
-    parts[DOCS / "decisions.md"] = {name: maintenance_table(rows) for name, rows in policies.items()}
+    parts[DOCS / "drive-and-maintain.md"] = {name: maintenance_table(rows) for name, rows in policies.items()}
+    parts[DOCS / "reference-scores.md"] = {"reference": reference_scores.table()}
     parts |= {DOCS / "howto" / f"{page}.md": tables for page, tables in watch_tables.parts().items()}
     return {path: marked(path.read_text(encoding="utf-8"), tables) for path, tables in parts.items()}
 

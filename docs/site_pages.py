@@ -6,6 +6,7 @@
 import ast
 import dataclasses
 import inspect
+import json
 import re
 from importlib import import_module
 from itertools import groupby, pairwise
@@ -17,11 +18,13 @@ import gymnasium as gym
 import matplotlib.image
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
+from matplotlib import pyplot as plt
 
 import motor_env
 from motor_env.envs import Lqg, MonitorOptions
 
 DOCS = Path(__file__).parent
+RESULTS = DOCS.parent / "benchmarks" / "results" / "reference"
 PACKAGES = ("motor_env", "motor_env.envs", "motor_datasets", "motor_classifiers")
 FEATURES = {
     "measured": "what the sensor reads",
@@ -148,7 +151,9 @@ def replacing(env: Any, step: int, observation: Any) -> int:
 
 
 def driving(env: Any, step: int, observation: Any) -> Any:
-    """Drives with a bank of filters, which is kept in the environment."""
+    """Drives with a bank of filters, which is kept in the environment; where only decisions are asked for, limps."""
+    if isinstance(env.action_space, gym.spaces.Discrete):
+        return int(observation[env.observed.index("estimated_load")] > 0.3)
     if step == 0:
         env.driver = Lqg(env.setup, levels=8)
         env.driver.start(1)
@@ -174,11 +179,30 @@ def picture(spec: EnvSpec, path: Path) -> None:
     env.close()
 
 
+def curves(name: str, path: Path) -> bool:
+    """Draw the learning curves that are kept of an id beside its other scores; whether there are any."""
+    kept = RESULTS / name
+    runs = [json.loads(each.read_text(encoding="utf-8"))["curve"] for each in sorted(kept.glob("ppo-*.json"))]
+    if not runs:
+        return False
+    figure, axes = plt.subplots(figsize=(6.4, 3.2), layout="constrained")
+    for run in runs:
+        steps, returns = ([point[key] for point in run] for key in ("steps", "return"))
+        axes.plot(steps, returns, color="tab:blue", alpha=0.7, marker=".")
+    for method, colour in (("trivial", "tab:red"), ("textbook", "tab:orange"), ("best", "tab:green")):
+        level = json.loads((kept / f"{method}.json").read_text(encoding="utf-8"))["return"]
+        axes.axhline(level, color=colour, linestyle="--", linewidth=1.2, label=method)
+    axes.set(xlabel="steps of training", ylabel="mean return")
+    axes.legend(frameon=False)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+    return True
+
+
 def rows_of(pattern: str) -> str:
     """Rows of a table on the pages of all environments, or nothing."""
-    text = "".join(
-        (DOCS / f"{page}.md").read_text(encoding="utf-8") for page in ("environments", "decisions")
-    )
+    pages = ("reference-scores", "environments", "drive-and-maintain")
+    text = "".join((DOCS / f"{page}.md").read_text(encoding="utf-8") for page in pages)
     found = re.search(pattern, text, flags=re.MULTILINE)
     return found[1] if found else ""
 
@@ -209,7 +233,7 @@ def environment_page(spec: EnvSpec) -> str:
     )  # the tables are of tasks that differ in nothing else
     scores = plain and rows_of(rf"^{task}:\n\n(?:<!--.*\n\n)?((?:\|.*\n)+)")
     speed = rows_of(rf"^(\| {name}, (?:vector|single).*\n(?:\| \|.*\n)*)")
-    page = "environments" if watched else "decisions"
+    page = "environments" if watched else "drive-and-maintain"
     parts = [
         f"# {name}",
         f"{said.pop('')}",
@@ -232,7 +256,11 @@ def environment_page(spec: EnvSpec) -> str:
         "Any of them by name in `gym.make`; all are checked, and a wrong value is named.",
         options_table(env.options),
         "## Scores",
-        f"The best return known, which is the `reward_threshold` of the id, is {spec.reward_threshold:+.3f}.",
+        f"The `reward_threshold`, which the best policy known reaches, is {spec.reward_threshold:+.3f}.",
+        "All ids beside each other: [reference scores](../reference-scores.md).",
+        rows_of(r"(\| id \| random .*\n\|---.*\n)") + f"| {name} " + rows_of(rf"^\| \[{name}\]\(\S+ (.*\n)"),
+        curves(name, DOCS / "environments" / f"{name}-curve.png")
+        and f"![Learning curves of PPO with its defaults on {name}, a line a seed]({name}-curve.png)",
         scores and f"How they were tuned and scored: [{page}](../{page}.md).",
         scores,
         speed and "## Speed",

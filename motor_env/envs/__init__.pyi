@@ -5,12 +5,7 @@ from .adapters import (
 from .baselines.belief import (
     ProbeBelief as ProbeBelief,
 )
-from .baselines.bounds import (
-    upper_bound as upper_bound,
-)
 from .baselines.evaluation import (
-    Runs as Runs,
-    Score as Score,
     run_episodes as run_episodes,
     score as score,
     sweep as sweep,
@@ -21,7 +16,6 @@ from .baselines.policies import (
     Policy as Policy,
     Random as Random,
     RulePolicy as RulePolicy,
-    ThresholdPolicy as ThresholdPolicy,
     baseline_features as baseline_features,
 )
 from .baselines.posterior_policies import (
@@ -32,31 +26,20 @@ from .baselines.posterior_view import (
     Summarised as Summarised,
 )
 from .baselines.probing import (
-    Bursts as Bursts,
-    LookAhead as LookAhead,
     OnDemand as OnDemand,
-    OpenLoop as OpenLoop,
-    RatioTest as RatioTest,
     WorthTest as WorthTest,
-)
-from .baselines.tolerances import (
-    TolerancePolicy as TolerancePolicy,
 )
 from .drive.env import (
     DriveEnv as DriveEnv,
     DriveVectorEnv as DriveVectorEnv,
 )
 from .drive.evaluation import (
-    Clairvoyant as Clairvoyant,
-    Drives as Drives,
-    clairvoyant_returns as clairvoyant_returns,
     drive_episodes as drive_episodes,
 )
 from .drive.options import (
     DriveOptions as DriveOptions,
 )
 from .drive.policies import (
-    PI as PI,
     Lqg as Lqg,
 )
 from .maintain.environment import (
@@ -69,7 +52,6 @@ from .maintain.options import (
 from .maintain.policies import (
     PlannedUpkeep as PlannedUpkeep,
     ReplaceFrom as ReplaceFrom,
-    maintenance_bound as maintenance_bound,
     returns_of as returns_of,
 )
 from .monitor import (

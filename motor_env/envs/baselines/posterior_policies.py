@@ -128,7 +128,7 @@ class BayesPolicy(PosteriorPolicy):
     """Declares the kind whose declaration is worth a threshold in expectation under the exact posterior.
 
     At the last step it declares whatever is worth more than silence. A fixed threshold is not the solved
-    problem of optimal stopping: it gives a lower bound of the best return, `baselines.bounds` an upper one.
+    problem of optimal stopping: it gives a lower bound of the best return, `benchmarks/bounds.py` an upper one.
 
     Args:
         setup: of a Monitor-v0 that starts running, with an abrupt fault and a recipe without spread or noise faults.

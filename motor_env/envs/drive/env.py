@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from motor_env.envs.base import EVERYWHERE, Info, Observation, StreamEnv
 from motor_env.envs.drive import kernel
+from motor_env.envs.drive.actions import action_space, command, commands
 from motor_env.envs.drive.options import LABELS, DriveOptions
 from motor_env.envs.drive.screen import DriveScreen
 from motor_env.envs.drive.setup import DriveSetup, empty_lanes, make_setup
@@ -26,14 +27,7 @@ REWARDS = tuple(f"reward_{part}" for part in kernel.PARTS)
 def _spaces(setup: DriveSetup) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
     low, high = setup.view[1:].astype(np.float32)
     observations = cast("spaces.Space[Observation]", spaces.Box(low, high, dtype=np.float32))
-    return observations, spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
-
-
-def _checked(action: Any, shape: tuple[int, ...]) -> FloatArray:
-    given = np.ascontiguousarray(action, dtype=np.float64)
-    if given.shape != shape or not np.isfinite(given).all():
-        raise ValueError(f"action must be finite and have shape {shape}, got {action!r}")
-    return given
+    return observations, action_space(setup.options.control)
 
 
 class DriveEnv(StreamEnv[DriveOptions]):
@@ -50,6 +44,10 @@ class DriveEnv(StreamEnv[DriveOptions]):
     0 runs the motor, up to 0.5 limps (the profile shrinks to half, within 0.3 s, as long as that is chosen), above 0.5
     stops the motor for good. Values outside are clipped.
 
+    With `control="voltage_limp_stop"` (DriveBounded-v0) `Box(-1, 1, (3,))`: the voltage; above 0 limps; above 0.5
+    stops. With `control="decision"` (DriveDecide-v0) `Discrete(3)`: run, limp, stop. The drive's own speed controller
+    sets the voltage, and a decision holds for 0.1 s.
+
     ## Observation space
     `Box`, float32, finite, clipped at the space's bounds: what the sensors read, the load that the filter of the
     healthy motor estimates, its whitened innovations and their weighted means over 0.3 s, the voltage of the last step,
@@ -59,7 +57,8 @@ class DriveEnv(StreamEnv[DriveOptions]):
     ## Reward
     The squared error of the speed in units of the top speed costs 300 a second. A kelvin of heat beyond 70 K costs 0.05
     a second. A bearing worn from new to failure costs 1. Limping costs 0.2 a second. A stopped motor costs 1 for each
-    second left, a failed one 6 more. See `DriveOptions`.
+    second left, a failed one 6 more. In DriveBounded-v0 and DriveDecide-v0 a second of tracking error costs at most 3.
+    See `DriveOptions`.
 
     ## End of an episode
     Stopping, a failure, or the horizon (800 steps of 10 ms), all as `terminated`. `truncated` is always False.
@@ -105,7 +104,7 @@ class DriveEnv(StreamEnv[DriveOptions]):
         """
         if self._over:
             raise gym.error.ResetNeeded("call reset() before step(): the episode is over")
-        given = _checked(action, (2,)).reshape(1, 2)
+        given = command(self.options.control, action)
         observation = np.empty((1, len(self.setup.observed)), dtype=np.float32)
         self._over = bool(
             kernel.step(given, False, self.setup.view, observation, self._reward, self._parts, *self._arrays)
@@ -178,7 +177,7 @@ class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
         return info | {f"_{name}": known.copy() for name in info}
 
     def _step(self, actions: Any) -> tuple[Step, int]:
-        given = _checked(actions, (self.num_envs, 2))
+        given = commands(self.options.control, actions, self.num_envs)
         observation, reward = self._empty(), np.empty(self.num_envs)
         parts = np.empty((len(kernel.PARTS), self.num_envs))
         begins = self.autoreset_mode is AutoresetMode.NEXT_STEP

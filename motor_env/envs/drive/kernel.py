@@ -24,9 +24,9 @@ from motor_env.simulation.random_streams import Stream
 
 # A lane: the truth, what the filter believes, and what is observed; from PROFILE on, the profile now and ahead.
 CURRENT, SPEED, LOAD, TEMPERATURE, SEVERITY, KIND, ONSET, GROWTH = range(8)
-ESTIMATED_CURRENT, ESTIMATED_SPEED, STEP = range(8, 11)
-MEASURED_CURRENT, MEASURED_SPEED, ESTIMATED_LOAD, WHITE_CURRENT, WHITE_SPEED = range(11, 16)
-SLOW_CURRENT, SLOW_SPEED, VOLTAGE, ESTIMATED_TEMPERATURE, SCALE, TIME, PROFILE = range(16, 23)
+ESTIMATED_CURRENT, ESTIMATED_SPEED, STEP, INTEGRAL = range(8, 12)
+MEASURED_CURRENT, MEASURED_SPEED, ESTIMATED_LOAD, WHITE_CURRENT, WHITE_SPEED = range(12, 17)
+SLOW_CURRENT, SLOW_SPEED, VOLTAGE, ESTIMATED_TEMPERATURE, SCALE, TIME, PROFILE = range(17, 24)
 
 # The task: motor, limits, load, profile, fault, heat, costs, filter.
 R, L, KE, KT, J, B, DT, MOST_V, MOST_A, BASE_LOAD, FAN, KEPT, STIR = range(13)
@@ -37,7 +37,8 @@ TO_K, COOLING, WARM, BURN, LIMP_SHARE, LIMP_STEP, NOISE_A, NOISE_SPEED, HORIZON 
 TRACKING_COST, HEAT_COST, WEAR_COST, FAILURE_COST, STOP_COST, LIMP_COST = range(40, 46)
 F00, F01, F10, F11, G0, G1, E0, E1 = range(46, 54)
 K00, K01, K10, K11, K20, K21, W00, W10, W11, SLOW = range(54, 64)
-N_CONSTANTS = 64
+TRACKING_LIMIT, HOLDS_SPEED, BY_CURRENT, BY_SPEED, BY_INTEGRAL, REPEATS = range(64, 70)
+N_CONSTANTS = 70
 PARTS = ("tracking", "heat", "wear", "limp", "stop", "failure")
 """What a reward is made of."""
 STOP_ABOVE = 0.5
@@ -207,6 +208,23 @@ def _filter(s: FloatArray, p: FloatArray, noise: tuple[np.float32, ...]) -> None
 
 
 @inlined
+def _own_share(s: FloatArray, p: FloatArray) -> float:
+    """Voltage of the drive's own controller, LQG with integral action on the healthy motor, in units of the limit."""
+    now, then = s[PROFILE], s[PROFILE + 1]
+    middle = 0.5 * (now + then)
+    torque = load_in_kernel(p[BASE_LOAD], p[FAN], middle) + s[ESTIMATED_LOAD]
+    torque += p[B] * middle + p[J] * (then - now) / p[DT]
+    current = torque / p[KT]
+    wanted = p[R] * current + p[KE] * middle
+    volts = wanted - p[BY_CURRENT] * (s[ESTIMATED_CURRENT] - current)
+    volts -= p[BY_SPEED] * (s[ESTIMATED_SPEED] - now) + p[BY_INTEGRAL] * s[INTEGRAL]
+    if abs(wanted) < p[MOST_V]:
+        s[INTEGRAL] += p[DT] * (s[MEASURED_SPEED] - now)
+    share: float = volts / p[MOST_V]
+    return share
+
+
+@inlined
 def _step_lane(n: int, action: FloatArray, lanes: Lanes, parts: FloatArray) -> None:
     """A step of lane n in the middle of an episode: its costs go into the column n of the parts."""
     s, p, flags, profile = lanes.state[n], lanes.numbers, lanes.flags, lanes.profile[n]
@@ -223,11 +241,14 @@ def _step_lane(n: int, action: FloatArray, lanes: Lanes, parts: FloatArray) -> N
     torque = p[BASE_LOAD] + p[FAN] * s[SPEED] * abs(s[SPEED]) + s[LOAD]
     worn = _grow_fault(s, p, torque)
     flags[layout.FAULT_ACTIVE, n] = s[SEVERITY] > 0.0
-    _run_motor(s, p, action[0], noise)
+    _run_motor(s, p, _own_share(s, p) if p[HOLDS_SPEED] > 0.0 else action[0], noise)
     _filter(s, p, noise)
     s[STEP] += 1.0
     off = (s[SPEED] - s[SCALE] * profile[int(s[STEP])]) / p[TOP]
-    parts[0, n] = -p[TRACKING_COST] * off * off
+    error = p[TRACKING_COST] * off * off
+    if p[TRACKING_LIMIT] > 0.0:
+        error /= 1.0 + error / p[TRACKING_LIMIT]
+    parts[0, n] = -error
     parts[1, n] = -p[HEAT_COST] * max(s[TEMPERATURE] - p[WARM], 0.0)
     parts[2, n] = -p[WEAR_COST] * worn
     parts[3, n] = -p[LIMP_COST] * (1.0 - s[SCALE])
@@ -239,6 +260,24 @@ def _step_lane(n: int, action: FloatArray, lanes: Lanes, parts: FloatArray) -> N
     elif s[STEP] >= p[HORIZON]:
         flags[layout.TERMINATED, n] = True
     _observe_profile(s, p, profile, lanes.ahead)
+
+
+@inlined
+def _column(parts: FloatArray, n: int) -> tuple[float, ...]:
+    return parts[0, n], parts[1, n], parts[2, n], parts[3, n], parts[4, n], parts[5, n]
+
+
+@inlined
+def _decide_lane(n: int, action: FloatArray, lanes: Lanes, parts: FloatArray) -> None:
+    """The periods of one decision: as many as `REPEATS` says, or until the episode is over."""
+    _step_lane(n, action, lanes, parts)
+    for _ in range(1, int(lanes.numbers[REPEATS])):
+        if lanes.flags[layout.TERMINATED, n]:
+            break
+        so_far = _column(parts, n)
+        _step_lane(n, action, lanes, parts)
+        for m in range(len(PARTS)):
+            parts[m, n] += so_far[m]
 
 
 @compiled
@@ -276,7 +315,7 @@ def step(
             _begin_lane(n, lanes)
             parts[:, n] = 0.0
         else:
-            _step_lane(n, actions[n], lanes, parts)
+            _decide_lane(n, actions[n], lanes, parts)
             n_over += lanes.flags[layout.TERMINATED, n]
         total = 0.0
         for m in range(len(PARTS)):

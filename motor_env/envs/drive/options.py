@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from enum import StrEnum
 
 import numpy as np
 
@@ -21,6 +22,14 @@ LABELS = (HEALTHY, str(FaultKind.BEARING), str(FaultKind.WINDING_CONTACT))
 """Classes of an episode, in the order of `weights`."""
 LARGEST_COST = 1e6
 MAX_STEPS = 100_000
+
+
+class Control(StrEnum):
+    """What an action is."""
+
+    VOLTAGE_AND_DECISION = "voltage_and_decision"
+    VOLTAGE_LIMP_STOP = "voltage_limp_stop"
+    DECISION = "decision"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +75,12 @@ class DriveOptions:
         failure_cost: price of a failure, on top of the rest of the episode at `stop_cost_per_s`.
         stop_cost_per_s: price of a second that a stopped motor does not run.
         limp_cost_per_s: price of a second with the whole reduction of the profile.
+        tracking_limit_per_s: what a second of tracking error costs at most: a price x becomes x / (1 + x / limit);
+            0: no limit.
+        control: `voltage_and_decision`: two numbers, the voltage, and a decision that runs, limps or stops;
+            `voltage_limp_stop`: three numbers, one each; `decision`: run, limp or stop, from a list, and the drive's
+            own speed controller (LQG with integral action on the healthy motor) sets the voltage.
+        steps_per_decision: periods for which an action holds.
 
     Raises:
         ValueError: a value is out of its range, or no motor can follow the profile; the sentence says which.
@@ -107,6 +122,9 @@ class DriveOptions:
     failure_cost: float = 6.0
     stop_cost_per_s: float = 1.0
     limp_cost_per_s: float = 0.2
+    tracking_limit_per_s: float = 0.0
+    control: Control = Control.VOLTAGE_AND_DECISION
+    steps_per_decision: int = 1
 
     def __post_init__(self) -> None:
         require_numbers(self)
@@ -115,7 +133,7 @@ class DriveOptions:
         )
         for field in fields(self):
             values = getattr(self, field.name)
-            if field.name == "motor":
+            if field.name in ("motor", "control", "steps_per_decision"):
                 continue
             if isinstance(values, list):
                 values = tuple(values)
@@ -145,6 +163,19 @@ class DriveOptions:
         require(
             1 <= self.n_steps <= MAX_STEPS,
             f"horizon_s must be 1 to {MAX_STEPS} periods, got {self.n_steps}",
+        )
+        control: object = self.control
+        known = isinstance(control, str) and control in set(Control)
+        require(known, f"control must be one of {', '.join(Control)}, got {self.control!r:.60}")
+        object.__setattr__(self, "control", Control(self.control))
+        repeats: object = self.steps_per_decision
+        require(
+            isinstance(repeats, int) and not isinstance(repeats, bool) and repeats >= 1,
+            f"steps_per_decision must be a whole number >= 1, got {repeats!r:.60}",
+        )
+        require(
+            self.n_steps % self.steps_per_decision == 0,
+            f"horizon_s must hold a whole number of decisions of {repeats} periods, got {self.n_steps} periods",
         )
         self._require_followable()
 
@@ -209,6 +240,7 @@ _MAY_BE_ZERO = (
     "earliest_onset_s",
     "mean_onset_s",
     "stress_share",
+    "tracking_limit_per_s",
 )
 _LENGTHS = {"weights": 3, **dict.fromkeys(("plateau_s", "ramp_s", "growth_per_s"), 2)}
 _LENGTHS |= dict.fromkeys(("onset_severity", "failure_severity"), 2)

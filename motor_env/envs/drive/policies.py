@@ -1,26 +1,24 @@
-"""Controllers for the drive: PI, LQG with integral action, and the same reconfigured by a bank of filters.
+"""Controllers for the drive: LQG with integral action, and the same reconfigured by a bank of filters.
 
 They see what an agent sees, for many sub-environments at once: `start(count)`, then `act(observations)` each step.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_are
 from scipy.special import softmax
 
 from motor_env.envs.drive import kernel
+from motor_env.envs.drive.actions import LIMP, RUN, STOP, as_actions
 from motor_env.envs.drive.options import LABELS, DriveOptions
-from motor_env.envs.drive.setup import DriveSetup, drive_filter, faulty
+from motor_env.envs.drive.setup import DriveSetup, drive_filter, faulty, speed_feedback
 from motor_env.envs.setup import converged_gain
 from motor_env.motor.model import Input, discretize, load_torque
 from motor_env.motor.parameters import FloatArray, MotorParameters
 
-RUN, LIMP, STOP = -1.0, 0.25, 1.0
-"""Second entry of an action."""
 Observations = NDArray[np.float32]
 
 
@@ -30,42 +28,14 @@ class DrivePolicy(Protocol):
     def start(self, count: int) -> None:
         """Forget everything; so many sub-environments begin."""
 
-    def act(self, observations: Observations) -> FloatArray:
-        """Actions, shape (count, 2), from observations of shape (count, n_observed)."""
+    def act(self, observations: Observations) -> NDArray[Any]:
+        """Actions, one for each, from observations of shape (count, n_observed)."""
 
 
-def _named(setup: DriveSetup, observations: Observations) -> dict[str, FloatArray]:
+def named(setup: DriveSetup, observations: Observations) -> dict[str, FloatArray]:
     """The observed numbers by name, in SI units."""
     values = (observations * setup.view[0]).T
     return dict(zip(setup.observed, values, strict=True))
-
-
-class PI:
-    """A PI controller of the measured speed, with its integral held where the voltage is at its limit.
-
-    Args:
-        setup: of the environment.
-        gain: in V s/rad.
-        reset_s: time constant of its integral.
-    """
-
-    def __init__(self, setup: DriveSetup, *, gain: float = 0.06, reset_s: float = 0.03) -> None:
-        self.setup, self.gain, self.reset_s = setup, gain, reset_s
-
-    def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
-        self._integral = np.zeros(count)
-
-    def act(self, observations: Observations) -> FloatArray:
-        """Voltage that takes the speed to the profile."""
-        options, seen = self.setup.options, _named(self.setup, observations)
-        error = seen["profile_1"] - seen["measured_speed"]
-        self._integral = np.where(seen["time"] == 0.0, seen["voltage"], self._integral)
-        moved = self._integral + self.gain * options.period_s / self.reset_s * error
-        volts = self.gain * error + moved
-        free = np.abs(volts) < options.voltage_limit_v
-        self._integral = np.where(free, moved, self._integral)
-        return np.stack([volts / options.voltage_limit_v, np.full(len(volts), RUN)], axis=1)
 
 
 class Bank(NamedTuple):
@@ -98,7 +68,6 @@ class Bank(NamedTuple):
     moves: FloatArray
 
 
-SPEED_WEIGHT, INTEGRAL_WEIGHT = 1.0, 3000.0  # on squared rad/s and rad beside squared volt
 LEAST = 1e-12  # probability that a motor of the bank never falls below
 
 
@@ -106,12 +75,7 @@ def _feedback(options: DriveOptions, motor: MotorParameters) -> tuple[FloatArray
     """Model of a driven motor, gain and whitening of its filter, and its linear-quadratic gain with integral action."""
     belief, model = drive_filter(options, motor), discretize(motor, options.period_s)
     gain, covariance = converged_gain(belief)
-    a, b = np.eye(3), np.zeros((3, 1))
-    a[:2, :2], b[:2, 0] = belief.model.transition[:2, :2], belief.model.gain[:, Input.VOLTAGE]
-    a[2, 1] = options.period_s
-    price = np.diag([0.0, SPEED_WEIGHT, INTEGRAL_WEIGHT])
-    cost = solve_discrete_are(a, b, price, np.eye(1))
-    feedback = np.linalg.solve(np.eye(1) + b.T @ cost @ b, b.T @ cost @ a)[0]
+    feedback = speed_feedback(options, motor)
     return model.transition, model.gain, gain, np.linalg.inv(np.linalg.cholesky(covariance)), feedback
 
 
@@ -193,13 +157,14 @@ class Lqg:
         self._integral, self._temperature, self._current = np.zeros((3, count))
         self.probability = np.zeros((size, count))
 
-    def act(self, observations: Observations) -> FloatArray:
+    def act(self, observations: Observations) -> NDArray[Any]:
         """Voltage and decision from the posterior after the last measurement."""
-        limit, seen = self.setup.options.voltage_limit_v, _named(self.setup, observations)
+        limit, seen = self.setup.options.voltage_limit_v, named(self.setup, observations)
         self._follow(seen)
         volts = self._volts(seen)
         mean = (volts * self.probability).sum(axis=0) if self.reconfigures else volts[0]
-        return np.stack([np.clip(mean / limit, -1.0, 1.0), self._decision()], axis=1)
+        given = np.stack([np.clip(mean / limit, -1.0, 1.0), self._decision()], axis=1)
+        return as_actions(self.setup.options.control, given)
 
     def _torque(self, speed: FloatArray, unknown: FloatArray) -> FloatArray:
         options = self.setup.options
@@ -217,9 +182,13 @@ class Lqg:
         state[:, 2] *= options.load_memory
         state += bank.gain @ innovation
         fit = self._fit - 0.5 * np.square(bank.whitening @ innovation).sum(axis=1)
-        self.probability = softmax(fit + np.log(bank.moves.T @ self.probability + LEAST), axis=0)
+        self._weigh(fit, seen)
         self._heat(measured[0])
         self._begin(seen["time"] == 0.0, measured)
+
+    def _weigh(self, fit: FloatArray, seen: dict[str, FloatArray]) -> None:
+        """Probability of each motor after the measurement, from its log-likelihood."""
+        self.probability = softmax(fit + np.log(self.bank.moves.T @ self.probability + LEAST), axis=0)
 
     def _heat(self, current: FloatArray) -> None:
         """Temperature of the winding whose resistance is the expected one."""

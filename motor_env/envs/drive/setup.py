@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
 
 from motor_env.envs.drive import kernel
-from motor_env.envs.drive.options import DriveOptions
+from motor_env.envs.drive.options import Control, DriveOptions
 from motor_env.envs.layout import empty_streams
 from motor_env.envs.setup import converged_gain
 from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, KalmanFilter
@@ -61,6 +62,20 @@ def drive_filter(options: DriveOptions, motor: MotorParameters) -> KalmanFilter:
         initial_state=np.zeros(3),
         initial_covariance=np.zeros((3, 3)),
     )
+
+
+SPEED_WEIGHT, INTEGRAL_WEIGHT = 1.0, 3000.0  # on squared rad/s and rad beside squared volt
+
+
+def speed_feedback(options: DriveOptions, motor: MotorParameters) -> FloatArray:
+    """Linear-quadratic gain with integral action: voltage for current, speed, and integral of the speed's error."""
+    model = drive_filter(options, motor).model
+    a, b = np.eye(3), np.zeros((3, 1))
+    a[:2, :2], b[:2, 0] = model.transition[:2, :2], model.gain[:, Input.VOLTAGE]
+    a[2, 1] = options.period_s
+    cost = solve_discrete_are(a, b, np.diag([0.0, SPEED_WEIGHT, INTEGRAL_WEIGHT]), np.eye(1))
+    gain: FloatArray = np.linalg.solve(np.eye(1) + b.T @ cost @ b, b.T @ cost @ a)[0]
+    return gain
 
 
 def faulty(options: DriveOptions, label: str, severity: float) -> MotorParameters:
@@ -120,6 +135,8 @@ def _numbers(options: DriveOptions) -> FloatArray:
         *model.transition.ravel(),
         *(*model.gain[:, Input.VOLTAGE], *model.gain[:, Input.LOAD_TORQUE]),
         *(*gain.ravel(), whitening[0, 0], *whitening[1], math.exp(-dt / SLOW_MEMORY_S)),
+        *(o.tracking_limit_per_s * dt, float(o.control is Control.DECISION)),
+        *(*speed_feedback(o, motor), o.steps_per_decision),
     ]
     assert len(numbers) == kernel.N_CONSTANTS  # noqa: S101  # as the kernel counts them
     return np.array(numbers)

@@ -1,4 +1,4 @@
-"""Policies for the maintenance task, the plan that is best for its belief, and what no policy can exceed."""
+"""Policies for the maintenance task, and the plan that is best for its belief."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def _gaussians() -> FloatArray:
     return np.array(beliefs)
 
 
-def _transitions(tables: Tables) -> FloatArray:
+def transitions(tables: Tables) -> FloatArray:
     """Probability of each level after a day without failure, given level and rate, (n_rates, LEVELS, LEVELS)."""
     chain = np.zeros((len(tables.rates), LEVELS, LEVELS))
     for level in range(LEVELS):
@@ -124,7 +124,7 @@ def _plan(options: MaintainOptions, tables: Tables) -> FloatArray:
     """Worth of each action with so many days left, (days + 1, 3, n_rates, LEVELS * n_stds)."""
     level, beliefs = np.arange(LEVELS), _gaussians()
     chances, places = [], []
-    for chain in _transitions(tables):
+    for chain in transitions(tables):
         joint = (beliefs @ chain)[
             :, None, :
         ] * tables.estimate  # of estimate and level, (n_points, n_estimates, LEVELS)
@@ -146,44 +146,6 @@ def _plan(options: MaintainOptions, tables: Tables) -> FloatArray:
             worth[left, INSPECT, rate] = beliefs @ _between(value[rate], exact) - options.inspection_cost
         worth[left, REPLACE] = tables.weights @ worth[left, RUN, :, 0] - options.replacement_cost
     return worth
-
-
-def maintenance_bound(options: MaintainOptions) -> float:
-    """A return that no policy exceeds in the mean: the fast informed bound (Hauskrecht 2000).
-
-    It is the return of an agent that is told yesterday's level and the rate, but not what today brought.
-    """
-    tables = make_tables(options)
-    chain, weights = _transitions(tables), tables.weights
-    worth = np.zeros((3, len(weights), LEVELS))
-
-    def told(rate: int) -> FloatArray:
-        """For each level before: of each estimate and next action the expected worth, (LEVELS, n_estimates, 3)."""
-        after = tables.estimate[:, :, None] * worth[:, rate].T  # (n_estimates, LEVELS, 3)
-        expected: FloatArray = np.einsum("xz,eza->xea", chain[rate], after, optimize=True)
-        return expected
-
-    for _ in range(options.days):
-        new = float((weights @ worth[:, :, 0].T).max())
-        ahead = np.array([told(rate) for rate in range(len(weights))])
-        fails = tables.failing * (new - options.failure_cost)
-        run = ahead.max(axis=3).sum(axis=2) + fails
-        replaced = np.tensordot(weights, ahead[:, 0], axes=1).max(axis=1).sum() + float(weights @ fails[:, 0])
-        inspect = worth.max(axis=0) - options.inspection_cost
-        worth = np.stack([run, inspect, np.full_like(run, replaced - options.replacement_cost)])
-    return float((weights @ worth[:, :, 0].T).max())
-
-
-def clairvoyant_value(options: MaintainOptions) -> float:
-    """Mean return of whoever sees level and rate every morning: dynamic programming without a belief."""
-    tables = make_tables(options)
-    chain, weights = _transitions(tables), tables.weights
-    value = np.zeros((len(weights), LEVELS))
-    for _ in range(options.days):
-        new = float(weights @ value[:, 0])
-        run = np.einsum("rxz,rz->rx", chain, value) + tables.failing * (new - options.failure_cost)
-        value = np.maximum(run, float(weights @ run[:, 0]) - options.replacement_cost)
-    return float(weights @ value[:, 0])
 
 
 def returns_of(envs: MaintainVectorEnv, policy: Policy, seed: int) -> FloatArray:

@@ -92,4 +92,4 @@ TASKS = {
     ),
     "Drive-v0": Task(lambda envs: Lqg(envs.setup), lambda envs: Lqg(envs.setup, levels=4)),
 }
-"""Thresholds as examples/baselines.py and benchmarks/maintain.py tune them."""
+"""Thresholds as benchmarks/baselines.py and benchmarks/maintain.py tune them."""

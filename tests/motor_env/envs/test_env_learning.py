@@ -138,7 +138,8 @@ def test_ppo_learns_in_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.timeout(600)
 def test_a_bracket_scores_the_posterior_as_the_environment_does() -> None:
     pytest.importorskip("torch")
-    bracket = example("bracket")
+    import bracket
+
     paths = bracket.collect("medium", 100, seed=3)
     surprise = paths.surprise.sum(axis=1)
     assert (abs(surprise.mean(axis=0)) < 4.0 * surprise.std(axis=0) / 10.0).all()

@@ -1,6 +1,5 @@
 """Baselines and their scores: against the truth, against the posterior built by hand, and below their bounds."""
 
-import importlib.util
 import json
 import sys
 from collections.abc import Callable
@@ -8,30 +7,28 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import bounds
 import numpy as np
 import pytest
+from look_ahead import LookAhead, RatioTest
+from looks import LOG_ODDS, PROBABILITY, look_matrix
+from pairs import declared_worth, silent_worth
 from scipy.stats import multivariate_normal, norm
+from tolerances import TolerancePolicy, level_std
 
 from motor_env import Cusum, FaultKind, Recipe, discretize
 from motor_env.envs import (
     BankPolicy,
     BayesPolicy,
-    Bursts,
-    LookAhead,
     MonitorOptions,
     MonitorVectorEnv,
     Never,
     OnDemand,
-    OpenLoop,
     ProbeBelief,
     ProbeOptions,
     ProbeVectorEnv,
     Random,
-    RatioTest,
     RulePolicy,
-    Runs,
-    ThresholdPolicy,
-    TolerancePolicy,
     WorthTest,
     baseline_features,
     kernel,
@@ -39,14 +36,11 @@ from motor_env.envs import (
     score,
     sweep,
 )
-from motor_env.envs.baselines import bounds
 from motor_env.envs.baselines.belief import final_worth, worth
-from motor_env.envs.baselines.evaluation import interval, joined
-from motor_env.envs.baselines.looks import LOG_ODDS, PROBABILITY, look_matrix
-from motor_env.envs.baselines.pairs import declared_worth, silent_worth
-from motor_env.envs.baselines.policies import column
+from motor_env.envs.baselines.evaluation import Runs, interval, joined
+from motor_env.envs.baselines.policies import ThresholdPolicy, column
 from motor_env.envs.baselines.posterior_policies import signatures
-from motor_env.envs.baselines.tolerances import level_std
+from motor_env.envs.baselines.probing import Bursts, OpenLoop
 from motor_env.envs.setup import converged_gain, make_setup
 from motor_env.envs.tasks import EASY, HARD, MEDIUM, SMALL
 from motor_env.motor.faults import apply_faults
@@ -506,16 +500,12 @@ def test_the_bound_of_a_probe_takes_the_worst_shares(monkeypatch: pytest.MonkeyP
 @pytest.mark.long
 def test_agent_trains_and_is_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("stable_baselines3", reason="extra rl")
-    path = Path(__file__).parents[3] / "examples" / "train_probe.py"
-    spec = importlib.util.spec_from_file_location("train_probe", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    import train_probe
+
     out = tmp_path / "agent"
     arguments = ["train_probe.py", "--steps", "600", "--envs", "8", "--episodes", "20", "--out", str(out)]
     monkeypatch.setattr(sys, "argv", arguments)
-    module.main()
+    train_probe.main()
     found = json.loads((out / "evaluation.json").read_text())
     assert found["scores"]["agent"]["episodes"] == 100
     assert len(found["curve"]) >= 2

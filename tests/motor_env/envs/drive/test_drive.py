@@ -4,27 +4,30 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+import clairvoyant
 import gymnasium as gym
 import numpy as np
 import pytest
+from drive_bound import drive_bounds
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from pi_controller import PI
+from planned_drive import PlannedDecisions, PlannedDrive
 
 from motor_env import discretize
 from motor_env.envs import (
-    PI,
     DriveEnv,
     DriveOptions,
     DriveVectorEnv,
     Lqg,
-    clairvoyant_returns,
     drive_episodes,
 )
-from motor_env.envs.drive import evaluation, kernel
+from motor_env.envs.drive import kernel
+from motor_env.envs.drive.actions import LIMP, RUN, STOP
 from motor_env.envs.drive.env import REWARDS
 from motor_env.envs.drive.evaluation import joined_drives
 from motor_env.envs.drive.options import LABELS
-from motor_env.envs.drive.policies import LIMP, RUN, STOP, make_bank
+from motor_env.envs.drive.policies import make_bank
 from motor_env.envs.drive.setup import drive_filter, faulty
 from motor_env.envs.setup import converged_gain
 
@@ -186,7 +189,7 @@ def follow_truth(env: DriveEnv, actions: Iterable[Any]) -> Iterator[tuple[Any, A
 
 @pytest.mark.parametrize("kind", [0, 1, 2])
 def test_every_price_alone(kind: int) -> None:
-    """At the default prices, from the motor's true state, as docs/decisions.md has them."""
+    """At the default prices, from the motor's true state, as docs/drive-and-maintain.md has them."""
     weights = tuple(float(k == kind) for k in range(3))
     env = DriveEnv(weights=weights, mean_onset_s=0.0, warm_k=1.0, burn_k=1e3, growth_per_s=(1.2, 1.2))
     env.reset(seed=3)
@@ -390,6 +393,12 @@ def test_a_faulty_winding_burns() -> None:
         ({"ramp_s": (0.5, 0.2)}, "ramp_s must be the smaller, then the larger number, got 0.5, 0.2"),
         ({"horizon_s": 1e9}, "horizon_s must be 1 to 100000 periods"),
         ({"speed": 1.0}, "no option 'speed'"),
+        (
+            {"control": "torque"},
+            "control must be one of voltage_and_decision, voltage_limp_stop, decision, got",
+        ),
+        ({"steps_per_decision": 0}, "steps_per_decision must be a whole number >= 1, got 0"),
+        ({"steps_per_decision": 7}, "horizon_s must hold a whole number of decisions of 7 periods, got 800"),
     ],
 )
 def test_bad_options_get_their_sentence(options: dict[str, Any], sentence: str) -> None:
@@ -405,6 +414,93 @@ def test_bad_actions_get_their_sentence() -> None:
             env.step(action)
 
 
+@pytest.mark.parametrize("control", ["voltage_limp_stop", "decision"])
+def test_other_actions_give_the_same_commands(control: str) -> None:
+    """Of a vector and of a single environment; the drive's own controller is the LQG of the healthy motor."""
+    short: dict[str, Any] = {"tracking_limit_per_s": 3.0, "horizon_s": 3.0, "growth_per_s": (1.0, 3.0)}
+    changes = short | {"control": control}
+    plain, other = DriveVectorEnv(16, **short), DriveVectorEnv(16, **changes)
+    first, second = (drive_episodes(envs, Lqg(envs.setup, levels=3), seed=3) for envs in (plain, other))
+    off = np.abs(first.returns - second.returns)
+    assert (off == 0.0).all() if control == "voltage_limp_stop" else (np.median(off) < 0.02 and off.any())
+    single = DriveEnv(**changes)
+    seen, _ = single.reset(seed=3, options={"index": 7})
+    policy, total, over = Lqg(single.setup, levels=3), 0.0, False
+    policy.start(1)
+    while not over:
+        seen, reward, over, _, _ = single.step(policy.act(seen[None])[0])
+        total += reward
+    assert total == pytest.approx(second.returns[7], abs=1e-9)
+    for action in (3, [0.0, 0.0]):
+        single.reset()
+        with pytest.raises(ValueError, match="action must be"):
+            single.step(action)
+
+
+def test_its_own_controller_is_the_fixed_lqg() -> None:
+    plain, own = DriveVectorEnv(8), DriveVectorEnv(8, control="decision")
+    seen, _ = plain.reset(seed=3)
+    own.reset(seed=3)
+    policy = Lqg(plain.setup)
+    policy.start(8)
+    for _ in range(300):
+        seen = plain.step(policy.act(seen))[0]
+        other = own.step(np.zeros(8, dtype=np.int64))[0]
+    np.testing.assert_allclose(other, seen, atol=2e-4)
+    with pytest.raises(ValueError, match=r"actions must be in 0 .. 2, got 0 .. 3"):
+        own.step(np.arange(8) % 4)
+
+
+def test_a_decision_lasts_and_an_error_costs_so_much_at_most() -> None:
+    healthy: dict[str, Any] = {"control": "decision", "weights": (1.0, 0.0, 0.0)}
+    fine, coarse = DriveVectorEnv(4, **healthy), DriveVectorEnv(4, **healthy, steps_per_decision=5)
+    fine.reset(seed=5)
+    coarse.reset(seed=5)
+    for step in range(100):
+        limps = np.full(4, step % 3 == 0, dtype=np.int64)
+        inner = [fine.step(limps) for _ in range(5)]
+        seen, reward, over, _, info = coarse.step(limps)
+        np.testing.assert_array_equal(seen, inner[-1][0])
+        np.testing.assert_allclose(reward, sum(each[1] for each in inner), rtol=1e-12)
+        np.testing.assert_allclose(
+            info["reward_limp"], sum(each[4]["reward_limp"] for each in inner), rtol=1e-12
+        )
+        assert not over.any()
+    free, capped = DriveVectorEnv(50), DriveVectorEnv(50, tracking_limit_per_s=3.0)
+    for envs in (free, capped):
+        envs.reset(seed=5)
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        actions = np.stack([rng.uniform(-1.0, 1.0, 50), np.full(50, RUN)], axis=1)
+        errors = [-envs.step(actions)[4]["reward_tracking"] for envs in (free, capped)]
+        np.testing.assert_allclose(errors[1], errors[0] / (1.0 + errors[0] / 0.03), rtol=1e-12)
+    assert errors[0].max() > 0.5 > 0.03 > errors[1].max()
+
+
+def test_no_controller_is_above_the_bound() -> None:
+    """In no episode, as it is told all that is to come; a controller that hardly errs comes near."""
+    envs = DriveVectorEnv(60)
+    bound = drive_bounds(envs.options, 60, seed=4)
+    rules = [clairvoyant.Clairvoyant(envs, limp_from=limp, stop_from=0.97) for limp in (0.0, 0.5, np.inf)]
+    best = np.max([drive_episodes(envs, rule, 4).returns for rule in rules], axis=0)
+    assert (best < bound + 1e-3).all()
+    assert bound.mean() - 0.35 < best.mean() < bound.mean() < -0.5
+
+
+@pytest.mark.long
+def test_the_plan_is_ahead_of_the_bank() -> None:
+    envs = DriveVectorEnv(150)
+    bank, plan = (
+        drive_episodes(envs, policy, seed=9).returns
+        for policy in (Lqg(envs.setup, levels=8), PlannedDrive(envs.setup))
+    )
+    ahead = plan - bank
+    assert ahead.mean() > 1.5 * ahead.std() / np.sqrt(150)
+    deciding = DriveVectorEnv(150, **gym.spec("motor_env/DriveDecide-v0").kwargs)
+    decided = drive_episodes(deciding, PlannedDecisions(deciding.setup), seed=9).returns
+    assert decided.mean() > bank.mean()
+
+
 def test_detection_is_worth_something(monkeypatch: pytest.MonkeyPatch) -> None:
     envs = DriveVectorEnv(40)
     fixed, bank = (drive_episodes(envs, Lqg(envs.setup, levels=levels), seed=9) for levels in (0, 8))
@@ -413,10 +509,10 @@ def test_detection_is_worth_something(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(fixed.class_index, bank.class_index)
     both = joined_drives([fixed, bank])
     assert (both.returns.shape, both.parts.shape, both.class_index.shape) == ((80,), (6, 80), (80,))
-    assert (evaluation.LIMP_FROM[:5], evaluation.STOP_FROM[0]) == ((0.0, 0.2, 0.35, 0.5, 0.7), 0.97)
-    monkeypatch.setattr(evaluation, "LIMP_FROM", (0.35, 0.7))
-    monkeypatch.setattr(evaluation, "STOP_FROM", (0.97,))
-    assert clairvoyant_returns(envs, seed=9).mean() > bank.returns.mean()
+    assert (clairvoyant.LIMP_FROM[:5], clairvoyant.STOP_FROM[0]) == ((0.0, 0.2, 0.35, 0.5, 0.7), 0.97)
+    monkeypatch.setattr(clairvoyant, "LIMP_FROM", (0.35, 0.7))
+    monkeypatch.setattr(clairvoyant, "STOP_FROM", (0.97,))
+    assert clairvoyant.clairvoyant_returns(envs, seed=9).mean() > bank.returns.mean()
 
 
 def test_a_picture_changes_nothing() -> None:

@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from maintain_bounds import clairvoyant_value, maintenance_bound
 from scipy.stats import norm
 
 from motor_env import Experiment, cramer_rao_bound, load_recipe
@@ -15,17 +16,13 @@ from motor_env.envs import (
     MaintainVectorEnv,
     PlannedUpkeep,
     ReplaceFrom,
-    maintenance_bound,
     rendering,
     returns_of,
 )
 from motor_env.envs.maintain import kernel, picture
 from motor_env.envs.maintain.options import LEVELS, LOWEST_ESTIMATE, make_tables
 from motor_env.envs.maintain.picture import Logbook
-from motor_env.envs.maintain.policies import (  # the grid of the plan, filled by hand
-    _STDS as STDS,
-    clairvoyant_value,
-)
+from motor_env.envs.maintain.policies import _STDS as STDS  # the grid of the plan, filled by hand
 
 SPREAD = MaintainOptions(rate_spread=0.5)
 

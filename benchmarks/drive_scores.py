@@ -1,20 +1,26 @@
 """What detection is worth to a controller: scores of the baselines of a drive as a Markdown table.
 
-python examples/drive.py --task Drive-v0       # some two minutes of one core
+python benchmarks/drive_scores.py --task Drive-v0       # some two minutes of one core
 
 Thresholds and the PI controller are tuned on 200 episodes of one seed, all are scored on 200 of each of five others.
 """
 
 import argparse
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import product
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from clairvoyant import clairvoyant_returns
+from pi_controller import PI
+from planned_drive import PlannedDrive
 
-from motor_env.envs import PI, DriveVectorEnv, Lqg, clairvoyant_returns, drive_episodes
+from motor_env.envs import DriveVectorEnv, Lqg, drive_episodes
 from motor_env.envs.baselines.evaluation import interval
 from motor_env.envs.drive.evaluation import Drives, joined_drives
+from motor_env.envs.drive.policies import DrivePolicy
 
 LEVELS = 8
 TUNING_SEED, SEEDS, EPISODES = 1, (11, 12, 13, 14, 15), 200
@@ -32,8 +38,8 @@ def make(task: str, count: int) -> DriveVectorEnv:
 
 
 def tuned(
-    envs: DriveVectorEnv, kind: type[PI] | partial[Lqg], grid: dict[str, tuple[object, ...]]
-) -> dict[str, object]:
+    envs: DriveVectorEnv, kind: Callable[..., DrivePolicy], grid: Mapping[str, tuple[Any, ...]]
+) -> dict[str, Any]:
     """The point of the grid with the best mean return."""
     points = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
     scores = [drive_episodes(envs, kind(envs.setup, **point), TUNING_SEED).returns.mean() for point in points]
@@ -60,25 +66,28 @@ def main() -> None:
     envs, tuning = make(task, EPISODES), make(task, 200)
     bank = partial(Lqg, levels=LEVELS)
     pi, best = tuned(tuning, PI, PI_GRID), tuned(tuning, bank, BANK_GRID)
-    print(f"PI {pi}, bank {best}", flush=True)  # noqa: T201
-    policies = {
+    print(f"PI {pi}, bank {best}", flush=True)
+    policies: dict[str, DrivePolicy] = {
         "PI": PI(envs.setup, **pi),
         "LQG with integral action": Lqg(envs.setup),
         "voltage by the bank": bank(envs.setup, decides=False),
         "decisions by the bank": bank(envs.setup, reconfigures=False, **best),
         "both by the bank": bank(envs.setup, **best),
+        "plan": PlannedDrive(envs.setup),
     }
     scored = {}
     for name, policy in policies.items():
         scored[name] = joined_drives([drive_episodes(envs, policy, seed) for seed in SEEDS])
-        print(row(name, scored[name]), flush=True)  # noqa: T201
+        print(row(name, scored[name]), flush=True)
     last = scored["both by the bank"]
     ahead, half = interval(last.returns - scored["LQG with integral action"].returns)
-    print(f"bank ahead of the fixed LQG by {ahead:.3f} ± {half:.3f}")  # noqa: T201
+    print(f"bank ahead of the fixed LQG by {ahead:.3f} ± {half:.3f}")
+    ahead, half = interval(scored["plan"].returns - last.returns)
+    print(f"plan ahead of the bank by {ahead:.3f} ± {half:.3f}")
     known = np.concatenate([clairvoyant_returns(envs, seed) for seed in SEEDS])
     by_class = [f"{known[last.class_index == k].mean():.2f}" for k in np.unique(last.class_index)]
     mean, half = interval(known)
-    print(f"clairvoyant {mean:+.3f} ± {half:.3f}, by class {by_class}")  # noqa: T201
+    print(f"clairvoyant {mean:+.3f} ± {half:.3f}, by class {by_class}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Between which two figures the best return on a monitor lies whose motor is known (needs torch).
 
-python examples/bracket.py --recipe small        # a minute or two of one core
+python benchmarks/bracket.py --recipe small        # a minute or two of one core
 
 Above: an agent that knows the future of its own posterior, but pays for it. The price is a martingale, which costs an
 agent without such knowledge nothing on average, so that the mean of the best moment bounds every policy (Rogers 2002;
@@ -84,7 +84,8 @@ def collect(recipe: str, count: int, seed: int) -> Paths:
 def fit(paths: Paths, rounds: int) -> nn.Module:
     """The network whose martingale leaves a knowing agent least, and least by luck."""
     seen = torch.tensor(paths.seen, dtype=torch.float32)
-    shocks = torch.tensor(paths.surprise, dtype=torch.float32).unflatten(1, (-1, BLOCK)).sum(2)
+    shocks = torch.tensor(paths.surprise, dtype=torch.float32)
+    shocks = shocks.reshape(len(shocks), -1, BLOCK, shocks.shape[2]).sum(2)
     stop = torch.tensor(paths.stop[:, ::BLOCK], dtype=torch.float32)
     sizes = (seen.shape[2], 32, 32, shocks.shape[2])
     network = nn.Sequential(
@@ -116,7 +117,8 @@ def one_threshold(paths: Paths, price: FloatArray, threshold: float) -> FloatArr
     over = paths.worth[:, :n] >= threshold
     at = np.where(over.any(axis=1), over.argmax(axis=1), n)
     rows = np.arange(len(at))
-    return paths.stop[rows, at] - price[rows, at]
+    found: FloatArray = paths.stop[rows, at] - price[rows, at]
+    return found
 
 
 def main() -> None:
@@ -138,9 +140,9 @@ def main() -> None:
         interval((scored.stop - price).max(axis=1)),
         interval(one_threshold(scored, price, threshold)),
     )
-    print(f"one threshold, {threshold:.4f}: {low:+.4f} ± {low_half:.4f}")  # noqa: T201
-    print(f"upper bound: {high:+.4f} ± {high_half:.4f}")  # noqa: T201
-    print(f"width with both sampling errors: {high + high_half - low + low_half:.4f}")  # noqa: T201
+    print(f"one threshold, {threshold:.4f}: {low:+.4f} ± {low_half:.4f}")
+    print(f"upper bound: {high:+.4f} ± {high_half:.4f}")
+    print(f"width with both sampling errors: {high + high_half - low + low_half:.4f}")
 
 
 if __name__ == "__main__":

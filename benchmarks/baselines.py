@@ -1,7 +1,7 @@
 """Score the baselines of the environments: designs and thresholds tuned on one seed, scores from others.
 
-python examples/baselines.py --task Monitor-v0/medium --out out/baselines.json
-python examples/baselines.py --task all --episodes 1000
+python benchmarks/baselines.py --task Monitor-v0/medium --out out/baselines.json
+python benchmarks/baselines.py --task all --episodes 1000
 """
 
 import argparse
@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from bounds import upper_bound
+from look_ahead import LookAhead, RatioTest
+from tolerances import TolerancePolicy
 
 from motor_env.detection.rules import Cusum, Glr, MOfN, Rule, nis_rule
-from motor_env.envs.baselines.bounds import upper_bound
 from motor_env.envs.baselines.evaluation import Runs, joined, score, sweep
 from motor_env.envs.baselines.policies import (
     BankPolicy,
@@ -25,8 +27,7 @@ from motor_env.envs.baselines.policies import (
     baseline_features,
 )
 from motor_env.envs.baselines.posterior_policies import BayesPolicy
-from motor_env.envs.baselines.probing import Bursts, LookAhead, OnDemand, OpenLoop, RatioTest, WorthTest
-from motor_env.envs.baselines.tolerances import TolerancePolicy
+from motor_env.envs.baselines.probing import Bursts, OnDemand, OpenLoop, WorthTest
 from motor_env.envs.monitor import MonitorVectorEnv
 from motor_env.envs.options import Drive
 from motor_env.envs.probe import ProbeVectorEnv
@@ -110,7 +111,7 @@ def bursts(n_steps: int) -> list[Bursts]:
     return [Bursts(*design) for design in tried if design[2] <= design[1]]
 
 
-def open_loop(test: type[RatioTest], probe: Bursts, thresholds: FloatArray, level_v: float) -> Design:
+def open_loop(test: type[WorthTest], probe: Bursts, thresholds: FloatArray, level_v: float) -> Design:
     """A test under an open-loop probe."""
     label = (
         f"{level_v:g} V, {probe.length} of {probe.period} steps from {probe.start}, sides {probe.half_period}"
@@ -183,7 +184,7 @@ class Bench:
     def row(self, name: str, label: str, threshold: float, runs: Runs) -> dict[str, Any]:
         """A line of the table, which it prints."""
         found = score(self.envs, runs)
-        print(  # noqa: T201
+        print(
             f"| {name} | {label} | {threshold:.4g} | {found.mean_return:+.3f} ± {found.return_half_width:.3f} | "
             f"{found.false_alarm_share:.1%} | {found.detected_share:.1%} | {found.isolated_share:.1%} | "
             f"{1e3 * found.median_delay_s:.1f} ms | {found.probing_share:.1%} | {found.late_share:.1%} |",
@@ -248,7 +249,7 @@ def main() -> None:
     given = parser.parse_args()
     rows: list[dict[str, Any]] = []
     for task in TASK_NAMES if given.task == "all" else (given.task,):
-        print(  # noqa: T201
+        print(
             f"\n{task}\n\n| policy | design | threshold | return | false alarms | detected | right kind | "
             "median delay | probing | too late |\n|---|---|---|---|---|---|---|---|---|---|"
         )
@@ -257,7 +258,7 @@ def main() -> None:
         if given.bound and bench.drive is Drive.OPEN_LOOP:
             bound = upper_bound(bench.envs.options)
             rows.append({"task": task, "policy": "upper bound", "mean_return": bound})
-            print(f"| upper bound | | | {bound:+.3f} | | | | | | |")  # noqa: T201
+            print(f"| upper bound | | | {bound:+.3f} | | | | | | |")
     given.out.parent.mkdir(parents=True, exist_ok=True)
     given.out.write_text(json.dumps(rows, indent=2) + "\n")
 

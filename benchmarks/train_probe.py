@@ -1,11 +1,11 @@
 """Train an agent to probe a motor and to declare its fault, by PPO of Stable-Baselines3 (extra rl), and score it.
 
-python examples/train_probe.py --steps 1200000 --out out/probe-agent
+python benchmarks/train_probe.py --steps 1200000 --out out/probe-agent
 
 The agent sees the summary of a posterior (`motor_env.envs.baselines.belief`), made from what the environment shows and
 nothing else, and learns by PPO (Schulman et al. 2017) from the reward that the posterior expects: the true one on
 average, without the noise of luck. It is scored on other seeds beside the best open-loop probe that
-examples/baselines.py finds, and beside a textbook rule in closed loop, all on the same episodes. Minutes on one core.
+benchmarks/baselines.py finds, and beside a textbook rule in closed loop, all on the same episodes. Minutes on one core.
 """
 
 import argparse
@@ -13,10 +13,10 @@ import json
 from pathlib import Path
 from typing import Any
 
+import film
 import numpy as np
 import torch
 from matplotlib import pyplot as plt
-from PIL import Image
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -28,7 +28,7 @@ from motor_env.envs.baselines.evaluation import Runs, interval, joined, run_epis
 from motor_env.envs.baselines.policies import Policy
 from motor_env.envs.baselines.posterior_view import PosteriorView, Summarised
 from motor_env.envs.baselines.probing import Bursts, OnDemand, OpenLoop, WorthTest
-from motor_env.envs.probe import ProbeEnv, ProbeVectorEnv
+from motor_env.envs.probe import ProbeVectorEnv
 from motor_env.envs.setup import Setup
 
 TRAINING_SEED, VALIDATION_SEED = 1000, 800
@@ -38,7 +38,7 @@ ON_DEMAND_ABOVE, ON_DEMAND_THRESHOLD = 0.065, 0.97
 
 
 def open_loop(setup: Setup) -> Policy:
-    """The best open-loop probe and its test, as tuned by examples/baselines.py."""
+    """The best open-loop probe and its test, as tuned by benchmarks/baselines.py."""
     return OpenLoop(WorthTest(setup, OPEN_LOOP_THRESHOLD), OPEN_LOOP.actions(setup.options.n_steps))
 
 
@@ -52,14 +52,15 @@ def agent(setup: Setup, model: BaseAlgorithm) -> Policy:
     return Summarised(ProbeBelief(setup), lambda seen: model.predict(seen, deterministic=True)[0])
 
 
-class Curve(BaseCallback):
+class Curve(BaseCallback):  # type: ignore[misc]  # it is untyped
     """Scores the agent on validation episodes now and then, keeps its best weights, and shows progress."""
 
     def __init__(self, steps: int, episodes: int, *, points: int = 8) -> None:
         super().__init__()
         self._envs, self._every, self._total = ProbeVectorEnv(episodes), max(1, steps // points), steps
         self.points: list[dict[str, float]] = []
-        self._best, self._weights, self._due = -np.inf, {}, 0
+        self._best, self._due = -np.inf, 0
+        self._weights: dict[str, torch.Tensor] = {}
         columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
         self._progress = Progress(*columns)
 
@@ -160,25 +161,6 @@ def draw_curve(points: list[dict[str, float]], compared: dict[str, Any], path: P
     plt.close(figure)
 
 
-def film(model: PPO, path: Path, severity: float = 0.01) -> None:
-    """An animation of one episode in which a winding grows worse by that much, from a little before the onset on."""
-    env = ProbeEnv(render_mode="rgb_array")
-    learned = agent(env.setup, model)
-    for seed in range(10_000):
-        observation, info = env.reset(seed=seed)
-        if info["severity"] == severity and 1000 < info["onset_sample"] < 2000:
-            break
-    learned.start(1)
-    frames, over, step = [], False, 0
-    while not over:
-        observation, _, over, _, _ = env.step(int(learned.act(observation[None])[0]))
-        if step % 2 == 0 or over:
-            frames.append(Image.fromarray(env.render()).quantize(32))
-        step += 1
-    frames += [frames[-1]] * 20
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=80, loop=0, optimize=True)
-
-
 def main() -> None:
     """Train, score, draw."""
     parser = argparse.ArgumentParser(
@@ -196,11 +178,12 @@ def main() -> None:
     (given.out / "evaluation.json").write_text(json.dumps({"curve": points, **compared}, indent=2) + "\n")
     draw_curve(points, compared, given.out / "learning-curve.svg")
     draw_curve(points, compared, given.out / "learning-curve.png")
-    film(model, given.out / "episode.gif")
+    env = film.probe()
+    film.film(env, agent(env.setup, model), given.out / "episode.gif")
     for name, found in compared["scores"].items():
-        print(f"{name:<10} return {found['mean_return']:+.4f} ± {found['return_half_width']:.4f}")  # noqa: T201
+        print(f"{name:<10} return {found['mean_return']:+.4f} ± {found['return_half_width']:.4f}")
     for name, found in compared["ahead"].items():
-        print(f"ahead of {name}: {found['mean']:+.4f} ± {found['half_width']:.4f}")  # noqa: T201
+        print(f"ahead of {name}: {found['mean']:+.4f} ± {found['half_width']:.4f}")
 
 
 if __name__ == "__main__":

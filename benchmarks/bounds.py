@@ -19,12 +19,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from looks import LOG_ODDS, PROBABILITY, look_matrix
+from pairs import Pair, declared_worth, silent_worth
 from scipy.optimize import minimize
 from scipy.special import softmax
 
 from motor_env.envs.baselines.hypotheses import N_HYPOTHESIS, known_faults, sample_model
-from motor_env.envs.baselines.looks import LOG_ODDS, PROBABILITY, look_matrix
-from motor_env.envs.baselines.pairs import Pair, declared_worth, silent_worth
 from motor_env.envs.options import MonitorOptions
 from motor_env.envs.setup import Setup, make_setup
 from motor_env.motor.parameters import FloatArray
