@@ -3,14 +3,14 @@
 .venv-bench/bin/python benchmarks/fleet_peers.py --fleets 40
 
 Each detector learns from a fleet of which some are sick, and scores fresh motors. Its threshold is the one at which 1
-in 100 of fresh healthy motors alarms: better than it could know. Ours ranks by the p-value, without that help too.
+in 100 of fresh healthy motors alarms: better than it could know.
 """
 
 from collections.abc import Iterator
 
 import numpy as np
 from cyclopts import run
-from fleet import BELIEF, CENTRE, ERROR, NAMES, TOTAL, drawn, log
+from fleet import BELIEF, CENTRE, ERROR, drawn, log
 from pyod.models.copod import COPOD
 from pyod.models.ecod import ECOD
 from pyod.models.hbos import HBOS
@@ -20,8 +20,11 @@ from pyod.models.lof import LOF
 from pyod.models.mcd import MCD
 from pyod.models.ocsvm import OCSVM
 from pyod.models.pca import PCA
+from scipy.special import stdtr
 from tables import keep_table
 
+from motor_env.diagnosis.explanations import Difference, explain
+from motor_env.diagnosis.running.windows import EXPONENTS
 from motor_env.fleet.population import Motors, learn_core
 from motor_env.motor.parameters import FloatArray
 
@@ -37,16 +40,20 @@ BEST = 3
 
 
 def ours(logs: FloatArray, fresh: FloatArray) -> FloatArray:
-    """Squared distances from the healthy core of a fleet's fits, shape (n_fresh,)."""
+    """How odd fresh fits are to a fleet's: by the smallest p-value of the tests of a verdict, shape (n_fresh,)."""
     n = len(logs)
     errors = np.tile(ERROR, (n, 1, 1))
     core = learn_core(
         Motors(logs, errors, np.arange(n), np.zeros(n, dtype=np.intp), BELIEF, np.eye(4) * 0.02**2)
     )
-    off = fresh - core.centres[0]
-    spread = core.next_motor() + core.within + ERROR
-    found: FloatArray = np.einsum("np,pq,nq->n", off, np.linalg.inv(spread), off)
-    return found
+    spread, freedom = core.next_motor() + core.within + ERROR, core.degrees_of_freedom
+
+    def oddity(off: FloatArray) -> float:
+        difference = Difference(off, spread, EXPONENTS, freedom)
+        whole = difference.p_value(difference.squared_distance, len(off))
+        return -float(np.log(min(whole, *(stdtr(freedom, -fault.z) for fault in explain(difference)))))
+
+    return np.array([oddity(one - core.centres[0]) for one in fresh])
 
 
 def currents(rng: np.random.Generator, logs: FloatArray) -> FloatArray:
@@ -67,7 +74,8 @@ def powers(fleets: int, *, raw: bool) -> Iterator[tuple[str, list[float]]]:
         seen, judged = (
             (currents(rng, logs), [currents(rng, each) for each in fresh]) if raw else (logs, fresh)
         )
-        scale = np.sqrt(np.diag(TOTAL)) if not raw else 1.0  # detectors by distance need one scale
+        # Detectors by distance need one scale; that of numbers is their own median deviation.
+        scale = 1.0 if raw else np.median(np.abs(logs - np.median(logs, axis=0)), axis=0)
         for make in (
             DETECTORS if not raw else [one for one in DETECTORS if one is not MCD]
         ):  # as many samples as that
@@ -92,7 +100,6 @@ def main(*, fleets: int = 40) -> None:
         others.sort(key=lambda row: -sum(row[1]))
         for name, shares in [own, *others[:BEST]] if not raw else others[:BEST]:
             rows.append([name, words, *(f"{share:.2f}" for share in shares)])
-    assert NAMES == ("R", "K", "J", "B")
     keep_table("fleet", "peers", ["method", "learns from", *FAULTS], rows)
 
 

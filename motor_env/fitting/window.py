@@ -39,7 +39,7 @@ class WindowFit(NamedTuple):
     covariance: FloatArray
     values: FloatArray
     whitened: FloatArray
-    misfit: float
+    misfit: float = 0.0
 
 
 @on_one_thread
