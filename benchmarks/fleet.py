@@ -28,7 +28,7 @@ from motor_env.diagnosis.running.windows import NAMES, FittedWindow
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.fleet.first import Reading
 from motor_env.fleet.fits import fit_fleet, second_log
-from motor_env.fleet.learning import BELIEVED
+from motor_env.fleet.learning import BELIEVED, directions_of
 from motor_env.fleet.mapping import processes
 from motor_env.fleet.own import with_own
 from motor_env.fleet.population import Core, Motors, learn_core
@@ -55,6 +55,7 @@ GAINS = {
 BELIEF = (
     identifiable.matrix(NAMES) @ identifiable.tolerance_covariance(BELIEVED) @ identifiable.matrix(NAMES).T
 )
+WAYS = directions_of(identifiable.matrix(NAMES))
 
 
 class Fault(NamedTuple):
@@ -113,7 +114,9 @@ def one(job: tuple[int, float, int, int, int]) -> Cell:
         logs[n] += every[rng.integers(len(every))].moves
     errors = np.tile(ERROR, (size, 1, 1))
     core = learn_core(
-        Motors(logs, errors, np.arange(size), np.zeros(size, dtype=np.intp), BELIEF, np.eye(4) * 0.02**2)
+        Motors(
+            logs, errors, np.arange(size), np.zeros(size, dtype=np.intp), BELIEF, np.eye(4) * 0.02**2, WAYS
+        )
     )
     counts = np.zeros(3)
     for fit in drawn(rng, healthy):

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from cyclopts import run
-from fleet import BELIEF, CENTRE, ERROR, drawn, log
+from fleet import BELIEF, CENTRE, ERROR, WAYS, drawn, log
 from pyod.models.copod import COPOD
 from pyod.models.ecod import ECOD
 from pyod.models.hbos import HBOS
@@ -44,7 +44,7 @@ def ours(logs: FloatArray, fresh: FloatArray) -> FloatArray:
     n = len(logs)
     errors = np.tile(ERROR, (n, 1, 1))
     core = learn_core(
-        Motors(logs, errors, np.arange(n), np.zeros(n, dtype=np.intp), BELIEF, np.eye(4) * 0.02**2)
+        Motors(logs, errors, np.arange(n), np.zeros(n, dtype=np.intp), BELIEF, np.eye(4) * 0.02**2, WAYS)
     )
     spread, freedom = core.next_motor() + core.within + ERROR, core.degrees_of_freedom
 

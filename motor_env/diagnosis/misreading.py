@@ -20,7 +20,7 @@ from motor_env.fitting.starts.plausibility import NOT_TURNING
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.identifiable import PARAMETERS, fault_direction
 
-_POWERS = {
+POWERS = {
     "current": {"R": -1.0, "L": -1.0, "J": 1.0, "B": 1.0},
     "voltage": {"R": 1.0, "L": 1.0, "K": 1.0, "J": 1.0, "B": 1.0},
     "speed": {"K": -1.0, "J": -2.0, "B": -2.0},
@@ -100,8 +100,8 @@ def wrong_scales(difference: Difference, names: tuple[str, ...], limit: float, r
     missing = {"voltage"} if any("V" in name for name in names) else set()
     missing |= set() if {"K", "K/V"} & set(names) else {"speed"}
     sd, found = np.sqrt(np.diag(difference.covariance)), []
-    for column in _POWERS.keys() - missing:
-        direction = difference.exponents @ [_POWERS[column].get(parameter, 0.0) for parameter in PARAMETERS]
+    for column in POWERS.keys() - missing:
+        direction = difference.exponents @ [POWERS[column].get(parameter, 0.0) for parameter in PARAMETERS]
         z, step, step_sd, p_left_over = along(difference, direction)
         if abs(z) <= limit or p_left_over <= rate:
             continue

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from motor_env.diagnosis.learning import START_SPREAD, learn_starts
+from motor_env.diagnosis.misreading import POWERS
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.windows import viscous
 from motor_env.diagnosis.shown.report import UNITS
@@ -24,6 +25,7 @@ from motor_env.fleet.names import Place, places_of
 from motor_env.fleet.population import Core, Motors, learn_core
 from motor_env.motor import identifiable
 from motor_env.motor.data_sheet import Motor, Tolerance
+from motor_env.motor.faults import motor_kinds
 from motor_env.motor.healthy import Fleet, Healthy, Windows
 from motor_env.motor.parameters import FloatArray
 
@@ -40,6 +42,8 @@ BELIEVED = Tolerance(
 """Spread from motor to motor that is believed before any is seen: about that of a fleet of real gear motors (see
 docs/howto/fleet.md). One that is too small costs false alarms in small fleets, one that is too large costs power."""
 _MANY = 500
+_GAINS = ("voltage", "current", "speed")
+_NONE = 1e-6
 _LOST = 0.5  # probability of the core below which a motor teaches nothing of how starts are recorded
 
 
@@ -75,6 +79,7 @@ class LearnedFleet:
             np.array([self.positions.index(motor.motor) for motor in self.motors]),
             exponents @ identifiable.tolerance_covariance(BELIEVED) @ exponents.T + _least(exponents),
             np.eye(len(exponents)) * START_SPREAD**2,
+            directions_of(exponents),
         )
 
     @cached_property
@@ -169,6 +174,19 @@ class LearnedFleet:
             )
             for position, row in zip(self.positions, off, strict=True)
         ]
+
+
+def directions_of(exponents: FloatArray) -> FloatArray:
+    """In which directions faults and gains of sensors move quantities, shape (m, p).
+
+    Args:
+        exponents: of (R, L, K, J, B, V) in each quantity, shape (p, 6).
+    """
+    gains = [
+        exponents @ [POWERS[column].get(name, 0.0) for name in identifiable.PARAMETERS] for column in _GAINS
+    ]
+    faults = [identifiable.visible_direction(kind, exponents) for kind in motor_kinds()]
+    return np.array([one for one in (*gains, *faults) if np.linalg.norm(one) > _NONE])
 
 
 def _least(exponents: FloatArray) -> FloatArray:

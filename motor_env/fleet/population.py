@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ _MOST_WITHIN = 0.8  # of the variance of another motor's record
 _ROUNDS, _SETTLED = 200, 1e-6
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Motors:
     """Records of several motors: all their quantities.
 
@@ -38,6 +39,7 @@ class Motors:
         position: number of each motor's place in its machine, such as left or right, shape (n_motors,).
         between, within: covariance from motor to motor, and from record to record of one motor, as believed before any
             is seen, shape (p, p).
+        directions: in which faults move several quantities at once, shape (m, p); each moves alone in any case.
     """
 
     logs: FloatArray
@@ -46,6 +48,17 @@ class Motors:
     position: NDArray[np.intp]
     between: FloatArray
     within: FloatArray
+    directions: FloatArray | None = None
+
+    @cached_property
+    def sick(self) -> list[FloatArray]:
+        """What sick motors scatter by in addition: along one direction each, and along all, shape (p, p) each."""
+        p = len(self.between)
+        axes = np.eye(p) if self.directions is None else np.vstack([np.eye(p), self.directions])
+        inverse = np.linalg.inv(self.between)
+        sizes = _SICK_SPREAD**2 / np.einsum("np,pq,nq->n", axes, inverse, axes)
+        along = [size * np.outer(axis, axis) for size, axis in zip(sizes.tolist(), axes, strict=True)]
+        return [*along, _SICK_SPREAD**2 * np.diag(self.between.diagonal())]
 
     def only(self, kept: NDArray[np.bool_]) -> Motors:
         """Those motors alone, `kept` of shape (n_motors,)."""
@@ -220,12 +233,10 @@ def _updated(core: Core, motors: Motors, share: FloatArray) -> tuple[Core, float
     Each record counts by its share of its motor, shape (n_records,).
     """
     logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
-    p, off = logs.shape[1], logs - core.centres[position]
-    spread = core.between + errors
+    off, spread = logs - core.centres[position], core.between + errors
     well = _log_density(off, spread)
-    far = _SICK_SPREAD**2 * motors.between.diagonal()
-    ways = [np.diag(axis) for axis in far * np.vstack([np.eye(p), np.ones(p)])]
-    ill = np.logaddexp.reduce([_log_density(off, spread + way) for way in ways], axis=0) - np.log(len(ways))
+    every = [_log_density(off, spread + way) for way in motors.sick]
+    ill = np.logaddexp.reduce(every, axis=0) - math.log(len(every))
     sick = (_SICK + float(share @ (1.0 - core.probability))) / (_SICK_OF + float(share.sum()))
     healthy = 1.0 / (1.0 + sick / (1.0 - sick) * np.exp(np.clip(ill - well, -500.0, 500.0)))
     counts = share * healthy

@@ -44,6 +44,17 @@ def test_the_core_is_that_of_the_healthy_ones_with_a_fifth_sick() -> None:
     assert np.mean(core.probability[20:] > 0.5) > 0.95
 
 
+def test_gains_that_move_several_quantities_are_told_from_the_core() -> None:
+    """A fifth of the motors has a speed that reads 15 or 20 % high: each quantity alone is not far off."""
+    rng, gain = np.random.default_rng(6), np.array([0.0, -1.0, -2.0, -2.0])
+    logs = healthy(rng, 100)
+    logs[:20] += np.outer(np.log(np.repeat([1.15, 1.2], 10)), gain)
+    everyone = motors(logs)
+    blind, known = learn_core(everyone), learn_core(replace(everyone, directions=gain[None]))
+    assert known.probability[:20].mean() < 0.5 * blind.probability[:20].mean()
+    assert known.between[1, 1] < blind.between[1, 1]
+
+
 def test_ten_healthy_motors_are_no_tighter_than_they_are() -> None:
     ratios = []
     for seed in range(40):
