@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motor_env.inference.posterior import class_evidence, recipe_observed
-from motor_env.motor.faults import FaultKind
+from motor_env.motor.faults import SENSOR_KINDS, FaultKind
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import FaultClass, Recipe
 
@@ -29,7 +29,7 @@ class SeverityPrior:
     """A kind of fault whose severity is uniform between two bounds.
 
     Raises:
-        ValueError: bounds out of order, negative, or not below 1 where something is lost.
+        ValueError: bounds out of order, negative, or not below 1 where something is lost; the kind is that of a sensor.
     """
 
     kind: FaultKind
@@ -38,6 +38,7 @@ class SeverityPrior:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", FaultKind(self.kind))
+        require(self.kind not in SENSOR_KINDS, f"kind must be a fault of the motor or noise, got {self.kind}")
         require(
             0.0 <= self.smallest < self.largest < np.inf,
             f"severity of {self.kind} must range from >= 0 to more, got {self.smallest:g} to {self.largest:g}",

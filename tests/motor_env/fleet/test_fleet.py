@@ -21,7 +21,7 @@ from motor_env.fleet.population import Core
 from motor_env.fleet.sister import Apart
 from motor_env.motor.parameters import FloatArray
 
-STEPS_V = np.repeat([0.0, 4.0, 10.0, -10.0, -4.0, 8.0], 60)
+STEPS_V = np.repeat([0.0, 4.0, 10.0, -10.0, -4.0, 8.0], 45)
 START_V = np.repeat([0.0, 12.0], [40, 260])
 GROUP = r"(?P<machine>\d+)_(?P<motor>left|right)(_(?P<repeat>[a-z]))?"
 SICK = "3_left"
@@ -51,10 +51,10 @@ def record(path: Path, seed: list[int], voltage_v: FloatArray, faults: tuple[Fau
     pd.DataFrame(columns).round(5).to_csv(path, index=False)
 
 
-def fleet(folder: Path, voltage_v: FloatArray) -> list[Path]:
-    """Four machines of two motors each, one sick."""
+def fleet(folder: Path, voltage_v: FloatArray, machines: int = 4) -> list[Path]:
+    """Machines of two motors each, one sick."""
     files = []
-    for machine in range(1, 5):
+    for machine in range(1, machines + 1):
         for side, motor in enumerate(("left", "right")):
             name = f"{machine}_{motor}"
             faults = (Fault(FaultKind.BEARING, 9.0),) if name == SICK else ()
@@ -113,12 +113,12 @@ def test_motors_of_one_machine_do_not_count_for_each_other(starts: list[Path]) -
 
 
 def test_logs_at_work_make_a_motor_file_that_judges_another_sister(tmp_path: Path) -> None:
-    files, toml = fleet(tmp_path / "fleet", STEPS_V), tmp_path / "fleet.toml"
+    files, toml = fleet(tmp_path / "fleet", STEPS_V, machines=3), tmp_path / "fleet.toml"
     assert main(["commission", "--fleet", *map(str, files), "--group", GROUP, "-o", str(toml)]) == 0
     motor = load_motor(toml)
     assert motor.healthy is not None
     assert motor.healthy.fleet is not None
-    assert motor.healthy.fleet.motors == 8
+    assert motor.healthy.fleet.motors == 6
     assert MonitorEnv(motor=str(toml)).reset(seed=0)[0].shape
     record(tmp_path / "new.csv", [50, 0], STEPS_V)
     record(tmp_path / "worn.csv", [50, 0], STEPS_V, (Fault(FaultKind.WINDING_CONTACT, 0.8),))
@@ -126,15 +126,15 @@ def test_logs_at_work_make_a_motor_file_that_judges_another_sister(tmp_path: Pat
     worn = diagnose(tmp_path / "worn.csv", motor)
     assert worn.verdict == "winding"
     assert worn.severity == pytest.approx(0.8, abs=0.25)
-    assert worn.reasons[1] == "compared with 8 sisters of commissioned motor"
+    assert worn.reasons[1] == "compared with 6 sisters of commissioned motor"
 
     # With each own record the healthy values come closer to the motor's own, and the spread falls.
     own = []
-    for repeat in range(6):
+    for repeat in range(4):
         own.append(tmp_path / f"own_{repeat}.csv")
         record(own[-1], [50, 0, repeat], STEPS_V)
     healthy = [motor.healthy]
-    for count in (1, 6):
+    for count in (1, 4):
         given, kept = [str(path) for path in own[:count]], tmp_path / f"own_{count}.toml"
         assert main(["commission", *given, "--motor", str(toml), "-o", str(kept)]) == 0
         learned = load_motor(kept).healthy
