@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from run_to_failure import WearRecipe, observe, remaining_life_coverage, run_to_failure
-from scipy.stats import invgauss, multivariate_normal
+from scipy.stats import invgauss
 
 from motor_env import InputError
 from motor_env.cli import main
 from motor_env.prognosis.estimates import Series, build_series, date_of, read_estimates
 from motor_env.prognosis.files import Trends
 from motor_env.prognosis.trend import judge, parse_limits
-from motor_env.prognosis.wear import _filtered, degradation, first_passage_cdf
+from motor_env.prognosis.wear import degradation, first_passage_cdf
 
 
 def array(*values: float) -> np.ndarray:
@@ -49,28 +49,6 @@ def test_first_passage_keeps_its_digits_for_a_small_diffusion() -> None:
 
     np.testing.assert_allclose(found, ndtr((0.1 * life - 1.0) / (0.01 * life)), atol=1e-4)
     assert np.isfinite(found).all()
-
-
-def test_likelihood_and_moments_equal_the_joint_gaussian() -> None:
-    rng = np.random.default_rng(5)
-    time = np.cumsum(rng.uniform(0.5, 2.0, 9))
-    y, variance = rng.normal(0.0, 0.3, 9), rng.uniform(0.01, 0.05, 9)
-    onset, diffusion, scatter, drift_std, level_std = 3, 0.2, 0.1, 0.4, 2.0
-    grid = np.array([[onset], [diffusion], [scatter], [drift_std]])
-    log_likelihood, moments = _filtered(time, y, variance, grid, level_std)
-    elapsed = np.maximum(time - time[onset], 0.0)
-    walk = diffusion**2 * np.minimum.outer(elapsed, elapsed)
-    wear = level_std**2 + drift_std**2 * np.outer(elapsed, elapsed) + walk
-    joint = wear + np.diag(variance + scatter**2)
-    # The filter's level starts at the first estimate.
-    expected = multivariate_normal.logpdf(y, np.full(9, y[0]), joint)
-    np.testing.assert_allclose(log_likelihood[0], expected, rtol=1e-9)
-    cross = np.stack([wear[-1], drift_std**2 * elapsed])
-    mean = array(y[0], 0.0) + cross @ np.linalg.solve(joint, y - y[0])
-    prior = np.array([[wear[-1, -1], drift_std**2 * elapsed[-1]], [drift_std**2 * elapsed[-1], drift_std**2]])
-    covariance = prior - cross @ np.linalg.solve(joint, cross.T)
-    np.testing.assert_allclose(moments[:2, 0], mean, rtol=1e-9)
-    np.testing.assert_allclose(moments[2:, 0], covariance[np.triu_indices(2)], rtol=1e-8)
 
 
 def test_runs_first_reach_the_limit_when_theory_says() -> None:
