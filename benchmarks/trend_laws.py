@@ -106,11 +106,14 @@ def draw(law: Law, rng: np.random.Generator) -> History:
         day = np.arange(HORIZON * now) / SUBSTEPS
         change = law(rng, day, last / rng.uniform(0.3, 0.98))
         # The limit is a factor on the mean of the first three levels.
-        reach = LIMIT * (1.0 + float(change[: 3 * SUBSTEPS : SUBSTEPS].mean())) - 1.0
+        reference = float(change[: 3 * SUBSTEPS : SUBSTEPS].mean())
+        reach = LIMIT * (1.0 + reference) - 1.0
         beyond = np.flatnonzero(change >= reach)
         if not len(beyond) or beyond[0] > now:
             life = float(day[beyond[0]] - last) if len(beyond) else math.inf
-            return History(change[: now + 1 : SUBSTEPS], life, float(change[now]) / reach)
+            return History(
+                change[: now + 1 : SUBSTEPS], life, float((change[now] - reference) / (reach - reference))
+            )
 
 
 def verdicts(name: str, noise: float, rng: np.random.Generator) -> list[str]:

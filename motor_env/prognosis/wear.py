@@ -38,6 +38,7 @@ _DRIFT_SCALE = 0.7  # prior standard deviation of the drift, in distances to the
 _SCATTERS = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])  # in units of the typical standard error
 _MOST_ONSETS = 20
 _PRIOR_STEADY = 0.5
+_PRIOR_FIRST = 0.5  # that wear began before the first estimate
 _LAWS = {  # exponent and growth of the clock; the laws are equally likely, and so are the shapes of each
     "linear": ((1.0, 0.0),),
     "power": ((0.5, 0.0), (1.5, 0.0), (2.0, 0.0), (3.0, 0.0)),
@@ -261,7 +262,7 @@ class _Grid(NamedTuple):
 def _grid(times: FloatArray, typical_error: float, distance: float) -> _Grid:
     """All combinations of clock, onset, diffusion and scatter, and their log priors.
 
-    Onsets are equally likely; the drift is Gaussian about 0; diffusion and scatter are half-Cauchy (Gelman 2006).
+    Onsets after the first estimate are equally likely; the drift is Gaussian about 0; diffusion and scatter are half-Cauchy (Gelman 2006).
     """
     onsets = np.unique(np.linspace(0.0, len(times) - 2.0, min(len(times) - 1, _MOST_ONSETS)).round()).astype(
         int
@@ -271,7 +272,9 @@ def _grid(times: FloatArray, typical_error: float, distance: float) -> _Grid:
     span = times[-1] - np.tile(times[onsets], len(shapes))
     share = np.maximum(times[:, None] - (times[-1] - span), 0.0) / span
     shown = span * clock(share, exponent, growth)
-    prior = prior * (1.0 - _PRIOR_STEADY) / len(_LAWS) / len(onsets)
+    first = np.tile(onsets == 0, len(shapes))
+    prior = prior * np.where(first, _PRIOR_FIRST, (1.0 - _PRIOR_FIRST) / max(len(onsets) - 1, 1))
+    prior = prior * (1.0 - _PRIOR_STEADY) / len(_LAWS)
     # The diffusions are even in the logarithm, which adds a factor to their density.
     log_diffusion = log_softmax(-np.log1p((_DIFFUSIONS / _DIFFUSION_SCALE) ** 2))
     log_sizes = np.add.outer(log_diffusion, _log_scatter()).ravel()

@@ -89,7 +89,7 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
         elapsed, slope_sd, diffusion = np.zeros(n), 0.0, 0.0
         if law is not None:
             span = time[-1] - time[onset]
-            prior *= law[1] * prior_d[d] / prior_d.sum() / (n - 1)
+            prior *= law[1] * prior_d[d] / prior_d.sum() * (0.5 if onset == 0 else 0.5 / (n - 2))
             elapsed = span * law[0](np.maximum(time - time[onset], 0.0) / span)
             slope_sd = 0.7 * distance / span
             diffusion = sizes[d] * distance / math.sqrt(time[-1] - time[0])
