@@ -57,7 +57,7 @@ def random_walk(rng: np.random.Generator, day: FloatArray, end: float) -> FloatA
 
 def repair(rng: np.random.Generator, day: FloatArray, end: float) -> FloatArray:
     """A drift from a repair on that undid the one before."""
-    when = rng.uniform(0.3, 0.6) * end
+    when = rng.uniform(0.15, 0.3) * end  # before it is judged
     return REACH / end * np.where(day < when, day, day - when)
 
 

@@ -33,7 +33,7 @@ FEWEST_ESTIMATES = 5
 """Below this no trend can be told from scatter."""
 
 _DIFFUSIONS = np.geomspace(0.01, 2.0, 9)  # in units of distance to the limit / sqrt(time observed)
-_DIFFUSION_SCALE = 0.5  # above it the prior, even in the logarithm, falls
+_DIFFUSION_SCALE = 0.25  # above it the prior, even in the logarithm, falls
 _DRIFT_SCALE = 0.7  # prior standard deviation of the drift, in distances to the limit / time since the onset
 _SCATTERS = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])  # in units of the typical standard error
 _MOST_ONSETS = 20
@@ -44,6 +44,7 @@ _LAWS = {  # exponent and growth of the clock; the laws are equally likely, and 
     "power": ((0.5, 0.0), (1.5, 0.0), (2.0, 0.0), (3.0, 0.0)),
     "exponential": ((1.0, 1.5), (1.0, 3.0), (1.0, 6.0)),
     "steps": (),
+    "chance": (),  # diffusion alone, from the first estimate on: no trend
 }
 _NO_GROWTH = 1e-6
 _NEGLIGIBLE = 0.01  # posterior probability of all grid points that are left out
@@ -236,14 +237,16 @@ class Degradation:
 
 
 class _Grid(NamedTuple):
-    """Hypotheses: c clocks, the last of which stands still (a steady motor), times s sizes of diffusion and scatter.
+    """Hypotheses: c clocks times s sizes of diffusion and scatter.
+
+    The last two clocks have no drift: chance alone, and a steady motor, whose clock stands still.
 
     Attributes:
         elapsed: what each clock shows at each estimate, in units of its span, shape (n, c).
         span: shape (c, 1).
         exponent: shape (c, 1).
         growth: shape (c, 1).
-        drift_std: prior standard deviation of the drift, 0 for the steady motor, shape (c, 1).
+        drift_std: prior standard deviation of the drift, shape (c, 1).
         diffusion: shape (s,).
         scatter: shape (s,).
         log_prior: shape (c, s).
@@ -262,7 +265,8 @@ class _Grid(NamedTuple):
 def _grid(times: FloatArray, typical_error: float, distance: float) -> _Grid:
     """All combinations of clock, onset, diffusion and scatter, and their log priors.
 
-    Onsets after the first estimate are equally likely; the drift is Gaussian about 0; diffusion and scatter are half-Cauchy (Gelman 2006).
+    Onsets after the first estimate are equally likely; the drift is Gaussian about 0; the diffusion is even in the
+    logarithm up to its scale; the scatter is half-Cauchy (Gelman 2006).
     """
     onsets = np.unique(np.linspace(0.0, len(times) - 2.0, min(len(times) - 1, _MOST_ONSETS)).round()).astype(
         int
@@ -274,20 +278,20 @@ def _grid(times: FloatArray, typical_error: float, distance: float) -> _Grid:
     shown = span * clock(share, exponent, growth)
     first = np.tile(onsets == 0, len(shapes))
     prior = prior * np.where(first, _PRIOR_FIRST, (1.0 - _PRIOR_FIRST) / max(len(onsets) - 1, 1))
-    prior = prior * (1.0 - _PRIOR_STEADY) / len(_LAWS)
-    # The diffusions are even in the logarithm, which adds a factor to their density.
     log_diffusion = log_softmax(-np.log1p((_DIFFUSIONS / _DIFFUSION_SCALE) ** 2))
     log_sizes = np.add.outer(log_diffusion, _log_scatter()).ravel()
     diffusion, scatter = np.reshape(np.meshgrid(_DIFFUSIONS, _SCATTERS, indexing="ij"), (2, -1))
+    alone = (times - times[0])[:, None]
+    law = (1.0 - _PRIOR_STEADY) / len(_LAWS)
     return _Grid(
-        np.pad(shown, ((0, 0), (0, 1))),
-        np.append(span, 1.0)[:, None],
-        np.append(exponent, 1.0)[:, None],
-        np.append(growth, 0.0)[:, None],
-        np.append(_DRIFT_SCALE * distance / span, 0.0)[:, None],
+        np.hstack([shown, alone, np.zeros_like(alone)]),
+        np.append(span, [1.0, 1.0])[:, None],
+        np.append(exponent, [1.0, 1.0])[:, None],
+        np.append(growth, [0.0, 0.0])[:, None],
+        np.append(_DRIFT_SCALE * distance / span, [0.0, 0.0])[:, None],
         diffusion * distance / math.sqrt(times[-1] - times[0]),
         scatter * typical_error,
-        np.log(np.append(prior, _PRIOR_STEADY))[:, None] + log_sizes,
+        np.log(np.append(prior * law, [law, _PRIOR_STEADY]))[:, None] + log_sizes,
     )
 
 
@@ -371,7 +375,7 @@ def degradation(
     )
     log_steps += math.log((1.0 - _PRIOR_STEADY) / len(_LAWS))
     every = softmax(np.append((log_likelihood + grid.log_prior).ravel(), log_steps))
-    weight, of_steps = every[:-1].reshape(log_likelihood.shape)[:-1].ravel(), float(every[-1])
+    weight, of_steps = every[:-1].reshape(log_likelihood.shape)[:-2].ravel(), float(every[-1])
     by_clocks = float(weight.sum())
     # The fewest hypotheses that hold all but a negligible part of the weight.
     order = np.argsort(weight)[::-1]

@@ -78,13 +78,14 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
     scatters = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])
     sd0, y = 10.0 * (distance + np.ptp(value)), -value
     rows = []
-    prior_d = 1.0 / (1.0 + (sizes / 0.5) ** 2)
+    prior_d = 1.0 / (1.0 + (sizes / 0.25) ** 2)
     prior_s = 1.0 / (1.0 + scatters**2)
     powers, growths = {0.5: 0.25, 1.0: 1.0, 1.5: 0.25, 2.0: 0.25, 3.0: 0.25}, (1.5, 3.0, 6.0)
-    laws = [(lambda u, p=p: u**p, share / 4.0) for p, share in powers.items()]
-    laws += [(lambda u, g=g: np.expm1(g * u) / math.expm1(g), 1.0 / 12.0) for g in growths]
+    laws = [(lambda u, p=p: u**p, share / 5.0) for p, share in powers.items()]
+    laws += [(lambda u, g=g: np.expm1(g * u) / math.expm1(g), 1.0 / 15.0) for g in growths]
     drifting = [(law, k, d, s) for law in laws for k in range(n - 1) for d in range(9) for s in range(7)]
-    for law, onset, d, s in [*drifting, *((None, n, -1, s) for s in range(7))]:
+    chance = [(None, 0, d, s) for d in range(9) for s in range(7)]
+    for law, onset, d, s in [*drifting, *chance, *((None, n, -1, s) for s in range(7))]:
         prior = prior_s[s] / prior_s.sum() / 2.0
         elapsed, slope_sd, diffusion = np.zeros(n), 0.0, 0.0
         if law is not None:
@@ -93,6 +94,9 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
             elapsed = span * law[0](np.maximum(time - time[onset], 0.0) / span)
             slope_sd = 0.7 * distance / span
             diffusion = sizes[d] * distance / math.sqrt(time[-1] - time[0])
+        elif onset == 0:  # diffusion without a drift
+            prior *= prior_d[d] / prior_d.sum() / 5.0
+            elapsed, diffusion = time - time[0], sizes[d] * distance / math.sqrt(time[-1] - time[0])
         signal = sd0**2 + slope_sd**2 * np.outer(elapsed, elapsed)
         signal += diffusion**2 * np.minimum.outer(elapsed, elapsed)
         joint = signal + np.diag(error**2 + (scatters[s] * typical) ** 2)
@@ -103,7 +107,7 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
         both = both - gain @ np.stack([signal[-1], slope_sd**2 * elapsed], axis=1)
         off = y - y[0]
         log = -0.5 * (off @ np.linalg.solve(joint, off) + np.linalg.slogdet(2.0 * math.pi * joint)[1])
-        rows.append((prior, log, onset < n, *mean, both[0, 0], both[0, 1], both[1, 1]))
+        rows.append((prior, log, law is not None, *mean, both[0, 0], both[0, 1], both[1, 1]))
     prior, log, moves, level, drift, p00, _, p11 = np.array(rows).T
     log_steps, _ = fit_steps(
         time,
@@ -115,7 +119,7 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
         level_std=sd0,
         limit_errors=0.0,
     )
-    every = np.append(prior * np.exp(log - log.max()), np.exp(log_steps - log.max()) / 8.0)
+    every = np.append(prior * np.exp(log - log.max()), np.exp(log_steps - log.max()) / 10.0)
     every /= every.sum()
     weight, of_steps = np.where(moves > 0.0, every[:-1], 0.0), every[-1]
     by_clocks = weight.sum()
