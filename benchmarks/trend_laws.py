@@ -23,7 +23,7 @@ from motor_env.prognosis.trend import judge as judge_trend
 
 LIMIT, REACH = 1.25, 0.25
 HORIZON, SUBSTEPS = 40, 8  # lives beyond 40 times what is seen count as infinite; substeps of a day
-NOISES = (0.005, 0.02, 0.05)
+NOISES = (0.02, 0.05)
 Law = Callable[[np.random.Generator, FloatArray, float], FloatArray]
 
 

@@ -18,8 +18,8 @@ from scipy.special import gammainc, ndtr
 
 from motor_env.motor.parameters import FloatArray
 
-_RATES = np.geomspace(0.5, 16.0, 6)  # steps in the time observed
-_SIZES = np.array([0.1, 0.2, 0.4])  # mean, in distances to the limit
+_RATES = np.geomspace(0.5, 8.0, 5)  # steps in the time observed
+_SIZES = np.array([0.2, 0.4])  # mean, in distances to the limit
 _SHAPE = 4.0  # of the steps' gamma distribution: their standard deviation is half their mean
 _BELOW, _ABOVE, _POINTS = 0.6, 1.4, 128  # the grid of levels, in distances from the beginning
 # A cyclic convolution brings round what leaves the grid; densities are kept times exp(-damping * place).

@@ -32,6 +32,9 @@ There are none of L, which no fault moves alone and few starts tell.
 CLOSE_SHARE = 0.8
 """Beyond this share of the way a limit is called close, with or without a trend."""
 
+CLOSE_PROBABILITY = 0.25
+"""From this probability of lying beyond it on: a missed limit costs more than a look at the motor."""
+
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
@@ -40,7 +43,7 @@ class Forecast:
     Attributes:
         factor: the limit over the reference.
         reached: whether the last level lies beyond it, with a probability of at least one half.
-        close: whether the last level lies beyond 80 % of the way to it, with a probability of at least one half.
+        close: whether the last level lies beyond 80 % of the way to it, with a probability of at least a quarter.
         trends: whether there is wear towards it (posterior probability at least 95 %).
         wear: the fitted degradation of estimate / reference.
         life: remaining life; it means something only where `trends` and nothing is withheld.
@@ -147,7 +150,7 @@ def judge(
             Forecast(
                 factor,
                 reached=life.probability_reached >= 0.5,
-                close=wear.probability_beyond(CLOSE_SHARE) >= 0.5,
+                close=wear.probability_beyond(CLOSE_SHARE) >= CLOSE_PROBABILITY,
                 trends=trends,
                 wear=wear,
                 life=life,
@@ -192,9 +195,10 @@ def _sentence(found: Trend) -> str:
     limit = _percent(one.factor - 1.0)
     if one.reached:
         return f"the limit at {limit} is reached, with a probability of {100.0 * one.life.probability_reached:.0f} %"
-    near = f"above {100.0 * CLOSE_SHARE:.0f} % of the way to the limit at {limit}"
+    likely = one.wear.probability_beyond(CLOSE_SHARE)
+    near = f"above {100.0 * CLOSE_SHARE:.0f} % of the way to it with a probability of {100.0 * likely:.0f} %"
     if not one.trends:
-        return f"{near}, without a clear trend; no remaining life is given"
+        return f"close to the limit at {limit}: {near}; no clear trend, so no remaining life is given"
     return (
         f"trends to the limit at {limit}, by "
         f"{_percent(one.wear.mean_drift, digits=2)} of the reference a {series.unit.removesuffix('s')}: "
