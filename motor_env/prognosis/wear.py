@@ -42,7 +42,7 @@ _PRIOR_FIRST = 0.5  # that wear began before the first estimate
 _LAWS = {  # exponent and growth of the clock; the laws are equally likely, and so are the shapes of each
     "linear": ((1.0, 0.0),),
     "power": ((0.5, 0.0), (1.5, 0.0), (2.0, 0.0), (3.0, 0.0)),
-    "exponential": ((1.0, 1.5), (1.0, 3.0), (1.0, 6.0)),
+    "exponential": ((1.0, 1.5), (1.0, 2.5), (1.0, 4.0), (1.0, 6.0)),
     "steps": (),
     "chance": (),  # diffusion alone, from the first estimate on: no trend
 }

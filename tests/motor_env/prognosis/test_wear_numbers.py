@@ -80,9 +80,9 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
     rows = []
     prior_d = 1.0 / (1.0 + (sizes / 0.25) ** 2)
     prior_s = 1.0 / (1.0 + scatters**2)
-    powers, growths = {0.5: 0.25, 1.0: 1.0, 1.5: 0.25, 2.0: 0.25, 3.0: 0.25}, (1.5, 3.0, 6.0)
+    powers, growths = {0.5: 0.25, 1.0: 1.0, 1.5: 0.25, 2.0: 0.25, 3.0: 0.25}, (1.5, 2.5, 4.0, 6.0)
     laws = [(lambda u, p=p: u**p, share / 5.0) for p, share in powers.items()]
-    laws += [(lambda u, g=g: np.expm1(g * u) / math.expm1(g), 1.0 / 15.0) for g in growths]
+    laws += [(lambda u, g=g: np.expm1(g * u) / math.expm1(g), 1.0 / 20.0) for g in growths]
     drifting = [(law, k, d, s) for law in laws for k in range(n - 1) for d in range(9) for s in range(7)]
     chance = [(None, 0, d, s) for d in range(9) for s in range(7)]
     for law, onset, d, s in [*drifting, *chance, *((None, n, -1, s) for s in range(7))]:
