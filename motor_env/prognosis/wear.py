@@ -21,9 +21,18 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import erfcx, log_softmax, ndtr, softmax
+from scipy.special import erfcx, ndtr, softmax
 
 from motor_env.motor.parameters import FloatArray, require
+from motor_env.prognosis.clocks import (
+    NO_GROWTH,
+    PRIOR_LAW,
+    SCATTERS,
+    clock,
+    filtered,
+    hypotheses,
+    log_scatter,
+)
 from motor_env.prognosis.steps import Steps, fit_steps
 
 TREND_PROBABILITY = 0.95
@@ -32,21 +41,6 @@ TREND_PROBABILITY = 0.95
 FEWEST_ESTIMATES = 5
 """Below this no trend can be told from scatter."""
 
-_DIFFUSIONS = np.geomspace(0.01, 2.0, 9)  # in units of distance to the limit / sqrt(time observed)
-_DIFFUSION_SCALE = 0.25  # above it the prior, even in the logarithm, falls
-_DRIFT_SCALE = 0.7  # prior standard deviation of the drift, in distances to the limit / time since the onset
-_SCATTERS = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])  # in units of the typical standard error
-_MOST_ONSETS = 20
-_PRIOR_STEADY = 0.5
-_PRIOR_FIRST = 0.5  # that wear began before the first estimate
-_LAWS = {  # exponent and growth of the clock; the laws are equally likely, and so are the shapes of each
-    "linear": ((1.0, 0.0),),
-    "power": ((0.5, 0.0), (1.5, 0.0), (2.0, 0.0), (3.0, 0.0)),
-    "exponential": ((1.0, 1.5), (1.0, 2.5), (1.0, 4.0), (1.0, 6.0)),
-    "steps": (),
-    "chance": (),  # diffusion alone, from the first estimate on: no trend
-}
-_NO_GROWTH = 1e-6
 _NEGLIGIBLE = 0.01  # posterior probability of all grid points that are left out
 _LEAST_ERROR = 1e-6  # of the typical one: estimates without an error may scatter by nothing
 _LEVEL_NODES, _LEVEL_WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
@@ -100,12 +94,6 @@ def first_passage_cdf(
     return np.where(distance <= 0.0, 1.0, np.clip(first + np.where(z >= 0.0, scaled, plain), 0.0, 1.0))
 
 
-def clock(elapsed: FloatArray, exponent: FloatArray, growth: FloatArray) -> FloatArray:
-    """What the wear's own clock shows; it runs from 0 at the onset to 1 at the last estimate, as `elapsed` does."""
-    rate = np.maximum(growth, _NO_GROWTH)  # the limit of no growth is the power itself
-    return np.asarray(np.expm1(np.minimum(rate * elapsed**exponent, 300.0)) / np.expm1(rate))
-
-
 @dataclass(frozen=True, slots=True)
 class Degradation:
     """What the estimates tell about the wear, as a weighted grid of Gaussians; the upward direction is to the limit.
@@ -147,7 +135,7 @@ class Degradation:
     @property
     def mean_drift(self) -> float:
         """Posterior mean of the drift at the last estimate, in the units of the estimates a unit of time."""
-        rate = np.maximum(self.growth, _NO_GROWTH)
+        rate = np.maximum(self.growth, NO_GROWTH)
         pace = float(self.weights @ (self.drift * self.exponent * rate / -np.expm1(-rate)))
         return self.sign * (
             pace if self.steps is None else pace + self.share_of_steps * (self.steps.mean_pace - pace)
@@ -236,95 +224,6 @@ class Degradation:
         return self.sign * centre, np.sqrt(np.maximum(square - centre**2, 0.0))
 
 
-class _Grid(NamedTuple):
-    """Hypotheses: c clocks times s sizes of diffusion and scatter.
-
-    The last two clocks have no drift: chance alone, and a steady motor, whose clock stands still.
-
-    Attributes:
-        elapsed: what each clock shows at each estimate, in units of its span, shape (n, c).
-        span: shape (c, 1).
-        exponent: shape (c, 1).
-        growth: shape (c, 1).
-        drift_std: prior standard deviation of the drift, shape (c, 1).
-        diffusion: shape (s,).
-        scatter: shape (s,).
-        log_prior: shape (c, s).
-    """
-
-    elapsed: FloatArray
-    span: FloatArray
-    exponent: FloatArray
-    growth: FloatArray
-    drift_std: FloatArray
-    diffusion: FloatArray
-    scatter: FloatArray
-    log_prior: FloatArray
-
-
-def _grid(times: FloatArray, typical_error: float, distance: float) -> _Grid:
-    """All combinations of clock, onset, diffusion and scatter, and their log priors.
-
-    Onsets after the first estimate are equally likely; the drift is Gaussian about 0; the diffusion is even in the
-    logarithm up to its scale; the scatter is half-Cauchy (Gelman 2006).
-    """
-    onsets = np.unique(np.linspace(0.0, len(times) - 2.0, min(len(times) - 1, _MOST_ONSETS)).round()).astype(
-        int
-    )
-    shapes = [(*shape, 1.0 / len(law)) for law in _LAWS.values() for shape in law]
-    exponent, growth, prior = np.repeat(np.array(shapes), len(onsets), axis=0).T
-    span = times[-1] - np.tile(times[onsets], len(shapes))
-    share = np.maximum(times[:, None] - (times[-1] - span), 0.0) / span
-    shown = span * clock(share, exponent, growth)
-    first = np.tile(onsets == 0, len(shapes))
-    prior = prior * np.where(first, _PRIOR_FIRST, (1.0 - _PRIOR_FIRST) / max(len(onsets) - 1, 1))
-    log_diffusion = log_softmax(-np.log1p((_DIFFUSIONS / _DIFFUSION_SCALE) ** 2))
-    log_sizes = np.add.outer(log_diffusion, _log_scatter()).ravel()
-    diffusion, scatter = np.reshape(np.meshgrid(_DIFFUSIONS, _SCATTERS, indexing="ij"), (2, -1))
-    alone = (times - times[0])[:, None]
-    law = (1.0 - _PRIOR_STEADY) / len(_LAWS)
-    return _Grid(
-        np.hstack([shown, alone, np.zeros_like(alone)]),
-        np.append(span, [1.0, 1.0])[:, None],
-        np.append(exponent, [1.0, 1.0])[:, None],
-        np.append(growth, [0.0, 0.0])[:, None],
-        np.append(_DRIFT_SCALE * distance / span, [0.0, 0.0])[:, None],
-        diffusion * distance / math.sqrt(times[-1] - times[0]),
-        scatter * typical_error,
-        np.log(np.append(prior * law, [law, _PRIOR_STEADY]))[:, None] + log_sizes,
-    )
-
-
-def _log_scatter() -> FloatArray:
-    return np.asarray(log_softmax(-np.log1p(_SCATTERS**2)))
-
-
-def _filtered(
-    estimate: FloatArray, variance: FloatArray, grid: _Grid, level_std: float
-) -> tuple[FloatArray, FloatArray]:
-    """Kalman filter of [level, drift] for every hypothesis.
-
-    Returns:
-        Log-likelihood, shape (c, s); level, drift, and their covariances, shape (5, c, s).
-    """
-    none = np.zeros(np.shape(grid.log_prior))
-    level, drift, log_likelihood = none + estimate[0], none, none
-    p00, p01, p11 = none + level_std * level_std, none, none + grid.drift_std**2
-    for i, step in enumerate(np.diff(grid.elapsed, axis=0, prepend=grid.elapsed[:1])):
-        dt = step[:, None]
-        level = level + drift * dt
-        p00 = p00 + (2.0 * dt * p01 + dt * dt * p11 + grid.diffusion**2 * dt)
-        p01 = p01 + dt * p11
-        noise = variance[i] + grid.scatter**2
-        s = p00 + noise
-        error = estimate[i] - level
-        log_likelihood = log_likelihood - 0.5 * (error * error / s + np.log(2.0 * math.pi * s))
-        gain, drift_gain = p00 / s, p01 / s
-        level, drift = level + gain * error, drift + drift_gain * error
-        p00, p01, p11 = gain * noise, p01 * (noise / s), p11 - drift_gain * p01
-    return log_likelihood, np.stack([level, drift, p00, p01, p11])
-
-
 def degradation(
     time: FloatArray,
     estimate: FloatArray,
@@ -361,19 +260,19 @@ def degradation(
     typical = max(float(np.median(standard_error)), 0.3 * jumps, 1e-9 * width, 1e-9 * distance)
     errors = np.maximum(standard_error, _LEAST_ERROR * typical)
     level_std, seen = 10.0 * (distance + width), towards * estimate
-    grid = _grid(time, typical, distance)
-    log_likelihood, moments = _filtered(seen, errors**2, grid, level_std)
+    grid = hypotheses(time, typical, distance)
+    log_likelihood, moments = filtered(seen, errors**2, grid, level_std)
     log_steps, steps = fit_steps(
         time,
         seen,
         errors**2,
-        (_SCATTERS * typical, np.exp(_log_scatter())),
+        (SCATTERS * typical, np.exp(log_scatter())),
         beginning=towards * beginning,
         distance=distance,
         level_std=level_std,
         limit_errors=limit_errors,
     )
-    log_steps += math.log((1.0 - _PRIOR_STEADY) / len(_LAWS))
+    log_steps += math.log(PRIOR_LAW)
     every = softmax(np.append((log_likelihood + grid.log_prior).ravel(), log_steps))
     weight, of_steps = every[:-1].reshape(log_likelihood.shape)[:-2].ravel(), float(every[-1])
     by_clocks = float(weight.sum())
