@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import erfcx, ndtr, softmax
+from scipy.special import erfcx, expit, logsumexp, ndtr, softmax
 
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.prognosis.clocks import (
@@ -273,13 +273,13 @@ def degradation(
         limit_errors=limit_errors,
     )
     log_steps += math.log(PRIOR_LAW)
-    every = softmax(np.append((log_likelihood + grid.log_prior).ravel(), log_steps))
-    weight, of_steps = every[:-1].reshape(log_likelihood.shape)[:-2].ravel(), float(every[-1])
-    by_clocks = float(weight.sum())
+    log_weight = log_likelihood + grid.log_prior
+    log_clocks, log_no_trend = logsumexp(log_weight[:-2]), logsumexp(log_weight[-2:])
+    by_clocks, by_steps, _ = softmax([log_clocks, log_steps, log_no_trend]).tolist()
     # The fewest hypotheses that hold all but a negligible part of the weight.
+    weight = softmax(log_weight[:-2].ravel())
     order = np.argsort(weight)[::-1]
-    share = np.cumsum(weight[order]) / by_clocks
-    kept = order[: int(np.searchsorted(share, 1.0 - _NEGLIGIBLE)) + 1]
+    kept = order[: int(np.searchsorted(np.cumsum(weight[order]), 1.0 - _NEGLIGIBLE)) + 1]
     weights = weight[kept] / weight[kept].sum()
     clocks, sizes = np.divmod(kept, len(grid.scatter))
     level, drift, p00, p01, p11 = moments.reshape(5, -1)[:, kept]
@@ -296,8 +296,8 @@ def degradation(
         covariance=np.moveaxis(np.array([[p00, p01], [p01, p11]]), -1, 0),
         limit=float(limit),
         sign=towards,
-        probability_trend=by_clocks * float(weights @ ndtr(drift / np.sqrt(p11))) + of_steps,
+        probability_trend=by_clocks * float(weights @ ndtr(drift / np.sqrt(p11))) + by_steps,
         limit_variance=limit_errors**2 * (float(np.median(errors)) ** 2 + scatter**2),
         steps=steps,
-        share_of_steps=of_steps / (by_clocks + of_steps),
+        share_of_steps=float(expit(log_steps - log_clocks)),
     )
