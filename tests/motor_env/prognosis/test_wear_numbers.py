@@ -354,6 +354,9 @@ def test_a_trend_is_judged_from_five_estimates_on_relative_to_the_first() -> Non
     (forecast,) = found.forecasts
     assert forecast.factor == 1.5
     assert forecast.wear.mean_drift == pytest.approx(0.02 / 2.02, rel=0.01)
+    # The limit has the error of the mean of three estimates, times its factor.
+    of_one = (1e-4 / 2.02) ** 2 + forecast.wear.scatter**2
+    np.testing.assert_allclose(forecast.wear.limit_variance, 1.5**2 / 3.0 * of_one)
     assert judge(series(values, 1e-4), (1.5,), reference_count=1).reference == 2.0
     assert judge(series(values, 1e-4), (1.5,), level=0.5).forecasts[0].life.level == 0.5
     assert "trends to the limit at +50 %, by +0.99 % of the reference a day: reached in" in found.sentence
