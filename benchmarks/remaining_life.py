@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from cyclopts import run
 from run_to_failure import WearRecipe, remaining_life_coverage
+from tables import keep_table
 
 from motor_env.motor.parameters import SensorParameters
 
@@ -17,6 +18,7 @@ ALIKE = replace(POPULATION, drift_spread=0.0, diffusion_spread=0.0, onset_days=(
 REGIMES = {
     "default recipe": POPULATION,
     "differ widely": replace(POPULATION, drift_spread=0.7, diffusion_spread=1.0),
+    "half the diffusion": replace(POPULATION, diffusion=0.01),
     "default, 10 mA": replace(POPULATION, sensor=SensorParameters(current_noise_a=0.01)),
     "default, 40 mA": replace(POPULATION, sensor=SensorParameters(current_noise_a=0.04)),
     "all wear from day 0": replace(POPULATION, onset_days=(0.0, 0.0)),
@@ -30,23 +32,34 @@ REGIMES = {
 }
 
 
+def row(name: str, runs: int, seed: int) -> list[str]:
+    """One recipe."""
+    result = remaining_life_coverage(REGIMES[name], seed, np.arange(runs))
+    told = result.reported
+    parts = (result.covered, result.life > result.high, result.life < result.low)
+    claimed = 100.0 * float(result.claimed[told].mean()) if told.any() else np.nan
+    covered, early, late = (100.0 * float(part[told].mean()) if told.any() else np.nan for part in parts)
+    return [
+        name,
+        str(runs),
+        f"{100 * result.covered.mean():.1f} % ({100 * result.claimed.mean():.1f})",
+        f"{100 * told.mean():.0f} %",
+        f"{covered:.1f} % ({claimed:.1f})" if told.any() else "–",
+        f"{early:.1f} / {late:.1f} %" if told.any() else "–",
+    ]
+
+
 def main(*, runs: int = 2000, seed: int = 7, recipe: Sequence[str] = tuple(REGIMES)) -> None:
-    """Print the table."""
-    print(
-        "| recipe | runs | all covered (claimed) | reported | of them covered (claimed) | too early / too late |"
+    """Print the table and keep it."""
+    header = (
+        "recipe",
+        "runs",
+        "all covered (claimed)",
+        "reported",
+        "of them covered (claimed)",
+        "too early / too late",
     )
-    print("|---|---|---|---|---|---|")
-    for name in recipe:
-        result = remaining_life_coverage(REGIMES[name], seed, np.arange(runs))
-        told = result.reported
-        parts = (result.covered, result.life > result.high, result.life < result.low)
-        claimed = 100.0 * float(result.claimed[told].mean()) if told.any() else np.nan
-        covered, early, late = (100.0 * float(part[told].mean()) if told.any() else np.nan for part in parts)
-        print(
-            f"| {name} | {runs} | {100 * result.covered.mean():.1f} % ({100 * result.claimed.mean():.1f}) "
-            f"| {100 * told.mean():.0f} % | {covered:.1f} % ({claimed:.1f}) | {early:.1f} / {late:.1f} % |",
-            flush=True,
-        )
+    keep_table("trend", "runs", header, (row(name, runs, seed) for name in recipe))
 
 
 if __name__ == "__main__":

@@ -158,7 +158,7 @@ def trend(
 
     Example: motor-env trend recordings/ --limit B/J=1.5 --limit R=0.9,1.1
 
-    Exit status: 0 no trend, 1 a limit is reached or trended to, 2 input that cannot be used.
+    Exit status: 0 no trend, 1 a limit is reached, trended to or close, 2 input that cannot be used.
 
     Args:
         paths: A table of estimates (CSV or JSON), or a folder of recordings whose names hold a date.
@@ -193,4 +193,4 @@ def trend(
         print(f"motor-env: {note}", file=sys.stderr)
     show(json_, found.to_json, lambda: f"{found.text()}\n{out}")
     reading.keep()
-    return int(found.verdict in ("reached", "trending"))
+    return int(found.verdict in ("reached", "trending", "close"))

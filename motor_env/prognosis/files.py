@@ -35,7 +35,13 @@ from motor_env.recordings.start import prepare
 
 _Z90 = 1.6448536269514722
 
-_STATES = {"reached": "limit reached", "trending": "trending", "unknown": "not judged", "steady": "no trend"}
+_STATES = {
+    "reached": "limit reached",
+    "trending": "trending",
+    "close": "close to a limit",
+    "unknown": "not judged",
+    "steady": "no trend",
+}
 """Each state in words, in the order of the page."""
 
 
@@ -114,7 +120,7 @@ class Trends:
 
     @property
     def verdict(self) -> str:
-        """The most urgent of `reached`, `trending`, `unknown` (too few estimates, or no limit) and `steady`."""
+        """The most urgent of `reached`, `trending`, `close`, `unknown` (too few estimates, no limit) and `steady`."""
         return min((trend.state for trend in self.trends), key=list(_STATES).index)
 
     def to_json(self) -> list[dict[str, Any]]:
@@ -156,6 +162,7 @@ def _of_limit(trend: Trend, forecast: Forecast) -> dict[str, Any]:
         "probability_of_trend": forecast.wear.probability_trend,
         "trends": forecast.trends,
         "reached": forecast.reached,
+        "close": forecast.close,
         "probability_reached": forecast.life.probability_reached,
         "drift_per_time_unit": forecast.wear.mean_drift * trend.reference,
         "remaining_life": life if forecast is trend.leading and forecast.is_told else None,
@@ -222,7 +229,9 @@ def _row(trend: Trend) -> dict[str, str]:
         "name": series.name,
         "status": trend.state,
         "state": _STATES[trend.state],
-        "life": "–" if chosen is None or chosen.reached else describe(chosen, series.unit),
+        "life": "–"
+        if chosen is None or chosen.reached or not chosen.trends
+        else describe(chosen, series.unit),
         "sentence": trend.sentence,
         "basis": f"{len(series.time)} estimates{when}; mean of the first {trend.reference:.4g}",
         "chart": _chart(trend),

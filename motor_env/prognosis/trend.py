@@ -14,7 +14,7 @@ import numpy as np
 
 from motor_env.errors import InputError
 from motor_env.prognosis.estimates import Series
-from motor_env.prognosis.laws import at_one_temperature, earliest, last_jump, since, withheld
+from motor_env.prognosis.laws import at_one_temperature, last_jump, since, withheld
 from motor_env.prognosis.wear import (
     FEWEST_ESTIMATES,
     TREND_PROBABILITY,
@@ -29,6 +29,12 @@ DEFAULT_LIMITS = (0.75, 1.25)
 There are none of L, which no fault moves alone and few starts tell.
 """
 
+CLOSE_SHARE = 0.8
+"""Beyond this share of the way a limit is called close, with or without a trend."""
+
+CLOSE_PROBABILITY = 0.25
+"""From this probability of lying beyond it on: a missed limit costs more than a look at the motor."""
+
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
@@ -37,7 +43,8 @@ class Forecast:
     Attributes:
         factor: the limit over the reference.
         reached: whether the last level lies beyond it, with a probability of at least one half.
-        trends: whether there is a drift towards it (posterior probability at least 95 %).
+        close: whether the last level lies beyond 80 % of the way to it, with a probability of at least a quarter.
+        trends: whether there is wear towards it (posterior probability at least 95 %).
         wear: the fitted degradation of estimate / reference.
         life: remaining life; it means something only where `trends` and nothing is withheld.
         withheld: why no remaining life is told, in words; empty where it is.
@@ -45,6 +52,7 @@ class Forecast:
 
     factor: float
     reached: bool
+    close: bool
     trends: bool
     wear: Degradation
     life: RemainingLife
@@ -53,7 +61,7 @@ class Forecast:
     @property
     def is_told(self) -> bool:
         """Whether the remaining life is told."""
-        return not (self.reached or self.withheld)
+        return self.trends and not (self.reached or self.withheld)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,18 +82,18 @@ class Trend:
 
     @property
     def leading(self) -> Forecast | None:
-        """The limit that matters: reached, or trended to, the earliest first."""
+        """The limit that matters: reached, or trended to, or close, the earliest first."""
         return min(
-            (forecast for forecast in self.forecasts if forecast.reached or forecast.trends),
-            key=lambda forecast: (not forecast.reached, forecast.life.median),
+            (one for one in self.forecasts if one.reached or one.trends or one.close),
+            key=lambda one: (not one.reached, not one.trends, one.life.median),
             default=None,
         )
 
     @property
     def state(self) -> str:
-        """`reached`, `trending`, `steady`, or `unknown` with too few estimates or no limit."""
-        if self.leading is not None:
-            return "reached" if self.leading.reached else "trending"
+        """`reached`, `trending`, `close`, `steady`, or `unknown` with too few estimates or no limit."""
+        if (one := self.leading) is not None:
+            return "reached" if one.reached else "trending" if one.trends else "close"
         return "steady" if self.forecasts else "unknown"
 
 
@@ -118,60 +126,83 @@ def judge(
         estimate=series.estimate / reference,
         standard_error=series.standard_error / abs(reference),
     )
-    jump, restart = last_jump(relative), ""
-    if jump is not None:
-        relative = since(relative, jump[0])
-        at, start = float(relative.time[0]), series.start
-        moment = f"{at:.4g} {series.unit}" if start is None else f"{start + timedelta(days=at):%Y-%m-%d}"
-        restart = f"a jump of {_percent(jump[1])} at {moment} (a repair or a step), judged since then: "
-    if len(relative.time) < FEWEST_ESTIMATES:
-        return Trend(
-            series,
-            reference,
-            (),
-            f"{restart}too few estimates for a trend: {len(relative.time)},"
-            f" at least {FEWEST_ESTIMATES} are needed",
-        )
     if factors is None:
         factors = () if series.name.startswith("L") else DEFAULT_LIMITS
-    forecasts = []
+    forecasts, counts = [], [len(relative.time)]
     for factor in factors:
+        # A jump away from the limit is a repair; one towards it is wear in a step.
+        away = last_jump(relative, -math.copysign(1.0, factor - 1.0))
+        recent = relative if away is None else since(relative, away[0])
+        counts.append(len(recent.time))
+        if len(recent.time) < FEWEST_ESTIMATES:
+            continue
         wear = degradation(
-            relative.time,
-            relative.estimate,
-            relative.standard_error,
+            recent.time,
+            recent.estimate,
+            recent.standard_error,
             factor,
             sign=math.copysign(1.0, factor - 1.0),
+            limit_errors=abs(factor) / math.sqrt(reference_count),
         )
         life = wear.remaining_life(level)
-        reached = life.probability_reached >= 0.5
         trends = wear.probability_trend >= TREND_PROBABILITY
-        if trends and not reached:
-            life = life._replace(low=min(life.low, earliest(relative, wear)))
-        reason = withheld(relative, wear, knows_temperature=temperature is not None) if trends else ""
-        forecasts.append(Forecast(factor, reached, trends, wear, life, reason))
-    return Trend(series, reference, tuple(forecasts), restart + _sentence(series, forecasts))
-
-
-def _sentence(series: Series, forecasts: Sequence[Forecast]) -> str:
-    change = float(series.estimate[-1] / np.mean(series.estimate[:3]) - 1.0)
-    for forecast in sorted(forecasts, key=lambda forecast: not forecast.reached):
-        limit = _percent(forecast.factor - 1.0)
-        if forecast.reached:
-            share = 100.0 * forecast.life.probability_reached
-            return f"the limit at {limit} is reached, with a probability of {share:.0f} %"
-        if forecast.trends:
-            return (
-                f"trends to the limit at {limit}, by "
-                f"{_percent(forecast.wear.mean_drift, digits=2)} of the reference a {series.unit.removesuffix('s')}: "
-                f"{describe(forecast, series.unit)}"
+        forecasts.append(
+            Forecast(
+                factor,
+                reached=life.probability_reached >= 0.5,
+                close=wear.probability_beyond(CLOSE_SHARE) >= CLOSE_PROBABILITY,
+                trends=trends,
+                wear=wear,
+                life=life,
+                withheld=withheld(recent, wear, knows_temperature=temperature is not None) if trends else "",
             )
-    if not forecasts:
+        )
+    found = Trend(series, reference, tuple(forecasts), "")
+    too_few = not forecasts and min(counts) < FEWEST_ESTIMATES
+    sentence = (
+        f"too few estimates for a trend: {min(counts)}, at least {FEWEST_ESTIMATES} are needed"
+        if too_few
+        else _sentence(found)
+    )
+    return replace(found, sentence=_jump(relative, factors) + sentence)
+
+
+def _jump(relative: Series, factors: Sequence[float]) -> str:
+    """The last jump in words, and what it means for limits that it led away from."""
+    jump = last_jump(relative)
+    if jump is None:
+        return ""
+    at, start = float(relative.time[jump[0]]), relative.start
+    moment = f"{at:.4g} {relative.unit}" if start is None else f"{start + timedelta(days=at):%Y-%m-%d}"
+    said = f"a jump of {_percent(jump[1])} at {moment} (a repair or a step)"
+    away = [factor for factor in factors if (factor - 1.0) * jump[1] < 0.0]
+    return said + (
+        f", judged since then against {' and '.join(_percent(f - 1.0) for f in away)}: " if away else ": "
+    )
+
+
+def _sentence(found: Trend) -> str:
+    series, one = found.series, found.leading
+    change = float(series.estimate[-1] / np.mean(series.estimate[:3]) - 1.0)
+    if not found.forecasts:
         return f"no limit is given, so nothing is judged: last change {_percent(change)}"
-    likely = max(forecast.wear.probability_trend for forecast in forecasts)
+    if one is None:
+        likely = max(forecast.wear.probability_trend for forecast in found.forecasts)
+        return (
+            f"no trend: last change {_percent(change)}; probability of a drift to a limit "
+            f"{100.0 * likely:.0f} %, below {100.0 * TREND_PROBABILITY:.0f} %; no remaining life is given"
+        )
+    limit = _percent(one.factor - 1.0)
+    if one.reached:
+        return f"the limit at {limit} is reached, with a probability of {100.0 * one.life.probability_reached:.0f} %"
+    likely = one.wear.probability_beyond(CLOSE_SHARE)
+    near = f"above {100.0 * CLOSE_SHARE:.0f} % of the way to it with a probability of {100.0 * likely:.0f} %"
+    if not one.trends:
+        return f"close to the limit at {limit}: {near}; no clear trend, so no remaining life is given"
     return (
-        f"no trend: last change {_percent(change)}; probability of a drift to a limit "
-        f"{100.0 * likely:.0f} %, below {100.0 * TREND_PROBABILITY:.0f} %; no remaining life is given"
+        f"trends to the limit at {limit}, by "
+        f"{_percent(one.wear.mean_drift, digits=2)} of the reference a {series.unit.removesuffix('s')}: "
+        f"{describe(one, series.unit)}{f'; {near}' if one.close else ''}"
     )
 
 

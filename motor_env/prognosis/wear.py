@@ -1,12 +1,14 @@
-"""Wear as a Wiener process with drift, seen through noisy estimates; the time until it first reaches a limit.
+"""Wear as a Wiener process with drift on a clock of its own; the time until it first reaches a limit.
 
     x(t) = x0                                      before the onset
-    dx   = drift dt + diffusion dW                 after it (Whitmore 1995; Si, Wang, Hu & Zhou 2011)
+    dx   = drift dc + diffusion dW(c)              after it, c the clock (Whitmore 1995; Si, Wang, Hu & Zhou 2011)
     y_i  = x(t_i) + e_i,  var e_i = se_i^2 + scatter^2
 
-For a given onset, diffusion and scatter, level and drift are Gaussian: a Kalman filter of [level, drift] gives them
-and the likelihood exactly. Onset, diffusion and scatter are summed over a grid. The first passage of a Wiener process
-is inverse Gaussian; its distribution with a Gaussian drift has a closed form (Whitmore & Schenkelberg 1997, with the
+The clock is the time, a power of it, or an exponential (Whitmore & Schenkelberg 1997): wear that is steady, slows
+down or accelerates. Beside these laws stands that of wear in steps. For a given clock, onset, diffusion and scatter,
+level and drift are Gaussian: a Kalman filter of [level, drift] gives them and the likelihood exactly. Clock, onset,
+diffusion and scatter are summed over a grid, each with its evidence. The first passage of a Wiener process is inverse
+Gaussian in its clock; its distribution with a Gaussian drift has a closed form (Whitmore & Schenkelberg 1997, with the
 sign of a drift away from the limit kept: then the limit may never be reached), and the level's uncertainty is
 integrated by quadrature. So the interval of the remaining life holds the uncertainty of every parameter.
 """
@@ -18,10 +20,20 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.special import erfcx, log_softmax, ndtr, softmax
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import erfcx, expit, logsumexp, ndtr, softmax
 
 from motor_env.motor.parameters import FloatArray, require
+from motor_env.prognosis.clocks import (
+    NO_GROWTH,
+    PRIOR_LAW,
+    SCATTERS,
+    clock,
+    filtered,
+    hypotheses,
+    log_scatter,
+)
+from motor_env.prognosis.steps import Steps, fit_steps
 
 TREND_PROBABILITY = 0.95
 """From this posterior probability on a quantity is said to trend to a limit."""
@@ -29,16 +41,11 @@ TREND_PROBABILITY = 0.95
 FEWEST_ESTIMATES = 5
 """Below this no trend can be told from scatter."""
 
-_DIFFUSIONS = np.geomspace(0.004, 2.5, 12)  # in units of distance to the limit / sqrt(time observed)
-_DIFFUSION_SCALE = 0.3  # of the half-Cauchy prior, in the same units
-_DRIFT_SCALE = 0.7  # prior standard deviation of the drift, in distances to the limit / time since the onset
-_SCATTERS = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])  # in units of the typical standard error
-_MOST_ONSETS = 20
-_PRIOR_STEADY = 0.5
-_NEGLIGIBLE = 0.002  # posterior probability of all grid points that are left out
+_NEGLIGIBLE = 0.01  # posterior probability of all grid points that are left out
 _LEAST_ERROR = 1e-6  # of the typical one: estimates without an error may scatter by nothing
 _LEVEL_NODES, _LEVEL_WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
-_LIFE_POINTS = 100
+_LIFE_POINTS = 120
+_MOST_PASSAGES = 300
 
 
 class RemainingLife(NamedTuple):
@@ -92,20 +99,27 @@ class Degradation:
     """What the estimates tell about the wear, as a weighted grid of Gaussians; the upward direction is to the limit.
 
     Attributes:
-        weights: posterior probability of each grid point, given that there is a drift, shape (n,).
-        onset: index of the last estimate before the drift, shape (n,).
-        diffusion: shape (n,).
+        weights: posterior probability of each grid point, given a drift by a clock, shape (n,).
+        span: time from the onset to the last estimate, shape (n,).
+        exponent: of the clock, shape (n,).
+        growth: of the clock, over `span`; 0 for a power, shape (n,).
+        diffusion: a root unit of the clock, shape (n,).
         scatter: start-to-start scatter beyond the standard errors, shape (n,).
         level: posterior mean of the level at the last estimate, shape (n,).
-        drift: posterior mean of the drift, shape (n,).
+        drift: posterior mean of the drift, a unit of the clock, shape (n,).
         covariance: of [level, drift], shape (n, 2, 2).
         limit: the limit.
         sign: +1 for a limit above, -1 for one below; levels and drifts are multiplied by it.
-        probability_trend: posterior probability that there is a drift, and that it goes to the limit.
+        probability_trend: posterior probability that there is wear, and that it goes to the limit.
+        limit_variance: of the limit, shape (n,).
+        steps: the law of steps.
+        share_of_steps: its posterior probability, given that there is wear.
     """
 
     weights: FloatArray
-    onset: FloatArray
+    span: FloatArray
+    exponent: FloatArray
+    growth: FloatArray
     diffusion: FloatArray
     scatter: FloatArray
     level: FloatArray
@@ -114,113 +128,100 @@ class Degradation:
     limit: float
     sign: float
     probability_trend: float
+    limit_variance: FloatArray
+    steps: Steps | None = None
+    share_of_steps: float = 0.0
 
     @property
     def mean_drift(self) -> float:
-        """Posterior mean of the drift, in the units of the estimates a unit of time."""
-        return self.sign * float(self.weights @ self.drift)
-
-    @property
-    def drift_std(self) -> float:
-        """Posterior standard deviation of the drift."""
-        mean = float(self.weights @ self.drift)
-        return math.sqrt(float(self.weights @ (self.covariance[:, 1, 1] + (self.drift - mean) ** 2)))
-
-    def _nodes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Distance, drift given the level, its variance, diffusion and weight of every quadrature node."""
-        std = np.sqrt(self.covariance[:, 0, 0])
-        level = self.level[:, None] + std[:, None] * _LEVEL_NODES
-        slope = self.covariance[:, 0, 1] / self.covariance[:, 0, 0]
-        drift = self.drift[:, None] + slope[:, None] * (level - self.level[:, None])
-        variance = np.maximum(self.covariance[:, 1, 1] - slope * self.covariance[:, 0, 1], 0.0)
-        return (
-            (self.sign * self.limit - level).ravel(),
-            drift.ravel(),
-            np.repeat(variance, len(_LEVEL_NODES)),
-            np.repeat(self.diffusion, len(_LEVEL_NODES)),
-            np.outer(self.weights, _LEVEL_WEIGHTS / _LEVEL_WEIGHTS.sum()).ravel(),
+        """Posterior mean of the drift at the last estimate, in the units of the estimates a unit of time."""
+        rate = np.maximum(self.growth, NO_GROWTH)
+        pace = float(self.weights @ (self.drift * self.exponent * rate / -np.expm1(-rate)))
+        return self.sign * (
+            pace if self.steps is None else pace + self.share_of_steps * (self.steps.mean_pace - pace)
         )
 
-    def life_axis(self) -> FloatArray:
-        """Times that span the distribution of the remaining life, shape (100,), even in the logarithm."""
-        reach = max(self.sign * self.limit - float(self.weights @ self.level), 0.0)
-        reach += 3.0 * math.sqrt(float(self.weights @ self.covariance[:, 0, 0]))
-        pace = max(abs(self.mean_drift), 0.05 * self.drift_std, 1e-12 * reach, 1e-300)
-        return np.geomspace(1e-4, 1e3, _LIFE_POINTS) * reach / pace
+    @property
+    def mean_level(self) -> float:
+        """Posterior mean of the level at the last estimate."""
+        return float(self.forecast(0.0)[0])
+
+    def _clock_ahead(self, times: FloatArray) -> FloatArray:
+        """By how much each clock moves, in units of `span`, within times after the last estimate, shape (..., n)."""
+        ahead = 1.0 + times[..., None] / self.span
+        return self.span * (clock(ahead, self.exponent, self.growth) - 1.0)
+
+    def _nodes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.intp]]:
+        """Distance, drift given the level, its variance, diffusion, weight and grid point of every quadrature node.
+
+        Of more grid points than 300 those at 300 even steps of the cumulated weight are taken.
+        """
+        some, share = np.arange(len(self.weights)), self.weights
+        if len(some) > _MOST_PASSAGES:
+            even = (np.arange(_MOST_PASSAGES) + 0.5) / _MOST_PASSAGES
+            some = np.minimum(np.searchsorted(np.cumsum(self.weights), even), len(some) - 1)
+            share = np.full(_MOST_PASSAGES, 1.0 / _MOST_PASSAGES)
+        covariance = self.covariance[some]
+        spread = covariance[:, 0, 0] + self.limit_variance[some]
+        off = np.sqrt(spread)[:, None] * _LEVEL_NODES
+        slope = covariance[:, 0, 1] / spread
+        variance = np.maximum(covariance[:, 1, 1] - slope * covariance[:, 0, 1], 0.0)
+        return (
+            (self.sign * self.limit - self.level[some, None] - off).ravel(),
+            (self.drift[some, None] + slope[:, None] * off).ravel(),
+            np.repeat(variance, len(_LEVEL_NODES)),
+            np.repeat(self.diffusion[some], len(_LEVEL_NODES)),
+            np.outer(share, _LEVEL_WEIGHTS / _LEVEL_WEIGHTS.sum()).ravel(),
+            np.repeat(some, len(_LEVEL_NODES)),
+        )
+
+    def probability_beyond(self, share: float) -> float:
+        """Probability that the level lies beyond a share of the way from 1 to the limit."""
+        border = self.sign * (1.0 + share * (self.limit - 1.0))
+        spread = self.covariance[:, 0, 0] + share**2 * self.limit_variance
+        found = float(self.weights @ ndtr((self.level - border) / np.sqrt(spread)))
+        if self.steps is None:
+            return found
+        by_steps = float(self.steps.probability_beyond(border, np.zeros(1))[0])
+        return found + self.share_of_steps * (by_steps - found)
+
+    def passage(self, life: FloatArray) -> FloatArray:
+        """Probability that the limit is reached within each of some times after the last estimate."""
+        *normal, weights, place = self._nodes()
+        ahead = np.clip(self._clock_ahead(life), 1e-9 * life[-1], 1e50)[..., place]
+        found = first_passage_cdf(ahead, *normal) @ weights
+        if self.steps is None:
+            return found
+        by_steps = self.steps.probability_beyond(self.sign * self.limit, life)
+        return found + self.share_of_steps * (by_steps - found)
 
     def remaining_life(self, level: float = 0.9) -> RemainingLife:
         """Median and central interval of the time until the limit is first reached; the level lies between 0 and 1."""
-        axis = self.life_axis()
-        *normal, weights = self._nodes()
-        cdf = first_passage_cdf(np.maximum(axis, 1e-300)[:, None], *normal) @ weights
-        cdf = np.maximum.accumulate(cdf)
+        reach = self.sign * self.limit - self.sign * self.mean_level
+        pace = abs(self.mean_drift) + 1e-3 * abs(reach) / float(self.span.max())
+        axis = np.geomspace(1e-4, 1e3, _LIFE_POINTS) * max(abs(reach) / pace, 1e-3 * float(self.span.max()))
+        cdf = np.maximum.accumulate(self.passage(axis))
         wanted = [0.5 - level / 2.0, 0.5, 0.5 + level / 2.0]
         low, median, high = np.exp(np.interp(wanted, cdf, np.log(axis), left=-np.inf, right=np.inf)).tolist()
-        return RemainingLife(low, median, high, level, float(weights[normal[0] <= 0.0].sum()), float(cdf[-1]))
+        return RemainingLife(low, median, high, level, self.probability_beyond(1.0), float(cdf[-1]))
 
     def forecast(self, ahead: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of the level at times after the last estimate, each the shape of `ahead`."""
-        times = np.asarray(ahead, dtype=np.float64)[..., None]
-        mean = self.level + self.drift * times
+        times = np.asarray(ahead, dtype=np.float64)
+        moved = self._clock_ahead(times)
+        mean = self.level + self.drift * moved
         spread = (
             self.covariance[:, 0, 0]
-            + 2.0 * times * self.covariance[:, 0, 1]
-            + times**2 * self.covariance[:, 1, 1]
-            + self.diffusion**2 * times
+            + 2.0 * moved * self.covariance[:, 0, 1]
+            + moved**2 * self.covariance[:, 1, 1]
+            + self.diffusion**2 * moved
         )
-        centre = mean @ self.weights
-        std = np.sqrt((spread + (mean - centre[..., None]) ** 2) @ self.weights)
-        return self.sign * centre, std
-
-
-def _grid(times: FloatArray, typical_error: float, distance: float) -> tuple[FloatArray, FloatArray]:
-    """All combinations of onset, diffusion and scatter, then steady motors (onset after the end), and their log priors.
-
-    Onsets are equally likely; the drift is Gaussian about 0; diffusion and scatter are half-Cauchy (Gelman 2006).
-    """
-    onsets = np.unique(np.linspace(0.0, len(times) - 2.0, min(len(times) - 1, _MOST_ONSETS)).round())
-    # The diffusions are even in the logarithm, which adds a factor to their density.
-    log_diffusion = log_softmax(np.log(_DIFFUSIONS) - np.log1p((_DIFFUSIONS / _DIFFUSION_SCALE) ** 2))
-    log_scatter = log_softmax(-np.log1p(_SCATTERS**2))
-    axes = np.meshgrid(onsets, _DIFFUSIONS, _SCATTERS, indexing="ij")
-    onset, diffusion, scatter = np.reshape(axes, (3, -1))
-    log_prior = np.add.outer(log_diffusion, log_scatter) + math.log((1.0 - _PRIOR_STEADY) / len(onsets))
-    steady = np.zeros(len(_SCATTERS))
-    since = times[-1] - times[onset.astype(int)]
-    grid = [
-        np.concatenate([onset, steady + len(times)]),
-        np.concatenate([diffusion * distance / math.sqrt(times[-1] - times[0]), steady]),
-        np.concatenate([scatter, _SCATTERS]) * typical_error,
-        np.concatenate([_DRIFT_SCALE * distance / since, steady]),
-    ]
-    priors = [np.tile(log_prior.ravel(), len(onsets)), log_scatter + math.log(_PRIOR_STEADY)]
-    return np.array(grid), np.concatenate(priors)
-
-
-def _filtered(
-    times: FloatArray, estimate: FloatArray, variance: FloatArray, grid: FloatArray, level_std: float
-) -> tuple[FloatArray, FloatArray]:
-    """Kalman filter of [level, drift] for every hypothesis: onset, diffusion, scatter, prior sd of the drift, (4, n).
-
-    Returns:
-        Log-likelihood, shape (n,); level, drift, and their covariances, shape (5, n).
-    """
-    onset, diffusion, scatter, drift_std = grid
-    none = np.zeros(len(onset))
-    level, drift, log_likelihood = none + estimate[0], none, none
-    p00, p01, p11 = none + level_std * level_std, none, drift_std**2
-    for i, step in enumerate(np.diff(times, prepend=times[0])):
-        dt = np.where(onset < i, step, 0.0)
-        level = level + drift * dt
-        p00 = p00 + (2.0 * dt * p01 + dt * dt * p11 + diffusion**2 * dt)
-        p01 = p01 + dt * p11
-        s = p00 + variance[i] + scatter**2
-        error = estimate[i] - level
-        log_likelihood = log_likelihood - 0.5 * (error * error / s + np.log(2.0 * math.pi * s))
-        level, drift = level + p00 / s * error, drift + p01 / s * error
-        kept = (variance[i] + scatter**2) / s
-        p00, p01, p11 = p00 * kept, p01 * kept, p11 - p01 / s * p01
-    return log_likelihood, np.stack([level, drift, p00, p01, p11])
+        centre, square = mean @ self.weights, (spread + mean**2) @ self.weights
+        if self.steps is not None:
+            first, second = self.steps.moments(times)
+            centre = centre + self.share_of_steps * (first - centre)
+            square = square + self.share_of_steps * (second - square)
+        return self.sign * centre, np.sqrt(np.maximum(square - centre**2, 0.0))
 
 
 def degradation(
@@ -230,8 +231,9 @@ def degradation(
     limit: float,
     *,
     sign: float | None = None,
+    limit_errors: float = 0.0,
 ) -> Degradation:
-    """Fit the wear model to a sequence of five estimates or more.
+    """Fit the laws of wear to a sequence of five estimates or more.
 
     Args:
         time: rising, any unit, shape (n,).
@@ -239,6 +241,7 @@ def degradation(
         standard_error: >= 0, shape (n,).
         limit: level whose first passage counts.
         sign: +1 if the limit lies above, -1 below; if None as it lies to the first estimates.
+        limit_errors: standard deviation of the limit, in those of one estimate.
 
     Raises:
         ValueError: a value that is not finite, or a limit at the first level.
@@ -256,27 +259,45 @@ def degradation(
     width = float(np.ptp(estimate))
     typical = max(float(np.median(standard_error)), 0.3 * jumps, 1e-9 * width, 1e-9 * distance)
     errors = np.maximum(standard_error, _LEAST_ERROR * typical)
-    grid, log_prior = _grid(time, typical, distance)
-    log_likelihood, moments = _filtered(time, towards * estimate, errors**2, grid, 10.0 * (distance + width))
-    weight = softmax(log_likelihood + log_prior)
-    weight[grid[0] == len(time)] = 0.0  # steady ones
-    probability_drift = float(weight.sum())
+    level_std, seen = 10.0 * (distance + width), towards * estimate
+    grid = hypotheses(time, typical, distance)
+    log_likelihood, moments = filtered(seen, errors**2, grid, level_std)
+    log_steps, steps = fit_steps(
+        time,
+        seen,
+        errors**2,
+        (SCATTERS * typical, np.exp(log_scatter())),
+        beginning=towards * beginning,
+        distance=distance,
+        level_std=level_std,
+        limit_errors=limit_errors,
+    )
+    log_steps += math.log(PRIOR_LAW)
+    log_weight = log_likelihood + grid.log_prior
+    log_clocks, log_no_trend = logsumexp(log_weight[:-2]), logsumexp(log_weight[-2:])
+    by_clocks, by_steps, _ = softmax([log_clocks, log_steps, log_no_trend]).tolist()
     # The fewest hypotheses that hold all but a negligible part of the weight.
+    weight = softmax(log_weight[:-2].ravel())
     order = np.argsort(weight)[::-1]
-    share = np.cumsum(weight[order]) / probability_drift
-    kept = order[: int(np.searchsorted(share, 1.0 - _NEGLIGIBLE)) + 1]
+    kept = order[: int(np.searchsorted(np.cumsum(weight[order]), 1.0 - _NEGLIGIBLE)) + 1]
     weights = weight[kept] / weight[kept].sum()
-    onset, diffusion, scatter, _ = grid[:, kept]
-    level, drift, p00, p01, p11 = moments[:, kept]
+    clocks, sizes = np.divmod(kept, len(grid.scatter))
+    level, drift, p00, p01, p11 = moments.reshape(5, -1)[:, kept]
+    scatter = grid.scatter[sizes]
     return Degradation(
         weights=weights,
-        onset=onset,
-        diffusion=diffusion,
+        span=grid.span[clocks, 0],
+        exponent=grid.exponent[clocks, 0],
+        growth=grid.growth[clocks, 0],
+        diffusion=grid.diffusion[sizes],
         scatter=scatter,
         level=level,
         drift=drift,
         covariance=np.moveaxis(np.array([[p00, p01], [p01, p11]]), -1, 0),
         limit=float(limit),
         sign=towards,
-        probability_trend=probability_drift * float(weights @ ndtr(drift / np.sqrt(p11))),
+        probability_trend=by_clocks * float(weights @ ndtr(drift / np.sqrt(p11))) + by_steps,
+        limit_variance=limit_errors**2 * (float(np.median(errors)) ** 2 + scatter**2),
+        steps=steps,
+        share_of_steps=float(expit(log_steps - log_clocks)),
     )

@@ -147,7 +147,13 @@ def test_identify_refuses_periods_that_are_not_positive(
 
 @pytest.mark.parametrize(
     ("states", "status"),
-    [(["steady", "unknown"], 0), (["steady", "trending"], 1), (["reached"], 1), (["unknown"], 0)],
+    [
+        (["steady", "unknown"], 0),
+        (["steady", "trending"], 1),
+        (["reached"], 1),
+        (["close"], 1),
+        (["unknown"], 0),
+    ],
 )
 def test_trend_ends_with_1_where_a_limit_matters(
     states: list[str],

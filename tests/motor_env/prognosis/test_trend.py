@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from run_to_failure import WearRecipe, observe, remaining_life_coverage, run_to_failure
-from scipy.stats import invgauss, multivariate_normal
+from scipy.stats import invgauss
 
 from motor_env import InputError
 from motor_env.cli import main
 from motor_env.prognosis.estimates import Series, build_series, date_of, read_estimates
 from motor_env.prognosis.files import Trends
 from motor_env.prognosis.trend import judge, parse_limits
-from motor_env.prognosis.wear import _filtered, degradation, first_passage_cdf
+from motor_env.prognosis.wear import degradation, first_passage_cdf
 
 
 def array(*values: float) -> np.ndarray:
@@ -49,28 +49,6 @@ def test_first_passage_keeps_its_digits_for_a_small_diffusion() -> None:
 
     np.testing.assert_allclose(found, ndtr((0.1 * life - 1.0) / (0.01 * life)), atol=1e-4)
     assert np.isfinite(found).all()
-
-
-def test_likelihood_and_moments_equal_the_joint_gaussian() -> None:
-    rng = np.random.default_rng(5)
-    time = np.cumsum(rng.uniform(0.5, 2.0, 9))
-    y, variance = rng.normal(0.0, 0.3, 9), rng.uniform(0.01, 0.05, 9)
-    onset, diffusion, scatter, drift_std, level_std = 3, 0.2, 0.1, 0.4, 2.0
-    grid = np.array([[onset], [diffusion], [scatter], [drift_std]])
-    log_likelihood, moments = _filtered(time, y, variance, grid, level_std)
-    elapsed = np.maximum(time - time[onset], 0.0)
-    walk = diffusion**2 * np.minimum.outer(elapsed, elapsed)
-    wear = level_std**2 + drift_std**2 * np.outer(elapsed, elapsed) + walk
-    joint = wear + np.diag(variance + scatter**2)
-    # The filter's level starts at the first estimate.
-    expected = multivariate_normal.logpdf(y, np.full(9, y[0]), joint)
-    np.testing.assert_allclose(log_likelihood[0], expected, rtol=1e-9)
-    cross = np.stack([wear[-1], drift_std**2 * elapsed])
-    mean = array(y[0], 0.0) + cross @ np.linalg.solve(joint, y - y[0])
-    prior = np.array([[wear[-1, -1], drift_std**2 * elapsed[-1]], [drift_std**2 * elapsed[-1], drift_std**2]])
-    covariance = prior - cross @ np.linalg.solve(joint, cross.T)
-    np.testing.assert_allclose(moments[:2, 0], mean, rtol=1e-9)
-    np.testing.assert_allclose(moments[2:, 0], covariance[np.triu_indices(2)], rtol=1e-8)
 
 
 def test_runs_first_reach_the_limit_when_theory_says() -> None:
@@ -349,12 +327,47 @@ def test_a_repair_is_told_and_the_trend_begins_there() -> None:
     assert life.low < 15.0 + 0.25 / 0.006 - 39.0 < life.high
 
 
-def test_a_life_allows_for_wear_that_accelerates() -> None:
+def test_wear_that_accelerates_has_a_life_that_holds() -> None:
     day = np.arange(45.0)
     found = judge(history(1.0 + 0.002 * np.expm1(day / 12.0)), (1.25,)).forecasts[0]
     left = 12.0 * math.log(126.0) - 44.0
-    assert found.trends
-    assert found.withheld or found.life.low <= left <= found.life.high
+    assert found.is_told
+    assert found.life.low <= left <= found.life.high
+    assert found.life.median < 2.0 * left  # a straight line would be 4 times too late
+    assert found.wear.growth @ found.wear.weights > 1.0
+
+
+def test_wear_in_steps_is_a_trend_and_close_to_its_limit() -> None:
+    day = np.arange(40.0)
+    values = 1.0 + 0.07 * (np.greater_equal.outer(day, [10.0, 18.0, 30.0])).sum(axis=1)
+    found = judge(history(values), (1.25,))
+    (one,) = found.forecasts
+    assert found.state == "trending"
+    assert one.close
+    assert one.wear.share_of_steps > 0.9
+    assert one.life.low < 1.0 / (3.0 / 39.0) < one.life.high  # one more step of this pace
+
+
+def test_a_jump_towards_a_limit_is_wear_and_a_repair_from_the_other_one() -> None:
+    found = judge(history(1.0 + 0.21 * (np.arange(40.0) >= 20.0)))
+    below, above = found.forecasts
+    assert (
+        "a jump of +21 % at 20 days (a repair or a step), judged since then against -25 %: " in found.sentence
+    )
+    assert (found.state, above.close, below.close) == ("trending", True, False)
+    assert below.wear.span.max() == 19.0
+    assert above.wear.span.max() > 19.0
+
+
+def test_a_level_close_to_its_limit_is_told_without_a_trend() -> None:
+    values = np.array([1.0, 1.0, 1.0, 1.22, 1.22, 1.22, 1.22])
+    found = judge(history(values, error=0.02), (1.25,))
+    assert found.state == "close"
+    assert "close to the limit at +25 %: above 80 % of the way to it with a probability of" in found.sentence
+    shown = Trends((found,))
+    assert shown.to_json()[0]["limits"][0]["close"]
+    assert "close to a limit</td><td>–" in shown.page()
+    assert judge(history(values, error=0.02), (1.4,)).state == "steady"  # 55 % of the way
 
 
 def test_no_life_where_another_temperature_would_explain_the_drift() -> None:

@@ -10,16 +10,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import invgauss, norm
+from scipy.linalg import expm, toeplitz
+from scipy.stats import gamma, invgauss, norm
 
 from motor_env import InputError
 from motor_env.cli import main
 from motor_env.motor.parameters import FloatArray
+from motor_env.prognosis.clocks import clock
 from motor_env.prognosis.estimates import Series, build_series, read_estimates
 from motor_env.prognosis.files import Trends
-from motor_env.prognosis.laws import at_one_temperature, earliest, last_jump, withheld
+from motor_env.prognosis.laws import at_one_temperature, last_jump, withheld
+from motor_env.prognosis.steps import fit_steps
 from motor_env.prognosis.trend import Forecast, describe, judge
-from motor_env.prognosis.wear import Degradation, RemainingLife, degradation, first_passage_cdf
+from motor_env.prognosis.wear import Degradation, RemainingLife, degradation
 
 
 def array(*values: float) -> FloatArray:
@@ -32,26 +35,29 @@ def wear(
     level: FloatArray | None = None,
     drift: FloatArray | None = None,
     covariance: FloatArray | None = None,
-    onset: float = 0.0,
     diffusion: float = 0.1,
-    scatter: float = 0.0,
+    exponent: float = 1.0,
+    growth: float = 0.0,
     limit: float = 1.5,
     sign: float = 1.0,
 ) -> Degradation:
-    """What estimates might tell, made by hand; one hypothesis unless more are given."""
+    """What estimates might tell, made by hand; one hypothesis unless more are given. All began 20 days ago."""
     weights = array(1.0) if weights is None else weights
     n = len(weights)
     return Degradation(
         weights=weights,
-        onset=np.full(n, onset),
+        span=np.full(n, 20.0),
+        exponent=np.full(n, exponent),
+        growth=np.full(n, growth),
         diffusion=np.full(n, diffusion),
-        scatter=np.full(n, scatter),
+        scatter=np.zeros(n),
         level=np.ones(n) if level is None else level,
         drift=np.full(n, 0.01) if drift is None else drift,
         covariance=np.full((n, 2, 2), 1e-12 * np.eye(2)) if covariance is None else covariance,
         limit=limit,
         sign=sign,
         probability_trend=1.0,
+        limit_variance=np.zeros(n),
     )
 
 
@@ -69,21 +75,29 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
 
     distance = abs(limit - value[:3].mean())
     typical = max(np.median(error), 0.3 * np.median(np.abs(np.diff(value))) / 0.954)
-    sizes = np.geomspace(0.004, 2.5, 12)
+    sizes = np.geomspace(0.01, 2.0, 9)
     scatters = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])
     sd0, y = 10.0 * (distance + np.ptp(value)), -value
     rows = []
-    prior_d = sizes / (1.0 + (sizes / 0.3) ** 2)
+    prior_d = 1.0 / (1.0 + (sizes / 0.25) ** 2)
     prior_s = 1.0 / (1.0 + scatters**2)
-    drifting = [(k, d, s) for k in range(n - 1) for d in range(12) for s in range(7)]
-    for onset, d, s in [*drifting, *((n, -1, s) for s in range(7))]:
+    powers, growths = {0.5: 0.25, 1.0: 1.0, 1.5: 0.25, 2.0: 0.25, 3.0: 0.25}, (1.5, 2.5, 4.0, 6.0)
+    laws = [(lambda u, p=p: u**p, share / 5.0) for p, share in powers.items()]
+    laws += [(lambda u, g=g: np.expm1(g * u) / math.expm1(g), 1.0 / 20.0) for g in growths]
+    drifting = [(law, k, d, s) for law in laws for k in range(n - 1) for d in range(9) for s in range(7)]
+    chance = [(None, 0, d, s) for d in range(9) for s in range(7)]
+    for law, onset, d, s in [*drifting, *chance, *((None, n, -1, s) for s in range(7))]:
         prior = prior_s[s] / prior_s.sum() / 2.0
         elapsed, slope_sd, diffusion = np.zeros(n), 0.0, 0.0
-        if onset < n:
-            prior *= prior_d[d] / prior_d.sum() / (n - 1)
-            elapsed = np.maximum(time - time[onset], 0.0)
-            slope_sd = 0.7 * distance / (time[-1] - time[onset])
+        if law is not None:
+            span = time[-1] - time[onset]
+            prior *= law[1] * prior_d[d] / prior_d.sum() * (0.5 if onset == 0 else 0.5 / (n - 2))
+            elapsed = span * law[0](np.maximum(time - time[onset], 0.0) / span)
+            slope_sd = 0.7 * distance / span
             diffusion = sizes[d] * distance / math.sqrt(time[-1] - time[0])
+        elif onset == 0:  # diffusion without a drift
+            prior *= prior_d[d] / prior_d.sum() / 5.0
+            elapsed, diffusion = time - time[0], sizes[d] * distance / math.sqrt(time[-1] - time[0])
         signal = sd0**2 + slope_sd**2 * np.outer(elapsed, elapsed)
         signal += diffusion**2 * np.minimum.outer(elapsed, elapsed)
         joint = signal + np.diag(error**2 + (scatters[s] * typical) ** 2)
@@ -94,27 +108,86 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
         both = both - gain @ np.stack([signal[-1], slope_sd**2 * elapsed], axis=1)
         off = y - y[0]
         log = -0.5 * (off @ np.linalg.solve(joint, off) + np.linalg.slogdet(2.0 * math.pi * joint)[1])
-        rows.append((prior, log, onset < n, *mean, both[0, 0], both[0, 1], both[1, 1], diffusion))
-    prior, log, moves, level, drift, p00, p01, p11, diffusion = np.array(rows).T
-    weight = prior * np.exp(log - log.max())
-    share_moving = weight[moves > 0.0].sum() / weight.sum()
-    weight = np.where(moves > 0.0, weight, 0.0) / weight[moves > 0.0].sum()
-    # Grid points that hold together less than 0.002 of the weight are left out.
+        rows.append((prior, log, law is not None, *mean, both[0, 0], both[0, 1], both[1, 1]))
+    prior, log, moves, level, drift, p00, _, p11 = np.array(rows).T
+    log_steps, _ = fit_steps(
+        time,
+        y,
+        error**2,
+        (scatters * typical, prior_s / prior_s.sum()),
+        beginning=-value[:3].mean(),
+        distance=distance,
+        level_std=sd0,
+        limit_errors=0.0,
+    )
+    every = np.append(prior * np.exp(log - log.max()), np.exp(log_steps - log.max()) / 10.0)
+    every /= every.sum()
+    weight, of_steps = np.where(moves > 0.0, every[:-1], 0.0), every[-1]
+    by_clocks = weight.sum()
+    assert found.share_of_steps == pytest.approx(of_steps / (of_steps + by_clocks), rel=1e-6)
+    # Grid points that hold together less than 0.01 of the weight are left out.
     order = np.argsort(weight)[::-1]
-    kept = order[: int(np.searchsorted(np.cumsum(weight[order]), 1.0 - 0.002)) + 1]
+    kept = order[: int(np.searchsorted(np.cumsum(weight[order]) / by_clocks, 1.0 - 0.01)) + 1]
     assert len(found.weights) == len(kept)
     w = weight[kept] / weight[kept].sum()
-    np.testing.assert_allclose(np.sort(found.weights), np.sort(w), rtol=1e-6)
+    np.testing.assert_allclose(np.sort(found.weights), np.sort(w), rtol=1e-5)
     towards = w @ norm.cdf(drift[kept] / np.sqrt(p11[kept]))
-    assert found.probability_trend == pytest.approx(share_moving * towards, rel=1e-8)
-    assert found.mean_drift == pytest.approx(-(w @ drift[kept]), rel=1e-8)
-    spread = w @ (p11[kept] + (drift[kept] - w @ drift[kept]) ** 2)
-    assert found.drift_std == pytest.approx(math.sqrt(spread), rel=1e-7)
-    mean, sd = found.forecast(2.5)
-    each = level[kept] + 2.5 * drift[kept]
-    variance = p00[kept] + 5.0 * p01[kept] + 6.25 * p11[kept] + 2.5 * diffusion[kept] ** 2
-    assert mean == pytest.approx(-(w @ each), rel=1e-8)
-    assert sd == pytest.approx(math.sqrt(w @ (variance + (each - w @ each) ** 2)), rel=1e-7)
+    assert found.probability_trend == pytest.approx(by_clocks * towards + of_steps, rel=1e-6)
+    alone = replace(found, steps=None)
+    mean, sd = alone.forecast(0.0)
+    assert mean == pytest.approx(-(w @ level[kept]), rel=1e-8)
+    assert sd == pytest.approx(math.sqrt(w @ (p00[kept] + (level[kept] - w @ level[kept]) ** 2)), rel=1e-4)
+
+
+def test_the_law_of_steps_is_a_compound_poisson_process() -> None:
+    """Transitions by the exponential of the generator on the same grid, hypothesis by hypothesis."""
+    time, y = array(0.0, 1.0, 2.0, 5.0), array(1.0, 1.01, 1.08, 1.07)
+    variance, scatter = np.full(4, 0.01**2), (array(0.0, 0.02), array(0.7, 0.3))
+    log_evidence, found = fit_steps(
+        time, y, variance, scatter, beginning=1.0, distance=0.2, level_std=2.0, limit_errors=0.0
+    )
+    grid = 1.0 + 0.2 * np.linspace(-0.6, 1.4, 128)
+    width, after, evidence = grid[1] - grid[0], 3.0, 0.0
+    ends, later = np.zeros(128), np.zeros(128)
+    for rate in np.geomspace(0.5, 8.0, 5) / 5.0:
+        for size in array(0.2, 0.4) * 0.2:
+            edges = np.maximum(np.arange(129) - 0.5, 0.0) * width
+            jump = np.diff(gamma(4.0, scale=size / 4.0).cdf(edges))
+            generator = rate * (toeplitz(jump, np.zeros(128)) - np.eye(128))
+            moves = {step: expm(step * generator) for step in (1.0, 3.0)}
+            for extra, prior in zip(*scatter, strict=True):
+                sd = np.sqrt(variance + extra**2 + width**2 / 12.0)
+                density = norm(1.0, 2.0).pdf(grid) * width * prior / 10.0 * norm(y[0], sd[0]).pdf(grid)
+                for i in (1, 2, 3):
+                    density = moves[time[i] - time[i - 1]] @ density * norm(y[i], sd[i]).pdf(grid)
+                evidence += density.sum()
+                ends, later = ends + density, later + moves[after] @ density
+    assert log_evidence == pytest.approx(math.log(evidence), abs=1e-6)
+    mean, square = found.moments(array(0.0))
+    assert mean[0] == pytest.approx(ends @ grid / evidence, rel=1e-6)
+    assert square[0] == pytest.approx(ends @ grid**2 / evidence, rel=1e-6)
+    within = later @ norm.cdf((1.2 - grid) / (0.3 * width)) / evidence
+    assert found.probability_beyond(1.2, array(after))[0] == pytest.approx(1.0 - within, rel=1e-6)
+    # The mean wear ahead is rate times size, and its variance rate times the mean square of a step.
+    mean, square = found.moments(array(0.0, 2.0))
+    share = found.density.sum(axis=1)
+    assert mean[1] - mean[0] == pytest.approx(2.0 * found.mean_pace, rel=1e-9)
+    assert len(share) == 10
+
+
+@pytest.mark.parametrize(("exponent", "growth"), [(2.0, 0.0), (0.5, 0.0), (1.0, 3.0)])
+def test_a_clock_that_bends_takes_the_life_with_it(exponent: float, growth: float) -> None:
+    """A drift without chance reaches the limit where its curve does."""
+    elapsed = array(0.0, 0.5, 1.0, 1.7)
+    shown = clock(elapsed, np.full(4, exponent), np.full(4, growth))
+    curve = elapsed**exponent if growth == 0.0 else np.expm1(growth * elapsed) / math.expm1(growth)
+    np.testing.assert_allclose(shown, curve, rtol=2e-6)
+    reach = 0.01 * 20.0 * (curve[-1] - 1.0)
+    one = wear(exponent=exponent, growth=growth, limit=1.0 + reach, diffusion=1e-5)
+    np.testing.assert_allclose(one.passage(array(13.9, 14.1)), [0.0, 1.0], atol=1e-3)
+    assert one.forecast(14.0)[0] == pytest.approx(1.0 + reach, rel=1e-5)
+    pace = (one.forecast(1e-3)[0] - one.forecast(0.0)[0]) / 1e-3
+    assert one.mean_drift == pytest.approx(pace, rel=1e-3)
 
 
 def test_many_estimates_have_twenty_onsets_and_the_first_tenth_sets_the_distance() -> None:
@@ -122,7 +195,7 @@ def test_many_estimates_have_twenty_onsets_and_the_first_tenth_sets_the_distance
         60
     )
     found = degradation(np.arange(60.0), value, np.full(60, 1e-3), 1.05)
-    assert set(found.onset) <= set(np.linspace(0.0, 58.0, 20).round())
+    assert set(59.0 - found.span) <= set(np.linspace(0.0, 58.0, 20).round())
     assert found.sign == -1.0  # the first six lie at 1.1 in the mean
 
 
@@ -158,8 +231,7 @@ def test_an_uncertain_level_is_integrated_by_seven_points() -> None:
     sd, correlation, drift_sd = 0.2, -0.8, 0.06
     covariance = np.array([[sd**2, correlation * sd * drift_sd], [correlation * sd * drift_sd, drift_sd**2]])
     one = wear(level=array(1.4), drift=array(0.05), covariance=covariance[None])
-    reached = weights[1.4 + sd * nodes >= 1.5].sum() / weights.sum()
-    assert one.remaining_life().probability_reached == pytest.approx(reached)
+    assert one.remaining_life().probability_reached == pytest.approx(norm.cdf(-0.5))
     # At each point the drift is still uncertain; the first passage of each drift is known.
     life, grid = 4.0, np.linspace(-8.0, 8.0, 4001)
     share, root = np.exp(-0.5 * grid**2) / np.exp(-0.5 * grid**2).sum(), 0.1 * math.sqrt(life)
@@ -172,16 +244,7 @@ def test_an_uncertain_level_is_integrated_by_seven_points() -> None:
             passed = norm.cdf((drifts * life - distance) / root)
             passed += np.exp(2.0 * drifts * distance / 0.01) * norm.cdf((-drifts * life - distance) / root)
         expected += weight * float(share @ passed)
-    *normal, share = one._nodes()
-    assert first_passage_cdf(array(life), *normal) @ share == pytest.approx(expected, rel=1e-6)
-
-
-def test_the_axis_of_lives_spans_seven_decades_about_the_reach_over_the_pace() -> None:
-    covariance = np.array([[[0.01, 0.0], [0.0, 0.04]]])
-    for drift, pace in ((0.5, 0.5), (1e-4, 0.05 * 0.2)):
-        axis = wear(drift=array(drift), covariance=covariance).life_axis()
-        np.testing.assert_allclose(axis[[0, -1]], array(1e-4, 1e3) * (0.5 + 0.3) / pace)
-        assert len(axis) == 100
+    assert one.passage(array(life))[0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_forecast_is_the_mixture_of_its_hypotheses() -> None:
@@ -201,7 +264,6 @@ def test_a_forecast_is_the_mixture_of_its_hypotheses() -> None:
     np.testing.assert_allclose(sd, every.std(axis=0), rtol=0.005)
     np.testing.assert_allclose(replace(one, sign=-1.0).forecast(ahead)[0], -mean)
     assert one.mean_drift == pytest.approx(weights @ drift)
-    assert one.drift_std == pytest.approx(math.sqrt(0.0004 + weights @ (drift - weights @ drift) ** 2))
 
 
 def stepped(values: FloatArray, size: float, at: int, error: float) -> Series:
@@ -271,70 +333,6 @@ def test_a_change_that_30_kelvin_explain_is_withheld() -> None:
             assert "temperature" not in withheld(given, one, knows_temperature=True)
 
 
-def test_a_drift_below_three_standard_deviations_is_withheld() -> None:
-    given = series(1.0 + 0.01 * np.arange(7.0))
-    for drift, is_withheld in ((0.0299, True), (0.0301, False)):
-        for sign in (1.0, -1.0):
-            covariance = np.array([[[1e-6, 0.0], [0.0, 1e-4]]])
-            one = wear(level=array(sign * 1.06), drift=array(drift), covariance=covariance, sign=sign)
-            assert ("chance alone" in withheld(given, one, knows_temperature=True)) is is_withheld
-
-
-def bent(bend: float, n: int = 21) -> Series:
-    time = np.arange(float(n))
-    return series(1.0 + 0.01 * time + bend * np.maximum(time - 0.5 * (n - 1), 0.0), 0.02, step=1.0)
-
-
-def drift_change(given: Series, diffusion: float, scatter: float) -> float:
-    """Change of slope in the middle, in standard deviations, by generalised least squares on level and two slopes."""
-    time = given.time - given.time[0]
-    middle = 0.5 * time[-1]
-    covariance = diffusion**2 * np.minimum.outer(time, time) + np.diag(given.standard_error**2 + scatter**2)
-    root = np.linalg.inv(np.linalg.cholesky(covariance))
-    design = root @ np.stack([np.ones(len(time)), time, np.maximum(time - middle, 0.0)], axis=1)
-    found, *_ = np.linalg.lstsq(design, root @ given.estimate, rcond=None)
-    return float(found[2] / math.sqrt(np.linalg.inv(design.T @ design)[2, 2]))
-
-
-def test_a_drift_that_changes_by_two_standard_deviations_is_withheld() -> None:
-    diffusion, scatter = 0.03, 0.015
-    bend = 2.0 / drift_change(bent(1.0), diffusion, scatter)
-    bend -= bend * drift_change(bent(0.0), diffusion, scatter) / 2.0
-    one = wear(diffusion=diffusion, scatter=scatter, level=array(3.0))
-    for factor, word in ((1.005, "accelerates"), (0.995, ""), (-0.995, ""), (-1.005, "slows down")):
-        given = bent(factor * bend)
-        assert drift_change(given, diffusion, scatter) == pytest.approx(2.0 * factor, rel=1e-6)
-        said = withheld(given, one, knows_temperature=True)
-        assert (word in said) if word else said == ""
-    late = wear(diffusion=diffusion, scatter=scatter, level=array(3.0), onset=14.0)
-    assert withheld(bent(1.0), late, knows_temperature=True) == ""  # seven estimates since the onset
-    assert withheld(bent(1.0), replace(late, onset=array(13.0)), knows_temperature=True) == ""
-    curved = series(1.0 + 0.01 * np.arange(21.0) + 0.05 * np.maximum(np.arange(21.0) - 17.0, 0.0) ** 2, 0.02)
-    assert "accelerates" in withheld(curved, replace(late, onset=array(13.0)), knows_temperature=True)
-    assert withheld(curved, late, knows_temperature=True) == ""
-
-
-def test_the_earliest_end_is_that_of_the_fastest_growth_which_is_not_excluded() -> None:
-    rng = np.random.default_rng(5)
-    time = np.arange(25.0)
-    given = series(1.0 + 0.02 * np.expm1(time / 12.0) + 0.004 * rng.standard_normal(25), 0.004)
-    diffusion, scatter, limit = 0.002, 0.003, 1.4
-    one = wear(diffusion=diffusion, scatter=scatter, limit=limit)
-    covariance = diffusion**2 * np.minimum.outer(time, time) + (0.004**2 + scatter**2) * np.eye(25)
-    root = np.linalg.inv(np.linalg.cholesky(covariance))
-    fits = []
-    for tau in 24.0 * np.geomspace(0.1, 10.0, 25):
-        design = np.stack([np.ones(25), np.exp(time / tau)], axis=1)
-        (level, size), (left, *_), *_ = np.linalg.lstsq(root @ design, root @ given.estimate, rcond=None)
-        fits.append((left, tau * math.log((limit - level) / size) - time[-1]))
-    least = min(left for left, _ in fits)
-    expected = min(end for left, end in fits if left < least + 2.7)
-    assert earliest(given, one) == pytest.approx(expected, rel=1e-6)
-    turned = replace(given, estimate=2.0 - given.estimate)
-    assert earliest(turned, replace(one, sign=-1.0, limit=0.6)) == pytest.approx(expected, rel=1e-6)
-    assert earliest(replace(given, estimate=2.0 - given.estimate), one) == math.inf
-
-
 def test_a_trend_is_said_from_95_percent_on() -> None:
     """Two slopes so close that their probabilities lie on either side of the border."""
     noise = 0.01 * np.random.default_rng(3).standard_normal(12)
@@ -356,6 +354,9 @@ def test_a_trend_is_judged_from_five_estimates_on_relative_to_the_first() -> Non
     (forecast,) = found.forecasts
     assert forecast.factor == 1.5
     assert forecast.wear.mean_drift == pytest.approx(0.02 / 2.02, rel=0.01)
+    # The limit has the error of the mean of three estimates, times its factor.
+    of_one = (1e-4 / 2.02) ** 2 + forecast.wear.scatter**2
+    np.testing.assert_allclose(forecast.wear.limit_variance, 1.5**2 / 3.0 * of_one)
     assert judge(series(values, 1e-4), (1.5,), reference_count=1).reference == 2.0
     assert judge(series(values, 1e-4), (1.5,), level=0.5).forecasts[0].life.level == 0.5
     assert "trends to the limit at +50 %, by +0.99 % of the reference a day: reached in" in found.sentence
@@ -387,7 +388,7 @@ def test_a_limit_counts_as_reached_with_a_probability_of_one_half() -> None:
 
 def test_a_life_in_words() -> None:
     life = RemainingLife(4.0, 12.0, 31.0, 0.8, 0.0, 1.0)
-    one = Forecast(1.5, reached=False, trends=True, wear=wear(), life=life)
+    one = Forecast(1.5, reached=False, close=False, trends=True, wear=wear(), life=life)
     assert describe(one, "days") == "reached in 12 days (80 % interval 4 to 31)"
     said = describe(replace(one, life=life._replace(high=math.inf, probability_ever=0.45)), "days")
     assert "not before 4 days (lower end of the 80 % interval; no upper end" in said
