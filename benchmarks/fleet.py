@@ -224,6 +224,8 @@ def main(*, healthy: int = 3000, sick: int = 300, check: int = 300, workers: int
         check: number of full fits that the law of the drawn ones is compared with.
         workers: processes.
     """
+    law = ["quantity", "full fits", "squared error over the variance", "95 % intervals that hold"]
+    keep_table("fleet", "law", law, checked(check, workers))
     header = [
         "own records",
         "bearing, 30 sisters",
@@ -232,7 +234,7 @@ def main(*, healthy: int = 3000, sick: int = 300, check: int = 300, workers: int
         "winding, own alone",
     ]
     keep_table("fleet", "own", header, smallest_faults(100))
-    alarms, power = [], []
+    alarms, found, names = [], by_cell(), by_cell()
     with ProcessPoolExecutor(workers) as pool:
         for size, share in product(SIZES, SICK_SHARES):
             fleets = max(healthy // 10, 1)
@@ -243,25 +245,21 @@ def main(*, healthy: int = 3000, sick: int = 300, check: int = 300, workers: int
             by_fault = np.sum([cell.by_fault for cell in cells], axis=0)
             share_of = counts[1:] / counts[0]
             half = 1.96 * np.sqrt(np.var([cell.healthy[1] / 10.0 for cell in cells]) / len(cells))
-            alarms.append(
-                [
-                    str(size),
-                    f"{share:.0%}",
-                    f"{counts[0]:.0f}",
-                    f"{share_of[0]:.2%}",
-                    f"{half:.2%}",
-                    f"{share_of[1]:.2%}",
-                ]
-            )
-            power += [
-                [str(size), f"{share:.0%}", fault.name, *(f"{one:.2f}" for one in row[1:] / row[0])]
-                for fault, row in zip(faults(), by_fault, strict=True)
-            ]
-            print(alarms[-1], *power[-len(by_fault) :], sep="\n  ", file=sys.stderr, flush=True)
+            rates = (share_of[0], half, share_of[1])
+            alarms.append([str(size), f"{share:.0%}", f"{counts[0]:.0f}", *(f"{one:.2%}" for one in rates)])
+            for fault, row in zip(faults(), by_fault / by_fault[:, :1], strict=True):
+                found[fault.name].append(f"{row[1]:.2f} of {row[2]:.2f}")
+                names[fault.name].append(f"{row[3]:.2f} of {row[4]:.2f}")
+            print(alarms[-1], file=sys.stderr, flush=True)
     keep_table("fleet", "alarms", ["motors", "sick", "judged", "false alarms", "±", "oracle"], alarms)
-    keep_table(
-        "fleet", "power", ["motors", "sick", "fault", "found", "oracle", "named", "oracle's names"], power
-    )
+    header = [f"{size}, {share:.0%}" for size, share in product(SIZES, SICK_SHARES)]
+    for name, rows in (("power", found), ("names", names)):
+        keep_table("fleet", name, ["fault", *header], ([fault, *cells] for fault, cells in rows.items()))
+
+
+def by_cell() -> dict[str, list[str]]:
+    """An empty row of each fault."""
+    return {fault.name: [] for fault in faults()}
 
 
 if __name__ == "__main__":

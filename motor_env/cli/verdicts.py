@@ -135,9 +135,9 @@ def _fleet(
             kept=kept,
             progress=lambda _: advance(advance=1),
         )
-    show(json_, found.to_json, found.text)
     if out is not None:
         write_text(out / "fleet.html", found.page())
+    show(json_, found.to_json, found.text)
     measurement.keep()
     return int(found.status)
 

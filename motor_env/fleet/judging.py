@@ -64,8 +64,7 @@ class FleetDiagnosis:
         """A table, the oddest motor first."""
         width = max(len(sister.place.name) for sister in self.sisters)
         rows = [
-            f"{sister.place.name:<{width}}  {sister.verdict:<12} {sister.shown_severity:>6}"
-            f"  {sister.odd or sister.why}"
+            f"{sister.place.name:<{width}}  {sister.verdict:<12} {sister.shown_severity:>6}  {sister.shown}"
             for sister in self.sisters
         ]
         return "\n".join([self.summary, *rows])

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
+from motor_env.diagnosis.verdict import Verdict
 from motor_env.fleet.sister import Sister
 from motor_env.pages.svg import Axis, Chart
 
@@ -32,9 +34,10 @@ def picture(names: Sequence[str], sisters: Sequence[Sister]) -> str:
     top, height = chart.y(_USUAL), chart.y(-_USUAL) - chart.y(_USUAL)
     chart.shape("rect", "usual", x=chart.left, y=top, width=chart.right - chart.left, height=height)
     chart.y_numbers()
-    taken: dict[int, list[float]] = {}
+    named: dict[int, list[tuple[float, float, str]]] = {}
     for place, sister in enumerate(reversed(sisters)):  # the oddest last, on top
-        is_odd = sister.verdict.is_fault
+        # What a failed sensor has read tells nothing of the motor.
+        is_odd = sister.verdict.is_fault and sister.verdict is not Verdict.SENSOR
         for column, name in enumerate(names):
             if name not in sister.off:
                 continue
@@ -43,17 +46,12 @@ def picture(names: Sequence[str], sisters: Sequence[Sister]) -> str:
             title = f"{sister.place.name}: {name} {sister.ratios[name] - 1.0:+.0%}"
             chart.dot("odd" if is_odd else "sister", at, 5.0 if is_odd else 3.5, title)
             if is_odd and abs(off) > _USUAL:
-                line = _free(at[1] + 4.0, taken.setdefault(column, []))
-                chart.text((at[0] + 9.0, line), sister.place.name, "name")
+                named.setdefault(column, []).append((at[1] + 4.0, at[0] + 9.0, sister.place.name))
+    for labels in named.values():
+        below = -math.inf
+        for line, x, label in sorted(labels):
+            below = max(line, below + _ROW)
+            chart.text((x, below), label, "name")
     for column, name in enumerate(names):
         chart.text((chart.x(column), chart.bottom + 22.0), name, "tick", "middle")
     return chart.svg()
-
-
-def _free(wanted: float, taken: list[float]) -> float:
-    """A line for a name near the wanted one that no other name has."""
-    line = wanted
-    while any(abs(line - one) < _ROW for one in taken):
-        line += _ROW
-    taken.append(line)
-    return line

@@ -136,3 +136,8 @@ class Sister:
         own = "" if self.verdict is Verdict.HEALTHY else self.telling.reasons[0]
         both = f"all motors of {self.place.machine} together: {self.together}" if self.together else ""
         return "; ".join(filter(None, (own, both)))
+
+    @property
+    def shown(self) -> str:
+        """What the table on the screen says of it; of a sensor that failed, quantities say nothing."""
+        return self.why if self.verdict is Verdict.SENSOR else self.odd or self.why
