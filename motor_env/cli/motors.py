@@ -22,6 +22,7 @@ def identify(
     torque_constant: float | None = None,
     name: str = "identified motor",
     regime: str = "auto",
+    motor: Path | None = None,
     json_: bool = False,
 ) -> int:
     """Parameters of a motor from recorded starts or from logs of it at work, and the model that the evidence prefers.
@@ -39,8 +40,14 @@ def identify(
         torque_constant: In N m/A, where known and the speed was not recorded: the current alone does not tell it.
         name: Name of the motor in that file.
         regime: start, operation, or auto: decided by what the voltage does.
+        motor: Motor file of `commission --fleet`: what the recordings hardly tell is as in the sisters.
         json_: Print one array with one object a start, and one for all logs of a motor at work.
     """
+    if motor is not None:
+        for option, given in (("torque-constant", torque_constant), ("out", out)):
+            if given is not None:
+                raise InputError(f"--{option} does not go with --motor")
+        return _beside_sisters(files, motor, output, measurement, regime=regime, name=name, json_=json_)
     from motor_env.diagnosis.identify import identify as fitted
     from motor_env.motor.data_sheet import save_motor
 
@@ -58,6 +65,43 @@ def identify(
     options.show(json_, found.to_json, found.text)
     measurement.keep()
     return int(ExitStatus.HEALTHY if found.is_complete else ExitStatus.UNDECIDED)
+
+
+def _beside_sisters(
+    files: list[Path],
+    motor: Path,
+    output: Path | None,
+    measurement: options.StartMeasurement,
+    *,
+    regime: str,
+    name: str,
+    json_: bool,
+) -> int:
+    """`identify` with the file of a fleet as the prior."""
+    from motor_env.fleet.first import Reading
+    from motor_env.fleet.own import learn_own, quantities_of
+    from motor_env.motor.data_sheet import load_motor, save_motor
+
+    reading = Reading(regime=regime, **options.for_files(measurement))
+    found = learn_own(files, load_motor(motor), name, reading=reading)
+    rows = quantities_of(found)
+    if output is not None:
+        save_motor(found, output)
+    lines = [
+        f"{len(files)} recordings beside the sisters of {motor}; 95 % intervals",
+        *(
+            f"  {quantity:<12} {row['value']:11.4g} {row['unit']:<12}"
+            f" {row['interval'][0]:.4g} to {row['interval'][1]:.4g}"
+            for quantity, row in rows.items()
+        ),
+    ]
+    options.show(
+        json_,
+        lambda: [{"files": [str(path) for path in files], "motor": str(motor), "parameters": rows}],
+        lambda: "\n".join(lines),
+    )
+    measurement.keep()
+    return 0
 
 
 def commission(

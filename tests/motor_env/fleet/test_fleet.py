@@ -112,7 +112,9 @@ def test_motors_of_one_machine_do_not_count_for_each_other(starts: list[Path]) -
     assert without.fleet.motors == 6
 
 
-def test_logs_at_work_make_a_motor_file_that_judges_another_sister(tmp_path: Path) -> None:
+def test_logs_at_work_make_a_motor_file_that_judges_another_sister(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     files, toml = fleet(tmp_path / "fleet", STEPS_V, machines=3), tmp_path / "fleet.toml"
     assert main(["commission", "--fleet", *map(str, files), "--group", GROUP, "-o", str(toml)]) == 0
     motor = load_motor(toml)
@@ -147,6 +149,14 @@ def test_logs_at_work_make_a_motor_file_that_judges_another_sister(tmp_path: Pat
     resistance_ohm = np.exp(drawn(50)) * PAPER_MOTOR.resistance_ohm
     assert healthy[-1].values[0] == pytest.approx(resistance_ohm, rel=0.03)
 
+    capsys.readouterr()
+    assert main(["identify", str(own[0]), "--motor", str(toml), "--json"]) == 0
+    (one,) = json.loads(capsys.readouterr().out)
+    low, high = one["parameters"]["R"]["interval"]
+    assert low < resistance_ohm < high
+    assert high / low < np.exp(4.0 * sd[0, 0])
+    assert one["parameters"]["R"]["value"] == pytest.approx(healthy[1].values[0])
+
 
 def drawn(machine: int) -> float:
     """Logarithm of the factor on R of a motor of `record`."""
@@ -175,6 +185,10 @@ def test_what_makes_no_fleet_is_refused(
         (["diagnose", "x.csv", "--fleet", "--motor", "m.toml"], "--motor does not go with --fleet"),
         (["diagnose", "x.csv", "--fleet", "--start", "2"], "--start does not go with a fleet"),
         (["commission", "x.csv", "--group", "(?P<machine>x)", "-o", "m.toml"], "--group goes with --fleet"),
+        (
+            ["identify", "x.csv", "--motor", "m.toml", "--torque-constant", "1"],
+            "--torque-constant does not go",
+        ),
         (["commission", "x.csv", "--fleet", "--steady", "-o", "m.toml"], "--steady does not go with --fleet"),
     ],
 )
