@@ -116,7 +116,6 @@ class LearnedFleet:
             covariance,
             0.0,
             windows=None if self.fits.windows is None else at_centre(self.fits.windows, centre),
-            # learned below, of starts
             starts=None if self.fits.windows is not None else self._starts.starts,
             fleet=Fleet(count, core.within),
         )
