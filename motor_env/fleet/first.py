@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from motor_env.diagnosis.diagnose import unusable_reason
 from motor_env.diagnosis.running.lessons import effective_speed, known_of
@@ -39,6 +39,11 @@ class Reading:
     regime: str = "auto"
     voltage_v: float | None = None
     circuit: Circuit | None = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """These as arguments of `motor_env.diagnose`."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def start(self, path: Path) -> Start:
         """The first start of a file, as it is fitted."""

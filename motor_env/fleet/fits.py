@@ -8,6 +8,7 @@ each other in a short record, so that the torque which the motor needs while it 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -92,7 +93,7 @@ def fit_fleet(
         progress: told each file, twice.
 
     Raises:
-        InputError: no record can be used, or starts stand beside logs.
+        InputError: no record can be used, or the file of kept fits is another's.
     """
     kinds = set(each(partial(regime_of, reading), files))
     # A start is a short log, too; a log is no start.
@@ -180,8 +181,13 @@ def _shared_by_logs(firsts: dict[Path, First], reading: Reading) -> Windows:
         known = known.copy()
         known[[places.B, places.COULOMB]] = (1.0 - share) * drag / speed, share * drag
         tried.append(replace(windows, physical=known))
-    misfits = [sum(_log_fit(reading, one, path).misfit for path in some) for one in tried]
+    misfits = [sum(_misfit(second_log(reading, one, path)) for path in some) for one in tried]
     return tried[int(np.argmin(misfits))]
+
+
+def _misfit(found: Second | str) -> float:
+    """Misfit of a second fit; infinite where there is none."""
+    return math.inf if isinstance(found, str) else found.misfit
 
 
 def _drag(first: First) -> float:
@@ -192,13 +198,9 @@ def _drag(first: First) -> float:
 def second_log(reading: Reading, windows: Windows, path: Path) -> Second | str:
     """The fit of a log with what all share, or why there is none."""
     try:
-        return _log_fit(reading, windows, path)
+        record = replace(from_recordings([reading.log(path)]), hold=windows.hold)
+        fit = fit_window(record, windows.physical, windows.terms)
     except REASONS as error:
         return str(error)
-
-
-def _log_fit(reading: Reading, windows: Windows, path: Path) -> Second:
-    record = replace(from_recordings([reading.log(path)]), hold=windows.hold)
-    fit = fit_window(record, windows.physical, windows.terms)
     found = over_speed(fit, windows.physical, windows.speed_rad_s)
     return Second(found.log_values, found.log_covariance, misfit=fit.misfit)

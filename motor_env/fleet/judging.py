@@ -127,7 +127,7 @@ def diagnose_fleet(
 
 def _of_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Sister]:
     """The motors of a machine, judged by those of all others."""
-    core, reading, found = fleet.core_without(machine), fleet.fits.reading, []
+    core, found = fleet.core_without(machine), []
     for place in dict.fromkeys(one for one in fleet.every.values() if one.machine == machine):
         if place.motor not in fleet.positions:
             raise InputError(
@@ -136,15 +136,7 @@ def _of_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Sister]:
         own = [path for path, one in fleet.every.items() if one == place]
         motor = fleet.motor("a healthy one", core, place.motor)
         records = {
-            path: diagnose(
-                path,
-                motor,
-                columns=reading.columns,
-                regime=reading.regime,
-                voltage_v=reading.voltage_v,
-                circuit=reading.circuit,
-                false_alarm_rate=rate / len(own),
-            )
+            path: diagnose(path, motor, false_alarm_rate=rate / len(own), **fleet.fits.reading.options)
             for path in own
         }
         found.append(Sister(place, records, apart=_apart(fleet, core, place)))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 from hashlib import sha256
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from motor_env.errors import InputError
 from motor_env.files import read_file
@@ -41,24 +42,30 @@ class Kept:
             self._read(path)
 
     def _read(self, path: Path) -> None:
-        *lines, last = bytes(read_file(path, _LARGEST_BYTES)).decode("utf-8", "replace").split("\n")
-        if lines and json.loads(lines[0] or "null") != {"kept by": _MARK, "reading": self.reading}:
+        content = bytes(read_file(path, _LARGEST_BYTES))
+        *lines, last = content.split(b"\n")
+        head = self._head().encode()
+        # The first line may have been cut short by the end of the process, too.
+        if (lines[0] if lines else head[: len(last)]) != (head if lines else last):
             raise InputError(f"{path}: holds no fits of records that were read like these; give another file")
-        del last  # empty, or cut short by the end of the process
         for number, line in enumerate(lines[1:], 2):
             try:
                 row = json.loads(line)
                 self.found[str(row["record"])] = _FIRST.validate_python(row["first"])
-            except (ValueError, LookupError, TypeError, ValidationError):
+            except (ValueError, LookupError, TypeError, RecursionError):
                 raise InputError(f"{path}: line {number} is no kept fit; give another file") from None
-        path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+        if last:
+            os.truncate(path, len(content) - len(last))
+
+    def _head(self) -> str:
+        return json.dumps({"kept by": _MARK, "reading": self.reading})
 
     def __enter__(self) -> Kept:
         if self.path is not None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.file = self.path.open("a", encoding="utf-8")
             if not self.found and self.path.stat().st_size == 0:
-                self._write({"kept by": _MARK, "reading": self.reading})
+                print(self._head(), file=self.file, flush=True)
         return self
 
     def __exit__(

@@ -18,6 +18,7 @@ from motor_env.diagnosis.running.windows import viscous
 from motor_env.diagnosis.shown.report import UNITS
 from motor_env.errors import InputError
 from motor_env.fitting import places
+from motor_env.fitting.starts.identified import Identified
 from motor_env.fleet.first import Reading
 from motor_env.fleet.fits import FleetFits, fit_fleet
 from motor_env.fleet.mapping import Map
@@ -40,7 +41,7 @@ BELIEVED = Tolerance(
     temperature_k=0.0,
 )
 """Spread from motor to motor that is believed before any is seen: about that of a fleet of real gear motors (see
-docs/howto/fleet.md). One that is too small costs false alarms in small fleets, one that is too large costs power."""
+docs/fleet.md). One that is too small costs false alarms in small fleets, one that is too large costs power."""
 _MANY = 500
 _GAINS = ("voltage", "current", "speed")
 _NONE = 1e-6
@@ -116,23 +117,21 @@ class LearnedFleet:
             covariance,
             0.0,
             windows=None if self.fits.windows is None else at_centre(self.fits.windows, centre),
-            starts=None if self.fits.windows is not None else self._starts.starts,
+            starts=None if self.fits.windows is not None else learn_starts(self._good).starts,
             fleet=Fleet(count, core.within),
         )
         if self.fits.windows is not None:
             volts = (self.fits.windows.peaks or (None,))[0]
             return replace(motor_of_windows(healthy, name), nominal_voltage_v=volts)
-        fits = [one.start for one in self.fits.seconds if one.start is not None]
-        return to_motor(fits, name, kind="commissioned", healthy=healthy)
+        return to_motor(self._good, name, kind="commissioned", healthy=healthy)
 
     @cached_property
-    def _starts(self) -> Healthy:
-        """How starts of motors that seem healthy are recorded."""
+    def _good(self) -> list[Identified]:
+        """Starts of motors that seem healthy."""
         seen = zip(self.fits.seconds, self.of, strict=True)
-        good = [
+        return [
             one.start for one, motor in seen if one.start is not None and self.core.probability[motor] > _LOST
         ]
-        return learn_starts(good)
 
     def _next(self, core: Core, position: str | None) -> tuple[FloatArray, FloatArray]:
         """Centre and covariance of another healthy motor's record."""

@@ -105,14 +105,7 @@ def _fits(path: Path, sisters: Motor, reading: Reading) -> list[Fitted]:
     Raises:
         InputError: it has none, or they tell other quantities than the sisters' records.
     """
-    found = diagnose(
-        path,
-        sisters,
-        columns=reading.columns,
-        regime=reading.regime,
-        voltage_v=reading.voltage_v,
-        circuit=reading.circuit,
-    )
+    found = diagnose(path, sisters, **reading.options)
     fits = [one.fit for one in found.pieces if one.fit is not None and one.verdict is not Verdict.UNUSABLE]
     if not fits:
         raise InputError(f"{path}: a healthy record cannot be used: {found.reasons[0]}")

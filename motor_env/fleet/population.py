@@ -2,8 +2,9 @@
 
 Each motor's logarithms are those of its core, off by what differs from motor to motor; each record of it is off again
 by what differs from record to record, and by its fit's own error. A motor is of the core, or sick: off along one
-quantity, or along all (a contaminated normal distribution; Tukey 1960). Expectation and maximisation give each motor
-its probability of being of the core (Dempster, Laird & Rubin 1977). Motors are judged by the core alone.
+quantity, along the direction of a fault or gain, or along all (a contaminated normal distribution; Tukey 1960).
+Expectation and maximisation give each motor its probability of being of the core (Dempster, Laird & Rubin 1977). Motors
+are judged by the core alone.
 """
 
 from __future__ import annotations

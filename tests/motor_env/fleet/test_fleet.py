@@ -237,6 +237,19 @@ def test_kept_fits_of_others_are_refused(starts: list[Path], tmp_path: Path) -> 
         learn_fleet(starts, kept=kept)
 
 
+@pytest.mark.parametrize(
+    "content", ["notes without an end of line", "# a title\nand text\n", "[" * 9999 + "\n"]
+)
+def test_a_file_of_another_kind_is_refused_and_stays(
+    starts: list[Path], tmp_path: Path, content: str
+) -> None:
+    kept = tmp_path / "notes.md"
+    kept.write_text(content)
+    with pytest.raises(InputError, match="holds no fits of records"):
+        learn_fleet(starts, kept=kept)
+    assert kept.read_text() == content
+
+
 @pytest.mark.long
 def test_a_cluster_finds_the_same(starts: list[Path], found: FleetDiagnosis) -> None:
     distributed = pytest.importorskip("distributed")
