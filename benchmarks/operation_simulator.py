@@ -2,11 +2,16 @@
 
 Classical Runge-Kutta at 50 kHz or finer; smooth Stribeck friction, brush drop, torque ripple of the commutator, winding
 that warms, loads, speed and current loops, coasting with an open circuit, sensors of 12 bits with noise and offset.
+
+Further switches add what the fitted model does not have: stiction with presliding (LuGre: Canudas de Wit et al. 1995),
+cogging, torque ripple, gears whose friction grows with the torque, brushes whose resistance falls with the current, an
+encoder whose speed is held between its edges, and converters of 8 bits.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -35,6 +40,47 @@ FINEST_HZ = 50_000.0
 KNEE = 0.004  # of the stall current, at which the brush drop sets in
 SLIDING = 0.002  # of the speed without load, at which dry friction sets in
 VOLTAGE_NOISE = 5e-4  # of the supply, as much as hides the steps of the converter
+SWITCHES = ("presliding", "cogging", "ripple", "gear", "brushes", "encoder", "8 bits")
+_TEETH, _SEGMENTS = 14.0, 12.0  # periods a turn, of cogging and of the commutator
+_SLOWEST_EDGE = 0.1  # mechanical time constants without an edge after which the shown speed falls
+
+
+@dataclass(frozen=True)
+class Further:
+    """What the fitted model does not have; 0 where it is switched off.
+
+    Attributes:
+        bristle_rad: by how much the motor turns before it slides.
+        cogging: torque over the stall torque.
+        ripple: of torque and back-EMF, share.
+        gear: torque lost, over the torque of the motor.
+        brushes: largest voltage at the brushes over the supply; half of it at a tenth of the stall current.
+        edges: of the encoder, a turn.
+        bits: of the converters; 0 for those of `simulate`.
+    """
+
+    bristle_rad: float = 0.0
+    cogging: float = 0.0
+    ripple: float = 0.0
+    gear: float = 0.0
+    brushes: float = 0.0
+    edges: int = 0
+    bits: int = 0
+
+
+def draw_further(rng: np.random.Generator, switches: Collection[str] = SWITCHES) -> Further:
+    """Sizes of what is switched on; one switch does not change the draw of another."""
+    sizes = {
+        "presliding": {"bristle_rad": 10.0 ** rng.uniform(-2.3, -1.5)},
+        "cogging": {"cogging": rng.uniform(0.005, 0.02)},
+        "ripple": {"ripple": rng.uniform(0.02, 0.05)},
+        "gear": {"gear": rng.uniform(0.05, 0.15)},
+        "brushes": {"brushes": rng.uniform(0.02, 0.08)},
+        "encoder": {"edges": int(rng.choice([12, 48, 200]))},
+        "8 bits": {"bits": 8},
+    }
+    chosen = {name: value for switch in switches for name, value in sizes[switch].items()}
+    return Further(**chosen)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -55,6 +101,7 @@ class Motor:
     cool: float
     noise_a: float
     noise_w: float
+    further: Further = Further()
 
     @property
     def mechanical_s(self) -> float:
@@ -72,8 +119,8 @@ class Motor:
         return self.volts / self.ohm
 
 
-def draw_motor(rng: np.random.Generator) -> Motor:
-    """A motor of 6 to 48 V."""
+def draw_motor(rng: np.random.Generator, switches: Collection[str] = ()) -> Motor:
+    """A motor of 6 to 48 V, with what of SWITCHES is on."""
     volts = float(rng.choice([6.0, 12.0, 24.0, 48.0]))
     stall, speed = 10.0 ** rng.uniform(-0.2, 1.5), 10.0 ** rng.uniform(2.0, 2.8)
     mechanical = 10.0 ** rng.uniform(-1.8, -0.6)
@@ -96,22 +143,34 @@ def draw_motor(rng: np.random.Generator) -> Motor:
         cool=1.0 / rng.uniform(30.0, 300.0),
         noise_a=stall * 10.0 ** rng.uniform(-2.7, -2.0),
         noise_w=speed * 10.0 ** rng.uniform(-3.0, -2.0),
+        further=draw_further(rng.spawn(1)[0], switches),
     )
 
 
 @njit(cache=True)
 def _slope(
     x: Floats, volts: float, open_: bool, load: float, square: float, c: Floats
-) -> tuple[float, float, float, float]:
-    i, w, angle, warm = x[0], x[1], x[2], x[3]
+) -> tuple[float, float, float, float, float]:
+    i, w, angle, warm, bristle = x[0], x[1], x[2], x[3], x[4]
     ohm, constant = c[0] * (1.0 + 0.00393 * warm), c[2] * (1.0 - 0.001 * warm)
-    pace = c[12]
-    friction = (
-        c[5] * (1.0 + c[6] * math.exp(-((w / (5.0 * pace)) ** 2))) * math.tanh(w / pace) + c[4] * w
-    ) * (1.0 - 0.003 * warm) + c[14] * math.tanh(w / pace)
-    torque = constant * i * (1.0 + c[8] * math.cos(12.0 * angle)) - friction - load - square * w * abs(w)
-    di = 0.0 if open_ else (volts - (ohm + c[13]) * i - constant * w - c[7] * math.tanh(i / c[11])) / c[1]
-    return di, torque / c[3], w, c[9] * ohm * i * i - c[10] * warm
+    pace, cold = c[12], 1.0 - 0.003 * warm
+    dry = c[5] * (1.0 + c[6] * math.exp(-((w / (5.0 * pace)) ** 2)))
+    if c[15] > 0.0:
+        stiffness = c[5] / c[15]
+        slid = w - stiffness * abs(w) / dry * bristle
+        damping = math.sqrt(stiffness * c[3]) * math.exp(-((w / (5.0 * pace)) ** 2))
+        friction = (stiffness * bristle + damping * slid + c[4] * w) * cold + c[14] * math.tanh(w / pace)
+    else:
+        slid = 0.0
+        friction = (dry * math.tanh(w / pace) + c[4] * w) * cold + c[14] * math.tanh(w / pace)
+    # c[8] is of the torque alone; c[17] is of the flux, and so of torque and back-EMF.
+    flux = constant * (1.0 + c[17] * math.cos(_SEGMENTS * angle))
+    torque = flux * i * (1.0 + c[8] * math.cos(12.0 * angle)) - friction - load - square * w * abs(w)
+    torque -= c[16] * math.sin(_TEETH * angle) + c[18] * abs(flux * i) * math.tanh(w / pace)
+    brushes = c[19] * i / (abs(i) + c[20]) if c[19] > 0.0 else 0.0
+    drop = (ohm + c[13]) * i + c[7] * math.tanh(i / c[11]) + brushes
+    di = 0.0 if open_ else (volts - drop - flux * w) / c[1]
+    return di, torque / c[3], w, c[9] * ohm * i * i - c[10] * warm, slid
 
 
 @njit(cache=True)
@@ -120,12 +179,17 @@ def _run(
     gains: Floats, out: Floats,
 ) -> None:  # fmt: skip
     """Modes: 0 voltage, 1 speed loop, 2 current loop; the controller runs once a sample and holds its voltage."""
-    x, k1 = np.zeros(4), np.zeros(4)
-    integral = 0.0
+    x, k1 = np.zeros(5), np.zeros(5)
+    integral, time, edge_s, held, edges = 0.0, 0.0, 0.0, 0.0, c[21] / (2.0 * math.pi)
     for k in range(wanted.shape[0]):
         volts = wanted[k]
+        shown = x[1]
+        if edges > 0.0:
+            # Without an edge for long the motor is slower than the last one said.
+            waited = time - edge_s
+            shown = held if waited < c[22] else math.copysign(min(abs(held), 1.0 / (edges * waited)), held)
         if mode > 0:
-            error = wanted[k] - (x[1] if mode == 1 else x[0])
+            error = wanted[k] - (shown if mode == 1 else x[0])
             integral += gains[1] * error
             integral = min(max(integral, -limit), limit)
             volts = min(max(gains[0] * error + integral, -limit), limit)
@@ -133,18 +197,25 @@ def _run(
         if open_:
             x[0] = 0.0
             volts = c[2] * x[1]
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = volts - c[13] * x[0], x[0], x[1], x[3]
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = volts - c[13] * x[0], x[0], shown, x[3]
         for _ in range(fine):
-            total = np.zeros(4)
+            total, before = np.zeros(5), x[2]
             y = x.copy()
             for stage in range(4):
-                k1[0], k1[1], k1[2], k1[3] = _slope(y, volts, open_, load[k], square, c)
+                k1[0], k1[1], k1[2], k1[3], k1[4] = _slope(y, volts, open_, load[k], square, c)
                 weight = 1.0 if stage in (0, 3) else 2.0
-                for n in range(4):
+                for n in range(5):
                     total[n] += weight * k1[n] / 6.0
                     y[n] = x[n] + (h if stage == 2 else 0.5 * h) * k1[n]
-            for n in range(4):
+            for n in range(5):
                 x[n] += h * total[n]
+            time += h
+            if edges > 0.0 and math.floor(before * edges) != math.floor(x[2] * edges):
+                line = max(math.floor(before * edges), math.floor(x[2] * edges)) / edges
+                now = time - h * (x[2] - line) / (x[2] - before)
+                turned = x[2] - before
+                held = math.copysign(1.0 / (edges * max(now - edge_s, h)), turned)
+                edge_s = now
 
 
 def wanted(
@@ -226,14 +297,22 @@ def simulate(
     constants = np.array(
         [motor.ohm, motor.henry, motor.constant, motor.inertia, motor.viscous, motor.coulomb, motor.stribeck,
          motor.drop, motor.ripple, motor.heat, motor.cool, KNEE * motor.stall_a, SLIDING * motor.speed, supply_ohm,
-         rated if load == "dry" else 0.0]
+         rated if load == "dry" else 0.0, *_further(motor)]
     )  # fmt: skip
     gain = 0.5 * motor.volts / motor.speed * 6.0 if mode == 1 else 0.5 * motor.ohm
     gains = np.array([gain, gain * min(dt / motor.mechanical_s, 0.3)])
     out = np.empty((samples, 4))
     _run(command, mode, open_, torque, rated / motor.speed**2 if load == "square" else 0.0, constants, fine,
          dt / fine, motor.volts, gains, out)  # fmt: skip
-    return recorded(motor, profile, out, dt=dt, rng=rng, bits=bits)
+    return recorded(motor, profile, out, dt=dt, rng=rng, bits=motor.further.bits or bits)
+
+
+def _further(motor: Motor) -> tuple[float, ...]:
+    """Constants of what the fitted model does not have, as `_slope` and `_run` take them."""
+    of, stall = motor.further, motor.constant * motor.stall_a
+    slowest = _SLOWEST_EDGE * motor.mechanical_s
+    return (of.bristle_rad, of.cogging * stall, of.ripple, of.gear, of.brushes * motor.volts,
+            0.1 * motor.stall_a, float(of.edges), slowest)  # fmt: skip
 
 
 def recorded(
