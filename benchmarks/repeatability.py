@@ -35,19 +35,19 @@ NAMES = {
 }  # fmt: skip
 """Quantities of which the level is the motor's alone, whatever they are told over."""
 _TWO_SIDED, _FAR = 1.96, 4.0
+_TOLD = math.exp(2.0 * _TWO_SIDED * 0.5)
+"""High over low end of an interval whose quantity is told: a standard deviation of one half in the logarithm."""
 _ROBUST = 1.4826
 """Median of absolute values to standard deviation."""
 
 
 def real() -> Iterator[tuple[str, str, Path]]:
-    """Set, motor and file of each real record that has a repeat."""
+    """Set, motor and file of each real record that has a repeat of the same motor, rotor and sensors."""
     folder = Path(os.environ["MOTOR_ENV_RECORDINGS"])
     for path in sorted((folder / "production_line").glob("*.csv")):
         yield "production_line", path.stem[:2], path
     for path in sorted((folder / "jhg").glob("*.csv")):
         yield "jhg", "jhg", path
-    for path in sorted((folder / "aalborg").glob("*.csv")):
-        yield "aalborg", "aalborg", path
     found = defaultdict(list)
     for path in sorted((folder / "regbot").glob("*.csv")):
         parts = path.stem.split("_")
@@ -67,15 +67,16 @@ def told(of: Path | Recording) -> dict[str, tuple[float, float]]:
     """Logarithm and its standard deviation of each quantity that a record determines."""
     is_pwm = isinstance(of, Path) and of.parent.name == "jhg"
     volts = abs(int(of.stem.removeprefix("pwm_")) - 1800) / 150.0 if is_pwm else None
+    regime = "operation" if isinstance(of, Path) and of.parent.name == "regbot" else "auto"
     try:
-        rows = identify(of, voltage_v=volts).parameters
+        rows = identify(of, voltage_v=volts, regime=regime).parameters
     except InputError:
         return {}
     found = {}
     for name, row in rows.items():
         low, high = (math.nan if end is None else end for end in row["interval"])
         sign = -1.0 if name in ("K^2/J", "K^2/(J V)") else 1.0
-        if row.get("determined", True) and low > 0.0 and NAMES.get(name, name) in QUANTITIES:
+        if low > 0.0 and high < _TOLD * low and NAMES.get(name, name) in QUANTITIES:
             found[NAMES.get(name, name)] = (
                 sign * math.log(row["value"]),
                 math.log(high / low) / (2.0 * _TWO_SIDED),
@@ -144,9 +145,7 @@ def main(
     done = {(row["set"], row["motor"], row["record"]) for row in known}
     jobs: list[tuple[str, str, Any]] = list(real()) if "MOTOR_ENV_RECORDINGS" in os.environ else []
     if not real_only:
-        jobs += [
-            ("other physics", str(n), (seed, n, profile)) for n in range(motors) for profile in PROFILES
-        ]
+        jobs += [("other physics", str(n), (seed, n, profile)) for n in range(motors) for profile in PROFILES]
     left = [job for job in jobs if (job[0], job[1], _record(job[2])) not in done]
     with ProcessPoolExecutor(workers) as pool, rows.open("a", encoding="utf-8") as file:
         for row in pool.map(one, left):

@@ -162,15 +162,6 @@ def _source(healthy: Healthy, motor: str) -> str:
     return f"{healthy.pieces} healthy {'windows' if healthy.starts is None else 'starts'} of {motor}"
 
 
-def beyond(healthy: FloatArray, error: FloatArray) -> FloatArray:
-    """What the own error of a fit is beyond the spread of the healthy ones, which holds theirs, shape (n, n)."""
-    root = np.linalg.cholesky(healthy)
-    inverse = np.linalg.inv(root)
-    sizes, axes = np.linalg.eigh(inverse @ error @ inverse.T)
-    more = root @ axes * np.sqrt(np.maximum(sizes - 1.0, 0.0))
-    return np.asarray(more @ more.T, dtype=np.float64)
-
-
 def warmer(covariance: FloatArray, warmth: FloatArray, rate: float, freedom: float) -> FloatArray:
     """A covariance of Student's t with the known normal spread of the temperature added.
 

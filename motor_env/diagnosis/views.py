@@ -14,9 +14,10 @@ from motor_env.diagnosis.explanations import (
     explain,
     smallest_changes,
 )
-from motor_env.diagnosis.healthy_motor import Reference, beyond, warmer
+from motor_env.diagnosis.healthy_motor import Reference, warmer
 from motor_env.diagnosis.loaded import Drag, drags
 from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting.uncertainty import beyond
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 

@@ -132,8 +132,9 @@ def predict(
         readings: current and speed, shape (n, 2); NaN where there is none.
         seen: 1 where a channel was recorded, shape (2,).
         marks: see BEGIN; 0 for all other samples, shape (n,).
-        learn: weigh readings in; without it the model runs freely, with the given load alone.
-        out: whitened innovations, predicted readings, load, temperature, shape (n, 6).
+        learn: weigh readings in; without it the model runs freely.
+        out: whitened innovations, predicted readings, load, temperature, shape (n, 6); holds the load that is known
+            beforehand, and a filter leaves there what it estimates beside it.
 
     Returns:
         Sum of the logarithms of the innovations' variances.
@@ -164,7 +165,8 @@ def predict(
         if mark == STEADY:
             steady(p, voltage[k, 1], x)
         elif mark != REST:
-            u[0], u[1], u[2] = voltage[k, 0], voltage[k, 1], p[LOAD] + (x[2] if learn else out[k, 4])
+            u[0], u[1] = voltage[k, 0], voltage[k, 1]
+            u[2] = p[LOAD] + out[k, 4] + (x[2] if learn else 0.0)
             if p[HEATING] > 0.0:
                 power = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k) * x[0] ** 2
                 warm_k += dt_s * (p[HEATING] * power - p[COOLING] * warm_k)

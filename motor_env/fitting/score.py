@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from motor_env.fitting import places
 from motor_env.fitting.problem import Solution
 from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
 
 _NO_NUMBER = 1e60
+_BRUSHES, _BRUSH_KNEE = (
+    0.04,
+    0.1,
+)  # of the largest voltage; of the largest current, at which half of it is there
+_GEAR, _TURNING = 0.07, 0.01  # of the motor's torque; of the largest speed, from which on it is lost
 _CANDIDATES = ("load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
 
 
@@ -58,26 +64,67 @@ def score_tests(
     """
     if not tested:
         return {}
-    base = best.problem.residuals(best.theta)
-    jacobian = best.problem.jacobian(best.theta, base)
-    variance = float(base @ base) / best.problem.count
-    inverse = np.linalg.pinv(jacobian)
+    direction = _Direction(best)
     found = {}
     for name in tested:
         term = every[name]
         problem = best.problem.with_terms([term])
         sides = np.array([min(size * term.usual, term.high) for size in sizes] or [term.slope_at])
         moved = problem.residuals_each(np.column_stack([np.tile(best.theta, (len(sides), 1)), sides]))
+        moved = np.delete(moved, len(direction.base), axis=1)
+        test = direction.test(moved, sides, is_positive=term.low >= 0.0)
+        if test is not None:
+            found[name] = test
+    return found
+
+
+class _Direction:
+    """The residuals of a fit and how they follow its unknowns: what a further column of slopes would tell."""
+
+    def __init__(self, best: Solution) -> None:
+        self.base = best.problem.residuals(best.theta)
+        self.jacobian = best.problem.jacobian(best.theta, self.base)
+        self.variance = float(self.base @ self.base) / best.problem.count
+        self.inverse = np.linalg.pinv(self.jacobian)
+
+    def test(self, moved: FloatArray, sides: FloatArray, *, is_positive: bool) -> ScoreTest | None:
+        """Of residuals at several sizes of what is added, shape (m, n), the most telling; None where none shows."""
         moved = np.clip(moved, -_NO_NUMBER, _NO_NUMBER)  # a size at which the model has no numbers
-        columns = (np.delete(moved, len(base), axis=1) - base).T / sides
-        moves = -inverse @ columns
-        columns = columns + jacobian @ moves
+        columns = (moved - self.base).T / sides
+        moves = -self.inverse @ columns
+        columns = columns + self.jacobian @ moves
         information = np.maximum(np.sum(columns**2, axis=0), 1e-300)
-        values = -(base @ columns) / information
-        gains = np.where((values < 0.0) & (term.low >= 0.0), 0.0, values**2 * information / variance)
+        values = -(self.base @ columns) / information
+        gains = np.where((values < 0.0) & is_positive, 0.0, values**2 * information / self.variance)
         most = int(np.argmax(gains))
-        if information[most] <= 1e-12 * variance:
-            continue
-        sd = math.sqrt(variance / information[most])
-        found[name] = ScoreTest(float(gains[most]), float(values[most]), sd, moves[:, most])
+        if information[most] <= 1e-12 * self.variance:
+            return None
+        sd = math.sqrt(self.variance / information[most])
+        return ScoreTest(float(gains[most]), float(values[most]), sd, moves[:, most])
+
+
+def lacking(best: Solution) -> list[ScoreTest]:
+    """What real motors have and no term says, each of the size that it usually has (1), at the fitted motion.
+
+    Brushes whose resistance falls with the current (Holm 1967), and gears that lose a share of the torque. Both act
+    as a voltage and a torque that the fitted currents and speeds tell. So they are no terms of the filter.
+    """
+    problem, values, free = best.problem, best.values, best.free[0]
+    record, direction = problem.record, _Direction(best)
+    current, speed = free[:, 2], free[:, 3]
+    if not record.seen[0]:
+        return []
+    volts, amps, _ = record.peaks
+    fastest = max(float(np.max(np.abs(speed))), 1e-300)
+    brushes = _BRUSHES * volts * current / (np.abs(current) + _BRUSH_KNEE * amps)
+    gear = _GEAR * np.abs(values[places.K] * current) * np.tanh(speed / (_TURNING * fastest))
+    found = []
+    for lacked in (
+        replace(record, voltage_v=record.voltage_v - brushes),
+        replace(record, torque_n_m=gear),
+    ):
+        moved = replace(problem, record=lacked).residuals(best.theta)
+        test = direction.test(moved[None], np.ones(1), is_positive=False)
+        if test is not None:
+            found.append(test)
     return found

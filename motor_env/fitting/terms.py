@@ -17,6 +17,7 @@ _WIDEST = 12.0  # of a logarithm
 _OFFSET_PRIOR = 0.003
 _CURVE_PRIOR_SD = 1.5
 _SEEN_LAG = 0.5  # of an interval
+_FASTEST_K_PER_S = 10.0  # at the stall power: 20 W in 8 g of copper are 7 K/s
 _LARGEST_DEAD_ZONE = 0.35  # of the current's span: what hides more is no sensor
 _KNEE_PRIOR, _STRIBECK_PRIOR = 0.01, 0.2  # of the largest current or speed; of the dry friction
 
@@ -68,7 +69,7 @@ def terms(
     amps = max(amps, 1e-3 * volts / ohm) if record.seen[0] else volts / ohm
     speed = max(speed, 1e-3 * volts / constant) if record.seen[1] else volts / constant
     torque, power = constant * amps, ohm * float(np.nanmean(record.readings[:, 0] ** 2)) + 1e-300
-    reach = 0.5 * record.duration_s / dt
+    reach, hot = 0.5 * record.duration_s / dt, 10.0 / (power * record.duration_s)
     every = [
         Term("R", places.R, ohm, -5.0, 5.0, is_log=True),
         Term("L", places.L, ohm * dt, 0.0, reach),
@@ -84,7 +85,7 @@ def terms(
         Term("load_square", places.SQUARE, torque / speed**2, 0.0, 20.0, usual=0.3),
         Term("offset_current", places.OFFSET_I, amps, -0.2, 0.2, prior_sd=_OFFSET_PRIOR),
         Term("offset_speed", places.OFFSET_W, speed, -0.1, 0.1, prior_sd=_OFFSET_PRIOR),
-        Term("heating", places.HEATING, 10.0 / (power * record.duration_s), 0.0, 20.0),
+        Term("heating", places.HEATING, hot, 0.0, 20.0, prior_sd=_FASTEST_K_PER_S * ohm / (volts**2 * hot)),
         Term("cooling", places.COOLING, 1.0 / record.duration_s, 0.0, 300.0),
         Term("sensor_lag", places.LAG_I, dt, 0.0, min(LONGEST_CURRENT_LAG_S / dt, reach), slope_at=_SEEN_LAG),
         Term("speed_lag", places.LAG_W, dt, 0.0, min(LONGEST_SPEED_LAG_S / dt, reach)),

@@ -10,7 +10,7 @@ from scipy import fft
 
 from motor_env.fitting import places
 from motor_env.fitting.problem import Problem, Solution
-from motor_env.fitting.score import candidates, score_tests
+from motor_env.fitting.score import candidates, lacking, score_tests
 from motor_env.fitting.terms import NOISES, Term
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import difference_noise
@@ -18,6 +18,8 @@ from motor_env.recordings.noise import difference_noise
 _WIDEST = 1e3
 _ANYTHING_LOG_SD = 3.0
 _STEPS = (1e-3, 0.1)
+_PARTS = 20  # left out in turn
+_HARDLY = 1e-3  # of what tells an unknown, beside the one part that tells it
 
 
 def information_covariance(problem: Problem, theta: FloatArray) -> FloatArray:
@@ -51,15 +53,23 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
 
     A term that was left out counts with its posterior probability (Hoeting et al. 1999), its size believed to be as
     usual: it would have moved the others by so much, and would have left them so much less certain. Other optima
-    count with theirs.
+    count with theirs. So does what no term says but real motors have, see `lacking`, and the model's error.
     """
     problem, chosen = best.problem, motor_places(best.problem)
-    total, _ = sandwich(problem, best.theta, secants(problem, best.theta), chosen)
+    jacobian = secants(problem, best.theta)
+    total, _ = sandwich(problem, best.theta, jacobian, chosen)
+    total += model_error(problem, best.theta, jacobian, chosen, total)
     for name, test in score_tests(best, every, candidates(best)).items():
         occam = test.sd / math.hypot(test.sd, every[name].usual)
         odds = occam * math.exp(min(0.5 * test.chi_square, 50.0))
         weight, moves = odds / (1.0 + odds), test.moves[chosen]
         total += weight * (test.value**2 + test.sd**2) * np.outer(moves, moves)
+    for test in lacking(best):
+        known = 1.0 / (
+            1.0 + test.sd**2
+        )  # the share of what is believed, a size of 1, that the record settles
+        moves = test.moves[chosen]
+        total += ((known * test.value) ** 2 + 1.0 - known) * np.outer(moves, moves)
     ahead = np.exp([0.5 * (best.misfit - misfit) for _, misfit in best.rivals])
     for share, (theta, _) in zip(ahead / (1.0 + ahead.sum()), best.rivals, strict=True):
         moved = (theta - best.theta)[chosen]
@@ -92,11 +102,8 @@ def sandwich(
         begin: first sample of the running motor.
         level: standard deviation of an error that is the same in every sample of the running motor, over the noise.
     """
-    record, base = problem.record, problem.residuals(theta)
-    n, channels = len(record.voltage_v), int(record.seen.sum())
-    size = math.sqrt(float(base @ base) / problem.count)
-    white, jacobian = (base / size)[: n * channels].reshape(n, channels), jacobian / size
-    jacobian = np.concatenate([jacobian, np.diag(1.0 / _weakly_believed(problem, theta)[chosen])])
+    white, jacobian = _believed(problem, theta, jacobian, chosen)
+    n, channels = white.shape
     bread = _inverse(jacobian.T @ jacobian)
     meat = jacobian[n * channels :].T @ jacobian[n * channels :]  # what is believed beforehand
     independent = []
@@ -115,6 +122,61 @@ def sandwich(
     variances, vectors = np.linalg.eigh(0.5 * (meat + meat.T))
     spread = bread @ (vectors * np.sqrt(np.maximum(variances, 0.0)))
     return spread @ spread.T, tuple(independent)
+
+
+def model_error(
+    problem: Problem, theta: FloatArray, jacobian: FloatArray, chosen: Sequence[int], series: FloatArray
+) -> FloatArray:
+    """Covariance that a model's error adds to that of a stationary series, shape (p, p).
+
+    A model that is wrong somewhere, as where a supply rises, errs most in samples that tell most. No stationary series
+    shows that. The scores of twenty parts of the record do: where these scatter by more than the series allows, the
+    excess counts. The scores are scaled so that they scatter by the information where the model is right (Bell &
+    McCaffrey 2002). The parts tell equally much, as a start tells R in its first samples: their leverages have the same
+    sum.
+
+    Args:
+        problem: what was fitted.
+        theta: its best unknowns.
+        jacobian: derivatives of the residuals, one column for each chosen unknown.
+        chosen: their places.
+        series: covariance under a stationary series, see `sandwich`.
+    """
+    white, jacobian = _believed(problem, theta, jacobian, chosen)
+    n, channels = white.shape
+    values, axes = np.linalg.eigh(_inverse(jacobian.T @ jacobian))
+    root = axes * np.sqrt(np.maximum(values, 0.0))  # unknowns of which the record tells all equally much
+    rows = jacobian[: n * channels].reshape(n, channels, -1) @ root
+    told = np.cumsum(np.einsum("ncp,ncp->n", rows, rows))
+    parts = np.minimum((_PARTS * told / max(float(told[-1]), 1e-300)).astype(int), _PARTS - 1)
+    moved = np.zeros_like(series)
+    for part in np.unique(parts):
+        some = rows[parts == part].reshape(-1, len(series))
+        leverages, across = np.linalg.eigh(some.T @ some)
+        score = across.T @ (some.T @ white[parts == part].ravel())
+        move = root @ (across @ (score / np.sqrt(np.maximum(1.0 - leverages, _HARDLY))))
+        moved += np.outer(move, move)
+    size = np.maximum(np.diag(series), np.diag(moved))
+    return beyond(series + _HARDLY**2 * np.diag(size), moved)
+
+
+def beyond(known: FloatArray, covariance: FloatArray) -> FloatArray:
+    """What a covariance is beyond one that is known already, shape (n, n)."""
+    root = np.linalg.cholesky(known)
+    inverse = np.linalg.inv(root)
+    sizes, axes = np.linalg.eigh(inverse @ covariance @ inverse.T)
+    more = root @ axes * np.sqrt(np.maximum(sizes - 1.0, 0.0))
+    return np.asarray(more @ more.T, dtype=np.float64)
+
+
+def _believed(
+    problem: Problem, theta: FloatArray, jacobian: FloatArray, chosen: Sequence[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Residuals in units of their size, shape (n, channels); derivatives so, with rows of what is weakly believed."""
+    base, channels = problem.residuals(theta), int(problem.record.seen.sum())
+    size, n = math.sqrt(float(base @ base) / problem.count), len(problem.record.voltage_v)
+    rows = np.concatenate([jacobian / size, np.diag(1.0 / _weakly_believed(problem, theta)[chosen])])
+    return (base / size)[: n * channels].reshape(n, channels), rows
 
 
 def _weakly_believed(problem: Problem, theta: FloatArray) -> FloatArray:

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.healthy_motor import beyond
 from motor_env.diagnosis.learning import WINDOW_SPREAD, next_piece
 from motor_env.diagnosis.running.windows import (
     MOST_SAMPLES,
@@ -25,6 +24,7 @@ from motor_env.fitting import places
 from motor_env.fitting.identify import FEWEST_STEPS, UNSEEN_STEPS, Operation, identify_operation
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
+from motor_env.fitting.uncertainty import beyond
 from motor_env.fitting.window import fit_window
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray

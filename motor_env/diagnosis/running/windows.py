@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.healthy_motor import Reference, beyond, reference_of_pieces
+from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
 from motor_env.diagnosis.sensors.checks import Seen, failure_in
 from motor_env.diagnosis.sensors.failed import judgement_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
@@ -24,6 +24,7 @@ from motor_env.errors import InputError
 from motor_env.fitting import kernel, places
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import block_means, from_recordings, missing_blocks
+from motor_env.fitting.uncertainty import beyond
 from motor_env.fitting.window import WindowFit, first_steps, fit_window
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows

@@ -28,6 +28,7 @@ class Identified:
         quantity_names: what this recording can tell.
         log_values: logarithms of these quantities, shape (n,).
         log_covariance: their covariance, shape (n, n).
+        series_covariance: the same without what the model's error adds, shape (n, n).
         expected: fitted current and speed, shape (n_samples, 2), offset and periodic ripple included.
         independent: number of independent samples that the residual's autocorrelation leaves, each channel.
         fitted_extension: value and standard error of each extension; of a supply curve the middle of the rise.
@@ -40,6 +41,7 @@ class Identified:
     quantity_names: tuple[str, ...]
     log_values: FloatArray
     log_covariance: FloatArray
+    series_covariance: FloatArray
     expected: FloatArray
     independent: tuple[float, ...]
     fitted_extension: dict[str, tuple[float, float]]
@@ -158,7 +160,7 @@ class Identified:
     def white_covariance(self) -> FloatArray:
         """Covariance of the logarithms from white noise alone: what differs between starts of one motor."""
         running = self.residual_a[self.start.alignment.onset_index :]
-        return self.log_covariance * min(
+        return self.series_covariance * min(
             difference_noise(running) ** 2 / max(float(np.var(running)), 1e-300), 1.0
         )
 

@@ -13,7 +13,7 @@ from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.starts.belief import CURVE, Belief, believed
 from motor_env.fitting.starts.identified import Identified, record_of
 from motor_env.fitting.threads import on_one_thread
-from motor_env.fitting.uncertainty import capped, sandwich
+from motor_env.fitting.uncertainty import capped, model_error, sandwich
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.recordings.defects import UnusableError
@@ -101,6 +101,7 @@ def _result(belief: Belief, model: tuple[str, ...], best: Solution) -> Identifie
     covariance, independent = sandwich(
         problem, theta, jacobian, range(len(theta)), begin=start.alignment.onset_index, level=level
     )
+    more = model_error(problem, theta, jacobian, range(len(theta)), covariance)
     if belief.has_inductance_prior(model):
         # What looks like L may be the ramp or the lag, and the other way round: L tells nothing then.
         covariance[1, 1] += _UNTOLD_LOG_SD**2
@@ -110,11 +111,11 @@ def _result(belief: Belief, model: tuple[str, ...], best: Solution) -> Identifie
     extras = {}
     for name in model:
         if name == "supply_curve":
-            extras[name] = _middle_of_rise(problem, values, covariance)
+            extras[name] = _middle_of_rise(problem, values, covariance + more)
             continue
         k = problem.names.index(name)
         unit = problem.free[k].unit
-        extras[name] = (unit * float(theta[k]), unit * math.sqrt(max(covariance[k, k], 0.0)))
+        extras[name] = (unit * float(theta[k]), unit * math.sqrt(max((covariance + more)[k, k], 0.0)))
     expected = record_of(start).predict(values, learn=False)[0][:, 2:4]
     expected[:, 0] += start.alignment.offset_a + start.ripple_a
     parameters = MotorParameters(
@@ -126,7 +127,8 @@ def _result(belief: Belief, model: tuple[str, ...], best: Solution) -> Identifie
         solution=best,
         quantity_names=names,
         log_values=exponents @ quantities.logarithms(parameters, start.level_v),
-        log_covariance=capped(core @ covariance[:n_core, :n_core] @ core.T),
+        log_covariance=capped(core @ (covariance + more)[:n_core, :n_core] @ core.T),
+        series_covariance=capped(core @ covariance[:n_core, :n_core] @ core.T),
         expected=expected,
         independent=independent,
         fitted_extension=extras,

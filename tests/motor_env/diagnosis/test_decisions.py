@@ -21,7 +21,6 @@ from motor_env.diagnosis.explanations import (
     joint_share,
     probabilities,
 )
-from motor_env.diagnosis.healthy_motor import beyond
 from motor_env.diagnosis.identify import Identification
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement
@@ -30,6 +29,7 @@ from motor_env.filters.consistency import check_consistency
 
 # Reaches in: fits are moved by hand in directions that no public name gives.
 from motor_env.fitting import places
+from motor_env.fitting.uncertainty import beyond
 from motor_env.motor.identifiable import visible_direction
 from motor_env.motor.parameters import FloatArray
 
@@ -156,7 +156,7 @@ def test_a_start_that_hides_a_doubled_friction_says_so_and_one_that_hides_all_is
             )
             assert found.confidence is not None
     for deviations, shown in (
-        (3.31, "only a rise of 893%"),
+        (3.31, "only a rise of 892%"),
         (3.33, "not even a tenfold one"),
     ):  # log 10 over log 2: 3.32
         (told,) = (one for one in doubled(deviations, 0.99).reasons if "is undecided" in one)

@@ -18,10 +18,11 @@ from motor_env.diagnosis.explanations import (
     joint_share,
     smallest_changes,
 )
-from motor_env.diagnosis.healthy_motor import beyond, reference_of, reference_of_pieces, warmer
+from motor_env.diagnosis.healthy_motor import reference_of, reference_of_pieces, warmer
 from motor_env.diagnosis.learning import disagreement, learn_starts, odd_one_out, the_next
 from motor_env.diagnosis.shown import page, report
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
+from motor_env.fitting.uncertainty import beyond
 
 # Reaches in: what a reference must hold follows from a motor's equations and from the noise of its starts.
 from motor_env.motor.identifiable import names

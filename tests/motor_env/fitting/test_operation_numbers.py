@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from recorded_motor import DT_S, LOGS, Line, least_squares, plain, solution, values, worked
 from scipy.linalg import circulant
 
 from motor_env import InputError, Recording, identify, load_motor
@@ -21,7 +22,7 @@ from motor_env.fitting import fit as fitting, kernel, places, uncertainty
 from motor_env.fitting.beginnings import _sign, beginnings
 from motor_env.fitting.identify import Operation, identify_operation, identify_record
 from motor_env.fitting.problem import Problem, Solution
-from motor_env.fitting.record import Hold, Record, joined
+from motor_env.fitting.record import Hold, joined
 from motor_env.fitting.recorded import (
     at_terminals,
     block_means,
@@ -31,7 +32,7 @@ from motor_env.fitting.recorded import (
     open_circuit,
 )
 from motor_env.fitting.score import ScoreTest, candidates, score_tests
-from motor_env.fitting.terms import Term, terms
+from motor_env.fitting.terms import terms
 from motor_env.fitting.uncertainty import information_covariance, motor_places
 from motor_env.fitting.window import first_steps, fit_window
 from motor_env.motor.parameters import FloatArray
@@ -39,56 +40,6 @@ from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.noise import difference_noise
 from motor_env.recordings.regime import Taken
 from motor_env.recordings.start import Circuit
-
-DT_S = 2e-3
-MOTOR = {"R": 2.0, "L": 1e-3, "K": 0.03, "J": 4e-6, "B": 2e-6, "COULOMB": 0.002}
-NOISE = {"NOISE_I": 2e-3, "NOISE_W": 0.2}
-
-
-def values(**given: float) -> FloatArray:
-    out = np.zeros(places.N_VALUES)
-    for name, value in (MOTOR | NOISE | given).items():
-        out[getattr(places, name)] = value
-    return out
-
-
-def plain(n: int, voltage: FloatArray | None = None, hold: Hold = "held", dt_s: float = DT_S) -> Record:
-    volts = np.arange(float(n)) if voltage is None else voltage
-    return Record(dt_s, volts, np.zeros((n, 2)), np.ones(2), np.eye(1, n)[0], hold)
-
-
-def worked(
-    p: FloatArray,
-    seed: int = 1,
-    n: int = 400,
-    *,
-    hold: Hold = "held",
-    noise: float = 1.0,
-    dt_s: float = DT_S,
-    lowest: float = -9.0,
-) -> Record:
-    """A record of this motor under a voltage of several levels, with its noise."""
-    rng = np.random.default_rng(seed)
-    each = round(40 * DT_S / dt_s)
-    record = plain(n, np.repeat(rng.uniform(lowest, 9.0, -(-n // each)), each)[:n], hold, dt_s)
-    clean = record.predict(p, learn=False)[0][:, 2:4]
-    shown = clean + noise * rng.standard_normal((n, 2)) * p[[places.NOISE_I, places.NOISE_W]]
-    return replace(record, readings=shown)
-
-
-def solution(
-    record: Record, names: list[str], known: FloatArray, theta: FloatArray | None = None
-) -> Solution:
-    """The fit of these terms, or the model at given unknowns."""
-    every = terms(record, known)
-    problem = Problem(record, known, tuple(every[name] for name in names))
-    if theta is None:
-        return Solution(problem, *problem.solve(np.zeros(len(names))))
-    residuals = problem.residuals(theta)
-    return Solution(problem, theta, problem.misfit(float(residuals @ residuals)))
-
-
-LOGS = ["R", "K", "J"]
 
 
 @pytest.fixture(scope="module")
@@ -276,10 +227,11 @@ def test_units_of_the_unknowns() -> None:
     }  # fmt: skip
     assert {name: term.unit for name, term in every.items()} == pytest.approx(units)
     beliefs = {name: term.prior_sd for name, term in every.items() if term.prior_sd < math.inf}
-    assert beliefs == {
+    assert beliefs == pytest.approx({
         "brush_drop": 0.1, "brush_knee": 0.01, "stribeck": 0.2, "coulomb_knee": 0.01, "load_constant": 0.3,
         "offset_current": 0.003, "offset_speed": 0.003,
-    }  # fmt: skip
+        "heating": (10.0 / (12.0**2 / 2.0)) / units["heating"],  # 10 K a second at the stall power
+    })  # fmt: skip
     usual = {name: term.usual for name, term in every.items() if term.usual != 1.0}
     assert usual == {"load_constant": 0.3, "load_square": 0.3}
     reach = 0.5 * second / DT_S
@@ -463,29 +415,6 @@ def test_a_term_is_taken_where_the_evidence_is_strong(
         assert refits == (["delay"] if score > border else [])
 
 
-class Line:
-    """In the place of a problem: residuals that are straight lines in the unknowns."""
-
-    def __init__(self, design: FloatArray, target: FloatArray, names: tuple[str, ...]) -> None:
-        self.design, self.target, self.names = design, target, names
-        n = len(target)
-        self.record = plain(n).only(current=True, speed=False)
-        self.count = n
-        self.free = [Term(name, place, 1.0, -5.0, 5.0, is_log=True) for place, name in enumerate(names)]
-
-    def residuals(self, theta: FloatArray) -> FloatArray:
-        return self.design @ theta - self.target
-
-    def columns(self, _: FloatArray, chosen: list[int], __: FloatArray) -> FloatArray:
-        return np.asarray(self.design[:, chosen])
-
-    def secant(self, _: FloatArray, n: int, __: float) -> FloatArray:
-        return np.asarray(self.design[:, n])
-
-    def values(self, _: FloatArray) -> FloatArray:
-        return values()
-
-
 def walked(rho: float, n: int = 600) -> Line:
     """Two unknowns and a noise; regressors and errors that remember."""
     rng = np.random.default_rng(4)
@@ -493,10 +422,6 @@ def walked(rho: float, n: int = 600) -> Line:
     for k in range(1, n):
         drawn[k] += rho * drawn[k - 1]
     return Line(drawn[:, :3] * [1.0, 3.0, 1.0], drawn[:, 3], ("R", "K", "noise_current"))
-
-
-def least_squares(line: Line) -> FloatArray:
-    return np.asarray(np.linalg.lstsq(line.design, line.target, rcond=None)[0], dtype=np.float64)
 
 
 def test_errors_of_white_residuals_are_those_of_least_squares() -> None:
@@ -515,14 +440,10 @@ def test_errors_of_white_residuals_are_those_of_least_squares() -> None:
 
 
 @pytest.mark.parametrize("rho", [0.9, 0.0, -0.6])
-def test_errors_of_residuals_that_remember_are_those_of_newey_and_west(
-    rho: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_errors_of_residuals_that_remember_are_those_of_newey_and_west(rho: float) -> None:
     line = walked(rho)
     theta = least_squares(line)
-    monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
-    best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=0.0)
-    found = uncertainty.covariance(cast("Any", best), {})
+    found, _ = uncertainty.sandwich(cast("Any", line), theta, line.design[:, :2], [0, 1])
     size = math.sqrt(float(line.residuals(theta) @ line.residuals(theta)) / 600)
     left, design = line.residuals(theta) / size, line.design[:, :2] / size
     series = left - left.mean()
@@ -547,6 +468,7 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     every = {"delay": SimpleNamespace(usual=0.6)}
     best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=10.0)
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
+    monkeypatch.setattr(uncertainty, "lacking", lambda _: [])
     without = uncertainty.covariance(cast("Any", best), {})
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: tests)
     added = uncertainty.covariance(cast("Any", best), cast("Any", every)) - without
@@ -559,6 +481,13 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     shares = np.exp([-1.0, -0.5])
     shares /= 1.0 + shares.sum()
     np.testing.assert_allclose(added, np.diag(shares * [0.04, 0.01]), rtol=1e-7, atol=1e-12)
+    # What no term says is believed to be of size 1; the record settles a share of it.
+    best.rivals = ()
+    monkeypatch.setattr(uncertainty, "lacking", lambda _: [tests["delay"]])
+    added = uncertainty.covariance(cast("Any", best), {}) - without
+    settled = 1.0 / (1.0 + 0.2**2)
+    size = (settled * 0.5) ** 2 + settled * 0.2**2
+    np.testing.assert_allclose(added, size * np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
 
 
 def test_a_direction_of_which_nothing_is_known_has_a_hopeless_variance() -> None:

@@ -28,7 +28,7 @@ from motor_env.fitting.starts.commutation import (
 from motor_env.fitting.starts.identified import Identified, record_of
 from motor_env.fitting.starts.identify import _wild_against, identify
 from motor_env.fitting.starts.plausibility import NOT_TURNING, implausible, shows_turning
-from motor_env.fitting.uncertainty import capped, sandwich
+from motor_env.fitting.uncertainty import capped, model_error, sandwich
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: starts are aligned by hand, their onset known; dense matrices need the floor of a residual's noise.
@@ -447,7 +447,12 @@ def test_what_a_fit_says_of_itself() -> None:
     assert problem.free == problem_of(measured, model, None).free
     covariance, counts = dense_covariance(problem, theta, measured)
     assert fit.independent == pytest.approx(counts, rel=1e-6)
+    series = np.sqrt(np.diag(fit.series_covariance))
+    np.testing.assert_allclose(series, np.sqrt(np.diag(covariance))[:5], rtol=0.02)
+    jacobian = problem.jacobian(theta, problem.residuals(theta))
+    covariance += model_error(problem, theta, jacobian, range(len(theta)), covariance)
     np.testing.assert_allclose(errors, np.sqrt(np.diag(covariance))[:5], rtol=0.02)
+    assert (errors > series).any()
     first = place(problem, "supply_ramp")
     unit = problem.free[first].unit
     assert fit.fitted_extension["supply_ramp"] == pytest.approx(

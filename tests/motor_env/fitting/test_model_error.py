@@ -1,0 +1,118 @@
+"""What a wrong model adds to the errors of a fit: scores of parts of a record, and what no term says."""
+
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from recorded_motor import LOGS, Line, least_squares, plain, solution, values, worked
+from scipy.linalg import sqrtm
+
+from motor_env.fitting import places
+from motor_env.fitting.record import Record
+from motor_env.fitting.score import lacking
+from motor_env.fitting.terms import terms
+from motor_env.fitting.uncertainty import beyond, covariance, model_error, sandwich
+from motor_env.motor.parameters import FloatArray
+
+
+def line(seed: int = 0, n: int = 400) -> Line:
+    """Straight lines; the first twentieth tells most of the first unknown."""
+    rng = np.random.default_rng(seed)
+    design = rng.standard_normal((n, 2)) * [0.05, 1.0]
+    design[: n // 20, 0] = 1.0
+    return Line(design, rng.standard_normal(n), ("R", "K"))
+
+
+def both(of: Line) -> tuple[FloatArray, FloatArray]:
+    """Covariance of a stationary series, and what the model's error adds."""
+    problem, theta = cast("Any", of), least_squares(of)
+    series, _ = sandwich(problem, theta, of.design, [0, 1])
+    return series, model_error(problem, theta, of.design, [0, 1], series)
+
+
+def test_scores_of_parts_are_scaled_as_bell_and_mccaffrey_have_it() -> None:
+    of = line()
+    of.target[:10] += 6.0
+    series, found = both(of)
+    design, left = of.design, of.residuals(least_squares(of))
+    size = np.sqrt(left @ left / len(left))
+    design, left = design / size, left / size
+    weak = np.eye(2) / 9.0  # logarithms are known to 3 beforehand
+    bread = np.linalg.inv(design.T @ design + weak)
+    hat = design @ bread @ design.T
+    told = np.cumsum(np.diag(hat))
+    part = np.minimum((20.0 * told / told[-1]).astype(int), 19)
+    expected = np.zeros((2, 2))
+    for number in range(20):
+        some = part == number
+        scale = np.linalg.inv(np.real(sqrtm(np.eye(some.sum()) - hat[np.ix_(some, some)])))
+        moved = bread @ design[some].T @ scale @ left[some]
+        expected += np.outer(moved, moved)
+    np.testing.assert_allclose(found, beyond(series, expected), rtol=1e-3, atol=1e-9)
+    assert found[0, 0] > 1.5 * series[0, 0]  # what no stationary series shows
+
+
+def test_a_right_model_adds_little() -> None:
+    """Scores of twenty parts scatter by chance; what they add is an excess only."""
+    shares = [np.diag(added) / np.diag(series) for series, added in map(both, map(line, range(40)))]
+    assert np.mean(shares, axis=0).max() < 0.5
+    assert np.median(shares, axis=0).max() < 0.25
+
+
+def test_a_known_load_is_a_load() -> None:
+    p = values()
+    record = worked(p)
+    loaded = replace(record, torque_n_m=np.full(len(record.voltage_v), 3e-3))
+    constant, noisy = values(LOAD=3e-3), values(WALK=1e-3)
+    for learn in (False, True):
+        table = loaded.predict(p, learn=learn)[0]
+        np.testing.assert_allclose(table[:, :4], record.predict(constant, learn=learn)[0][:, :4], atol=1e-9)
+    # A filter tells what it finds beside it.
+    walked = loaded.predict(noisy)[0]
+    assert abs(float(np.mean(walked[-100:, 4])) + 3e-3) < 1e-3
+    assert loaded.part(10, 50).torque_n_m is None
+
+
+def lossy(gear: float = 0.0, brushes: float = 0.0, noise: float = 1.0) -> Record:
+    """A record of the motor whose gear takes a share of its torque, and whose brushes resist small currents more."""
+    p, record = values(), worked(values(), noise=0.0)
+    shown = record.readings
+    rng = np.random.default_rng(3)
+    for _ in range(30):
+        amps, current, speed = np.quantile(np.abs(shown[:, 0]), 0.999), shown[:, 0], shown[:, 1]
+        lost = gear * np.abs(p[places.K] * current) * np.tanh(speed / (0.01 * np.abs(speed).max()))
+        drop = (
+            brushes * np.quantile(np.abs(record.voltage_v), 0.999) * current / (np.abs(current) + 0.1 * amps)
+        )
+        one = plain(len(shown), record.voltage_v - drop, record.hold)
+        free = one.predict(p, learn=False, load=lost)[0][:, 2:4]
+        shown = 0.7 * shown + 0.3 * free
+    shown = shown + noise * rng.standard_normal(shown.shape) * p[[places.NOISE_I, places.NOISE_W]]
+    return replace(record, readings=shown)
+
+
+@pytest.mark.parametrize(("gear", "brushes"), [(0.0, 0.0), (0.035, 0.0), (0.0, 0.04)])
+def test_what_real_motors_have_is_found_at_its_size(gear: float, brushes: float) -> None:
+    found = lacking(solution(lossy(gear, brushes), LOGS, values()))
+    sizes = [(test.value, test.sd) for test in found]
+    for (value, sd), true in zip(sizes, (brushes / 0.04, gear / 0.07), strict=True):
+        assert sd < 0.2
+        assert value == pytest.approx(true, abs=0.25)
+
+
+def test_what_real_motors_have_widens_the_errors_by_what_it_moves() -> None:
+    wrong = solution(lossy(brushes=0.08), LOGS, values())
+    spread = np.sqrt(np.diag(covariance(wrong, terms(wrong.problem.record, values()))))
+    test = lacking(wrong)[0]
+    assert test.value > 1.0
+    assert abs(wrong.theta[0]) > 0.02  # R is off by more than 2 %
+    assert spread[0] > 0.5 * abs(wrong.theta[0])
+    right = solution(lossy(), LOGS, values())
+    assert np.sqrt(np.diag(covariance(right, terms(right.problem.record, values()))))[0] < 0.2 * spread[0]
+
+
+def test_the_speed_alone_says_nothing_of_brushes_and_gears() -> None:
+    p = values()
+    record = worked(p).only(current=False, speed=True)
+    assert lacking(solution(record, ["K", "J"], p)) == []
