@@ -80,7 +80,7 @@ def draw_further(rng: np.random.Generator, switches: Collection[str] = SWITCHES)
         "8 bits": {"bits": 8},
     }
     chosen = {name: value for switch in switches for name, value in sizes[switch].items()}
-    return Further(**chosen)  # type: ignore[arg-type]
+    return Further(**chosen)
 
 
 @dataclass(frozen=True)

@@ -65,9 +65,11 @@ def simulated(seed: int, number: int, profile: str) -> Recording:
 
 def told(of: Path | Recording) -> dict[str, tuple[float, float]]:
     """Logarithm and its standard deviation of each quantity that a record determines."""
-    is_pwm = isinstance(of, Path) and of.parent.name == "jhg"
-    volts = abs(int(of.stem.removeprefix("pwm_")) - 1800) / 150.0 if is_pwm else None
-    regime = "operation" if isinstance(of, Path) and of.parent.name == "regbot" else "auto"
+    volts, regime = None, "auto"
+    if isinstance(of, Path) and of.parent.name == "jhg":
+        volts = abs(int(of.stem.removeprefix("pwm_")) - 1800) / 150.0
+    if isinstance(of, Path) and of.parent.name == "regbot":
+        regime = "operation"
     try:
         rows = identify(of, voltage_v=volts, regime=regime).parameters
     except InputError:
