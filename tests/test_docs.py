@@ -1,6 +1,7 @@
 """The documentation holds: its Python runs, its commands run, its links and pictures are there.
 
-Everything that a page shows as Python runs, block after block in one process, in a folder that holds `examples/`.
+Everything that a page shows as Python runs, block after block in one process, in a folder that holds `examples/`; so do
+the cells of the pages that are notebooks.
 Commands run where `<!-- run -->` stands above their block. A block below `<!-- not run: reason -->` is left out, and a
 page with `<!-- long -->` is run by `make test-long`. The package's commands run in this process: to start one for each
 would take most of the time.
@@ -28,9 +29,10 @@ DOCS = ROOT / "docs"
 MADE_BY_THE_BUILD = [DOCS / "_build", DOCS / "api", DOCS / "environments"]
 PAGES = sorted(page for page in DOCS.rglob("*.md") if not set(page.parents) & set(MADE_BY_THE_BUILD))
 FENCE = re.compile(
-    r"^(?:<!-- (?P<mark>[^>\n]*) -->\n\n?)?^```(?P<language>\w*)\n(?P<code>.*?)^```$",
+    r"^(?:<!-- (?P<mark>[^>\n]*) -->\n\n?)?^```(?P<language>\w*|\{code-cell\} ipython3)\n(?:---\n.*?^---\n)?(?P<code>.*?)^```$",
     re.MULTILINE | re.DOTALL,
 )
+PYTHON = ("python", "{code-cell} ipython3")
 LINK = re.compile(r"!?\[[^\]]*\]\((?!https?:|mailto:)([^)\s]*)\)")
 HAS_OWN_TEST = {DOCS / "new-fault.md"}  # tests/test_new_fault.py: it registers a kind, which must not stay
 
@@ -44,7 +46,7 @@ def script(page: Path) -> str:
     text = page.read_text(encoding="utf-8")
     lines = [""] * (text.count("\n") + 1)
     for block in FENCE.finditer(text):
-        if block["language"] == "python" and not (block["mark"] or "").startswith("not run"):
+        if block["language"] in PYTHON and not (block["mark"] or "").startswith("not run"):
             first = text.count("\n", 0, block.start("code"))
             for offset, line in enumerate(block["code"].splitlines()):
                 lines[first + offset] = line
@@ -85,7 +87,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("page", parameters([page for page in PAGES if commands(page) or script(page)]))
-def test_page_runs(page: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_page_runs(
+    page: Path, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     for command in commands(page):
         program, *arguments = shlex.split(command)
         if program == "python":
@@ -99,6 +103,9 @@ def test_page_runs(page: Path, folder: Path, capsys: pytest.CaptureFixture[str])
     if page not in HAS_OWN_TEST and (code := script(page)):
         path = folder / (page.stem.replace("-", "_") + "_page.py")
         path.write_text(code, encoding="utf-8")
+        if "{code-cell}" in page.read_text(encoding="utf-8"):
+            (folder / "docs" / page.parent.name).mkdir(parents=True)
+            monkeypatch.chdir(folder / "docs" / page.parent.name)
         runpy.run_path(str(path))
         plt.close("all")
 
