@@ -193,7 +193,8 @@ def pages() -> dict[Path, str]:
     }
     for path in sorted(KEPT.glob("*.json")):
         tables = kept_tables(path.stem)
-        parts[DOCS / f"{path.stem}.md"] = {
+        page = DOCS / "results" / f"{path.stem}.md"
+        parts[page if page.is_file() else DOCS / page.name] = {
             name: table(one["header"], one["rows"]) for name, one in tables.items()
         }
     trust = json.loads((FOLDER / "results" / "trust.json").read_bytes())
@@ -204,9 +205,11 @@ def pages() -> dict[Path, str]:
         {"field": field_table(), "operation": field_table("operation")}
     )
     policies = json.loads((FOLDER / "results" / "maintain.json").read_bytes())
-    parts[DOCS / "drive-and-maintain.md"] = {name: maintenance_table(rows) for name, rows in policies.items()}
+    parts.setdefault(DOCS / "results" / "decisions.md", {}).update(
+        {name: maintenance_table(rows) for name, rows in policies.items()}
+    )
     parts[DOCS / "reference-scores.md"] = {"reference": reference_scores.table()}
-    parts |= {DOCS / "howto" / f"{page}.md": tables for page, tables in watch_tables.parts().items()}
+    parts |= {DOCS / f"{page}.md": tables for page, tables in watch_tables.parts().items()}
     return {path: marked(path.read_text(encoding="utf-8"), tables) for path, tables in parts.items()}
 
 

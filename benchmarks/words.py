@@ -55,7 +55,9 @@ def docstrings(files: Iterable[Path]) -> int:
     """Words of all docstrings, and of the strings below assignments."""
     nodes = (node for path in files for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
     values = (node.value for node in nodes if isinstance(node, ast.Expr))
-    return sum(words(each.value) for each in values if isinstance(each, ast.Constant) and isinstance(each.value, str))
+    return sum(
+        words(each.value) for each in values if isinstance(each, ast.Constant) and isinstance(each.value, str)
+    )
 
 
 def counted() -> dict[str, tuple[int, int, int]]:
