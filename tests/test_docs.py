@@ -115,7 +115,13 @@ def test_page_runs(
     [
         *("motor_env.detection", "motor_env.diagnosis", "motor_env.envs", "motor_env.filters"),
         *("motor_env.fitting", "motor_env.inference", "motor_env.motor", "motor_env.recordings"),
-        *("motor_env.simulation", "motor_datasets", "motor_classifiers"),
+        *(
+            "motor_env.simulation",
+            "motor_env.errors",
+            "motor_env.prognosis",
+            "motor_datasets",
+            "motor_classifiers",
+        ),
     ],
 )
 @pytest.mark.usefixtures("folder")
@@ -124,6 +130,22 @@ def test_example_of_the_api_reference_runs(module: str) -> None:
     failed, attempted = doctest.testmod(importlib.import_module(module))
     assert attempted
     assert not failed
+
+
+def test_every_page_of_the_api_reference_has_an_example() -> None:
+    stubs = {"motor_env": ROOT / "motor_env" / "__init__.pyi"}
+    rooms = {
+        match[1]
+        for match in re.finditer(
+            r"^from \.(\w+)", stubs["motor_env"].read_text(encoding="utf-8"), re.MULTILINE
+        )
+    }
+    pages = [f"motor_env.{room}" for room in rooms] + [
+        "motor_env.envs",
+        "motor_datasets",
+        "motor_classifiers",
+    ]
+    assert [page for page in pages if ">>>" not in (importlib.import_module(page).__doc__ or "")] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)

@@ -63,7 +63,9 @@ _UNITS: dict[str, dict[str, float]] = {
 }
 """Quantity: the keys that give it, each with its factor; the first key is the one that is written."""
 
-_LARGEST_DISAGREEMENT = 0.10  # of two numbers of a sheet for one quantity: sheets round, and K falls with warmth
+_LARGEST_DISAGREEMENT = (
+    0.10  # of two numbers of a sheet for one quantity: sheets round, and K falls with warmth
+)
 _MAY_BE_ZERO = ("viscous_friction_n_m_s_per_rad", "coulomb_friction_n_m", "brush_drop_v")
 _MotorTable = make_dataclass(
     "_MotorTable",

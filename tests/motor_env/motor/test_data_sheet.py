@@ -52,7 +52,9 @@ def test_one_constant_stands_for_the_other(tmp_path: Path) -> None:
 
 def test_two_constants_that_are_not_one_number_are_refused(tmp_path: Path) -> None:
     load(tmp_path, SHEET.replace("23.5", "25.8"))  # 9.7 % more than the speed constant says
-    with pytest.raises(InputError, match="torque constant of 0.0262 N m/A and a back-EMF constant of 0.02352"):
+    with pytest.raises(
+        InputError, match="torque constant of 0.0262 N m/A and a back-EMF constant of 0.02352"
+    ):
         load(tmp_path, SHEET.replace("23.5", "26.2"))
 
 
