@@ -1,4 +1,4 @@
-"""Verdicts on motors of all sizes, each commissioned on five simulated healthy starts: a table of docs/results/recordings.md.
+"""Verdicts on motors of all sizes, each commissioned on five healthy starts (docs/results/recordings.md).
 
 python benchmarks/random_motors.py --motors 60
 """

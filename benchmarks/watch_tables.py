@@ -1,4 +1,4 @@
-"""Tables of docs/howto/watch.md and docs/results/embedded.md from results/watch.json, watch_c.json and controllers.json."""
+"""Tables of docs/howto/watch.md and docs/results/embedded.md from watch.json, watch_c.json and controllers.json."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Words of the documentation by page and by group: `make words`.
 
-Prose is what is left of a page without code, tables, formulas and comments. Pages by hand and the pages of *Results* have limits.
+Prose is what is left of a page without code, tables, formulas and comments. A test holds pages by hand, and those below
+*Results* in the navigation, to their limits.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 from tables import print_table
@@ -17,8 +19,8 @@ PACKAGES = ("motor_env", "datasets/motor_datasets", "classifiers/motor_classifie
 BESIDE = ("README.md", "CONTRIBUTING.md", "SECURITY.md")
 MADE = ("_build", "api", "environments")
 LIMITS = {"by hand": 19_000, "results": 6_000}
-LATER = ("fleet.md", "trend.md", "reference-scores.md", "calibration.md")
-"""Pages of what was added later: counted apart."""
+APART = ("fleet.md", "trend.md", "reference-scores.md", "calibration.md")
+"""Pages that are counted apart."""
 
 
 def words(text: str) -> int:
@@ -38,10 +40,25 @@ def parts_of(text: str) -> tuple[int, int, int]:
 
 def group_of(page: Path) -> str:
     """The group that a page counts for."""
-    if page.name in LATER:
-        return "added later"
-    inside = page.relative_to(ROOT).parts
-    return inside[1] if inside[1:2] in (("results",), ("notebooks",)) else "by hand"
+    if page.name in APART:
+        return "apart"
+    if page.parent.name == "notebooks":
+        return "notebooks"
+    return "results" if page in results() else "by hand"
+
+
+@cache
+def results() -> frozenset[Path]:
+    """Pages that the navigation lists below *Results*, with the pages below them."""
+    return frozenset(_below(ROOT / "docs" / "index.md", r":caption: Results\n"))
+
+
+def _below(page: Path, marked: str = "") -> list[Path]:
+    text = page.read_text(encoding="utf-8")
+    trees = re.findall(rf"^```\{{toctree\}}\n{marked}(.*?)^```", text, re.M | re.S)
+    entries = [line for tree in trees for line in tree.splitlines() if line and not line.startswith(":")]
+    pages = [(page.parent / f"{entry}.md").resolve() for entry in entries if "*" not in entry]
+    return [*pages, *(deeper for each in pages for deeper in _below(each))]
 
 
 def pages() -> list[Path]:

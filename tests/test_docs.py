@@ -29,7 +29,8 @@ DOCS = ROOT / "docs"
 MADE_BY_THE_BUILD = [DOCS / "_build", DOCS / "api", DOCS / "environments"]
 PAGES = sorted(page for page in DOCS.rglob("*.md") if not set(page.parents) & set(MADE_BY_THE_BUILD))
 FENCE = re.compile(
-    r"^(?:<!-- (?P<mark>[^>\n]*) -->\n\n?)?^```(?P<language>\w*|\{code-cell\} ipython3)\n(?:---\n.*?^---\n)?(?P<code>.*?)^```$",
+    r"^(?:<!-- (?P<mark>[^>\n]*) -->\n\n?)?^```(?P<language>\w*|\{code-cell\} ipython3)\n"
+    r"(?:---\n.*?^---\n)?(?P<code>.*?)^```$",
     re.MULTILINE | re.DOTALL,
 )
 PYTHON = ("python", "{code-cell} ipython3")
@@ -133,13 +134,8 @@ def test_example_of_the_api_reference_runs(module: str) -> None:
 
 
 def test_every_page_of_the_api_reference_has_an_example() -> None:
-    stubs = {"motor_env": ROOT / "motor_env" / "__init__.pyi"}
-    rooms = {
-        match[1]
-        for match in re.finditer(
-            r"^from \.(\w+)", stubs["motor_env"].read_text(encoding="utf-8"), re.MULTILINE
-        )
-    }
+    stub = (ROOT / "motor_env" / "__init__.pyi").read_text(encoding="utf-8")
+    rooms = {match[1] for match in re.finditer(r"^from \.(\w+)", stub, re.MULTILINE)}
     pages = [f"motor_env.{room}" for room in rooms] + [
         "motor_env.envs",
         "motor_datasets",

@@ -53,7 +53,7 @@ def test_one_constant_stands_for_the_other(tmp_path: Path) -> None:
 def test_two_constants_that_are_not_one_number_are_refused(tmp_path: Path) -> None:
     load(tmp_path, SHEET.replace("23.5", "25.8"))  # 9.7 % more than the speed constant says
     with pytest.raises(
-        InputError, match="torque constant of 0.0262 N m/A and a back-EMF constant of 0.02352"
+        InputError, match=r"torque constant of 0.0262 N m/A and a back-EMF constant of 0.02352"
     ):
         load(tmp_path, SHEET.replace("23.5", "26.2"))
 
@@ -63,7 +63,7 @@ def test_a_mechanical_time_constant_must_follow_from_the_others(tmp_path: Path) 
     plain = load(tmp_path, SHEET)
     for said in ("mechanical_time_constant_ms = 4.4", "mechanical_time_constant_s = 0.0040"):
         assert load(tmp_path, f"{SHEET}{said}\n") == plain
-    with pytest.raises(InputError, match="time constant of 4.8 ms, but R J / .Kt Kb. .* is 4.22 ms"):
+    with pytest.raises(InputError, match=r"time constant of 4.8 ms, but R J / .Kt Kb. .* is 4.22 ms"):
         load(tmp_path, f"{SHEET}mechanical_time_constant_ms = 4.8\n")
 
 
