@@ -197,7 +197,9 @@ def id_digests() -> str:
 def task_digests() -> str:
     """Digests of the frozen tasks of motor-bench."""
     whole = json.loads(DIGESTS.read_bytes())["whole"]
-    rows = ([f"`{name}`", *(f"`{one[part][:16]}`" for part in ("train", "test"))] for name, one in whole.items())
+    rows = (
+        [f"`{name}`", *(f"`{one[part][:16]}`" for part in ("train", "test"))] for name, one in whole.items()
+    )
     return table(["task", "training starts", "test cases"], rows)
 
 
