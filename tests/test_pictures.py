@@ -44,8 +44,8 @@ def test_the_verdict_of_the_first_page_is_that_of_today() -> None:
     kept = (IMAGES / "verdict.svg").read_text(encoding="utf-8")
     drawn = module(ROOT / "docs" / "make_pictures.py").verdict()
     assert number.sub("#", kept) == number.sub("#", drawn)
-    values = [np.array(number.findall(text), float) for text in (kept, drawn)]
-    np.testing.assert_allclose(*values, atol=0.3)
+    was, now = (np.array(number.findall(text), float) for text in (kept, drawn))
+    np.testing.assert_allclose(now, was, atol=0.3)
 
 
 def test_the_picture_of_the_rooms_is_that_of_today(tmp_path: Path) -> None:
