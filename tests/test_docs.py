@@ -18,6 +18,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
+import words
 
 from motor_classifiers.cli.main import main as classifiers
 from motor_datasets.cli import main as datasets
@@ -158,6 +159,13 @@ def test_links_and_pictures_exist(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_pictures_have_alternative_text(page: Path) -> None:
     assert re.findall(r"!\[\s*\]\([^)]*\)", page.read_text(encoding="utf-8")) == []
+
+
+def test_the_prose_stays_short() -> None:
+    """`make words` counts it by page."""
+    prose = {group: counts[0] for group, counts in words.groups().items()}
+    assert {group: prose[group] for group, limit in words.LIMITS.items() if prose[group] > limit} == {}
+    assert len(words.results()) > 8
 
 
 def test_navigation_lists_every_page_once() -> None:
