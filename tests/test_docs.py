@@ -1,10 +1,10 @@
 """The documentation holds: its Python runs, its commands run, its links and pictures are there.
 
 Everything that a page shows as Python runs, block after block in one process, in a folder that holds `examples/`; so do
-the cells of the pages that are notebooks.
-Commands run where `<!-- run -->` stands above their block. A block below `<!-- not run: reason -->` is left out, and a
-page with `<!-- long -->` is run by `make test-long`. The package's commands run in this process: to start one for each
-would take most of the time.
+the cells of the pages that are notebooks. Text right below a block of Python is what the block prints. Commands run where
+`<!-- run -->` stands above their block, and print the lines that the block shows below them. A block below
+`<!-- not run: reason -->` is left out, and a page with `<!-- long -->` is run by `make test-long`. The package's commands
+run in this process: to start one for each would take most of the time.
 """
 
 import doctest
@@ -71,6 +71,15 @@ def commands(page: Path) -> list[str]:
     ]
 
 
+def shown(page: Path) -> list[str]:
+    """What the blocks that are run, and those of text right below a block of Python, show of the output."""
+    text = page.read_text(encoding="utf-8")
+    parts = [block["code"] for block in FENCE.finditer(text) if block["mark"] == "run"]
+    parts += re.findall(r"^```python\n.*?^```\n\n```text\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    lines = "\n".join(parts).replace("\\\n", " ").splitlines()
+    return [line for line in lines if line and not line.startswith("$ ") and line.strip() != "..."]
+
+
 def is_long(page: Path) -> bool:
     return "<!-- long -->" in page.read_text(encoding="utf-8")
 
@@ -92,6 +101,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_page_runs(
     page: Path, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    printed_so_far = ""
     for command in commands(page):
         program, *arguments = shlex.split(command)
         if program == "python":
@@ -102,6 +112,7 @@ def test_page_runs(
         # 1 says that a fault was found: the example motor has one.
         assert status in (0, 1), f"{command}\n{printed.out}{printed.err}"
         assert printed.out, command
+        printed_so_far += printed.out
     if page not in HAS_OWN_TEST and (code := script(page)):
         path = folder / (page.stem.replace("-", "_") + "_page.py")
         path.write_text(code, encoding="utf-8")
@@ -110,6 +121,8 @@ def test_page_runs(
             monkeypatch.chdir(folder / "docs" / page.parent.name)
         runpy.run_path(str(path))
         plt.close("all")
+        printed_so_far += capsys.readouterr().out
+    assert [line for line in shown(page) if line.rstrip() not in printed_so_far] == []
 
 
 @pytest.mark.parametrize(
