@@ -1,10 +1,10 @@
 """The documentation holds: its Python runs, its commands run, its links and pictures are there.
 
-Everything that a page shows as Python runs, block after block in one process, in a folder that holds `examples/`; so do
-the cells of the pages that are notebooks. Text right below a block of Python is what the block prints. Commands run where
-`<!-- run -->` stands above their block, and print the lines that the block shows below them. A block below
-`<!-- not run: reason -->` is left out, and a page with `<!-- long -->` is run by `make test-long`. The package's commands
-run in this process: to start one for each would take most of the time.
+Everything that a page shows as Python runs, block after block in one process, in a folder that holds `examples/`; so
+do the cells of the pages that are notebooks. Text right below a block of Python is what the block prints. Commands run
+where `<!-- run -->` stands above their block, and print the lines that the block shows below them. A block below
+`<!-- not run: reason -->` is left out, and a page with `<!-- long -->` is run by `make test-long`. The package's
+commands run in this process: to start one for each would take most of the time.
 """
 
 import doctest
