@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup hand lint types imports lines unit test test-long benchmark peers peers-anew bench docs format constraints clean distclean
+.PHONY: help setup hand lint types imports lines words unit test test-long benchmark peers peers-anew bench docs pictures format constraints clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -72,6 +72,9 @@ imports: $(READY) ## import-linter: imports go one way
 lines: $(READY) ## count lines and statements of every part
 	@$(BIN)/python benchmarks/lines.py
 
+words: $(READY) ## count the words of the documentation
+	@$(BIN)/python benchmarks/words.py
+
 unit: $(READY) ## the quick tests; PYTEST_ARGS="-k kalman" narrows them
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal --durations 10 -m "not long" $(PYTEST_ARGS)
 
@@ -93,6 +96,9 @@ bench: $(BENCH_READY) $(READY) $(AEON_READY) ## speed against peers, in an envir
 
 docs: $(DOCS_READY) ## build the documentation into docs/_build/html; warnings are errors
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+
+pictures: $(READY) ## draw the screens and films of the documentation anew
+	$(BIN)/python docs/make_pictures.py
 
 format: $(READY) ## let ruff format and fix what it can
 	$(BIN)/python -m ruff format

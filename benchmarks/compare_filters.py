@@ -17,7 +17,7 @@ import numpy as np
 from cyclopts import run
 from numpy.typing import NDArray
 from scipy.stats import binomtest
-from tables import print_table
+from tables import keep_table
 
 from motor_classifiers.estimators.confirmation import class_filter
 from motor_env.detection.rules.cusum import Cusum
@@ -171,8 +171,9 @@ def main(*, cases: int = 2000) -> None:
         "linear, one variance a transient": partial(bank, run_filter, own_variance=True),
         **{name: partial(nearest, *which) for name, which in joints.items()},
     }
-    print_table(
-        "Classes",
+    keep_table(
+        "detection",
+        "filters: classes",
         ("filter", "healthy called faulty", "faults found", "right kind", "right class", "R, B: error ± sd"),
         (class_row(name, decide(measured, voltage), labels) for name, decide in banks.items()),
     )
@@ -184,14 +185,16 @@ def main(*, cases: int = 2000) -> None:
         (name, score(measured, voltage) > np.quantile(score(healthy, voltage), 0.99))
         for name, score in scores.items()
     )
-    print_table(
-        f"Alarms; thresholds from {len(healthy)} healthy transients",
+    keep_table(
+        "detection",
+        "filters: alarms",
         ("filter", "false alarms", "B +10 %", "B +25 %", "R +10 %", "R +25 %"),
         ([name, *(share(alarms[labels == c]) for c in range(5))] for name, alarms in watched),
     )
     stds = ((0.0, 0.0), (1e-5, 1e-3), (1e-3, 3e-2), (3e-3, 1e-1), LARGE_Q)
-    print_table(
-        "Process noise",
+    keep_table(
+        "detection",
+        "process noise",
         ("process noise", "mean NIS, healthy", "d' of B +10 %", "CUSUM finds"),
         (noise_row(std, healthy, measured[labels == 1], voltage) for std in stds),
     )

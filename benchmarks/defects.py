@@ -1,4 +1,4 @@
-"""Verdicts on simulated captures, each with one defect of real ones: the table of docs/recordings.md.
+"""Verdicts on simulated captures, each with one defect of real ones: the table of docs/results/recordings.md.
 
 python benchmarks/defects.py --starts 40
 """
@@ -10,6 +10,7 @@ from pathlib import Path
 
 from cyclopts import run
 from simulated_captures import DEFECTS, captures
+from tables import keep_table
 from verdict_tables import HERE, Counts, How, Said, counted
 
 from motor_env.diagnosis.diagnose import diagnose
@@ -73,7 +74,7 @@ def main(
     defect: Sequence[str] = tuple(DEFECTS),
     how: How = HERE,
 ) -> None:
-    """Print the table.
+    """Print and keep the table.
 
     Args:
         starts: of each defect and fault.
@@ -81,13 +82,11 @@ def main(
         defect: those of the table.
         how: options of every table.
     """
-    print("| defect | healthy | bearing +25 % | contact +25 % | noticed | wrong verdicts |")
-    print("|---|---|---|---|---|---|")
     of = {"seed": seed, "starts": starts, "defects": list(defect)}
     each = partial(judge, names=tuple(defect), starts=starts, seed=seed)
     counts = counted(each, len(CASES) * len(defect), how, of=of)
-    for name in defect:
-        print(f"| {' | '.join(row(name, counts))} |")
+    header = ("defect", "healthy", "bearing +25 %", "contact +25 %", "noticed", "wrong verdicts")
+    keep_table("recordings", "defects", header, (row(name, counts) for name in defect))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What detection is worth to a controller: scores of the baselines of a drive as a Markdown table.
+"""What detection is worth to a controller: scores of the baselines of a drive for docs/results/decisions.md.
 
 python benchmarks/drive_scores.py --task Drive-v0       # some two minutes of one core
 
@@ -6,7 +6,7 @@ Thresholds and the PI controller are tuned on 200 episodes of one seed, all are 
 """
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import product
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 from clairvoyant import clairvoyant_returns
 from pi_controller import PI
 from planned_drive import PlannedDrive
+from tables import keep_table
 
 from motor_env.envs import DriveVectorEnv, Lqg, drive_episodes
 from motor_env.envs.baselines.evaluation import interval
@@ -25,10 +26,12 @@ from motor_env.envs.drive.policies import DrivePolicy
 LEVELS = 8
 TUNING_SEED, SEEDS, EPISODES = 1, (11, 12, 13, 14, 15), 200
 PI_GRID = {"gain": (0.02, 0.03, 0.05, 0.07), "reset_s": (0.005, 0.01, 0.02)}
+PARTS = ("tracking", "heat", "wear", "limping", "stopped", "failure")
 BANK_GRID = {
     "limp_above": (0.3, 0.5, 0.7, 0.9),
     "stop_above": ((0.8, 0.75), (0.87, 0.75), (2.0, 0.75), (0.87, 0.65)),
 }
+HEADER = ("policy", "return", "healthy", "bearing", "winding", *PARTS, "fail")
 
 
 def make(task: str, count: int) -> DriveVectorEnv:
@@ -46,7 +49,7 @@ def tuned(
     return points[int(np.argmax(scores))]
 
 
-def row(name: str, runs: Drives) -> str:
+def row(name: str, runs: Drives) -> list[str]:
     """A row of the table."""
     mean, half = interval(runs.returns)
     by_class = [
@@ -55,7 +58,7 @@ def row(name: str, runs: Drives) -> str:
     ]
     parts = [f"{abs(part):.3f}" for part in runs.parts.mean(axis=1)]
     failed = f"{(runs.parts[-1] < 0.0).mean():.1%}"
-    return "| " + " | ".join([name, f"{mean:+.3f} ± {half:.3f}", *by_class, *parts, failed]) + " |"
+    return [name, f"{mean:+.3f} ± {half:.3f}", *by_class, *parts, failed]
 
 
 def main() -> None:
@@ -76,9 +79,13 @@ def main() -> None:
         "plan": PlannedDrive(envs.setup),
     }
     scored = {}
-    for name, policy in policies.items():
-        scored[name] = joined_drives([drive_episodes(envs, policy, seed) for seed in SEEDS])
-        print(row(name, scored[name]), flush=True)
+
+    def rows() -> Iterator[list[str]]:
+        for name, policy in policies.items():
+            scored[name] = joined_drives([drive_episodes(envs, policy, seed) for seed in SEEDS])
+            yield row(name, scored[name])
+
+    keep_table("decisions", task, HEADER, rows())
     last = scored["both by the bank"]
     ahead, half = interval(last.returns - scored["LQG with integral action"].returns)
     print(f"bank ahead of the fixed LQG by {ahead:.3f} ± {half:.3f}")

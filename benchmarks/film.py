@@ -1,4 +1,4 @@
-"""Film an agent that probes a motor: `python benchmarks/film.py --out docs/images/probe-agent.gif`.
+"""Film an agent that probes a motor: `python benchmarks/film.py` draws docs/images/probe-agent.gif.
 
 The agent is one of those that `examples/ppo.py` trained, from the weights that are kept beside it.
 """
@@ -6,6 +6,7 @@ The agent is one of those that `examples/ppo.py` trained, from the weights that 
 from __future__ import annotations
 
 import importlib
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from PIL import Image
 
 from motor_env.envs import Policy, ProbeEnv
 
+FILM = Path(__file__).resolve().parents[1] / "docs" / "images" / "probe-agent.gif"
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 FIRST_FRAME = 15  # before, the screen is nearly empty
 
@@ -25,23 +27,42 @@ def probe(observe: tuple[str, ...] = ()) -> ProbeEnv:
 
 
 def film(env: Any, learned: Policy, path: Path, severity: float = 0.01) -> None:
-    """An animation of one episode in which a winding grows worse by that much."""
+    """An animation of one episode in which a winding grows worse by that much, and its seed and actions beside it.
+
+    It begins with its end, so that a still shows what it is about.
+    """
     for seed in range(10_000):
         observation, info = env.reset(seed=seed)
         if info["severity"] == severity and 1000 < info["onset_sample"] < 2000:
             break
     learned.start(1)
-    frames, over, step = [], False, 0
+    frames: list[Any] = []
+    actions: list[int] = []
+    over = False
     while not over:
-        observation, _, over, _, _ = env.step(int(learned.act(observation[None])[0]))
-        if step % 2 == 0 or over:
+        actions.append(int(learned.act(observation[None])[0]))
+        observation, _, over, _, _ = env.step(actions[-1])
+        if len(actions) % 2 == 1 or over:
             frames.append(Image.fromarray(env.render()).quantize(32))
-        step += 1
-    frames = [*frames[FIRST_FRAME:], *[frames[-1]] * 20]
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=80, loop=0, optimize=True)
+    end = [frames[-1]] * 20
+    first, *others = [*end, *frames[FIRST_FRAME:], *end]
+    first.save(path, save_all=True, append_images=others, duration=80, loop=0, optimize=True)
+    path.with_suffix(".json").write_text(
+        json.dumps({"seed": seed, "actions": actions}) + "\n", encoding="utf-8"
+    )
 
 
-def main(*, seed: int = 0, out: Path = Path("out/probe-agent.gif")) -> None:
+def last_screen(path: Path) -> Any:
+    """The screen at the end of a film, drawn anew from its seed and actions."""
+    played = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    env = probe()
+    env.reset(seed=played["seed"])
+    for action in played["actions"]:
+        env.step(action)
+    return env.render()
+
+
+def main(*, seed: int = 0, out: Path = FILM) -> None:
     """Film the agent of that training seed."""
     sys.path.insert(0, str(EXAMPLES))
     ppo: Any = importlib.import_module("ppo")

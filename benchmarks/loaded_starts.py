@@ -1,4 +1,4 @@
-"""Verdicts on starts under a load that scatters, of warmer motors behind a resistance: a table of docs/recordings.md.
+"""Verdicts on starts under a load that scatters, of warmer motors behind a resistance (docs/results/recordings.md).
 
 python benchmarks/loaded_starts.py --motors 216
 

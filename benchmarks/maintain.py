@@ -1,6 +1,6 @@
 """Policies of the maintenance task beside its bound.
 
-`python benchmarks/maintain.py` measures, `python benchmarks/result_tables.py` writes docs/drive-and-maintain.md. A
+`python benchmarks/maintain.py` measures, `python benchmarks/result_tables.py` writes docs/results/decisions.md. A
 threshold is tuned on seed 100 and scored on seed 1. A range runs from running to failure to an agent that sees level
 and rate every morning.
 """

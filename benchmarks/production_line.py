@@ -10,6 +10,7 @@ from itertools import combinations
 from pathlib import Path
 
 from cyclopts import run
+from tables import keep_table
 from verdict_tables import HERE, Counts, How, Said, counted
 
 from motor_env import commission, diagnose
@@ -71,7 +72,13 @@ def main(*, choices: int = 252, skip: int = 0, seed: int = 7, how: How = HERE) -
             print(summary(counts), flush=True)
 
     of = {"seed": seed, "choices": choices, "skip": skip}
-    counted(partial(judge, **of), number, how, of=of, tell=tell)
+    counts = counted(partial(judge, **of), number, how, of=of, tell=tell)
+    good, bad = counts[("good",)], counts[("bad",)]
+    rows = [
+        ["good starts, others than the five", str(good.total()), str(good["fault"])],
+        ["bad starts", str(bad.total()), str(bad["fault"])],
+    ]
+    keep_table("recordings", "production line", ("starts", "judged", "alarms"), rows)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Verdicts on motors of all sizes, each commissioned on five simulated healthy starts: a table of docs/recordings.md.
+"""Verdicts on motors of all sizes, each commissioned on five healthy starts (docs/results/recordings.md).
 
 python benchmarks/random_motors.py --motors 60
 """
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from cyclopts import run
-from tables import table
+from tables import keep_table
 from verdict_tables import HERE, Counts, How, Said, counted, words_of
 
 from motor_env.diagnosis.diagnose import diagnose
@@ -134,8 +134,8 @@ def main(*, motors: int = 60, seed: int = 0, how: How = HERE) -> None:
 
     each = partial(judge, seed=seed)
     counts = counted(each, motors, how, of={"seed": seed}, tell=tell)
-    print()
-    print(table(("change", "verdicts"), [[name, words_of(counts[(name,)])] for name in CHANGES]))
+    rows = ([name, words_of(counts[(name,)])] for name in CHANGES)
+    keep_table("recordings", "random motors", ("one start with", "verdicts"), rows)
 
 
 if __name__ == "__main__":

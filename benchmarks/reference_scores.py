@@ -228,13 +228,21 @@ def tuned(name: str) -> list[float]:
     return [agent["return"][0] for agent in json.loads(path.read_text(encoding="utf-8"))["agents"].values()]
 
 
+def page_of(name: str) -> str:
+    """The place in the documentation that describes an id: variants share the page of their family."""
+    family = next(
+        each for each in ("Maintain-v0", "Monitor-v0", "Probe-v0", "Drive-v0") if name.startswith(each[:-3])
+    )
+    return f"{family}.md" if name == family else f"{family}.md#{name.lower()}"
+
+
 def row(name: str) -> str:
     """An id in the table."""
     found = kept(name)
     cells = [cell(found.get(method)) for method in ("random", "trivial", "textbook", "best", "bound")]
     learned = {method: runs([each["return"] for each in found.get(method, [])]) for method in LEARNERS}
     other = " ".join(f"{method.upper()} {learned[method]}" for method in LEARNERS[1:] if learned[method])
-    names = [f"[{name}](environments/{name}.md)", *cells, learned["ppo"], other, runs(tuned(name))]
+    names = [f"[{name}](environments/{page_of(name)})", *cells, learned["ppo"], other, runs(tuned(name))]
     return "| " + " | ".join(names) + " |"
 
 

@@ -5,6 +5,7 @@ A test compares the pages with the files, so no figure in these tables is writte
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,6 +20,7 @@ from motor_classifiers.contest.leaderboard import read_scores
 from motor_classifiers.report.trust_tables import trust_tables
 
 FOLDER = Path(__file__).resolve().parent
+DIGESTS = FOLDER.parent / "classifiers" / "motor_classifiers" / "contest" / "motor_bench.json"
 README, DOCS = FOLDER.parent / "README.md", FOLDER.parent / "docs"
 Row = dict[str, Any]
 
@@ -181,6 +183,26 @@ def maintenance_table(rows: list[Row]) -> str:
     return table(["policy", "mean return", "of the range"], shown)
 
 
+def id_digests() -> str:
+    """Digest of what is kept of each environment."""
+    kept = json.loads((FOLDER.parent / "tests" / "motor_env" / "envs" / "env_streams.json").read_bytes())
+    rows = (
+        [f"`{name}`", f"`{hashlib.sha256(json.dumps(one, sort_keys=True).encode()).hexdigest()[:16]}`"]
+        for name, one in kept.items()
+        if name.startswith("motor_env/")
+    )
+    return table(["id", "digest"], rows)
+
+
+def task_digests() -> str:
+    """Digests of the frozen tasks of motor-bench."""
+    whole = json.loads(DIGESTS.read_bytes())["whole"]
+    rows = (
+        [f"`{name}`", *(f"`{one[part][:16]}`" for part in ("train", "test"))] for name, one in whole.items()
+    )
+    return table(["task", "training starts", "test cases"], rows)
+
+
 def pages() -> dict[Path, str]:
     """The pages with their tables made anew."""
     parts = {
@@ -193,7 +215,8 @@ def pages() -> dict[Path, str]:
     }
     for path in sorted(KEPT.glob("*.json")):
         tables = kept_tables(path.stem)
-        parts[DOCS / f"{path.stem}.md"] = {
+        page = DOCS / "results" / f"{path.stem}.md"
+        parts[page if page.is_file() else DOCS / page.name] = {
             name: table(one["header"], one["rows"]) for name, one in tables.items()
         }
     trust = json.loads((FOLDER / "results" / "trust.json").read_bytes())
@@ -204,9 +227,12 @@ def pages() -> dict[Path, str]:
         {"field": field_table(), "operation": field_table("operation")}
     )
     policies = json.loads((FOLDER / "results" / "maintain.json").read_bytes())
-    parts[DOCS / "drive-and-maintain.md"] = {name: maintenance_table(rows) for name, rows in policies.items()}
+    parts.setdefault(DOCS / "results" / "decisions.md", {}).update(
+        {name: maintenance_table(rows) for name, rows in policies.items()}
+    )
     parts[DOCS / "reference-scores.md"] = {"reference": reference_scores.table()}
-    parts |= {DOCS / "howto" / f"{page}.md": tables for page, tables in watch_tables.parts().items()}
+    parts[DOCS / "citing.md"] = {"ids": id_digests(), "tasks": task_digests()}
+    parts |= {DOCS / f"{page}.md": tables for page, tables in watch_tables.parts().items()}
     return {path: marked(path.read_text(encoding="utf-8"), tables) for path, tables in parts.items()}
 
 

@@ -1,4 +1,4 @@
-"""Print the tables of delays in docs/rules.md and draw its picture: `python benchmarks/rules.py`, some ten minutes.
+"""Delays for docs/results/detection.md, and the picture of docs/rules.md: `python benchmarks/rules.py`, ten minutes.
 
 Thresholds are solved for ARL0 10,000; delays count from an onset at the start of the rule, and in mid-run from one
 after 1,000 healthy samples without an alarm. Each row is printed as soon as it is known.
@@ -15,7 +15,7 @@ import numpy as np
 from cyclopts import run
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
-from tables import print_table
+from tables import keep_table
 
 from motor_env import Cusum, Glr, ModelBank, MOfN, Rule, ShiryaevRoberts, Sprt
 from motor_env.detection.rules import Threshold, WindowedNis, in_a_row, nis_rule, run_lengths
@@ -149,10 +149,10 @@ def main(
     """
     if only in (None, "delays"):
         header = ("shift", "rule", "threshold", "delay", "of least", "delay in mid-run")
-        print_table("Delays at ARL0 10,000", header, delays(runs, calibration))
+        keep_table("detection", "delays", header, delays(runs, calibration))
     if only in (None, "growth"):
         header_of_growth = ("samples to full size", "rule", "delay")
-        print_table("Growing faults", header_of_growth, growth(runs, calibration))
+        keep_table("detection", "growth", header_of_growth, growth(runs, calibration))
     if only in (None, "picture"):
         draw()
 

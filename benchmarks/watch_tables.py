@@ -1,4 +1,4 @@
-"""Tables of docs/howto/watch.md and embedded.md from results/watch.json, watch_c.json and controllers.json."""
+"""Tables of docs/howto/watch.md and docs/results/embedded.md from watch.json, watch_c.json and controllers.json."""
 
 from __future__ import annotations
 
@@ -107,6 +107,6 @@ def sizes() -> str:
 def parts() -> dict[str, dict[str, str]]:
     """Tables by page and mark."""
     return {
-        "watch": {"false alarms": watch_alarms(), "delays": watch_delays(), "windows": windows()},
-        "embedded": {"false alarms": code_alarms(), "delays": delays(), "sizes": sizes()},
+        "howto/watch": {"false alarms": watch_alarms(), "delays": watch_delays(), "windows": windows()},
+        "results/embedded": {"false alarms": code_alarms(), "delays": delays(), "sizes": sizes()},
     }

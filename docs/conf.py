@@ -1,5 +1,6 @@
 import re
 import sys
+import tomllib
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
@@ -17,7 +18,13 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ex
 source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
 exclude_patterns = ["_build"]
 
-myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "substitution"]
+# Where the project lies: [project.urls] of pyproject.toml, which has them from the first release on.
+settings = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
+urls = settings["project"].get("urls", {})
+myst_substitutions = {
+    name.lower(): urls.get(name, "not set before the first release") for name in ("Repository", "DOI")
+}
 myst_heading_anchors = 3
 nb_execution_mode = "force"  # the notebooks run at every build; an error ends it
 nb_execution_raise_on_error = True

@@ -1,4 +1,4 @@
-"""Writes the pages of the site that follow from the code: one for each environment id and each group of public names.
+"""Writes the pages of the site that follow from the code: one for each family of ids and each group of public names.
 
 `conf.py` calls `write_pages` when the site is built; nothing of it is kept in the repository.
 """
@@ -25,6 +25,7 @@ from motor_env.envs import Lqg, MonitorOptions
 
 DOCS = Path(__file__).parent
 RESULTS = DOCS.parent / "benchmarks" / "results" / "reference"
+FAMILIES = ("Maintain-v0", "Monitor-v0", "Probe-v0", "Drive-v0")
 PACKAGES = ("motor_env", "motor_env.envs", "motor_datasets", "motor_classifiers")
 FEATURES = {
     "measured": "what the sensor reads",
@@ -199,12 +200,16 @@ def curves(name: str, path: Path) -> bool:
     return True
 
 
-def rows_of(pattern: str) -> str:
-    """Rows of a table on the pages of all environments, or nothing."""
-    pages = ("reference-scores", "environments", "drive-and-maintain")
-    text = "".join((DOCS / f"{page}.md").read_text(encoding="utf-8") for page in pages)
-    found = re.search(pattern, text, flags=re.MULTILINE)
-    return found[1] if found else ""
+def score_rows(names: list[str]) -> str:
+    """The head of the table of reference scores, and its rows of these ids."""
+    text = (DOCS / "reference-scores.md").read_text(encoding="utf-8")
+    head = re.findall(r"^\| id \| random .*\n\|---.*\n", text, flags=re.MULTILINE)
+    rows = [
+        f"| {name} {rest}"
+        for name in names
+        for rest in re.findall(rf"^\| \[{name}\]\(\S+ (.*\n)", text, re.MULTILINE)
+    ]
+    return "".join([*head, *rows])
 
 
 def motor_parts(env: Any) -> list[str]:
@@ -221,50 +226,74 @@ def motor_parts(env: Any) -> list[str]:
     ]
 
 
-def environment_page(spec: EnvSpec) -> str:
-    """The specification of one id: what its class's docstring says, and its numbers."""
-    env = gym.make(spec.id).unwrapped
-    said = sections(inspect.getdoc(type(env)) or "")
-    name, family = spec.id.split("/")[1], type(env).__name__.removesuffix("Env")
-    watched = isinstance(env.options, MonitorOptions)
-    task = f"{family}-v0, `{env.options.recipe.name}`" if watched else name
-    plain = (
-        set(spec.kwargs) <= {"recipe"} or not watched
-    )  # the tables are of tasks that differ in nothing else
-    scores = plain and rows_of(rf"^{task}:\n\n(?:<!--.*\n\n)?((?:\|.*\n)+)")
-    speed = rows_of(rf"^(\| {name}, (?:vector|single).*\n(?:\| \|.*\n)*)")
-    page = "environments" if watched else "drive-and-maintain"
-    parts = [
-        f"# {name}",
-        f"{said.pop('')}",
-        f'```python\nenv = gym.make("motor_env:{spec.id}")\n```',
-        spec.kwargs
-        and f"This id is the class `{family}Env` with {', '.join(f'`{k}={v!r}`' for k, v in spec.kwargs.items())}.",
-        f"![Screen of {name} at the end of an episode]({name}.png)",
-        *(motor_parts(env) if watched else []),
-    ]
+def screen_of(name: str) -> str:
+    """The picture of an id."""
+    return f"![Screen of {name} at the end of an episode]({name}.png)"
+
+
+def tables_of(env: Any) -> dict[str, str]:
+    """What is seen, done and paid in an environment."""
     tables = {"Observation space": observation_table(env)}
-    if watched:
+    if isinstance(env.options, MonitorOptions):
         tables |= {"Action space": action_table(env), "Reward": reward_table(env.options)}
+    return tables
+
+
+def variant(spec: EnvSpec, base: Any) -> list[str]:
+    """What an id has that the first of its family has not."""
+    env, name = gym.make(spec.id).unwrapped, spec.id.split("/")[1]
+    given = (
+        ", ".join(f"`{key}={value!r}`" for key, value in spec.kwargs.items()) or "its actions are continuous"
+    )
+    watched = isinstance(env.options, MonitorOptions)
+    parts = [f"## {name}", f"Differs by {given}.", screen_of(name), *(motor_parts(env) if watched else [])]
+    known = tables_of(base)
+    for heading, made in tables_of(env).items():
+        parts += [f"**{heading}**", made] if made and made != known.get(heading) else []
+    return [*parts, curves(name, DOCS / "environments" / f"{name}-curve.png") and learning(name)]
+
+
+def learning(name: str) -> str:
+    """The picture of the learning curves of an id."""
+    return f"![Learning curves of PPO with its defaults on {name}, a line a seed]({name}-curve.png)"
+
+
+def family_page(name: str, specs: list[EnvSpec]) -> str:
+    """The specification of an id: what its class's docstring says, its numbers, and what its variants change."""
+    (first,) = [spec for spec in specs if spec.id == f"motor_env/{name}"]
+    others = [spec for spec in specs if spec is not first]
+    env = gym.make(first.id).unwrapped
+    said = sections(inspect.getdoc(type(env)) or "")
+    parts = [
+        f"# {name} and its variants",
+        said.pop(""),
+        f'```python\nenv = gym.make("motor_env:{first.id}")\n```',
+        screen_of(name),
+        *(motor_parts(env) if isinstance(env.options, MonitorOptions) else []),
+        table(
+            ["id", "differs by", "`reward_threshold`"],
+            [
+                [
+                    f"`{spec.id}`",
+                    ", ".join(f"`{key}={value!r}`" for key, value in spec.kwargs.items()),
+                    f"{spec.reward_threshold:+.3f}",
+                ]
+                for spec in [first, *others]
+            ],
+        ),
+    ]
+    tables = tables_of(env)
     for heading in dict.fromkeys([*said, *tables]):
         parts += [f"## {heading}", said.get(heading, ""), tables.get(heading, "")]
-    if speed:
-        head = table(["task", "policy", "ours", "CartPole", "ratio"], [])
-        speed = f"Steps per second of processor time beside CartPole, by how often an episode ends:\n\n{head}\n{speed}"
     parts += [
         "## Options",
         "Any of them by name in `gym.make`; all are checked, and a wrong value is named.",
         options_table(env.options),
+        *(part for spec in others for part in variant(spec, env)),
         "## Scores",
-        f"The `reward_threshold`, which the best policy known reaches, is {spec.reward_threshold:+.3f}.",
-        "All ids beside each other: [reference scores](../reference-scores.md).",
-        rows_of(r"(\| id \| random .*\n\|---.*\n)") + f"| {name} " + rows_of(rf"^\| \[{name}\]\(\S+ (.*\n)"),
-        curves(name, DOCS / "environments" / f"{name}-curve.png")
-        and f"![Learning curves of PPO with its defaults on {name}, a line a seed]({name}-curve.png)",
-        scores and f"How they were tuned and scored: [{page}](../{page}.md).",
-        scores,
-        speed and "## Speed",
-        speed,
+        "All ids beside each other, and what the columns mean: [reference scores](../reference-scores.md).",
+        score_rows([spec.id.split("/")[1] for spec in [first, *others]]),
+        curves(name, DOCS / "environments" / f"{name}-curve.png") and learning(name),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -370,10 +399,11 @@ def write_pages() -> None:
         folder.mkdir(exist_ok=True)
         for old in folder.iterdir():
             old.unlink()
-    for spec in gym.registry.values():
-        if spec.namespace == "motor_env":
-            name = spec.id.split("/")[1]
-            (environments / f"{name}.md").write_text(environment_page(spec), encoding="utf-8")
-            picture(spec, environments / f"{name}.png")
+    ours = [spec for spec in gym.registry.values() if spec.namespace == "motor_env"]
+    for spec in ours:
+        picture(spec, environments / f"{spec.id.split('/')[1]}.png")
+    for name in FAMILIES:
+        family = [spec for spec in ours if spec.id.startswith(f"motor_env/{name.removesuffix('-v0')}")]
+        (environments / f"{name}.md").write_text(family_page(name, family), encoding="utf-8")
     for module, text in api_pages().items():
         (api / f"{module}.md").write_text(text, encoding="utf-8")

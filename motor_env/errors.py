@@ -1,4 +1,13 @@
-"""Errors that become one sentence and exit status 2 on the command line."""
+"""Errors that become one sentence and exit status 2 on the command line.
+
+Example:
+    >>> from motor_env import InputError, load_motor
+    >>> try:
+    ...     load_motor("none.toml")
+    ... except InputError as error:
+    ...     print(error)
+    none.toml: no such motor file; presets are paper, paper-matrices
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
 """The documentation holds: its Python runs, its commands run, its links and pictures are there.
 
-Everything that a page shows as Python runs, block after block in one process, in a folder that holds `examples/`.
-Commands run where `<!-- run -->` stands above their block. A block below `<!-- not run: reason -->` is left out, and a
-page with `<!-- long -->` is run by `make test-long`. The package's commands run in this process: to start one for each
-would take most of the time.
+Everything that a page shows as Python runs, block after block in one process, in a folder that holds `examples/`; so
+do the cells of the pages that are notebooks. Text right below a block of Python is what the block prints. Commands run
+where `<!-- run -->` stands above their block, and print the lines that the block shows below them. A block below
+`<!-- not run: reason -->` is left out, and a page with `<!-- long -->` is run by `make test-long`. The package's
+commands run in this process: to start one for each would take most of the time.
 """
 
 import doctest
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
+import words
 
 from motor_classifiers.cli.main import main as classifiers
 from motor_datasets.cli import main as datasets
@@ -28,9 +30,11 @@ DOCS = ROOT / "docs"
 MADE_BY_THE_BUILD = [DOCS / "_build", DOCS / "api", DOCS / "environments"]
 PAGES = sorted(page for page in DOCS.rglob("*.md") if not set(page.parents) & set(MADE_BY_THE_BUILD))
 FENCE = re.compile(
-    r"^(?:<!-- (?P<mark>[^>\n]*) -->\n\n?)?^```(?P<language>\w*)\n(?P<code>.*?)^```$",
+    r"^(?:<!-- (?P<mark>[^>\n]*) -->\n\n?)?^```(?P<language>\w*|\{code-cell\} ipython3)\n"
+    r"(?:---\n.*?^---\n)?(?P<code>.*?)^```$",
     re.MULTILINE | re.DOTALL,
 )
+PYTHON = ("python", "{code-cell} ipython3")
 LINK = re.compile(r"!?\[[^\]]*\]\((?!https?:|mailto:)([^)\s]*)\)")
 HAS_OWN_TEST = {DOCS / "new-fault.md"}  # tests/test_new_fault.py: it registers a kind, which must not stay
 
@@ -44,7 +48,7 @@ def script(page: Path) -> str:
     text = page.read_text(encoding="utf-8")
     lines = [""] * (text.count("\n") + 1)
     for block in FENCE.finditer(text):
-        if block["language"] == "python" and not (block["mark"] or "").startswith("not run"):
+        if block["language"] in PYTHON and not (block["mark"] or "").startswith("not run"):
             first = text.count("\n", 0, block.start("code"))
             for offset, line in enumerate(block["code"].splitlines()):
                 lines[first + offset] = line
@@ -67,6 +71,15 @@ def commands(page: Path) -> list[str]:
     ]
 
 
+def shown(page: Path) -> list[str]:
+    """What the blocks that are run, and those of text right below a block of Python, show of the output."""
+    text = page.read_text(encoding="utf-8")
+    parts = [block["code"] for block in FENCE.finditer(text) if block["mark"] == "run"]
+    parts += re.findall(r"^```python\n.*?^```\n\n```text\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    lines = "\n".join(parts).replace("\\\n", " ").splitlines()
+    return [line for line in lines if line and not line.startswith("$ ") and line.strip() != "..."]
+
+
 def is_long(page: Path) -> bool:
     return "<!-- long -->" in page.read_text(encoding="utf-8")
 
@@ -85,7 +98,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("page", parameters([page for page in PAGES if commands(page) or script(page)]))
-def test_page_runs(page: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_page_runs(
+    page: Path, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    printed_so_far = ""
     for command in commands(page):
         program, *arguments = shlex.split(command)
         if program == "python":
@@ -96,11 +112,17 @@ def test_page_runs(page: Path, folder: Path, capsys: pytest.CaptureFixture[str])
         # 1 says that a fault was found: the example motor has one.
         assert status in (0, 1), f"{command}\n{printed.out}{printed.err}"
         assert printed.out, command
+        printed_so_far += printed.out
     if page not in HAS_OWN_TEST and (code := script(page)):
         path = folder / (page.stem.replace("-", "_") + "_page.py")
         path.write_text(code, encoding="utf-8")
+        if "{code-cell}" in page.read_text(encoding="utf-8"):
+            (folder / "docs" / page.parent.name).mkdir(parents=True)
+            monkeypatch.chdir(folder / "docs" / page.parent.name)
         runpy.run_path(str(path))
         plt.close("all")
+        printed_so_far += capsys.readouterr().out
+    assert [line for line in shown(page) if line.rstrip() not in printed_so_far] == []
 
 
 @pytest.mark.parametrize(
@@ -108,7 +130,13 @@ def test_page_runs(page: Path, folder: Path, capsys: pytest.CaptureFixture[str])
     [
         *("motor_env.detection", "motor_env.diagnosis", "motor_env.envs", "motor_env.filters"),
         *("motor_env.fitting", "motor_env.inference", "motor_env.motor", "motor_env.recordings"),
-        *("motor_env.simulation", "motor_datasets", "motor_classifiers"),
+        *(
+            "motor_env.simulation",
+            "motor_env.errors",
+            "motor_env.prognosis",
+            "motor_datasets",
+            "motor_classifiers",
+        ),
     ],
 )
 @pytest.mark.usefixtures("folder")
@@ -117,6 +145,17 @@ def test_example_of_the_api_reference_runs(module: str) -> None:
     failed, attempted = doctest.testmod(importlib.import_module(module))
     assert attempted
     assert not failed
+
+
+def test_every_page_of_the_api_reference_has_an_example() -> None:
+    stub = (ROOT / "motor_env" / "__init__.pyi").read_text(encoding="utf-8")
+    rooms = {match[1] for match in re.finditer(r"^from \.(\w+)", stub, re.MULTILINE)}
+    pages = [f"motor_env.{room}" for room in rooms] + [
+        "motor_env.envs",
+        "motor_datasets",
+        "motor_classifiers",
+    ]
+    assert [page for page in pages if ">>>" not in (importlib.import_module(page).__doc__ or "")] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
@@ -133,6 +172,13 @@ def test_links_and_pictures_exist(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_pictures_have_alternative_text(page: Path) -> None:
     assert re.findall(r"!\[\s*\]\([^)]*\)", page.read_text(encoding="utf-8")) == []
+
+
+def test_the_prose_stays_short() -> None:
+    """`make words` counts it by page."""
+    prose = {group: counts[0] for group, counts in words.groups().items()}
+    assert {group: prose[group] for group, limit in words.LIMITS.items() if prose[group] > limit} == {}
+    assert len(words.results()) > 8
 
 
 def test_navigation_lists_every_page_once() -> None:

@@ -104,7 +104,7 @@ def columns(recipe: Recipe) -> tuple[Column, ...]:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Dataset:
-    """Labelled transients.
+    """Labelled starts, or motors at work, with the recipe that they came from.
 
     Attributes:
         X: measurements, float32, shape (n_cases, n_channels, n_timepoints); channels in the order of `recipe.channels`.

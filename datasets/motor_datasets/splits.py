@@ -11,7 +11,7 @@ from motor_env.simulation.random_streams import Stream, uniforms
 
 
 class Split(StrEnum):
-    """What a motor is for."""
+    """Training, validation or test."""
 
     TRAIN = "train"
     VALIDATION = "validation"

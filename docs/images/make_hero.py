@@ -27,8 +27,8 @@ def residual_means(scenario: Scenario, cases: list[int]) -> tuple[FloatArray, Fl
     return 1e3 * transients.time_s, transients.measurements[:, 0], means
 
 
-def main() -> None:
-    """Write hero.png."""
+def main(path: Path) -> None:
+    """Write the picture."""
     motors = (
         ("healthy", "healthy", ()),
         ("bearing", "bearing +25 %", (Fault(FaultKind.BEARING, 0.25),)),
@@ -74,8 +74,8 @@ def main() -> None:
             xlim=(0.0, 100.0),
             ylim=(0.0, None),
         )
-        save(figure, Path(__file__).with_name("hero.png"))
+        save(figure, path)
 
 
 if __name__ == "__main__":
-    main()
+    main(Path(__file__).with_name("hero.png"))

@@ -278,7 +278,10 @@ def _other_reasons(changes: tuple[Change, ...], source: str) -> tuple[str, ...]:
         if any(c.name.startswith("K^2") for c in moved)
         else ""
     )
+    # Friction moves with any load; two others move together where the motor is another one.
+    several = len({c.name[0] for c in moved if c.significant} - {"B"}) > 1
     return (
         "; ".join(words) + hint,
-        f"no single known fault explains this, compared with {source}",
+        ("is this the right motor? N" if several else "n")
+        + f"o single known fault explains this, compared with {source}",
     )

@@ -92,7 +92,7 @@ def diagnose(
     start: int | None = None,
     periods_per_turn: float | None = None,
 ) -> Diagnosis:
-    """Cut into starts or windows, fit, compare, decide.
+    """Verdict on a recording: which fault, how large, how sure.
 
     Args:
         recording: as read, or its file.

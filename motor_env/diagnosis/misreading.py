@@ -53,8 +53,8 @@ _FAR, _NOT_NEAR = math.log(3.0), math.log(1.5)
 _MOST = {"B": math.log(10.0), "R": math.log(10.0)}
 """Beyond a factor of 10 on friction and R, and of 3 on anything else, no wear explains a change."""
 BEYOND_WEAR = (
-    "so large a change is no wear: this is another motor or load, or no motor at all, or columns, units or a rate were"
-    " read wrongly"
+    "so large a change is no wear: is this the right motor? It is another motor or load, or no motor at all, or"
+    " columns, units or a rate were read wrongly"
 )
 EXPLAINED = "all of it is explained"
 READ_SO = "seem to be swapped: read so, the recording is that of this motor"

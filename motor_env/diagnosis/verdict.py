@@ -22,7 +22,7 @@ _FEWEST_FOR_WHITENESS = 40
 
 
 class Verdict(StrEnum):
-    """What is said of a recording."""
+    """Verdict on a recording: healthy, the family of a fault, or why there is none."""
 
     HEALTHY = "healthy"
     BEARING = "bearing"

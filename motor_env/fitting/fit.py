@@ -75,7 +75,7 @@ def without_lines(found: Solution, record: Record) -> tuple[Record, tuple[Period
 
 
 def _timely(best: Solution) -> Solution:
-    """With a voltage that is held, where its averaging alone makes a delay or straight lines explain the record better.
+    """Replace a fractional delay or a straight-line voltage by a held one if they win only by averaging noise.
 
     Both average neighbours of the recorded voltage, and with them its noise. So does a mean over three samples, which
     has no delay: where it explains as much, there is none.

@@ -118,6 +118,6 @@ def terms(
 
 
 SHAPES = {"brush_knee": "brush_drop", "stribeck": "coulomb", "coulomb_knee": "coulomb"}
-"""Shapes of the brush drop and of the dry friction: always allowed for beside these, and believed to be small."""
+"""Shape parameters of brush drop and dry friction, fitted with their parent under a prior that keeps them small."""
 NOISES = ("noise_current", "noise_speed", "noise_voltage", "load_walk")
 """They set the weights, and are no quantities of the motor."""

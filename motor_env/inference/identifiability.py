@@ -28,7 +28,7 @@ _CORRELATED = 0.9
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """What drives the motor and what is read.
+    """A planned measurement: the voltage on the motor, and what is read.
 
     Attributes:
         voltage_v: voltage held in each interval, shape (n_samples,).

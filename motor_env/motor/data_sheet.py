@@ -56,12 +56,16 @@ _UNITS: dict[str, dict[str, float]] = {
     "no_load_current_a": {"no_load_current_a": 1.0, "no_load_current_ma": 1e-3},
     "no_load_speed_rad_s": {"no_load_speed_rad_s": 1.0, "no_load_speed_rpm": RAD_S_PER_RPM},
     "speed_constant_rpm_per_v": {"speed_constant_rpm_per_v": 1.0},
+    "mechanical_time_constant_s": {"mechanical_time_constant_s": 1.0, "mechanical_time_constant_ms": 1e-3},
     "coulomb_friction_n_m": {"coulomb_friction_n_m": 1.0},
     "brush_drop_v": {"brush_drop_v": 1.0},
     "nominal_voltage_v": {"nominal_voltage_v": 1.0},
 }
 """Quantity: the keys that give it, each with its factor; the first key is the one that is written."""
 
+_LARGEST_DISAGREEMENT = (
+    0.10  # of two numbers of a sheet for one quantity: sheets round, and K falls with warmth
+)
 _MAY_BE_ZERO = ("viscous_friction_n_m_s_per_rad", "coulomb_friction_n_m", "brush_drop_v")
 _MotorTable = make_dataclass(
     "_MotorTable",
@@ -169,13 +173,15 @@ def _to_motor(file: _File) -> Motor:
         require(len(given) < 2, f"motor gives {' and '.join(given)}; give one of them")
         if given:
             si[quantity] = getattr(file.motor, given[0]) * keys[given[0]]
+    constants = _constants(si)
+    _time_constant_fits(si | constants)
     for quantity, usual_key in (
         ("resistance_ohm", "resistance_ohm"),
         ("inductance_h", "inductance_mh"),
         ("inertia_kg_m2", "rotor_inertia_g_cm2"),
     ):
         require(quantity in si, f"motor.{usual_key} is missing")
-    si |= _constants(si)
+    si |= constants
     si["viscous_friction_n_m_s_per_rad"] = _friction(si)
     return Motor(
         file.name,
@@ -210,7 +216,32 @@ def _constants(si: Mapping[str, float]) -> dict[str, float]:
         )
         given[names[1]] = 1.0 / (si["speed_constant_rpm_per_v"] * RAD_S_PER_RPM)
     require(bool(given), "motor.torque_constant_mnm_per_a (or motor.speed_constant_rpm_per_v) is missing")
-    return dict.fromkeys(names, next(iter(given.values()))) | given
+    constants = dict.fromkeys(names, next(iter(given.values()))) | given
+    torque, back_emf = constants.values()
+    require(
+        _agree(torque, back_emf),
+        f"motor gives a torque constant of {torque:.4g} N m/A and a back-EMF constant of {back_emf:.4g} V s/rad, which"
+        " are one number in SI units; correct one, or leave it out",
+    )
+    return constants
+
+
+def _agree(first: float, second: float) -> bool:
+    return abs(math.log(first / second)) <= _LARGEST_DISAGREEMENT
+
+
+def _time_constant_fits(si: Mapping[str, float]) -> None:
+    """Refuse a mechanical time constant that is not R J / (Kt Kb) of the others."""
+    stated = si.get("mechanical_time_constant_s")
+    if stated is None or not {"resistance_ohm", "inertia_kg_m2"} <= si.keys():
+        return
+    torque, back_emf = si["torque_constant_n_m_per_a"], si["back_emf_constant_v_s_per_rad"]
+    follows = si["resistance_ohm"] * si["inertia_kg_m2"] / (torque * back_emf)
+    require(
+        _agree(stated, follows),
+        f"motor gives a mechanical time constant of {1e3 * stated:.4g} ms, but R J / (Kt Kb) of its resistance, inertia"
+        f" and constants is {1e3 * follows:.4g} ms; correct the one that is wrong",
+    )
 
 
 def _friction(si: Mapping[str, float]) -> float:

@@ -43,7 +43,7 @@ class _Registry(type):
 
 
 class FaultKind(str, metaclass=_Registry):
-    """What can be wrong with the motor: a string that knows its physics.
+    """Kind of fault: a string that knows which parameters it changes.
 
     `FaultKind("bearing")` looks a kind up, and iterating over `FaultKind` gives all.
 

@@ -59,7 +59,7 @@ class NoiseSource(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault.
+    """A fault: its kind, its severity, when it begins and how it grows.
 
     Attributes:
         kind: bearing: friction B up by the severity. winding_contact: resistance R up by the severity (bad contact or

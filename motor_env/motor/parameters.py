@@ -49,7 +49,7 @@ SMALLEST, LARGEST = 1e-15, 1e12
 
 
 class Channel(StrEnum):
-    """What a sensor measures."""
+    """A measured quantity: current or speed."""
 
     CURRENT = "current"
     SPEED = "speed"

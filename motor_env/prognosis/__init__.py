@@ -1,1 +1,10 @@
-"""Wear over many starts: trend, remaining life, simulated runs to failure."""
+r"""Wear over many starts: trend, remaining life, simulated runs to failure.
+
+Example:
+    >>> from pathlib import Path
+    >>> from motor_env import trend
+    >>> days = [f"2026-01-{day:02d},{1 + 0.012 * day:.3f},0.01" for day in range(1, 21)]
+    >>> _ = Path("estimates.csv").write_text("time,B,B_se\n" + "\n".join(days))
+    >>> print(trend("estimates.csv").text().split(",")[0])
+    B  trends to the limit at +25 %
+"""

@@ -92,7 +92,7 @@ def cut(record: _Record, part: slice) -> _Record:
 
 
 def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
-    """Read a recording.
+    """Read time, current and, where recorded, voltage and speed from a file.
 
     Args:
         path: .csv, .txt and the like; .mat, .h5, .npy, .npz, .parquet, .xlsx.

@@ -54,7 +54,7 @@ class Draw(NamedTuple):
 
 
 def draw(recipe: Recipe, seed: int, cases: ArrayLike) -> Draw:
-    """Draw the given cases. Case n depends on (recipe, seed, n) alone.
+    """Draw motors and faults of a recipe. Case n depends on (recipe, seed, n) alone.
 
     Args:
         recipe: what to draw from.

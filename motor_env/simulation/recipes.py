@@ -175,7 +175,7 @@ class Shift:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """What a case is drawn from.
+    """Distribution of motors, faults and measurements, from which cases are drawn.
 
     Attributes:
         name: name of the recipe.

@@ -135,11 +135,17 @@ def evaluate(
 
 @app.command
 def predict(
-    files: list[Path], /, *, model: Path | None = None, split: str | None = None, json_: bool = False
+    files: list[Path],
+    /,
+    *,
+    model: Path | None = None,
+    motor: Path | None = None,
+    split: str | None = None,
+    json_: bool = False,
 ) -> int:
     """Opinion of a model on recordings, beside the verdict of motor-env diagnose; or on the cases of data sets.
 
-    Example: motor-classifiers predict examples/startup_capture.csv
+    Example: motor-classifiers predict examples/startup_capture.csv --motor examples/motor.toml
 
     Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
 
@@ -151,6 +157,8 @@ def predict(
             of data sets.
         model: File made by motor-classifiers train; by default the network for the paper's motor that comes with
             the package.
+        motor: Motor file for the diagnosis, which then says what motor-env diagnose says; by default the recipe's
+            motor with its tolerances.
         split: Of data sets: train, validation or test; all by default.
         json_: Print one array with one object a file or case.
     """
@@ -158,13 +166,15 @@ def predict(
     from motor_classifiers.cli.opinions import opinion_lines, opinions_of
     from motor_classifiers.model_files.persistence import PRETRAINED, load_model
     from motor_classifiers.prediction.opinions import UNDECIDED
+    from motor_env.motor.data_sheet import load_motor
 
     fitted, recipe, _ = load_model(PRETRAINED if model is None else model)
+    healthy = None if motor is None else load_motor(motor)
     rows: list[dict[str, Any]] = []
     statuses: list[console.ExitStatus] = []
     for path in files:
         try:
-            opinions, second = opinions_of(fitted, recipe, path, split)
+            opinions, second = opinions_of(fitted, recipe, path, split, healthy)
         except InputError as error:
             print(f"motor-classifiers: {error}", file=sys.stderr)
             rows.append({"file": str(path), "verdict": UNDECIDED, "error": str(error)})

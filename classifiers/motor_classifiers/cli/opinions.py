@@ -11,12 +11,13 @@ from motor_classifiers.prediction.opinions import Opinion, opinions, predict_rec
 from motor_datasets.loaders import load
 from motor_env.console import ExitStatus
 from motor_env.errors import InputError
+from motor_env.motor.data_sheet import Motor
 from motor_env.recordings.recording import read_recording
 from motor_env.simulation.recipes import Recipe
 
 
 def opinions_of(
-    model: Any, recipe: Recipe, path: Path, split: str | None
+    model: Any, recipe: Recipe, path: Path, split: str | None, motor: Motor | None = None
 ) -> tuple[list[Opinion], dict[str, Any] | None]:
     """Opinions on a data set; or the one on a recording, and what the model-based diagnosis says of it.
 
@@ -25,7 +26,7 @@ def opinions_of(
     """
     if not path.is_dir():
         recording = read_recording(path)
-        return [predict_recording(model, recipe, recording)], second_opinion(recording, recipe)
+        return [predict_recording(model, recipe, recording)], second_opinion(recording, recipe, motor)
     cases = load(path, split)
     _check_same_axis(cases.recipe, recipe, path)
     return opinions(model, recipe, cases.X), None

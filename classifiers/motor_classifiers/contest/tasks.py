@@ -56,7 +56,7 @@ TASKS = _tasks()
 
 
 def load_task(name: str) -> DrawnTask:
-    """A task of motor-bench.
+    """A frozen task of motor-bench: recipe, training starts, test cases.
 
     Raises:
         InputError: there is none of this name.

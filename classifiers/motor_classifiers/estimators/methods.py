@@ -201,7 +201,7 @@ AT_WORK = (
 
 
 def make_method(name: str, recipe: Recipe, random_state: int) -> BaseEstimator:
-    """Unfitted estimator of a method.
+    """Unfitted scikit-learn estimator of a method, by its name.
 
     Raises:
         ValueError: no such method; the sentence lists those that exist.

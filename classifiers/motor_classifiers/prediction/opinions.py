@@ -186,12 +186,18 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording
     return opinions(model, recipe, case)[0]
 
 
-def second_opinion(recording: Recording, recipe: Recipe) -> dict[str, Any]:
-    """What `motor-env diagnose` says of the recording, with the recipe's motor and tolerances for its data sheet."""
-    tolerance = Tolerance(**asdict(recipe.spread), temperature_k=0.0)
-    motor = Motor(
-        recipe.name, "data_sheet", recipe.motor, float(np.asarray(recipe.supply.voltage_v)), tolerance
-    )
+def second_opinion(recording: Recording, recipe: Recipe, motor: Motor | None = None) -> dict[str, Any]:
+    """What `motor-env diagnose` says of the recording.
+
+    Args:
+        recording: as read.
+        recipe: its motor and tolerances are the data sheet where no motor is given.
+        motor: the healthy motor.
+    """
+    if motor is None:
+        tolerance = Tolerance(**asdict(recipe.spread), temperature_k=0.0)
+        voltage = float(np.asarray(recipe.supply.voltage_v))
+        motor = Motor(f"of the recipe {recipe.name}", "data_sheet", recipe.motor, voltage, tolerance)
     diagnosis = as_json(diagnose(recording, motor))
     kept = ("verdict", "kind", "severity", "severity_interval", "confidence", "reasons")
     return {name: diagnosis[name] for name in kept}

@@ -56,7 +56,10 @@ def evaluation_lines(recipe: Recipe, scored: dict[str, Any]) -> list[str]:
             lines.append(f"  {name.replace('_', ' '):22} {scored[name]:7.4f}   {low:.4f} to {high:.4f}")
     kind = "its estimate" if scored["bayes_is_estimate"] else "Bayes limit"
     lines.append(f"  {kind + ' accuracy':22} {scored['bayes_accuracy']:7.4f}   on the same cases")
-    below = [100.0 * scored[name] for name in ("below_bayes", "below_bayes_low", "below_bayes_high")]
+    below = [
+        round(100.0 * scored[name], 2) + 0.0  # no -0.00
+        for name in ("below_bayes", "below_bayes_low", "below_bayes_high")
+    ]
     lines.append(
         f"  below it by {below[0]:.2f} percentage points ({below[1]:.2f} to {below[2]:.2f}, paired): only the model is "
         f"right on {scored['only_method_right']} cases, only the limit on {scored['only_bayes_right']}; "

@@ -21,7 +21,7 @@ _MOST = 1e290  # beyond, probabilities underflow
 
 
 class Threshold(NamedTuple):
-    """A solved threshold.
+    """Threshold of a rule for a wanted false-alarm rate, with how it was found.
 
     Attributes:
         value: the rule alarms where its statistic is larger.

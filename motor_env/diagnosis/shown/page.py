@@ -9,7 +9,7 @@ import numpy as np
 from motor_env.console import printable
 from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.shown.report import as_text, warnings_of
-from motor_env.diagnosis.shown.words import KIND, SIZE, WORDS
+from motor_env.diagnosis.shown.words import KIND, RUN_ON, SIZE, WORDS
 from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.fitting.starts.belief import absolute
@@ -23,6 +23,8 @@ _RATIOS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0, 1.5, 0.75, 1.25, 0.8, 1.1, 0.9,
 """Where a grid line may stand, the most welcome first."""
 _MOST_POINTS = 700
 _SHOWN_SHARE = 0.02  # of the recording before the start
+_END = "The end of the start, averaged"
+_COINCIDE = 0.03  # of the peak: closer curves cannot be told apart
 _QUANTITY = {
     "R": "Winding resistance R",
     "L": "Inductance L",
@@ -48,7 +50,7 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
     named = telling.kind if telling.kind in WORDS else verdict
     title, *first = WORDS.get(named, (str(verdict).capitalize(),))
     sure = "" if diagnosis.confidence is None else f"{diagnosis.confidence:.0%} sure"
-    current, residual = ("", "") if fit is None else _currents(fit, expected)
+    current, residual = ("", "") if fit is None else _currents(fit, expected, is_fault=verdict.is_fault)
     return render(
         "motor_env.diagnosis.shown",
         "diagnosis.html.j2",
@@ -57,6 +59,7 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
         tone=tone,
         size=_size(telling),
         sure="over 99 % sure" if (diagnosis.confidence or 0.0) > 0.99 else sure,
+        runs_on=RUN_ON.get(telling.kind or verdict) or RUN_ON.get(verdict, ""),
         first=first,
         reasons=[f"{reason[0].upper()}{reason[1:]}." for reason in diagnosis.reasons],
         warnings=[
@@ -68,6 +71,7 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
         bars=_bars(diagnosis.changes) if diagnosis.changes else "",
         current=current,
         has_expected=expected is not None,
+        part=f"{_END}: " if _END in current else "",
         residual=residual,
         smallest=[(KIND.get(kind, kind), f"{share:.0%}") for kind, share in telling.smallest_changes.items()],
         expert=printable(as_text(diagnosis, periods_per_turn, verbose=True)),
@@ -137,25 +141,33 @@ def _ratio_axis(changes: Sequence[Change]) -> Axis:
     return Axis("", 1.0 / edge, edge, ticks, lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %", is_log=True)
 
 
-def _currents(fit: Identified, expected: FloatArray | None) -> tuple[str, str]:
+def _currents(fit: Identified, expected: FloatArray | None, *, is_fault: bool) -> tuple[str, str]:
     """The measured current beside the healthy motor's, and what it is beyond that; empty without a healthy motor.
 
-    The latter is averaged over a fiftieth of the recording, with the sensor's noise as a band.
+    The latter is averaged over a fiftieth of the recording, with the sensor's noise as a band. Where a fault shows in
+    so little current that the two curves would lie on one another, the end of the start is shown, averaged alike.
     """
     time_ms = 1e3 * (fit.start.time_s - fit.onset_s)
     begin = int(np.searchsorted(time_ms, -_SHOWN_SHARE * time_ms[-1]))
     shown = slice(begin, None, max((len(time_ms) - begin) // _MOST_POINTS, 1))
-    time_ms, curves = time_ms[shown], {"measured": fit.start.current_a[shown]}
+    measured = fit.start.current_a - fit.start.ripple_a
+    span = max(len(measured) // 50, 1)
+    curves = {"measured": fit.start.current_a[shown]}
     if expected is not None:
         curves["healthy"] = expected[shown]
-    low, high = np.min(list(curves.values())), np.max(list(curves.values()))
-    current = _chart(time_ms, curves, (low, high), "A", "Measured current and that of the healthy motor")
+    whole_ms, current = time_ms[shown], ""
+    if expected is not None and is_fault:
+        apart = np.abs(_averaged(measured - expected, span))[begin:]
+        if np.max(apart) < _COINCIDE * np.ptp(curves["healthy"]):
+            current = _end_chart(
+                time_ms, _averaged(measured, span), _averaged(expected, span), float(np.max(apart))
+            )
+    limits = (min(map(np.min, curves.values())), max(map(np.max, curves.values())))
+    label = "Measured current and that of the healthy motor"
+    current = current or _chart(whole_ms, curves, limits, "A", label)
     if expected is None:
         return current, ""
-    beyond = fit.start.current_a - fit.start.ripple_a - expected
-    span = max(len(beyond) // 50, 1)
-    padded = np.pad(beyond, (span // 2, span - 1 - span // 2), "reflect")
-    smooth = np.convolve(padded, np.ones(span) / span, "valid")[shown]
+    time_ms, smooth = whole_ms, _averaged(measured - expected, span)[shown]
     noise = 2.0 * fit.noise_a / float(np.sqrt(span))
     largest = max(float(np.quantile(np.abs(smooth[time_ms > 0.0]), 0.98)), 2.0 * noise)
     unit, factor = ("A", 1.0) if largest > 1.0 else ("mA", 1e3)
@@ -169,6 +181,27 @@ def _currents(fit: Identified, expected: FloatArray | None) -> tuple[str, str]:
         band=factor * noise,
     )
     return current, residual
+
+
+def _averaged(values: FloatArray, span: int) -> FloatArray:
+    """Moving average over so many samples."""
+    padded = np.pad(values, (span // 2, span - 1 - span // 2), "reflect")
+    averaged: FloatArray = np.convolve(padded, np.ones(span) / span, "valid")
+    return averaged
+
+
+def _end_chart(time_ms: FloatArray, measured: FloatArray, healthy: FloatArray, apart_a: float) -> str:
+    """Both currents from where they have settled, on a scale on which they lie apart; empty if they do not settle."""
+    moving = np.flatnonzero(np.abs(healthy - healthy[-1]) > 2.0 * apart_a)
+    begin = int(moving[-1]) + 1 if moving.size else 0
+    if begin > 0.9 * len(healthy):
+        return ""
+    shown = slice(begin, None, max((len(time_ms) - begin) // _MOST_POINTS, 1))
+    unit, factor = ("A", 1.0) if apart_a > 1.0 else ("mA", 1e3)
+    curves = {"measured": factor * measured[shown], "healthy": factor * healthy[shown]}
+    limits = (min(map(np.min, curves.values())), max(map(np.max, curves.values())))
+    label = f"{_END}: measured current and that of the healthy motor"
+    return _chart(time_ms[shown], curves, limits, unit, label)
 
 
 def _chart(

@@ -66,7 +66,7 @@ class Score:
 
 
 def run_episodes(envs: MotorVectorEnv, policy: Policy, seed: int) -> Runs:
-    """One episode of each sub-environment."""
+    """Play one episode of a policy in each sub-environment."""
     count = envs.num_envs
     observations, info = envs.reset(seed=seed)
     right, onset = envs.right_declaration[info["class_index"]], info["onset_sample"]
@@ -92,7 +92,7 @@ def run_episodes(envs: MotorVectorEnv, policy: Policy, seed: int) -> Runs:
 def sweep(
     envs: MotorVectorEnv, policy: ThresholdPolicy, thresholds: Sequence[float], seed: int
 ) -> list[Runs]:
-    """What `run_episodes` gives with each threshold, from one run over the whole horizon.
+    """Play every threshold of a policy at once, in one run over the whole horizon.
 
     Until it declares, a policy's voltages and statistic do not depend on its threshold.
     """
@@ -153,7 +153,7 @@ def interval(values: FloatArray) -> tuple[float, float]:
 
 
 def score(envs: MotorVectorEnv, runs: Runs) -> Score:
-    """Score of what a policy did in a vector of environments."""
+    """Mean return, false alarms, detections and delays of a policy's episodes."""
     options = envs.options
     onset, said = runs.onset, runs.declared > 0
     at = runs.steps * options.samples_per_step

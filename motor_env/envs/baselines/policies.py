@@ -54,7 +54,7 @@ def column(setup: Setup, name: str) -> int:
 
 
 class Policy(ABC):
-    """What decides: sees observations, remembers what it likes."""
+    """Turns observations into actions, with a memory of its own."""
 
     def start(self, count: int) -> None:
         """Forget everything; so many sub-environments begin."""
@@ -89,7 +89,7 @@ class ThresholdPolicy(Policy):
 
 
 class Never(ThresholdPolicy):
-    """Waits."""
+    """Waits in every step."""
 
     threshold = 1.0
 

@@ -41,7 +41,7 @@ class Episode(NamedTuple):
 
 
 def play(envs: Any, policy: Player, seed: int) -> list[Episode]:
-    """One episode of each sub-environment."""
+    """Play one episode of a policy in each sub-environment."""
     observation, _ = envs.reset(seed=seed)
     policy.start(envs.num_envs)
     seen, done, paid = [np.array(observation)], [], []

@@ -21,7 +21,7 @@ from motor_env.recordings.start import Start, mean_tail
 FIT_SAMPLES = 40_000
 INDUCTANCE_PRIOR_SD = 0.3
 AMBIGUOUS = frozenset({"supply_ramp", "supply_curve", "sensor_lag"})
-"""Terms that change places with L/R in a step: all are lags between the switch and the current."""
+"""Terms that a step response cannot separate from L/R: all are lags between the switch and the current."""
 CURVE = tuple(f"curve_{n}" for n in range(1, CURVE_PARTS))
 _FIRST_SIZES = (math.exp(-2.0), 1.0)  # of the usual one: where the fit of one more term begins
 _FIRST_NOISE = 0.02  # of a channel's span, until a fit tells

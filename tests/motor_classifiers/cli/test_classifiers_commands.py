@@ -21,7 +21,7 @@ from motor_classifiers.scoring.progress import Cost
 
 # Reaches in: made-up answers and costs fill a plan at once; defaults are the rooms' own.
 from motor_classifiers.scoring.task import class_task
-from motor_env import InputError, load_motor, load_recipe
+from motor_env import InputError, diagnose, load_motor, load_recipe
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -264,3 +264,13 @@ def test_a_network_for_a_motor_learns_faults_of_5_to_30_percent() -> None:
     assert recipe.channels == ("current",)
     assert recipe.field is None
     assert RECIPE.name == "bench"
+
+
+def test_predict_with_a_motor_file_has_the_diagnosis_of_motor_env(capsys: pytest.CaptureFixture[str]) -> None:
+    examples = ROOT / "examples"
+    capture, sheet = examples / "startup_capture.csv", examples / "motor.toml"
+    assert main(["predict", str(capture), "--motor", str(sheet), "--json"]) == 1
+    (said,) = json.loads(capsys.readouterr().out)
+    found = diagnose(capture, sheet)
+    assert said["model_based"]["severity"] == pytest.approx(found.severity)
+    assert said["model_based"]["severity_interval"] == pytest.approx(list(found.severity_interval or ()))

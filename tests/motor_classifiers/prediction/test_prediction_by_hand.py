@@ -348,7 +348,11 @@ def test_the_diagnosis_beside_it_has_the_recipes_tolerances(monkeypatch: pytest.
     monkeypatch.setattr(opinions_module, "as_json", lambda _: kept | more)
     assert second_opinion(recording(1_000.0, 9), RECIPE) == kept | {"confidence": 0.9, "reasons": ["r"]}
     (motor,) = asked
-    assert (motor.name, motor.parameters, motor.nominal_voltage_v) == ("bench", RECIPE.motor, 12.0)
+    assert (motor.name, motor.parameters, motor.nominal_voltage_v) == (
+        "of the recipe bench",
+        RECIPE.motor,
+        12.0,
+    )
     tolerance = motor.tolerance
     assert (tolerance.supply, tolerance.resistance, tolerance.friction) == (0.01, 0.01, 0.02)
     assert tolerance.temperature_k == 0.0

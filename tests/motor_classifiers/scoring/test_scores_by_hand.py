@@ -523,6 +523,8 @@ def test_lines_of_an_evaluation() -> None:
         "  below it by 3.25 percentage points (-1.00 to 7.50, paired): only the model is right on 3 cases,"
         " only the limit on 8; one-sided p 0.967"
     ) in lines
+    level = evaluation_lines(RECIPE, told | {"below_bayes": -0.00004})
+    assert any(line.startswith("  below it by 0.00 percentage points (-1.00") for line in level)
     assert lines[-6].split() == ["1", "2", "3", "4", "5"]
     assert [line.split() for line in lines[-5:]] == [
         [str(n + 1), name, *(str(count) for count in row)]

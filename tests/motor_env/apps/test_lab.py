@@ -73,9 +73,19 @@ def test_healthy_starts_alarm_as_often_as_they_should() -> None:
         assert alarms <= 2  # 1 % each: three or more in 12 have a probability of 0.02 %
 
 
-def test_rule_and_verdict_agree_at_the_first_setting() -> None:
+def test_the_first_setting_shows_a_choice() -> None:
+    """An alarm, the right verdict, and a curve on which more false alarms find more faults."""
+    settings = lab.Settings()
+    assert lab.simulated(settings)["alarm_ms"] is not None
+    assert lab.verdict(settings)["verdict"] == "bearing"
+    told = lab.roc(settings)
+    assert 0.8 < told["at"][1] < 0.95
+    assert np.interp(0.1, told["false_alarms"], told["found"]) > told["at"][1] + 0.04
+
+
+def test_rule_and_verdict_agree() -> None:
     for seed in range(6):
-        settings = lab.Settings(seed=seed)
+        settings = lab.Settings(seed=seed, noise_ma=20.0)
         assert lab.simulated(settings)["alarm_ms"] is not None
         told = lab.verdict(settings)
         assert told["verdict"] == "bearing"
@@ -83,10 +93,10 @@ def test_rule_and_verdict_agree_at_the_first_setting() -> None:
 
 
 def test_a_bearing_fault_stands_out_of_the_averaged_residual() -> None:
-    seen = lab.simulated(lab.Settings())
+    seen = lab.simulated(lab.Settings(noise_ma=20.0))
     settled = np.array(seen["averaged_a"])[-1000:]
     assert (settled > seen["averaged_band_a"]).mean() > 0.5
-    healthy = np.array(lab.simulated(lab.Settings(kind="healthy"))["averaged_a"])[-1000:]
+    healthy = np.array(lab.simulated(lab.Settings(kind="healthy", noise_ma=20.0))["averaged_a"])[-1000:]
     assert (np.abs(healthy) > seen["averaged_band_a"]).mean() < 0.15
 
 
@@ -124,7 +134,7 @@ def test_own_motor_and_healthy_starts_are_references(server: str, tmp_path: Path
 
 
 def test_residual_is_the_filters() -> None:
-    settings = lab.Settings(kind="bearing")
+    settings = lab.Settings(kind="bearing", noise_ma=20.0)
     start, shown = lab.start_of(settings), lab.simulated(settings)
     belief = KalmanFilter.from_parameters(
         CATALOGUE["paper"], SensorParameters(current_noise_a=0.02), 1e-4, process_noise_std=(1e-9, 1e-9)

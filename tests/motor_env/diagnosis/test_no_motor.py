@@ -140,3 +140,15 @@ def test_all_of_it_is_refused_or_said(form: str, name: str, commissioned: dict[b
     assert is_said(diagnose(recording, SHEET), name)
     if form != "current alone":  # healthy starts with a voltage
         assert is_said(diagnose(recording, commissioned[form == "log"]), name)
+
+
+def test_the_file_of_another_motor_is_asked_for(tmp_path: Path) -> None:
+    """R, L and K^2/J are all off: no single fault, and within what wear could do."""
+    other = tmp_path / "other.toml"
+    text = SHEET.read_text(encoding="utf-8").replace("resistance_ohm = 2.18", "resistance_ohm = 3.1")
+    other.write_text(text.replace("inductance_mh = 0.238", "inductance_mh = 0.45"), encoding="utf-8")
+    capture = SHEET.with_name("startup_capture.csv")
+    found = diagnose(capture, other)
+    assert found.verdict is Verdict.OTHER
+    assert any("is this the right motor?" in reason for reason in found.reasons)
+    assert not any("right motor" in reason for reason in diagnose(capture, SHEET).reasons)

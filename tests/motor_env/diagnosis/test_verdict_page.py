@@ -19,11 +19,13 @@ from motor_env import (
     Scenario,
     SensorParameters,
     Timing,
+    Verdict,
     diagnose,
     load_motor,
     simulate,
 )
 from motor_env.diagnosis.shown.page import page, reference_current
+from motor_env.diagnosis.shown.words import RUN_ON
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 MOTOR = load_motor(EXAMPLES / "motor.toml")
@@ -92,6 +94,29 @@ def test_a_technician_finds_verdict_size_and_next_action(case: str) -> None:
     assert verdict is not None
     assert action is not None
     assert verdict.start() < action.start() < 900  # on the first screen
+
+
+def test_the_page_says_whether_the_motor_may_run_on() -> None:
+    assert set(RUN_ON) >= set(Verdict)
+    for case, words in {
+        "healthy": "It may run on.",
+        "short": "It should not run on",
+        "probe": "Not known: stop it",
+    }.items():
+        assert f"<b>May it run on?</b> {words}" in page(judged(case))
+
+
+def test_two_currents_of_a_fault_lie_apart() -> None:
+    """Half more friction moves 13 of 5,000 mA: the whole start would show one curve."""
+    chart = re.search(
+        r'<svg[^>]*aria-label="The end of the start.*?</svg>', page(judged("bearing")), re.DOTALL
+    )
+    assert chart is not None
+    curves = re.findall(r'<polyline class="(\w+)" points="([^"]*)"', chart[0])
+    heights = {style: np.array([float(p.split(",")[1]) for p in points.split()]) for style, points in curves}
+    assert np.median(heights["healthy"] - heights["measured"]) > 40.0  # pixels of 230
+    for case in ("healthy", "short"):
+        assert "The end of the start" not in page(judged(case))
 
 
 def test_numbers_of_experts_lie_behind_the_fold() -> None:

@@ -50,14 +50,31 @@ def test_one_constant_stands_for_the_other(tmp_path: Path) -> None:
     assert p.torque_constant_n_m_per_a == p.back_emf_constant_v_s_per_rad
 
 
+def test_two_constants_that_are_not_one_number_are_refused(tmp_path: Path) -> None:
+    load(tmp_path, SHEET.replace("23.5", "25.8"))  # 9.7 % more than the speed constant says
+    with pytest.raises(
+        InputError, match=r"torque constant of 0.0262 N m/A and a back-EMF constant of 0.02352"
+    ):
+        load(tmp_path, SHEET.replace("23.5", "26.2"))
+
+
+def test_a_mechanical_time_constant_must_follow_from_the_others(tmp_path: Path) -> None:
+    """R J / (Kt Kb) = 2.18 * 1.07e-6 / (0.0235 * 0.02352) = 4.22 ms."""
+    plain = load(tmp_path, SHEET)
+    for said in ("mechanical_time_constant_ms = 4.4", "mechanical_time_constant_s = 0.0040"):
+        assert load(tmp_path, f"{SHEET}{said}\n") == plain
+    with pytest.raises(InputError, match=r"time constant of 4.8 ms, but R J / .Kt Kb. .* is 4.22 ms"):
+        load(tmp_path, f"{SHEET}mechanical_time_constant_ms = 4.8\n")
+
+
 @pytest.mark.parametrize(
     ("line", "field", "si"),
     [
         ("resistance_mohm = 2180.0", "resistance_ohm", 2.18),
         ("inductance_h = 0.25", "inductance_h", 0.25),
         ("inductance_uh = 238.0", "inductance_h", 0.238e-3),
-        ("torque_constant_n_m_per_a = 0.5", "torque_constant_n_m_per_a", 0.5),
-        ("back_emf_constant_v_s_per_rad = 0.5", "back_emf_constant_v_s_per_rad", 0.5),
+        ("torque_constant_n_m_per_a = 0.024", "torque_constant_n_m_per_a", 0.024),
+        ("back_emf_constant_v_s_per_rad = 0.024", "back_emf_constant_v_s_per_rad", 0.024),
         ("back_emf_constant_v_per_krpm = 2.5", "back_emf_constant_v_s_per_rad", 2.5 * 0.06 / (2.0 * np.pi)),
         ("back_emf_constant_mv_per_rpm = 2.5", "back_emf_constant_v_s_per_rad", 2.5 * 0.06 / (2.0 * np.pi)),
         ("rotor_inertia_kg_m2 = 0.5", "inertia_kg_m2", 0.5),

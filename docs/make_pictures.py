@@ -1,0 +1,50 @@
+"""Draws the screens that the documentation shows: `make pictures`. tests/test_pictures.py says when one is stale.
+
+Screens of the environments' own pages are drawn at every build of the site, by site_pages.py.
+"""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from motor_env import diagnose
+from motor_env.diagnosis.shown.page import _bars, _currents, reference_current
+
+DOCS = Path(__file__).parent
+IMAGES = DOCS / "images"
+EXAMPLES = DOCS.parent / "examples"
+STYLE = """svg { font: 14px system-ui, "Segoe UI", Arial, sans-serif; } text { fill: #1c2733; } .tick { fill: #5d6b7a; }
+.grid, .zero { stroke: #d5d3cc; } .interval { stroke-width: 5; stroke-linecap: round; stroke-opacity: .45; }
+.still .interval { stroke: #0b6fa4; } .still .dot { fill: #0b6fa4; } .moved .interval { stroke: #b3261e; }
+.moved .dot { fill: #b3261e; } .moved .value { font-weight: 700; } polyline { fill: none; stroke-width: 1.6; }
+.measured { stroke: #0b6fa4; } .healthy { stroke: #12805c; stroke-width: 2.2; stroke-dasharray: 7 4; }"""
+"""Colours of the page, by day."""
+
+
+def verdict() -> str:
+    """Two charts of the example's page, one below the other, as one picture."""
+    found = diagnose(EXAMPLES / "startup_capture.csv", EXAMPLES / "motor.toml")
+    telling = found.telling
+    current, _ = _currents(telling.identified, reference_current(telling), is_fault=True)
+    parts, top = [], 30.0
+    for title, chart in (
+        ("How far each quantity lies from the healthy motor", _bars(found.changes)),
+        ("Current after the start; dashed: a healthy motor", current),
+    ):
+        width, height = map(float, re.findall(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', chart)[0])
+        parts.append(f'<text x="0" y="{top - 10:g}" font-weight="600">{title}</text>')
+        parts.append(
+            chart.replace("<svg ", f'<svg x="0" y="{top:g}" width="{width:g}" height="{height:g}" ', 1)
+        )
+        top += height + 40.0
+    size = f'viewBox="-12 0 {width + 24:g} {top - 20:g}"'
+    ground = '<rect x="-12" width="100%" height="100%" fill="white"/>'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {size}><style>{STYLE}</style>{ground}'
+    return "\n".join([head, *parts, "</svg>"]) + "\n"
+
+
+if __name__ == "__main__":
+    (IMAGES / "verdict.svg").write_text(verdict(), encoding="utf-8")
+    for script in ("docs/images/make_hero.py", "docs/make_pages.py", "benchmarks/film.py"):
+        subprocess.run([sys.executable, script], cwd=DOCS.parent, check=True)  # noqa: S603  # our own
