@@ -272,13 +272,6 @@ def rectified_mean(current: FloatArray, noise_a: float) -> FloatArray:
     return mean
 
 
-def joined(parts: Sequence[Record]) -> Record:
-    """Records in a row, which are alike in all but their samples."""
-    columns = [(part.voltage_v, part.readings, part.marks) for part in parts]
-    voltage_v, readings, marks = (np.concatenate(column) for column in zip(*columns, strict=True))
-    return replace(parts[0], voltage_v=voltage_v, readings=readings, marks=marks)
-
-
 def _shifted(values: FloatArray, samples: float) -> FloatArray:
     """Values as they were so many samples, or parts of one, before."""
     places = np.arange(len(values), dtype=np.float64)
