@@ -87,8 +87,10 @@ class Scores(NamedTuple):
 
         It is linear, so that its error is known however little a section tells.
         """
-        spread = np.linalg.inv(self.information + np.diag(self.precision))
-        step = -np.einsum("nij,nj->ni", spread, self.gradients)
+        spread: FloatArray = np.asarray(
+            np.linalg.inv(self.information + np.diag(self.precision)), dtype=np.float64
+        )
+        step: FloatArray = -np.einsum("nij,nj->ni", spread, self.gradients)
         return step[:, : len(_MOTOR)], spread[:, : len(_MOTOR), : len(_MOTOR)]
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from array import array
 from codecs import BOM_UTF8
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +18,7 @@ import numpy as np
 
 from motor_env.diagnosis.running.lessons import FEWEST_WINDOWS, learn_windows
 from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
-from motor_env.diagnosis.running.windows import WindowJudge, averaged, judge_of
+from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, averaged, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError, require_options
 from motor_env.live.events import Event, Seldom
@@ -121,6 +121,11 @@ class Watch:
         self._vigil = Vigil(self._motor, healthy, self._per_year, memory)
 
     @property
+    def _ends(self) -> Callable[[FittedWindow], bool] | None:
+        """What decides on a whole window."""
+        return None if self._vigil is None else self._vigil.ended
+
+    @property
     def promise(self) -> str:
         """What holds of the rate of false alarms, in words; empty before anything is learned."""
         return "" if self._vigil is None else self._vigil.promise
@@ -209,12 +214,11 @@ class Watch:
         self._heard_s = self._time_s
         self._next_piece_s += vigil.piece_s
         if is_alarm:
-            span_s = min(vigil.since(), self._pace.window_s)
             before = array("d") if window is self._before else self._before
             whole = _recording(_columns(before + window), self._step_s)
-            if alarm := vigil.named(whole, span_s, self.rate):
+            if alarm := vigil.alarm(whole, self.rate):
                 # How large the fault is shows only at the window's end.
-                yield replace(self._judged(alarm), ratios={}, undecided=(), span_s=round(span_s, 6))
+                yield replace(self._judged(alarm), ratios={}, undecided=(), span_s=round(alarm.duration_s, 6))
 
     def _ended(self, columns: dict[str, FloatArray]) -> Event:
         for name in ("current", "speed"):
@@ -228,7 +232,7 @@ class Watch:
         if isinstance(self._motor, Lesson):
             return self._taught(recording, self._motor)
         try:
-            return self._judged(self._motor.judge(recording, self.rate, self._vigil and self._vigil.ended)[0][0])
+            return self._judged(self._motor.judge(recording, self.rate, self._ends)[0][0])
         except UnusableError as error:
             if self._vigil is not None:
                 self._vigil.cut()

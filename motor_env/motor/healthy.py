@@ -86,7 +86,8 @@ class Scale:
             f"healthy.windows.scales: counts has {n} states; centres, covariances and wander must go with them",
         )
         require(
-            bool((np.linalg.eigvalsh(self.covariances) > 0.0).all()) and np.linalg.eigvalsh(self.wander)[0] >= -1e-12,
+            bool((np.linalg.eigvalsh(self.covariances) > 0.0).all())
+            and np.linalg.eigvalsh(self.wander)[0] >= -1e-12,
             "healthy.windows.scales: covariances must be positive definite",
         )
 

@@ -1,7 +1,7 @@
 """False alarms that counting alone rules out: windows in a row that all lie beyond all healthy ones.
 
-Of n healthy windows and m later ones of a motor that is still healthy any m are as likely to be the farthest: the last m
-are with probability 1 / C(n + m, m) (Vovk, Petej & Fedorova 2021 on conformal testing). No model and no tail is needed.
+Of n healthy windows and m later ones of a motor that is still healthy any m are as likely to be the farthest: the last
+m are with probability 1 / C(n + m, m) (Vovk, Petej & Fedorova 2021 on conformal testing). No model, no tail is needed.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Evidence against healthy pieces, added up over time: an e-detector (Shin, Ramdas & Rinaldo 2023).
 
-Each piece gives normal scores: standard normal, or less, while the motor is healthy. exp(lean u - lean^2 / 2) then has a
-mean of 1 at most: it is an e-value. Its Shiryaev-Roberts sum M <- (M + 1) e grows by at most 1 a piece on average, so
-that a mixture of such sums passes a threshold A no earlier than after A pieces on average, whatever depends on what.
-Pieces of several lengths count for as many of the shortest ones as they are long.
+Each piece gives normal scores: standard normal, or less, while the motor is healthy. exp(lean u - lean^2 / 2) then
+has a mean of 1 at most: it is an e-value. Its Shiryaev-Roberts sum M <- (M + 1) e grows by at most 1 a piece on
+average, so that a mixture of such sums passes a threshold A no earlier than after A pieces on average, whatever
+direction depends on what. Pieces of several lengths count for as many of the shortest ones as they are long.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from motor_env.motor.parameters import FloatArray
 
 LEANS = np.array([0.7, 1.5, 3.0])
 """Sizes of a fault that are looked for, in standard deviations of a piece."""
-_LARGEST = 8.0
+_LARGEST = 10.0
 _OVERSHOOT = 0.5
 
 
@@ -68,6 +68,13 @@ class Detector:
         length, direction, lean = np.unravel_index(int(np.argmax(weighted)), self.sums.shape)
         largest = float(self.sums[length, direction, lean])
         return int(length), int(direction), float(self.ages[length, direction, lean]) / max(largest, 1e-300)
+
+    @property
+    def shares(self) -> FloatArray:
+        """How much of the evidence each direction holds, shape (n_directions,)."""
+        weighted = self.weights * self.sums.sum(axis=(0, 2))
+        share: FloatArray = weighted / max(float(weighted.sum()), 1e-300)
+        return share
 
     def forget(self) -> None:
         """Begin anew, as after an alarm."""

@@ -58,7 +58,11 @@ class Learned:
         scale, states = self._taught[n], pieces.states
         white = whitened(pieces.logs - scale.centres[states], pieces.errors)
         if scale.halvings:
-            rest = (white - white.mean(axis=0)) / np.sqrt(1.0 - 1.0 / len(white)) if len(white) > 1 else white[:0]
+            rest = (
+                (white - white.mean(axis=0)) / np.sqrt(1.0 - 1.0 / len(white))
+                if len(white) > 1
+                else white[:0]
+            )
         else:
             known = self._before
             rest = white[:0]

@@ -11,8 +11,8 @@ import numpy as np
 from motor_env.diagnosis.healthy_motor import beyond
 from motor_env.diagnosis.learning import WINDOW_SPREAD, next_piece
 from motor_env.diagnosis.running.pieces import Pieces, halvings_of, sections_of
-from motor_env.diagnosis.running.scales import learn_scale
-from motor_env.diagnosis.running.vigil import places_on_axes, replay
+from motor_env.diagnosis.running.replay import replay
+from motor_env.diagnosis.running.scales import learn_scale, places_on_axes
 from motor_env.diagnosis.running.windows import (
     MOST_SAMPLES,
     NAMES,
@@ -159,16 +159,17 @@ def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[Fi
     )
 
 
-def _pieces_of(
-    judge: WindowJudge, record: Record, fit: FittedWindow, lengths: Sequence[int]
-) -> list[Pieces]:
+def _pieces_of(judge: WindowJudge, record: Record, fit: FittedWindow, lengths: Sequence[int]) -> list[Pieces]:
     """Pieces of a window of each length; the longest is the window, as it was fitted."""
     at = fit.log_values - judge.reference.log_values
     window = Pieces(at[None], fit.log_covariance[None], np.zeros(1, dtype=np.intp))
     ends = np.linspace(0, len(record.voltage_v), 2 ** lengths[0] + 1).round().astype(int).tolist()
     fastest = (judge.windows.peaks or (1.0, 1.0, 1.0))[2]
     sections = sections_of(judge, record, np.zeros(len(NAMES)), ends)
-    return [*(sections.pieces(2 ** (lengths[0] - k), np.zeros(len(NAMES)), fastest) for k in lengths[:-1]), window]
+    return [
+        *(sections.pieces(2 ** (lengths[0] - k), np.zeros(len(NAMES)), fastest) for k in lengths[:-1]),
+        window,
+    ]
 
 
 def known_of(joint: Operation) -> FloatArray:

@@ -82,7 +82,9 @@ class Sections(NamedTuple):
         count = len(self.closed) // together
 
         def added(values: FloatArray) -> FloatArray:
-            some = values[: count * together] * self.closed[: count * together].reshape(-1, *[1] * (values.ndim - 1))
+            some = values[: count * together] * self.closed[: count * together].reshape(
+                -1, *[1] * (values.ndim - 1)
+            )
             out: FloatArray = some.reshape(count, together, *values.shape[1:]).sum(axis=1)
             return out
 

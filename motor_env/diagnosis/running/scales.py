@@ -12,12 +12,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtri, stdtr, stdtrit
 
 from motor_env.diagnosis.learning import PRIOR_WEIGHT
 from motor_env.diagnosis.running.pieces import N_STATES, Pieces
 from motor_env.diagnosis.running.windows import EXPONENTS, NAMES, WARMTH
 from motor_env.motor import identifiable as quantities
+from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Scale
 from motor_env.motor.parameters import FloatArray
 
@@ -26,6 +28,7 @@ _P = len(NAMES)
 _STAYS = 0.005  # probability of a healthy motor that stays farther off than is allowed for
 _LEAST_EXCESS = 1e-3  # of the kurtosis
 _NAMED_WEIGHT = 4.0
+_NORMAL_TAILS = 30.0  # degrees of freedom
 
 
 class Directions(NamedTuple):
@@ -34,18 +37,23 @@ class Directions(NamedTuple):
     Attributes:
         along: unit vectors: those of faults with a name, and up and down each quantity; shape (n, 4).
         weights: by how much each is believed before anything is seen, shape (n,).
+        kinds: the fault of each; None for those without a name.
     """
 
     along: FloatArray
     weights: FloatArray
+    kinds: tuple[FaultKind | None, ...]
 
 
 def directions() -> Directions:
     """All of them."""
-    named = [quantities.visible_direction(kind, EXPONENTS) for kind in quantities.nameable_kinds(EXPONENTS)]
-    rows = [row / np.linalg.norm(row) for row in [*named, *AXES]]
-    chosen = [n for n, row in enumerate(rows) if not any(np.allclose(row, one) for one in rows[:n])]
-    return Directions(np.array(rows)[chosen], np.where(np.array(chosen) < len(named), _NAMED_WEIGHT, 1.0))
+    named = quantities.nameable_kinds(EXPONENTS)
+    rows = [*(quantities.visible_direction(kind, EXPONENTS) for kind in named), *AXES]
+    unit = [row / np.linalg.norm(row) for row in rows]
+    chosen = [n for n, row in enumerate(unit) if not any(np.allclose(row, one) for one in unit[:n])]
+    kinds = tuple(named[n] if n < len(named) else None for n in chosen)
+    weights = np.array([1.0 if kind is None else _NAMED_WEIGHT for kind in kinds])
+    return Directions(np.array(unit)[chosen], weights, kinds)
 
 
 def learn_scale(
@@ -92,7 +100,8 @@ def untaught_scale(log_covariance: FloatArray, freedom: float, windows: int) -> 
     """Whole windows of a motor whose windows were not compared: all that is believed of them may stay."""
     shape = (N_STATES, _P)
     eye = np.tile(np.eye(_P), (N_STATES, 1, 1))
-    return Scale(0, np.full(N_STATES, 2.0), np.zeros(shape), eye, freedom, log_covariance, max(windows, 2))
+    counts = np.full(N_STATES, max(freedom, 2.0))
+    return Scale(0, counts, np.zeros(shape), eye, freedom, log_covariance, max(windows, 2))
 
 
 def whitened(off: FloatArray, errors: FloatArray) -> FloatArray:
@@ -101,7 +110,7 @@ def whitened(off: FloatArray, errors: FloatArray) -> FloatArray:
     return white
 
 
-def _scatter(rest: FloatArray, states: FloatArray, freedom: int) -> tuple[FloatArray, float]:
+def _scatter(rest: FloatArray, states: NDArray[np.intp], freedom: int) -> tuple[FloatArray, float]:
     """Covariance by state, few pieces being like all others, and degrees of freedom of the tails by moments.
 
     Of Student's t with f degrees the kurtosis is 3 + 6 / (f - 4). It is taken one standard error larger than it is.
@@ -133,7 +142,7 @@ def _more(scatter: FloatArray, believed: FloatArray, windows: int, *, steady: bo
     return out
 
 
-def spread_of(scale: Scale, errors: FloatArray, states: FloatArray) -> FloatArray:
+def spread_of(scale: Scale, errors: FloatArray, states: NDArray[np.intp]) -> FloatArray:
     """Calibrated covariance of pieces about their centre, shape (n, 4, 4)."""
     roots = np.linalg.cholesky(errors)
     spread: FloatArray = roots @ scale.covariances[states] @ np.swapaxes(roots, 1, 2)
@@ -143,16 +152,21 @@ def spread_of(scale: Scale, errors: FloatArray, states: FloatArray) -> FloatArra
 def normal_scores(scale: Scale, pieces: Pieces, along: FloatArray, temperature_k: float) -> FloatArray:
     """Normal scores of pieces along directions, shape (n, n_directions): standard normal or less while all is well.
 
-    With few pieces to learn from, a distance with a sample's inverse covariance is that of a t with fewer degrees and a
+    Where healthy pieces have heavier tails than normal ones, no piece says more than the rarest of them: one in as many
+    as were seen. With few pieces to learn from, a distance with a sample's inverse covariance is that of a t with fewer degrees and a
     larger scale (Hotelling).
     """
     spread = spread_of(scale, pieces.errors, pieces.states)
-    distances, allowed = places_along(pieces.logs - scale.centres[pieces.states], spread, scale.wander, along, temperature_k)
+    off = pieces.logs - scale.centres[pieces.states]
+    distances, allowed = places_along(off, spread, scale.wander, along, temperature_k)
     taught = scale.counts[pieces.states] + PRIOR_WEIGHT - 1.0
     freedom = np.maximum(np.minimum(taught - _P + 1.0, scale.freedom), 1.0)[:, None]
     size = np.sqrt(taught / np.maximum(taught - _P + 1.0, 1.0))[:, None]
     shift = -float(stdtrit(scale.healthy_windows - 1, _STAYS)) * allowed
-    scores: FloatArray = -ndtri(stdtr(freedom, -(distances - shift) / size))
+    tails = stdtr(freedom, -(distances - shift) / size)
+    if scale.halvings and scale.freedom < _NORMAL_TAILS:
+        tails = np.maximum(tails, 1.0 / (scale.counts.sum() + 1.0))
+    scores: FloatArray = -ndtri(tails)
     return np.where(np.isnan(scores), 0.0, scores)
 
 
@@ -164,9 +178,18 @@ def places_along(
     A warmer motor is told from a fault by how R, K and friction move together: what looks like warmth counts little.
     """
     warm = temperature_k * WARMTH
-    slopes = np.linalg.solve(spread + np.outer(warm, warm), np.broadcast_to(along.T, (len(off), *along.T.shape)))
+    slopes = np.linalg.solve(
+        spread + np.outer(warm, warm), np.broadcast_to(along.T, (len(off), *along.T.shape))
+    )
     lengths = np.sqrt(np.einsum("dp,npd->nd", along, slopes))
     slopes = slopes / lengths[:, None, :]
     distances = np.einsum("npd,np->nd", slopes, off)
     allowed = np.sqrt(np.einsum("npd,pq,nqd->nd", slopes, wander, slopes))
     return distances, allowed
+
+
+def places_on_axes(scale: Scale, pieces: Pieces, temperature_k: float) -> FloatArray:
+    """Where a window is along the axes, by its own error alone: what is counted needs no healthy window's spread."""
+    places, _ = places_along(pieces.logs, pieces.errors, scale.wander, AXES, temperature_k)
+    first: FloatArray = places[0]
+    return first

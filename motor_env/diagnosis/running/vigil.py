@@ -1,48 +1,47 @@
 """The watch over a running motor, piece by piece: evidence of many directions, lengths and windows, and its alarms.
 
 It has two procedures. The first adds up scores that are calibrated on healthy pieces, and alarms by an e-detector. Its
-rate holds as far as its tails do: they were checked where healthy windows, each judged by what the others teach, alarm
-no oftener than they should. Where they do, the second one alarms, which only counts.
+rate holds as far as its tails do: healthy windows, each judged by what the others teach, must alarm no oftener than
+they should. Where they do alarm oftener, the second procedure alarms, which only counts.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import poisson
 
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.running.counting import Counting, fewest_in_a_row, windows_between_alarms
 from motor_env.diagnosis.running.detector import Detector
 from motor_env.diagnosis.running.learned import Learned
 from motor_env.diagnosis.running.pieces import Pieces, Sections, sections_of
+from motor_env.diagnosis.running.replay import tails_hold
 from motor_env.diagnosis.running.scales import (
     AXES,
     directions,
     normal_scores,
     places_along,
+    places_on_axes,
     untaught_scale,
 )
 from motor_env.diagnosis.running.windows import NAMES, FittedWindow, WindowJudge, averaged
-from motor_env.diagnosis.verdict import Judgement
+from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.fitting.recorded import from_recordings
-from motor_env.motor.healthy import Healthy, Scale
+from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut
 
 YEAR_S = 365.25 * 86_400.0
-THRESHOLDS = 4.0 ** np.arange(1, 13)
-_UNLIKELY = 0.01
-_CONTEXT = 512  # samples before a piece
+_CONTEXT = 256  # samples before a piece
 _GOES_ON = 2.0
 _WIDE = 0.5  # standard deviation of a logarithm
 _MOST_STEPS, _SETTLED = 15, 0.1
+_MOSTLY = 0.5  # of the evidence
 _MOST_LEARNED, _LEARNED_S = 100, 3.0 * 3600.0
 
 
@@ -70,7 +69,7 @@ class Vigil:
         untaught = untaught_scale(healthy.log_covariance, healthy.degrees_of_freedom, healthy.pieces)
         self.judge, self._warm_k = judge, healthy.temperature_k
         self._scales = windows.scales or (untaught,)
-        self._along, self._healthy = directions(), healthy.pieces
+        self._along, self._healthy = directions(), self._scales[-1].healthy_windows
         self._detector = Detector.new(len(self._scales), self._along.weights)
         self._pieces = 2 ** self._scales[0].halvings
         self.piece_s = windows.window_s / self._pieces
@@ -79,10 +78,11 @@ class Vigil:
         self.threshold = self.windows * self._pieces
         self._learned = Learned(self._scales)
         most = np.array(windows.most) if windows.most else np.full(len(AXES), math.inf)
-        self._counting = Counting(healthy.pieces, most, np.zeros(len(AXES)))
-        self._at, self._toward, self._quiet = np.zeros(len(NAMES)), -1, 0.0
+        self._counting = Counting(self._healthy, most, np.zeros(len(AXES)))
+        self._at: FloatArray = np.zeros(len(NAMES))
+        self._toward, self._quiet = -1, 0.0
         self._sections: list[Sections] = []
-        self._holds = tails_hold(windows.replayed, healthy.pieces * self._pieces, self.threshold)
+        self._holds = tails_hold(windows.replayed, self._healthy * self._pieces)
         self._can_count = bool(windows.most)
         if memory:
             self._remember(memory)
@@ -105,7 +105,8 @@ class Vigil:
         by_count = f"{in_a_row} windows in a row beyond all healthy ones, at most one false alarm in {_time(counted)}"
         if self.adds_up:
             asked = _time(self.windows * hours)
-            return f"{words}: one false alarm in {asked} by fitted tails, which hold on these windows; by counting alone: {by_count}"
+            tails = f"one false alarm in {asked} by fitted tails, which hold on these windows"
+            return f"{words}: {tails}; by counting alone: {by_count}"
         return f"{words} do not follow the fitted tails, so that alarms are by counting alone: {by_count}"
 
     def heard(self, recording: Recording, since_s: float) -> bool:
@@ -134,6 +135,8 @@ class Vigil:
             pair = [int(ends[n]) - first, int(ends[n + 1]) - first]
             self._sections.append(sections_of(self.judge, record, self._at, pair))
             is_alarm |= self._piece()
+        if is_alarm and not self.adds_up:
+            self._detector.forget()
         return is_alarm and self.adds_up
 
     def _piece(self) -> bool:
@@ -164,12 +167,6 @@ class Vigil:
         self._toward, self._quiet = self._detector.strongest[1], 0.0
         return True
 
-    def since(self) -> float:
-        """How many seconds the evidence of an alarm is about; then it is forgotten."""
-        age = self._detector.strongest[2]
-        self._detector.forget()
-        return max(math.ceil(age), 1) * self.piece_s
-
     def ended(self, fit: FittedWindow) -> bool:
         """Whether a whole window is, or goes on, an alarm."""
         logs = fit.log_values - self.judge.reference.log_values
@@ -195,7 +192,9 @@ class Vigil:
         scale = self._scales[-1]
         if not self._warm_k:
             return np.zeros(len(AXES))
-        shift: FloatArray = 3.0 * places_along(pieces.logs, pieces.errors, scale.wander, AXES, self._warm_k)[1][0]
+        shift: FloatArray = (
+            3.0 * places_along(pieces.logs, pieces.errors, scale.wander, AXES, self._warm_k)[1][0]
+        )
         return shift
 
     def _learn(self, window: Pieces, places: FloatArray, *, is_calm: bool) -> None:
@@ -220,12 +219,24 @@ class Vigil:
         """The window breaks off, or tells nothing."""
         self._learned.hear([], is_calm=False)
 
-    def named(self, recording: Recording, span_s: float, rate: float) -> Judgement | None:
-        """The judgement on the last samples of a recording, which an alarm is about; None where they tell nothing."""
+    def alarm(self, recording: Recording, rate: float) -> Judgement | None:
+        """The judgement on what an alarm is about; None where it tells nothing. The evidence begins anew.
+
+        Where the samples fit no fault, as some of them may still be healthy, the evidence names it.
+        """
+        span_s = min(
+            max(math.ceil(self._detector.strongest[2]), 1) * self.piece_s, self.judge.windows.window_s
+        )
+        kind, share = self._along.kinds[self._toward], float(self._detector.shares[self._toward])
+        self._detector.forget()
         recording = averaged(recording, self.judge.windows.window_s)
-        failed = self.judge.failed_sensor(recording)
-        if failed is not None:
-            return failed
+        judged = self.judge.failed_sensor(recording) or self._fitted(recording, span_s, rate)
+        if judged is not None and judged.verdict is Verdict.OTHER and kind is not None and share > _MOSTLY:
+            judged = replace(judged, verdict=Verdict(kind.verdict), fault_kind=kind, kind_probability=share)
+        begin_s = float(recording.time_s[-1]) - span_s
+        return None if judged is None else replace(judged, begin_s=begin_s, duration_s=span_s)
+
+    def _fitted(self, recording: Recording, span_s: float, rate: float) -> Judgement | None:
         try:
             record = replace(from_recordings([recording]), hold=self.judge.windows.hold)
         except UnusableError:
@@ -245,8 +256,7 @@ class Vigil:
             if (at - before) @ np.linalg.solve(spread, at - before) < _SETTLED:
                 break
         reference = replace(self.judge.reference, log_covariance=spread, excess=1.0)
-        fit = FittedWindow(reference.log_values + logs, spread)
-        return decide(fit, reference, rate, alarm=True)
+        return decide(FittedWindow(reference.log_values + logs, spread), reference, rate, alarm=True)
 
     @property
     def memory(self) -> dict[str, list[float]]:
@@ -269,58 +279,22 @@ class Vigil:
             raise InputError("the memory of the state is not that of this motor; give another --state")
         shape = self._detector.sums.shape
         arrays = {name: np.array(row) for name, row in memory.items()}
-        self._detector.sums, self._detector.ages = arrays["sums"].reshape(shape), arrays["ages"].reshape(shape)
+        self._detector.sums, self._detector.ages = (
+            arrays["sums"].reshape(shape),
+            arrays["ages"].reshape(shape),
+        )
         healthy, toward, self._quiet = memory["counted"]
         if not (0 <= healthy < 1e9 and -1 <= toward < len(self._along.weights)):
             raise InputError("the memory of the state holds the numbers of no watch; give another --state")
         self._at, self._toward = arrays["at"], int(toward)
-        self._counting = Counting(int(healthy), arrays["most"] if self._can_count else self._counting.most, arrays["rows"])
+        most = arrays["most"] if self._can_count else self._counting.most
+        self._counting = Counting(int(healthy), most, arrays["rows"])
         try:
             self._learned.remember(arrays)
         except ValueError:
-            raise InputError("the memory of the state holds the numbers of no watch; give another --state") from None
-
-
-def places_on_axes(scale: Scale, pieces: Pieces, temperature_k: float) -> FloatArray:
-    """Where a window is along the axes, by its own error alone: what is counted needs no healthy window's spread."""
-    return places_along(pieces.logs, pieces.errors, scale.wander, AXES, temperature_k)[0][0]
-
-
-def tails_hold(replayed: Sequence[int], pieces: int, threshold: float) -> bool:
-    """Whether healthy windows, each judged by what the others teach, alarm no oftener than they should (Poisson)."""
-    return bool(replayed) and all(
-        poisson.sf(alarms - 1, pieces / asked) >= _UNLIKELY
-        for alarms, asked in zip(replayed, THRESHOLDS.tolist(), strict=False)
-    )
-
-
-def replay(scales: Sequence[Sequence[Scale]], windows: Sequence[Sequence[Pieces]], temperature_k: float) -> list[int]:
-    """Alarms at each of THRESHOLDS while windows pass, each judged by its own scales.
-
-    Args:
-        scales: for each window, by length.
-        windows: pieces of each window, by length, the shortest first.
-        temperature_k: see `normal_scores`.
-    """
-    along, steps = directions(), []
-    for mine, window in zip(scales, windows, strict=True):
-        total = 2 ** mine[0].halvings
-        due = []
-        for n, (scale, pieces) in enumerate(zip(mine, window, strict=True)):
-            together = total >> scale.halvings
-            scores = normal_scores(scale, pieces, along.along, temperature_k)
-            due += [((k + 1) * together, n, row, together) for k, row in enumerate(scores)]
-        steps += sorted(due, key=lambda one: one[:2])
-    counts = []
-    for threshold in THRESHOLDS:
-        detector, count = Detector.new(len(windows[0]), along.weights), 0
-        for _, n, row, together in steps:
-            detector.add(n, row, together)
-            if detector.passes(threshold):
-                count += 1
-                detector.forget()
-        counts.append(count)
-    return counts
+            raise InputError(
+                "the memory of the state holds the numbers of no watch; give another --state"
+            ) from None
 
 
 def _time(hours: float) -> str:

@@ -202,7 +202,7 @@ def test_catalogue_motor_by_name() -> None:
     "taught",
     [
         Starts(log_noise=-3.2, log_noise_sd=0.1, model=("supply_ramp",)),
-        Windows(2.0 / 3.0, ("drag",), np.array([1e-4, 2.0 / 3.0]), "late", 1e-3, 300.0, excess=(1.0, 1.1)),
+        Windows(2.0 / 3.0, ("drag",), np.array([1e-4, 2.0 / 3.0]), "late", 1e-3, 300.0, window_excess=1.1),
     ],
 )
 def test_a_saved_motor_is_read_back_to_the_last_bit(tmp_path: Path, taught: Starts | Windows) -> None:

@@ -1,0 +1,56 @@
+"""Whether calibrated tails hold: healthy windows once more, each judged by what the others teach."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import poisson
+
+from motor_env.diagnosis.running.detector import Detector
+from motor_env.diagnosis.running.pieces import Pieces
+from motor_env.diagnosis.running.scales import directions, normal_scores
+from motor_env.motor.healthy import Scale
+
+THRESHOLDS = 4.0 ** np.arange(1, 13)
+"""Pieces from one false alarm to the next at which healthy windows are replayed."""
+_UNLIKELY = 0.01
+
+
+def tails_hold(replayed: Sequence[int], pieces: int) -> bool:
+    """Whether healthy windows, each judged by what the others teach, alarm no oftener than they should (Poisson)."""
+    return bool(replayed) and all(
+        poisson.sf(alarms - 1, pieces / asked) >= _UNLIKELY
+        for alarms, asked in zip(replayed, THRESHOLDS.tolist(), strict=False)
+    )
+
+
+def replay(
+    scales: Sequence[Sequence[Scale]], windows: Sequence[Sequence[Pieces]], temperature_k: float
+) -> list[int]:
+    """Alarms at each of THRESHOLDS while windows pass, each judged by its own scales.
+
+    Args:
+        scales: for each window, by length.
+        windows: pieces of each window, by length, the shortest first.
+        temperature_k: see `normal_scores`.
+    """
+    along, steps = directions(), []
+    for mine, window in zip(scales, windows, strict=True):
+        total = 2 ** mine[0].halvings
+        due = []
+        for n, (scale, pieces) in enumerate(zip(mine, window, strict=True)):
+            together = total >> scale.halvings
+            scores = normal_scores(scale, pieces, along.along, temperature_k)
+            due += [((k + 1) * together, n, row, together) for k, row in enumerate(scores)]
+        steps += sorted(due, key=lambda one: one[:2])
+    counts = []
+    for threshold in THRESHOLDS:
+        detector, count = Detector.new(len(windows[0]), along.weights), 0
+        for _, n, row, together in steps:
+            detector.add(n, row, together)
+            if detector.passes(threshold):
+                count += 1
+                detector.forget()
+        counts.append(count)
+    return counts
