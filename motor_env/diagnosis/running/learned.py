@@ -14,7 +14,7 @@ from motor_env.diagnosis.learning import PRIOR_WEIGHT
 from motor_env.diagnosis.running.pieces import Pieces
 from motor_env.diagnosis.running.scales import whitened
 from motor_env.motor.healthy import Scale
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, require
 
 
 class Learned:
@@ -29,48 +29,34 @@ class Learned:
         self._scales = list(scales)
         self._counts = np.zeros((len(scales), len(scales[0].counts)))
         self._sums = np.zeros((*self._counts.shape, 4, 4))
-        self._last: list[Pieces | None] = []
-        self._before: Pieces | None = None
+        self._before: Pieces | None = None  # the window before
 
     def scale(self, n: int) -> Scale:
         """What is known by now of the pieces of one length."""
         return self._scales[n]
 
-    def hear(self, window: Sequence[Pieces | None], *, is_calm: bool) -> bool:
-        """Pieces of a window by length; whether those of the window before it were learned.
+    def hear(self, window: Sequence[Pieces | None]) -> None:
+        """Pieces of a healthy window by length; the last is the window."""
+        for n, pieces in enumerate(window):
+            if pieces is not None:
+                self._add(n, pieces)
+        self._before = window[-1]
 
-        Args:
-            window: nothing where it breaks off.
-            is_calm: whether all is well in it.
-        """
-        learns = is_calm and bool(self._last)
-        if learns:
-            for n, pieces in enumerate(self._last):
-                if pieces is not None:
-                    self._add(n, pieces)
-            self._before = self._last[-1]
-        if not is_calm:
-            self._before = None
-        self._last = list(window) if is_calm else []
-        return learns
+    def skip(self) -> None:
+        """A window from which nothing is learned."""
+        self._before = None
 
     def _add(self, n: int, pieces: Pieces) -> None:
         scale, states = self._taught[n], pieces.states
-        white = whitened(pieces.logs - scale.centres[states], pieces.errors)
+        white, before = whitened(pieces.logs - scale.centres[states], pieces.errors), self._before
         if scale.halvings:
-            rest = (
-                (white - white.mean(axis=0)) / np.sqrt(1.0 - 1.0 / len(white))
-                if len(white) > 1
-                else white[:0]
-            )
+            white = (white - white.mean(axis=0)) / np.sqrt(max(1.0 - 1.0 / len(white), 1e-9))
+        elif before is not None:
+            white = (white - whitened(before.logs - scale.centres[states], before.errors)) / np.sqrt(2.0)
         else:
-            known = self._before
-            rest = white[:0]
-            if known is not None:
-                rest = (white - whitened(known.logs - scale.centres[states], known.errors)) / np.sqrt(2.0)
-        states = states[: len(rest)]
+            return
         np.add.at(self._counts[n], states, 1.0)
-        np.add.at(self._sums[n], states, rest[:, :, None] * rest[:, None, :])
+        np.add.at(self._sums[n], states, white[:, :, None] * white[:, None, :])
         self._renew(n)
 
     def _renew(self, n: int) -> None:
@@ -83,11 +69,23 @@ class Learned:
     @property
     def memory(self) -> dict[str, FloatArray]:
         """What a later watch needs to go on."""
-        return {"learned": self._counts, "scatter": self._sums}
+        before = np.zeros((1, 20))
+        if self._before is not None:
+            before[:, :4], before[:, 4:] = self._before.logs, self._before.errors.reshape(1, 16)
+        return {"learned": self._counts, "scatter": self._sums, "before": before}
 
     def remember(self, memory: dict[str, FloatArray]) -> None:
-        """Go on from there."""
+        """Go on from there.
+
+        Raises:
+            ValueError: these are the numbers of no watch.
+        """
         self._counts = np.maximum(memory["learned"], 0.0).reshape(self._counts.shape)
         self._sums = memory["scatter"].reshape(self._sums.shape)
+        before = memory["before"].reshape(1, 20)
+        if before.any():
+            errors = before[:, 4:].reshape(1, 4, 4)
+            require(bool((np.linalg.eigvalsh(errors) > 0.0).all()), "errors must be positive definite")
+            self._before = Pieces(before[:, :4], errors, np.zeros(1, dtype=np.intp))
         for n in range(len(self._scales)):
             self._renew(n)

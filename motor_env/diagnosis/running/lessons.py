@@ -150,12 +150,12 @@ def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[Fi
 
     scales = taught(windows)
     each = [taught([*windows[:n], *windows[n + 1 :]]) for n in range(len(windows))]
-    places = [places_on_axes(scales[-1], window[-1], healthy.temperature_k) for window in windows]
+    places = [places_on_axes(scales[-1], window[-1]).distances[0] for window in windows]
     return replace(
         healthy.windows,
         scales=scales,
         most=tuple(np.max(places, axis=0).tolist()),
-        replayed=tuple(replay(each, windows, healthy.temperature_k)),
+        replayed=tuple(replay(each, windows)),
     )
 
 

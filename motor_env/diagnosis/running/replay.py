@@ -9,7 +9,7 @@ from scipy.stats import poisson
 
 from motor_env.diagnosis.running.detector import Detector
 from motor_env.diagnosis.running.pieces import Pieces
-from motor_env.diagnosis.running.scales import directions, normal_scores
+from motor_env.diagnosis.running.scales import calibrated, directions, normal_scores
 from motor_env.motor.healthy import Scale
 
 THRESHOLDS = 4.0 ** np.arange(1, 13)
@@ -25,29 +25,26 @@ def tails_hold(replayed: Sequence[int], pieces: int) -> bool:
     )
 
 
-def replay(
-    scales: Sequence[Sequence[Scale]], windows: Sequence[Sequence[Pieces]], temperature_k: float
-) -> list[int]:
+def replay(scales: Sequence[Sequence[Scale]], windows: Sequence[Sequence[Pieces]]) -> list[int]:
     """Alarms at each of THRESHOLDS while windows pass, each judged by its own scales.
 
     Args:
         scales: for each window, by length.
         windows: pieces of each window, by length, the shortest first.
-        temperature_k: see `normal_scores`.
     """
-    along, steps = directions(), []
+    along, total, due = directions(), 2 ** scales[0][0].halvings, []
     for mine, window in zip(scales, windows, strict=True):
-        total = 2 ** mine[0].halvings
-        due = []
         for n, (scale, pieces) in enumerate(zip(mine, window, strict=True)):
-            together = total >> scale.halvings
-            scores = normal_scores(scale, pieces, along.along, temperature_k)
-            due += [((k + 1) * together, n, row, together) for k, row in enumerate(scores)]
-        steps += sorted(due, key=lambda one: one[:2])
+            due.append((n, scale, pieces.states, calibrated(scale, pieces, along.along)))
     counts = []
     for threshold in THRESHOLDS:
-        detector, count = Detector.new(len(windows[0]), along.weights), 0
-        for _, n, row, together in steps:
+        steps = []
+        for number, (n, scale, states, found) in enumerate(due):
+            together, begin = total >> scale.halvings, number // len(scales[0]) * total
+            for k, row in enumerate(normal_scores(scale, states, found, threshold / total)):
+                steps.append((begin + (k + 1) * together, n, row, together))
+        detector, count = Detector.new(len(scales[0]), along.weights), 0
+        for _, n, row, together in sorted(steps, key=lambda one: one[:2]):
             detector.add(n, row, together)
             if detector.passes(threshold):
                 count += 1

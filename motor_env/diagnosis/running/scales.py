@@ -25,7 +25,10 @@ from motor_env.motor.parameters import FloatArray
 
 AXES = np.concatenate([np.eye(len(NAMES)), -np.eye(len(NAMES))])
 _P = len(NAMES)
-_STAYS = 0.005  # probability of a healthy motor that stays farther off than is allowed for
+_STAYS = (
+    0.005,
+    0.1,
+)  # probability of a healthy motor that stays farther off than is allowed for: least, most
 _LEAST_EXCESS = 1e-3  # of the kurtosis
 _NAMED_WEIGHT = 4.0
 _NORMAL_TAILS = 30.0  # degrees of freedom
@@ -77,23 +80,21 @@ def learn_scale(
         sums = np.einsum("nij,nj->i", some, logs[states == state])
         centres[state] = np.linalg.solve(some.sum(axis=0) + some.mean(axis=0), sums)
     off = logs - centres[states]
-    white = whitened(off, errors)
-    means = np.array([white[place == n].mean(axis=0) for n in range(len(windows))])
-    rest = white - (means[place] if halvings else white.mean(axis=0))
-    covariances, freedom = _scatter(rest, states, len(rest) - (len(windows) if halvings else 1))
-    prior = prior_sd**2 * np.eye(_P) + temperature_k**2 * np.outer(WARMTH, WARMTH)
-    roots = np.linalg.cholesky(errors)
-    inverse = np.linalg.inv(roots @ covariances[states] @ np.swapaxes(roots, 1, 2))
-    levels, believed = [], []
-    for n in range(len(windows)):
-        error = np.linalg.inv(inverse[place == n].sum(axis=0))
-        levels.append(error @ np.einsum("nij,nj->i", inverse[place == n], off[place == n]))
-        believed.append(error)
-    scatter = np.cov(np.array(levels).T)
-    wander = prior + scatter / len(windows)
+    roots, levels = np.linalg.cholesky(errors), np.zeros((len(windows), _P))
+    for _ in range(2 if halvings else 1):
+        white = whitened(off - levels[place], errors)
+        white -= 0.0 if halvings else white.mean(axis=0)
+        freedom = len(white) - (len(windows) if halvings else 1)
+        covariances, tails = _scatter(white, states, freedom)
+        inverse = np.linalg.inv(roots @ covariances[states] @ np.swapaxes(roots, 1, 2))
+        believed = np.linalg.inv([inverse[place == n].sum(axis=0) for n in range(len(windows))])
+        pulls = np.einsum("nij,nj->ni", inverse, off)
+        levels = np.array([one @ pulls[place == n].sum(axis=0) for n, one in enumerate(believed)])
+    scatter = np.cov(levels.T)
+    wander = prior_sd**2 * np.eye(_P) + temperature_k**2 * np.outer(WARMTH, WARMTH) + scatter / len(windows)
     if halvings:
-        wander += _more(scatter, np.mean(believed, axis=0), len(windows), steady=steady)
-    return Scale(halvings, counts, centres, covariances, freedom, wander, len(windows))
+        wander += _more(scatter, believed.mean(axis=0), len(windows), steady=steady)
+    return Scale(halvings, counts, centres, covariances, tails, wander, len(windows))
 
 
 def untaught_scale(log_covariance: FloatArray, freedom: float, windows: int) -> Scale:
@@ -149,47 +150,60 @@ def spread_of(scale: Scale, errors: FloatArray, states: NDArray[np.intp]) -> Flo
     return spread
 
 
-def normal_scores(scale: Scale, pieces: Pieces, along: FloatArray, temperature_k: float) -> FloatArray:
+class Places(NamedTuple):
+    """How far pieces are off along directions, in standard deviations of their scatter, shape (n, n_directions) each.
+
+    Attributes:
+        distances: of each piece.
+        allowed: standard deviation of what a healthy motor may stay off.
+    """
+
+    distances: FloatArray
+    allowed: FloatArray
+
+
+def places_along(off: FloatArray, spread: FloatArray, wander: FloatArray, along: FloatArray) -> Places:
+    """The combination of R, K, J and B that tells a fault best from scatter and from what may stay, as warmth does."""
+    slopes = np.linalg.solve(spread + wander, np.broadcast_to(along.T, (len(off), *along.T.shape)))
+    slopes /= np.sqrt(np.einsum("npd,npq,nqd->nd", slopes, spread, slopes))[:, None, :]
+    allowed = np.sqrt(np.einsum("npd,pq,nqd->nd", slopes, wander, slopes))
+    return Places(np.einsum("npd,np->nd", slopes, off), allowed)
+
+
+def calibrated(scale: Scale, pieces: Pieces, along: FloatArray) -> Places:
+    """Where pieces are, by what healthy ones of their length and state scatter."""
+    spread = spread_of(scale, pieces.errors, pieces.states)
+    return places_along(pieces.logs - scale.centres[pieces.states], spread, scale.wander, along)
+
+
+def places_on_axes(scale: Scale, pieces: Pieces) -> Places:
+    """Where a window is along the axes by its own error: what is counted needs no healthy window's scatter."""
+    return places_along(pieces.logs, pieces.errors, scale.wander, AXES)
+
+
+def normal_scores(scale: Scale, states: NDArray[np.intp], found: Places, windows: float) -> FloatArray:
     """Normal scores of pieces along directions, shape (n, n_directions): standard normal or less while all is well.
 
     Where healthy pieces have heavier tails than normal ones, no piece says more than the rarest of them: one in as many
-    as were seen. With few pieces to learn from, a distance with a sample's inverse covariance is that of a t with fewer degrees and a
-    larger scale (Hotelling).
+    as were seen. With few pieces to learn from, a distance with a sample's inverse covariance is that of a t with fewer
+    degrees and a larger scale (Hotelling).
+
+    Args:
+        scale: of pieces of this length.
+        states: of the pieces, shape (n,).
+        found: where they are.
+        windows: from one false alarm to the next: the more, the farther a healthy motor may stay off.
     """
-    spread = spread_of(scale, pieces.errors, pieces.states)
-    off = pieces.logs - scale.centres[pieces.states]
-    distances, allowed = places_along(off, spread, scale.wander, along, temperature_k)
-    taught = scale.counts[pieces.states] + PRIOR_WEIGHT - 1.0
+    taught = scale.counts[states] + PRIOR_WEIGHT - 1.0
     freedom = np.maximum(np.minimum(taught - _P + 1.0, scale.freedom), 1.0)[:, None]
     size = np.sqrt(taught / np.maximum(taught - _P + 1.0, 1.0))[:, None]
-    shift = -float(stdtrit(scale.healthy_windows - 1, _STAYS)) * allowed
-    tails = stdtr(freedom, -(distances - shift) / size)
+    tails = stdtr(freedom, -(found.distances - farthest(scale, windows) * found.allowed) / size)
     if scale.halvings and scale.freedom < _NORMAL_TAILS:
         tails = np.maximum(tails, 1.0 / (scale.counts.sum() + 1.0))
     scores: FloatArray = -ndtri(tails)
     return np.where(np.isnan(scores), 0.0, scores)
 
 
-def places_along(
-    off: FloatArray, spread: FloatArray, wander: FloatArray, along: FloatArray, temperature_k: float
-) -> tuple[FloatArray, FloatArray]:
-    """How far pieces are off along directions, in standard deviations, and that of what may stay; shape (n, n_dir).
-
-    A warmer motor is told from a fault by how R, K and friction move together: what looks like warmth counts little.
-    """
-    warm = temperature_k * WARMTH
-    slopes = np.linalg.solve(
-        spread + np.outer(warm, warm), np.broadcast_to(along.T, (len(off), *along.T.shape))
-    )
-    lengths = np.sqrt(np.einsum("dp,npd->nd", along, slopes))
-    slopes = slopes / lengths[:, None, :]
-    distances = np.einsum("npd,np->nd", slopes, off)
-    allowed = np.sqrt(np.einsum("npd,pq,nqd->nd", slopes, wander, slopes))
-    return distances, allowed
-
-
-def places_on_axes(scale: Scale, pieces: Pieces, temperature_k: float) -> FloatArray:
-    """Where a window is along the axes, by its own error alone: what is counted needs no healthy window's spread."""
-    places, _ = places_along(pieces.logs, pieces.errors, scale.wander, AXES, temperature_k)
-    first: FloatArray = places[0]
-    return first
+def farthest(scale: Scale, windows: float) -> float:
+    """Standard deviations up to which a healthy motor may stay off, at one false alarm in so many windows."""
+    return -float(stdtrit(scale.healthy_windows - 1, min(max(1.0 / windows, _STAYS[0]), _STAYS[1])))

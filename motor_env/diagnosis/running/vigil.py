@@ -21,9 +21,10 @@ from motor_env.diagnosis.running.pieces import Pieces, Sections, sections_of
 from motor_env.diagnosis.running.replay import tails_hold
 from motor_env.diagnosis.running.scales import (
     AXES,
+    calibrated,
     directions,
+    farthest,
     normal_scores,
-    places_along,
     places_on_axes,
     untaught_scale,
 )
@@ -67,7 +68,7 @@ class Vigil:
     ) -> None:
         windows = judge.windows
         untaught = untaught_scale(healthy.log_covariance, healthy.degrees_of_freedom, healthy.pieces)
-        self.judge, self._warm_k = judge, healthy.temperature_k
+        self.judge, self._may_stay = judge, healthy.temperature_k > 0.0
         self._scales = windows.scales or (untaught,)
         self._along, self._healthy = directions(), self._scales[-1].healthy_windows
         self._detector = Detector.new(len(self._scales), self._along.weights)
@@ -158,7 +159,8 @@ class Vigil:
     def _scored(self, n: int, pieces: Pieces) -> FloatArray:
         """Normal scores; 0 in a state of which too little is known."""
         scale = self._learned.scale(n)
-        scores = normal_scores(scale, pieces, self._along.along, self._warm_k)
+        found = calibrated(scale, pieces, self._along.along)
+        scores = normal_scores(scale, pieces.states, found, self.windows)
         return scores[scale.counts[pieces.states] >= 2.0]
 
     def _is_alarm(self) -> bool:
@@ -173,8 +175,9 @@ class Vigil:
         pieces = Pieces(logs[None], fit.log_covariance[None], np.zeros(1, dtype=np.intp))
         scores = self._scored(len(self._scales) - 1, pieces)[0]
         self._detector.add(len(self._scales) - 1, scores, self._pieces)
-        places = places_on_axes(self._scales[-1], pieces, self._warm_k)
-        self._counting.add(places - self._allowed(pieces))
+        places, allowed = places_on_axes(self._scales[-1], pieces)
+        stays = farthest(self._scales[-1], self.windows) if self._may_stay else 0.0
+        self._counting.add(places[0] - stays * allowed[0])
         is_new = self._is_alarm()
         if is_new:
             self._detector.forget()
@@ -182,34 +185,26 @@ class Vigil:
             self._toward = -1
         is_counted = self._counting.alarm(self.windows) is not None
         is_alarm = self._toward >= 0 if self.adds_up else is_counted
-        self._learn(pieces, places, is_calm=self._toward < 0 and not is_counted)
+        if self._toward < 0 and not is_counted:
+            self._learn(pieces, places[0])
+        else:
+            self._learned.skip()
         if not is_alarm:
             self._at = logs
         return is_alarm
 
-    def _allowed(self, pieces: Pieces) -> FloatArray:
-        """By how much a healthy motor may stay off along the axes; none where it is believed to be steady."""
-        scale = self._scales[-1]
-        if not self._warm_k:
-            return np.zeros(len(AXES))
-        shift: FloatArray = (
-            3.0 * places_along(pieces.logs, pieces.errors, scale.wander, AXES, self._warm_k)[1][0]
-        )
-        return shift
-
-    def _learn(self, window: Pieces, places: FloatArray, *, is_calm: bool) -> None:
-        """The window before this one, if all is well in both."""
-        parts = []
+    def _learn(self, window: Pieces, places: FloatArray) -> None:
+        parts: list[Pieces | None] = []
         for scale in self._scales[:-1]:
             together = 2 ** (self._scales[0].halvings - scale.halvings)
             whole = len(self._sections) >= together
             parts.append(
                 Sections.joined(self._sections).pieces(together, self._at, self._fastest) if whole else None
             )
-        if self._learned.hear([*parts, window], is_calm=is_calm):
-            seen = self._counting.healthy - self._healthy
-            if seen < min(_MOST_LEARNED, _LEARNED_S / self.judge.windows.window_s):
-                self._counting.learn(places)
+        self._learned.hear([*parts, window])
+        seen = self._counting.healthy - self._healthy
+        if seen < min(_MOST_LEARNED, _LEARNED_S / self.judge.windows.window_s):
+            self._counting.learn(places)
 
     def begin(self) -> None:
         """A window begins."""
@@ -217,7 +212,7 @@ class Vigil:
 
     def cut(self) -> None:
         """The window breaks off, or tells nothing."""
-        self._learned.hear([], is_calm=False)
+        self._learned.skip()
 
     def alarm(self, recording: Recording, rate: float) -> Judgement | None:
         """The judgement on what an alarm is about; None where it tells nothing. The evidence begins anew.
