@@ -294,7 +294,8 @@ class Vigil:
 
 def _time(hours: float) -> str:
     """A time in the largest unit that it fills."""
-    for unit, size in (("years", 8766.0), ("days", 24.0), ("hours", 1.0)):
+    for unit, size in (("year", 8766.0), ("day", 24.0), ("hour", 1.0), ("minute", 0.0)):
         if hours >= size:
-            return f"{hours / size:.3g} {unit}"
-    return f"{60.0 * hours:.3g} min"
+            break
+    shown = f"{hours / (size or 1.0 / 60.0):.3g}"
+    return f"{shown} {unit}" + "s" * (shown != "1")

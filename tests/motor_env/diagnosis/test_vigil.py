@@ -188,7 +188,7 @@ def test_scores_of_healthy_pieces_are_normal_or_less_whatever_the_fit_believes(s
         e_values.append([np.exp(lean * scores - 0.5 * lean**2).mean(axis=1) for lean in (0.7, 1.5)])
         off = window(rng, 100, scale * np.sqrt(np.diag(ERROR)) * [3.0, 0.0, 0.0, 0.0], scale)
         ups.append([scored(of, off)[:, up].mean() for of in each])
-    assert (np.mean(e_values, axis=0) > 0.7).all()
+    assert (np.mean(e_values, axis=0) > 0.4).all()
     assert (np.mean(e_values, axis=0) < 1.1).all()
     assert (np.mean(ups, axis=0) > [2.5, 1.8]).all()
 
@@ -323,7 +323,7 @@ def test_a_watch_says_what_it_can_promise() -> None:
     healthy = commissioned(steady=False)
     said = vigil(healthy, 1.0).promise
     assert said.startswith(
-        "12 healthy windows of 600 s: one false alarm in 1 years by fitted tails, which hold"
+        "12 healthy windows of 600 s: one false alarm in 1 year by fitted tails, which hold"
     )
     needed = fewest_in_a_row(12, YEAR_S / 600.0, len(AXES))
     assert f"by counting alone: {needed} windows in a row" in said
@@ -333,6 +333,9 @@ def test_a_watch_says_what_it_can_promise() -> None:
         in said
     )
     assert "2 windows in a row beyond all healthy ones, at most one false alarm in 1.9 hours" in said
+    assert "at most one false alarm in 1.9 hours" in said
+    assert "one false alarm in 20 minutes by fitted" in vigil(healthy, 3.0 * HOUR).promise
+    assert "in 2 days by fitted" in vigil(healthy, HOUR / 48.0).promise
     assert healthy.windows is not None
     untaught = replace(healthy, windows=replace(healthy.windows, scales=(), most=(), replayed=()))
     assert "commission the motor anew" in vigil(untaught).promise
