@@ -14,7 +14,7 @@ import numpy as np
 
 from motor_env.motor.parameters import FloatArray
 
-LEANS = np.array([0.7, 1.5, 3.0])
+LEANS = np.array([0.6, 1.2, 2.4])
 """Sizes of a fault that are looked for, in standard deviations of a piece."""
 _LARGEST = 10.0
 _OVERSHOOT = 0.5

@@ -92,8 +92,8 @@ def learn_scale(
         levels = np.array([one @ pulls[place == n].sum(axis=0) for n, one in enumerate(believed)])
     scatter = np.cov(levels.T)
     wander = prior_sd**2 * np.eye(_P) + temperature_k**2 * np.outer(WARMTH, WARMTH) + scatter / len(windows)
-    if halvings:
-        wander += _more(scatter, believed.mean(axis=0), len(windows), steady=steady)
+    if halvings and not steady:
+        wander += _more(scatter, believed.mean(axis=0))
     return Scale(halvings, counts, centres, covariances, tails, wander, len(windows))
 
 
@@ -129,16 +129,12 @@ def _scatter(rest: FloatArray, states: NDArray[np.intp], freedom: int) -> tuple[
     return out, 4.0 + 6.0 / max(kurtosis - 3.0, _LEAST_EXCESS)
 
 
-def _more(scatter: FloatArray, believed: FloatArray, windows: int, *, steady: bool) -> FloatArray:
-    """By how much windows differ more than their pieces say; of a steady motor only where chance does not explain it.
-
-    The largest eigenvalue of so many windows' covariance is about (1 + sqrt(p / n))^2 by chance (Marchenko & Pastur).
-    """
+def _more(scatter: FloatArray, believed: FloatArray) -> FloatArray:
+    """By how much windows differ more than their pieces say."""
     root = np.linalg.cholesky(believed)
     inverse = np.linalg.inv(root)
     sizes, axes = np.linalg.eigh(inverse @ scatter @ inverse.T)
-    chance = (1.0 + math.sqrt(_P / windows)) ** 2 if steady else 1.0
-    more = root @ axes * np.sqrt(np.where(sizes > chance, sizes - 1.0, 0.0))
+    more = root @ axes * np.sqrt(np.maximum(sizes - 1.0, 0.0))
     out: FloatArray = more @ more.T
     return out
 

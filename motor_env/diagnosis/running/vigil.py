@@ -294,8 +294,7 @@ class Vigil:
 
 def _time(hours: float) -> str:
     """A time in the largest unit that it fills."""
-    for unit, size in (("year", 8766.0), ("day", 24.0), ("hour", 1.0), ("minute", 0.0)):
-        if hours >= size:
-            break
-    shown = f"{hours / (size or 1.0 / 60.0):.3g}"
+    sizes = {"year": 8766.0, "day": 24.0, "hour": 1.0, "minute": 1.0 / 60.0}
+    unit = next((unit for unit, size in sizes.items() if hours >= size), "minute")
+    shown = f"{hours / sizes[unit]:.3g}"
     return f"{shown} {unit}" + "s" * (shown != "1")

@@ -93,7 +93,7 @@ def test_a_sum_is_that_of_shiryaev_and_roberts() -> None:
     detector, scores = Detector.new(1, np.ones(1)), [0.3, -1.0, 2.0]
     for score in scores:
         detector.add(0, np.array([score]), 1)
-    lean = np.array([0.7, 1.5, 3.0])
+    lean = np.array([0.6, 1.2, 2.4])
     e_values = [np.exp(lean * score - 0.5 * lean**2) for score in scores]
     products = [np.prod(e_values[k:], axis=0) for k in range(3)]
     np.testing.assert_allclose(detector.sums[0, 0], sum(products))
