@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from motor_env.diagnosis.running.lessons import FEWEST_WINDOWS, learn_windows
-from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
+from motor_env.diagnosis.running.vigil import CONTEXT, YEAR_S, Vigil
 from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, averaged, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError, require_options
@@ -196,26 +196,26 @@ class Watch:
                 self._next_piece_s = sample[0] + self._vigil.piece_s
         self._window.extend(sample)
         if sample[0] - self._window[0] >= self._pace.window_s:
+            yield from self._heard()
             self._before, self._window = self._window, array("d")
-            yield from self._heard(self._before)
             event = self._ended(_columns(self._before))
             if self._vigil is not None:  # before it is said: with it the state is kept
                 self.state.memory = self._vigil.memory
             yield event
         elif sample[0] >= self._next_piece_s:
-            yield from self._heard(self._window)
+            yield from self._heard()
 
-    def _heard(self, window: array[float]) -> Iterator[Event]:
-        """What a window says up to now, if it is an alarm; then the window's end is waited for."""
+    def _heard(self) -> Iterator[Event]:
+        """What the window says up to now, if it is an alarm."""
         vigil = self._vigil
         if vigil is None:
             return
-        is_alarm = vigil.heard(_recording(_columns(window), self._step_s), self._heard_s)
+        samples = self._before[-CONTEXT * len(_QUANTITIES) :] + self._window
+        is_alarm = vigil.heard(_recording(_columns(samples), self._step_s), self._heard_s)
         self._heard_s = self._time_s
         self._next_piece_s += vigil.piece_s
         if is_alarm:
-            before = array("d") if window is self._before else self._before
-            whole = _recording(_columns(before + window), self._step_s)
+            whole = _recording(_columns(self._before + self._window), self._step_s)
             if alarm := vigil.alarm(whole, self.rate):
                 # How large the fault is shows only at the window's end.
                 yield replace(self._judged(alarm), ratios={}, undecided=(), span_s=round(alarm.duration_s, 6))

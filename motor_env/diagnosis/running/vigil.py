@@ -38,11 +38,12 @@ from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut
 
 YEAR_S = 365.25 * 86_400.0
-_CONTEXT = 256  # samples before a piece
+CONTEXT = 256
+"""Samples before a piece."""
 _GOES_ON = 2.0
 _WIDE = 0.5  # standard deviation of a logarithm
 _MOST_STEPS, _SETTLED = 15, 0.1
-_MOSTLY = 0.5  # of the evidence
+_MOSTLY = 0.9  # of the evidence
 _MOST_LEARNED, _LEARNED_S = 100, 3.0 * 3600.0
 
 
@@ -114,7 +115,7 @@ class Vigil:
         """Whether what a window says up to now is an alarm.
 
         Args:
-            recording: its samples so far.
+            recording: its samples so far, with some before it.
             since_s: end of what was heard of it before.
         """
         recording = averaged(recording, self.judge.windows.window_s)
@@ -125,7 +126,7 @@ class Vigil:
         )
         ends = ends[np.append(True, np.diff(ends) > 1)]
         ends[-1] = len(recording.time_s)
-        first = max(int(ends[0]) - _CONTEXT, 0)
+        first = max(int(ends[0]) - CONTEXT, 0)
         try:
             record = from_recordings([cut(recording, slice(first, None))])
         except UnusableError:

@@ -217,7 +217,7 @@ def test_pieces_of_a_window_are_heard_as_they_end(judge: Judge) -> None:
     watched([*samples(202), SILENCE, *samples(30, 900.0)], state)
     (vigil,) = FakeVigil.made
     ends = [(float(one.time_s[0]), float(one.time_s[-1])) for one, _ in vigil.spoken]
-    second = [(0.101, 0.126), (0.101, 0.151), (0.101, 0.176), (0.101, 0.201)]
+    second = [(0.0, 0.126), (0.0, 0.151), (0.0, 0.176), (0.0, 0.201)]  # with samples of the first one
     whole = [(0.0, 0.025), (0.0, 0.05), (0.0, 0.075), (0.0, 0.1), *second, (0.9, 0.925)]
     np.testing.assert_allclose(ends, whole, atol=1.1e-3)  # the first sample at or behind
     since = [since_s for _, since_s in vigil.spoken]
