@@ -65,6 +65,7 @@ class Scale:
         centres: mean by state, shape (n_states, 4).
         covariances: by state, of what is whitened by the fit's own error, shape (n_states, 4, 4).
         freedom: degrees of freedom of their tails (Student's t).
+        information: mean inverse of a piece's covariance, shape (4, 4).
         wander: covariance of how far a healthy motor may stay off these centres, shape (4, 4).
         healthy_windows: number of windows that have taught it.
     """
@@ -74,6 +75,7 @@ class Scale:
     centres: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
     covariances: Annotated[FloatArray, ArrayOf(tuple[tuple[tuple[Finite, ...], ...], ...])]
     freedom: Positive
+    information: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
     wander: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
     healthy_windows: Annotated[int, Field(ge=2)]
 
@@ -82,8 +84,8 @@ class Scale:
         require(
             np.shape(self.centres) == (n, 4)
             and np.shape(self.covariances) == (n, 4, 4)
-            and np.shape(self.wander) == (4, 4),
-            f"healthy.windows.scales: counts has {n} states; centres, covariances and wander must go with them",
+            and np.shape(self.wander) == np.shape(self.information) == (4, 4),
+            f"healthy.windows.scales: counts has {n} states; the other tables must go with them",
         )
         require(
             bool((np.linalg.eigvalsh(self.covariances) > 0.0).all())

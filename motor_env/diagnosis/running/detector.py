@@ -40,10 +40,17 @@ class Detector:
         shape = (lengths, len(weights), len(LEANS))
         return cls(np.zeros(shape), np.zeros(shape), weights / weights.sum())
 
-    def add(self, length: int, scores: FloatArray, pieces: int) -> None:
-        """Normal scores of a piece in each direction, which is as long as so many of the shortest ones."""
-        u = np.minimum(scores, _LARGEST)[:, None]
-        e_values = np.exp(LEANS * u - 0.5 * LEANS**2)
+    def add(self, length: int, scores: FloatArray, pieces: int, reach: FloatArray | float = 1.0) -> None:
+        """A piece that is as long as so many of the shortest ones.
+
+        Args:
+            length: which of the lengths it has.
+            scores: normal scores in each direction, shape (n_directions,).
+            pieces: number of the shortest ones.
+            reach: how much more it tells than usual ones; the sizes that are looked for go with it.
+        """
+        u, leans = np.minimum(scores, _LARGEST)[:, None], LEANS * np.reshape(reach, (-1, 1))
+        e_values = np.exp(leans * u - 0.5 * leans**2)
         begun = self.sums[length] + pieces
         self.ages[length] = (self.ages[length] + pieces * begun) * e_values
         self.sums[length] = begun * e_values

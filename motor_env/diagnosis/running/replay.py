@@ -9,7 +9,7 @@ from scipy.special import gammainc
 
 from motor_env.diagnosis.running.detector import Detector
 from motor_env.diagnosis.running.pieces import Pieces
-from motor_env.diagnosis.running.scales import calibrated, directions, normal_scores
+from motor_env.diagnosis.running.scales import calibrated, directions, normal_scores, reaches
 from motor_env.motor.healthy import Scale
 
 THRESHOLDS = 4.0 ** np.arange(1, 13)
@@ -41,11 +41,12 @@ def replay(scales: Sequence[Sequence[Scale]], windows: Sequence[Sequence[Pieces]
         steps = []
         for number, (n, scale, states, found) in enumerate(due):
             together, begin = total >> scale.halvings, number // len(scales[0]) * total
-            for k, row in enumerate(normal_scores(scale, states, found, threshold / total)):
-                steps.append((begin + (k + 1) * together, n, row, together))
+            scores = normal_scores(scale, states, found, threshold / total)
+            for k, pair in enumerate(zip(scores, reaches(scale, found, along.along), strict=True)):
+                steps.append((begin + (k + 1) * together, n, *pair, together))
         detector, count = Detector.new(len(scales[0]), along.weights), 0
-        for _, n, row, together in sorted(steps, key=lambda one: one[:2]):
-            detector.add(n, row, together)
+        for _, n, row, reach, together in sorted(steps, key=lambda one: one[:2]):
+            detector.add(n, row, together, reach)
             if detector.passes(threshold):
                 count += 1
                 detector.forget()

@@ -31,6 +31,7 @@ _STAYS = (
 )  # probability of a healthy motor that stays farther off than is allowed for: least, most
 _LEAST_EXCESS = 1e-3  # of the kurtosis
 _NAMED_WEIGHT = 4.0
+_REACHES = (0.1, 3.0)
 _NORMAL_TAILS = 30.0  # degrees of freedom
 
 
@@ -94,7 +95,8 @@ def learn_scale(
     wander = prior_sd**2 * np.eye(_P) + temperature_k**2 * np.outer(WARMTH, WARMTH) + scatter / len(windows)
     if halvings and not steady:
         wander += _more(scatter, believed.mean(axis=0))
-    return Scale(halvings, counts, centres, covariances, tails, wander, len(windows))
+    information: FloatArray = np.asarray(inverse.mean(axis=0), dtype=np.float64)
+    return Scale(halvings, counts, centres, covariances, tails, information, wander, len(windows))
 
 
 def untaught_scale(log_covariance: FloatArray, freedom: float, windows: int) -> Scale:
@@ -102,7 +104,8 @@ def untaught_scale(log_covariance: FloatArray, freedom: float, windows: int) -> 
     shape = (N_STATES, _P)
     eye = np.tile(np.eye(_P), (N_STATES, 1, 1))
     counts = np.full(N_STATES, max(freedom, 2.0))
-    return Scale(0, counts, np.zeros(shape), eye, freedom, log_covariance, max(windows, 2))
+    information = np.linalg.inv(log_covariance)
+    return Scale(0, counts, np.zeros(shape), eye, freedom, information, log_covariance, max(windows, 2))
 
 
 def whitened(off: FloatArray, errors: FloatArray) -> FloatArray:
@@ -152,10 +155,12 @@ class Places(NamedTuple):
     Attributes:
         distances: of each piece.
         allowed: standard deviation of what a healthy motor may stay off.
+        reach: of a unit of the fault.
     """
 
     distances: FloatArray
     allowed: FloatArray
+    reach: FloatArray
 
 
 def places_along(off: FloatArray, spread: FloatArray, wander: FloatArray, along: FloatArray) -> Places:
@@ -163,7 +168,7 @@ def places_along(off: FloatArray, spread: FloatArray, wander: FloatArray, along:
     slopes = np.linalg.solve(spread + wander, np.broadcast_to(along.T, (len(off), *along.T.shape)))
     slopes /= np.sqrt(np.einsum("npd,npq,nqd->nd", slopes, spread, slopes))[:, None, :]
     allowed = np.sqrt(np.einsum("npd,pq,nqd->nd", slopes, wander, slopes))
-    return Places(np.einsum("npd,np->nd", slopes, off), allowed)
+    return Places(np.einsum("npd,np->nd", slopes, off), allowed, np.einsum("npd,dp->nd", slopes, along))
 
 
 def calibrated(scale: Scale, pieces: Pieces, along: FloatArray) -> Places:
@@ -198,6 +203,13 @@ def normal_scores(scale: Scale, states: NDArray[np.intp], found: Places, windows
         tails = np.maximum(tails, 1.0 / (scale.counts.sum() + 1.0))
     scores: FloatArray = -ndtri(tails)
     return np.where(np.isnan(scores), 0.0, scores)
+
+
+def reaches(scale: Scale, found: Places, along: FloatArray) -> FloatArray:
+    """How much more a piece tells of each fault than usual ones of its length do, shape (n, n_directions)."""
+    usual = np.sqrt(np.einsum("dp,pq,dq->d", along, scale.information, along))
+    times: FloatArray = np.clip(found.reach / usual, *_REACHES)
+    return times
 
 
 def farthest(scale: Scale, windows: float) -> float:

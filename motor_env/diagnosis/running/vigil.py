@@ -26,6 +26,7 @@ from motor_env.diagnosis.running.scales import (
     farthest,
     normal_scores,
     places_on_axes,
+    reaches,
     untaught_scale,
 )
 from motor_env.diagnosis.running.windows import NAMES, FittedWindow, WindowJudge, averaged
@@ -40,6 +41,7 @@ from motor_env.recordings.recording import Recording, cut
 YEAR_S = 365.25 * 86_400.0
 CONTEXT = 256
 """Samples before a piece."""
+_FEWEST = 2.0  # healthy pieces of a state
 _GOES_ON = 2.0
 _WIDE = 0.5  # standard deviation of a logarithm
 _MOST_STEPS, _SETTLED = 15, 0.1
@@ -149,20 +151,21 @@ class Vigil:
             together = 2 ** (self._scales[0].halvings - scale.halvings)
             if count % together == 0:
                 part = Sections.joined(self._sections[-together:])
-                for scores in self._scored(n, part.pieces(together, self._at, self._fastest)):
-                    self._detector.add(n, scores, together)
+                for row in zip(*self._scored(n, part.pieces(together, self._at, self._fastest)), strict=True):
+                    self._detector.add(n, row[0], together, row[1])
         return self._is_alarm()
 
     @property
     def _fastest(self) -> float:
         return (self.judge.windows.peaks or (1.0, 1.0, 1.0))[2]
 
-    def _scored(self, n: int, pieces: Pieces) -> FloatArray:
-        """Normal scores; 0 in a state of which too little is known."""
+    def _scored(self, n: int, pieces: Pieces) -> tuple[FloatArray, FloatArray]:
+        """Normal scores of pieces and their reach; none in a state of which too little is known."""
         scale = self._learned.scale(n)
         found = calibrated(scale, pieces, self._along.along)
         scores = normal_scores(scale, pieces.states, found, self.windows)
-        return scores[scale.counts[pieces.states] >= 2.0]
+        is_known = scale.counts[pieces.states] >= _FEWEST
+        return scores[is_known], reaches(scale, found, self._along.along)[is_known]
 
     def _is_alarm(self) -> bool:
         if not self._detector.passes(self.threshold):
@@ -174,9 +177,9 @@ class Vigil:
         """Whether a whole window is, or goes on, an alarm."""
         logs = fit.log_values - self.judge.reference.log_values
         pieces = Pieces(logs[None], fit.log_covariance[None], np.zeros(1, dtype=np.intp))
-        scores = self._scored(len(self._scales) - 1, pieces)[0]
-        self._detector.add(len(self._scales) - 1, scores, self._pieces)
-        places, allowed = places_on_axes(self._scales[-1], pieces)
+        (scores,), (reach,) = self._scored(len(self._scales) - 1, pieces)
+        self._detector.add(len(self._scales) - 1, scores, self._pieces, reach)
+        places, allowed, _ = places_on_axes(self._scales[-1], pieces)
         stays = farthest(self._scales[-1], self.windows) if self._may_stay else 0.0
         self._counting.add(places[0] - stays * allowed[0])
         is_new = self._is_alarm()

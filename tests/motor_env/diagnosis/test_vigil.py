@@ -25,6 +25,7 @@ from motor_env.diagnosis.running.scales import (
     learn_scale,
     normal_scores,
     places_on_axes,
+    reaches,
 )
 from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
 from motor_env.diagnosis.running.windows import NAMES, FittedWindow, judge_of
@@ -101,6 +102,20 @@ def test_a_sum_is_that_of_shiryaev_and_roberts() -> None:
     best = int(np.argmax(sum(products)))
     age = sum(product[best] * (3 - k) for k, product in enumerate(products)) / sum(products)[best]
     assert detector.strongest[2] == pytest.approx(age)
+
+
+def test_sizes_go_with_what_a_piece_tells() -> None:
+    """A piece of half the reach looks for half the shift: by hand, for one piece."""
+    detector = Detector.new(1, np.ones(2))
+    detector.add(0, np.array([1.0, 1.0]), 1, np.array([0.5, 1.0]))
+    lean = np.array([0.6, 1.2, 2.4])
+    np.testing.assert_allclose(detector.sums[0, 0], np.exp(0.5 * lean - 0.125 * lean**2))
+    np.testing.assert_allclose(detector.sums[0, 1], np.exp(lean - 0.5 * lean**2))
+    of, rng = taught(np.random.default_rng(12))[0], np.random.default_rng(13)
+    blurred = window(rng, 1, np.zeros(4))._replace(errors=16.0 * ERROR[None])
+    for one, expected in ((window(rng, 1, np.zeros(4)), 1.0), (blurred, 0.25)):
+        found = calibrated(of, one, directions().along)
+        np.testing.assert_allclose(reaches(of, found, directions().along), expected, rtol=0.05)
 
 
 def test_counting_alarms_as_rarely_as_combinatorics_says() -> None:

@@ -204,6 +204,7 @@ SCALE = Scale(
     centres=np.arange(8.0).reshape(2, 4) / 3.0,
     covariances=np.stack([np.eye(4), 2.0 / 3.0 * np.eye(4)]),
     freedom=7.0,
+    information=1e4 / 3.0 * np.eye(4),
     wander=1e-4 / 3.0 * np.eye(4),
     healthy_windows=12,
 )
