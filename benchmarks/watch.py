@@ -5,10 +5,10 @@
 A run of another seed or temperature is added to what the file holds.
 
 The textbook motor with a heavy flywheel: random duty cycle, load and temperature. Watched at 1 Hz by windows of 10 min
-after a commissioning of 5 h, which comes as the text that a device would print. Each 50 h have a commissioning of their
-own, since it decides how often its windows alarm; the joint fit, which gives what all windows share, is that of the
-first. `--temperature allowed` is what the monitor assumes: commissioned at one temperature, which then wanders by 15 K.
-`wandering` wanders by 10 K, also while it is commissioned. `steady` is a test bench: one temperature, no load.
+after a commissioning of 5 h, which comes as the text that a device would print. Each 50 h have a commissioning of
+their own, since it decides how often its windows alarm. `--temperature allowed` is what the monitor assumes:
+commissioned at one temperature, which then wanders by 15 K. `wandering` wanders by 10 K, also while it is commissioned.
+`steady` is a test bench: one temperature, no load.
 """
 
 from __future__ import annotations
@@ -17,12 +17,8 @@ import json
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from itertools import pairwise
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any
-from unittest import mock
 
 import numpy as np
 from scipy.signal import lfilter
@@ -32,6 +28,7 @@ from watch_counts import (
     RATES,
     WINDOW_S,
     Floats,
+    alarms,
     duty,
     events,
     heavy,
@@ -45,17 +42,10 @@ from watch_counts import (
 )
 
 from motor_env import Fault
-from motor_env.diagnosis.running import lessons, windows
-from motor_env.diagnosis.running.looks import Looks
-from motor_env.diagnosis.running.windows import WindowJudge, judge_of
-from motor_env.diagnosis.verdict import Verdict
-from motor_env.fitting.identify import identify_operation
-from motor_env.fitting.recorded import from_recordings
-from motor_env.fitting.window import fit_window
-from motor_env.live.watch import YEAR_S
+from motor_env.live.state import State
+from motor_env.live.watch import Watch
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.healthy import Healthy
-from motor_env.recordings.recording import Recording
 
 LOAD_N_M, LOAD_S = 3e-3, 3600.0  # standard deviation and memory of the load: a tenth of the rated torque
 WARM_K, WARM_S, WINDING_S, STEP_S = 10.0, 7200.0, 1200.0, 10.0
@@ -95,86 +85,29 @@ def work(
     yield from rows_of(rng, volts, states).reshape(-1, n, 4)
 
 
-def shared(fit: Callable[..., Any], key: Callable[..., Any]) -> Callable[..., Any]:
-    """A fit that is made once for arguments of one key: the last result is kept."""
-    last: dict[Any, Any] = {}
-
-    def once(*given: Any, **options: Any) -> Any:
-        if key(*given) not in last:
-            last.clear()
-            last[key(*given)] = fit(*given, **options)
-        return last[key(*given)]
-
-    return once
-
-
-def recording_of(samples: Floats) -> Recording:
-    """A recording from rows of time, voltage, current, speed."""
-    time_s, volts, current_a, speed = np.ascontiguousarray(samples.T)
-    return Recording(Path("stream"), time_s, current_a, volts, speed)
-
-
-def alarms(
-    judge: WindowJudge, rate: float, samples: Floats, before: Floats, at: Floats
-) -> tuple[list[str], Floats]:
-    """What `watch` says of a window, and before that of its looks, which are made at once here; where it is."""
-    record = from_recordings([recording_of(np.concatenate([before, samples]))])
-    record = replace(record, hold=judge.windows.hold)
-    looks = Looks(judge, rate / 2.0, at)
-    each = looks.every_s
-    places = [(n, k) for n in range(1, round(WINDOW_S / each)) for k in looks.due(n)]
-    counts = [round(WINDOW_S / 2**k) for _, k in places]
-    ends = [len(before) + int(n * each) for n, _ in places]
-    parts = [record.part(end - count, count) for end, count in zip(ends, counts, strict=True)]
-    judgements = looks.judgements(parts, [k for _, k in places])
-    early = next((f"early {one.verdict}" for one in judgements if one is not None), None)
-    ((window,), _) = judge.judge(recording_of(samples), rate / 2.0)
-    if window.verdict is Verdict.HEALTHY:
-        at = np.log([change.ratio for change in window.changes])
-    return [f"window {window.verdict}", *([early] if early else [])], at
-
-
 def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
-    """Events of healthy work by the rate that was asked for, and what it cost."""
+    """Alarms on healthy work by the rate that was asked for, and what it cost."""
     place = TEMPERATURES.index(temperature)
     rng, steady = np.random.default_rng([77, seed, place]), temperature == "steady"
-    begin_s, learning_s, judged = time.process_time(), 0.0, 0
-    counts = {name: Counter[str]() for name in RATES}
+    begin_s, learning_s, judged, promises = time.process_time(), 0.0, 0, []
+    counts = dict.fromkeys(RATES, 0)
     lesson = int(LEARN_S / WINDOW_S) + 1
-    once = shared(identify_operation, key=lambda _: None)
-    # Both rates judge the same windows: the fits and steps, which are the work, are made once for them.
-    fits = shared(fit_window, key=lambda record, *_: record.readings.tobytes())
-    first_steps = WindowJudge.first_steps
-    steps = shared(
-        lambda *given: list(first_steps(*given)),
-        key=lambda _, parts, at: (len(parts), parts[0].readings.tobytes(), at.tobytes()),
-    )
-    with (
-        mock.patch.object(lessons, "identify_operation", once),
-        mock.patch.object(windows, "fit_window", fits),
-        mock.patch.object(WindowJudge, "first_steps", steps),
-    ):
-        for _ in range(round(hours / LESSON_H)):
-            lesson_s = time.process_time()
-            count = lesson + int(LESSON_H * 3600.0 / WINDOW_S)
-            warm_k = temperatures(rng, count, allowed=temperature == "allowed")
-            blocks = list(work(rng, warm_k * (not steady), load_n_m=LOAD_N_M * (not steady)))
-            healthy = taught(blocks[:lesson], steady=steady)
-            judge = judge_of(healthy)
-            learning_s += time.process_time() - lesson_s
-            at = dict.fromkeys(RATES, np.zeros(4))
-            for before, samples in pairwise(blocks[lesson - 1 :]):
-                judged += 1
-                for name, a_year in RATES.items():
-                    rate = a_year * WINDOW_S / YEAR_S
-                    half = before[len(before) // 2 :]
-                    said, at[name] = alarms(judge, rate, samples, half, at[name])
-                    counts[name].update(said)
+    for _ in range(math.ceil(hours / LESSON_H)):
+        lesson_s, later = time.process_time(), int(min(hours, LESSON_H) * 3600.0 / WINDOW_S)
+        warm_k = temperatures(rng, lesson + later, allowed=temperature == "allowed")
+        blocks = list(work(rng, warm_k * (not steady), load_n_m=LOAD_N_M * (not steady)))
+        healthy = taught(blocks[:lesson], steady=steady)
+        learning_s += time.process_time() - lesson_s
+        judged += later
+        for name in RATES:
+            counts[name] += alarms(events(healthy, blocks[lesson:], name))
+        promises.append(Watch(healthy, State(), false_alarms_per_year=RATES["hour"]).promise)
     return {
         "seed": seed,
         "temperature": temperature,
         "hours": judged * WINDOW_S / 3600.0,
-        "events": {name: dict(count) for name, count in counts.items()},
+        "alarms": counts,
+        "promises": promises,
         "cpu_s": {"learning": learning_s, "watching": time.process_time() - begin_s - learning_s},
         "faults": detected(healthy, rng) if temperature == "wandering" else [],
     }

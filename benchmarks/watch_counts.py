@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from scipy.stats import poisson
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind
+from motor_env.diagnosis.running.vigil import YEAR_S
 from motor_env.live.events import Event
 from motor_env.live.state import State
-from motor_env.live.watch import YEAR_S, Lesson, Watch
+from motor_env.live.watch import Lesson, Watch
 from motor_env.motor.faults import apply_fault
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import discretize
@@ -139,9 +140,20 @@ def taught(blocks: Iterable[Floats], *, steady: bool) -> Healthy:
     return watch.healthy
 
 
-def events(healthy: Healthy, blocks: Iterable[Floats]) -> Iterator[Event]:
-    """What `watch` says at one false alarm an hour."""
-    return Watch(healthy, State(), false_alarms_per_year=RATES["hour"]).events(lines(blocks))
+def events(healthy: Healthy, blocks: Iterable[Floats], rate: str = "hour") -> Iterator[Event]:
+    """What `watch` says at one false alarm an hour, a day or a year."""
+    return Watch(healthy, State(), false_alarms_per_year=(RATES | {"year": 1.0})[rate]).events(lines(blocks))
+
+
+def alarms(said: Iterable[Event]) -> int:
+    """Alarms; what follows one without a healthy window between is the same."""
+    count, was = 0, False
+    for event in said:
+        is_alarm = event.kind in ("window", "another_motor") and event.name not in NO_ALARM
+        count += is_alarm and not was
+        if is_alarm or event.name in NO_ALARM:
+            was = is_alarm
+    return count
 
 
 def due(rate: str, hours: float) -> float:

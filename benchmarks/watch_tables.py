@@ -9,15 +9,19 @@ from statistics import median
 from typing import Any
 
 from tables import table
-from watch_counts import NO_ALARM, RATES, alarm_row
+from watch_counts import RATES, alarm_row
 
+from motor_env.diagnosis.running.counting import fewest_in_a_row
+from motor_env.diagnosis.running.scales import AXES
+from motor_env.diagnosis.running.vigil import YEAR_S
+
+COUNTED_S = 20.0  # windows of the table of promises
 RESULTS = Path(__file__).resolve().parent / "results"
 TEMPERATURES = {
     "steady": "test bench, `--steady`",
     "allowed": "temperature wanders after the commissioning",
     "wandering": "temperature wanders from the begin",
 }
-_ALARMS = ("window", "early", "another_motor")
 
 
 def _read(name: str) -> Any:
@@ -35,8 +39,7 @@ def watch_alarms() -> str:
         runs = [run for run in _read("watch.json") if run["temperature"] == temperature]
         hours = sum(run["hours"] for run in runs)
         for rate in RATES if runs else ():
-            counts: Counter[str] = sum((Counter(run["events"][rate]) for run in runs), Counter())
-            alarms = sum(n for name, n in counts.items() if name.startswith(_ALARMS) and name not in NO_ALARM)
+            alarms = sum(run["alarms"][rate] for run in runs)
             rows.append(alarm_row(f"`watch`; {said}", rate, hours, alarms))
     return _alarms(rows)
 
@@ -70,15 +73,26 @@ def watch_delays() -> str:
     """Delays of `watch` beside those of the CUSUM that knows the fault."""
     rows = [
         [
-            f"{row['fault']} +{row['severity']:.0%}",
+            f"{row['fault']} +{row['severity']:.1%}",
             f"{row['best_s']:.3g}",
-            f"{row['watch_s']:.3g}",
-            f"{row['watch_s'] / row['best_s']:.1f}",
+            *("never" if row[name] is None else f"{row[name]:.3g}" for name in ("hour_s", "year_s")),
+            "-" if row["hour_s"] is None else f"{row['hour_s'] / row['best_s']:.1f}",
             f"{row['named']:.0%}",
         ]
         for row in _read("watch_delays.json")
     ]
-    return table(["fault", "the best CUSUM (s)", "`watch` (s)", "ratio", "called by its name at once"], rows)
+    header = ["fault", "the best CUSUM, one an hour (s)", "`watch`, one an hour (s)", "one a year (s)"]
+    return table([*header, "ratio at one an hour", "called by its name at once"], rows)
+
+
+def promises() -> str:
+    """Windows in a row that counting needs, by the number of healthy windows and the rate that is asked for."""
+    rates = {"an hour": 3600.0, "a day": 86_400.0, "a month": YEAR_S / 12.0, "a year": YEAR_S}
+    rows = [
+        [str(n), *(str(fewest_in_a_row(n, every_s / COUNTED_S, len(AXES))) for every_s in rates.values())]
+        for n in (4, 10, 20, 30, 100)
+    ]
+    return table(["healthy windows", *(f"one {name}" for name in rates)], rows)
 
 
 def windows() -> str:
@@ -107,6 +121,11 @@ def sizes() -> str:
 def parts() -> dict[str, dict[str, str]]:
     """Tables by page and mark."""
     return {
-        "howto/watch": {"false alarms": watch_alarms(), "delays": watch_delays(), "windows": windows()},
+        "howto/watch": {
+            "false alarms": watch_alarms(),
+            "delays": watch_delays(),
+            "windows": windows(),
+            "promises": promises(),
+        },
         "results/embedded": {"false alarms": code_alarms(), "delays": delays(), "sizes": sizes()},
     }

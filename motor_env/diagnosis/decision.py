@@ -49,6 +49,7 @@ from motor_env.motor.parameters import FloatArray
 DEFAULT_FALSE_ALARM_RATE = 0.01
 _TELLING_WARMTH_K = 8.0
 _DOUBLED, _TENFOLD = 1.0, 9.0
+_NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
 
 
 class Limits(NamedTuple):
@@ -76,16 +77,24 @@ def limits_of(views: list[View], rate: float, *, tests_noise: bool) -> Limits:
     return Limits(share, -float(stdtrit(freedom, share)), -float(stdtrit(freedom, noise)))
 
 
-def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
+def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None = None) -> Judgement:
     """The judgement on a fit against a reference, at a rate of false alarms per healthy piece.
 
     The load may be unknown: there is an alarm only if every load that is believed possible leaves one.
+
+    Args:
+        fit: of the piece.
+        reference: of the healthy motor.
+        rate: of false alarms.
+        alarm: whether there is one, where that is decided elsewhere, as from several pieces.
     """
     views = views_of(fit, reference, rate)
     limits = limits_of(views, rate, tests_noise=reference.log_noise is not None)
     # A data sheet speaks of a motor without a load; there, loads only help to name what stands out.
     believed = views if reference.includes_fit_error else views[:1]
     quiet = next((view for view in believed if not view.is_alarm(limits.z, limits.share)), None)
+    if alarm is not None:
+        quiet = None if alarm else views[0]
     view = quiet or views[0]
     same_warmth = covariance_at_one_temperature(fit, reference)
     # As fitted: those of a view are straightened, for tests that the temperature shall not raise.
@@ -112,7 +121,8 @@ def decide(fit: Fitted, reference: Reference, rate: float) -> Judgement:
         smallest_changes=smallest_of(believed, reference.own_friction, limits.z),
     )
     if quiet is None:
-        return as_wear(_with_alarm(healthy, reference, views, log_ratios, limits.z, rate=rate))
+        limit = limits.z if alarm is None else min(limits.z, _NAMED)
+        return as_wear(_with_alarm(healthy, reference, views, log_ratios, limit, rate=rate))
     # Healthy pieces may scatter by their load; that is no defect of this one.
     spread = view.difference.covariance
     if reference.includes_fit_error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -279,13 +278,6 @@ def rectified_mean(current: FloatArray, noise_a: float) -> FloatArray:
     z = np.clip(current / noise_a, -40.0, 40.0)
     mean: FloatArray = current * ndtr(z) + noise_a * np.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi)
     return mean
-
-
-def joined(parts: Sequence[Record]) -> Record:
-    """Records in a row, which are alike in all but their samples."""
-    columns = [(part.voltage_v, part.readings, part.marks) for part in parts]
-    voltage_v, readings, marks = (np.concatenate(column) for column in zip(*columns, strict=True))
-    return replace(parts[0], voltage_v=voltage_v, readings=readings, marks=marks)
 
 
 def _shifted(values: FloatArray, samples: float) -> FloatArray:

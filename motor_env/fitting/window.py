@@ -6,8 +6,9 @@ What may change is R, K, J and the drag, a factor f on the whole friction; every
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.fit import without_lines
 from motor_env.fitting.problem import STEP, Problem, Solution
-from motor_env.fitting.record import Record, joined
+from motor_env.fitting.record import Record
 from motor_env.fitting.terms import NOISES, terms
 from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import capped, information_covariance, motor_places
@@ -68,31 +69,61 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
     return WindowFit(logs, capped(slope @ spread[np.ix_(at, at)] @ slope), values, whitened, best.misfit)
 
 
-def first_steps(
-    parts: Sequence[Record], known: FloatArray, wanted: Sequence[str], peaks: tuple[float, float, float]
-) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """How R, K, J and the drag of each part of a window seem to differ: logarithms, and their covariance.
+class Scores(NamedTuple):
+    """What sections of a record say of small changes: of the logarithms of R, K, J and the drag, and of the loads.
 
-    It is the first step of a fit (a score test): linear, so that its error is known however little a part tells.
+    Attributes:
+        gradients: of half the sum of squared innovations, shape (n, n_unknowns).
+        information: Fisher's, shape (n, n_unknowns, n_unknowns).
+        precision: what is believed beforehand, shape (n_unknowns,).
+    """
+
+    gradients: FloatArray
+    information: FloatArray
+    precision: FloatArray
+
+    def steps(self) -> tuple[FloatArray, FloatArray]:
+        """The first step of a fit of each (a score test), shape (n, 4), and its covariance, shape (n, 4, 4).
+
+        It is linear, so that its error is known however little a section tells.
+        """
+        spread: FloatArray = np.asarray(
+            np.linalg.inv(self.information + np.diag(self.precision)), dtype=np.float64
+        )
+        step: FloatArray = -np.einsum("nij,nj->ni", spread, self.gradients)
+        return step[:, : len(_MOTOR)], spread[:, : len(_MOTOR), : len(_MOTOR)]
+
+
+def scores(
+    record: Record,
+    known: FloatArray,
+    wanted: Sequence[str],
+    peaks: tuple[float, float, float],
+    ends: Sequence[int],
+) -> Scores:
+    """Scores of the sections of a record between given samples; the filter runs through.
 
     Args:
-        parts: with at least two samples each.
+        record: with at least two samples.
         known: physical values of the healthy motor, shape (places.N_VALUES,).
         wanted: terms of its windows.
         peaks: largest voltage, current and speed of its work.
+        ends: first sample of the first section, and where each ends.
     """
     others = [name for name in _LOADS if name in wanted]
-    problem, theta = _problem(joined(parts), known, others, peaks)
+    problem, theta = _problem(record, known, others, peaks)
     white, slopes = _slopes(problem, theta)
+    slopes[_MOTOR.index("drag")] *= known[places.DRAG]  # of its logarithm
     belief = [_UNTOLD] * len(_MOTOR) + [term.prior_sd for term in problem.free[len(_MOTOR) :]]
-    precision = np.diag(np.power(belief, -2.0))
-    per_log, n = np.array([1.0, 1.0, 1.0, 1.0 / known[places.DRAG]]), len(_MOTOR)
-    ends = np.cumsum([len(part.voltage_v) for part in parts])
-    for first, end in zip([0, *ends[:-1]], ends, strict=True):
-        some = slopes[:, first:end].reshape(len(theta), -1)
-        spread = np.linalg.inv(some @ some.T + precision)
-        step = -spread @ (some @ white[first:end].ravel())
-        yield per_log * step[:n], spread[:n, :n] * np.outer(per_log, per_log)
+    some = [
+        (slopes[:, first:end].reshape(len(theta), -1), white[first:end].ravel())
+        for first, end in pairwise(ends)
+    ]
+    return Scores(
+        np.array([slope @ innovations for slope, innovations in some]),
+        np.array([slope @ slope.T for slope, _ in some]),
+        np.power(belief, -2.0),
+    )
 
 
 def _problem(
@@ -115,12 +146,16 @@ def _problem(
 
 
 def _slopes(problem: Problem, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Whitened innovations, shape (n, n_channels), and their derivatives, (n_unknowns, n, n_channels)."""
+    """Whitened innovations, shape (n, n_channels), and their derivatives, (n_unknowns, n, n_channels).
+
+    Wild innovations are cut, but not their derivatives: where a fault makes all of them wild, it is seen.
+    """
     base = _white(problem, theta)
     slopes = [(_white(problem, theta + STEP * axis) - base) / STEP for axis in np.eye(len(theta))]
-    return base, np.array(slopes)
+    return np.clip(base, -_WILD, _WILD), np.array(slopes)
 
 
 def _white(problem: Problem, theta: FloatArray) -> FloatArray:
     out, _ = problem.record.predict(problem.values(theta))
-    return np.clip(out[:, :2][:, problem.record.seen > 0.0], -_WILD, _WILD)
+    white: FloatArray = out[:, :2][:, problem.record.seen > 0.0]
+    return white

@@ -44,6 +44,8 @@ def run(
     seen = State.load(state, _digest(motor), identity(name))
     seen.header = columns or seen.header
     watcher = Watch(known, seen, false_alarms_per_year=false_alarms_per_year)
+    if watcher.promise:
+        sys.stderr.write(f"{watcher.promise}\n")
     before = seen.last_read.encode("latin-1")
     pieces = source(name, follow=follow, baud=baud, offset=seen.offset, last_read=before)
     with suppress(KeyboardInterrupt), showing(seen.counts) as show:  # Ctrl-C is the usual end of a watch

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Self
 
+import numpy as np
+
 from motor_env.console import ExitStatus, worst
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.errors import InputError
@@ -31,6 +33,7 @@ class State:
         last_read: the last of these bytes, a letter each: whether a file is still the one that was read.
         counts: verdicts of windows and kinds of other events.
         header: line that names the columns.
+        memory: evidence and what was learned since the commissioning, see `Vigil.memory`.
     """
 
     motor: str = ""
@@ -39,6 +42,7 @@ class State:
     last_read: str = ""
     counts: Counter[str] = field(default_factory=Counter)
     header: str = ""
+    memory: dict[str, list[float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require(
@@ -49,6 +53,10 @@ class State:
             len(self.last_read) == min(self.offset, BLOCK_BYTES)
             and max(self.last_read, default="") <= "\xff",
             f"last_read must be the last {BLOCK_BYTES} of the offset's bytes",
+        )
+        require(
+            bool(np.isfinite([value for row in self.memory.values() for value in row]).all()),
+            "memory must be finite numbers",
         )
         for name in self.counts:
             if name.startswith(WINDOW):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from array import array
 from codecs import BOM_UTF8
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from motor_env.diagnosis.running.lessons import FEWEST_WINDOWS, learn_windows
-from motor_env.diagnosis.running.looks import Looks
-from motor_env.diagnosis.running.windows import averaged, judge_of
+from motor_env.diagnosis.running.vigil import CONTEXT, YEAR_S, Vigil
+from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, averaged, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError, require_options
 from motor_env.live.events import Event, Seldom
@@ -31,7 +31,6 @@ from motor_env.recordings.headers import understand
 from motor_env.recordings.plausible import LARGEST_CURRENT_A
 from motor_env.recordings.recording import Recording, evened
 
-YEAR_S = 365.25 * 86_400.0
 STUCK_AFTER = 200
 _GAP_STEPS = 20.0
 _SAME_STEP = 0.2
@@ -87,21 +86,27 @@ class Watch:
     Args:
         healthy: what windows of the healthy motor have taught, or what is to be learned from the stream.
         state: what has been seen so far.
-        false_alarms_per_year: of a healthy motor that always runs; each window has its share, half of it
-            for what is said before the window ends.
+        false_alarms_per_year: of a healthy motor that always runs.
+
+    Raises:
+        InputError: the state holds the memory of another motor.
     """
 
     def __init__(self, healthy: Healthy | Lesson, state: State, *, false_alarms_per_year: float) -> None:
         require_options(false_alarms_per_year=false_alarms_per_year)
         self.state = state
         self.healthy = None if isinstance(healthy, Lesson) else healthy
-        self._motor = healthy if isinstance(healthy, Lesson) else judge_of(healthy)
-        self.rate = min(false_alarms_per_year * self._pace.window_s / YEAR_S, 0.5) / 2.0
+        self._per_year = false_alarms_per_year
+        self._motor: Lesson | WindowJudge
+        self._vigil: Vigil | None = None
+        if isinstance(healthy, Lesson):
+            self._motor = healthy
+        else:
+            self._guard(healthy, state.memory)
+        self.rate = min(false_alarms_per_year * self._pace.window_s / YEAR_S, 0.5)
         self._columns: list[tuple[int, float]] = []
         self._window, self._before = array("d"), array("d")
-        self._looks: Looks | None = None
-        self._looked, self._next_look_s = 0, math.inf
-        self._at: FloatArray | None = None  # logarithms over the healthy motor in the last healthy window
+        self._heard_s, self._next_piece_s = 0.0, math.inf  # of this window; the end of the next piece
         self._last: list[float] | None = None
         self._same = 0
         self._step_s: float | None = None  # between samples, once it was that of the healthy windows
@@ -110,6 +115,20 @@ class Watch:
         self._seldom = Seldom()
         if state.header and not self._read_header(state.header):
             raise InputError(f"columns must name {', '.join(_QUANTITIES)}, got {state.header[:80]!r}")
+
+    def _guard(self, healthy: Healthy, memory: dict[str, list[float]] | None = None) -> None:
+        self.healthy, self._motor = healthy, judge_of(healthy)
+        self._vigil = Vigil(self._motor, healthy, self._per_year, memory)
+
+    @property
+    def _ends(self) -> Callable[[FittedWindow], bool] | None:
+        """What decides on a whole window."""
+        return None if self._vigil is None else self._vigil.ended
+
+    @property
+    def promise(self) -> str:
+        """What holds of the rate of false alarms, in words; empty before anything is learned."""
+        return "" if self._vigil is None else self._vigil.promise
 
     @property
     def _pace(self) -> Windows | Lesson:
@@ -171,33 +190,35 @@ class Watch:
             else:
                 self._streamed_s += step
         if not self._window:
-            self._looks, self._looked, self._next_look_s = None, 0, math.inf
-            # Behind a gap another motor may run: looks follow a healthy window only.
-            if self._at is not None and not isinstance(self._motor, Lesson):
-                self._looks = Looks(self._motor, self.rate, self._at)
-                self._next_look_s = sample[0] + self._looks.every_s
+            self._heard_s, self._next_piece_s = sample[0], math.inf
+            if self._vigil is not None:
+                self._vigil.begin()
+                self._next_piece_s = sample[0] + self._vigil.piece_s
         self._window.extend(sample)
         if sample[0] - self._window[0] >= self._pace.window_s:
+            yield from self._heard()
             self._before, self._window = self._window, array("d")
-            yield self._ended(_columns(self._before))
-        elif self._looks and sample[0] >= self._next_look_s:
-            yield from self._look(self._looks)
+            event = self._ended(_columns(self._before))
+            if self._vigil is not None:  # before it is said: with it the state is kept
+                self.state.memory = self._vigil.memory
+            yield event
+        elif sample[0] >= self._next_piece_s:
+            yield from self._heard()
 
-    def _look(self, looks: Looks) -> Iterator[Event]:
-        """What a look says, if it is an alarm; then the window's end is waited for."""
-        self._looked += 1
-        self._next_look_s += looks.every_s
-        if due := looks.due(self._looked):
-            step_s = (self._time_s - self._window[0]) / (len(self._window) // len(_QUANTITIES) - 1)
-            needed = len(_QUANTITIES) * math.ceil(looks.needed_s(due[0]) / step_s)
-            last = self._window[-needed:]
-            if len(last) < needed and self._before:
-                last = self._before[len(last) - needed :] + last
-            if alarm := looks.at_end(_recording(_columns(last), self._step_s), due):
-                self._next_look_s = math.inf
-                # Part of these samples may be healthy: how large the fault is shows only at the window's end.
-                span_s = round(self._time_s - alarm.begin_s, 6)
-                yield replace(self._judged(alarm), ratios={}, undecided=(), span_s=span_s)
+    def _heard(self) -> Iterator[Event]:
+        """What the window says up to now, if it is an alarm."""
+        vigil = self._vigil
+        if vigil is None:
+            return
+        samples = self._before[-CONTEXT * len(_QUANTITIES) :] + self._window
+        is_alarm = vigil.heard(_recording(_columns(samples), self._step_s), self._heard_s)
+        self._heard_s = self._time_s
+        self._next_piece_s += vigil.piece_s
+        if is_alarm:
+            whole = _recording(_columns(self._before + self._window), self._step_s)
+            if alarm := vigil.alarm(whole, self.rate):
+                # How large the fault is shows only at the window's end.
+                yield replace(self._judged(alarm), ratios={}, undecided=(), span_s=round(alarm.duration_s, 6))
 
     def _ended(self, columns: dict[str, FloatArray]) -> Event:
         for name in ("current", "speed"):
@@ -211,8 +232,10 @@ class Watch:
         if isinstance(self._motor, Lesson):
             return self._taught(recording, self._motor)
         try:
-            return self._judged(self._motor.judge(recording, self.rate)[0][0])
+            return self._judged(self._motor.judge(recording, self.rate, self._ends)[0][0])
         except UnusableError as error:
+            if self._vigil is not None:
+                self._vigil.cut()
             return Event(self._time_s, "window", "unusable", reason=str(error))
 
     def _taught(self, recording: Recording, lesson: Lesson) -> Event:
@@ -222,17 +245,15 @@ class Watch:
         if learned_s < lesson.learn_s * (1.0 - 1e-9):
             return Event(self._time_s, "learning", words)
         try:
-            self.healthy, _ = learn_windows(lesson.recordings, lesson.window_s, steady=lesson.steady)
+            healthy, _ = learn_windows(lesson.recordings, lesson.window_s, steady=lesson.steady)
         except UnusableError as error:
             lesson.recordings.clear()
             return Event(self._time_s, "not_learned", str(error))
-        self._motor = judge_of(self.healthy)
-        return Event(self._time_s, "learned", words)
+        self._guard(healthy)
+        return Event(self._time_s, "learned", f"{words}: {self.promise}")
 
     def _judged(self, window: Judgement) -> Event:
         ratios = {change.name: change.ratio for change in window.changes}
-        if window.verdict is Verdict.HEALTHY:
-            self._at = np.log(list(ratios.values()))
         # No wear moves both.
         if window.verdict is Verdict.OTHER and {"K", "J"} <= {
             change.name for change in window.changes if change.significant
@@ -251,7 +272,9 @@ class Watch:
         )
 
     def _broken(self, kind: str, text: str) -> Event:
-        self._window, self._before, self._at = array("d"), array("d"), None
+        self._window, self._before = array("d"), array("d")
+        if self._vigil is not None:
+            self._vigil.cut()
         return Event(self._time_s, kind, text)
 
     @property

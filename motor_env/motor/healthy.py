@@ -54,6 +54,47 @@ class Starts:
 
 
 @dataclass(frozen=True, slots=True)
+class Scale:
+    """What healthy pieces of one length have taught: of the logarithms of R, K, J and B over the healthy ones.
+
+    The states are those of `running.pieces`: standing, creeping, turning slowly or fast, each by direction.
+
+    Attributes:
+        halvings: a window's length over that of a piece, as a power of 2.
+        counts: pieces by state, shape (n_states,).
+        centres: mean by state, shape (n_states, 4).
+        covariances: by state, of what is whitened by the fit's own error, shape (n_states, 4, 4).
+        freedom: degrees of freedom of their tails (Student's t).
+        information: mean inverse of a piece's covariance, shape (4, 4).
+        wander: covariance of how far a healthy motor may stay off these centres, shape (4, 4).
+        healthy_windows: number of windows that have taught it.
+    """
+
+    halvings: Annotated[int, Field(ge=0, le=20)]
+    counts: Annotated[FloatArray, ArrayOf(tuple[NotNegative, ...])]
+    centres: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
+    covariances: Annotated[FloatArray, ArrayOf(tuple[tuple[tuple[Finite, ...], ...], ...])]
+    freedom: Positive
+    information: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
+    wander: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
+    healthy_windows: Annotated[int, Field(ge=2)]
+
+    def __post_init__(self) -> None:
+        n = len(self.counts)
+        require(
+            np.shape(self.centres) == (n, 4)
+            and np.shape(self.covariances) == (n, 4, 4)
+            and np.shape(self.wander) == np.shape(self.information) == (4, 4),
+            f"healthy.windows.scales: counts has {n} states; the other tables must go with them",
+        )
+        require(
+            bool((np.linalg.eigvalsh(self.covariances) > 0.0).all())
+            and np.linalg.eigvalsh(self.wander)[0] >= -1e-12,
+            "healthy.windows.scales: covariances must be positive definite",
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Windows:
     """How the healthy pieces were recorded and fitted, where they are windows of the motor at work.
 
@@ -68,8 +109,10 @@ class Windows:
         peaks: largest voltage, current and speed of the windows: the scale of what is small; 1 each unless given.
         window_excess: by which factor windows scatter more than is believed of them: what they have taught, or
             their own errors where these are larger (variance).
-        excess: by which factor halves, quarters, ... of a window scatter more than is believed of them (variance);
-            without it no part of a window is judged.
+        scales: what healthy pieces of windows have taught, the shortest first and whole windows last; none for
+            windows that were not watched.
+        most: how far the farthest healthy window is off along each of `running.scales.AXES`.
+        replayed: how often these windows alarm, judged by what the others teach, at thresholds of 4, 16, 64, ...
     """
 
     window_s: Positive
@@ -81,7 +124,9 @@ class Windows:
     rms_volts: tuple[Positive, Positive] | None = None
     peaks: tuple[Positive, Positive, Positive] | None = None
     window_excess: Positive = 1.0
-    excess: tuple[Positive, ...] = ()
+    scales: tuple[Scale, ...] = ()
+    most: tuple[Finite, ...] = ()
+    replayed: tuple[Annotated[int, Field(ge=0)], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

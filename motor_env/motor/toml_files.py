@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import reprlib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -138,9 +138,17 @@ def _dataclasses(hint: Any) -> Any:
         yield from _dataclasses(argument)
 
 
-def toml_text(top: Mapping[str, Any], tables: Mapping[str, Mapping[str, Any]]) -> str:
-    """The text of a TOML file: what stands in no table, then the tables; what is None is left out."""
-    return "\n".join([_lines(top), *(f"[{name}]\n{_lines(table)}" for name, table in tables.items())])
+def toml_text(
+    top: Mapping[str, Any], tables: Mapping[str, Mapping[str, Any] | Sequence[Mapping[str, Any]]]
+) -> str:
+    """The text of a TOML file: what stands in no table, then tables and rows of them; what is None is left out."""
+    texts = [_lines(top)]
+    for name, table in tables.items():
+        if isinstance(table, Mapping):
+            texts.append(f"[{name}]\n{_lines(table)}")
+        else:
+            texts += [f"[[{name}]]\n{_lines(row)}" for row in table]
+    return "\n".join(texts)
 
 
 def _lines(table: Mapping[str, Any]) -> str:

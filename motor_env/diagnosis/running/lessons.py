@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from motor_env.diagnosis.learning import WINDOW_SPREAD, next_piece
+from motor_env.diagnosis.running.pieces import Pieces, halvings_of, sections_of
+from motor_env.diagnosis.running.replay import replay
+from motor_env.diagnosis.running.scales import learn_scale, places_on_axes
 from motor_env.diagnosis.running.windows import (
     MOST_SAMPLES,
     NAMES,
     NEEDED,
     FittedWindow,
-    is_closed,
+    WindowJudge,
     judge_of,
     over_speed,
     rms_volts,
@@ -26,7 +29,7 @@ from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.uncertainty import beyond
 from motor_env.fitting.window import fit_window
-from motor_env.motor.healthy import Healthy, Windows
+from motor_env.motor.healthy import Healthy, Scale, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
@@ -38,9 +41,6 @@ TEMPERATURE_K = 15.0
 _LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1  # standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart
 _NOISES = [places.NOISE_I, places.NOISE_W, places.NOISE_V, places.WALK]
-_MOST_HALVINGS = 6  # of a window, for looks at its parts
-_FEWEST_OF_A_LOOK = 8  # samples
-_SHORTEST_LOOK_S = 0.2  # so that there are 20 looks a second at most, which take a tenth of a core
 
 
 def learn_windows(
@@ -105,8 +105,8 @@ def learn_windows(
     believed = _squares(ratios, [covariance + beyond(covariance, fit.covariance) for fit in fits])
     taught = _squares(ratios, [covariance] * len(fits))
     windows = replace(windows, window_excess=sum(believed) / sum(taught))
-    windows = replace(windows, excess=tuple(_excess(records, ratios, healthy, window_s)))
-    return replace(healthy, windows=windows), found
+    healthy = replace(healthy, windows=windows)
+    return replace(healthy, windows=_with_scales(healthy, records, found)), found
 
 
 def _twentieth_s(recordings: Sequence[Recording]) -> float:
@@ -128,21 +128,48 @@ def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> lis
     return [float(off @ np.linalg.solve(spread, off)) / len(NAMES) for off, spread in pairs]
 
 
-def _excess(
-    records: Sequence[Record], ratios: Sequence[FloatArray], healthy: Healthy, window_s: float
-) -> Iterator[float]:
-    """By how much parts of windows scatter more than is believed of them: halves, quarters, and so on."""
-    judge, some = judge_of(healthy), slice(None, None, math.ceil(len(records) / MOST_LEARNED))
-    samples = min(len(record.voltage_v) for record in records)
-    shares = (2.0**_MOST_HALVINGS, samples / _FEWEST_OF_A_LOOK, window_s / _SHORTEST_LOOK_S)
-    for k in range(1, int(math.log2(max(min(shares), 1.0))) + 1):
-        length, squares = samples >> k, []
-        for record, at in zip(records[some], ratios[some], strict=True):
-            parts = [record.part(n * length, length) for n in range(2**k)]
-            found = judge.first_steps(parts, at)
-            closed = [one for part, one in zip(parts, found, strict=True) if is_closed(part)]
-            squares += _squares(*zip(*closed, strict=True)) if closed else []
-        yield max(float(np.mean(squares or 1.0)), 1.0)
+def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[FittedWindow]) -> Windows:
+    """What pieces of the windows teach of the next ones, and how these windows alarm by what the others teach."""
+    assert healthy.windows is not None  # noqa: S101  # it was learned from them
+    judge, steady = judge_of(healthy), not healthy.temperature_k
+    some = slice(None, None, math.ceil(len(records) / MOST_LEARNED))
+    lengths = halvings_of(healthy.windows.window_s, min(len(record.voltage_v) for record in records))
+    windows = [_pieces_of(judge, *pair, lengths) for pair in zip(records[some], found[some], strict=True)]
+
+    def taught(others: Sequence[Sequence[Pieces]]) -> tuple[Scale, ...]:
+        return tuple(
+            learn_scale(
+                halvings,
+                [window[n] for window in others],
+                0.0 if steady else WINDOW_SPREAD,
+                temperature_k=healthy.temperature_k,
+                steady=steady,
+            )
+            for n, halvings in enumerate(lengths)
+        )
+
+    scales = taught(windows)
+    each = [taught([*windows[:n], *windows[n + 1 :]]) for n in range(len(windows))]
+    places = [places_on_axes(scales[-1], window[-1]).distances[0] for window in windows]
+    return replace(
+        healthy.windows,
+        scales=scales,
+        most=tuple(np.max(places, axis=0).tolist()),
+        replayed=tuple(replay(each, windows)),
+    )
+
+
+def _pieces_of(judge: WindowJudge, record: Record, fit: FittedWindow, lengths: Sequence[int]) -> list[Pieces]:
+    """Pieces of a window of each length; the longest is the window, as it was fitted."""
+    at = fit.log_values - judge.reference.log_values
+    window = Pieces(at[None], fit.log_covariance[None], np.zeros(1, dtype=np.intp))
+    ends = np.linspace(0, len(record.voltage_v), 2 ** lengths[0] + 1).round().astype(int).tolist()
+    fastest = (judge.windows.peaks or (1.0, 1.0, 1.0))[2]
+    sections = sections_of(judge, record, np.zeros(len(NAMES)), ends)
+    return [
+        *(sections.pieces(2 ** (lengths[0] - k), np.zeros(len(NAMES)), fastest) for k in lengths[:-1]),
+        window,
+    ]
 
 
 def known_of(joint: Operation) -> FloatArray:

@@ -9,7 +9,7 @@ reverse do, a load that varies slowly is unknown in each window; elsewhere it is
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -21,11 +21,10 @@ from motor_env.diagnosis.sensors.checks import Seen, failure_in
 from motor_env.diagnosis.sensors.failed import judgement_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
-from motor_env.fitting import kernel, places
+from motor_env.fitting import places
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import block_means, from_recordings, missing_blocks
-from motor_env.fitting.uncertainty import beyond
-from motor_env.fitting.window import WindowFit, first_steps, fit_window
+from motor_env.fitting.window import WindowFit, fit_window
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
@@ -46,7 +45,7 @@ WARMTH = quantities.warmth_direction(EXPONENTS)
 class FittedWindow:
     """A fitted window: logarithms of R, K, J and of the drag over the speed, shape (4,), their covariance, innovations.
 
-    The innovations of current and speed are over their standard deviations, shape (n, 2); none in a look.
+    The innovations of current and speed are over their standard deviations, shape (n, 2); none of a short piece.
     """
 
     log_values: FloatArray
@@ -94,11 +93,6 @@ def windows_of(recording: Recording, window_s: float) -> list[Recording]:
     return [cut(recording, slice(n * length, (n + 1) * length)) for n in range(count)]
 
 
-def is_closed(part: Record) -> bool:
-    """Whether the circuit seems closed throughout: a few samples without a current may only look open."""
-    return kernel.OPEN not in part.marks
-
-
 def over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: float) -> FittedWindow:
     """A window's fit with the drag over the speed instead of a factor on the drag of the physical values."""
     drag = math.log(viscous(physical, speed_rad_s))
@@ -130,26 +124,22 @@ class WindowJudge:
         fit = fit_window(replace(record, hold=self.windows.hold), self.physical(), self.windows.terms)
         return over_speed(fit, self.windows.physical, self.windows.speed_rad_s)
 
-    def first_steps(self, parts: Sequence[Record], at: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """How far parts of windows seem to be from the healthy motor, and its spread: logarithms of R, K, J, drag.
-
-        Args:
-            parts: of one window or several.
-            at: where the motor is thought to be by now, shape (4,): the nearer, the better a linear step.
-        """
-        spread, peaks = self.reference.log_covariance, self.windows.peaks or (1.0, 1.0, 1.0)
-        for step, error in first_steps(parts, self.physical(at), self.windows.terms, peaks):
-            yield at + step, spread + beyond(spread, error)
-
     def is_sampled_alike(self, recording: Recording) -> bool:
         """Whether the sampling interval is about that of the healthy windows."""
         return 1.0 / _REGIME <= recording.dt_s / self.windows.dt_s <= _REGIME
 
-    def judge(self, recording: Recording, rate: float) -> tuple[list[Judgement], int]:
+    def judge(
+        self, recording: Recording, rate: float, is_alarm: Callable[[FittedWindow], bool] | None = None
+    ) -> tuple[list[Judgement], int]:
         """A judgement on each window, and how many windows there are; together they alarm at the rate (Bonferroni).
 
         Of more than MANY windows MOST_JUDGED are judged: half of them evenly spread, half those that the healthy motor
         explains worst. The rate is still shared by all.
+
+        Args:
+            recording: of the motor at work.
+            rate: of false alarms.
+            is_alarm: decides on a window's fit, where it is not judged by itself.
 
         Raises:
             UnusableError: the record is outside the commissioned regime, or shorter than a window.
@@ -167,7 +157,7 @@ class WindowJudge:
                 f"outside the commissioned regime: {volts:.3g} V effective, commissioned {low:.3g} to {high:.3g} V"
             )
         chosen = range(len(parts)) if len(parts) <= MANY else self._chosen(sampled, parts)
-        return [self._judged(parts[n], rate / len(parts)).on(parts[n]) for n in chosen], len(parts)
+        return [self._judged(parts[n], rate / len(parts), is_alarm).on(parts[n]) for n in chosen], len(parts)
 
     def _chosen(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
         """Places of the windows that are judged, of many."""
@@ -194,7 +184,9 @@ class WindowJudge:
         )
         return None if found is None else judgement_of(found)
 
-    def _judged(self, part: Recording, rate: float) -> Judgement:
+    def _judged(
+        self, part: Recording, rate: float, is_alarm: Callable[[FittedWindow], bool] | None
+    ) -> Judgement:
         failed = self.failed_sensor(part)
         if failed is not None:
             return failed
@@ -202,7 +194,7 @@ class WindowJudge:
             fit = self.fitted(from_recordings([part]))
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
-        return decide(fit, self.reference, rate)
+        return decide(fit, self.reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
 
 
 def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float | None = None) -> WindowJudge:

@@ -22,8 +22,7 @@ from motor_env import (
     watch,
 )
 from motor_env.diagnosis.commission import commission
-from motor_env.diagnosis.running.looks import Looks
-from motor_env.diagnosis.running.windows import NAMES, judge_of
+from motor_env.diagnosis.running.windows import NAMES
 from motor_env.fitting import places
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
@@ -48,9 +47,7 @@ def taught() -> Healthy:
     physical[places.B] = float(np.mean(p.viscous_friction_n_m_s_per_rad))
     physical[[places.NOISE_I, places.NOISE_W]] = 0.02, 1.0
     terms = ("R", "K", "J", "B", "noise_current", "noise_speed")
-    windows = Windows(
-        1.0, terms, physical, "late", DT_S, 200.0, (3.0, 9.0), (10.0, 6.0, 430.0), excess=(1.5,) * 3
-    )
+    windows = Windows(1.0, terms, physical, "late", DT_S, 200.0, (3.0, 9.0), (10.0, 6.0, 430.0))
     quantities = physical[[places.R, places.K, places.J, places.B]]
     spread = np.diag([0.005, 0.005, 0.005, 0.06]) ** 2
     return Healthy(20, 23.0, NAMES, quantities, spread, temperature_k=0.0, windows=windows)
@@ -164,17 +161,6 @@ def streamed(columns: Columns) -> list[str]:
 def test_a_stream_with_holes_is_judged_and_one_that_changes_its_rate_is_not() -> None:
     assert streamed(holed(log("healthy"), "all at steps")) == ["healthy"] * 3
     assert streamed(log("healthy", 5)) == ["healthy", "unusable", "unusable"]
-
-
-def test_a_look_at_another_sampling_interval_says_nothing() -> None:
-    looks = Looks(judge_of(HEALTHY), 0.05, np.zeros(4))
-    worn = simulated("bearing")
-    for every, is_said in ((4, True), (9, False)):
-        some = {name: values[:4000:every] for name, values in worn.items()}
-        recording = Recording(
-            Path("x"), some["time_s"], some["current_a"], some["voltage_v"], some["speed_rad_s"]
-        )
-        assert (looks.at_end(recording, [1]) is not None) is is_said
 
 
 @pytest.mark.long

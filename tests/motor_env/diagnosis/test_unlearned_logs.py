@@ -127,7 +127,7 @@ def test_the_reference_of_a_log_by_hand() -> None:
     taught = judge.windows
     speed = float(np.sqrt(np.mean(np.square(np.asarray(log().speed_rad_s)))))
     assert (taught.window_s, taught.speed_rad_s, taught.dt_s) == pytest.approx((0.8, speed, DT_S))
-    assert (taught.terms, taught.hold, taught.rms_volts, taught.excess) == (TERMS, "late", None, ())
+    assert (taught.terms, taught.hold, taught.rms_volts, taught.scales) == (TERMS, "late", None, ())
     assert taught.physical[places.HEATING] == taught.physical[places.COOLING] == 0.0
     # Starts hold errors of other fits: the windows' own come on top, and their scatter is that of starts.
     starts = of_starts()

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -38,7 +38,7 @@ from motor_env.diagnosis.loaded import Drag
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running import lessons, windows
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.running.looks import Looks
+from motor_env.diagnosis.running.pieces import Pieces, halvings_of
 from motor_env.diagnosis.running.windows import (
     EXPONENTS,
     NAMES,
@@ -46,24 +46,22 @@ from motor_env.diagnosis.running.windows import (
     FittedWindow,
     WindowJudge,
     averaged,
-    is_closed,
     judge_of,
     over_speed,
     rms_volts,
     viscous,
     windows_of,
 )
-from motor_env.diagnosis.sensors.checks import free_run
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature
-from motor_env.fitting import kernel, places
+from motor_env.fitting import places
 from motor_env.fitting.record import Record
 
 # Reaches in: judgements rest on fits and records made by hand, off in the direction of a fault.
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
-from motor_env.fitting.window import WindowFit, first_steps
+from motor_env.fitting.window import WindowFit
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction
 from motor_env.motor.parameters import FloatArray
@@ -85,7 +83,6 @@ WINDOWS = Windows(
     rms_volts=(6.0, 8.0),
     peaks=(9.0, 3.0, 200.0),
     window_excess=0.7,
-    excess=(1.1, 1.3, 1.6),
 )
 HEALTHY = Healthy(
     pieces=12,
@@ -168,7 +165,8 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """Instead of fits: a window is off by nearly nothing; and its rates are noted."""
     rates: list[float] = []
 
-    def deciding(fit: FittedWindow, reference: Reference, rate: float) -> Judgement:
+    def deciding(fit: FittedWindow, reference: Reference, rate: float, *, alarm: bool | None) -> Judgement:
+        assert alarm is None  # each window by itself
         rates.append(rate)
         return decide(fit, reference, rate)
 
@@ -478,163 +476,6 @@ def test_a_measured_temperature_is_taken_off_as_if_it_were_that_of_the_healthy_w
     assert found.severity == pytest.approx(as_warm.severity)
 
 
-def looks(healthy: Healthy = HEALTHY, rate: float = 0.04) -> Looks:
-    return Looks(judge_of(healthy), rate, np.zeros(4))
-
-
-def test_looks_share_their_rate() -> None:
-    """Four looks while a part passes, all lengths alike; those that overlap alarm together."""
-    found, together = looks(), 1.0 - 0.5 * 0.04**0.2
-    for k in (1, 2, 3):
-        assert found._rate(k) == pytest.approx(0.04 / together / 3.0 / (4.0 * 2.0**k), rel=1e-12)
-    assert found.every_s == 0.5 / 32.0
-    assert [found.due(n) for n in (1, 2, 4)] == [[3], [2, 3], [1, 2, 3]]
-    assert (found.needed_s(1), found.needed_s(3)) == (0.25, 0.0625)
-    assert looks(replace(HEALTHY, windows=replace(WINDOWS, dt_s=2e-3))).needed_s(3) == pytest.approx(
-        42 * 2e-3
-    )
-
-
-def test_the_freedom_of_a_look() -> None:
-    """What was learned of its spread counts with that freedom, the rest with 80 at most (Satterthwaite)."""
-    for share in (0.25, 1.0):
-        for k, more in ((1, 80.0), (3, 80.0)):
-            spread_ = HEALTHY.log_covariance * WINDOWS.excess[k - 1] / share
-            expected = 1.0 / (share**2 / 15.0 + 1.0 / more)
-            assert looks()._freedom(spread_, k) == pytest.approx(expected)
-    few = looks(replace(HEALTHY, pieces=4, degrees_of_freedom=7.0))  # 4 windows, a prior worth 4, a mean
-    learned = HEALTHY.log_covariance * 1.1
-    assert few._freedom(learned, 1) == pytest.approx(1.0 / (1.0 / 7.0 + 1.0 / (4 * 4 * 2)))
-    many = looks(replace(HEALTHY, degrees_of_freedom=1e9))
-    assert many._freedom(learned, 1) == pytest.approx(80.0, rel=1e-5)
-
-
-def part(n: int, open_at: int | None = None) -> Record:
-    marks = np.eye(1, n)[0]
-    if open_at is not None:
-        marks[open_at] = kernel.OPEN
-    return Record(1e-3, np.full(n, 7.0), np.zeros((n, 2)), np.ones(2), marks)
-
-
-def test_a_look_alarms_from_its_own_limit_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Far from warm: its steps always give the same ratios, so that an alarm is confirmed."""
-    covariance, k = np.eye(4) * 4e-4, 2
-    found = looks()
-    rate, scatter = found._rate(k), covariance * WINDOWS.excess[k - 1]
-    freedom = found._freedom(scatter, k)
-    asked: list[FloatArray] = []
-    for size in (0.998, 1.002):
-        off = off_by("bearing", size, scatter, freedom, rate)
-
-        def steps(
-            _: WindowJudge, parts: Sequence[Record], at: FloatArray, off: FloatArray = off
-        ) -> Iterator[tuple[FloatArray, FloatArray]]:
-            asked.append(at)
-            yield from ((off, covariance) for _ in parts)
-
-        monkeypatch.setattr(WindowJudge, "first_steps", steps)
-        (said,) = found.judgements([part(100)], [k])
-        assert (said is None) is (size < 1.0)
-    assert said is not None
-    assert said.verdict == "bearing"
-    assert said.changes[3].ratio == pytest.approx(math.exp(off[3]))
-    width = stats.t.isf(0.025, freedom) * math.sqrt(scatter[3, 3])
-    assert said.changes[3].high == pytest.approx(math.exp(off[3] + width))
-    assert len(asked) == 2 + 2 * 2  # two first steps; of the alarm a step that settles, under two beliefs
-    # The second step begins at the healthy motor that explains the first one best.
-    healthy = HEALTHY.log_covariance
-    np.testing.assert_allclose(asked[3], healthy @ np.linalg.solve(healthy + covariance, off), rtol=1e-9)
-    np.testing.assert_allclose(asked[5], 0.25 / (0.25 + 4e-4) * off, rtol=1e-9)
-    (said,) = found.judgements([part(100, open_at=50)], [k])
-    assert said is None
-    assert is_closed(part(9)) is True
-
-
-@pytest.mark.parametrize(("moved", "settles"), [(0.31, True), (0.32, False)])
-def test_steps_of_a_look_end_where_they_settle_or_soon(
-    moved: float, settles: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A step settles that moves the ratios by less than a tenth of a variance; there are 15 at most."""
-    off, error, asked = np.array([0.0, 0.0, 0.0, 3.0]), np.eye(4) * 4e-4, list[FloatArray]()
-
-    def steps(
-        _: WindowJudge, parts: Sequence[Record], at: FloatArray
-    ) -> Iterator[tuple[FloatArray, FloatArray]]:
-        asked.append(at)
-        yield off + np.eye(4)[3] * (len(asked) % 2 * moved * 0.02), error
-
-    monkeypatch.setattr(WindowJudge, "first_steps", steps)
-    (said,) = looks().judgements([part(100)], [2])
-    assert said is not None
-    assert len(asked) == 1 + 2 * (1 + (1 if settles else 15))
-
-
-def test_the_steps_of_a_look_lead_to_a_warmer_motor_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As far as 15 K (1 sd) beside the spread of healthy windows make it believable."""
-    off, error, asked = np.array([0.0, 0.0, 0.0, 3.0]), np.eye(4) * 4e-4, list[FloatArray]()
-
-    def steps(
-        _: WindowJudge, parts: Sequence[Record], at: FloatArray
-    ) -> Iterator[tuple[FloatArray, FloatArray]]:
-        asked.append(at)
-        yield from ((off, error) for _ in parts)
-
-    monkeypatch.setattr(WindowJudge, "first_steps", steps)
-    (said,) = looks(replace(HEALTHY, temperature_k=15.0)).judgements([part(100)], [2])
-    assert said is not None
-    prior = HEALTHY.log_covariance + 15.0**2 * np.outer(WARMTH, WARMTH)
-    np.testing.assert_allclose(asked[2], prior @ np.linalg.solve(prior + error, off), rtol=1e-9)
-
-
-def test_a_look_that_alarms_asks_for_the_sensors_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    dead = replace(recording(300), current_a=1e-3 * (np.arange(300.0) % 2.0))
-    monkeypatch.setattr(Looks, "judgements", lambda *_: [Judgement(Verdict.WINDING, ("worn",))])
-    driven, speed = free_run(looks().judge.physical(), np.asarray(dead.voltage_v), 1e-3)
-    for current_a, verdict in ((dead.current_a, "sensor"), (driven, "winding")):
-        judged = looks().at_end(replace(dead, current_a=current_a, speed_rad_s=speed), [1])
-        assert judged is not None
-        assert judged.verdict == verdict
-
-
-def test_a_look_ends_with_its_recording(monkeypatch: pytest.MonkeyPatch) -> None:
-    lengths: list[list[int]] = []
-
-    def judgements(_: Looks, parts: Sequence[Record], due: Sequence[int]) -> Iterator[Judgement | None]:
-        lengths.append([len(one.voltage_v) for one in parts])
-        assert all(one.readings[-1, 0] == 299.0 and one.hold == "late" for one in parts)
-        yield from (None if k < 3 else Judgement(Verdict.BEARING, ("worn",)) for k in due)
-
-    monkeypatch.setattr(Looks, "judgements", judgements)
-    found = looks().at_end(recording(300), [1, 2, 3])
-    assert lengths == [[250, 125, 62]]
-    assert found is not None
-    assert (found.verdict, found.reasons) == ("bearing", ("worn",))
-    assert (found.begin_s, found.duration_s) == pytest.approx((0.299 - 0.062, 0.062))
-    assert looks().at_end(recording(300), [1, 2]) is None
-    assert looks().at_end(recording(30), [1, 2, 3]) is None  # no record
-    assert looks().at_end(recording(61), [3]) is None  # no part
-    assert lengths[1:] == [[250, 125]]
-
-
-def test_parts_are_steps_from_where_the_motor_is_thought_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[Any] = []
-
-    def steps(parts: Sequence[Record], known: FloatArray, terms: Sequence[str], peaks: Any) -> Any:
-        given.append((known[[places.R, places.K, places.J, places.DRAG]], terms, peaks))
-        return iter([(np.array([0.01, 0.0, 0.0, 0.0]), np.diag([9e-4, 1e-9, 1e-9, 1e-9]))])
-
-    monkeypatch.setattr(windows, "first_steps", steps)
-    at = np.array([0.1, 0.0, -0.2, 0.0])
-    ((ratios, covariance),) = JUDGE.first_steps([part(9)], at)
-    np.testing.assert_allclose(ratios, [0.11, 0.0, -0.2, 0.0])
-    np.testing.assert_allclose(covariance, np.diag([9e-4, 1e-4, 9e-4, 16e-4]), atol=1e-12)
-    np.testing.assert_allclose(given[0][0], [*HEALTHY.values[:3], DRAG] * np.exp(at))
-    assert given[0][1:] == (WINDOWS.terms, WINDOWS.peaks)
-    assert first_steps is not steps
-    np.testing.assert_allclose(JUDGE.physical()[[places.R, places.DRAG, places.B]], [2.0, DRAG, 2e-6])
-    assert PHYSICAL[places.R] == 2.1  # what was learned stays as it was
-
-
 LOGS = np.random.default_rng(6).normal(0.0, 0.03, (6, 4))
 
 
@@ -658,7 +499,7 @@ class Lesson:
         self.values[[places.HEATING, places.COOLING]] = 5.0, 0.1
         monkeypatch.setattr(lessons, "identify_operation", self.identify)
         monkeypatch.setattr(lessons, "fit_window", self.fit)
-        monkeypatch.setattr(WindowJudge, "first_steps", lambda _, parts, at: self.steps(parts, at))
+        monkeypatch.setattr(lessons, "_pieces_of", self.pieces)
 
     def identify(self, recordings: Sequence[Recording], *, most: int) -> Any:
         self.joint.append(sum(len(one.time_s) for one in recordings))
@@ -678,11 +519,22 @@ class Lesson:
         error = self.error.copy() if len(self.wanted) <= 6 else np.diag([1e-4, 1e-4, 1e-4, 1e-4])
         return WindowFit(self.logs[number % 6], error, values, WHITE)
 
-    def steps(self, parts: Sequence[Record], at: FloatArray) -> Iterator[Any]:
-        n = len(parts)
-        followed = np.diff([part.readings[0, 0] for part in parts])
-        np.testing.assert_array_equal(followed, len(parts[0].voltage_v))  # one after the other
-        yield from ((at * (1.0 + 0.5 * n), np.diag([9e-4, 9e-4, 9e-4, 9e-4])) for _ in parts)
+    def pieces(
+        self, _: WindowJudge, record: Record, fit: FittedWindow, lengths: Sequence[int]
+    ) -> list[Pieces]:
+        """Of each length: where the window is, with an error for each of them."""
+        assert record.hold == "late"
+        assert lengths == halvings_of(len(record.voltage_v) * record.dt_s, len(record.voltage_v))
+        at, shape = fit.log_values - self.logs[0], [2**k for k in lengths]
+        rng = np.random.default_rng(1)
+        return [
+            Pieces(
+                at + 0.03 * rng.standard_normal((n, 4)),
+                np.tile(9e-4 * np.eye(4), (n, 1, 1)),
+                np.zeros(n, dtype=np.intp),
+            )
+            for n in shape
+        ]
 
 
 @pytest.mark.parametrize("steady", [False, True])
@@ -723,12 +575,9 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     assert (
         taught.window_excess < 0.99
     ) is steady  # where there is no prior some errors are larger than the spread
-    # Halves and so on: at is taken 1.5, 2.5, 4.5, ... times, with a spread of their own.
-    whole = np.linalg.inv(np.diag([9e-4] * 4))
-    one = np.mean([off @ whole @ off / 4.0 for off in logs - centre])
-    lengths = int(math.log2(min(2.0**6, 500 / 8, 0.5 / 0.2)))
-    expected = [max(one * (1.0 + 0.5 * 2**k) ** 2, 1.0) for k in range(1, lengths + 1)]
-    assert taught.excess == pytest.approx(expected)
+    (whole,) = taught.scales  # half a second is too short for shorter pieces
+    assert (whole.halvings, whole.counts[0], whole.healthy_windows) == (0, 6.0, 6)
+    assert (len(taught.most), len(taught.replayed)) == (8, 12)
 
 
 def taught(recordings: Sequence[Recording], window_s: float | None = None) -> Windows:
@@ -771,22 +620,21 @@ def test_logs_whose_holes_hide_the_steps_of_the_voltage_teach_nothing(
         learn_windows([recording(3100)], 0.5)
 
 
-def test_parts_are_looked_at_down_to_eight_samples_and_a_fifth_of_a_second(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    for window_s, dt_s, count in (
-        (0.5, 1e-3, 1),
-        (0.39, 1e-3, 0),
-        (0.41, 1e-3, 1),
-        (6.4, 0.1, 3),
-        (6.2, 0.1, 2),
-    ):
-        Lesson(monkeypatch)
-        found = taught([recording(round(4.2 * window_s / dt_s), dt_s=dt_s)], window_s)
-        assert len(found.excess) == count, window_s
-    Lesson(monkeypatch, scatter=0.01)
-    found = taught([recording(4 * 2000, dt_s=0.1)], 200.0)
-    assert found.excess == (1.0,) * 6  # parts that scatter less than is believed are believed as they are
+@pytest.mark.parametrize(
+    ("window_s", "samples", "halvings"),
+    [
+        (600.0, 600, (7, 4, 0)),  # four samples
+        (20.0, 2000, (6, 3, 0)),  # a fifth of a second
+        (25.6, 100_000, (7, 4, 0)),
+        (25.5, 100_000, (6, 3, 0)),
+        (600.0, 511, (6, 3, 0)),
+        (3600.0, 3600, (7, 4, 0)),  # a 128th
+        (0.8, 800, (2, 0)),  # no length that is nearly a window's
+        (0.5, 500, (0,)),
+    ],
+)
+def test_pieces_are_halves_of_halves(window_s: float, samples: int, halvings: tuple[int, ...]) -> None:
+    assert halvings_of(window_s, samples) == halvings
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from motor_env.fitting import fit as fitting, kernel, places, uncertainty
 from motor_env.fitting.beginnings import _sign, beginnings
 from motor_env.fitting.identify import Operation, identify_operation, identify_record
 from motor_env.fitting.problem import Problem, Solution
-from motor_env.fitting.record import Hold, joined
+from motor_env.fitting.record import Hold
 from motor_env.fitting.recorded import (
     at_terminals,
     block_means,
@@ -34,7 +34,7 @@ from motor_env.fitting.recorded import (
 from motor_env.fitting.score import ScoreTest, candidates, score_tests
 from motor_env.fitting.terms import terms
 from motor_env.fitting.uncertainty import information_covariance, motor_places
-from motor_env.fitting.window import first_steps, fit_window
+from motor_env.fitting.window import fit_window, scores
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.noise import difference_noise
@@ -76,8 +76,6 @@ def test_parts_of_a_record_by_hand() -> None:
     assert some.voltage_v.tolist() == [10.0 * k + n for k in range(10) for n in range(4)]
     assert np.flatnonzero(some.marks == kernel.BEGIN).tolist() == list(range(0, 40, 4))
     assert some.readings[:, 1].tolist() == (-some.voltage_v).tolist()
-    two = joined([part, some])
-    assert (len(two.voltage_v), two.begins.sum(), two.begins[20]) == (60, 11.0, 1.0)
     assert record.duration_s == pytest.approx(100 * DT_S)
     assert record.peaks == pytest.approx([98.901, 99.401, 98.901])
     assert record.only(current=False, speed=True).seen.tolist() == [0.0, 1.0]
@@ -532,15 +530,14 @@ def test_regressions_begin_near_the_motor() -> None:
     assert near[places.COULOMB] / near[places.K] == pytest.approx(dead, rel=0.3)
 
 
-def test_first_steps_of_parts_are_linear_least_squares() -> None:
-    """Each part by its own whitened innovations, with the loads believed beforehand."""
+def test_scores_of_sections_are_linear_least_squares() -> None:
+    """Each section by its own whitened innovations, with the loads believed beforehand."""
     known = values(DRAG=1.0, NOISE_V=0.03)
     changed = values(R=2.02, K=0.0301, J=4.04e-6, COULOMB=0.00204, B=2.04e-6)
-    parts = [worked(changed, seed=seed, n=150, lowest=4.0) for seed in (5, 6)]  # it never stops
+    whole, ends = worked(changed, seed=5, n=310, lowest=4.0), [10, 160, 310]  # it never stops
     wanted, peaks = ("load_constant", "offset_speed"), (9.0, 3.0, 200.0)
     torque = 0.03 * 3.0
     units = np.array([1.0, 1.0, 1.0, 1.0, torque, 200.0])
-    whole = joined(parts)
 
     def white(step: FloatArray) -> FloatArray:
         p = known.copy()
@@ -549,14 +546,18 @@ def test_first_steps_of_parts_are_linear_least_squares() -> None:
         p[places.DRAG] = 0.0
         p[[places.LOAD, places.OFFSET_W]] = step[4:]
         p[places.L] = math.hypot(p[places.L], 0.01 * p[places.R] * DT_S)
-        return np.clip(whole.predict(p)[0][:, :2], -6.0, 6.0)
+        return whole.predict(p)[0][:, :2]
 
     slopes = np.array([(white(1e-4 * axis) - white(-1e-4 * axis)) / 2e-4 for axis in np.eye(6) * units])
-    base, belief = white(np.zeros(6)), np.diag([0.01, 0.01, 0.01, 0.01, 1.0 / 0.09, 1.0 / 0.003**2])
-    for k, (logs_, covariance) in enumerate(first_steps(parts, known, wanted, peaks)):
-        some = slopes[:, 150 * k : 150 * (k + 1)].reshape(6, -1)
+    base, belief = (
+        np.clip(white(np.zeros(6)), -6.0, 6.0),
+        np.diag([0.01, 0.01, 0.01, 0.01, 1.0 / 0.09, 1.0 / 0.003**2]),
+    )
+    found = scores(whole, known, wanted, peaks, ends)
+    for k, (logs_, covariance) in enumerate(zip(*found.steps(), strict=True)):
+        some = slopes[:, ends[k] : ends[k + 1]].reshape(6, -1)
         spread = np.linalg.inv(some @ some.T + belief)
-        step = -spread @ some @ base[150 * k : 150 * (k + 1)].ravel()
+        step = -spread @ some @ base[ends[k] : ends[k + 1]].ravel()
         np.testing.assert_allclose(logs_, step[:4], rtol=5e-3, atol=1e-5)
         size = np.sqrt(np.diag(spread))[:4]
         np.testing.assert_allclose(
@@ -565,10 +566,18 @@ def test_first_steps_of_parts_are_linear_least_squares() -> None:
     twice = known.copy()
     twice[places.DRAG] = 2.0
     twice[[places.B, places.COULOMB]] /= 2.0
-    ((logs_, covariance),) = first_steps(parts[:1], twice, wanted, peaks)
-    ((ours, once),) = first_steps(parts[:1], known, wanted, peaks)
-    np.testing.assert_allclose(logs_, ours, rtol=2e-3, atol=2e-4)
-    np.testing.assert_allclose(covariance[3], once[3], rtol=0.01, atol=1e-9)
+    again = scores(whole, twice, wanted, peaks, ends)
+    for logs_, covariance, ours, once in zip(*again.steps(), *found.steps(), strict=True):
+        np.testing.assert_allclose(logs_, ours, rtol=2e-3, atol=2e-4)
+        np.testing.assert_allclose(covariance[3], once[3], rtol=0.01, atol=1e-9)
+    # Two sections together say what one does that is as long as both.
+    (both,) = scores(whole, known, wanted, peaks, [10, 310]).gradients
+    np.testing.assert_allclose(found.gradients.sum(axis=0), both, rtol=1e-9)
+    # Where all innovations are wild, they are cut, but a fault is still seen.
+    far = known.copy()
+    far[places.R] *= 0.3
+    wild = scores(whole, far, (), peaks, [10, 310])
+    assert wild.steps()[0][0, 0] > 10.0 * math.sqrt(wild.steps()[1][0, 0, 0])
 
 
 @pytest.mark.parametrize("place", [places.NOISE_I, places.NOISE_W])

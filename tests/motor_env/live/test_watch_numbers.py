@@ -88,16 +88,54 @@ class Judge:
         self.given: list[tuple[Recording, float]] = []
         self.verdicts = list(verdicts)
         monkeypatch.setattr(watching, "judge_of", self.of)
+        FakeVigil.made, FakeVigil.told = [], None
+        monkeypatch.setattr(watching, "Vigil", FakeVigil)
 
     def of(self, healthy: Healthy) -> Any:
         return SimpleNamespace(windows=healthy.windows, judge=self.judge)
 
-    def judge(self, recording: Recording, rate: float) -> tuple[list[Judgement], int]:
+    def judge(self, recording: Recording, rate: float, is_alarm: Any) -> tuple[list[Judgement], int]:
+        assert is_alarm is FakeVigil.made[-1].ended
         self.given.append((recording, rate))
         verdict = self.verdicts.pop(0) if self.verdicts else HEALTHY
         if isinstance(verdict, Exception):
             raise verdict
         return [verdict], 1
+
+
+class FakeVigil:
+    """In the place of `Vigil`: hears a piece every 25 ms."""
+
+    made: ClassVar[list["FakeVigil"]] = []
+    told: ClassVar[Judgement | None] = None
+    piece_s, promise = 0.025, "one an hour"
+
+    def __init__(
+        self, judge: Any, healthy: Healthy, per_year: float, memory: dict[str, list[float]] | None
+    ) -> None:
+        self.of, self.remembered = (judge.windows, healthy, per_year), memory
+        self.spoken: list[tuple[Recording, float]] = []
+        self.cuts, self.begun, self.asked = 0, 0, list[tuple[Recording, float]]()
+        self.ended = object()
+        FakeVigil.made.append(self)
+
+    def heard(self, recording: Recording, since_s: float) -> bool:
+        self.spoken.append((recording, since_s))
+        return self.told is not None and len(self.spoken) == 6
+
+    def alarm(self, recording: Recording, rate: float) -> Judgement | None:
+        self.asked.append((recording, rate))
+        return self.told
+
+    def begin(self) -> None:
+        self.begun += 1
+
+    def cut(self) -> None:
+        self.cuts += 1
+
+    @property
+    def memory(self) -> dict[str, list[float]]:
+        return {"spoken": [float(len(self.spoken))]}
 
 
 @pytest.fixture
@@ -113,15 +151,11 @@ def watched(
     return list(watch.events([HEADER, *pieces]))
 
 
-@pytest.mark.parametrize(
-    ("per_year", "rate"), [(2.0, 2.0 * 0.0995 / (365.25 * 24.0 * 3600.0) / 2.0), (1e12, 0.25)]
-)
-def test_a_window_gets_half_of_its_share_of_the_false_alarms(
-    judge: Judge, per_year: float, rate: float
-) -> None:
+@pytest.mark.parametrize(("per_year", "rate"), [(2.0, 2.0 * 0.0995 / (365.25 * 24.0 * 3600.0)), (1e12, 0.5)])
+def test_the_rate_is_handed_on(judge: Judge, per_year: float, rate: float) -> None:
     watched(samples(101), per_year=per_year)
     assert [given for _, given in judge.given] == pytest.approx([rate], rel=1e-12)
-    assert Watch(TAUGHT, State(), false_alarms_per_year=per_year).rate == pytest.approx(rate, rel=1e-12)
+    assert FakeVigil.made[0].of[2] == per_year
 
 
 def test_windows_hold_the_samples_of_their_time_in_si_units(judge: Judge) -> None:
@@ -178,65 +212,36 @@ def test_a_window_with_a_sensor_that_stands_still_is_not_judged(judge: Judge, na
     assert [event.kind for event in watched(rest)] == ["window"]
 
 
-class FakeLooks:
-    """In the place of `Looks`: a look every 25 ms at the last 60 samples."""
-
-    made: ClassVar[list[tuple[float, list[float]]]] = []
-    seen: ClassVar[list[Recording]] = []
-    alarm: ClassVar[Judgement | None] = None
-
-    def __init__(self, judge: WindowJudge, rate: float, at: Any) -> None:
-        self.made.append((rate, at.tolist()))
-        self.every_s, self.window_s = 0.025, judge.windows.window_s
-
-    def due(self, number: int) -> list[int]:
-        return [] if number % 4 == 2 else [1]
-
-    def needed_s(self, _: int) -> float:
-        return 0.0595
-
-    def at_end(self, recording: Recording, _: Sequence[int]) -> Judgement | None:
-        FakeLooks.seen.append(recording)
-        return self.alarm
+def test_pieces_of_a_window_are_heard_as_they_end(judge: Judge) -> None:
+    state = State()
+    watched([*samples(202), SILENCE, *samples(30, 900.0)], state)
+    (vigil,) = FakeVigil.made
+    ends = [(float(one.time_s[0]), float(one.time_s[-1])) for one, _ in vigil.spoken]
+    second = [(0.0, 0.126), (0.0, 0.151), (0.0, 0.176), (0.0, 0.201)]  # with samples of the first one
+    whole = [(0.0, 0.025), (0.0, 0.05), (0.0, 0.075), (0.0, 0.1), *second, (0.9, 0.925)]
+    np.testing.assert_allclose(ends, whole, atol=1.1e-3)  # the first sample at or behind
+    since = [since_s for _, since_s in vigil.spoken]
+    np.testing.assert_allclose(since, [0.0, 0.025, 0.05, 0.075, 0.101, 0.126, 0.151, 0.176, 0.9], atol=1.1e-3)
+    assert (vigil.begun, vigil.cuts) == (3, 1)
+    assert state.memory == {"spoken": [8.0]}
+    watched([], State(memory={"spoken": [8.0]}, header=HEADER.decode()))
+    assert FakeVigil.made[-1].remembered == {"spoken": [8.0]}
 
 
-@pytest.fixture
-def looks(monkeypatch: pytest.MonkeyPatch) -> type[FakeLooks]:
-    FakeLooks.made, FakeLooks.seen, FakeLooks.alarm = [], [], None
-    monkeypatch.setattr(watching, "Looks", FakeLooks)
-    return FakeLooks
-
-
-def test_looks_follow_a_healthy_window_and_reach_back_into_it(judge: Judge, looks: type[FakeLooks]) -> None:
-    watch = Watch(TAUGHT, State(), false_alarms_per_year=1.0)
-    events = list(watch.events([HEADER, *samples(202)]))
-    assert [event.kind for event in events] == ["window", "window"]
-    ((rate, at),) = looks.made
-    assert rate == watch.rate
-    assert at == pytest.approx(np.log([1.01, 0.98, 1.02, 1.0]))
-    # The second window begins at 101 ms: looks at 126, (151 has none due), 176 and 201, where the window ends instead.
-    ends = [float(one.time_s[-1]) for one in looks.seen]
-    assert ends == pytest.approx([0.126, 0.176])
-    for one in looks.seen:
-        np.testing.assert_allclose(one.time_s, one.time_s[-1] - 1e-3 * np.arange(59.0, -1.0, -1.0), atol=1e-9)
-        np.testing.assert_allclose(one.voltage_v, 12.0 + one.time_s)  # type: ignore[arg-type]  # it has a voltage
-    assert watched([*samples(101), SILENCE, *samples(90, 101.0)])[-1].kind == "silence"
-    assert len(looks.seen) == 2
-    judge.verdicts = [replace(HEALTHY, verdict=Verdict.BEARING)]
-    watched(samples(190))
-    assert len(looks.made) == 1  # none after a window that is not healthy
-
-
-def test_an_alarm_of_a_look_is_said_once_with_its_span(judge: Judge, looks: type[FakeLooks]) -> None:
-    looks.alarm = judged("bearing", 1.0, 1.0, 1.0, 1.4, begin_s=0.0965)
-    events = watched(samples(202))
+def test_an_alarm_of_pieces_is_said_at_once_with_its_span(judge: Judge) -> None:
+    FakeVigil.told = judged("bearing", 1.0, 1.0, 1.0, 1.4, duration_s=0.06)
+    events = watched(samples(202), per_year=1e4)
     assert [(event.text, event.span_s) for event in events] == [
         ("healthy", None),
-        ("bearing", pytest.approx(0.0295)),
+        ("bearing", pytest.approx(0.06)),
         ("healthy", None),
     ]
-    assert events[1].time_s == pytest.approx(0.126)
-    assert (events[1].ratios, len(looks.seen)) == ({}, 1)
+    assert events[1].time_s == pytest.approx(0.151)
+    assert events[1].ratios == {}
+    ((recording, rate),) = FakeVigil.made[0].asked
+    assert rate == judge.given[0][1]
+    # The window before is there, too, for what began in it.
+    assert recording.time_s[[0, -1]] == pytest.approx([0.0, 0.151])
 
 
 def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:

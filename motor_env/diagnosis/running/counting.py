@@ -1,0 +1,58 @@
+"""False alarms that counting alone rules out: windows in a row that all lie beyond all healthy ones.
+
+Of n healthy windows and m later ones of a motor that is still healthy any m are as likely to be the farthest: the last
+m are with probability 1 / C(n + m, m) (Vovk, Petej & Fedorova 2021 on conformal testing). No model, no tail is needed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from motor_env.motor.parameters import FloatArray
+
+MOST_IN_A_ROW = 100
+
+
+def windows_between_alarms(healthy: int, in_a_row: int, tests: int) -> float:
+    """Least mean number of windows from one false alarm to the next, of several tests together."""
+    return math.comb(healthy + in_a_row, in_a_row) / tests
+
+
+def fewest_in_a_row(healthy: int, windows: float, tests: int) -> int:
+    """The fewest windows in a row by which false alarms are so many windows apart on average, or more."""
+    for in_a_row in range(1, MOST_IN_A_ROW):
+        if windows_between_alarms(healthy, in_a_row, tests) >= windows:
+            return in_a_row
+    return MOST_IN_A_ROW
+
+
+@dataclass
+class Counting:
+    """The healthy windows and those since, along some axes.
+
+    Attributes:
+        healthy: number of healthy windows.
+        most: the farthest of them along each axis, shape (n_axes,).
+        rows: how many windows in a row are beyond that now, shape (n_axes,).
+    """
+
+    healthy: int
+    most: FloatArray
+    rows: FloatArray
+
+    def add(self, places: FloatArray) -> None:
+        """A window's places along the axes."""
+        self.rows = np.where(places > self.most, self.rows + 1.0, 0.0)
+
+    def learn(self, places: FloatArray) -> None:
+        """A healthy window's places."""
+        self.healthy, self.most = self.healthy + 1, np.maximum(self.most, places)
+
+    def alarm(self, windows: float) -> int | None:
+        """The axis that alarms at one false alarm in so many windows; None where none does."""
+        axis = int(np.argmax(self.rows))
+        needed = fewest_in_a_row(self.healthy, windows, len(self.most))
+        return axis if self.rows[axis] >= needed else None

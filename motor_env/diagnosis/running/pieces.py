@@ -1,0 +1,123 @@
+"""Short pieces of windows: what each says of R, K, J and the drag, and in which state the motor was."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_env.diagnosis.running.windows import WindowJudge
+from motor_env.fitting import kernel
+from motor_env.fitting.record import Record
+from motor_env.fitting.window import Scores, scores
+from motor_env.motor.parameters import FloatArray
+
+N_STATES = 10
+"""Standing; then creeping, turning slowly, turning fast: each backwards, to and fro, forwards."""
+STEP = 3  # halvings between two lengths of pieces
+_LEVELS = (0.02, 0.15, 0.5)  # of the fastest, from which on a motor creeps, turns slowly, turns fast
+_ONE_WAY = 0.5  # mean over effective speed
+_MOST_HALVINGS = 7
+_FEWEST_SAMPLES = 4
+_SHORTEST_S = 0.2  # so that pieces take a tenth of a core at most
+
+
+class Pieces(NamedTuple):
+    """Pieces of one window and one length.
+
+    Attributes:
+        logs: of R, K, J and B over the healthy ones, shape (n, 4).
+        errors: their covariance as the fit believes it, shape (n, 4, 4).
+        states: of N_STATES, shape (n,).
+    """
+
+    logs: FloatArray
+    errors: FloatArray
+    states: NDArray[np.intp]
+
+
+class Motion(NamedTuple):
+    """Sections of a record: number of samples, sums of the speed and of its square; shape (n,) each."""
+
+    samples: FloatArray
+    speed: FloatArray
+    square: FloatArray
+
+    def states(self, fastest_rad_s: float) -> NDArray[np.intp]:
+        """State of each."""
+        count = np.maximum(self.samples, 1.0)
+        mean, effective = self.speed / count, np.sqrt(self.square / count)
+        level = np.searchsorted(_LEVELS, effective / fastest_rad_s, side="right")
+        way = np.where(np.abs(mean) > _ONE_WAY * effective, np.sign(mean), 0.0)
+        states: NDArray[np.intp] = np.where(level == 0, 0, 3 * level - 1 + way).astype(np.intp)
+        return states
+
+
+class Sections(NamedTuple):
+    """What sections of a window say: their scores, where the circuit is closed, and how the motor moved."""
+
+    said: Scores
+    motion: Motion
+    closed: NDArray[np.bool_]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Sections]) -> Sections:
+        """Sections in a row."""
+        gradients, information = (np.concatenate([part.said[n] for part in parts]) for n in (0, 1))
+        motion = Motion(*(np.concatenate([part.motion[n] for part in parts]) for n in range(3)))
+        closed = np.concatenate([part.closed for part in parts])
+        return cls(Scores(gradients, information, parts[0].said.precision), motion, closed)
+
+    def pieces(self, together: int, at: FloatArray, fastest_rad_s: float) -> Pieces:
+        """Pieces of so many sections each, those left out in which the circuit opens.
+
+        Args:
+            together: number of sections of a piece.
+            at: where the motor was thought to be, shape (4,).
+            fastest_rad_s: of its work.
+        """
+        count = len(self.closed) // together
+
+        def added(values: FloatArray) -> FloatArray:
+            some = values[: count * together] * self.closed[: count * together].reshape(
+                -1, *[1] * (values.ndim - 1)
+            )
+            out: FloatArray = some.reshape(count, together, *values.shape[1:]).sum(axis=1)
+            return out
+
+        steps, errors = Scores(added(self.said[0]), added(self.said[1]), self.said.precision).steps()
+        motion = Motion(*map(added, self.motion))
+        told = motion.samples > 0.0
+        return Pieces((at + steps)[told], errors[told], motion.states(fastest_rad_s)[told])
+
+
+def halvings_of(window_s: float, samples: int) -> tuple[int, ...]:
+    """How often a window is halved for each length of pieces, the shortest first; 0, the window, is the last."""
+    most = min(2.0**_MOST_HALVINGS, samples / _FEWEST_SAMPLES, window_s / _SHORTEST_S)
+    shortest = int(math.log2(max(most, 1.0)))
+    return (*range(shortest, STEP // 2, -STEP), 0)
+
+
+def sections_of(judge: WindowJudge, record: Record, at: FloatArray, ends: Sequence[int]) -> Sections:
+    """Sections of a record of a window or of its last part.
+
+    Args:
+        judge: the healthy motor.
+        record: with some samples before the first section, from which the filter finds the state.
+        at: where the motor is thought to be by now, shape (4,): the nearer, the better a linear step.
+        ends: first sample of the first section, and where each ends.
+    """
+    peaks = judge.windows.peaks or (1.0, 1.0, 1.0)
+    said = scores(record, judge.physical(at), judge.windows.terms, peaks, ends)
+    speed = np.nan_to_num(record.readings[:, 1])
+    columns = (np.ones(len(speed)), speed, speed**2, record.marks == kernel.OPEN)
+    samples, sums, squares, opened = (np.add.reduceat(column, ends[:-1]) for column in _cut(columns, ends))
+    return Sections(said, Motion(samples, sums, squares), opened == 0)
+
+
+def _cut(columns: Sequence[FloatArray], ends: Sequence[int]) -> list[FloatArray]:
+    """Columns up to the last end."""
+    return [np.asarray(column[: ends[-1]], dtype=np.float64) for column in columns]

@@ -1,0 +1,304 @@
+"""The watch over a running motor, piece by piece: evidence of many directions, lengths and windows, and its alarms.
+
+It has two procedures. The first adds up scores that are calibrated on healthy pieces, and alarms by an e-detector. Its
+rate holds as far as its tails do: healthy windows, each judged by what the others teach, must alarm no oftener than
+they should. Where they do alarm oftener, the second procedure alarms, which only counts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from motor_env.diagnosis.decision import decide
+from motor_env.diagnosis.running.counting import Counting, fewest_in_a_row, windows_between_alarms
+from motor_env.diagnosis.running.detector import Detector
+from motor_env.diagnosis.running.learned import Learned
+from motor_env.diagnosis.running.pieces import Pieces, Sections, sections_of
+from motor_env.diagnosis.running.replay import tails_hold
+from motor_env.diagnosis.running.scales import (
+    AXES,
+    calibrated,
+    directions,
+    farthest,
+    normal_scores,
+    places_on_axes,
+    reaches,
+    untaught_scale,
+)
+from motor_env.diagnosis.running.windows import NAMES, FittedWindow, WindowJudge, averaged
+from motor_env.diagnosis.verdict import Judgement, Verdict
+from motor_env.errors import InputError
+from motor_env.fitting.recorded import from_recordings
+from motor_env.motor.healthy import Healthy
+from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import Recording, cut
+
+YEAR_S = 365.25 * 86_400.0
+CONTEXT = 256
+"""Samples before a piece."""
+_FEWEST = 2.0  # healthy pieces of a state
+_GOES_ON = 2.0
+_WIDE = 0.5  # standard deviation of a logarithm
+_MOST_STEPS, _SETTLED = 15, 0.1
+_MOSTLY = 0.9  # of the evidence
+_MOST_LEARNED, _LEARNED_S = 100, 3.0 * 3600.0
+
+
+class Vigil:
+    """Evidence against one healthy motor.
+
+    Args:
+        judge: the healthy motor.
+        healthy: what it was learned from.
+        false_alarms_per_year: of a motor that always runs.
+        memory: of an earlier watch; see `memory`.
+
+    Raises:
+        InputError: the memory is that of another motor.
+    """
+
+    def __init__(
+        self,
+        judge: WindowJudge,
+        healthy: Healthy,
+        false_alarms_per_year: float,
+        memory: dict[str, list[float]] | None = None,
+    ) -> None:
+        windows = judge.windows
+        untaught = untaught_scale(healthy.log_covariance, healthy.degrees_of_freedom, healthy.pieces)
+        self.judge, self._may_stay = judge, healthy.temperature_k > 0.0
+        self._scales = windows.scales or (untaught,)
+        self._along, self._healthy = directions(), self._scales[-1].healthy_windows
+        self._detector = Detector.new(len(self._scales), self._along.weights)
+        self._pieces = 2 ** self._scales[0].halvings
+        self.piece_s = windows.window_s / self._pieces
+        # At most every other window alarms.
+        self.windows = max(YEAR_S / false_alarms_per_year / windows.window_s, 2.0)
+        self.threshold = self.windows * self._pieces
+        self._learned = Learned(self._scales)
+        most = np.array(windows.most) if windows.most else np.full(len(AXES), math.inf)
+        self._counting = Counting(self._healthy, most, np.zeros(len(AXES)))
+        self._at: FloatArray = np.zeros(len(NAMES))
+        self._toward, self._quiet = -1, 0.0
+        self._sections: list[Sections] = []
+        self._holds = tails_hold(windows.replayed, self._healthy * self._pieces)
+        self._can_count = bool(windows.most)
+        if memory:
+            self._remember(memory)
+
+    @property
+    def adds_up(self) -> bool:
+        """Whether the e-detector alarms; else counting does."""
+        return self._holds or self._quiet >= self.threshold or not self._can_count
+
+    @property
+    def promise(self) -> str:
+        """What holds of the rate of false alarms, in words."""
+        hours = self.judge.windows.window_s / 3600.0
+        tests, n = len(AXES), self._counting.healthy
+        in_a_row = fewest_in_a_row(n, self.windows, tests)
+        counted = windows_between_alarms(n, in_a_row, tests) * hours
+        words = f"{n} healthy windows of {self.judge.windows.window_s:g} s"
+        if not self._can_count:
+            return f"{words}, which were not compared with each other: commission the motor anew for a checked rate"
+        by_count = f"{in_a_row} windows in a row beyond all healthy ones, at most one false alarm in {_time(counted)}"
+        if self.adds_up:
+            asked = _time(self.windows * hours)
+            tails = f"one false alarm in {asked} by fitted tails, which hold on these windows"
+            return f"{words}: {tails}; by counting alone: {by_count}"
+        return f"{words} do not follow the fitted tails, so that alarms are by counting alone: {by_count}"
+
+    def heard(self, recording: Recording, since_s: float) -> bool:
+        """Whether what a window says up to now is an alarm.
+
+        Args:
+            recording: its samples so far, with some before it.
+            since_s: end of what was heard of it before.
+        """
+        recording = averaged(recording, self.judge.windows.window_s)
+        if len(self._scales) == 1 or not self.judge.is_sampled_alike(recording):
+            return False
+        ends = np.searchsorted(
+            recording.time_s, np.append(np.arange(since_s, recording.time_s[-1], self.piece_s), math.inf)
+        )
+        ends = ends[np.append(True, np.diff(ends) > 1)]
+        ends[-1] = len(recording.time_s)
+        first = max(int(ends[0]) - CONTEXT, 0)
+        try:
+            record = from_recordings([cut(recording, slice(first, None))])
+        except UnusableError:
+            return False
+        record = replace(record, hold=self.judge.windows.hold)
+        is_alarm = False
+        for n in range(len(ends) - 1):
+            pair = [int(ends[n]) - first, int(ends[n + 1]) - first]
+            self._sections.append(sections_of(self.judge, record, self._at, pair))
+            is_alarm |= self._piece()
+        if is_alarm and not self.adds_up:
+            self._detector.forget()
+        return is_alarm and self.adds_up
+
+    def _piece(self) -> bool:
+        """The last section, and the longer pieces that end with it."""
+        count = len(self._sections)
+        self._quiet += 1.0
+        for n, scale in enumerate(self._scales[:-1]):
+            together = 2 ** (self._scales[0].halvings - scale.halvings)
+            if count % together == 0:
+                part = Sections.joined(self._sections[-together:])
+                for row in zip(*self._scored(n, part.pieces(together, self._at, self._fastest)), strict=True):
+                    self._detector.add(n, row[0], together, row[1])
+        return self._is_alarm()
+
+    @property
+    def _fastest(self) -> float:
+        return (self.judge.windows.peaks or (1.0, 1.0, 1.0))[2]
+
+    def _scored(self, n: int, pieces: Pieces) -> tuple[FloatArray, FloatArray]:
+        """Normal scores of pieces and their reach; none in a state of which too little is known."""
+        scale = self._learned.scale(n)
+        found = calibrated(scale, pieces, self._along.along)
+        scores = normal_scores(scale, pieces.states, found, self.windows)
+        is_known = scale.counts[pieces.states] >= _FEWEST
+        return scores[is_known], reaches(scale, found, self._along.along)[is_known]
+
+    def _is_alarm(self) -> bool:
+        if not self._detector.passes(self.threshold):
+            return False
+        self._toward, self._quiet = self._detector.strongest[1], 0.0
+        return True
+
+    def ended(self, fit: FittedWindow) -> bool:
+        """Whether a whole window is, or goes on, an alarm."""
+        logs = fit.log_values - self.judge.reference.log_values
+        pieces = Pieces(logs[None], fit.log_covariance[None], np.zeros(1, dtype=np.intp))
+        (scores,), (reach,) = self._scored(len(self._scales) - 1, pieces)
+        self._detector.add(len(self._scales) - 1, scores, self._pieces, reach)
+        places, allowed, _ = places_on_axes(self._scales[-1], pieces)
+        stays = farthest(self._scales[-1], self.windows) if self._may_stay else 0.0
+        self._counting.add(places[0] - stays * allowed[0])
+        is_new = self._is_alarm()
+        if is_new:
+            self._detector.forget()
+        elif self._toward >= 0 and scores[self._toward] < _GOES_ON:
+            self._toward = -1
+        is_counted = self._counting.alarm(self.windows) is not None
+        is_alarm = self._toward >= 0 if self.adds_up else is_counted
+        if self._toward < 0 and not is_counted:
+            self._learn(pieces, places[0])
+        else:
+            self._learned.skip()
+        if not is_alarm:
+            self._at = logs
+        return is_alarm
+
+    def _learn(self, window: Pieces, places: FloatArray) -> None:
+        parts: list[Pieces | None] = []
+        for scale in self._scales[:-1]:
+            together = 2 ** (self._scales[0].halvings - scale.halvings)
+            whole = len(self._sections) >= together
+            parts.append(
+                Sections.joined(self._sections).pieces(together, self._at, self._fastest) if whole else None
+            )
+        self._learned.hear([*parts, window])
+        seen = self._counting.healthy - self._healthy
+        if seen < min(_MOST_LEARNED, _LEARNED_S / self.judge.windows.window_s):
+            self._counting.learn(places)
+
+    def begin(self) -> None:
+        """A window begins."""
+        self._sections = []
+
+    def cut(self) -> None:
+        """The window breaks off, or tells nothing."""
+        self._learned.skip()
+
+    def alarm(self, recording: Recording, rate: float) -> Judgement | None:
+        """The judgement on what an alarm is about; None where it tells nothing. The evidence begins anew.
+
+        Where the samples fit no fault, as some of them may still be healthy, the evidence names it.
+        """
+        span_s = min(
+            max(math.ceil(self._detector.strongest[2]), 1) * self.piece_s, self.judge.windows.window_s
+        )
+        kind, share = self._along.kinds[self._toward], float(self._detector.shares[self._toward])
+        self._detector.forget()
+        recording = averaged(recording, self.judge.windows.window_s)
+        judged = self.judge.failed_sensor(recording) or self._fitted(recording, span_s, rate)
+        if judged is not None and judged.verdict is Verdict.OTHER and kind is not None and share > _MOSTLY:
+            judged = replace(judged, verdict=Verdict(kind.verdict), fault_kind=kind, kind_probability=share)
+        begin_s = float(recording.time_s[-1]) - span_s
+        return None if judged is None else replace(judged, begin_s=begin_s, duration_s=span_s)
+
+    def _fitted(self, recording: Recording, span_s: float, rate: float) -> Judgement | None:
+        try:
+            record = replace(from_recordings([recording]), hold=self.judge.windows.hold)
+        except UnusableError:
+            return None
+        count = len(record.voltage_v)
+        ends = [max(count - max(round(span_s / record.dt_s), 2), 1), count]
+        at, scale, prior = self._at, self._learned.scale(0), _WIDE**2 * np.eye(len(NAMES))
+        usual = np.average(scale.covariances, axis=0, weights=scale.counts)
+        for _ in range(_MOST_STEPS):
+            pieces = sections_of(self.judge, record, at, ends).pieces(1, at, self._fastest)
+            if not len(pieces.logs):
+                return None
+            root = np.linalg.cholesky(pieces.errors[0])
+            logs, spread = pieces.logs[0], root @ usual @ root.T + scale.wander
+            # On the way a fault of one quantity looks like changes of several.
+            before, at = at, prior @ np.linalg.solve(prior + spread, logs)
+            if (at - before) @ np.linalg.solve(spread, at - before) < _SETTLED:
+                break
+        reference = replace(self.judge.reference, log_covariance=spread, excess=1.0)
+        return decide(FittedWindow(reference.log_values + logs, spread), reference, rate, alarm=True)
+
+    @property
+    def memory(self) -> dict[str, list[float]]:
+        """All that a later watch needs to go on."""
+        detector, counting = self._detector, self._counting
+        arrays = {
+            "sums": detector.sums,
+            "ages": detector.ages,
+            "at": self._at,
+            "counted": np.array([counting.healthy, self._toward, self._quiet]),
+            "most": counting.most,
+            "rows": counting.rows,
+            **self._learned.memory,
+        }
+        return {name: np.nan_to_num(array).ravel().tolist() for name, array in arrays.items()}
+
+    def _remember(self, memory: dict[str, list[float]]) -> None:
+        now: dict[str, Any] = self.memory
+        if {name: len(row) for name, row in memory.items()} != {name: len(row) for name, row in now.items()}:
+            raise InputError("the memory of the state is not that of this motor; give another --state")
+        shape = self._detector.sums.shape
+        arrays = {name: np.array(row) for name, row in memory.items()}
+        self._detector.sums, self._detector.ages = (
+            arrays["sums"].reshape(shape),
+            arrays["ages"].reshape(shape),
+        )
+        healthy, toward, self._quiet = memory["counted"]
+        if not (0 <= healthy < 1e9 and -1 <= toward < len(self._along.weights)):
+            raise InputError("the memory of the state holds the numbers of no watch; give another --state")
+        self._at, self._toward = arrays["at"], int(toward)
+        most = arrays["most"] if self._can_count else self._counting.most
+        self._counting = Counting(int(healthy), most, arrays["rows"])
+        try:
+            self._learned.remember(arrays)
+        except ValueError:
+            raise InputError(
+                "the memory of the state holds the numbers of no watch; give another --state"
+            ) from None
+
+
+def _time(hours: float) -> str:
+    """A time in the largest unit that it fills."""
+    sizes = {"year": 8766.0, "day": 24.0, "hour": 1.0, "minute": 1.0 / 60.0}
+    unit = next((unit for unit, size in sizes.items() if hours >= size), "minute")
+    shown = f"{hours / sizes[unit]:.3g}"
+    return f"{shown} {unit}" + "s" * (shown != "1")
