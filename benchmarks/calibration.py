@@ -47,6 +47,7 @@ ERROR = 0.001
 
 SHIPPED = "shipped"
 SURE, _LOOKED_AT = 0.99, 4
+_FEWEST = 100  # starts of a class whose coverage is told
 
 
 class Posterior(NamedTuple):
@@ -91,7 +92,7 @@ def of_classes(name: str, n_cases: int, n_draws: int) -> Iterator[Posterior]:
     probabilities, n_cases = probabilities[unsure], len(unsure)
     X, truth = cases.X[unsure].reshape(n_cases, -1).astype(np.float64), cases.class_index[unsure]
     generator = np.random.default_rng(SEED)
-    uniform = generator.uniform(size=n_cases)
+    uniform = (generator.permutation(n_cases) + 0.5) / n_cases  # even: chance in these numbers tells nothing
     n_classes = probabilities.shape[1]
     drawn = (generator.uniform(size=(n_draws, n_cases, 1)) > np.cumsum(probabilities, axis=1)).sum(axis=2)
     drawn = np.minimum(drawn, n_classes - 1)
@@ -106,7 +107,11 @@ def of_classes(name: str, n_cases: int, n_draws: int) -> Iterator[Posterior]:
     # Randomised, the set holds exactly nine tenths of the probability.
     inside = np.take_along_axis((before + uniform[:, None] * ranked < 0.9), np.argsort(order, axis=1), axis=1)
     held = inside[np.arange(n_cases), truth]
-    covered = {label: float(held[truth == n].mean()) for n, label in enumerate(recipe.class_names)}
+    covered = {
+        f"{label}, {(truth == n).sum()} starts": float(held[truth == n].mean())
+        for n, label in enumerate(recipe.class_names)
+        if (truth == n).sum() >= _FEWEST
+    }
     seen = model.posterior_.space(torch.from_numpy(X)).numpy()
     truths, draws = spread(truth), spread(drawn)
     yield Posterior(

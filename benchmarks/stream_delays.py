@@ -26,6 +26,9 @@ RULES: dict[str, Rule] = {"CUSUM": Cusum(0.2), "CUSUM, larger shift": Cusum(0.5)
 SHARES = (0.01, 0.02, 0.05, 0.10)
 N_LEVELS = 400
 
+Curves = dict[str, tuple[FloatArray, FloatArray]]
+"""Thresholds, and what `judged` says at each, by rule."""
+
 
 def alarm_times(task: StreamTask, statistic: FloatArray, threshold: float) -> FloatArray:
     """First time above a threshold, nan for none, shape (n,)."""
@@ -53,9 +56,7 @@ def curve(task: StreamTask, rule: Rule) -> tuple[FloatArray, FloatArray]:
     return levels, np.array(rows)
 
 
-def rows_at_equal_false_alarms(
-    task: StreamTask, curves: dict[str, tuple[FloatArray, FloatArray]]
-) -> Iterable[list[str]]:
+def at_equal_false_alarms(task: StreamTask, curves: Curves) -> Iterable[list[str]]:
     """Delay and misses of each rule at the lowest threshold with at most so many false alarms, and its score there."""
     streams = task.test()
     weights = resampling_weights(len(streams.truth), task.seed)
@@ -67,11 +68,11 @@ def rows_at_equal_false_alarms(
             value = score(task, streams.truth, {name: alarms}, weights)[name].value
             yield [
                 f"{100.0 * share:g} %", name, f"{1e3 * told[at, 1]:.0f} ms", f"{100.0 * told[at, 2]:.1f} %",
-                f"{100.0 * value.value:.2f} ({100.0 * value.low:.2f} to {100.0 * value.high:.2f})",
+                f"{value.value:.2f} ({value.low:.2f} to {value.high:.2f})",
             ]  # fmt: skip
 
 
-def draw_curves(curves: dict[str, tuple[FloatArray, FloatArray]]) -> None:
+def draw_curves(curves: Curves) -> None:
     """Mean delay, and misses, against false alarms."""
     from motor_env.plotting import drawing, save, subplots
 
@@ -93,7 +94,7 @@ def main() -> None:
     assert isinstance(task, StreamTask)
     curves = {name: curve(task, rule) for name, rule in RULES.items()}
     header = ("false alarms", "rule", "mean delay", "no alarm in time", "score of the task")
-    keep_table("calibration", "stream", header, rows_at_equal_false_alarms(task, curves))
+    keep_table("calibration", "stream", header, at_equal_false_alarms(task, curves))
     draw_curves(curves)
 
 

@@ -47,9 +47,9 @@ def test_a_cloud_is_a_normal_distribution_of_whole_starts() -> None:
 @pytest.mark.parametrize("recipe", [BENCH, FIELD], ids=lambda recipe: recipe.name)
 def test_one_in_a_hundred_of_its_own_starts_is_refused(recipe: Recipe) -> None:
     detector = OutsideDetector(recipe).fit()
-    refused = detector.predict(generate_arrays(recipe, 91, 8_000).X) < 0
+    refused = detector.predict(generate_arrays(recipe, 91, 4_000).X) < 0
     # Threshold and count both scatter: four standard deviations of both.
-    assert abs(refused.mean() - 0.01) < 4.0 * np.sqrt(0.01 * 0.99 * (1 / 8_000 + 1 / 10_000))
+    assert abs(refused.mean() - 0.01) < 4.0 * np.sqrt(0.01 * 0.99 * (1 / 4_000 + 1 / 10_000))
     assert OutsideDetector(recipe, false_alarm_rate=0.2).fit().offset_[0] > detector.offset_[0]
 
 
