@@ -8,8 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from sbi.diagnostics.lc2st import LC2ST
-from sbi.diagnostics.tarp import _run_tarp, check_tarp, get_tarp_references
+from sbi.diagnostics.lc2st import LC2ST  # type: ignore[import-not-found]  # lives in .venv-bench
+from sbi.diagnostics.tarp import (  # type: ignore[import-not-found]
+    _run_tarp,
+    check_tarp,
+    get_tarp_references,
+)
 from scipy.stats import kstest
 
 SEED, TRIALS, OBSERVED, LEVEL = 5, 20, 40, 0.05

@@ -172,7 +172,8 @@ def trained_power(recipe: Recipe, changed: Recipe, seed: int, cases: NDArray[np.
 
     def ratio(where: Coordinates) -> FloatArray:
         mine, own = (cloud.log_density(where, world.freedom, free) for cloud in (theirs, world.own))
-        return mine - own
+        difference: FloatArray = mine - own
+        return difference
 
     centre, scale = at[0][0].along.mean(axis=0), at[0][0].along.std(axis=0)
 

@@ -104,6 +104,7 @@ def best_fit(model: ClassModel, measured: FloatArray, begin: FloatArray) -> Line
     Found by damped least squares from `begin`, shape (size,).
     """
     mean, precision = model.prior
+    low, high = model.box
     root = np.sqrt(precision)
 
     @lru_cache(maxsize=1)  # the residual and its slopes are asked for one after the other
@@ -118,7 +119,7 @@ def best_fit(model: ClassModel, measured: FloatArray, begin: FloatArray) -> Line
     def slopes(at: FloatArray) -> FloatArray:
         return near(at.tobytes())[1]
 
-    found = least_squares(residual, begin, jac=slopes, bounds=model.box, x_scale="jac", ftol=1e-2)
+    found = least_squares(residual, begin, jac=slopes, bounds=(low, high), x_scale="jac", ftol=1e-2)
     n_values = len(measured)
     return Linear(found.x, residual(found.x)[:n_values], -slopes(found.x)[:n_values])
 

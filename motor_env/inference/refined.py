@@ -56,7 +56,7 @@ def _evidence(
     recipe: Recipe,
     fitted: WorkFit,
     n: int,
-    index: int,
+    index: np.intp,
     case: FloatArray,
     rng: np.random.Generator,
     effort: Effort,

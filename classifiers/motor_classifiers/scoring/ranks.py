@@ -100,7 +100,7 @@ def _band(n_ranks: int, error: float) -> tuple[NDArray[np.int64], NDArray[np.int
 
 def _intervals(n_ranks: int, level: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     position = np.arange(1, _POINTS) / _POINTS
-    low, high = binom.ppf([[0.5 * level], [1.0 - 0.5 * level]], n_ranks, position)
+    low, high = (np.asarray(binom.ppf(tail, n_ranks, position)) for tail in (0.5 * level, 1.0 - 0.5 * level))
     return low.astype(np.int64), high.astype(np.int64)
 
 
