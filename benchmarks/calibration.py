@@ -100,7 +100,8 @@ def of_classes(name: str, n_cases: int, n_draws: int) -> Iterator[Posterior]:
     def spread(index: Any) -> FloatArray:
         # A class as a point of its own, and around it a little: distances have no ties then.
         around: FloatArray = 0.5 * generator.uniform(size=(*np.shape(index), n_classes))
-        return np.eye(n_classes)[index] + around
+        around += np.eye(n_classes)[index]
+        return around
 
     order = np.argsort(-probabilities, axis=1, kind="stable")
     ranked = np.take_along_axis(probabilities, order, axis=1)

@@ -179,7 +179,8 @@ def trained_power(recipe: Recipe, changed: Recipe, seed: int, cases: NDArray[np.
 
     def seen(where: Coordinates) -> FloatArray:
         level = (where.energy / world.freedom - 1.0) * np.sqrt(0.5 * world.freedom)
-        return np.clip(np.column_stack([(where.along - centre) / scale, level]), -30.0, 30.0)
+        columns: FloatArray = np.column_stack([(where.along - centre) / scale, level])
+        return np.clip(columns, -30.0, 30.0)
 
     learned = MLPClassifier((48, 48), early_stopping=True, random_state=0, max_iter=40, batch_size=512)
     learned.fit(np.concatenate([seen(at[0][0]), seen(at[1][0])]), np.repeat([0, 1], [len(cases), len(cases)]))
