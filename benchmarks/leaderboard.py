@@ -36,7 +36,7 @@ from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.peers import PEERS, export_starts
 from motor_classifiers.scoring.task import VERSION, ClassTask, DrawnTask
-from motor_classifiers.wrappers.open_set import FaultFamilyDetector
+from motor_classifiers.wrappers.fault_family import family_fit
 from motor_env import Cusum, Glr, TolerantFilter
 from motor_env.detection.rules.base import Rule, first_above
 from motor_env.files import write_text
@@ -87,8 +87,7 @@ def least_squares(task: DrawnTask) -> FloatArray:
 
 def distance(task: DrawnTask) -> FloatArray:
     """Distance from all faults of the known kinds."""
-    answers: FloatArray = -FaultFamilyDetector(task.recipe).fit(task.train().X).score_samples(task.test().X)
-    return answers
+    return family_fit(task.recipe, task.test().X).distance
 
 
 def isolation(task: DrawnTask) -> FloatArray:

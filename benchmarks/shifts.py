@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.neural_network import MLPClassifier
 
 from motor_classifiers.scoring.calibration import calibration_scores
 from motor_classifiers.wrappers.conformal import ConformalSets
-from motor_classifiers.wrappers.open_set import FaultFamilyDetector
+from motor_classifiers.wrappers.outside import Coordinates, OutsideDetector, World, clouds, single_starts
 from motor_datasets.generate import generate_arrays
 from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.faults import FaultKind
@@ -54,8 +55,10 @@ class ShiftScore(NamedTuple):
         ece: expected calibration error of the kinds' probabilities.
         coverage: share of the conformal sets that hold a class of the true kind.
         set_size: mean number of classes in a set.
-        other: share of cases that the detector calls `other`; nan without a detector.
         limit: the same accuracy of who knows the conditions: the exact posterior, or an estimate for a field.
+        refused: share of cases that the detector refuses; nan without a detector.
+        answered_accuracy: accuracy in the other cases; nan where there is none.
+        answered_ece: expected calibration error in them.
     """
 
     name: str
@@ -63,8 +66,10 @@ class ShiftScore(NamedTuple):
     ece: float
     coverage: float
     set_size: float
-    other: float
     limit: float
+    refused: float = float("nan")
+    answered_accuracy: float = float("nan")
+    answered_ece: float = float("nan")
 
 
 def shift_scores(
@@ -74,7 +79,7 @@ def shift_scores(
     *,
     sets: ConformalSets,
     coverage: float = 0.90,
-    detector: FaultFamilyDetector | None = None,
+    detector: OutsideDetector | None = None,
     reference: Callable[[Recipe], Any] | None = None,
     seed: int,
     cases: NDArray[np.int64],
@@ -87,7 +92,7 @@ def shift_scores(
         conditions: recipes by name, with the time axis and channels of `trained`.
         sets: calibrated on cases of `trained` with the model's probabilities, its columns in the order of `classes_`.
         coverage: wanted of the sets.
-        detector: fitted, for `other`.
+        detector: fitted, which refuses cases.
         reference: fits a classifier for a recipe with a field, where there is no exact posterior.
         seed: of the cases.
         cases: case numbers, shape (n_cases,).
@@ -108,10 +113,17 @@ def shift_scores(
                 ece,
                 float((held & true).any(axis=1).mean()),
                 float(held.sum(axis=1).mean()),
-                float("nan") if detector is None else float((detector.predict(drawn.X) < 0).mean()),
                 _limit(recipe, drawn.X, drawn.kind, reference),
             )
         )
+        if detector is not None:
+            left = detector.predict(drawn.X) > 0
+            after = (
+                _kind_scores(probabilities[left], kinds, drawn.kind[left]) if left.any() else (np.nan,) * 2
+            )
+            scores[-1] = scores[-1]._replace(
+                refused=1.0 - float(left.mean()), answered_accuracy=after[0], answered_ece=after[1]
+            )
     return tuple(scores)
 
 
@@ -142,3 +154,43 @@ def _limit(
         model = reference(recipe)
         names, probabilities = tuple(map(str, model.classes_)), np.asarray(model.predict_proba(X))
     return _kind_scores(probabilities, np.array([kind_of[name] for name in names]), truth)[0]
+
+
+def trained_power(recipe: Recipe, changed: Recipe, seed: int, cases: NDArray[np.int64]) -> float:
+    """Power of a test for this very change at 1 % of false alarms: of two trained for it, the better one.
+
+    One is the likelihood ratio of the normal clouds of both recipes, the other a perceptron; both see the directions of
+    the detector and the level of the noise.
+    """
+    world = World.from_recipe(recipe)
+    at = [
+        [_located(world, one, seed, cases + first) for first in (0, 1_000_000)] for one in (recipe, changed)
+    ]
+    other = single_starts(changed)
+    silent, class_index = world.silent(other, 0, len(cases))
+    theirs, free = clouds(other, silent.along, class_index), (1.0, 1.0)
+
+    def ratio(where: Coordinates) -> FloatArray:
+        mine, own = (cloud.log_density(where, world.freedom, free) for cloud in (theirs, world.own))
+        difference: FloatArray = mine - own
+        return difference
+
+    centre, scale = at[0][0].along.mean(axis=0), at[0][0].along.std(axis=0)
+
+    def seen(where: Coordinates) -> FloatArray:
+        level = (where.energy / world.freedom - 1.0) * np.sqrt(0.5 * world.freedom)
+        columns: FloatArray = np.column_stack([(where.along - centre) / scale, level])
+        return np.clip(columns, -30.0, 30.0)
+
+    learned = MLPClassifier((48, 48), early_stopping=True, random_state=0, max_iter=40, batch_size=512)
+    learned.fit(np.concatenate([seen(at[0][0]), seen(at[1][0])]), np.repeat([0, 1], [len(cases), len(cases)]))
+    powers = []
+    for test in (ratio, lambda where: learned.predict_proba(seen(where))[:, 1]):
+        threshold = np.quantile(test(at[0][1]), 0.99)
+        powers.append(float((test(at[1][1]) > threshold).mean()))
+    return max(powers)
+
+
+def _located(world: World, recipe: Recipe, seed: int, cases: NDArray[np.int64]) -> Coordinates:
+    X = generate_arrays(recipe, seed, cases).X
+    return world.coordinates(X.reshape(len(X), -1).astype(np.float64))

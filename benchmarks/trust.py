@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 from cyclopts import run
-from shifts import shift_scores, textbook_shifts
+from shifts import shift_scores, textbook_shifts, trained_power
 from sklearn.base import BaseEstimator
 from tables import keep_table
 
@@ -24,7 +24,8 @@ from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.trust import network_for
 from motor_classifiers.wrappers.conformal import ConformalSets
 from motor_classifiers.wrappers.fault_family import family_fit
-from motor_classifiers.wrappers.open_set import FaultFamilyDetector, OpenSetClassifier
+from motor_classifiers.wrappers.open_set import OpenSetClassifier
+from motor_classifiers.wrappers.outside import OutsideDetector
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.inference.posterior import class_probabilities
@@ -105,24 +106,27 @@ def out_of_range(n_cases: int) -> Iterable[Iterable[str]]:
             nearest = family_fit(recipe, X).severity
             yield (
                 setting, f"{kind} +{100.0 * severity:g} %",
-                *(percent(told.mean()) for told in (is_kind, said.out_of_range, said.is_other)),
+                *(percent(told.mean()) for told in (is_kind, said.out_of_range, said.is_outside)),
                 f"{100.0 * nearest.mean():.1f} ± {100.0 * nearest.std():.1f}",
             )  # fmt: skip
 
 
-def shifts(n_cases: int) -> Iterable[Iterable[str]]:
-    """Models under other conditions than in training."""
+def _moved() -> Iterable[tuple[Recipe, dict[str, Recipe]]]:
+    """The recipes of the tables of shifts, and what they are moved to."""
     field = replace(named_recipe("field"), starts_per_motor=1, healthy_starts=0)
     alone = replace(field, timing=replace(field.timing, sampling_rate_hz=1_000.0))
-    for recipe, conditions in (
-        (bench(1_000.0), textbook_shifts(bench(1_000.0))),
-        (alone, {shift.name: alone.shifted(shift.name) for shift in alone.shifts}),
-    ):
+    yield bench(1_000.0), textbook_shifts(bench(1_000.0))
+    yield alone, {shift.name: alone.shifted(shift.name) for shift in alone.shifts}
+
+
+def shifts(n_cases: int) -> Iterable[Iterable[str]]:
+    """Models under other conditions than in training."""
+    for recipe, conditions in _moved():
         known = cases(recipe, CALIBRATE, n_cases)
-        detector = FaultFamilyDetector(recipe).fit(known.X)
+        detector = OutsideDetector(recipe).fit()
         first = (
             {"network": trained("network", recipe, 8000)}
-            if recipe is alone
+            if recipe.field is not None
             else {"posterior network": network(recipe)}
         )
         others = {name: trained(name, recipe, 8000) for name in ("residual-qda", "physical-lda")}
@@ -134,18 +138,35 @@ def shifts(n_cases: int) -> Iterable[Iterable[str]]:
                 recipe,
                 {"as in training": recipe, **conditions},
                 sets=sets,
-                detector=detector if name in first else None,
+                detector=detector,
                 # The best of our quick methods stands for the limit where there is none in closed form.
                 reference=lambda changed: trained("physical-lda", changed, 5000),
                 seed=SEED,
                 cases=np.arange(n_cases) + TEST,
             )
             for got in scores:
+                after = (got.answered_accuracy, got.answered_ece)
                 yield (
                     recipe.name, name, got.name, f"{got.accuracy:.3f}", f"{got.limit:.3f}", f"{got.ece:.3f}",
                     percent(got.coverage), f"{got.set_size:.2f}",
-                    "" if np.isnan(got.other) else percent(got.other),
+                    *("" if got.refused == 1.0 else f"{value:.3f}" for value in after),
                 )  # fmt: skip
+
+
+def powers(n_cases: int) -> Iterable[Iterable[str]]:
+    """What the detector refuses under each shift, beside a test trained for it, and what it takes to be off."""
+    for recipe, conditions in _moved():
+        detector = OutsideDetector(recipe).fit()
+        for name, changed in {"as in training": recipe, **conditions}.items():
+            off = detector.what_is_off(cases(changed, TEST, n_cases).X)
+            trained = trained_power(recipe, changed, SEED, np.arange(n_cases) + CALIBRATE)
+            names, counts = np.unique(off[off != ""].astype(str), return_counts=True)
+            most = sorted(zip(counts, names, strict=True), reverse=True)[:3]
+            yield (
+                recipe.name, name, percent((off != "").mean()),
+                "" if changed is recipe else percent(trained),
+                ", ".join(f"{what} {100.0 * count / counts.sum():.0f} %" for count, what in most),
+            )  # fmt: skip
 
 
 STYLE = """svg { background: #fff; font: 12px system-ui, sans-serif; } text { fill: #1d2733; }
@@ -182,16 +203,22 @@ def draw_kept() -> None:
         (IMAGES / f"{name}.svg").write_text(stand_alone(figures[section]["chart"], legend), encoding="utf-8")
 
 
-OF_RANGE = ("setting", "fault", "kind right", "out of range", "other", "severity")
-OF_SHIFTS = ("recipe", "method", "conditions", "accuracy", "limit", "ECE", "coverage", "set size", "other")
+OF_RANGE = ("setting", "fault", "kind right", "out of range", "outside", "severity")
+OF_SHIFTS = (
+    "recipe", "method", "conditions", "accuracy", "limit", "ECE", "coverage", "set size", "accuracy of the answered",
+    "their ECE",
+)  # fmt: skip
+OF_POWERS = ("recipe", "conditions", "refused", "by a test trained for it", "said to be off")
 
 
-def main(*part: Literal["range", "shifts", "reliability", "kept"], cases: int = 20_000) -> None:
+def main(*part: Literal["range", "shifts", "powers", "reliability", "kept"], cases: int = 20_000) -> None:
     """Make the parts asked for; all by default. The largest tables rest on so many cases."""
     if "range" in part or not part:
         keep_table("trust", "range", OF_RANGE, out_of_range(cases))
     if "shifts" in part or not part:
         keep_table("trust", "shifts", OF_SHIFTS, shifts(cases // 10))
+    if "powers" in part or not part:
+        keep_table("trust", "powers", OF_POWERS, powers(cases))
     if "reliability" in part or not part:
         draw_reliability(cases)
     if "kept" in part or not part:

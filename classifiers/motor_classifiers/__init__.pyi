@@ -54,6 +54,8 @@ from .wrappers.early import (
     EarlyClassifier as EarlyClassifier,
 )
 from .wrappers.open_set import (
-    FaultFamilyDetector as FaultFamilyDetector,
     OpenSetClassifier as OpenSetClassifier,
+)
+from .wrappers.outside import (
+    OutsideDetector as OutsideDetector,
 )

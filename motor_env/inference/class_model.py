@@ -79,6 +79,12 @@ class ClassModel:
         std = np.sqrt(variance_factor(self.fault_class)) * self.recipe.sensor.noise_std
         return np.repeat(std, self.recipe.timing.n_samples)
 
+    @property
+    def whole_noise(self) -> FloatArray:
+        """Standard deviation of the noise of each value, the converter's with it, were that normal."""
+        whole: FloatArray = np.hypot(self.noise, self.steps / np.sqrt(12.0))
+        return whole
+
     def readings(self, values: FloatArray) -> FloatArray:
         """Readings without noise and converter, shape (n, n_channels * n_samples), at coordinates (n, size)."""
         recipe, n = self.recipe, len(values)

@@ -22,8 +22,6 @@ from motor_env.inference.truncated_normal import TruncatedNormal
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
 
-_DRAWS, _MOST_ROUNDS = 128, 16
-_ENOUGH = 100.0  # effective draws with which sampling ends
 _FEW = 20.0  # effective draws below which an evidence is not believed
 _HOPELESS = 16.0  # log ratio of two best fits beyond which a class is not sampled
 _NEGLIGIBLE = 8.0  # the same of evidences, beyond which it is not sampled again
@@ -60,6 +58,23 @@ class Linear:
         return float(0.5 * far + np.log(model.noise).sum())
 
 
+class Effort(NamedTuple):
+    """How much is sampled.
+
+    Attributes:
+        draws: of a round.
+        most_rounds: after which sampling ends.
+        enough: effective draws with which it ends before.
+    """
+
+    draws: int
+    most_rounds: int
+    enough: float
+
+
+THOROUGH = Effort(128, 16, 100.0)
+
+
 class Evidence(NamedTuple):
     """Evidence of one class.
 
@@ -72,6 +87,17 @@ class Evidence(NamedTuple):
     effective: float
 
 
+def linearised(model: ClassModel, measured: FloatArray, at: FloatArray) -> Linear:
+    """The motor made linear around coordinates, shape (size,), by differences."""
+    low, high = model.box
+    noise, pace = model.whole_noise, _PACE * (high - low)
+    signed = np.where(at + pace > high, -pace, pace)
+    read = model.readings(np.vstack([at, at + np.diag(signed)]))
+    change = (read[1:] - read[0]).T / (noise[:, None] * signed)
+    change[np.isnan(measured)] = 0.0
+    return Linear(at, np.nan_to_num((measured - read[0]) / noise), change)
+
+
 def best_fit(model: ClassModel, measured: FloatArray, begin: FloatArray) -> Linear:
     """The motor made linear around the most probable coordinates of a start, shape (n_values,); nan: not measured.
 
@@ -79,18 +105,13 @@ def best_fit(model: ClassModel, measured: FloatArray, begin: FloatArray) -> Line
     """
     mean, precision = model.prior
     low, high = model.box
-    noise = np.hypot(model.noise, model.steps / np.sqrt(12.0))
-    pace, root = _PACE * (high - low), np.sqrt(precision)
+    root = np.sqrt(precision)
 
     @lru_cache(maxsize=1)  # the residual and its slopes are asked for one after the other
     def near(point: bytes) -> tuple[FloatArray, FloatArray]:
-        at = np.frombuffer(point)
-        signed = np.where(at + pace > high, -pace, pace)
-        read = model.readings(np.vstack([at, at + np.diag(signed)]))
-        change = (read[1:] - read[0]).T / (noise[:, None] * signed)
-        change[np.isnan(measured)] = 0.0
-        left = np.nan_to_num((measured - read[0]) / noise)
-        return np.concatenate([left, root * (mean - at)]), -np.vstack([change, np.diag(root)])
+        linear = linearised(model, measured, np.frombuffer(point))
+        pull = root * (mean - linear.at)
+        return np.concatenate([linear.left, pull]), -np.vstack([linear.slopes, np.diag(root)])
 
     def residual(at: FloatArray) -> FloatArray:
         return near(at.tobytes())[0]
@@ -134,6 +155,7 @@ def sampled_evidence(
     linear: Linear,
     rng: np.random.Generator,
     floor: float = -np.inf,
+    effort: Effort = THOROUGH,
 ) -> Evidence:
     """Evidence of one class by adaptive multiple importance sampling (Cornuet et al. 2012).
 
@@ -143,13 +165,14 @@ def sampled_evidence(
         linear: of `best_fit`.
         rng: of the draws.
         floor: log evidence below which one round is enough.
+        effort: draws of a round, and when to end.
     """
-    noise = np.hypot(model.noise, model.steps / np.sqrt(12.0))
+    noise = model.whole_noise
     proposals = [linear.posterior(model)]
     values, joint = np.empty((0, len(linear.at))), np.empty(0)
     left = np.empty((0, len(measured)))
     while True:
-        fresh = proposals[-1].draw(rng, _DRAWS)
+        fresh = proposals[-1].draw(rng, effort.draws)
         read = model.readings(fresh)
         values = np.vstack([values, fresh])
         left = np.vstack([left, np.nan_to_num((measured - read) / noise)])
@@ -157,10 +180,10 @@ def sampled_evidence(
         densities = [proposal.log_density(values) for proposal in proposals]
         log_weights = joint - logsumexp(densities, axis=0) + np.log(len(proposals))
         found = Evidence(float(logsumexp(log_weights) - np.log(len(values))), _effective(log_weights))
-        done = found.effective >= _ENOUGH or (found.effective >= _FEW and found.log_value < floor)
-        if done or len(proposals) == _MOST_ROUNDS:
+        done = found.effective >= effort.enough or (found.effective >= _FEW and found.log_value < floor)
+        if done or len(proposals) == effort.most_rounds:
             return found
-        weights = _tempered(log_weights, 0.5 * _DRAWS)
+        weights = _tempered(log_weights, 0.5 * effort.draws)
         linear = _regressed(linear, values, left, weights)
         proposals.append(linear.posterior(model))
 

@@ -8,6 +8,7 @@ class is then a point among the severities, and its distance from the estimate (
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import log_softmax, softmax
@@ -86,19 +87,46 @@ def work_probabilities(recipe: Recipe, cases: FloatArray) -> FloatArray:
     return probabilities
 
 
-def _features(recipe: Recipe, cases: FloatArray) -> FloatArray:
+class WorkFit(NamedTuple):
+    """Fitted motors at work.
+
+    Attributes:
+        values: most probable coordinates, the severities last, shape (n_cases, size).
+        covariance: theirs, shape (n_cases, size, size).
+        chi2: mean square of what is left over, shape (n_cases,).
+        positions: severities of each class in the same coordinates, shape (n_classes, n_kinds).
+        log_probability: of each class, of a motor linear around its fit, shape (n_cases, n_classes).
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    chi2: FloatArray
+    positions: FloatArray
+    log_probability: FloatArray
+
+
+def work_fit(recipe: Recipe, cases: FloatArray) -> WorkFit:
+    """Fit cases, all side by side; arguments as of `work_features`."""
     fault, n = _any_fault(recipe), len(cases)
     measured, voltage = cases[:, :-1].reshape(n, -1), cases[:, -1]
     found, covariance, chi2 = _fitted(recipe, fault, measured, voltage)
     kinds = slice(-len(fault.parts), None)
     tops = np.array([part.largest_severity for part in fault.parts])
     # The severities stand last, the last part's first.
-    away = found[:, None, kinds] - (_severities(recipe) / tops)[:, ::-1]
+    positions = (_severities(recipe) / tops)[:, ::-1]
+    away = found[:, None, kinds] - positions
     distance = np.einsum("nci,nij,ncj->nc", away, np.linalg.inv(covariance[:, kinds, kinds]), away)
     with np.errstate(divide="ignore"):  # a class that is never drawn
         logs = log_softmax(np.log(recipe.class_probabilities) - 0.5 * distance, axis=1)
-    stds = np.sqrt(np.einsum("nii->ni", covariance)[:, kinds])
-    return np.column_stack([found, np.log(stds), np.maximum(logs, _RAREST), np.log1p(chi2)])
+    return WorkFit(found, covariance, chi2, positions, logs)
+
+
+def _features(recipe: Recipe, cases: FloatArray) -> FloatArray:
+    fitted = work_fit(recipe, cases)
+    n_kinds = fitted.positions.shape[1]
+    stds = np.sqrt(np.einsum("nii->ni", fitted.covariance)[:, -n_kinds:])
+    logs = np.maximum(fitted.log_probability, _RAREST)
+    return np.column_stack([fitted.values, np.log(stds), logs, np.log1p(fitted.chi2)])
 
 
 def _fitted(
@@ -110,7 +138,7 @@ def _fitted(
     precision = np.where(np.arange(size) < len(FACTORS), 1.0, _UNIFORM)
     centre = model.prior[0].copy()
     centre[severities], precision[severities] = _BEGIN, _FLAT
-    noise = np.hypot(model.noise, model.steps / np.sqrt(12.0))
+    noise = model.whole_noise
     beside = np.concatenate([np.zeros((1, size)), _PACE * np.eye(size)])
     each = replace(model, voltage_v=np.repeat(voltage_v, len(beside), axis=0))
     at = trial = np.tile(centre, (n, 1))

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from motor_classifiers.prediction.opinions import Opinion, opinions, predict_recording, second_opinion
+from motor_classifiers.wrappers.open_set import OUTSIDE
 from motor_datasets.loaders import load
 from motor_env.console import ExitStatus
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import Motor
+from motor_env.motor.faults import HEALTHY
 from motor_env.recordings.recording import read_recording
 from motor_env.simulation.recipes import Recipe
 
@@ -44,15 +46,13 @@ def opinion_lines(path: Path, opinions_given: list[Opinion], second: dict[str, A
         summary = ", ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
         return [f"{path}: {len(opinions_given)} cases: {summary}"]
     opinion = opinions_given[0]
-    if opinion.reason:
+    if opinion.verdict == OUTSIDE:
+        first = f"{path}: {OUTSIDE}: {opinion.reason}"
+    elif opinion.reason:
         first = f"{path}: no opinion: {opinion.reason}"
     else:
         doubt = " (undecided)" if opinion.status is ExitStatus.UNDECIDED else ""
-        size = (
-            ""
-            if opinion.verdict in ("healthy", "other")
-            else _size(opinion.severity, opinion.severity_interval)
-        )
+        size = "" if opinion.verdict == HEALTHY else _size(opinion.severity, opinion.severity_interval)
         first = (
             f"{path}: {opinion.verdict}{doubt}, probability {opinion.probability:.2f}{size}{_beside(opinion)}"
         )

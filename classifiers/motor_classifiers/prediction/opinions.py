@@ -18,7 +18,8 @@ from motor_classifiers.prediction.alignment import aligned_case
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
-from motor_classifiers.wrappers.open_set import OTHER, OpenSetClassifier
+from motor_classifiers.wrappers.open_set import OUTSIDE, OpenSetClassifier
+from motor_classifiers.wrappers.outside import ADVICE
 from motor_env.console import ExitStatus
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.shown.report import as_json
@@ -39,12 +40,12 @@ class Opinion(NamedTuple):
     """What a model says of a start.
 
     Attributes:
-        verdict: healthy, bearing, winding, noise, other, or unusable.
+        verdict: healthy, bearing, winding, noise, `outside what I know`, or unusable.
         class_name: most probable class; empty where unusable.
-        probability: of the verdict; of `other` and out of range, one minus the rate of false alarms.
+        probability: of the verdict; of a fault out of range, one minus the rate of false alarms.
         severity: its mean, for the most probable kind of the verdict; 0 for healthy.
         probabilities: of each class by name.
-        reason: why there is no opinion, else empty.
+        reason: why there is no opinion, and what to do; else empty.
         severity_interval: bounds that hold the severity in 90 of 100 cases, from a model that tells them.
         candidates: classes in the conformal set, from a model that has one; the set may be empty.
         out_of_range: whether the fault is larger than any that the model was trained on, from a model that tells it.
@@ -63,7 +64,7 @@ class Opinion(NamedTuple):
     @property
     def status(self) -> ExitStatus:
         """Exit status that this opinion alone gives."""
-        if self.verdict == UNDECIDED or self.probability < LEAST_PROBABILITY:
+        if self.verdict in (UNDECIDED, OUTSIDE) or self.probability < LEAST_PROBABILITY:
             return ExitStatus.UNDECIDED
         return ExitStatus.HEALTHY if self.verdict == HEALTHY else ExitStatus.FAULT
 
@@ -125,8 +126,10 @@ def _around(model: ConformalClassifier | OpenSetClassifier, inside: list[Opinion
     verdicts, sure = model.verdicts(X), 1.0 - model.false_alarm_rate
     opened = []
     for n, opinion in enumerate(inside):
-        if verdicts.is_other[n]:
-            foreign = Opinion(OTHER, "", sure, probabilities=opinion.probabilities, out_of_range=False)
+        if verdicts.is_outside[n]:
+            off = str(verdicts.off[n])
+            reason = f"most likely {off}: {ADVICE[off]}"
+            foreign = Opinion(OUTSIDE, probabilities=opinion.probabilities, reason=reason, out_of_range=False)
             opened.append(foreign)
         elif verdicts.out_of_range[n]:
             kind, severity = verdict_of(str(verdicts.label[n])), float(verdicts.severity[n])
@@ -183,7 +186,19 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording
         )
     except UnusableError as error:
         return Opinion(UNDECIDED, reason=str(error))
-    return opinions(model, recipe, case)[0]
+    return opinions(abstaining(model, recipe), recipe, case)[0]
+
+
+def abstaining(model: BaseEstimator, recipe: Recipe) -> BaseEstimator:
+    """The model in a wrapper that refuses starts of another world, where it is in none and the recipe allows it."""
+    layer = model
+    while isinstance(layer, ConformalClassifier):
+        layer = layer.wrapped_model
+    if isinstance(layer, OpenSetClassifier) or any(kind.is_sensor for kind in recipe.kinds):
+        return model
+    core = innermost(model)
+    noise_range = core.noise_range if isinstance(core, PosteriorNetwork) else None
+    return OpenSetClassifier.around(model, recipe, noise_range)
 
 
 def second_opinion(recording: Recording, recipe: Recipe, motor: Motor | None = None) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sklearn.metrics import roc_auc_score, roc_curve
 
 from motor_classifiers.scoring.task import judged_cases
-from motor_classifiers.wrappers.open_set import FaultFamilyDetector
+from motor_classifiers.wrappers.fault_family import family_fit
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.parameters import FloatArray, SupplyParameters
 from motor_env.simulation.drawing import apply_factors, draw
@@ -22,7 +22,9 @@ Confidence = Callable[[NDArray[np.float32]], FloatArray]
 """Probabilities of transients: shape (n_cases, n_channels, n_samples) to (n_cases, n_classes)."""
 
 DISTANCE = "distance"
-"""What the detector goes by, beside the classifiers' confidence."""
+"""What faults are told by beside the classifiers' confidence: the distance from the recipe's family (`family_fit`)."""
+
+_FALSE_ALARMS = 0.01
 
 FALSE_ALARM_RATES: FloatArray = np.linspace(0.0, 1.0, 101)
 """Where curves are drawn."""
@@ -93,9 +95,9 @@ def foreign_scores(
     n_known: int,
     n_foreign: int,
 ) -> dict[str, Any]:
-    """Measure how well the detector's distance, and the confidence of classifiers, tell foreign faults.
+    """Measure how well distance, and the confidence of classifiers, tell foreign faults.
 
-    The detector's threshold, for 1 % of false alarms, is set on other motors than it is tried on.
+    The threshold of the distance, for 1 % of false alarms, is set on other motors than it is tried on.
 
     Args:
         recipe: the known classes.
@@ -114,11 +116,12 @@ def foreign_scores(
     """
     known_cases = judged_cases(recipe, first_case, n_known + n_threshold)
     known = generate_arrays(recipe, seed, known_cases[:n_known]).X
-    detector = FaultFamilyDetector(recipe).fit(generate_arrays(recipe, seed, known_cases[n_known:]).X)
+    of_threshold = family_fit(recipe, generate_arrays(recipe, seed, known_cases[n_known:]).X).distance
+    threshold = float(np.quantile(of_threshold, 1.0 - _FALSE_ALARMS))
 
     def scores_of(X: NDArray[np.float32]) -> dict[str, FloatArray]:
         sure = {name: classify(X).max(axis=1) for name, classify in confidences.items()}
-        return {DISTANCE: detector.score_samples(X), **sure}
+        return {DISTANCE: -family_fit(recipe, X).distance, **sure}
 
     of_known = scores_of(known)
     scored = []
@@ -131,6 +134,6 @@ def foreign_scores(
             areas[name] = float(roc_auc_score(truth, strange))
             false, right, _ = roc_curve(truth, strange)
             curves[name] = np.round(np.interp(FALSE_ALARM_RATES, false, right), 4).tolist()
-        called_other = float((of_foreign[DISTANCE] < detector.offset_).mean())
+        called_other = float((of_foreign[DISTANCE] < -threshold).mean())
         scored.append({"fault": fault.name, "auroc": areas, "called_other": called_other, "roc": curves})
-    return {"false_alarms": float((of_known[DISTANCE] < detector.offset_).mean()), "faults": scored}
+    return {"false_alarms": float((of_known[DISTANCE] < -threshold).mean()), "faults": scored}

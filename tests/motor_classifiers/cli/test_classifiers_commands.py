@@ -109,7 +109,14 @@ SECOND = {
             Opinion("healthy", "", 0.9, candidates=()),
             "healthy, probability 0.90, could be none of its classes",
         ),
-        (Opinion("other", "", 0.99, candidates=("a", "b")), "other, probability 0.99, could be a or b"),
+        (
+            Opinion("healthy", "", 0.99, candidates=("a", "b")),
+            "healthy, probability 0.99, could be a or b",
+        ),
+        (
+            Opinion("outside what I know", reason="most likely load: uncouple it"),
+            "outside what I know: most likely load: uncouple it",
+        ),
         (Opinion("unusable", reason="too short"), "no opinion: too short"),
     ],
 )

@@ -32,6 +32,7 @@ from motor_classifiers.cli.main import main
 # Reaches in: a step that stands in files without a public name, and starts that no recipe draws.
 from motor_classifiers.model_files.persistence import FORMAT
 from motor_classifiers.scoring.unknown_faults import ForeignFault, foreign_starts
+from motor_classifiers.wrappers.open_set import OUTSIDE
 from motor_datasets import generate_arrays, generate_dataset
 from motor_env import FaultKind
 from motor_env.console import ExitStatus
@@ -213,10 +214,10 @@ def test_wrappers_come_back(wrapped: OpenSetClassifier, tmp_path: Path) -> None:
         opinions(loaded, RECIPE, X)
         for X in (test.X, foreign_starts(RECIPE, heavier, 9, np.arange(5)), stiff.X)
     )
-    assert np.mean([opinion.verdict == "other" for opinion in known]) < 0.2
+    assert np.mean([opinion.verdict == OUTSIDE for opinion in known]) < 0.2
     for opinion in foreign:
-        assert opinion.verdict == "other"
-        assert opinion.status is ExitStatus.FAULT
+        assert opinion.verdict == OUTSIDE
+        assert opinion.status is ExitStatus.UNDECIDED
     for opinion in beyond:
         assert (opinion.verdict, opinion.out_of_range) == ("bearing", True)
         assert opinion.severity == pytest.approx(0.9, abs=0.35)
@@ -232,8 +233,12 @@ def test_wrappers_come_back(wrapped: OpenSetClassifier, tmp_path: Path) -> None:
         {"kind": "closed-set"},
         {"format": "another"},
         {"version": 7},
-        {"offset": "low"},
-        {"offset": float("nan")},
+        {"offsets": "low"},
+        {"offsets": [float("nan")]},
+        {"offsets": [1.0, 2.0]},
+        {"levels": [0.0, 0.0], "offsets": [1.0, 2.0]},
+        {"noise_range": [2.0, 1.0]},
+        {"noise_range": "wide"},
         {"false_alarm_rate": 1.5},
         {"false_alarm_rate": [0.01]},
         {"kind": "conformal"},
@@ -253,7 +258,8 @@ def test_a_forged_wrapper_is_refused(changes: dict[str, Any], tmp_path: Path) ->
 
 def wrapper_of(inner: bytes, changes: dict[str, Any] | None = None) -> bytes:
     """A wrapper's file."""
-    head = {"format": FORMAT, "version": 1, "kind": "open-set", "false_alarm_rate": 0.01, "offset": -9.0}
+    own = {"false_alarm_rate": 0.01, "noise_range": None, "levels": [0.0], "offsets": [-9.0]}
+    head = {"format": FORMAT, "version": 1, "kind": "open-set", **own}
     return archive_of({"wrapper.json": json.dumps(head | (changes or {})).encode(), "model": inner})
 
 

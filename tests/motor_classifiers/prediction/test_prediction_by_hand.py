@@ -25,7 +25,7 @@ from motor_classifiers.estimators.networks.posterior_network import SeverityEsti
 from motor_classifiers.prediction import alignment, opinions as opinions_module
 from motor_classifiers.prediction.alignment import aligned_case
 from motor_classifiers.prediction.opinions import UNDECIDED, second_opinion
-from motor_classifiers.wrappers.open_set import Verdicts
+from motor_classifiers.wrappers.open_set import OUTSIDE, Verdicts
 from motor_env import Channel, FaultKind, Recipe, Recording, Timing, load_recipe, simulate_states
 from motor_env.console import ExitStatus
 from motor_env.inference.features import FEATURE_NAMES
@@ -264,15 +264,19 @@ class Open(OpenSetClassifier):
     """Around `Told`: foreign, out of range, ordinary, ordinary."""
 
     def verdicts(self, X: Any) -> Verdicts:
-        label = np.array(["other", "winding_contact", "healthy", "healthy"], dtype=object)
-        return Verdicts(label, np.arange(4) == 0, np.arange(4) == 1, np.array([np.nan, 0.75, 0.0, 0.0]))
+        label = np.array([OUTSIDE, "winding_contact", "healthy", "healthy"], dtype=object)
+        off = np.array(["warmth", "", "", ""], dtype=object)
+        beyond = np.arange(4) == 1
+        return Verdicts(label, np.arange(4) == 0, beyond, np.where(beyond, 0.75, np.nan), off)
 
 
 def test_an_open_set_is_as_sure_as_its_false_alarms_are_rare() -> None:
     model = Open(Told(), RECIPE, false_alarm_rate=0.03125)
     model.estimator_ = model.estimator
     other, beyond, plain, _ = opinions(model, RECIPE, GIVEN)
-    assert (other.verdict, other.class_name, other.probability, other.severity) == ("other", "", 0.96875, 0.0)
+    assert (other.verdict, other.class_name, other.probability) == ("outside what I know", "", 0.0)
+    assert other.reason.startswith("most likely warmth: ")
+    assert other.status is ExitStatus.UNDECIDED
     assert (beyond.verdict, beyond.class_name, beyond.probability) == ("winding", "", 0.96875)
     assert (beyond.severity, beyond.out_of_range) == (0.75, True)
     inside = opinions(Told(), RECIPE, GIVEN)[2]

@@ -14,7 +14,6 @@ from made_results import RECIPE, TASK, answer, decisions, made_results
 from scipy.stats import binom
 from sklearn.metrics import brier_score_loss, log_loss
 
-from motor_classifiers import FaultFamilyDetector
 from motor_classifiers.scoring import progress, trust as trust_module, unknown_faults, verdict_times
 from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability, reliability
 from motor_classifiers.scoring.evaluation import evaluation_lines
@@ -323,7 +322,7 @@ def test_unknown_faults_are_as_large_as_their_names_say() -> None:
 def test_foreign_faults_are_found_above_the_threshold(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the distance of made cases: the last sample of a start tells its number, foreign ones are ten further."""
 
-    def distance(self: Any, X: Any) -> FamilyFit:
+    def distance(recipe: Any, X: Any) -> FamilyFit:
         flat = np.asarray(X).reshape(len(X), -1)
         return FamilyFit(flat[:, -1], np.full(len(flat), ""), np.zeros(len(flat)), np.zeros(len(flat), bool))
 
@@ -332,7 +331,7 @@ def test_foreign_faults_are_found_above_the_threshold(monkeypatch: pytest.Monkey
         X[:, 0, -1] = np.asarray(cases) % 100
         return type("Made", (), {"X": X})
 
-    monkeypatch.setattr(FaultFamilyDetector, "family", distance)
+    monkeypatch.setattr(unknown_faults, "family_fit", distance)
     monkeypatch.setattr(unknown_faults, "generate_arrays", made)
     monkeypatch.setattr(
         unknown_faults,

@@ -10,7 +10,7 @@ import pytest
 from shifts import shift_scores, textbook_shifts
 from sklearn.metrics import roc_auc_score
 
-from motor_classifiers import ConformalSets, FaultFamilyDetector
+from motor_classifiers import ConformalSets, OutsideDetector
 from motor_classifiers.scoring import trust as trust_module
 from motor_classifiers.scoring.task import class_task
 from motor_classifiers.scoring.trust import (
@@ -54,7 +54,7 @@ def calibrated(model: Posterior) -> ConformalSets:
 
 def test_the_posterior_keeps_its_word_and_loses_it_under_shifts() -> None:
     model = Posterior(BENCH)
-    detector = FaultFamilyDetector(BENCH).fit(generate_arrays(BENCH, 2, 500).X)
+    detector = OutsideDetector(BENCH).fit()
     conditions = {"same": BENCH, **textbook_shifts(BENCH)}
     got = shift_scores(
         model, BENCH, conditions, sets=calibrated(model), detector=detector, seed=3, cases=np.arange(300)
@@ -65,13 +65,16 @@ def test_the_posterior_keeps_its_word_and_loses_it_under_shifts() -> None:
     assert same.ece < 0.06
     # A set may hold another level of the true kind, so kinds are covered more often than classes.
     assert same.coverage > 0.86
-    assert same.other < 0.05
+    assert same.refused < 0.05
     short = by_name["shorted turns, 10 %"]
     assert (short.accuracy, short.limit, short.coverage) == (0.0, 1.0, 0.0)
-    assert short.other > 0.9
+    assert short.refused > 0.9
     hotter = by_name["20 K hotter"]
     assert hotter.accuracy < hotter.limit - 0.02
     assert hotter.ece > same.ece + 0.05
+    assert hotter.refused > 0.4
+    # Fewer wrong answers are given; among those given more are wrong: the faulty ones look strangest when hot.
+    assert (1.0 - hotter.refused) * (1.0 - hotter.answered_accuracy) < 0.85 * (1.0 - hotter.accuracy)
     assert by_name["sensor twice as noisy"].ece > same.ece
     assert by_name["severities between the levels"].accuracy > 0.5
 
@@ -89,7 +92,7 @@ def test_a_field_needs_a_reference() -> None:
         for reference in (None, lambda recipe: model)
     )
     assert np.isnan(alone.limit)
-    assert np.isnan(alone.other)
+    assert np.isnan(alone.refused)
     assert estimated.limit == estimated.accuracy
     with pytest.raises(ValueError, match="has a field"):
         foreign_starts(still, UNKNOWN_FAULTS[0], 0, np.arange(2))

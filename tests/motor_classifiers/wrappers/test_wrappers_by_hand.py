@@ -15,12 +15,13 @@ from motor_classifiers import (
     ConformalIntervals,
     ConformalSets,
     EarlyClassifier,
-    FaultFamilyDetector,
     OpenSetClassifier,
+    OutsideDetector,
 )
 
 # Reaches in: pins what a wrapper makes of the state that a file holds, without a file.
 from motor_classifiers.estimators.state import State
+from motor_classifiers.wrappers import open_set
 from motor_classifiers.wrappers.conformal import measured_coverage
 from motor_classifiers.wrappers.early import Stopped, shortened, stop_when_sure, stopping_score
 from motor_classifiers.wrappers.fault_family import (  # the two last: closed forms hold them, not only rates
@@ -29,6 +30,7 @@ from motor_classifiers.wrappers.fault_family import (  # the two last: closed fo
     _hypotheses,
     family_fit,
 )
+from motor_classifiers.wrappers.open_set import OUTSIDE
 from motor_env import Channel, FaultKind, Timing, load_recipe, simulate_states
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass, Spread
@@ -141,7 +143,7 @@ def test_lengths_of_what_is_seen() -> None:
 
 def test_a_recipe_is_cut_after_its_quiet_part() -> None:
     recipe = replace(BENCH, timing=Timing(1_000.0, 0.1, quiet_s=0.02))
-    cut = shortened(FaultFamilyDetector(recipe), 50).recipe
+    cut = shortened(OutsideDetector(recipe), 50).recipe
     assert (cut.timing.n_samples, cut.timing.n_quiet) == (50, 20)
     assert cut.timing.duration_s == pytest.approx(0.03)
 
@@ -166,28 +168,28 @@ def test_the_first_samples_are_those_of_each_channel() -> None:
     np.testing.assert_array_equal(model.estimators_[0].given_, X[:, :, :3].reshape(4, 6))
 
 
-def _distances(detector: FaultFamilyDetector, X: Any) -> FamilyFit:
-    """Each case is its own distance and severity; the last feature says out of range."""
-    cases = np.asarray(X).reshape(len(X), -1)
-    return FamilyFit(cases[:, 0], np.full(len(cases), "bearing"), cases[:, 1], cases[:, 1] > 10.0)
+def test_the_verdicts_of_refused_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each start is its own distance from the family and severity; the third value says what is off."""
 
+    def family(recipe: Any, cases: Any) -> FamilyFit:
+        first, severity = cases[:, 0, 0], cases[:, 0, 1]
+        return FamilyFit(first, np.full(len(cases), "bearing"), severity, severity > 10.0)
 
-def test_thresholds_and_verdicts_of_given_distances(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(FaultFamilyDetector, "family", _distances)
-    X = np.column_stack([np.arange(101.0), np.zeros(101)])
-    detector = FaultFamilyDetector(false_alarm_rate=0.05).fit(X)
-    assert detector.offset_ == pytest.approx(-95.0)
-    detector.offset_ = -95.0
-    np.testing.assert_array_equal(detector.decision_function(X[[0, 95, 96]]), [95.0, 0.0, -1.0])
-    assert detector.predict(X[[0, 95, 96]]).tolist() == [1, 1, -1]
-    model = OpenSetClassifier(false_alarm_rate=0.05).fit(X, np.where(X[:, 0] < 50.0, "low", "more"))
-    model.detector_.offset_ = -95.0
-    got = model.verdicts(np.array([[3.0, 0.5], [95.0, 11.0], [96.0, 11.0], [3.0, 10.0]]))
-    assert got.label.tolist() == ["low", "bearing", "other", "low"]
-    assert got.is_other.tolist() == [False, False, True, False]
-    assert got.out_of_range.tolist() == [False, True, False, False]
-    np.testing.assert_array_equal(got.severity, [0.5, 11.0, np.nan, 10.0])
-    assert OpenSetClassifier().false_alarm_rate == FaultFamilyDetector().false_alarm_rate == 0.01
+    def off(self: OutsideDetector, X: Any) -> Any:
+        return np.array(["", "load", "warmth"], dtype=object)[X[:, 2].astype(int)]
+
+    monkeypatch.setattr(open_set, "family_fit", family)
+    monkeypatch.setattr(OutsideDetector, "what_is_off", off)
+    X = np.column_stack([np.arange(60.0), np.zeros((60, 2))])
+    model = OpenSetClassifier().fit(X, np.where(X[:, 0] < 30.0, "low", "more"))
+    got = model.verdicts(np.array([[3.0, 12, 0], [16.0, 12, 1], [17.0, 12, 1], [5.0, 9, 2], [40.0, 12, 0]]))
+    # A distance below 16.8, 99 % of a chi-square of six, is within the family.
+    assert got.label.tolist() == ["bearing", "bearing", OUTSIDE, OUTSIDE, "more"]
+    assert got.is_outside.tolist() == [False, False, True, True, False]
+    assert got.out_of_range.tolist() == [True, True, False, False, False]
+    assert got.off.tolist() == ["", "", "load", "warmth", ""]
+    np.testing.assert_array_equal(got.severity, [12.0, 12.0, np.nan, np.nan, np.nan])
+    assert OpenSetClassifier().false_alarm_rate == OutsideDetector().false_alarm_rate == 0.01
 
 
 def test_severity_along_rays_is_the_conditional_normal() -> None:

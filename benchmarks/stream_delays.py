@@ -1,0 +1,102 @@
+"""Delay of alarms at equal false alarms, on the task `stream`: `python benchmarks/stream_delays.py`.
+
+Each rule has one threshold. Swept, it trades false alarms (in a healthy stream, or before the onset) for delay. The
+streams are those of the task; its score weighs both by one price, the curves leave the price open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from cyclopts import run
+from tables import keep_table
+
+from motor_classifiers.contest.questions import StreamTask
+from motor_classifiers.contest.tasks import load_task
+from motor_classifiers.scoring.metrics import resampling_weights
+from motor_classifiers.scoring.score import score
+from motor_env import Cusum, Glr, TolerantFilter
+from motor_env.detection.rules.base import Rule, first_above
+from motor_env.motor.parameters import FloatArray
+
+PICTURE = Path(__file__).resolve().parent.parent / "docs" / "images" / "stream-delays.svg"
+RULES: dict[str, Rule] = {"CUSUM": Cusum(0.2), "CUSUM, larger shift": Cusum(0.5), "GLR": Glr(10, 700)}
+SHARES = (0.01, 0.02, 0.05, 0.10)
+N_LEVELS = 400
+
+Curves = dict[str, tuple[FloatArray, FloatArray]]
+"""Thresholds, and what `judged` says at each, by rule."""
+
+
+def alarm_times(task: StreamTask, statistic: FloatArray, threshold: float) -> FloatArray:
+    """First time above a threshold, nan for none, shape (n,)."""
+    timing, index = task.recipe.timing, first_above(statistic, threshold)
+    return np.where(index < 0, np.nan, (index + 1 - timing.n_quiet) * timing.dt_s)
+
+
+def judged(alarm_s: FloatArray, onset_s: FloatArray) -> tuple[float, float, float]:
+    """Share of false alarms, mean delay of the right ones in seconds, and share of faults without one in time."""
+    alarm = np.where(np.isnan(alarm_s), np.inf, alarm_s)
+    onset = np.where(np.isnan(onset_s), np.inf, onset_s)
+    false = alarm < onset
+    faulty = np.isfinite(onset) & ~false
+    right = faulty & np.isfinite(alarm)
+    delay = float((alarm[right] - onset[right]).mean()) if right.any() else float("nan")
+    return float(false.mean()), delay, float((faulty & ~right).sum() / max(faulty.sum(), 1))
+
+
+def curve(task: StreamTask, rule: Rule) -> tuple[FloatArray, FloatArray]:
+    """Thresholds, and what `judged` says at each, shape (n, 3)."""
+    streams = task.test()
+    statistic = rule.statistic(TolerantFilter.from_recipe(task.recipe).white(streams.X))
+    levels = np.unique(np.quantile(statistic.max(axis=1), np.linspace(0.0, 0.999, N_LEVELS)))
+    rows = [judged(alarm_times(task, statistic, level), streams.truth) for level in levels]
+    return levels, np.array(rows)
+
+
+def at_equal_false_alarms(task: StreamTask, curves: Curves) -> Iterable[list[str]]:
+    """Delay and misses of each rule at the lowest threshold with at most so many false alarms, and its score there."""
+    streams = task.test()
+    weights = resampling_weights(len(streams.truth), task.seed)
+    white = TolerantFilter.from_recipe(task.recipe).white(streams.X)
+    for share in SHARES:
+        for name, (levels, told) in curves.items():
+            at = int(np.flatnonzero(told[:, 0] <= share)[0])
+            alarms = alarm_times(task, RULES[name].statistic(white), float(levels[at]))[:, None]
+            value = score(task, streams.truth, {name: alarms}, weights)[name].value
+            yield [
+                f"{100.0 * share:g} %", name, f"{1e3 * told[at, 1]:.0f} ms", f"{100.0 * told[at, 2]:.1f} %",
+                f"{value.value:.2f} ({value.low:.2f} to {value.high:.2f})",
+            ]  # fmt: skip
+
+
+def draw_curves(curves: Curves) -> None:
+    """Mean delay, and misses, against false alarms."""
+    from motor_env.plotting import drawing, save, subplots
+
+    with drawing():
+        figure, (top, bottom) = subplots(2, width_in=6.5, height_in=6.0)
+        for name, (_, told) in curves.items():
+            shown = (told[:, 0] > 0.0005) & (told[:, 0] < 0.4)
+            top.plot(100.0 * told[shown, 0], 1e3 * told[shown, 1], label=name)
+            bottom.plot(100.0 * told[shown, 0], 100.0 * told[shown, 2], label=name)
+        top.set(ylabel="mean delay, ms", xscale="log", title="Delay at equal false alarms")
+        bottom.set(ylabel="faults without an alarm, %", xlabel="streams with a false alarm, %")
+        top.legend()
+        save(figure, PICTURE)
+
+
+def main() -> None:
+    """Write the table and the picture."""
+    task = load_task("stream")
+    assert isinstance(task, StreamTask)
+    curves = {name: curve(task, rule) for name, rule in RULES.items()}
+    header = ("false alarms", "rule", "mean delay", "no alarm in time", "score of the task")
+    keep_table("calibration", "stream", header, at_equal_false_alarms(task, curves))
+    draw_curves(curves)
+
+
+if __name__ == "__main__":
+    run(main)
