@@ -9,11 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from motor_env.envs import kernel, layout
-from motor_env.envs.compiling import compiled, inlined
+from motor_env.envs.compiling import compiled, fixed_tuple, inlined
 from motor_env.envs.drawing import begin_state, draw_episode, set_motor
 from motor_env.envs.kernel import BLOCK, LANES, MODEL_LENGTH, N_CONSTANTS, ROWS, Constants
 from motor_env.envs.layout import BoolArray, Lanes, TaskNumbers, unpack_lanes, unpack_task
@@ -99,7 +98,7 @@ def _step_block(
                 kernel.hold_speed(s, j, p)
         for m in range(task.bank.shape[0]):
             if task.bank[m, kernel.T11] != 0.0:
-                t = to_fixed_tuple(task.bank[m], MODEL_LENGTH)
+                t = fixed_tuple(task.bank[m], MODEL_LENGTH)
                 for j in range(width):
                     kernel.weigh(s, j, kernel.BANK + kernel.BANK_LENGTH * m, p, t)
         kept = p[kernel.ONE]
@@ -296,7 +295,7 @@ def _step_lanes(
     task = unpack_task(numbers, prior)
     if task.constants[kernel.CONFIRM] > 1.0:
         _confirm(task.constants, lanes, samples, n_envs)
-    p = to_fixed_tuple(task.constants, N_CONSTANTS)
+    p = fixed_tuple(task.constants, N_CONSTANTS)
     n_over, row = 0, lanes.marks[layout.ROW, 0]
     next_row = row
     for first in range(0, reward.shape[0], LANES):
@@ -371,7 +370,7 @@ def step_single(
         Reward, end, whether a fault acts, and the four parts of the reward.
     """
     task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
-    p, s = to_fixed_tuple(task.constants, N_CONSTANTS), lanes.state
+    p, s = fixed_tuple(task.constants, N_CONSTANTS), lanes.state
     s[kernel.VOLTAGE * LANES], lanes.marks[layout.DECLARED, 0] = offset_v, declared
     if p[kernel.CONFIRM] > 1.0:
         _confirm(task.constants, lanes, samples, 1)
