@@ -41,6 +41,7 @@ LEARNABLE, LONG, LONG_SEEDS = ("MonitorConfirm-v0", "DriveDecide-v0", "ProbeConf
 """Ids where PPO is also trained for longer (`long`), how long, and how often."""
 OFF_POLICY = {"ProbeConfirm-v0": "dqn", "DriveDecide-v0": "dqn", "DriveBounded-v0": "sac"}
 """Where another algorithm than PPO is tried, too, and which."""
+OTHERS = {"long": "PPO, a million steps:", "dqn": "DQN", "sac": "SAC"}
 TUNED = Path(__file__).resolve().parents[1] / "examples" / "ppo"
 Result = dict[str, Any]
 
@@ -243,7 +244,7 @@ def row(name: str) -> str:
     found = kept(name)
     cells = [cell(found.get(method)) for method in ("random", "trivial", "textbook", "best", "bound")]
     learned = {method: runs([each["return"] for each in found.get(method, [])]) for method in LEARNERS}
-    other = " ".join(f"{method.upper()} {learned[method]}" for method in ("dqn", "sac") if learned[method])
+    other = " ".join(f"{label} {learned[method]}" for method, label in OTHERS.items() if learned[method])
     names = [f"[{name}](environments/{name}.md)", *cells, learned["ppo"], other, runs(tuned(name))]
     return "| " + " | ".join(names) + " |"
 
@@ -251,7 +252,7 @@ def row(name: str) -> str:
 def table() -> str:
     """All ids in the order of the registry."""
     head = ["id", "random", "always", "textbook", "best known", "no policy exceeds"]
-    head += ["PPO, defaults", "DQN or SAC, defaults", "tuned agents"]
+    head += ["PPO, defaults", "more trainings, defaults", "tuned agents"]
     names = [spec.removeprefix("motor_env/") for spec in gym.registry if spec.startswith("motor_env/")]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *map(row, names)]
     return "\n".join(lines)

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import matplotlib.image
 import numpy as np
+from gallery import gallery  # it lies beside this file
 from gymnasium.envs.registration import EnvSpec
 from matplotlib import pyplot as plt
 
@@ -370,10 +371,11 @@ def write_pages() -> None:
         folder.mkdir(exist_ok=True)
         for old in folder.iterdir():
             old.unlink()
-    for spec in gym.registry.values():
-        if spec.namespace == "motor_env":
-            name = spec.id.split("/")[1]
-            (environments / f"{name}.md").write_text(environment_page(spec), encoding="utf-8")
-            picture(spec, environments / f"{name}.png")
+    specs = [spec for spec in gym.registry.values() if spec.namespace == "motor_env"]
+    for spec in specs:
+        name = spec.id.split("/")[1]
+        (environments / f"{name}.md").write_text(environment_page(spec), encoding="utf-8")
+        picture(spec, environments / f"{name}.png")
+    (environments / "all.md").write_text(gallery(specs, environments), encoding="utf-8")
     for module, text in api_pages().items():
         (api / f"{module}.md").write_text(text, encoding="utf-8")
