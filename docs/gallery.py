@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-from gymnasium.envs.registration import EnvSpec
 from PIL import Image
+
+import motor_env  # noqa: F401  # registers the environments
 
 WIDTH_PX = 240
 TRIALS, SEED = 64, 1
@@ -46,10 +47,12 @@ def random_length(env: Any) -> float:
     return steps / TRIALS
 
 
-def gallery(specs: list[EnvSpec], folder: Path) -> str:
-    """The page; writes a small picture beside the screen of each id."""
+def write_gallery(folder: Path) -> None:
+    """Write the page into the folder with the screens of all ids, and a small picture beside each."""
     rows = []
-    for spec in specs:
+    for spec in gym.registry.values():
+        if spec.namespace != "motor_env":
+            continue
         env: Any = gym.make(spec.id).unwrapped
         name, (most, step) = spec.id.split("/")[1], horizon(env)
         with Image.open(folder / f"{name}.png") as screen:
@@ -67,4 +70,4 @@ def gallery(specs: list[EnvSpec], folder: Path) -> str:
             f"{spec.reward_threshold:+.3f}",
         ]
         rows.append("| " + " | ".join(cells) + " |\n")
-    return HEAD.format(trials=TRIALS) + "".join(rows)
+    (folder / "all.md").write_text(HEAD.format(trials=TRIALS) + "".join(rows), encoding="utf-8")

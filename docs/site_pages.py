@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import matplotlib.image
 import numpy as np
-from gallery import gallery  # it lies beside this file
 from gymnasium.envs.registration import EnvSpec
 from matplotlib import pyplot as plt
 
@@ -376,6 +375,5 @@ def write_pages() -> None:
         name = spec.id.split("/")[1]
         (environments / f"{name}.md").write_text(environment_page(spec), encoding="utf-8")
         picture(spec, environments / f"{name}.png")
-    (environments / "all.md").write_text(gallery(specs, environments), encoding="utf-8")
     for module, text in api_pages().items():
         (api / f"{module}.md").write_text(text, encoding="utf-8")
