@@ -52,12 +52,12 @@ TABLE = (
     Row(BASE, "random", 1, 0.7),
     Row(BASE, "waits", 1, 15.0, peer="gem"),
     Row(PROBE, "waits", 1, 0.5, title="Probe-v0 (20 samples a step)"),
-    Row(DRIVE, "waits", 4096, 0.2, title="Drive-v0"),
-    Row(DRIVE, "6 % ends", 4096, 0.12, title="Drive-v0"),
-    Row(DRIVE, "waits", 1, 0.6, title="Drive-v0"),
-    Row(MAINTAIN, "waits", 4096, 0.08, title="Maintain-v0"),
-    Row(MAINTAIN, "random", 4096, 0.1, title="Maintain-v0"),
-    Row(MAINTAIN, "waits", 1, 0.4, title="Maintain-v0"),
+    Row(DRIVE, "waits", 4096, 0.5, title="Drive-v0"),
+    Row(DRIVE, "6 % ends", 4096, 0.2, title="Drive-v0"),
+    Row(DRIVE, "waits", 1, 1.0, title="Drive-v0"),
+    Row(MAINTAIN, "waits", 4096, 0.14, title="Maintain-v0"),
+    Row(MAINTAIN, "random", 4096, 0.14, title="Maintain-v0"),
+    Row(MAINTAIN, "waits", 1, 1.0, title="Maintain-v0"),
 )
 
 

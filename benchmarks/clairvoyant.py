@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from motor_env.envs import DriveVectorEnv, Lqg, drive_episodes
-from motor_env.envs.drive import kernel
 from motor_env.motor.parameters import FloatArray
 
 LIMP_FROM = (0.0, 0.2, 0.35, 0.5, 0.7, np.inf)
@@ -27,16 +26,16 @@ class Clairvoyant(Lqg):
 
     def _follow(self, seen: dict[str, FloatArray]) -> None:
         super()._follow(seen)
-        kind, severity = self._truth[kernel.KIND], self._truth[kernel.SEVERITY]
+        kind, severity = self._truth("kind"), self._truth("severity")
         far = np.abs(np.log((self.bank.severity[:, None] + 1e-9) / (severity + 1e-9)))
         other = self.bank.kind[:, None] != np.where(severity > 0.0, kind, 0.0)
         self.probability = np.eye(len(self.bank.kind))[:, np.argmin(np.where(other, np.inf, far), axis=0)]
 
     def _decision(self) -> FloatArray:
         options = self.setup.options
-        failure = np.array([np.inf, *options.failure_severity])[self._truth[kernel.KIND].astype(int)]
-        worn = self._truth[kernel.SEVERITY] / failure
-        worst = np.where(worn > 0.0, np.maximum(worn, self._truth[kernel.TEMPERATURE] / options.burn_k), -1.0)
+        failure = np.array([np.inf, *options.failure_severity])[self._truth("kind").astype(int)]
+        worn = self._truth("severity") / failure
+        worst = np.where(worn > 0.0, np.maximum(worn, self._truth("temperature") / options.burn_k), -1.0)
         return self._decided(worst >= self._limp_from, worst >= self._stop_from)
 
 

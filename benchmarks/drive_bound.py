@@ -87,11 +87,10 @@ def drive_bounds(options: DriveOptions, count: int, seed: int) -> FloatArray:
         ),
     )
     envs.reset(seed=seed)
-    truth = envs.truth
-    kind, onset, growth = (truth[field].copy() for field in (kernel.KIND, kernel.ONSET, kernel.GROWTH))
+    kind, onset, growth = (envs.truth(name) for name in ("kind", "onset", "growth"))
     loads, asked = np.empty((2, count, o.n_steps))
     for k in range(o.n_steps):
-        loads[:, k], asked[:, k] = truth[kernel.LOAD], truth[kernel.PROFILE]
+        loads[:, k], asked[:, k] = envs.truth("load"), envs.truth("profile")
         envs.step(np.tile([0.0, -1.0], (count, 1)))
     costs = np.zeros(count)
     winding, bearing = kind == kernel.WINDING, kind == kernel.BEARING

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from motor_env.envs import Lqg
-from motor_env.envs.drive import kernel
 from motor_env.envs.drive.actions import LIMP, RUN, STOP, as_actions
 from motor_env.envs.drive.policies import LEAST, Observations, named
 from motor_env.envs.drive.setup import DriveSetup
@@ -65,7 +64,7 @@ class PlannedDrive(Lqg):
     def _stressed(self, speed: FloatArray) -> FloatArray:
         o = self.setup.options
         power = np.maximum(self._torque(speed, np.zeros_like(speed)) * speed, 0.0)
-        pace: FloatArray = 1.0 + o.stress_share * (power / self.setup.numbers[kernel.FULL_POWER] - 1.0)
+        pace: FloatArray = 1.0 + o.stress_share * (power / self.setup.task.full_power_w - 1.0)
         return pace
 
     def start(self, count: int) -> None:
@@ -144,7 +143,7 @@ class PlannedDecisions(PlannedDrive):
         super().__init__(setup, late_cost=4.0, margin=(1.5, 0.3))
         self._spread_v, self._spread_n_m = spread
         o, motor = setup.options, setup.options.driven
-        self._kept = 1.0 - (1.0 - setup.numbers[kernel.COOLING]) ** o.steps_per_decision
+        self._kept = 1.0 - (1.0 - setup.task.cooling) ** o.steps_per_decision
         self._drag = (self.bank.drag - self.bank.drag[0])[:, None]
         self._back_emf = float(motor.back_emf_constant_v_s_per_rad)
 

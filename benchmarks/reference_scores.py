@@ -35,10 +35,13 @@ SEEDS, TUNING_SEED, AGENT_SEED = tuple(range(1, 11)), 100, 77
 STEPS, POINTS, N_ENVS, AGENT_EPISODES = 300_000, 5, 8, 500
 TRIVIAL_EPISODES = 250
 FEWEST = 3  # trainings of which an interval says anything
-LEARNERS = ("ppo", "dqn", "sac")
+LEARNERS = ("ppo", "dqn", "sac", "long")
 METHODS = ("random", "trivial", "textbook", "best", "bound", *LEARNERS)
+LEARNABLE, LONG, LONG_SEEDS = ("MonitorConfirm-v0", "DriveDecide-v0", "ProbeConfirm-v0"), 1_000_000, 3
+"""Ids where PPO is also trained for longer (`long`), how long, and how often."""
 OFF_POLICY = {"ProbeConfirm-v0": "dqn", "DriveDecide-v0": "dqn", "DriveBounded-v0": "sac"}
 """Where another algorithm than PPO is tried, too, and which."""
+OTHERS = {"long": "PPO, a million steps:", "dqn": "DQN", "sac": "SAC"}
 TUNED = Path(__file__).resolve().parents[1] / "examples" / "ppo"
 Result = dict[str, Any]
 
@@ -137,7 +140,14 @@ def scored(name: str, label: str, make: Callable[[Any], Player], options: Any, e
     }
 
 
-def trained(name: str, learner: str, seed: int, steps: int) -> Result:
+def wanted(name: str, method: str) -> bool:
+    """Whether this is part of the table."""
+    if method == "long":
+        return name in LEARNABLE
+    return method not in ("dqn", "sac") or OFF_POLICY.get(name) == method
+
+
+def trained(name: str, learner: str, seed: int) -> Result:
     """An agent of Stable-Baselines3 with its defaults, and its learning curve."""
     import stable_baselines3
     import torch
@@ -147,11 +157,12 @@ def trained(name: str, learner: str, seed: int, steps: int) -> Result:
     torch.set_num_threads(1)
     envs = StableBaselinesVecEnv(vector(name, N_ENVS, autoreset_mode="SameStep"))
     envs.seed(1000 + seed)
-    model = getattr(stable_baselines3, learner.upper())("MlpPolicy", envs, seed=seed, device="cpu")
+    algorithm, steps = ("PPO", LONG) if learner == "long" else (learner.upper(), STEPS)
+    model = getattr(stable_baselines3, algorithm)("MlpPolicy", envs, seed=seed, device="cpu")
     test, curve = vector(name, AGENT_EPISODES), []
     begun, rollout = time.process_time(), getattr(model, "n_steps", 1) * N_ENVS
     rollouts = -(-steps // rollout)
-    for part in np.diff(np.linspace(0, rollouts, POINTS + 1).astype(int)):
+    for part in np.diff(np.linspace(0, rollouts, POINTS * steps // STEPS + 1).astype(int)):
         model.learn(int(part) * rollout, reset_num_timesteps=False)
         mean, half = interval(returns_of(test, Agent(model), AGENT_SEED))
         curve.append({"steps": model.num_timesteps, "return": mean, "half_width": half})
@@ -165,7 +176,7 @@ def measure(name: str, method: str, seed: int) -> Result | None:
         bound = reference.bound
         return None if bound is None else {"return": bound(vector(name, 1, **reference.options).options)}
     if method in LEARNERS:
-        return trained(name, method, seed, STEPS)
+        return trained(name, method, seed)
     if method in ("textbook", "best"):
         label, make = getattr(reference, method)
         return scored(name, label, make, reference.options, reference.episodes)
@@ -241,7 +252,7 @@ def row(name: str) -> str:
     found = kept(name)
     cells = [cell(found.get(method)) for method in ("random", "trivial", "textbook", "best", "bound")]
     learned = {method: runs([each["return"] for each in found.get(method, [])]) for method in LEARNERS}
-    other = " ".join(f"{method.upper()} {learned[method]}" for method in LEARNERS[1:] if learned[method])
+    other = " ".join(f"{label} {learned[method]}" for method, label in OTHERS.items() if learned[method])
     names = [f"[{name}](environments/{page_of(name)})", *cells, learned["ppo"], other, runs(tuned(name))]
     return "| " + " | ".join(names) + " |"
 
@@ -249,7 +260,7 @@ def row(name: str) -> str:
 def table() -> str:
     """All ids in the order of the registry."""
     head = ["id", "random", "always", "textbook", "best known", "no policy exceeds"]
-    head += ["PPO, defaults", "DQN or SAC, defaults", "tuned agents"]
+    head += ["PPO, defaults", "more trainings, defaults", "tuned agents"]
     names = [spec.removeprefix("motor_env/") for spec in gym.registry if spec.startswith("motor_env/")]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *map(row, names)]
     return "\n".join(lines)
@@ -273,10 +284,9 @@ def main(
     for name in REFERENCES:
         for method in methods:
             learns = method in LEARNERS
-            for seed in seeds if learns else (0,):
+            for seed in (seeds[:LONG_SEEDS] if method == "long" else seeds) if learns else (0,):
                 path = RESULTS / name / (f"{method}-{seed}.json" if learns else f"{method}.json")
-                elsewhere = method in LEARNERS[1:] and OFF_POLICY.get(name) != method
-                if show or elsewhere or only not in name or path.exists():
+                if show or not wanted(name, method) or only not in name or path.exists():
                     continue
                 begun = time.monotonic()
                 result = measure(name, method, seed)

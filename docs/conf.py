@@ -5,9 +5,11 @@ from importlib.metadata import version as installed_version
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
-from site_pages import write_pages  # it lies beside this file
+from gallery import write_gallery  # they lie beside this file
+from site_pages import write_pages
 
 write_pages()
+write_gallery(Path(__file__).parent / "environments")
 
 project = "motor-env"
 author = "The motor-env contributors"

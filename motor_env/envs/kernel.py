@@ -11,6 +11,8 @@ The same source serves float32 and float64: whichever the arrays are.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from motor_env.envs.compiling import inlined
 from motor_env.motor.parameters import FloatArray
 
@@ -39,21 +41,78 @@ NORMAL_CURRENT, NORMAL_SPEED = N_FIELDS, N_FIELDS + 1  # the normals of the samp
 NOISE, LATEST = N_FIELDS + 2, N_FIELDS + 2 + ROWS  # the normals made ahead, and those made last
 BLOCK = (LATEST + ROWS) * LANES
 
-# The belief, the statistics' memories and the rewards, common to all lanes.
-(F00, F01, F10, F11, G0, G1, K00, K01, K10, K11, W00, W10, W11, C0, C1) = range(15)
-MEMORY_FAST, MEMORY_SLOW, INTO_FAST, INTO_SLOW, INTO_EXCESS, N_CHANNELS = range(15, 21)
-HORIZON, DELAY_COST, CORRECT, SILENT, FALSE_ALARM, WRONG_KIND, MISS = range(21, 28)
-REST_VOLTAGE, REST_CURRENT, PROBE_COST, ENERGY_COST, GROWTH, N_LEVELS = range(28, 34)
-ZERO, HALF, ONE, FULL = range(34, 38)  # typed as the state is: a literal would make float64 of float32
-LOOP_P, LOOP_I, CONFIRM = range(38, 41)
-N_CONSTANTS = 41
-# A filter of the bank: its transition, and its difference to the belief in transition, voltage gain and drift.
-(T00, T01, T10, T11, T_M00, T_M01, T_M10, T_M11, T_B0, T_B1, T_D0, T_D1) = range(12)
-MODEL_LENGTH = 12
 FIELD, SCALE, BOUND, OFFSET = range(4)  # a row of the observed features
 FEATURE_LENGTH = 4
 NEVER = 2.0**50  # the same in both precisions
-Constants = tuple[float, ...]
+
+
+class Constants(NamedTuple):
+    """The belief, the statistics' memories and the rewards, common to all lanes."""
+
+    f00: float  # transition of the belief, whose rows of the speed hold F - I
+    f01: float
+    f10: float
+    f11: float
+    g0: float  # its gain of the voltage
+    g1: float
+    k00: float  # gain of the filter
+    k01: float
+    k10: float
+    k11: float
+    w00: float  # what whitens the innovation, a lower triangle
+    w10: float
+    w11: float
+    c0: float  # 1 where a sensor reads that state
+    c1: float
+    memory_fast: float  # share of a running statistic that is left after a sample
+    memory_slow: float
+    into_fast: float  # share of a new sample in it
+    into_slow: float
+    into_excess: float
+    n_channels: float
+    horizon: float  # in samples, as `growth`
+    delay_cost: float  # a sample, as the prices of probe and energy
+    correct: float
+    silent: float
+    false_alarm: float
+    wrong_kind: float
+    miss: float
+    rest_voltage: float
+    rest_current: float
+    probe_cost: float
+    energy_cost: float
+    growth: float
+    n_levels: float
+    zero: float  # typed as the state is: a literal would make float64 of float32
+    half: float
+    one: float
+    full: float  # whether the voltage may move, or a bank follows
+    loop_p: float  # gains of the speed loop
+    loop_i: float
+    confirm: float  # how often in a row a kind has to be chosen
+
+
+N_CONSTANTS, FULL = len(Constants._fields), Constants._fields.index("full")
+
+
+class Model(NamedTuple):
+    """A filter of the bank, and its difference to the belief in transition, voltage gain and drift."""
+
+    t00: float  # its transition
+    t01: float
+    t10: float
+    t11: float
+    m00: float  # differences
+    m01: float
+    m10: float
+    m11: float
+    b0: float
+    b1: float
+    d0: float
+    d1: float
+
+
+MODEL_LENGTH = len(Model._fields)
 
 FEATURES = (
     "measured_current",
@@ -109,31 +168,31 @@ def advance(s: FloatArray, j: int, p: Constants, kept: float, with_speed: bool, 
             s[j + B0 * LANES],
             s[j + B1 * LANES],
         )
-        m0, m1 = m0 + b0 * u + (p[G0] + b0) * d, m1 + b1 * u + (p[G1] + b1) * d
-        y0 = p[F00] * x0 + p[F01] * x1 + p[G0] * u + m0
-        y1 = x1 + (p[F10] * x0 + p[F11] * x1 + p[G1] * u + m1)
+        m0, m1 = m0 + b0 * u + (p.g0 + b0) * d, m1 + b1 * u + (p.g1 + b1) * d
+        y0 = p.f00 * x0 + p.f01 * x1 + p.g0 * u + m0
+        y1 = x1 + (p.f10 * x0 + p.f11 * x1 + p.g1 * u + m1)
     else:
-        y0 = p[F00] * x0 + p[F01] * x1 + m0
-        y1 = x1 + (p[F10] * x0 + p[F11] * x1 + m1)
+        y0 = p.f00 * x0 + p.f01 * x1 + m0
+        y1 = x1 + (p.f10 * x0 + p.f11 * x1 + m1)
     s[j + CURRENT * LANES], s[j + SPEED * LANES] = y0, y1
     e0, e1 = s[j + ERROR_CURRENT * LANES], s[j + ERROR_SPEED * LANES]
-    a0 = p[F00] * e0 + p[F01] * e1 + m0
-    rise = p[F10] * e0 + p[F11] * e1 + m1
+    a0 = p.f00 * e0 + p.f01 * e1 + m0
+    rise = p.f10 * e0 + p.f11 * e1 + m1
     v0 = s[j + SIGMA_CURRENT * LANES] * s[j + NORMAL_CURRENT * LANES]
-    d0 = p[C0] * (a0 + v0)
-    r0 = p[W00] * d0
-    e0, correction, power = a0 - p[K00] * d0, p[K10] * d0, r0 * r0
-    fast, slow = p[MEMORY_FAST], p[MEMORY_SLOW]
+    d0 = p.c0 * (a0 + v0)
+    r0 = p.w00 * d0
+    e0, correction, power = a0 - p.k00 * d0, p.k10 * d0, r0 * r0
+    fast, slow = p.memory_fast, p.memory_slow
     if with_speed:
         v1 = s[j + SIGMA_SPEED * LANES] * s[j + NORMAL_SPEED * LANES]
         d1 = e1 + rise + v1
-        r1 = p[W10] * d0 + p[W11] * d1
-        e0, correction, power = e0 - p[K01] * d1, correction + p[K11] * d1, power + r1 * r1
+        r1 = p.w10 * d0 + p.w11 * d1
+        e0, correction, power = e0 - p.k01 * d1, correction + p.k11 * d1, power + r1 * r1
         s[j + MEASURED_SPEED * LANES] = y1 + v1
         s[j + NOISE_SPEED * LANES] = v1
         s[j + WHITE_SPEED * LANES] = kept * s[j + WHITE_SPEED * LANES] + r1
-        s[j + FAST_SPEED * LANES] = fast * s[j + FAST_SPEED * LANES] + p[INTO_FAST] * r1
-        s[j + SLOW_SPEED * LANES] = slow * s[j + SLOW_SPEED * LANES] + p[INTO_SLOW] * r1
+        s[j + FAST_SPEED * LANES] = fast * s[j + FAST_SPEED * LANES] + p.into_fast * r1
+        s[j + SLOW_SPEED * LANES] = slow * s[j + SLOW_SPEED * LANES] + p.into_slow * r1
     rise -= correction + s[j + CARRY * LANES]
     before, e1 = e1, e1 + rise
     s[j + CARRY * LANES] = (e1 - before) - rise
@@ -141,30 +200,30 @@ def advance(s: FloatArray, j: int, p: Constants, kept: float, with_speed: bool, 
     s[j + MEASURED_CURRENT * LANES] = y0 + v0
     s[j + ESTIMATED_CURRENT * LANES], s[j + ESTIMATED_SPEED * LANES] = y0 - e0, y1 - e1
     s[j + WHITE_CURRENT * LANES] = kept * s[j + WHITE_CURRENT * LANES] + r0
-    s[j + FAST_CURRENT * LANES] = fast * s[j + FAST_CURRENT * LANES] + p[INTO_FAST] * r0
-    s[j + SLOW_CURRENT * LANES] = slow * s[j + SLOW_CURRENT * LANES] + p[INTO_SLOW] * r0
-    s[j + EXCESS * LANES] = slow * s[j + EXCESS * LANES] + p[INTO_EXCESS] * (power - p[N_CHANNELS])
+    s[j + FAST_CURRENT * LANES] = fast * s[j + FAST_CURRENT * LANES] + p.into_fast * r0
+    s[j + SLOW_CURRENT * LANES] = slow * s[j + SLOW_CURRENT * LANES] + p.into_slow * r0
+    s[j + EXCESS * LANES] = slow * s[j + EXCESS * LANES] + p.into_excess * (power - p.n_channels)
     cost = kept * s[j + COST * LANES] + s[j + DELAY * LANES]
     if full:
-        taken = (u + d + p[REST_VOLTAGE]) * s[j + SUPPLY * LANES] * (y0 + p[REST_CURRENT])
-        cost += p[PROBE_COST] * u * u + p[ENERGY_COST] * abs(taken)
+        taken = (u + d + p.rest_voltage) * s[j + SUPPLY * LANES] * (y0 + p.rest_current)
+        cost += p.probe_cost * u * u + p.energy_cost * abs(taken)
         s[j + OLD_CURRENT * LANES], s[j + OLD_SPEED * LANES] = x0, x1
         s[j + MISMATCH_0 * LANES], s[j + MISMATCH_1 * LANES] = m0, m1
         s[j + NOISE_CURRENT * LANES], s[j + POWER * LANES] = v0, power
     s[j + COST * LANES] = cost
-    s[j + SAMPLE * LANES] += p[ONE]
+    s[j + SAMPLE * LANES] += p.one
 
 
 @inlined
 def hold_speed(s: FloatArray, j: int, p: Constants) -> None:
     """The speed loop of lane j after a sample: a PI controller in its incremental form, which begins without a jump."""
     speed = s[j + SPEED * LANES]
-    away = p[LOOP_P] * (speed - s[j + OLD_SPEED * LANES]) + p[LOOP_I] * (speed - s[j + HELD * LANES])
+    away = p.loop_p * (speed - s[j + OLD_SPEED * LANES]) + p.loop_i * (speed - s[j + HELD * LANES])
     s[j + DRIVE * LANES] -= away
 
 
 @inlined
-def weigh(s: FloatArray, j: int, m: int, p: Constants, t: Constants) -> None:
+def weigh(s: FloatArray, j: int, m: int, p: Constants, t: Model) -> None:
     """Filter m of the bank after a sample of lane j: the cumulative sum of its log-likelihood ratio to the belief.
 
     Each filter believes in one fault. Where its sum falls to 0 it starts anew from the belief's estimate, as though
@@ -173,18 +232,18 @@ def weigh(s: FloatArray, j: int, m: int, p: Constants, t: Constants) -> None:
     at0, at1, evidence = j + m * LANES, j + (m + 1) * LANES, j + (m + 2) * LANES
     u = s[j + VOLTAGE * LANES]
     x0, x1 = s[j + OLD_CURRENT * LANES], s[j + OLD_SPEED * LANES]
-    m0 = s[j + MISMATCH_0 * LANES] - (t[T_M00] * x0 + t[T_M01] * x1 + t[T_B0] * u + t[T_D0])
-    m1 = s[j + MISMATCH_1 * LANES] - (t[T_M10] * x0 + t[T_M11] * x1 + t[T_B1] * u + t[T_D1])
-    a0 = t[T00] * s[at0] + t[T01] * s[at1] + m0
-    a1 = s[at1] + (t[T10] * s[at0] + t[T11] * s[at1] + m1)
-    d0, d1 = p[C0] * (a0 + s[j + NOISE_CURRENT * LANES]), p[C1] * (a1 + s[j + NOISE_SPEED * LANES])
-    r0 = p[W00] * d0
-    r1 = p[W10] * d0 + p[W11] * d1
-    total = s[evidence] + p[HALF] * (s[j + POWER * LANES] - r0 * r0 - r1 * r1)
-    goes_on = total > p[ZERO]
-    s[evidence] = total if goes_on else p[ZERO]
-    a0 -= p[K00] * d0 + p[K01] * d1
-    a1 -= p[K10] * d0 + p[K11] * d1
+    m0 = s[j + MISMATCH_0 * LANES] - (t.m00 * x0 + t.m01 * x1 + t.b0 * u + t.d0)
+    m1 = s[j + MISMATCH_1 * LANES] - (t.m10 * x0 + t.m11 * x1 + t.b1 * u + t.d1)
+    a0 = t.t00 * s[at0] + t.t01 * s[at1] + m0
+    a1 = s[at1] + (t.t10 * s[at0] + t.t11 * s[at1] + m1)
+    d0, d1 = p.c0 * (a0 + s[j + NOISE_CURRENT * LANES]), p.c1 * (a1 + s[j + NOISE_SPEED * LANES])
+    r0 = p.w00 * d0
+    r1 = p.w10 * d0 + p.w11 * d1
+    total = s[evidence] + p.half * (s[j + POWER * LANES] - r0 * r0 - r1 * r1)
+    goes_on = total > p.zero
+    s[evidence] = total if goes_on else p.zero
+    a0 -= p.k00 * d0 + p.k01 * d1
+    a1 -= p.k10 * d0 + p.k11 * d1
     s[at0] = a0 if goes_on else s[j + ERROR_CURRENT * LANES]
     s[at1] = a1 if goes_on else s[j + ERROR_SPEED * LANES]
 
@@ -198,7 +257,7 @@ def settle(s: FloatArray, j: int, p: Constants, samples: int, declared: int) -> 
     """
     onset = s[j + ONSET * LANES]
     if declared == 0:
-        return -p[MISS] if onset < p[HORIZON] else p[SILENT]
+        return -p.miss if onset < p.horizon else p.silent
     if s[j + SAMPLE * LANES] - samples <= onset:
-        return -p[FALSE_ALARM]
-    return p[CORRECT] if declared == s[j + KIND * LANES] else -p[WRONG_KIND]
+        return -p.false_alarm
+    return p.correct if declared == s[j + KIND * LANES] else -p.wrong_kind

@@ -157,37 +157,45 @@ def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: floa
         channels == sorted(channels),
         "channels of an environment's sensor must be current, then speed, got speed first",
     )
-    p = np.zeros(kernel.N_CONSTANTS)
-    p[kernel.F00 : kernel.F11 + 1] = transition_row(belief.model)
-    p[kernel.G0 : kernel.G1 + 1] = belief.model.gain[:, Input.VOLTAGE]
-    p[kernel.REST_CURRENT] = rest_current
-    p[kernel.K00 : kernel.K11 + 1] = full_gain.ravel()
-    p[[kernel.W00, kernel.W10, kernel.W11]] = whitening[0, 0], whitening[1, 0], whitening[1, 1]
-    p[[kernel.C0, kernel.C1]] = [float(channel in channels) for channel in State]
     fast, slow = math.exp(-options.dt_s / FAST_MEMORY_S), math.exp(-options.dt_s / SLOW_MEMORY_S)
-    p[[kernel.MEMORY_FAST, kernel.MEMORY_SLOW]] = fast, slow
-    p[[kernel.INTO_FAST, kernel.INTO_SLOW]] = math.sqrt(1.0 - fast**2), math.sqrt(1.0 - slow**2)
-    p[kernel.INTO_EXCESS] = math.sqrt((1.0 - slow**2) / (2.0 * len(channels)))
-    p[kernel.N_CHANNELS] = len(channels)
-    p[kernel.HORIZON] = options.n_samples
-    p[kernel.DELAY_COST] = options.delay_cost_per_s * options.dt_s
-    p[kernel.CORRECT : kernel.MISS + 1] = (
-        options.correct_reward,
-        options.silent_reward,
-        options.false_alarm_cost,
-        options.wrong_kind_cost,
-        options.miss_cost,
+    loop_p, loop_i = _loop_gains(options) if options.drive is Drive.SPEED_LOOP else (0.0, 0.0)
+    filters = [  # the first fields, up to c1
+        *transition_row(belief.model),
+        *belief.model.gain[:, Input.VOLTAGE],
+        *full_gain.ravel(),
+        *(whitening[0, 0], whitening[1, 0], whitening[1, 1]),
+        *(float(channel in channels) for channel in State),
+    ]
+    numbers = kernel.Constants(
+        **dict(zip(kernel.Constants._fields, filters, strict=False)),
+        memory_fast=fast,
+        memory_slow=slow,
+        into_fast=math.sqrt(1.0 - fast**2),
+        into_slow=math.sqrt(1.0 - slow**2),
+        into_excess=math.sqrt((1.0 - slow**2) / (2.0 * len(channels))),
+        n_channels=len(channels),
+        horizon=options.n_samples,
+        delay_cost=options.delay_cost_per_s * options.dt_s,
+        correct=options.correct_reward,
+        silent=options.silent_reward,
+        false_alarm=options.false_alarm_cost,
+        wrong_kind=options.wrong_kind_cost,
+        miss=options.miss_cost,
+        rest_voltage=float(options.task.supply.voltage_v),
+        rest_current=rest_current,
+        probe_cost=options.probe_cost_per_v2_s * options.dt_s,
+        energy_cost=options.energy_cost_per_j * options.dt_s,
+        growth=round(options.growth_s / options.dt_s),
+        n_levels=options.n_levels,
+        zero=0.0,
+        half=0.5,
+        one=1.0,
+        full=0.0,  # set once it is known
+        loop_p=loop_p,
+        loop_i=loop_i,
+        confirm=options.confirm_steps,
     )
-    p[kernel.PROBE_COST] = options.probe_cost_per_v2_s * options.dt_s
-    p[kernel.ENERGY_COST] = options.energy_cost_per_j * options.dt_s
-    p[kernel.REST_VOLTAGE] = float(options.task.supply.voltage_v)
-    p[kernel.GROWTH] = round(options.growth_s / options.dt_s)
-    p[kernel.N_LEVELS] = options.n_levels
-    p[[kernel.ZERO, kernel.HALF, kernel.ONE]] = 0.0, 0.5, 1.0
-    p[kernel.CONFIRM] = options.confirm_steps
-    if options.drive is Drive.SPEED_LOOP:
-        p[[kernel.LOOP_P, kernel.LOOP_I]] = _loop_gains(options)
-    return p
+    return np.array(numbers, dtype=np.float64)
 
 
 def _loop_gains(options: MonitorOptions) -> tuple[float, float]:

@@ -9,13 +9,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from motor_env.envs import kernel, layout
-from motor_env.envs.compiling import compiled, inlined
+from motor_env.envs.compiling import compiled, fixed_tuple, inlined
 from motor_env.envs.drawing import begin_state, draw_episode, set_motor
-from motor_env.envs.kernel import BLOCK, LANES, MODEL_LENGTH, N_CONSTANTS, ROWS, Constants
+from motor_env.envs.kernel import BLOCK, LANES, MODEL_LENGTH, N_CONSTANTS, ROWS, Constants, Model
 from motor_env.envs.layout import BoolArray, Lanes, TaskNumbers, unpack_lanes, unpack_task
 from motor_env.envs.noise import begin_noise, refill
 from motor_env.motor.parameters import FloatArray
@@ -29,21 +28,24 @@ def _change_levels(
     s: FloatArray, p: Constants, task: TaskNumbers, lanes: Lanes, first: int, width: int
 ) -> None:
     """Let the faults of a block reach the levels that are due, and see when the next one is."""
-    quiet = p[kernel.HORIZON]
+    quiet = p.horizon
     for j in range(width):
         while s[j + kernel.NEXT_CHANGE * LANES] <= s[j + kernel.SAMPLE * LANES]:
             level = int(s[j + kernel.LEVEL * LANES]) + 1
             set_motor(s, j, task, lanes, first + j, level)
-            s[j + kernel.LEVEL * LANES], s[j + kernel.DELAY * LANES] = level, p[kernel.DELAY_COST]
-            due = s[j + kernel.ONSET * LANES] + np.floor(p[kernel.GROWTH] * level / p[kernel.N_LEVELS])
-            s[j + kernel.NEXT_CHANGE * LANES] = due if level < p[kernel.N_LEVELS] else kernel.NEVER
+            s[j + kernel.LEVEL * LANES], s[j + kernel.DELAY * LANES] = level, p.delay_cost
+            due = s[j + kernel.ONSET * LANES] + np.floor(p.growth * level / p.n_levels)
+            s[j + kernel.NEXT_CHANGE * LANES] = due if level < p.n_levels else kernel.NEVER
             lanes.flags[layout.FAULT_ACTIVE, first + j] = True
-        if s[j + kernel.SAMPLE * LANES] < p[kernel.HORIZON]:
+        if s[j + kernel.SAMPLE * LANES] < p.horizon:
             quiet = min(
                 quiet,
-                min(s[j + kernel.NEXT_CHANGE * LANES], p[kernel.HORIZON]) - s[j + kernel.SAMPLE * LANES],
+                min(s[j + kernel.NEXT_CHANGE * LANES], p.horizon) - s[j + kernel.SAMPLE * LANES],
             )
     lanes.marks[layout.QUIET, first] = int(quiet)
+
+
+T11 = Model._fields.index("t11")
 
 
 @inlined
@@ -52,20 +54,20 @@ def _advance_all(s: FloatArray, p: Constants, row: int, kept: float, width: int)
 
     The normals are copied to a place that the compiler knows: else it cannot tell them from what is written.
     """
-    n0, n1 = (kernel.NOISE + row) * LANES, (kernel.NOISE + row + int(p[kernel.N_CHANNELS]) - 1) * LANES
+    n0, n1 = (kernel.NOISE + row) * LANES, (kernel.NOISE + row + int(p.n_channels) - 1) * LANES
     for j in range(width):
         s[j + kernel.NORMAL_CURRENT * LANES] = s[n0 + j]
-    if p[kernel.C1] > 0.0:
+    if p.c1 > 0.0:
         for j in range(width):
             s[j + kernel.NORMAL_SPEED * LANES] = s[n1 + j]
-    if p[kernel.FULL] > 0.0:
-        if p[kernel.C1] > 0.0:
+    if p.full > 0.0:
+        if p.c1 > 0.0:
             for j in range(width):
                 kernel.advance(s, j, p, kept, True, True)
         else:
             for j in range(width):
                 kernel.advance(s, j, p, kept, False, True)
-    elif p[kernel.C1] > 0.0:
+    elif p.c1 > 0.0:
         for j in range(width):
             kernel.advance(s, j, p, kept, True, False)
     else:
@@ -85,7 +87,7 @@ def _step_block(
     width: int,
 ) -> int:
     """The samples of a step for the lanes of one block up to `width`; the next row of noise."""
-    channels, kept = int(p[kernel.N_CHANNELS]), p[kernel.ZERO]
+    channels, kept = int(p.n_channels), p.zero
     for _ in range(samples):
         if lanes.marks[layout.QUIET, first] <= 0:
             _change_levels(s, p, task, lanes, first, width)
@@ -94,15 +96,15 @@ def _step_block(
             refill(s, lanes.words, first, channels, width)
             row = 0
         _advance_all(s, p, row, kept, width)
-        if p[kernel.LOOP_I] > 0.0:
+        if p.loop_i > 0.0:
             for j in range(width):
                 kernel.hold_speed(s, j, p)
         for m in range(task.bank.shape[0]):
-            if task.bank[m, kernel.T11] != 0.0:
-                t = to_fixed_tuple(task.bank[m], MODEL_LENGTH)
+            if task.bank[m, T11] != 0.0:
+                t = Model(*fixed_tuple(task.bank[m], MODEL_LENGTH))
                 for j in range(width):
                     kernel.weigh(s, j, kernel.BANK + kernel.BANK_LENGTH * m, p, t)
-        kept = p[kernel.ONE]
+        kept = p.one
         row += channels
     return row
 
@@ -123,13 +125,14 @@ def _begin_lane(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, 
     s[j + kernel.ESTIMATED_SPEED * LANES] = speed - error_speed
     for m in range(kernel.BANK, kernel.N_FIELDS, kernel.BANK_LENGTH):
         s[j + m * LANES], s[j + (m + 1) * LANES] = error_current, error_speed
-    channels = int(task.constants[kernel.N_CHANNELS])
+    p = Constants(*fixed_tuple(task.constants, N_CONSTANTS))
+    channels = int(p.n_channels)
     four = begin_noise(s, lanes.words, n, row, channels)
     s[j + kernel.MEASURED_CURRENT * LANES] = current + s[j + kernel.SIGMA_CURRENT * LANES] * four[0]
     s[j + kernel.MEASURED_SPEED * LANES] = speed + s[j + kernel.SIGMA_SPEED * LANES] * four[channels - 1]
     lanes.marks[layout.TIMES, n] = 0
     first = n - j
-    soon = int(min(s[j + kernel.NEXT_CHANGE * LANES], task.constants[kernel.HORIZON]))
+    soon = int(min(s[j + kernel.NEXT_CHANGE * LANES], p.horizon))
     lanes.marks[layout.QUIET, first] = min(lanes.marks[layout.QUIET, first], soon)
 
 
@@ -185,10 +188,10 @@ def _split_cost(s: FloatArray, p: Constants, samples: int, parts: FloatArray, fi
             u = s[j + kernel.VOLTAGE * LANES]
             acting = s[j + kernel.SAMPLE * LANES] - s[j + kernel.ONSET * LANES]
             cost = delay[j]
-            delay[j] = -p[kernel.DELAY_COST] * min(max(acting, p[kernel.ZERO]), samples)
-            probe[j] = -p[kernel.PROBE_COST] * u * u * samples
+            delay[j] = -p.delay_cost * min(max(acting, p.zero), samples)
+            probe[j] = -p.probe_cost * u * u * samples
             rest = min(cost - delay[j] - probe[j], 0.0)
-            energy[j] = rest if p[kernel.ENERGY_COST] > 0.0 else 0.0
+            energy[j] = rest if p.energy_cost > 0.0 else 0.0
 
 
 @inlined
@@ -227,7 +230,7 @@ def _finish_block(
             reward[n] = 0.0
             for m in range(parts.shape[0]):
                 parts[m, n] = 0.0
-        elif lanes.marks[layout.DECLARED, n] > 0 or s[j + kernel.SAMPLE * LANES] >= p[kernel.HORIZON]:
+        elif lanes.marks[layout.DECLARED, n] > 0 or s[j + kernel.SAMPLE * LANES] >= p.horizon:
             reward[n] = _settle(s, j, p, samples, lanes.marks[layout.DECLARED, n], parts, n)
             lanes.flags[layout.TERMINATED, n] = True
             n_over += 1
@@ -265,7 +268,7 @@ def decode_continuous(action: FloatArray, reach_v: float) -> tuple[float, int]:
 
 
 @inlined
-def _confirm(p: FloatArray, lanes: Lanes, samples: int, n_envs: int) -> None:
+def _confirm(p: Constants, lanes: Lanes, samples: int, n_envs: int) -> None:
     """Let a choice be a declaration only where it has been made often enough in a row, or is the last of an episode."""
     times, chosen, declared = (
         lanes.marks[layout.TIMES],
@@ -276,7 +279,7 @@ def _confirm(p: FloatArray, lanes: Lanes, samples: int, n_envs: int) -> None:
         times[n] = times[n] + 1 if declared[n] == chosen[n] else 1
         chosen[n] = declared[n]
         sample = lanes.state[(n // LANES) * BLOCK + kernel.SAMPLE * LANES + n % LANES]
-        if times[n] < p[kernel.CONFIRM] and sample + samples < p[kernel.HORIZON]:
+        if times[n] < p.confirm and sample + samples < p.horizon:
             declared[n] = 0
 
 
@@ -294,9 +297,9 @@ def _step_lanes(
 ) -> int:
     """A step of all lanes, whose actions lie in them: writes observations and rewards; how many are over now."""
     task = unpack_task(numbers, prior)
-    if task.constants[kernel.CONFIRM] > 1.0:
-        _confirm(task.constants, lanes, samples, n_envs)
-    p = to_fixed_tuple(task.constants, N_CONSTANTS)
+    p = Constants(*fixed_tuple(task.constants, N_CONSTANTS))
+    if p.confirm > 1.0:
+        _confirm(p, lanes, samples, n_envs)
     n_over, row = 0, lanes.marks[layout.ROW, 0]
     next_row = row
     for first in range(0, reward.shape[0], LANES):
@@ -371,14 +374,14 @@ def step_single(
         Reward, end, whether a fault acts, and the four parts of the reward.
     """
     task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
-    p, s = to_fixed_tuple(task.constants, N_CONSTANTS), lanes.state
+    p, s = Constants(*fixed_tuple(task.constants, N_CONSTANTS)), lanes.state
     s[kernel.VOLTAGE * LANES], lanes.marks[layout.DECLARED, 0] = offset_v, declared
-    if p[kernel.CONFIRM] > 1.0:
-        _confirm(task.constants, lanes, samples, 1)
+    if p.confirm > 1.0:
+        _confirm(p, lanes, samples, 1)
         declared = lanes.marks[layout.DECLARED, 0]
     lanes.marks[layout.ROW, 0] = _step_block(s, p, task, lanes, 0, lanes.marks[layout.ROW, 0], samples, 1)
     _split_cost(s, p, samples, parts, 0, 1)
-    over = declared > 0 or s[kernel.SAMPLE * LANES] >= p[kernel.HORIZON]
+    over = declared > 0 or s[kernel.SAMPLE * LANES] >= p.horizon
     reward = _settle(s, 0, p, samples, declared, parts, 0) if over else float(-s[kernel.COST * LANES])
     _observe_block(s, task.features, observation.reshape((-1, 1)), 0, 1)
     return (

@@ -72,14 +72,40 @@ def _matrices(*entries: Floats) -> FloatArray:
     return rows.reshape(*rows.shape[:-1], 2, 2)
 
 
-_SERIES_NORM = 0.25
-_SERIES_ORDER = 12  # 0.25^13 / 14! is below 1e-18: the series ends under the rounding error
+SERIES_NORM = 0.25
+SERIES_ORDER = 12  # 0.25^13 / 14! is below 1e-18: the series ends under the rounding error
+Four = tuple[float, ...]
+"""A 2 x 2 matrix, row by row."""
+
+
+@njit(forceinline=True)
+def longer_series(k: int, x: Four, phi: Four) -> Four:
+    """A term more of Horner's scheme: 1 + X phi / (k + 1)."""
+    (a, b, c, d), (p, q, r, s), f = x, phi, 1.0 / (k + 1.0)
+    return 1.0 + f * (a * p + b * r), f * (a * q + b * s), f * (c * p + d * r), 1.0 + f * (c * q + d * s)
+
+
+@njit(forceinline=True)
+def of_series(x: Four, phi: Four) -> Four:
+    """exp(X) = 1 + X phi1(X)."""
+    (a, b, c, d), (p, q, r, s) = x, phi
+    return 1.0 + a * p + b * r, a * q + b * s, c * p + d * r, 1.0 + c * q + d * s
+
+
+@njit(forceinline=True)
+def doubled(exponential: Four, phi: Four) -> tuple[Four, Four]:
+    """exp(2X) and phi1(2X) from exp(X) and phi1(X)."""
+    (e, g, h, j), (p, q, r, s) = exponential, phi
+    return (e * e + g * h, g * (e + j), h * (e + j), j * j + g * h), (
+        0.5 * ((e + 1.0) * p + g * r),
+        0.5 * ((e + 1.0) * q + g * s),
+        0.5 * (h * p + (j + 1.0) * r),
+        0.5 * (h * q + (j + 1.0) * s),
+    )
 
 
 @njit(forceinline=True)  # so that who does not use phi2 does not compute it
-def exponential_and_phis(
-    a: float, b: float, c: float, d: float
-) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+def exponential_and_phis(a: float, b: float, c: float, d: float) -> tuple[Four, Four, Four]:
     """exp(X), phi1(X) = X^-1 (exp(X) - 1), phi2(X) = X^-1 (phi1(X) - 1) of X = [[a, b], [c, d]], row by row.
 
     By series and doubling: phi1(X) = sum X^k / (k+1)!, phi2(X) = sum X^k / (k+2)!, exp(X) = 1 + X phi1(X),
@@ -91,21 +117,17 @@ def exponential_and_phis(
     b, c = b / scale, c * scale
     norm = max(abs(a) + abs(b), abs(c) + abs(d))
     doublings, shrink = 0, 1.0
-    while _SERIES_NORM < norm < np.inf:
+    while SERIES_NORM < norm < np.inf:
         norm, shrink = norm * 0.5, shrink * 0.5
         doublings += 1
-    a, b, c, d = a * shrink, b * shrink, c * shrink, d * shrink
+    x = (a * shrink, b * shrink, c * shrink, d * shrink)
     p, q, r, s = 1.0, 0.0, 0.0, 1.0
-    for k in range(_SERIES_ORDER, 0, -1):  # Horner: phi1 <- 1 + X phi1 / (k + 1)
+    t, u, v, w = 0.0, 0.0, 0.0, 0.0
+    for k in range(SERIES_ORDER, 0, -1):
         f = 1.0 / (k + 1.0)
         t, u, v, w = f * p, f * q, f * r, f * s  # phi2 in the end: phi1 = 1 + X phi2
-        p, q, r, s = (
-            1.0 + f * (a * p + b * r),
-            f * (a * q + b * s),
-            f * (c * p + d * r),
-            1.0 + f * (c * q + d * s),
-        )
-    e, g, h, j = 1.0 + a * p + b * r, a * q + b * s, c * p + d * r, 1.0 + c * q + d * s
+        p, q, r, s = longer_series(k, x, (p, q, r, s))
+    e, g, h, j = of_series(x, (p, q, r, s))
     for _ in range(doublings):
         t, u, v, w = (
             0.5 * t + 0.25 * (p * p + q * r),
@@ -113,20 +135,12 @@ def exponential_and_phis(
             0.5 * v + 0.25 * r * (p + s),
             0.5 * w + 0.25 * (q * r + s * s),
         )
-        p, q, r, s = (
-            0.5 * ((e + 1.0) * p + g * r),
-            0.5 * ((e + 1.0) * q + g * s),
-            0.5 * (h * p + (j + 1.0) * r),
-            0.5 * (h * q + (j + 1.0) * s),
-        )
-        e, g, h, j = e * e + g * h, g * (e + j), h * (e + j), j * j + g * h
+        (e, g, h, j), (p, q, r, s) = doubled((e, g, h, j), (p, q, r, s))
     return (e, g * scale, h / scale, j), (p, q * scale, r / scale, s), (t, u * scale, v / scale, w)
 
 
 @njit(cache=True)
-def exponential_and_phi(
-    a: float, b: float, c: float, d: float
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def exponential_and_phi(a: float, b: float, c: float, d: float) -> tuple[Four, Four]:
     """exp(X) and phi1(X), for inputs that are held: see `exponential_and_phis`."""
     exponential, phi, _ = exponential_and_phis(a, b, c, d)
     return exponential, phi

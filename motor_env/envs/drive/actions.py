@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from motor_env.motor.parameters import FloatArray
 RUN, LIMP, STOP = -1.0, 0.25, 1.0
 """Second entry of a command, whose first is the voltage in units of its limit."""
 DECISIONS = np.array([RUN, LIMP, STOP])
+_REFUSED = "action must be finite and have shape {}, got {!r}"
 _WIDTH = {Control.VOLTAGE_AND_DECISION: 2, Control.VOLTAGE_LIMP_STOP: 3}
 
 
@@ -34,7 +36,11 @@ def command(control: Control, action: Any) -> FloatArray:
     """
     if control is Control.DECISION:
         return _decided(np.array([whole_action(action, len(DECISIONS))]))
-    return _from_numbers(_checked(action, (_WIDTH[control],))[None])
+    given = np.array(action, dtype=np.float64)
+    width = _WIDTH[control]
+    if given.shape != (width,) or not all(map(math.isfinite, given.tolist())):
+        raise ValueError(_REFUSED.format((width,), action))
+    return _from_numbers(given.reshape(1, width))
 
 
 def commands(control: Control, actions: Any, count: int) -> FloatArray:
@@ -66,7 +72,7 @@ def as_actions(control: Control, given: FloatArray) -> NDArray[Any]:
 def _checked(action: Any, shape: tuple[int, ...]) -> FloatArray:
     given = np.ascontiguousarray(action, dtype=np.float64)
     if given.shape != shape or not np.isfinite(given).all():
-        raise ValueError(f"action must be finite and have shape {shape}, got {action!r}")
+        raise ValueError(_REFUSED.format(shape, action))
     return given
 
 

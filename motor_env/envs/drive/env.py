@@ -13,21 +13,27 @@ from numpy.typing import NDArray
 from motor_env.envs.base import EVERYWHERE, Info, Observation, StreamEnv
 from motor_env.envs.drive import kernel
 from motor_env.envs.drive.actions import action_space, command, commands
+from motor_env.envs.drive.lanes import PARTS, Lanes, empty_lanes
 from motor_env.envs.drive.options import LABELS, DriveOptions
 from motor_env.envs.drive.screen import DriveScreen
-from motor_env.envs.drive.setup import DriveSetup, empty_lanes, make_setup
+from motor_env.envs.drive.setup import DriveSetup, make_setup
 from motor_env.envs.layout import FAULT_ACTIVE, KNOWN, TERMINATED, TRUNCATED, BoolArray
 from motor_env.envs.rendering import Frame
 from motor_env.envs.vector import Step, StreamVectorEnv
 from motor_env.motor.parameters import FloatArray
 
-REWARDS = tuple(f"reward_{part}" for part in kernel.PARTS)
+_TOLD = ("kind", "onset", "severity", "temperature")
+REWARDS = tuple(f"reward_{part}" for part in PARTS)
 
 
 def _spaces(setup: DriveSetup) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
     low, high = setup.view[1:].astype(np.float32)
     observations = cast("spaces.Space[Observation]", spaces.Box(low, high, dtype=np.float32))
     return observations, action_space(setup.options.control)
+
+
+def _empty_lanes(setup: DriveSetup, count: int) -> Lanes:
+    return empty_lanes(setup.ahead, setup.options.n_steps, count)
 
 
 class DriveEnv(StreamEnv[DriveOptions]):
@@ -79,21 +85,22 @@ class DriveEnv(StreamEnv[DriveOptions]):
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.setup = make_setup(self.options)
         self.observed = self.setup.observed
-        lanes = empty_lanes(self.setup, 1)
-        self._state, self._words, self._flags, self._profile = lanes
-        self._arrays = (self.setup.numbers, self.setup.ahead, *lanes)
-        self._parts, self._reward = np.zeros((len(kernel.PARTS), 1)), np.zeros(1)
+        self._lanes = _empty_lanes(self.setup, 1)
+        self._words, self._flags = self._lanes.words, self._lanes.flags
+        self._arrays = (np.array(self.setup.task), *self._lanes)
+        self._truth = {name: self._lanes.state[name].reshape(-1) for name in _TOLD}
+        self._parts, self._reward = np.zeros((len(PARTS), 1)), np.zeros(1)
         self._screen = DriveScreen(self.setup) if self.render_mode is not None else None
         return _spaces(self.setup)
 
     def _begin(self) -> tuple[Observation, Info]:
         kernel.begin(EVERYWHERE, *self._arrays)
-        observation = np.empty((1, len(self.setup.observed)), dtype=np.float32)
-        kernel.observe(self._state, self.setup.view, observation)
+        observation = np.empty((len(self.setup.observed), 1), dtype=np.float32)
+        kernel.observe(self._lanes.state, self.setup.view, observation)
         self._over = False
         if self._screen is not None:
-            self._screen.begin(self._profile[0])
-        return observation[0], self._info()
+            self._screen.begin(self._lanes.profile[0])
+        return observation[:, 0], self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
         """Apply a voltage for a step, or stop the motor, which ends the episode.
@@ -105,26 +112,27 @@ class DriveEnv(StreamEnv[DriveOptions]):
         if self._over:
             raise gym.error.ResetNeeded("call reset() before step(): the episode is over")
         given = command(self.options.control, action)
-        observation = np.empty((1, len(self.setup.observed)), dtype=np.float32)
+        observation = np.empty((len(self.setup.observed), 1), dtype=np.float32)
         self._over = bool(
             kernel.step(given, False, self.setup.view, observation, self._reward, self._parts, *self._arrays)
         )
-        info = self._info() | dict(zip(REWARDS, self._parts[:, 0].tolist(), strict=True))
+        info = self._info()
+        info.update(zip(REWARDS, self._parts.ravel().tolist(), strict=True))
         if self._screen is not None:
-            self._screen.add(self._state[0])
+            self._screen.add(self._lanes.state[0])
             if self.render_mode == "human":
                 self.render()
-        return observation[0], self._reward.item(), self._over, False, info
+        return observation[:, 0], self._reward.item(), self._over, False, info
 
     def _info(self) -> Info:
-        row = self._state[0].tolist()
+        kind = int(self._truth["kind"].item(0))
         return {
-            "label": LABELS[int(row[kernel.KIND])],
-            "class_index": int(row[kernel.KIND]),
-            "onset_step": int(row[kernel.ONSET]),
+            "label": LABELS[kind],
+            "class_index": kind,
+            "onset_step": int(self._truth["onset"].item(0)),
             "fault_active": self._flags.item(FAULT_ACTIVE, 0),
-            "severity": row[kernel.SEVERITY],
-            "temperature_k": row[kernel.TEMPERATURE],
+            "severity": self._truth["severity"].item(0),
+            "temperature_k": self._truth["temperature"].item(0),
         }
 
     def _frame(self) -> Frame:
@@ -139,9 +147,9 @@ class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.setup = make_setup(self.options)
-        lanes = empty_lanes(self.setup, self.num_envs)
-        self._state, self._words, self._flags, _ = lanes
-        self._arrays = (self.setup.numbers, self.setup.ahead, *lanes)
+        self._lanes = _empty_lanes(self.setup, self.num_envs)
+        self._words, self._flags = self._lanes.words, self._lanes.flags
+        self._arrays = (np.array(self.setup.task), *self._lanes)
         return _spaces(self.setup)
 
     @property
@@ -149,41 +157,45 @@ class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
         """Label kind of every class: what the info's `class_index` points at."""
         return LABELS
 
-    @property
-    def truth(self) -> FloatArray:
-        """The lanes' fields as they stand, for what is told the truth, shape (fields, num_envs)."""
-        fields: FloatArray = self._state.T
-        return fields
+    def truth(self, name: str) -> FloatArray:
+        """A row of the lanes as it stands, for what is told the truth, shape (num_envs,).
+
+        Args:
+            name: one of `current`, `speed`, `load`, `temperature`, `severity`, `kind`, `onset`, `growth`, or a number
+                that is observed, in SI units.
+        """
+        row: FloatArray = self._lanes.state[name].reshape(-1)[: self.num_envs].copy()
+        return row
 
     def _begin(self, mask: BoolArray) -> None:
         kernel.begin(mask, *self._arrays)
 
     def _observed(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
         observation = self._empty()
-        kernel.observe(self._state, self.setup.view, observation)
-        return observation, self._info(self._flags[KNOWN] if known is None else known)
+        kernel.observe(self._lanes.state, self.setup.view, observation)
+        return observation.T, self._info(self._flags[KNOWN] if known is None else known)
 
     def _empty(self) -> NDArray[np.float32]:
-        return np.empty((self.num_envs, len(self.setup.observed)), dtype=np.float32)
+        return np.empty((len(self.setup.observed), self.num_envs), dtype=np.float32)
 
     def _info(self, known: BoolArray) -> Info:
         info: Info = {
-            "class_index": self._state[:, kernel.KIND].astype(np.int64),
-            "onset_step": self._state[:, kernel.ONSET].astype(np.int64),
+            "class_index": self.truth("kind").astype(np.int64),
+            "onset_step": self.truth("onset").astype(np.int64),
             "fault_active": self._flags[FAULT_ACTIVE].copy(),
-            "severity": self._state[:, kernel.SEVERITY].copy(),
-            "temperature_k": self._state[:, kernel.TEMPERATURE].copy(),
+            "severity": self.truth("severity"),
+            "temperature_k": self.truth("temperature"),
         }
         return info | {f"_{name}": known.copy() for name in info}
 
     def _step(self, actions: Any) -> tuple[Step, int]:
         given = commands(self.options.control, actions, self.num_envs)
         observation, reward = self._empty(), np.empty(self.num_envs)
-        parts = np.empty((len(kernel.PARTS), self.num_envs))
+        parts = np.empty((len(PARTS), self.num_envs))
         begins = self.autoreset_mode is AutoresetMode.NEXT_STEP
         n_over = kernel.step(given, begins, self.setup.view, observation, reward, parts, *self._arrays)
         info = self._info(self._flags[KNOWN])
         for name, part in zip(REWARDS, parts, strict=True):
             info[name], info[f"_{name}"] = part, self._flags[KNOWN].copy()
         over, never = self._flags[[TERMINATED, TRUNCATED]]
-        return (observation, reward, over, never, info), n_over
+        return (observation.T, reward, over, never, info), n_over

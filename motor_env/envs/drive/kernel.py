@@ -1,7 +1,7 @@
-"""The step of the drive, compiled: plant, filter, fault, heat, cost, and the drawing of episodes.
+"""The step of the drive, compiled: plant, fault, heat, cost, and what goes on in a block.
 
-A lane is a sub-environment: a row of `state`, a column of the words and the flags, a row of `profile`. A single
-environment has one lane and runs the same code.
+A lane is a sub-environment. What is done in every step goes over all lanes of a block, one equation after the other;
+what is rare goes lane by lane. A single environment is the first lane of a block and runs the same code.
 
 The motor is `motor.model.discretize` of the driven motor with its fault; the load torque is that of the speed at the
 beginning of a step. A test compares it with that function. All random numbers are of `simulation.random_streams`.
@@ -9,293 +9,246 @@ beginning of a step. A test compares it with that function. All random numbers a
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motor_env.envs import layout
 from motor_env.envs.compiling import compiled, inlined
-from motor_env.envs.layout import BoolArray, Float32Array, WordArray
-from motor_env.envs.noise import four_normals
-from motor_env.motor.model import exponential_and_phi, load_in_kernel
+from motor_env.envs.drive.belief import follow, own_share
+from motor_env.envs.drive.drawing import (
+    BEARING,
+    HEALTHY,
+    WINDING,
+    begin_lane,
+    lanes_of,
+    observe_profile,
+    task_of,
+)
+from motor_env.envs.drive.lanes import LANES, PARTS, Block, Lanes, Task
+from motor_env.envs.layout import BoolArray, Float32Array
+from motor_env.motor.exponentials import exponentials_and_phis
+from motor_env.motor.model import load_in_kernel
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.random_streams import Stream
+from motor_env.simulation.random_streams import Stream, box_muller, philox
 
-# A lane: the truth, what the filter believes, and what is observed; from PROFILE on, the profile now and ahead.
-CURRENT, SPEED, LOAD, TEMPERATURE, SEVERITY, KIND, ONSET, GROWTH = range(8)
-ESTIMATED_CURRENT, ESTIMATED_SPEED, STEP, INTEGRAL = range(8, 12)
-MEASURED_CURRENT, MEASURED_SPEED, ESTIMATED_LOAD, WHITE_CURRENT, WHITE_SPEED = range(12, 17)
-SLOW_CURRENT, SLOW_SPEED, VOLTAGE, ESTIMATED_TEMPERATURE, SCALE, TIME, PROFILE = range(17, 24)
-
-# The task: motor, limits, load, profile, fault, heat, costs, filter.
-R, L, KE, KT, J, B, DT, MOST_V, MOST_A, BASE_LOAD, FAN, KEPT, STIR = range(13)
-LOWEST, TOP, PLATEAU_0, PLATEAU_1, RAMP_0, RAMP_1 = range(13, 19)
-HEALTHY_SHARE, BEARING_SHARE, EARLIEST, LOG_STAY, SLOWEST, LOG_RANGE, STRESS_SHARE, FULL_POWER = range(19, 27)
-ONSET_SEVERITY, FAILURE_SEVERITY = 27, 29  # two each
-TO_K, COOLING, WARM, BURN, LIMP_SHARE, LIMP_STEP, NOISE_A, NOISE_SPEED, HORIZON = range(31, 40)
-TRACKING_COST, HEAT_COST, WEAR_COST, FAILURE_COST, STOP_COST, LIMP_COST = range(40, 46)
-F00, F01, F10, F11, G0, G1, E0, E1 = range(46, 54)
-K00, K01, K10, K11, K20, K21, W00, W10, W11, SLOW = range(54, 64)
-TRACKING_LIMIT, HOLDS_SPEED, BY_CURRENT, BY_SPEED, BY_INTEGRAL, REPEATS = range(64, 70)
-N_CONSTANTS = 70
-PARTS = ("tracking", "heat", "wear", "limp", "stop", "failure")
-"""What a reward is made of."""
+TRACKING, HEAT, WEAR, LIMPING, STOPPING, FAILURE = range(len(PARTS))
 STOP_ABOVE = 0.5
-BEARING, WINDING = 1, 2
+AT_ONCE = 8
+"""Motors are made in whole groups of so many: what is left over would be computed one by one."""
 
-_CLASS, _ONSET, _SEVERITY = np.uint32(Stream.CLASS), np.uint32(Stream.ONSET), np.uint32(Stream.SEVERITY)
-_PROFILE = np.uint32(Stream.PROFILE)
-
-
-class Lanes(NamedTuple):
-    """The task, and everything that changes.
-
-    Attributes:
-        numbers: constants, shape (N_CONSTANTS,).
-        ahead: steps ahead at which the profile is observed.
-        state: shape (n_lanes, n_fields).
-        words: of what the random numbers depend on, shape (4, n_lanes).
-        flags: shape (4, n_lanes).
-        profile: speeds, shape (n_lanes, n_steps and what is seen beyond).
-    """
-
-    numbers: FloatArray
-    ahead: NDArray[np.int64]
-    state: FloatArray
-    words: WordArray
-    flags: BoolArray
-    profile: FloatArray
+_MEASUREMENT = np.uint32(Stream.MEASUREMENT)
 
 
 @inlined
-def _unpack(
-    numbers: FloatArray,
-    ahead: NDArray[np.int64],
-    state: FloatArray,
-    words: WordArray,
-    flags: BoolArray,
-    profile: FloatArray,
-) -> Lanes:
-    """The arrays with which a compiled function is called, by name: a named tuple costs ten times as much a call."""
-    return Lanes(numbers, ahead, state, words, flags, profile)
+def _draw_noise(s: Block, w: Block, lanes: Lanes, first: int, width: int) -> None:
+    """Four normals of each lane: those that the number of the step gives."""
+    low, high = lanes.words[layout.CASE_LOW, first:], lanes.words[layout.CASE_HIGH, first:]
+    k0, k1 = lanes.words[layout.SEED_LOW, first:], lanes.words[layout.SEED_HIGH, first:]
+    for j in range(width):
+        group = np.uint32(np.int32(s.step[j]))
+        w.made[0, j], w.made[1, j], w.made[2, j], w.made[3, j] = philox(
+            group, _MEASUREMENT, low[j], high[j], k0[j], k1[j]
+        )
+    for j in range(width):
+        w.noise[0, j], w.noise[1, j] = box_muller(w.made[0, j], w.made[1, j])
+        w.noise[2, j], w.noise[3, j] = box_muller(w.made[2, j], w.made[3, j])
 
 
 @inlined
-def _uniforms(stream: np.uint32, group: int, words: WordArray, n: int) -> tuple[float, ...]:
-    """Four uniform numbers in (0, 1) of the episode that lane n runs."""
-    a, b, c, d = layout.random_words(stream, group, words, n)
-    unit = 2.0**-32
-    return (float(a) + 0.5) * unit, (float(b) + 0.5) * unit, (float(c) + 0.5) * unit, (float(d) + 0.5) * unit
+def _grow_faults(s: Block, w: Block, p: Task, width: int) -> int:
+    """Let the faults set in and grow over a step; how many there are, whose lanes are in `w.faulty`."""
+    count = 0
+    for j in range(width):
+        speed = s.speed[j]
+        w.torque[j] = p.load_torque_n_m + p.fan_n_m_s2 * speed * abs(speed) + s.load[j]
+        w.worn[j] = 0.0
+    for j in range(width):
+        if s.kind[j] != HEALTHY and s.step[j] >= s.onset[j] and w.stands[j] == 0:
+            w.faulty[count] = j
+            count += 1
+    for place in range(count):
+        j = w.faulty[place]
+        before, is_bearing = s.severity[j], s.kind[j] == BEARING
+        if before == 0.0:
+            s.severity[j] = p.bearing_onset if is_bearing else p.winding_onset
+        pace = 1.0
+        if is_bearing:
+            pace += p.stress_share * (max(w.torque[j] * s.speed[j], 0.0) / p.full_power_w - 1.0)
+        s.severity[j] *= np.exp(s.growth[j] * p.period_s * pace)
+        if is_bearing:
+            w.worn[j] = s.severity[j] - before
+    return count
 
 
 @inlined
-def _draw_profile(p: FloatArray, words: WordArray, n: int, profile: FloatArray) -> None:
-    """Plateaus and the ramps between them, until the row is full."""
-    k, segment, speed = 0, 0, 0.0
-    while k < len(profile):
-        level, length, rise, _ = _uniforms(_PROFILE, segment, words, n)
-        aim = p[LOWEST] + (p[TOP] - p[LOWEST]) * level
-        if segment > 0:
-            ramp = int(np.ceil((p[RAMP_0] + (p[RAMP_1] - p[RAMP_0]) * rise) / p[DT]))
-            for m in range(min(ramp, len(profile) - k)):
-                profile[k + m] = speed + (aim - speed) * (m + 1) / ramp
-            k += ramp
-        plateau = int(np.ceil((p[PLATEAU_0] + (p[PLATEAU_1] - p[PLATEAU_0]) * length) / p[DT]))
-        for m in range(k, min(k + plateau, len(profile))):
-            profile[m] = aim
-        k, segment, speed = k + plateau, segment + 1, aim
+def _set_motors(s: Block, w: Block, p: Task, count: int) -> None:
+    """The discrete motors of the lanes in `w.faulty`."""
+    dt, henry, moment = p.period_s, p.inductance_h, p.inertia_kg_m2
+    for place in range(count):
+        j = w.faulty[place]
+        worse = 1.0 + s.severity[j]
+        ohm = p.resistance_ohm * (worse if s.kind[j] == WINDING else 1.0)
+        drag = p.viscous_friction_n_m_s_per_rad * (worse if s.kind[j] == BEARING else 1.0)
+        w.x[0, place], w.x[1, place] = -ohm / henry * dt, -p.back_emf_constant_v_s_per_rad / henry * dt
+        w.x[2, place], w.x[3, place] = p.torque_constant_n_m_per_a / moment * dt, -drag / moment * dt
+    whole = -(-count // AT_ONCE) * AT_ONCE
+    for place in range(count, whole):
+        w.x[0, place] = w.x[1, place] = w.x[2, place] = w.x[3, place] = 0.0
+    exponentials_and_phis(whole, w.x, w.exponential, w.phi, w.room)
+    by_volt, by_load = dt / henry, -dt / moment
+    for place in range(count):
+        j = w.faulty[place]
+        s.a00[j], s.a01[j] = w.exponential[0, place], w.exponential[1, place]
+        s.a10[j], s.a11[j] = w.exponential[2, place], w.exponential[3, place]
+        s.b0[j], s.b1[j] = w.phi[0, place] * by_volt, w.phi[2, place] * by_volt
+        s.e0[j], s.e1[j] = w.phi[1, place] * by_load, w.phi[3, place] * by_load
 
 
 @inlined
-def _observe_profile(s: FloatArray, p: FloatArray, profile: FloatArray, ahead: NDArray[np.int64]) -> None:
-    """What is asked of the speed now and later, as it is scaled now."""
-    k = int(s[STEP])
-    s[TIME] = s[STEP] / p[HORIZON]
-    for m in range(len(ahead)):
-        s[PROFILE + m] = s[SCALE] * profile[k + ahead[m]]
-
-
-@inlined
-def _begin_lane(n: int, lanes: Lanes) -> None:
-    """Draw the next episode of lane n; the motor begins where it holds the begin of the profile."""
-    s, p, words, profile = lanes.state[n], lanes.numbers, lanes.words, lanes.profile[n]
-    layout.begin_episode(words, lanes.flags, n)
-    s[:] = 0.0
-    _draw_profile(p, words, n, profile)
-    u = _uniforms(_CLASS, 0, words, n)[0]
-    kind = 0 if u < p[HEALTHY_SHARE] else (BEARING if u < p[BEARING_SHARE] else WINDING)
-    s[KIND], s[ONSET] = kind, -1.0
-    if kind > 0:
-        s[ONSET] = p[EARLIEST]
-        if p[LOG_STAY] > -np.inf:
-            s[ONSET] += np.floor(np.log(_uniforms(_ONSET, 0, words, n)[0]) / p[LOG_STAY])
-        s[GROWTH] = p[SLOWEST] * np.exp(p[LOG_RANGE] * _uniforms(_SEVERITY, 0, words, n)[0])
-    speed = profile[0]
-    current = (p[BASE_LOAD] + p[FAN] * speed * speed + p[B] * speed) / p[KT]
-    s[CURRENT] = s[ESTIMATED_CURRENT] = s[MEASURED_CURRENT] = current
-    s[SPEED] = s[ESTIMATED_SPEED] = s[MEASURED_SPEED] = speed
-    s[VOLTAGE], s[SCALE] = p[R] * current + p[KE] * speed, 1.0
-    _observe_profile(s, p, profile, lanes.ahead)
-
-
-@inlined
-def motor_matrices(p: FloatArray, kind: int, severity: float) -> tuple[float, ...]:
-    """The driven motor with its fault: transition row by row, gain of the voltage, gain of the load torque."""
-    if severity == 0.0:
-        return p[F00], p[F01], p[F10], p[F11], p[G0], p[G1], p[E0], p[E1]
-    ohm = p[R] * (1.0 + severity if kind == WINDING else 1.0)
-    drag = p[B] * (1.0 + severity if kind == BEARING else 1.0)
-    dt = p[DT]
-    a, phi = exponential_and_phi(-ohm / p[L] * dt, -p[KE] / p[L] * dt, p[KT] / p[J] * dt, -drag / p[J] * dt)
-    by_volt, by_load = dt / p[L], -dt / p[J]
-    return a[0], a[1], a[2], a[3], phi[0] * by_volt, phi[2] * by_volt, phi[1] * by_load, phi[3] * by_load
-
-
-@inlined
-def _run_motor(s: FloatArray, p: FloatArray, share: float, noise: tuple[np.float32, ...]) -> None:
+def _run_motor(s: Block, w: Block, j: int, p: Task) -> None:
     """Current, speed, voltage and temperature over a step, and how the unknown load moves on."""
-    kind, severity = int(s[KIND]), s[SEVERITY]
-    a00, a01, a10, a11, b0, b1, e0, e1 = motor_matrices(p, kind, severity)
-    i, w = s[CURRENT], s[SPEED]
-    torque = load_in_kernel(p[BASE_LOAD], p[FAN], w) + s[LOAD]
-    volts = min(max(share, -1.0), 1.0) * p[MOST_V]
-    free = a00 * i + a01 * w + e0 * torque
-    folded = min(max(free + b0 * volts, -p[MOST_A]), p[MOST_A])
-    volts = min(max((folded - free) / b0, -p[MOST_V]), p[MOST_V])
-    s[VOLTAGE], s[CURRENT] = volts, free + b0 * volts
-    s[SPEED] = a10 * i + a11 * w + b1 * volts + e1 * torque
-    s[LOAD] = p[KEPT] * s[LOAD] + p[STIR] * float(noise[2])
-    heat = 0.5 * (i * i + s[CURRENT] * s[CURRENT]) * p[TO_K]
-    worse = 1.0 + severity if kind == WINDING else 1.0
-    s[TEMPERATURE] += p[COOLING] * (heat * worse - s[TEMPERATURE])
+    i, speed = s.current[j], s.speed[j]
+    torque = load_in_kernel(p.load_torque_n_m, p.fan_n_m_s2, speed) + s.load[j]
+    volts = min(max(w.share[j], -1.0), 1.0) * p.voltage_limit_v
+    free = s.a00[j] * i + s.a01[j] * speed + s.e0[j] * torque
+    folded = min(max(free + s.b0[j] * volts, -p.current_limit_a), p.current_limit_a)
+    volts = min(max((folded - free) / s.b0[j], -p.voltage_limit_v), p.voltage_limit_v)
+    current = free + s.b0[j] * volts
+    s.speed[j] = s.a10[j] * i + s.a11[j] * speed + s.b1[j] * volts + s.e1[j] * torque
+    s.voltage[j], s.current[j] = volts, current
+    s.load[j] = p.load_memory * s.load[j] + p.load_stir_n_m * float(w.noise[2, j])
+    heat = 0.5 * (i * i + current * current) * p.heating_k_per_a2
+    worse = 1.0 + s.severity[j] if s.kind[j] == WINDING else 1.0
+    s.temperature[j] += p.cooling * (heat * worse - s.temperature[j])
 
 
 @inlined
-def _grow_fault(s: FloatArray, p: FloatArray, torque: float) -> float:
-    """Let the fault set in and grow over a step; by how much a bearing's severity went up."""
-    kind, before = int(s[KIND]), s[SEVERITY]
-    if kind == 0 or s[STEP] < s[ONSET]:
-        return 0.0
-    if before == 0.0:
-        s[SEVERITY] = p[ONSET_SEVERITY + kind - 1]
-    pace = 1.0
-    if kind == BEARING:
-        pace += p[STRESS_SHARE] * (max(torque * s[SPEED], 0.0) / p[FULL_POWER] - 1.0)
-    s[SEVERITY] *= np.exp(s[GROWTH] * p[DT] * pace)
-    return s[SEVERITY] - before if kind == BEARING else 0.0
+def _price(s: Block, w: Block, p: Task, lanes: Lanes, first: int, width: int) -> None:
+    """Add what the step of each lane costs, and end episodes; -0.0 adds nothing, not even to the sign of a zero."""
+    for j in range(width):
+        if w.stands[j] == 0:  # the time of a lane that stands may lie beyond its profile
+            w.asked[j] = lanes.profile[first + j, int(s.step[j])]
+    for j in range(width):
+        stands = w.stands[j] != 0
+        off = (s.speed[j] - s.scale[j] * w.asked[j]) / p.top_speed_rad_s
+        error = p.tracking_cost * off * off
+        if p.tracking_limit > 0.0:
+            error /= 1.0 + error / p.tracking_limit
+        heat = p.heat_cost * max(s.temperature[j] - p.warm_k, 0.0)
+        w.parts[TRACKING, j] += -0.0 if stands else -error
+        w.parts[HEAT, j] += -0.0 if stands else -heat
+        w.parts[WEAR, j] += -0.0 if stands else -p.wear_cost * w.worn[j]
+        w.parts[LIMPING, j] += -0.0 if stands else -p.limp_cost * (1.0 - s.scale[j])
+        failure = p.bearing_failure if s.kind[j] == BEARING else p.winding_failure
+        broken = s.kind[j] != HEALTHY and s.severity[j] >= failure
+        fails = not stands and (broken or s.temperature[j] >= p.burn_k)
+        left_s = (p.horizon - (s.step[j] - 1.0)) * p.period_s
+        stop = p.stop_cost_per_s * (left_s - p.period_s)
+        w.parts[FAILURE, j] += -p.failure_cost - stop if fails else -0.0
+        ends = fails or (not stands and s.step[j] >= p.horizon)
+        w.over[j] |= np.uint8(ends)
 
 
 @inlined
-def _filter(s: FloatArray, p: FloatArray, noise: tuple[np.float32, ...]) -> None:
-    """Measure, and let the filter of the healthy motor follow with current, speed and unknown load as its states."""
-    s[MEASURED_CURRENT] = s[CURRENT] + p[NOISE_A] * float(noise[0])
-    s[MEASURED_SPEED] = s[SPEED] + p[NOISE_SPEED] * float(noise[1])
-    i, w, d, volts = s[ESTIMATED_CURRENT], s[ESTIMATED_SPEED], s[ESTIMATED_LOAD], s[VOLTAGE]
-    torque = load_in_kernel(p[BASE_LOAD], p[FAN], w) + d
-    expected_i = p[F00] * i + p[F01] * w + p[G0] * volts + p[E0] * torque
-    expected_w = p[F10] * i + p[F11] * w + p[G1] * volts + p[E1] * torque
-    r0, r1 = s[MEASURED_CURRENT] - expected_i, s[MEASURED_SPEED] - expected_w
-    s[ESTIMATED_CURRENT] = expected_i + p[K00] * r0 + p[K01] * r1
-    s[ESTIMATED_SPEED] = expected_w + p[K10] * r0 + p[K11] * r1
-    s[ESTIMATED_LOAD] = p[KEPT] * d + p[K20] * r0 + p[K21] * r1
-    s[WHITE_CURRENT], s[WHITE_SPEED] = p[W00] * r0, p[W10] * r0 + p[W11] * r1
-    into = np.sqrt(1.0 - p[SLOW] * p[SLOW])
-    s[SLOW_CURRENT] = p[SLOW] * s[SLOW_CURRENT] + into * s[WHITE_CURRENT]
-    s[SLOW_SPEED] = p[SLOW] * s[SLOW_SPEED] + into * s[WHITE_SPEED]
-    heat = 0.5 * (i * i + s[ESTIMATED_CURRENT] * s[ESTIMATED_CURRENT]) * p[TO_K]
-    s[ESTIMATED_TEMPERATURE] += p[COOLING] * (heat - s[ESTIMATED_TEMPERATURE])
+def _advance(s: Block, w: Block, p: Task, lanes: Lanes, first: int, width: int) -> None:
+    """A period of all lanes of a block."""
+    for j in range(width):
+        s.scale[j] += min(max(w.aim[j] - s.scale[j], -p.limp_step), p.limp_step)
+    _draw_noise(s, w, lanes, first, width)
+    _set_motors(s, w, p, _grow_faults(s, w, p, width))
+    if p.holds_speed > 0.0:
+        for j in range(width):
+            w.share[j] = own_share(s, j, p)
+    for j in range(width):
+        _run_motor(s, w, j, p)
+    for j in range(width):
+        follow(s, w, j, p)
+    for j in range(width):
+        s.step[j] += 1.0
+    _price(s, w, p, lanes, first, width)
+    for j in range(width):
+        if w.stands[j] == 0:
+            observe_profile(s, j, p, lanes, first + j)
 
 
 @inlined
-def _own_share(s: FloatArray, p: FloatArray) -> float:
-    """Voltage of the drive's own controller, LQG with integral action on the healthy motor, in units of the limit."""
-    now, then = s[PROFILE], s[PROFILE + 1]
-    middle = 0.5 * (now + then)
-    torque = load_in_kernel(p[BASE_LOAD], p[FAN], middle) + s[ESTIMATED_LOAD]
-    torque += p[B] * middle + p[J] * (then - now) / p[DT]
-    current = torque / p[KT]
-    wanted = p[R] * current + p[KE] * middle
-    volts = wanted - p[BY_CURRENT] * (s[ESTIMATED_CURRENT] - current)
-    volts -= p[BY_SPEED] * (s[ESTIMATED_SPEED] - now) + p[BY_INTEGRAL] * s[INTEGRAL]
-    if abs(wanted) < p[MOST_V]:
-        s[INTEGRAL] += p[DT] * (s[MEASURED_SPEED] - now)
-    share: float = volts / p[MOST_V]
-    return share
+def _begin_step(
+    s: Block, w: Block, p: Task, lanes: Lanes, first: int, width: int, actions: FloatArray, begins: bool
+) -> None:
+    """Take the actions; a lane stands in this step if its motor is stopped, or if its next episode begins."""
+    for j in range(width):
+        w.share[j], decision = actions[first + j, 0], actions[first + j, 1]
+        w.aim[j] = p.limp_share if decision > 0.0 else 1.0
+        w.over[j] = np.uint8(decision > STOP_ABOVE)
+        w.stands[j] = w.over[j]
+    for j in range(width):
+        stop = -p.stop_cost_per_s * ((p.horizon - s.step[j]) * p.period_s)
+        w.parts[STOPPING, j], w.parts[FAILURE, j] = stop if w.over[j] != 0 else 0.0, 0.0
+    for j in range(width):
+        if begins and lanes.flags[layout.TERMINATED, first + j]:
+            begin_lane(s, j, p, lanes, first + j)
+            w.parts[STOPPING, j], w.over[j], w.stands[j] = 0.0, 0, 1
+    for m in range(LIMPING + 1):
+        for j in range(width):
+            w.parts[m, j] = 0.0 if w.stands[j] != 0 else -0.0
 
 
 @inlined
-def _step_lane(n: int, action: FloatArray, lanes: Lanes, parts: FloatArray) -> None:
-    """A step of lane n in the middle of an episode: its costs go into the column n of the parts."""
-    s, p, flags, profile = lanes.state[n], lanes.numbers, lanes.flags, lanes.profile[n]
-    for m in range(len(PARTS)):
-        parts[m, n] = 0.0
-    left_s = (p[HORIZON] - s[STEP]) * p[DT]
-    if action[1] > STOP_ABOVE:
-        parts[4, n] = -p[STOP_COST] * left_s
-        flags[layout.TERMINATED, n] = True
-        return
-    aim = p[LIMP_SHARE] if action[1] > 0.0 else 1.0
-    s[SCALE] += min(max(aim - s[SCALE], -p[LIMP_STEP]), p[LIMP_STEP])
-    noise = four_normals(int(s[STEP]), lanes.words, n)
-    torque = p[BASE_LOAD] + p[FAN] * s[SPEED] * abs(s[SPEED]) + s[LOAD]
-    worn = _grow_fault(s, p, torque)
-    flags[layout.FAULT_ACTIVE, n] = s[SEVERITY] > 0.0
-    _run_motor(s, p, _own_share(s, p) if p[HOLDS_SPEED] > 0.0 else action[0], noise)
-    _filter(s, p, noise)
-    s[STEP] += 1.0
-    off = (s[SPEED] - s[SCALE] * profile[int(s[STEP])]) / p[TOP]
-    error = p[TRACKING_COST] * off * off
-    if p[TRACKING_LIMIT] > 0.0:
-        error /= 1.0 + error / p[TRACKING_LIMIT]
-    parts[0, n] = -error
-    parts[1, n] = -p[HEAT_COST] * max(s[TEMPERATURE] - p[WARM], 0.0)
-    parts[2, n] = -p[WEAR_COST] * worn
-    parts[3, n] = -p[LIMP_COST] * (1.0 - s[SCALE])
-    kind = int(s[KIND])
-    broken = kind > 0 and s[SEVERITY] >= p[FAILURE_SEVERITY + kind - 1]
-    if broken or s[TEMPERATURE] >= p[BURN]:
-        parts[5, n] = -p[FAILURE_COST] - p[STOP_COST] * (left_s - p[DT])
-        flags[layout.TERMINATED, n] = True
-    elif s[STEP] >= p[HORIZON]:
-        flags[layout.TERMINATED, n] = True
-    _observe_profile(s, p, profile, lanes.ahead)
+def _copy_lane(source: FloatArray, target: FloatArray, j: int) -> None:
+    for m in range(source.shape[0]):
+        target[m, j] = source[m, j]
 
 
 @inlined
-def _column(parts: FloatArray, n: int) -> tuple[float, ...]:
-    return parts[0, n], parts[1, n], parts[2, n], parts[3, n], parts[4, n], parts[5, n]
-
-
-@inlined
-def _decide_lane(n: int, action: FloatArray, lanes: Lanes, parts: FloatArray) -> None:
-    """The periods of one decision: as many as `REPEATS` says, or until the episode is over."""
-    _step_lane(n, action, lanes, parts)
-    for _ in range(1, int(lanes.numbers[REPEATS])):
-        if lanes.flags[layout.TERMINATED, n]:
-            break
-        so_far = _column(parts, n)
-        _step_lane(n, action, lanes, parts)
-        for m in range(len(PARTS)):
-            parts[m, n] += so_far[m]
+def _step_block(
+    s: Block, w: Block, p: Task, lanes: Lanes, first: int, width: int, actions: FloatArray, begins: bool
+) -> None:
+    """The periods of one decision, or fewer where the episode is over; what stands is put back as it was."""
+    _begin_step(s, w, p, lanes, first, width, actions, begins)
+    for _ in range(int(p.periods)):
+        standing = 0
+        for j in range(width):
+            w.stands[j] |= w.over[j]
+            standing += w.stands[j]
+        if standing > 0:
+            for j in range(width):
+                if w.stands[j] != 0:
+                    _copy_lane(s.everything, w.kept, j)
+        if standing < width:
+            _advance(s, w, p, lanes, first, width)
+        if standing > 0:
+            for j in range(width):
+                if w.stands[j] != 0:
+                    _copy_lane(w.kept, s.everything, j)
+    for j in range(width):
+        lanes.flags[layout.TERMINATED, first + j] = w.over[j] != 0
+        lanes.flags[layout.FAULT_ACTIVE, first + j] = s.severity[j] > 0.0
 
 
 @compiled
-def begin(mask: BoolArray, *arrays: Any) -> None:
+def begin(mask: BoolArray, numbers: FloatArray, *arrays: Any) -> None:
     """Let the lanes of the mask begin their next episodes; `arrays` are those of `Lanes`."""
-    lanes = _unpack(*arrays)
+    p, lanes = task_of(numbers), lanes_of(*arrays)
     for n in range(len(mask)):
         if mask[n]:
-            _begin_lane(n, lanes)
+            begin_lane(lanes.state[n // LANES], n % LANES, p, lanes, n)
+
+
+@inlined
+def _observe_block(s: Block, view: FloatArray, observation: Float32Array, first: int, width: int) -> None:
+    for m in range(view.shape[1]):
+        unit, least, most, row = view[0, m], view[1, m], view[2, m], observation[m, first:]
+        for j in range(width):
+            row[j] = np.float32(min(max(s.observed[m, j] / unit, least), most))
 
 
 @compiled
-def observe(state: FloatArray, view: FloatArray, observation: Float32Array) -> None:
-    """Write the observed fields of all lanes in units of `view[0]`, clipped to `view[1]` .. `view[2]`."""
-    for n in range(len(state)):
-        for m in range(view.shape[1]):
-            value = state[n, MEASURED_CURRENT + m] / view[0, m]
-            observation[n, m] = np.float32(min(max(value, view[1, m]), view[2, m]))
+def observe(state: Any, view: FloatArray, observation: Float32Array) -> None:
+    """Write the observed rows of all lanes in units of `view[0]`, clipped to `view[1]` .. `view[2]`."""
+    for first in range(0, observation.shape[1], LANES):
+        width = min(LANES, observation.shape[1] - first)
+        _observe_block(state[first // LANES], view, observation, first, width)
 
 
 @compiled
@@ -306,20 +259,24 @@ def step(
     observation: Float32Array,
     reward: FloatArray,
     parts: FloatArray,
+    numbers: FloatArray,
     *arrays: Any,
 ) -> int:
     """A step of all lanes; where an episode is over and `begins`, its successor begins instead. How many are over."""
-    lanes, n_over = _unpack(*arrays), 0
-    for n in range(len(reward)):
-        if begins and lanes.flags[layout.TERMINATED, n]:
-            _begin_lane(n, lanes)
-            parts[:, n] = 0.0
-        else:
-            _decide_lane(n, actions[n], lanes, parts)
-            n_over += lanes.flags[layout.TERMINATED, n]
-        total = 0.0
+    p, lanes, n_over = task_of(numbers), lanes_of(*arrays), 0
+    w = lanes.work[0]
+    for first in range(0, len(reward), LANES):
+        s, width = lanes.state[first // LANES], min(LANES, len(reward) - first)
+        _step_block(s, w, p, lanes, first, width, actions, begins)
+        for j in range(width):
+            total = 0.0
+            for m in range(len(PARTS)):
+                total += w.parts[m, j]
+            reward[first + j] = total
+            n_over += w.over[j]
         for m in range(len(PARTS)):
-            total += parts[m, n]
-        reward[n] = total
-    observe(lanes.state, view, observation)
+            row = parts[m, first:]
+            for j in range(width):
+                row[j] = w.parts[m, j]
+        _observe_block(s, view, observation, first, width)
     return n_over

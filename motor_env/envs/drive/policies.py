@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from motor_env.envs.drive import kernel
 from motor_env.envs.drive.actions import LIMP, RUN, STOP, as_actions
 from motor_env.envs.drive.options import LABELS, DriveOptions
 from motor_env.envs.drive.setup import DriveSetup, drive_filter, faulty, speed_feedback
@@ -194,7 +193,7 @@ class Lqg:
         """Temperature of the winding whose resistance is the expected one."""
         loss_w = 0.5 * (current**2 + self._current**2) * (self.bank.ohm @ self.probability)
         rise = loss_w * self.setup.options.thermal_resistance_k_per_w - self._temperature
-        self._temperature += self.setup.numbers[kernel.COOLING] * rise
+        self._temperature += self.setup.task.cooling * rise
         self._current = current
 
     def _begin(self, new: NDArray[np.bool_], measured: FloatArray) -> None:

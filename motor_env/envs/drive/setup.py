@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from motor_env.envs.drive import kernel
+from motor_env.envs.drive.lanes import Task
 from motor_env.envs.drive.options import Control, DriveOptions
-from motor_env.envs.layout import empty_streams
 from motor_env.envs.setup import converged_gain
 from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, KalmanFilter
 from motor_env.motor.faults import Fault, apply_fault
@@ -28,14 +27,14 @@ class DriveSetup(NamedTuple):
 
     Attributes:
         options: what it was made from.
-        numbers: constants of the compiled step, shape (kernel.N_CONSTANTS,).
+        task: constants of the compiled step.
         ahead: steps ahead at which the profile is observed.
         view: unit, least and most of each observed number, shape (3, n_observed).
         observed: their names.
     """
 
     options: DriveOptions
-    numbers: FloatArray
+    task: Task
     ahead: NDArray[np.int64]
     view: FloatArray
     observed: tuple[str, ...]
@@ -99,14 +98,14 @@ def make_setup(options: DriveOptions) -> DriveSetup:
     }
     return DriveSetup(
         options=options,
-        numbers=_numbers(options),
+        task=_task(options),
         ahead=np.array(options.ahead_steps, dtype=np.int64),
         view=np.array(list(bound.values())).T.copy(),
         observed=tuple(bound),
     )
 
 
-def _numbers(options: DriveOptions) -> FloatArray:
+def _task(options: DriveOptions) -> Task:
     o, dt, motor = options, options.period_s, options.driven
     belief = drive_filter(o, motor)
     gain, covariance = converged_gain(belief)
@@ -138,12 +137,4 @@ def _numbers(options: DriveOptions) -> FloatArray:
         *(o.tracking_limit_per_s * dt, float(o.control is Control.DECISION)),
         *(*speed_feedback(o, motor), o.steps_per_decision),
     ]
-    assert len(numbers) == kernel.N_CONSTANTS  # noqa: S101  # as the kernel counts them
-    return np.array(numbers)
-
-
-def empty_lanes(setup: DriveSetup, count: int) -> tuple[Any, ...]:
-    """State, words, flags and profiles of lanes that run no episode yet."""
-    state = np.zeros((count, kernel.PROFILE + len(setup.ahead)))
-    length = setup.options.n_steps + max(setup.options.ahead_steps) + 1
-    return state, *empty_streams(count), np.zeros((count, length))
+    return Task._make(numbers)

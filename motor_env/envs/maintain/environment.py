@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from motor_env.envs.base import Info, Observation, StreamEnv, whole_action
 from motor_env.envs.layout import KNOWN, TERMINATED, BoolArray, MarkArray, empty_streams
 from motor_env.envs.maintain import kernel
+from motor_env.envs.maintain.belief import AT_ONCE
 from motor_env.envs.maintain.kernel import FEATURES, PARTS
 from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
 from motor_env.envs.maintain.picture import Logbook
@@ -20,7 +21,31 @@ from motor_env.envs.rendering import Frame
 from motor_env.envs.vector import Step, StreamVectorEnv, whole_actions
 from motor_env.motor.parameters import FloatArray
 
+IMPOSSIBLE = 1e-100
+"""A probability that counts as 0: a processor takes a hundred times as long for the tiniest numbers."""
 _ACTIONS = kernel.REPLACE + 1
+
+
+def _chances(options: MaintainOptions, tables: Tables) -> kernel.Chances:
+    """The tables as the compiled step reads them."""
+    missing = -tables.wear.shape[1] % AT_ONCE
+    sums = tables.wear.cumsum(axis=1)[:, :-1]
+    behind = -sums.shape[1] % kernel.COMPARED
+    return kernel.Chances(
+        tables.weights,
+        tables.weights.cumsum()[:-1],
+        tables.rates / options.drift_per_day,
+        np.ascontiguousarray(np.pad(tables.wear, ((0, 0), (0, missing)))[:, ::-1]),
+        np.pad(sums, ((0, 0), (0, behind)), constant_values=2.0),
+        tables.failing,
+        np.where(tables.estimate < IMPOSSIBLE, 0.0, tables.estimate),
+        np.array(
+            [
+                *(tables.lowest, options.days, options.estimate_std / (options.limit / LEVELS)),
+                *(options.failure_cost, options.inspection_cost, options.replacement_cost),
+            ]
+        ),
+    )
 
 
 class Motors:
@@ -36,23 +61,27 @@ class Motors:
         self.tables: Tables = make_tables(options)
         self.words, self.flags = empty_streams(count)
         self.marks: MarkArray = np.zeros((kernel.FAILED + 1, count), dtype=np.int32)
-        self.belief: FloatArray = np.zeros((count, len(self.tables.rates), LEVELS))
-        self._shares = self.tables.rates / options.drift_per_day
-        costs = (options.failure_cost, options.inspection_cost, options.replacement_cost)
-        table = self.tables
-        self._numbers = (options.days, np.array(costs), options.estimate_std / (options.limit / LEVELS))
-        self._tables = (table.weights, table.wear, table.lowest, table.estimate)
-        self._state = (
+        self._chances = _chances(options, self.tables)
+        width = min(count, kernel.MOTORS)
+        shape = (-(-count // width), len(self.tables.rates), LEVELS, width)
+        motors = kernel.Motors(
             self.words,
             self.marks,
             self.flags,
-            self.belief,
-            np.empty(LEVELS + table.wear.shape[1]),
+            np.zeros(shape),
+            kernel.room_for(self._chances.growths.shape[1], width),
         )
+        self._arrays = (*self._chances, *motors)
+
+    @property
+    def belief(self) -> FloatArray:
+        """Probability of each rate and level of wear, given all that was seen, shape (n_motors, n_rates, LEVELS)."""
+        blocks = np.moveaxis(self._arrays[-2], 3, 1)
+        return np.array(blocks.reshape(-1, *blocks.shape[2:])[: self.marks.shape[1]])
 
     def observation_space(self) -> spaces.Space[Observation]:
         """Box of the features."""
-        fastest = np.nextafter(np.float32(self._shares.max()), np.float32(np.inf))
+        fastest = np.nextafter(np.float32(self._chances.shares.max()), np.float32(np.inf))
         high = np.array([1.5, 1.0, 1.0, 1.0, fastest, 1.0, 1.0], dtype=np.float32)
         low = np.zeros(len(FEATURES), dtype=np.float32)
         low[FEATURES.index("estimate")] = -0.5
@@ -60,19 +89,20 @@ class Motors:
 
     def begin(self, mask: BoolArray) -> None:
         """Begin the next episode of the motors in the mask."""
-        kernel.begin(mask, self.tables.weights, *self._state[:-1])
+        kernel.begin(mask, *self._arrays)
 
     def observe(self) -> Observation:
         """Observations, shape (n_motors, n_features)."""
         out = np.empty((len(FEATURES), self.marks.shape[1]), dtype=np.float32)
-        kernel.observe(self.options.days, self._shares, self.tables.failing, self.marks, self.belief, out)
+        kernel.observe(out, *self._arrays)
         return out.T
 
-    def step(self, actions: NDArray[np.int64], *, restart: bool) -> tuple[FloatArray, int]:
-        """A day of each motor: the parts of its reward, shape (3, n_motors), and how many episodes it ended."""
+    def step(self, actions: NDArray[np.int64], *, restart: bool) -> tuple[Observation, FloatArray, int]:
+        """A day of each motor: observations, the parts of its reward, shape (3, n_motors), and how many it ended."""
         parts = np.empty((len(PARTS), len(actions)))
-        n_over: int = kernel.step(actions, restart, *self._numbers, *self._tables, *self._state, parts)
-        return parts, n_over
+        out = np.empty((len(FEATURES), len(actions)), dtype=np.float32)
+        n_over: int = kernel.step(actions, restart, parts, out, *self._arrays)
+        return out.T, parts, n_over
 
     def truth(self) -> Info:
         """Severity, drift a day and failure of each motor, for those who score."""
@@ -140,7 +170,12 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
         return observation, self._truth()
 
     def _truth(self) -> Info:
-        return {name: value.item() for name, value in self.motors.truth().items()}
+        marks, motors = self.motors.marks, self.motors
+        return {
+            "severity": marks.item(kernel.LEVEL, 0) * (self.options.limit / LEVELS),
+            "drift_per_day": motors.tables.rates.item(marks.item(kernel.RATE, 0)),
+            "failed": marks.item(kernel.FAILED, 0) > 0,
+        }
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
         """One day.
@@ -151,13 +186,13 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
         if self._over:
             raise gym.error.ResetNeeded("call reset() before step(): the episode is over")
         self._action[0] = whole_action(action, _ACTIONS)
-        parts, n_over = self.motors.step(self._action, restart=False)
-        self._over = n_over > 0
-        observation = self.motors.observe()[0]
+        observations, parts, n_over = self.motors.step(self._action, restart=False)
+        observation, self._over = observations[0], n_over > 0
         if self._logbook is not None:
             self._show(observation, int(self._action[0]))
-        info = self._truth() | dict(zip(PARTS, parts[:, 0].tolist(), strict=True))
-        return observation, float(parts.sum()), self._over, False, info
+        info, costs = self._truth(), parts.ravel().tolist()
+        info.update(zip(PARTS, costs, strict=True))
+        return observation, sum(costs), self._over, False, info
 
     def _show(self, observation: Observation, action: int) -> None:
         assert self._logbook is not None  # noqa: S101  # the caller looked
@@ -184,18 +219,22 @@ class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
         self.motors.begin(mask)
 
     def _observed(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
-        everywhere = self._flags[KNOWN].copy() if known is None else known
+        return self.motors.observe(), self._told(self._flags[KNOWN].copy() if known is None else known)
+
+    def _told(self, known: BoolArray) -> Info:
+        """The truth, for those who score."""
         info: Info = {}
         for name, value in self.motors.truth().items():
-            info[name], info[f"_{name}"] = value, everywhere
-        return self.motors.observe(), info
+            info[name], info[f"_{name}"] = value, known
+        return info
 
     def _step(self, actions: Any) -> tuple[Step, int]:
         array = whole_actions(actions, self.num_envs)
-        parts, n_over = self.motors.step(array, restart=self.autoreset_mode is AutoresetMode.NEXT_STEP)
+        restart = self.autoreset_mode is AutoresetMode.NEXT_STEP
+        observation, parts, n_over = self.motors.step(array, restart=restart)
         if n_over < 0:
             raise ValueError(f"actions must be in 0 .. {_ACTIONS - 1}, got {array.min()} .. {array.max()}")
-        observation, info = self._observed()
+        info = self._told(self._flags[KNOWN].copy())
         for name, part in zip(PARTS, parts, strict=True):
             info[name], info[f"_{name}"] = part, self._flags[KNOWN].copy()
         over = self._flags[TERMINATED].copy()

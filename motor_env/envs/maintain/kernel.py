@@ -1,6 +1,13 @@
-"""A day of many motors, compiled: wear, failure, the start's estimate, and the exact belief about the wear."""
+"""A day of many motors, compiled: wear, failure, the start's estimate, and the exact belief about the wear.
+
+The belief of a block of motors lies flat: for each rate of wear a row for each level, a number for each motor. So a day
+is the same sum for all of them, and the compiler computes several with one instruction. All sums go from the lowest
+level up, whatever the size of a block: a single motor believes to the bit what it would among many.
+"""
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +15,7 @@ from numpy.typing import NDArray
 from motor_env.envs import layout
 from motor_env.envs.compiling import compiled, inlined
 from motor_env.envs.layout import BoolArray, MarkArray, WordArray
+from motor_env.envs.maintain.belief import believe
 from motor_env.envs.maintain.options import LEVELS, LOWEST_ESTIMATE, N_ESTIMATES
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, box_muller
@@ -18,185 +26,223 @@ LEVEL, RATE, DAY, AGE, ESTIMATE, FAILED = range(6)
 last estimate in levels; whether the bearing failed on the last day."""
 FEATURES = ("estimate", "mean", "std", "risk", "rate", "age", "days_left")
 PARTS = ("reward_failure", "reward_replacement", "reward_inspection")
+MOTORS = 16
+"""Motors of a block: their beliefs fit into the first-level cache."""
+COMPARED = 32
+"""Summed probabilities that are compared in one go."""
 _STREAM = np.uint32(Stream.WEAR)
 _TO_UNIT = 2.0**-32
-_NEGLIGIBLE = 1e-15  # a share that rounding takes away anyway
+
+
+class Chances(NamedTuple):
+    """What follows from the options.
+
+    Attributes:
+        weights: how often a bearing has each rate, shape (n_rates,).
+        sums: the same, summed up to each rate but the last.
+        shares: each rate, as a share of the mean one.
+        growths: probability of each growth in a day, from the largest down, filled up with zeros in front to a multiple
+            of `AT_ONCE`, shape (n_rates, n_growths).
+        growth_sums: of the growths from the smallest up, summed up to each but the last, shape (n_rates, n); behind
+            them twos, so that there is a multiple of `COMPARED`.
+        failing: that the bearing fails on a day that begins at a level, shape (n_rates, LEVELS).
+        estimate: of each estimate, given the level, shape (N_ESTIMATES, LEVELS).
+        numbers: smallest growth in levels, days, standard deviation of an estimate in levels, and the costs of a
+            failure, an inspection and a replacement.
+    """
+
+    weights: FloatArray
+    sums: FloatArray
+    shares: FloatArray
+    growths: FloatArray
+    growth_sums: FloatArray
+    failing: FloatArray
+    estimate: FloatArray
+    numbers: FloatArray
+
+
+class Motors(NamedTuple):
+    """Everything that changes.
+
+    Attributes:
+        words: of what the random numbers depend on, shape (4, n_motors).
+        marks: see the rows above, shape (6, n_motors).
+        flags: shape (4, n_motors).
+        belief: probability of each rate and level, shape (n_blocks, n_rates, LEVELS, motors of a block).
+        room: for the sums of a block, see `room_for`.
+    """
+
+    words: WordArray
+    marks: MarkArray
+    flags: BoolArray
+    belief: FloatArray
+    room: FloatArray
+
+
+def room_for(n_growths: int, width: int) -> FloatArray:
+    """Room for the sums of a block of so many motors, four parts of equal length, and of the features' sums."""
+    return np.zeros((5, (LEVELS + n_growths) * width))
 
 
 @inlined
-def _pick(probability: FloatArray, uniform: float) -> int:
-    """The number at which the cumulated probability passes the uniform one."""
-    total, last = 0.0, len(probability) - 1
-    for number in range(last):
-        total += probability[number]
-        if uniform < total:
-            return number
-    return last
+def _pick(sums: FloatArray, uniform: float) -> int:
+    """The first number whose summed probability is above the uniform one."""
+    number = 0
+    for k in range(len(sums)):
+        number += 1 if uniform >= sums[k] else 0
+    return number
 
 
 @inlined
-def _new_bearing(weights: FloatArray, uniform: float, marks: MarkArray, belief: FloatArray, n: int) -> None:
+def _new_bearing(chances: Chances, uniform: float, motors: Motors, n: int) -> None:
+    marks, width = motors.marks, motors.belief.shape[3]
+    belief = motors.belief[n // width]
     marks[LEVEL, n], marks[AGE, n] = 0, 0
-    marks[RATE, n] = _pick(weights, uniform)
-    belief[n] = 0.0
-    for rate in range(len(weights)):
-        belief[n, rate, 0] = weights[rate]
+    marks[RATE, n] = _pick(chances.sums, uniform)
+    for rate in range(len(chances.weights)):
+        for level in range(LEVELS):
+            belief[rate, level, n % width] = 0.0
+        belief[rate, 0, n % width] = chances.weights[rate]
 
 
 @inlined
-def _wear_belief(wear: FloatArray, lowest: int, belief: FloatArray, scratch: FloatArray) -> None:
-    """The belief after a day without failure, not normalised; the severity of a new bearing is the least."""
-    n_growths = wear.shape[1]
-    for rate in range(wear.shape[0]):
-        probability = wear[rate]
-        scratch[:] = 0.0
-        for level in range(LEVELS):
-            mass = belief[rate, level]
-            if mass > _NEGLIGIBLE:
-                after = scratch[
-                    level : level + n_growths
-                ]  # so that the compiler sees that they lie side by side
-                for growth in range(n_growths):
-                    after[growth] += mass * probability[growth]
-        for place in range(-lowest):
-            scratch[-lowest] += scratch[place]
-        for level in range(LEVELS):
-            belief[rate, level] = scratch[level - lowest]
+def _begin_episode(chances: Chances, motors: Motors, n: int) -> None:
+    layout.begin_episode(motors.words, motors.flags, n)
+    first, _, _, _ = layout.random_words(_STREAM, 0, motors.words, n)
+    _new_bearing(chances, first * _TO_UNIT, motors, n)
+    motors.marks[DAY, n], motors.marks[ESTIMATE, n], motors.marks[FAILED, n] = 0, 0, 0
 
 
 @inlined
-def _normalise(belief: FloatArray) -> None:
-    total = 0.0
-    for rate in range(belief.shape[0]):
+def _live(
+    chances: Chances, motors: Motors, n: int, action: int, likelihood: FloatArray, parts: FloatArray
+) -> bool:
+    """A day of motor n but for its belief, of which `likelihood` is told; whether it wears."""
+    marks, width = motors.marks, motors.belief.shape[3]
+    j, numbers = n % width, chances.numbers
+    marks[DAY, n] += 1
+    marks[AGE, n] += 1
+    marks[FAILED, n] = 0
+    if action == INSPECT:
+        parts[2, n] = -numbers[4]
+        marks[ESTIMATE, n] = marks[LEVEL, n]
         for level in range(LEVELS):
-            total += belief[rate, level]
-    for rate in range(belief.shape[0]):
-        for level in range(LEVELS):
-            belief[rate, level] /= total
-
-
-@inlined
-def _start(estimate: FloatArray, deviation: float, marks: MarkArray, belief: FloatArray, n: int) -> None:
-    """The motor starts: what the transient tells of its wear, and what is believed from then on."""
-    read = round(marks[LEVEL, n] + deviation) - LOWEST_ESTIMATE
+            likelihood[level * width + j] = 1.0 if level == marks[LEVEL, n] else 0.0
+        return False
+    growth, rate, first, second = layout.random_words(_STREAM, marks[DAY, n], motors.words, n)
+    if action == REPLACE:
+        parts[1, n] = -numbers[5]
+        _new_bearing(chances, rate * _TO_UNIT, motors, n)
+    grown = int(numbers[0]) + _pick(chances.growth_sums[marks[RATE, n]], growth * _TO_UNIT)
+    marks[LEVEL, n] = max(marks[LEVEL, n] + grown, 0)
+    fails = marks[LEVEL, n] >= LEVELS
+    if fails:
+        parts[0, n] = -numbers[3]
+        marks[FAILED, n] = 1
+        _new_bearing(chances, rate * _TO_UNIT, motors, n)
+    deviation, _ = box_muller(first, second)
+    read = round(marks[LEVEL, n] + numbers[2] * deviation) - LOWEST_ESTIMATE
     read = min(max(read, 0), N_ESTIMATES - 1)
     marks[ESTIMATE, n] = read + LOWEST_ESTIMATE
-    for rate in range(belief.shape[1]):
-        for level in range(LEVELS):
-            belief[n, rate, level] *= estimate[read, level]
-    _normalise(belief[n])
+    told = chances.estimate[read]
+    for level in range(LEVELS):
+        likelihood[level * width + j] = told[level]
+    return not fails
 
 
-@compiled
-def observe(
-    days: int,
-    rates: FloatArray,
-    failing: FloatArray,
-    marks: MarkArray,
-    belief: FloatArray,
-    out: NDArray[np.float32],
+@inlined
+def _observe_block(
+    chances: Chances, motors: Motors, first: int, count: int, out: NDArray[np.float32]
 ) -> None:
-    """The features of all motors, shape (n_features, n_motors); `rates` are shares of the mean one."""
-    for n in range(marks.shape[1]):
-        mean, square, risk, pace = 0.0, 0.0, 0.0, 0.0
-        for rate in range(len(rates)):
-            for level in range(LEVELS):
-                mass = belief[n, rate, level]
-                mean += mass * level
-                square += mass * level * level
-                risk += mass * failing[rate, level]
-                pace += mass * rates[rate]
+    width, days, marks = motors.belief.shape[3], chances.numbers[1], motors.marks
+    belief, room = motors.belief[first // width], motors.room[4]
+    mean, square = room[:width], room[width : 2 * width]
+    risk, pace = room[2 * width : 3 * width], room[3 * width : 4 * width]
+    for j in range(4 * width):
+        room[j] = 0.0
+    for rate in range(belief.shape[0]):
+        share = chances.shares[rate]
+        for level in range(0, LEVELS, 2):  # two at a time halve the reading and writing of the sums
+            lower, upper = belief[rate, level], belief[rate, level + 1]
+            here, above = chances.failing[rate, level], chances.failing[rate, level + 1]
+            for j in range(width):
+                m0, m1 = lower[j], upper[j]
+                mean[j] = mean[j] + m0 * level + m1 * (level + 1)
+                square[j] = square[j] + m0 * level * level + m1 * (level + 1) * (level + 1)
+                risk[j] = risk[j] + m0 * here + m1 * above
+                pace[j] = pace[j] + m0 * share + m1 * share
+    for j in range(count):
+        n = first + j
         out[0, n] = marks[ESTIMATE, n] / LEVELS
-        out[1, n] = mean / LEVELS
-        out[2, n] = np.sqrt(max(square - mean * mean, 0.0)) / LEVELS
-        out[3, n] = min(risk, 1.0)
-        out[4, n] = pace
+        out[1, n] = mean[j] / LEVELS
+        out[2, n] = np.sqrt(max(square[j] - mean[j] * mean[j], 0.0)) / LEVELS
+        out[3, n] = min(risk[j], 1.0)
+        out[4, n] = pace[j]
         out[5, n] = marks[AGE, n] / days
         out[6, n] = (days - marks[DAY, n]) / days
 
 
 @inlined
-def _begin_episode(
-    weights: FloatArray, words: WordArray, marks: MarkArray, flags: BoolArray, belief: FloatArray, n: int
-) -> None:
-    layout.begin_episode(words, flags, n)
-    first, _, _, _ = layout.random_words(_STREAM, 0, words, n)
-    _new_bearing(weights, first * _TO_UNIT, marks, belief, n)
-    marks[DAY, n], marks[ESTIMATE, n], marks[FAILED, n] = 0, 0, 0
+def _unpacked(arrays: tuple[Any, ...]) -> tuple[Chances, Motors]:
+    """The arrays with which a compiled function is called, by name: a named tuple costs ten times as much a call."""
+    return Chances(*arrays[:8]), Motors(*arrays[8:])
 
 
 @compiled
-def begin(
-    mask: BoolArray,
-    weights: FloatArray,
-    words: WordArray,
-    marks: MarkArray,
-    flags: BoolArray,
-    belief: FloatArray,
-) -> None:
+def observe(out: NDArray[np.float32], *arrays: Any) -> None:
+    """The features of all motors, shape (n_features, n_motors); `arrays` are those of `Chances` and `Motors`."""
+    chances, motors = _unpacked(arrays)
+    width, count = motors.belief.shape[3], out.shape[1]
+    for first in range(0, count, width):
+        _observe_block(chances, motors, first, min(width, count - first), out)
+
+
+@compiled
+def begin(mask: BoolArray, *arrays: Any) -> None:
     """Begin the next episode of the motors in the mask, each with a new bearing."""
+    chances, motors = _unpacked(arrays)
     for n in range(len(mask)):
         if mask[n]:
-            _begin_episode(weights, words, marks, flags, belief, n)
+            _begin_episode(chances, motors, n)
 
 
 @compiled
 def step(
     actions: NDArray[np.int64],
     restart: bool,
-    days: int,
-    costs: FloatArray,
-    estimate_levels: float,
-    weights: FloatArray,
-    wear: FloatArray,
-    lowest: int,
-    estimate: FloatArray,
-    words: WordArray,
-    marks: MarkArray,
-    flags: BoolArray,
-    belief: FloatArray,
-    scratch: FloatArray,
     parts: FloatArray,
+    out: NDArray[np.float32],
+    *arrays: Any,
 ) -> int:
     """A day of every motor; how many episodes it ended, or -1 for an action that does not exist.
 
-    With `restart` a motor whose episode is over begins the next one instead. `costs` and `parts` (shape (3, n)) are in
-    the order of `PARTS`.
+    With `restart` a motor whose episode is over begins the next one instead. `parts` (shape (3, n)) are in the order of
+    `PARTS`, `out` is that of `observe`.
     """
-    n_over = 0
-    for n in range(len(actions)):
+    chances, motors = _unpacked(arrays)
+    n_over, width, count = 0, motors.belief.shape[3], len(actions)
+    likelihood, marks, numbers = motors.room[2], motors.room[3], chances.numbers
+    for n in range(count):
         if not 0 <= actions[n] <= REPLACE:
             return -1
-    for n in range(len(actions)):
-        parts[0, n], parts[1, n], parts[2, n] = 0.0, 0.0, 0.0
-        flags[layout.KNOWN, n] = True
-        if restart and flags[layout.TERMINATED, n]:
-            _begin_episode(weights, words, marks, flags, belief, n)
-            continue
-        marks[DAY, n] += 1
-        marks[AGE, n] += 1
-        marks[FAILED, n] = 0
-        growth, rate, first, second = layout.random_words(_STREAM, marks[DAY, n], words, n)
-        if actions[n] == INSPECT:
-            parts[2, n] = -costs[INSPECT]
-            marks[ESTIMATE, n] = marks[LEVEL, n]
-            for other in range(LEVELS):
-                if other != marks[LEVEL, n]:
-                    belief[n, :, other] = 0.0
-            _normalise(belief[n])
-        else:
-            if actions[n] == REPLACE:
-                parts[1, n] = -costs[REPLACE]
-                _new_bearing(weights, rate * _TO_UNIT, marks, belief, n)
-            grown = lowest + _pick(wear[marks[RATE, n]], growth * _TO_UNIT)
-            marks[LEVEL, n] = max(marks[LEVEL, n] + grown, 0)
-            _wear_belief(wear, lowest, belief[n], scratch)
-            if marks[LEVEL, n] >= LEVELS:
-                parts[0, n] = -costs[RUN]
-                marks[FAILED, n] = 1
-                _new_bearing(weights, rate * _TO_UNIT, marks, belief, n)
-            deviation, _ = box_muller(first, second)
-            _start(estimate, estimate_levels * deviation, marks, belief, n)
-        flags[layout.TERMINATED, n] = marks[DAY, n] >= days
-        n_over += flags[layout.TERMINATED, n]
+    for first in range(0, count, width):
+        here, wearing = min(width, count - first), 0
+        for i in range(LEVELS * width):
+            likelihood[i] = 1.0
+        for j in range(width):
+            marks[j], marks[width + j] = 0.0, 1.0
+        for j in range(here):
+            n = first + j
+            parts[0, n], parts[1, n], parts[2, n] = 0.0, 0.0, 0.0
+            motors.flags[layout.KNOWN, n] = True
+            if restart and motors.flags[layout.TERMINATED, n]:
+                _begin_episode(chances, motors, n)
+                continue
+            wears = _live(chances, motors, n, actions[n], likelihood, parts)
+            marks[j], marks[width + j] = 1.0 if wears else 0.0, 0.0
+            wearing += 1 if wears else 0
+            motors.flags[layout.TERMINATED, n] = motors.marks[DAY, n] >= numbers[1]
+            n_over += motors.flags[layout.TERMINATED, n]
+        believe(chances.growths, int(numbers[0]), motors.belief[first // width], motors.room, wearing)
+        _observe_block(chances, motors, first, here, out)
     return n_over

@@ -9,6 +9,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from motor_env import PAPER_MOTOR, MotorParameters, discretize, simulate_states
+from motor_env.motor.compiled import njit
+from motor_env.motor.exponentials import ROOM, exponentials_and_phis
 from motor_env.motor.model import (
     Input,
     State,
@@ -173,3 +175,20 @@ def test_step_of_any_size_stays_finite() -> None:
 def test_bad_sampling_interval(dt_s: float) -> None:
     with pytest.raises(ValueError, match="dt_s must be finite and > 0"):
         discretize(PAPER_MOTOR, dt_s)
+
+
+@njit(error_model="numpy", _nrt=False)
+def side_by_side(count: int, room: FloatArray) -> None:
+    """The exponentials of many motors, as a compiled step calls them."""
+    exponentials_and_phis(count, room[:4], room[4:8], room[8:12], room[12:])
+
+
+def test_many_exponentials_are_to_the_bit_those_of_one() -> None:
+    rng, room = np.random.default_rng(0), np.zeros((12 + ROOM, 40))
+    entries = rng.standard_normal((4, 40)) * 10.0 ** rng.uniform(-3, 2, (4, 40))
+    entries[[1, 2], [5, 7]], entries[:, 9] = 0.0, 0.0
+    room[:4] = entries
+    side_by_side(40, room)
+    for n, matrix in enumerate(entries.T):
+        whole, phi = exponential_and_phi(*matrix)
+        assert (tuple(room[4:8, n]), tuple(room[8:12, n])) == (whole, phi)

@@ -22,10 +22,10 @@ from motor_env.envs import (
     Lqg,
     drive_episodes,
 )
-from motor_env.envs.drive import kernel
 from motor_env.envs.drive.actions import LIMP, RUN, STOP
 from motor_env.envs.drive.env import REWARDS
 from motor_env.envs.drive.evaluation import joined_drives
+from motor_env.envs.drive.lanes import LANES
 from motor_env.envs.drive.options import LABELS
 from motor_env.envs.drive.policies import make_bank
 from motor_env.envs.drive.setup import drive_filter, faulty
@@ -34,6 +34,7 @@ from motor_env.envs.setup import converged_gain
 # Reaches in: the filter, noise and growth of the drive by hand, from the same streams and columns.
 from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD
 from motor_env.motor.model import Input
+from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 
 SHORT: dict[str, Any] = {"horizon_s": 0.6, "earliest_onset_s": 0.1, "mean_onset_s": 0.1}
@@ -94,6 +95,17 @@ def test_disabled_autoreset_waits_for_the_mask() -> None:
     assert info["_severity"].tolist() == mask.tolist()
 
 
+def lane_of(env: DriveEnv) -> dict[str, float]:
+    """The numbers of a single environment by name, as they stand."""
+    block = env._lanes.state[0]
+    return {name: float(block[name][0]) for name in block.dtype.names if block[name].shape == (LANES,)}
+
+
+def state_of(env: DriveEnv) -> FloatArray:
+    """Its current and speed."""
+    return np.array([lane_of(env)["current"], lane_of(env)["speed"]])
+
+
 @pytest.mark.parametrize("kind", [0, 1, 2])
 def test_the_motor_is_the_discretised_one_with_its_fault(kind: int) -> None:
     weights = tuple(float(k == kind) for k in range(3))
@@ -101,11 +113,11 @@ def test_the_motor_is_the_discretised_one_with_its_fault(kind: int) -> None:
     env, truth = DriveEnv(options), []
     _, info = env.reset(seed=3)
     assert info["label"] == LABELS[kind]
-    rng, states, volts = np.random.default_rng(0), [env._state[0, :2].copy()], []
+    rng, states, volts = np.random.default_rng(0), [state_of(env)], []
     for _ in range(60):
         info = env.step([rng.uniform(0.3, 0.7), RUN])[4]
-        states.append(env._state[0, :2].copy())
-        volts.append(env._state[0, kernel.VOLTAGE])
+        states.append(state_of(env))
+        volts.append(lane_of(env)["voltage"])
         truth.append(info["severity"])
     assert (truth[4], truth[5] > 0.0) == (0.0, kind > 0)
     for before, after, voltage, severity in zip(states[:-1], states[1:], volts, truth, strict=True):
@@ -136,8 +148,8 @@ def test_supply_and_profile_keep_their_limits() -> None:
     envs.reset(seed=2)
     for action in random_actions(150, 30):
         envs.step(action * [1.0, 0.0])
-        assert (np.abs(envs.truth[kernel.CURRENT]) < 1.7 + 1e-9).all()
-        assert (np.abs(envs.truth[kernel.VOLTAGE]) <= 16.0).all()
+        assert (np.abs(envs.truth("current")) < 1.7 + 1e-9).all()
+        assert (np.abs(envs.truth("voltage")) <= 16.0).all()
     profile, options = envs._arrays[-1], envs.options
     assert profile.min() >= options.lowest_speed_rad_s
     assert profile.max() <= options.top_speed_rad_s
@@ -152,7 +164,7 @@ def test_rewards_say_what_the_options_say() -> None:
     observation, _ = env.reset(seed=1)
     worn, over, steps = 0.0, False, 0
     while not over:
-        before = env._state[0, kernel.SEVERITY]
+        before = lane_of(env)["severity"]
         observation, reward, over, _, info = env.step(policy.act(observation[None])[0])
         steps += 1
         assert reward == pytest.approx(sum(info[name] for name in REWARDS), abs=1e-12)
@@ -175,11 +187,11 @@ def test_rewards_say_what_the_options_say() -> None:
 def follow_truth(env: DriveEnv, actions: Iterable[Any]) -> Iterator[tuple[Any, Any, Any, Any]]:
     """Lane before and after each step, what is observed, and the info."""
     for action in actions:
-        before = env._state[0].copy()
+        before = lane_of(env)
         observation, _, over, _, info = env.step(action)
         yield (
             before,
-            env._state[0].copy(),
+            lane_of(env),
             dict(zip(env.observed, observation.astype(float), strict=True)),
             info,
         )
@@ -193,22 +205,20 @@ def test_every_price_alone(kind: int) -> None:
     weights = tuple(float(k == kind) for k in range(3))
     env = DriveEnv(weights=weights, mean_onset_s=0.0, warm_k=1.0, burn_k=1e3, growth_per_s=(1.2, 1.2))
     env.reset(seed=3)
-    profile, limps = env._profile[0], 0.0
+    profile, limps = env._lanes.profile[0], 0.0
     rng = np.random.default_rng(2)
     actions = [[rng.uniform(0.3, 0.8), LIMP if 60 <= k < 100 else RUN] for k in range(150)]
     for k, (before, after, _, info) in enumerate(follow_truth(env, actions)):
-        share = min(max(after[kernel.SCALE] - before[kernel.SCALE], -1.0), 1.0)
+        share = min(max(after["scale"] - before["scale"], -1.0), 1.0)
         assert abs(share) < 0.5 * 0.01 / 0.3 + 1e-12  # to a half within 0.3 s
-        off = (after[kernel.SPEED] - after[kernel.SCALE] * profile[k + 1]) / 450.0
+        off = (after["speed"] - after["scale"] * profile[k + 1]) / 450.0
         assert info["reward_tracking"] == pytest.approx(-300.0 * off**2 * 0.01, rel=1e-9)
         assert info["reward_heat"] == pytest.approx(
             -0.05 * 0.01 * max(info["temperature_k"] - 1.0, 0.0), abs=1e-15
         )
-        worn = after[kernel.SEVERITY] - before[kernel.SEVERITY] if kind == 1 else 0.0
+        worn = after["severity"] - before["severity"] if kind == 1 else 0.0
         assert info["reward_wear"] == pytest.approx(-worn / 12.0, rel=1e-9, abs=1e-15)
-        assert info["reward_limp"] == pytest.approx(
-            -0.2 * 0.01 * (1.0 - after[kernel.SCALE]) / 0.5, abs=1e-15
-        )
+        assert info["reward_limp"] == pytest.approx(-0.2 * 0.01 * (1.0 - after["scale"]) / 0.5, abs=1e-15)
         assert (info["reward_stop"], info["reward_failure"]) == (0.0, 0.0)
         limps = min(limps, info["reward_limp"])
     assert limps == pytest.approx(-0.002)
@@ -226,21 +236,21 @@ def test_heat_and_wear_follow_their_equations(kind: int) -> None:
     actions = [[0.6 + 0.2 * (k % 3), LIMP if k % 7 == 3 else RUN] for k in range(120)]
     for k, (before, after, seen, info) in enumerate(follow_truth(env, actions)):
         ohm = 2.18 * (1.0 + info["severity"] * (kind == 2))
-        loss_w = 0.5 * ohm * (before[kernel.CURRENT] ** 2 + after[kernel.CURRENT] ** 2)
+        loss_w = 0.5 * ohm * (before["current"] ** 2 + after["current"] ** 2)
         decay = np.exp(-0.01 / 2.0)
-        warm = decay * before[kernel.TEMPERATURE] + (1.0 - decay) * 40.0 * loss_w
+        warm = decay * before["temperature"] + (1.0 - decay) * 40.0 * loss_w
         assert info["temperature_k"] == pytest.approx(warm, rel=1e-9)
-        loss_w = 1.09 * (before[kernel.ESTIMATED_CURRENT] ** 2 + after[kernel.ESTIMATED_CURRENT] ** 2)
+        loss_w = 1.09 * (before["estimated_current"] ** 2 + after["estimated_current"] ** 2)
         believed = decay * believed + (1.0 - decay) * 40.0 * loss_w
         assert seen["estimated_temperature"] == pytest.approx(believed / 120.0, rel=1e-5)
         assert info["fault_active"] == (kind > 0 and k >= 50)
         if not info["fault_active"]:
             assert info["severity"] == 0.0
             continue
-        speed = before[kernel.SPEED]
-        power = (8e-3 + 12e-3 * (speed / 450.0) ** 2 + before[kernel.LOAD]) * speed / (20e-3 * 450.0)
+        speed = before["speed"]
+        power = (8e-3 + 12e-3 * (speed / 450.0) ** 2 + before["load"]) * speed / (20e-3 * 450.0)
         pace = 0.1 + 0.9 * max(power, 0.0) if kind == 1 else 1.0
-        begun = before[kernel.SEVERITY] or (2.0, 0.2)[kind - 1]
+        begun = before["severity"] or (2.0, 0.2)[kind - 1]
         assert info["severity"] == pytest.approx(begun * np.exp(growth * pace * 0.01), rel=1e-9)
     drag = float(motor.viscous_friction_n_m_s_per_rad)
     slope, torque = 350.0 / 0.2, 8e-3 + 12e-3 + drag * 450.0
@@ -258,16 +268,16 @@ def test_the_filter_sees_what_its_model_says() -> None:
     gain, covariance = converged_gain(belief)
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     model, keep = discretize(options.driven, 0.01), np.exp(-0.01)
-    rest = env._state[0]
-    state = np.array([rest[kernel.CURRENT], rest[kernel.SPEED], 0.0])
+    rest = lane_of(env)
+    state = np.array([rest["current"], rest["speed"], 0.0])
     slow, memory = np.zeros(2), np.exp(-0.01 / 0.3)
     actions = [[0.6 + 0.2 * (k % 3), RUN] for k in range(60)]
     for k, (_, after, seen, _) in enumerate(follow_truth(env, actions)):
         torque = 8e-3 + 12e-3 * (state[1] / 450.0) ** 2 + state[2]
         state = np.append(
-            model.transition @ state[:2] + model.gain @ [after[kernel.VOLTAGE], torque], keep * state[2]
+            model.transition @ state[:2] + model.gain @ [after["voltage"], torque], keep * state[2]
         )
-        off = after[[kernel.MEASURED_CURRENT, kernel.MEASURED_SPEED]] - state[:2]
+        off = np.array([after["measured_current"], after["measured_speed"]]) - state[:2]
         state = state + gain @ off
         white = whitening @ off
         slow = memory * slow + np.sqrt(1.0 - memory**2) * white
@@ -275,14 +285,12 @@ def test_the_filter_sees_what_its_model_says() -> None:
         assert [seen[name] for name in names] == pytest.approx([*white, *slow], abs=2e-5)
         assert seen["estimated_load"] == pytest.approx(state[2] / 20e-3, abs=1e-6)
         noise = normals(3, Stream.MEASUREMENT, [0], 4 * (k + 1))[0, -4:]
-        assert seen["measured_current"] * 3.0 - after[kernel.CURRENT] == pytest.approx(
-            0.02 * noise[0], abs=1e-6
-        )
-        assert seen["measured_speed"] * 450.0 - after[kernel.SPEED] == pytest.approx(noise[1], abs=1e-4)
-        assert seen["voltage"] * 16.0 == pytest.approx(after[kernel.VOLTAGE], abs=1e-5)
+        assert seen["measured_current"] * 3.0 - after["current"] == pytest.approx(0.02 * noise[0], abs=1e-6)
+        assert seen["measured_speed"] * 450.0 - after["speed"] == pytest.approx(noise[1], abs=1e-4)
+        assert seen["voltage"] * 16.0 == pytest.approx(after["voltage"], abs=1e-5)
         assert seen["time"] == pytest.approx((k + 1) / 800.0, abs=1e-7)
         ahead = [seen[f"profile_{m}"] * 450.0 for m in (0, 1, 5, 10, 20)]
-        assert ahead == pytest.approx(env._profile[0][[k + 1 + m for m in (0, 1, 5, 10, 20)]], abs=1e-4)
+        assert ahead == pytest.approx(env._lanes.profile[0][[k + 1 + m for m in (0, 1, 5, 10, 20)]], abs=1e-4)
     middle, by_load = 0.5 * (100.0 + 450.0), model.gain[:, Input.LOAD_TORQUE]
     wanted = np.zeros((3, 3))
     wanted[:2, :2], wanted[:2, 2], wanted[2, 2] = model.transition, by_load, keep

@@ -1,0 +1,79 @@
+"""Exponentials of many motors side by side: the series of `motor_env.motor.model`, a step of it for all of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motor_env.motor.compiled import njit
+from motor_env.motor.model import SERIES_NORM, SERIES_ORDER, doubled, longer_series, of_series
+from motor_env.motor.parameters import FloatArray
+
+ROOM = 4
+"""Rows of numbers that `exponentials_and_phis` needs for itself."""
+
+
+@njit(forceinline=True, error_model="numpy", _nrt=False)
+def exponentials_and_phis(
+    count: int, x: FloatArray, exponential: FloatArray, phi: FloatArray, room: FloatArray
+) -> None:
+    """exp(X) and phi1(X) of the first `count` matrices: to the bit what `exponential_and_phi` gives for each.
+
+    The compiler computes several of them with one instruction, so that one takes a fifth of the time.
+
+    Args:
+        count: of matrices.
+        x: their entries row by row, shape (4, n); they are changed.
+        exponential: written, shape (4, n).
+        phi: written, shape (4, n).
+        room: shape (ROOM, n).
+    """
+    scale, norm, shrink, doublings = room[0], room[1], room[2], room[3]
+    for n in range(count):
+        a, b, c, d = x[0, n], x[1, n], x[2, n], x[3, n]
+        evens = np.sqrt(abs(b / c)) if b != 0.0 and c != 0.0 else 1.0
+        b, c = b / evens, c * evens
+        x[1, n], x[2, n], scale[n], shrink[n], doublings[n] = b, c, evens, 1.0, 0.0
+        norm[n] = max(abs(a) + abs(b), abs(c) + abs(d))
+    most, too_large = -1, 1
+    while too_large > 0:
+        most, too_large = most + 1, 0
+        for n in range(count):
+            again = SERIES_NORM < norm[n] < np.inf
+            norm[n] *= 0.5 if again else 1.0
+            shrink[n] *= 0.5 if again else 1.0
+            doublings[n] += 1.0 if again else 0.0
+            too_large += 1 if again else 0
+    for n in range(count):
+        x[0, n] *= shrink[n]
+        x[1, n] *= shrink[n]
+        x[2, n] *= shrink[n]
+        x[3, n] *= shrink[n]
+        phi[0, n], phi[1, n], phi[2, n], phi[3, n] = 1.0, 0.0, 0.0, 1.0
+    for k in range(SERIES_ORDER, 0, -1):
+        for n in range(count):
+            now = (phi[0, n], phi[1, n], phi[2, n], phi[3, n])
+            now = longer_series(k, (x[0, n], x[1, n], x[2, n], x[3, n]), now)
+            phi[0, n], phi[1, n], phi[2, n], phi[3, n] = now
+    for n in range(count):
+        now = (phi[0, n], phi[1, n], phi[2, n], phi[3, n])
+        whole = of_series((x[0, n], x[1, n], x[2, n], x[3, n]), now)
+        exponential[0, n], exponential[1, n], exponential[2, n], exponential[3, n] = whole
+    for k in range(most):
+        for n in range(count):
+            now = (phi[0, n], phi[1, n], phi[2, n], phi[3, n])
+            whole = (exponential[0, n], exponential[1, n], exponential[2, n], exponential[3, n])
+            twice, part = doubled(whole, now)
+            goes_on = k < doublings[n]
+            exponential[0, n] = twice[0] if goes_on else whole[0]
+            exponential[1, n] = twice[1] if goes_on else whole[1]
+            exponential[2, n] = twice[2] if goes_on else whole[2]
+            exponential[3, n] = twice[3] if goes_on else whole[3]
+            phi[0, n] = part[0] if goes_on else now[0]
+            phi[1, n] = part[1] if goes_on else now[1]
+            phi[2, n] = part[2] if goes_on else now[2]
+            phi[3, n] = part[3] if goes_on else now[3]
+    for n in range(count):
+        exponential[1, n] *= scale[n]
+        exponential[2, n] /= scale[n]
+        phi[1, n] *= scale[n]
+        phi[2, n] /= scale[n]
