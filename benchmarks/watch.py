@@ -16,14 +16,12 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
 from watch_counts import (
-    FAULTS,
     LEARN_S,
     RATES,
     WINDOW_S,
@@ -45,13 +43,11 @@ from motor_env import Fault
 from motor_env.live.state import State
 from motor_env.live.watch import Watch
 from motor_env.motor.faults import apply_faults
-from motor_env.motor.healthy import Healthy
 
 LOAD_N_M, LOAD_S = 3e-3, 3600.0  # standard deviation and memory of the load: a tenth of the rated torque
 WARM_K, WARM_S, WINDING_S, STEP_S = 10.0, 7200.0, 1200.0, 10.0
 ALLOWED_K = 15.0
 LESSON_H = 50.0
-RUNS, MOST_WINDOWS = 5, 12
 TEMPERATURES = ("wandering", "allowed", "steady")
 
 
@@ -109,25 +105,7 @@ def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
         "alarms": counts,
         "promises": promises,
         "cpu_s": {"learning": learning_s, "watching": time.process_time() - begin_s - learning_s},
-        "faults": detected(healthy, rng) if temperature == "wandering" else [],
     }
-
-
-def detected(healthy: Healthy, rng: np.random.Generator) -> list[dict[str, Any]]:
-    """Windows until the first alarm after a fault, at one false alarm an hour, under varying load and temperature."""
-    rows = []
-    for kind, severity in FAULTS:
-        firsts: list[tuple[int, str]] = []
-        for _ in range(RUNS):
-            warm_k = temperatures(rng, MOST_WINDOWS, allowed=False)
-            stream = enumerate(events(healthy, work(rng, warm_k, Fault(kind, severity))), 1)
-            numbered = ((n, event.text) for n, event in stream if event.text != "healthy")
-            firsts.append(next(numbered, (MOST_WINDOWS, "none")))
-        counts, names = zip(*firsts, strict=True)
-        rows.append(
-            {"fault": str(kind), "severity": severity, "windows": counts, "named": dict(Counter(names))}
-        )
-    return rows
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
