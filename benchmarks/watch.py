@@ -39,10 +39,8 @@ from watch_counts import (
     write,
 )
 
-from motor_env import Fault
 from motor_env.live.state import State
 from motor_env.live.watch import Watch
-from motor_env.motor.faults import apply_faults
 
 LOAD_N_M, LOAD_S = 3e-3, 3600.0  # standard deviation and memory of the load: a tenth of the rated torque
 WARM_K, WARM_S, WINDING_S, STEP_S = 10.0, 7200.0, 1200.0, 10.0
@@ -65,9 +63,7 @@ def temperatures(rng: np.random.Generator, windows: int, *, allowed: bool) -> Fl
     return kelvin
 
 
-def work(
-    rng: np.random.Generator, warm_k: Floats, *faults: Fault, load_n_m: float = LOAD_N_M
-) -> Iterator[Floats]:
+def work(rng: np.random.Generator, warm_k: Floats, *, load_n_m: float = LOAD_N_M) -> Iterator[Floats]:
     """Time, voltage, current, speed at 1 Hz, a window at a time; shape (n, 4)."""
     n, step = int(WINDOW_S), int(STEP_S)
     samples = step * len(warm_k)
@@ -76,8 +72,7 @@ def work(
     states = np.empty((samples, 2))
     for k, kelvin in enumerate(warm_k):
         part = slice(k * step, (k + 1) * step)
-        motor = apply_faults(warmed(heavy(), kelvin), faults)
-        states[part] = motion(motor, 1.0, volts[part], load[part], x)
+        states[part] = motion(warmed(heavy(), kelvin), 1.0, volts[part], load[part], x)
     yield from rows_of(rng, volts, states).reshape(-1, n, 4)
 
 
