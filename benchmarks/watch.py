@@ -16,14 +16,12 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
 from watch_counts import (
-    FAULTS,
     LEARN_S,
     RATES,
     WINDOW_S,
@@ -41,17 +39,13 @@ from watch_counts import (
     write,
 )
 
-from motor_env import Fault
 from motor_env.live.state import State
 from motor_env.live.watch import Watch
-from motor_env.motor.faults import apply_faults
-from motor_env.motor.healthy import Healthy
 
 LOAD_N_M, LOAD_S = 3e-3, 3600.0  # standard deviation and memory of the load: a tenth of the rated torque
 WARM_K, WARM_S, WINDING_S, STEP_S = 10.0, 7200.0, 1200.0, 10.0
 ALLOWED_K = 15.0
 LESSON_H = 50.0
-RUNS, MOST_WINDOWS = 5, 12
 TEMPERATURES = ("wandering", "allowed", "steady")
 
 
@@ -69,9 +63,7 @@ def temperatures(rng: np.random.Generator, windows: int, *, allowed: bool) -> Fl
     return kelvin
 
 
-def work(
-    rng: np.random.Generator, warm_k: Floats, *faults: Fault, load_n_m: float = LOAD_N_M
-) -> Iterator[Floats]:
+def work(rng: np.random.Generator, warm_k: Floats, *, load_n_m: float = LOAD_N_M) -> Iterator[Floats]:
     """Time, voltage, current, speed at 1 Hz, a window at a time; shape (n, 4)."""
     n, step = int(WINDOW_S), int(STEP_S)
     samples = step * len(warm_k)
@@ -80,8 +72,7 @@ def work(
     states = np.empty((samples, 2))
     for k, kelvin in enumerate(warm_k):
         part = slice(k * step, (k + 1) * step)
-        motor = apply_faults(warmed(heavy(), kelvin), faults)
-        states[part] = motion(motor, 1.0, volts[part], load[part], x)
+        states[part] = motion(warmed(heavy(), kelvin), 1.0, volts[part], load[part], x)
     yield from rows_of(rng, volts, states).reshape(-1, n, 4)
 
 
@@ -109,25 +100,7 @@ def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
         "alarms": counts,
         "promises": promises,
         "cpu_s": {"learning": learning_s, "watching": time.process_time() - begin_s - learning_s},
-        "faults": detected(healthy, rng) if temperature == "wandering" else [],
     }
-
-
-def detected(healthy: Healthy, rng: np.random.Generator) -> list[dict[str, Any]]:
-    """Windows until the first alarm after a fault, at one false alarm an hour, under varying load and temperature."""
-    rows = []
-    for kind, severity in FAULTS:
-        firsts: list[tuple[int, str]] = []
-        for _ in range(RUNS):
-            warm_k = temperatures(rng, MOST_WINDOWS, allowed=False)
-            stream = enumerate(events(healthy, work(rng, warm_k, Fault(kind, severity))), 1)
-            numbered = ((n, event.text) for n, event in stream if event.text != "healthy")
-            firsts.append(next(numbered, (MOST_WINDOWS, "none")))
-        counts, names = zip(*firsts, strict=True)
-        rows.append(
-            {"fault": str(kind), "severity": severity, "windows": counts, "named": dict(Counter(names))}
-        )
-    return rows
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

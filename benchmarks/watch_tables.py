@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 from tables import table
@@ -95,18 +93,6 @@ def promises() -> str:
     return table(["healthy windows", *(f"one {name}" for name in rates)], rows)
 
 
-def windows() -> str:
-    """Windows that `watch` needs for a fault, and what it calls it."""
-    runs, rows = [run for run in _read("watch.json") if run["faults"]], []
-    for group in zip(*(run["faults"] for run in runs), strict=True):
-        needed = [count for row in group for count in row["windows"]]
-        named: Counter[str] = sum((Counter(row["named"]) for row in group), Counter())
-        words = ", ".join(f"{n} `{name}`" for name, n in named.most_common())
-        fault = f"{group[0]['fault']} +{group[0]['severity']:.0%}"
-        rows.append([fault, f"{median(needed):g}", str(max(needed)), words])
-    return table(["fault", "windows to the first alarm (median)", "largest", "called"], rows)
-
-
 def sizes() -> str:
     """Bytes and instructions of the C code."""
     rows = _read("controllers.json")
@@ -124,7 +110,6 @@ def parts() -> dict[str, dict[str, str]]:
         "howto/watch": {
             "false alarms": watch_alarms(),
             "delays": watch_delays(),
-            "windows": windows(),
             "promises": promises(),
         },
         "results/embedded": {"false alarms": code_alarms(), "delays": delays(), "sizes": sizes()},

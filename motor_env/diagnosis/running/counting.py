@@ -6,14 +6,14 @@ m are with probability 1 / C(n + m, m) (Vovk, Petej & Fedorova 2021 on conformal
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from motor_env.motor.parameters import FloatArray
-
-MOST_IN_A_ROW = 100
 
 
 def windows_between_alarms(healthy: int, in_a_row: int, tests: int) -> float:
@@ -21,12 +21,10 @@ def windows_between_alarms(healthy: int, in_a_row: int, tests: int) -> float:
     return math.comb(healthy + in_a_row, in_a_row) / tests
 
 
+@lru_cache(1024)
 def fewest_in_a_row(healthy: int, windows: float, tests: int) -> int:
     """The fewest windows in a row by which false alarms are so many windows apart on average, or more."""
-    for in_a_row in range(1, MOST_IN_A_ROW):
-        if windows_between_alarms(healthy, in_a_row, tests) >= windows:
-            return in_a_row
-    return MOST_IN_A_ROW
+    return next(m for m in itertools.count(1) if windows_between_alarms(healthy, m, tests) >= windows)
 
 
 @dataclass

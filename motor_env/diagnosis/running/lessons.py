@@ -135,6 +135,9 @@ def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[Fi
     some = slice(None, None, math.ceil(len(records) / MOST_LEARNED))
     lengths = halvings_of(healthy.windows.window_s, min(len(record.voltage_v) for record in records))
     windows = [_pieces_of(judge, *pair, lengths) for pair in zip(records[some], found[some], strict=True)]
+    # Where the circuit is open all the time, a window has no pieces of a length.
+    told = [n for n in range(len(lengths)) if all(len(window[n].logs) for window in windows)]
+    lengths, windows = tuple(lengths[n] for n in told), [[window[n] for n in told] for window in windows]
 
     def taught(others: Sequence[Sequence[Pieces]]) -> tuple[Scale, ...]:
         return tuple(

@@ -104,7 +104,7 @@ def untaught_scale(log_covariance: FloatArray, freedom: float, windows: int) -> 
     shape = (N_STATES, _P)
     eye = np.tile(np.eye(_P), (N_STATES, 1, 1))
     counts = np.full(N_STATES, max(freedom, 2.0))
-    information = np.linalg.inv(log_covariance)
+    information: FloatArray = np.asarray(np.linalg.inv(log_covariance), dtype=np.float64)
     return Scale(0, counts, np.zeros(shape), eye, freedom, information, log_covariance, max(windows, 2))
 
 

@@ -46,6 +46,7 @@ _GOES_ON = 2.0
 _WIDE = 0.5  # standard deviation of a logarithm
 _MOST_STEPS, _SETTLED = 15, 0.1
 _MOSTLY = 0.9  # of the evidence
+_NOTHING = 1e-6
 _MOST_LEARNED, _LEARNED_S = 100, 3.0 * 3600.0
 
 
@@ -221,7 +222,8 @@ class Vigil:
     def alarm(self, recording: Recording, rate: float) -> Judgement | None:
         """The judgement on what an alarm is about; None where it tells nothing. The evidence begins anew.
 
-        Where the samples fit no fault, as some of them may still be healthy, the evidence names it.
+        Where the samples fit no fault, as some of them may still be healthy, the evidence names it, unless something
+        else has moved as well.
         """
         span_s = min(
             max(math.ceil(self._detector.strongest[2]), 1) * self.piece_s, self.judge.windows.window_s
@@ -230,10 +232,16 @@ class Vigil:
         self._detector.forget()
         recording = averaged(recording, self.judge.windows.window_s)
         judged = self.judge.failed_sensor(recording) or self._fitted(recording, span_s, rate)
-        if judged is not None and judged.verdict is Verdict.OTHER and kind is not None and share > _MOSTLY:
-            judged = replace(judged, verdict=Verdict(kind.verdict), fault_kind=kind, kind_probability=share)
-        begin_s = float(recording.time_s[-1]) - span_s
-        return None if judged is None else replace(judged, begin_s=begin_s, duration_s=span_s)
+        if judged is None:
+            return None
+        if judged.verdict is Verdict.OTHER and kind is not None and share > _MOSTLY:
+            along = zip(NAMES, self._along.along[self._toward], strict=True)
+            moves = {name for name, part in along if abs(part) > _NOTHING}
+            if moves >= {one.name for one in judged.changes if one.significant}:
+                judged = replace(
+                    judged, verdict=Verdict(kind.verdict), fault_kind=kind, kind_probability=share
+                )
+        return replace(judged, begin_s=float(recording.time_s[-1]) - span_s, duration_s=span_s)
 
     def _fitted(self, recording: Recording, span_s: float, rate: float) -> Judgement | None:
         try:

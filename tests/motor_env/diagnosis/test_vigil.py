@@ -141,6 +141,7 @@ def test_counting_alarms_as_rarely_as_combinatorics_says() -> None:
         (30, YEAR_S / 20.0, 1, 6),
         (100, YEAR_S / 20.0, 1, 4),
         (10, 180, 8, 5),
+        (4, YEAR_S / 20.0, 8, 130),
         (10, 66, 1, 2),
         (10, 67, 1, 3),
     ],

@@ -139,7 +139,7 @@ def test_it_learns_by_itself_and_goes_on_after_it_was_killed(
     early = [event.get("verdict", event["event"]) for event in told if "span_s" in event]
     windows = [*3 * ["healthy"], *3 * ["winding"], "gap", *3 * ["another_motor"]]
     assert names[names.index("gap") :] == ["gap", *windows]
-    assert {"winding"} <= set(early) <= {"winding", "another_motor"}
+    assert early[:2] == ["winding", "winding"]  # the first pieces of a strange motor may be called anything
     counts = json.loads((tmp_path / "state.json").read_text(encoding="utf-8"))["counts"]
     assert (counts["learned"], counts["window healthy"]) == (1, 7)
 
