@@ -5,9 +5,9 @@
     y_i  = x(t_i) + e_i,  var e_i = se_i^2 + scatter^2
 
 docs/trend.md has the clocks, the priors and what follows. For a given clock, onset, diffusion and scatter a Kalman
-filter of [level, drift] gives both and the likelihood exactly; these four are summed over a grid. The first
-passage is inverse Gaussian in the clock, in closed form for a Gaussian drift (Whitmore & Schenkelberg 1997); the level is integrated by
-quadrature. A drift may lead away from the limit: then it may never be reached.
+filter of [level, drift] gives both and the likelihood exactly. These four are summed over a grid. The first passage is
+inverse Gaussian in the clock, in closed form for a Gaussian drift (Whitmore & Schenkelberg 1997). The level is
+integrated by quadrature. A drift may lead away from the limit: then it may never be reached.
 """
 
 from __future__ import annotations
