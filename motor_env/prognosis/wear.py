@@ -4,13 +4,10 @@
     dx   = drift dc + diffusion dW(c)              after it, c the clock (Whitmore 1995; Si, Wang, Hu & Zhou 2011)
     y_i  = x(t_i) + e_i,  var e_i = se_i^2 + scatter^2
 
-The clock is the time, a power of it, or an exponential (Whitmore & Schenkelberg 1997): wear that is steady, slows
-down or accelerates. Beside these laws stands that of wear in steps. For a given clock, onset, diffusion and scatter,
-level and drift are Gaussian: a Kalman filter of [level, drift] gives them and the likelihood exactly. Clock, onset,
-diffusion and scatter are summed over a grid, each with its evidence. The first passage of a Wiener process is inverse
-Gaussian in its clock; its distribution with a Gaussian drift has a closed form (Whitmore & Schenkelberg 1997, with the
-sign of a drift away from the limit kept: then the limit may never be reached), and the level's uncertainty is
-integrated by quadrature. So the interval of the remaining life holds the uncertainty of every parameter.
+docs/trend.md has the clocks, the priors and what follows. For a given clock, onset, diffusion and scatter a Kalman
+filter of [level, drift] gives both and the likelihood exactly. These four are summed over a grid. The first passage is
+inverse Gaussian in the clock, in closed form for a Gaussian drift (Whitmore & Schenkelberg 1997). The level is
+integrated by quadrature. A drift may lead away from the limit: then it may never be reached.
 """
 
 from __future__ import annotations

@@ -56,10 +56,8 @@ class Glr(DirectedRule):
     The statistic is the largest of x|x| + 2 ln m over the ages m, x = sum_i s_i r_i / sqrt(sum_i s_i^2), i = 1 .. m
     samples since the onset, with the fault's signature s: the growth of the whitened innovation after an onset (Willsky
     & Jones 1976; window-limited on a geometric grid of ages: Lai 1995). Without a signature the fault is a step of the
-    mean. The term 2 ln m is what makes one rule serve small and large faults (a scale's own critical value: Dumbgen &
-    Spokoiny 2001): N samples hold N / m independent looks at the age m, so that each octave of ages gives about as
-    many false alarms as the next; without it nearly all come from the youngest ages, and the small faults, which only
-    show after hundreds of samples, pay for them.
+    mean. With the term 2 ln m each octave of ages gives about as many false alarms as the next (Dumbgen & Spokoiny
+    2001), because N samples hold N / m independent looks at the age m. So one rule serves small and large faults.
 
     Attributes:
         shortest: least age of an onset that is scanned, in samples.

@@ -3,8 +3,8 @@
 A motor whose own parameters are known is deterministic but for the sensor's noise. Under the hypothesis (class c, onset
 k) plant and filter follow from the voltages that were applied, so the mean of the innovation is known, and the
 observed one is that plus white noise of standard deviation 1. The logarithm of the likelihood ratio to a healthy motor
-grows by mean (innovation - mean / 2) a step. Its sum over the prior is the posterior (Shiryaev 1963), its maximum over
-onset and severity the generalised likelihood ratio of a kind (Lorden 1971; Willsky & Jones 1976).
+grows by mean (innovation - mean / 2) a step. Its sum over the prior is the posterior (Shiryaev 1963). Its maximum over
+onset and severity is the generalised likelihood ratio of a kind (Lorden 1971).
 
 The innovation is that of a whole step, its mean over the root of its number of samples: all that an agent sees. An
 onset is taken in the middle of a step. Onsets older than `LONGEST_AGE_S` are kept together: what they show agrees.
