@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from motor_env.envs import DriveOptions, DriveVectorEnv
-from motor_env.envs.drive import kernel
+from motor_env.envs.drive.drawing import BEARING, WINDING
 from motor_env.envs.drive.options import Control
 from motor_env.motor.model import load_torque
 from motor_env.motor.parameters import FloatArray
@@ -93,7 +93,7 @@ def drive_bounds(options: DriveOptions, count: int, seed: int) -> FloatArray:
         loads[:, k], asked[:, k] = envs.truth("load"), envs.truth("profile")
         envs.step(np.tile([0.0, -1.0], (count, 1)))
     costs = np.zeros(count)
-    winding, bearing = kind == kernel.WINDING, kind == kernel.BEARING
+    winding, bearing = kind == WINDING, kind == BEARING
     lasts = np.ceil(np.log(o.failure_severity[1] / o.onset_severity[1]) / (growth[winding] * o.period_s))
     fails = onset[winding] + lasts - 1.0  # in this step
     costs[winding] = o.stop_cost_per_s * o.period_s * np.maximum(o.n_steps - fails, 0.0)
