@@ -7,6 +7,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from motor_classifiers import OutsideDetector
+
+# Reaches in: starts of other motors and surroundings than any recipe has by name.
 from motor_classifiers.scoring.unknown_faults import ForeignFault, foreign_starts
 from motor_classifiers.wrappers.outside import ADVICE, Cloud, World
 from motor_datasets import generate_arrays
