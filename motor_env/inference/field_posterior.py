@@ -154,6 +154,7 @@ def sampled_evidence(
     measured: FloatArray,
     linear: Linear,
     rng: np.random.Generator,
+    *,
     floor: float = -np.inf,
     effort: Effort = THOROUGH,
 ) -> Evidence:
@@ -239,7 +240,7 @@ def sampled_probabilities(
         if objective[index] < nearest + _HOPELESS:
             floor = float(joint.max()) - _NEGLIGIBLE
             joint[index], effective[index] = sampled_evidence(
-                models[index], measured, fits[index], rng, floor
+                models[index], measured, fits[index], rng, floor=floor
             )
     with np.errstate(divide="ignore"):  # a class that is never drawn
         joint = joint + np.log(recipe.class_probabilities)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import softmax
 
 from motor_env.inference.class_model import ClassModel
-from motor_env.inference.field_posterior import Effort, linearised, sampled_evidence
+from motor_env.inference.field_posterior import Effort, Linear, linearised, sampled_evidence
 from motor_env.inference.work_features import WorkFit, work_fit
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
@@ -41,7 +41,8 @@ def refined_probabilities(
     for n, case in enumerate(cases):
         likely = np.flatnonzero(logs[n] > logs[n].max() - _HOPELESS)
         if len(likely) > 1:
-            found = np.array([_evidence(recipe, fitted, n, index, case, rng, effort) for index in likely])
+            begun = [_begun(recipe, fitted, n, index, case) for index in likely]
+            found = np.array([sampled_evidence(*each, rng, effort=effort) for each in begun])
             effective[n, likely] = found[:, 1]
             sampled = found[:, 0] + np.log(recipe.class_probabilities[likely])
             # Both are known up to a constant of the case; the fit's counts as so many draws more.
@@ -52,16 +53,10 @@ def refined_probabilities(
     return probabilities, effective
 
 
-def _evidence(
-    recipe: Recipe,
-    fitted: WorkFit,
-    n: int,
-    index: np.intp,
-    case: FloatArray,
-    rng: np.random.Generator,
-    effort: Effort,
-) -> tuple[float, float]:
-    """Log evidence of a class and the effective draws behind it, from where the fit of all severities puts it."""
+def _begun(
+    recipe: Recipe, fitted: WorkFit, n: int, index: np.intp, case: FloatArray
+) -> tuple[ClassModel, FloatArray, Linear]:
+    """A class, what was measured, and the motor made linear where the fit of all severities puts the class."""
     model = ClassModel(recipe, recipe.classes[index], case[-1])
     n_kinds = fitted.positions.shape[1]
     rest, kinds = slice(None, -n_kinds), slice(-n_kinds, None)
@@ -70,5 +65,4 @@ def _evidence(
     at = fitted.values[n, rest] - np.linalg.solve(precision[rest, rest], precision[rest, kinds] @ away)
     low, high = model.box
     measured = case[:-1].reshape(-1)
-    linear = linearised(model, measured, np.clip(at, low + _INSIDE, high - _INSIDE))
-    return sampled_evidence(model, measured, linear, rng, effort=effort)
+    return model, measured, linearised(model, measured, np.clip(at, low + _INSIDE, high - _INSIDE))

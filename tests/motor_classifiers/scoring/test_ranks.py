@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+# Reaches in: the shipped network is judged on the severities that it was trained on.
 from motor_classifiers.estimators.networks.severity_density import severity_recipe
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring.judging import in_recipe_order
