@@ -18,6 +18,7 @@ from scipy.special import ndtri, stdtr, stdtrit
 from motor_env.diagnosis.learning import PRIOR_WEIGHT
 from motor_env.diagnosis.running.pieces import N_STATES, Pieces
 from motor_env.diagnosis.running.windows import EXPONENTS, NAMES, WARMTH
+from motor_env.fitting.uncertainty import beyond
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Scale
@@ -94,7 +95,7 @@ def learn_scale(
     scatter = np.cov(levels.T)
     wander = prior_sd**2 * np.eye(_P) + temperature_k**2 * np.outer(WARMTH, WARMTH) + scatter / len(windows)
     if halvings and not steady:
-        wander += _more(scatter, believed.mean(axis=0))
+        wander += beyond(believed.mean(axis=0), scatter)
     information: FloatArray = np.asarray(inverse.mean(axis=0), dtype=np.float64)
     return Scale(halvings, counts, centres, covariances, tails, information, wander, len(windows))
 
@@ -130,16 +131,6 @@ def _scatter(rest: FloatArray, states: NDArray[np.intp], freedom: int) -> tuple[
     unit = whitened(rest, out[states])
     kurtosis = float(np.mean(unit**4) / np.mean(unit**2) ** 2) + math.sqrt(24.0 / unit.size)
     return out, 4.0 + 6.0 / max(kurtosis - 3.0, _LEAST_EXCESS)
-
-
-def _more(scatter: FloatArray, believed: FloatArray) -> FloatArray:
-    """By how much windows differ more than their pieces say."""
-    root = np.linalg.cholesky(believed)
-    inverse = np.linalg.inv(root)
-    sizes, axes = np.linalg.eigh(inverse @ scatter @ inverse.T)
-    more = root @ axes * np.sqrt(np.maximum(sizes - 1.0, 0.0))
-    out: FloatArray = more @ more.T
-    return out
 
 
 def spread_of(scale: Scale, errors: FloatArray, states: NDArray[np.intp]) -> FloatArray:
