@@ -1,0 +1,109 @@
+"""False alarms of `motor-env watch` on healthy motors whose physics the fit does not have.
+
+    python benchmarks/watch_other_physics.py --motors 8 --hours 1 --workers 2 --rows out/watch_other_physics.jsonl
+
+Motors of operation_simulator.py with all its switches on, each at work under one profile at 100 Hz. Windows of 20 s, a
+commissioning of 200 s, one false alarm an hour asked for. A run that was stopped goes on where it was.
+"""
+
+import json
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from cyclopts import run
+from operation_simulator import SWITCHES, draw_motor, simulate
+from tables import keep_table
+from watch_counts import NO_ALARM, RATES, alarm_row, alarms
+
+from motor_env.live.state import State
+from motor_env.live.watch import Lesson, Watch
+from motor_env.recordings.recording import Recording
+
+PROFILES = ("reversals", "speed loop", "steps")
+WINDOW_S, LEARN_S, DT_S = 20.0, 200.0, 0.01
+HEADER = (
+    "profile",
+    "asked for",
+    "hours",
+    "alarms due",
+    "1 to 99 % of Poisson's",
+    "alarms",
+    "on one motor",
+    "by",
+)
+
+
+def lines(recording: Recording) -> Iterator[bytes]:
+    """What a device prints."""
+    yield b"time_s,voltage_v,current_a,speed_rad_s\n"
+    columns = (recording.time_s, recording.voltage_v, recording.current_a, recording.speed_rad_s)
+    for row in zip(*(np.asarray(column).tolist() for column in columns), strict=True):
+        yield b"%.2f,%.6g,%.6g,%.6g\n" % row
+
+
+def one(job: tuple[int, int, float]) -> dict[str, Any]:
+    """One motor: alarms behind its commissioning, their names, and what was promised."""
+    seed, number, hours = job
+    rng, profile = np.random.default_rng([seed, number]), PROFILES[number % len(PROFILES)]
+    samples = round((LEARN_S + 2.0 * WINDOW_S + 3600.0 * hours) / DT_S)
+    recording = simulate(draw_motor(rng, SWITCHES), profile, rng, samples=samples, dt_s=DT_S)
+    watch = Watch(Lesson(WINDOW_S, LEARN_S), State(), false_alarms_per_year=RATES["hour"])
+    said = list(watch.events(lines(recording)))
+    names = Counter(event.name for event in said if event.kind in ("window", "another_motor"))
+    promise = next((event.text for event in said if event.kind == "learned"), "nothing learned")
+    return {
+        "number": number,
+        "profile": profile,
+        "hours": hours,
+        "alarms": alarms(said),
+        "names": {name: count for name, count in names.items() if name not in NO_ALARM},
+        "promise": promise,
+    }
+
+
+def rows_by_profile(found: list[dict[str, Any]]) -> Iterator[list[str]]:
+    """Rows of the table, and one of all."""
+    for profile in (*PROFILES, "all"):
+        some = [row for row in found if profile in (row["profile"], "all")]
+        if some:
+            total = alarm_row(
+                profile, "hour", sum(row["hours"] for row in some), sum(row["alarms"] for row in some)
+            )
+            by_tails = sum("which hold" in row["promise"] for row in some)
+            how = f"tails {by_tails}, counting {len(some) - by_tails}"
+            yield [*total, f"{max(row['alarms'] for row in some)} at most", how]
+
+
+def main(
+    *, motors: int = 8, hours: float = 1.0, seed: int = 5, workers: int = 1, rows: Path | None = None
+) -> None:
+    """Watch the motors and keep the table.
+
+    Args:
+        motors: number.
+        hours: that each is watched.
+        seed: of the motors.
+        workers: processes.
+        rows: file of a JSON line a motor; those that it holds are not watched again.
+    """
+    rows = rows or Path(tempfile.mkdtemp()) / "rows.jsonl"
+    rows.parent.mkdir(parents=True, exist_ok=True)
+    known = [json.loads(line) for line in rows.read_text().splitlines()] if rows.exists() else []
+    done = {row["number"] for row in known}
+    jobs = [(seed, number, hours) for number in range(motors) if number not in done]
+    with ProcessPoolExecutor(workers) as pool, rows.open("a", encoding="utf-8") as file:
+        for row in pool.map(one, jobs):
+            known.append(row)
+            print(json.dumps(row), file=file, flush=True)
+            print(f"\r{len(known)} of {motors}", end="", file=sys.stderr, flush=True)
+    keep_table("operation", "watched", HEADER, rows_by_profile(known))
+
+
+if __name__ == "__main__":
+    run(main)
