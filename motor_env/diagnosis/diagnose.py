@@ -30,7 +30,7 @@ from motor_env.fitting.starts.plausibility import NOT_TURNING, shows_turning
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.faults import FaultKind
-from motor_env.motor.healthy import Starts
+from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.model import steady_state
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
@@ -42,6 +42,10 @@ from motor_env.recordings.start import Circuit, Start, prepare
 POOR_FIT = 0.75
 _ANOTHER_ORDER = math.log(1.5)
 _NOTHING = "there is nothing to compare with: give a motor file or healthy recordings"
+_PER_VOLT = (
+    "the motor file was commissioned without a voltage, and this recording has one: leave it out"
+    " (--column voltage=none, no --voltage), or commission with it"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +128,7 @@ def diagnose(
                 raise InputError(
                     f"{recording.path}: --{option} belongs to starts, and this is a motor at work ({taken.why})"
                 )
-    elif voltage_v is None and motor is not None and motor.healthy is None:
+    elif voltage_v is None and motor is not None and not (motor.healthy and _is_per_volt(motor.healthy)):
         known["voltage_v"] = motor.nominal_voltage_v
 
     def judged(one: Recording) -> Diagnosis:
@@ -150,6 +154,11 @@ def diagnose(
                 each = (replace(said, begin_s=one.begin_s, duration_s=one.duration_s) for one in found.pieces)
                 return replace(found, pieces=tuple(each))
     return found
+
+
+def _is_per_volt(healthy: Healthy) -> bool:
+    """Whether it was learned without a voltage."""
+    return any("V" in name for name in healthy.quantities)
 
 
 def judge_start(
@@ -183,9 +192,13 @@ def judge_start(
     trouble = unusable_reason(fit)
     if trouble:
         return Judgement(Verdict.UNUSABLE, (trouble,), fit=fit)
+    reason = ""
     if reference is None:
         told = f"this recording tells {', '.join(fit.quantity_names)}, and the reference speaks of other quantities"
         reason = _NOTHING if motor is None else told
+    elif motor and motor.healthy and _is_per_volt(motor.healthy) and start.voltage_known:
+        reason = _PER_VOLT
+    if reference is None or reason:
         return Judgement(Verdict.NO_REFERENCE, (reason,), fit=fit)
     judgement = decide(fit, reference, rate)
     if judgement.verdict.is_fault and not shows_turning(fit):

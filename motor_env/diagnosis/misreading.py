@@ -102,6 +102,8 @@ def wrong_scales(difference: Difference, names: tuple[str, ...], limit: float, r
     sd, found = np.sqrt(np.diag(difference.covariance)), []
     for column in POWERS.keys() - missing:
         direction = difference.exponents @ [POWERS[column].get(parameter, 0.0) for parameter in PARAMETERS]
+        if not direction.any():  # a voltage, where nothing of it is compared
+            continue
         z, step, step_sd, p_left_over = along(difference, direction)
         if abs(z) <= limit or p_left_over <= rate:
             continue

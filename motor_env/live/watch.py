@@ -118,7 +118,7 @@ class Watch:
 
     def _guard(self, healthy: Healthy, memory: dict[str, list[float]] | None = None) -> None:
         self.healthy, self._motor = healthy, judge_of(healthy)
-        self._vigil = Vigil(self._motor, healthy, self._per_year, memory)
+        self._vigil = Vigil(self._motor, healthy, false_alarms_per_year=self._per_year, memory=memory)
 
     @property
     def _ends(self) -> Callable[[FittedWindow], bool] | None:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+# Reaches in: records and unknowns are made by hand, as tests of several rooms need them.
 from motor_env.fitting import places
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import Hold, Record

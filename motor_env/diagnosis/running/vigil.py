@@ -67,6 +67,7 @@ class Vigil:
         self,
         judge: WindowJudge,
         healthy: Healthy,
+        *,
         false_alarms_per_year: float,
         memory: dict[str, list[float]] | None = None,
     ) -> None:

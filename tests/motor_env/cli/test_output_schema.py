@@ -114,7 +114,7 @@ def test_lines_of_watch(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture
                 "--window",
                 "0.4",
                 "--false-alarms-per-year",
-                "1e5",
+                "1e7",
             ]
         )
         == 1

@@ -10,16 +10,28 @@ import pytest
 from scipy import stats
 from started_motor import step_start
 
-from motor_env import PAPER_MOTOR, FaultKind, Motor, MotorParameters, Recording, Verdict, diagnose
+from motor_env import (
+    PAPER_MOTOR,
+    Fault,
+    FaultKind,
+    Motor,
+    MotorParameters,
+    Recording,
+    Verdict,
+    commission,
+    diagnose,
+)
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import joint_share
+from motor_env.diagnosis.explanations import Difference, joint_share
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
+from motor_env.diagnosis.misreading import wrong_scales
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running.windows import FittedWindow
 from motor_env.diagnosis.shown.page import reference_current
 from motor_env.fitting import places
 
 # Reaches in: a window is off in the direction of a fault.
+from motor_env.motor.faults import apply_fault
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction
 from motor_env.motor.parameters import FloatArray
@@ -142,3 +154,26 @@ def test_starts_judge_a_window_by_its_own_error_beside_their_spread() -> None:
         math.expm1(1.005 * limit * sd) / 0.8
     )  # of the motor's own friction
     assert [change.name for change in found.changes if change.significant] == ["B"]
+
+
+def test_the_voltage_of_the_commissioning_is_that_of_a_start_without_one() -> None:
+    """And where there was none, a start is judged per volt: a third more resistance never hides behind a unit."""
+    healthy = [start(PAPER_MOTOR, 0.0, has_speed=False)] * 3
+    worn = start(apply_fault(PAPER_MOTOR, Fault(FaultKind.WINDING_CONTACT, 0.3)), 0.0, has_speed=False)
+    known = commission(healthy, "with", voltage_v=12.0).motor
+    found = diagnose(worn, known)
+    assert found.verdict is Verdict.WINDING
+    assert found.severity == diagnose(worn, known, voltage_v=12.0).severity
+    per_volt = commission(healthy, "without").motor
+    assert diagnose(worn, per_volt).verdict is Verdict.WINDING
+    mixed = diagnose(worn, per_volt, voltage_v=12.0)
+    assert mixed.verdict is Verdict.NO_REFERENCE
+    assert mixed.reasons[0].startswith(
+        "the motor file was commissioned without a voltage, and this recording has"
+    )
+
+
+def test_a_scale_that_nothing_compared_has_explains_nothing() -> None:
+    difference = Difference(np.array([0.5]), np.array([[1e-4]]), matrix(("B/J",)), 10.0)
+    found = wrong_scales(difference, ("B/J",), 3.0, 0.01)
+    assert {scale.column for scale in found} <= {"time"}

@@ -11,8 +11,6 @@ import pytest
 from scipy import stats
 
 from motor_env import InputError
-
-# Reaches in: pieces and windows are made by hand instead of fitted.
 from motor_env.diagnosis.running.counting import Counting, fewest_in_a_row, windows_between_alarms
 from motor_env.diagnosis.running.detector import Detector
 from motor_env.diagnosis.running.learned import Learned
@@ -294,7 +292,7 @@ def commissioned(*, steady: bool, scatter: float = 1.0, seed: int = 8) -> Health
 
 
 def vigil(healthy: Healthy, per_year: float = HOUR, memory: dict[str, list[float]] | None = None) -> Vigil:
-    return Vigil(judge_of(healthy), healthy, per_year, memory)
+    return Vigil(judge_of(healthy), healthy, false_alarms_per_year=per_year, memory=memory)
 
 
 def counting_only(healthy: Healthy) -> Healthy:
