@@ -36,10 +36,15 @@ def run(
     """Watch until the lines end or the user ends it; the exit status.
 
     Raises:
-        InputError: the motor was not learned from windows, or a source cannot be read.
+        InputError: there is no such motor, or it was not learned from windows, or a source cannot be read.
     """
     if name is None and follow:
         raise InputError("--follow needs a log; standard input is waited for anyway")
+    if lesson is None and not motor.exists():
+        raise InputError(
+            f"{motor}: no such motor file; `motor-env commission` writes it from logs of the healthy motor,"
+            " or --learn 10min learns it from the first minutes"
+        )
     known = _windows_of(load_motor(motor)) if lesson is None or motor.exists() else lesson
     seen = State.load(state, _digest(motor), identity(name))
     seen.header = columns or seen.header
