@@ -2,7 +2,7 @@
 
 Ranks of the truth in the posterior with simultaneous bands, coverage by class and by severity; and, where `make bench`
 has set up .venv-bench, TARP (Lemos et al. 2023) and LC2ST (Linhart et al. 2023) by `sbi`. Tables go to
-docs/calibration.md by `python benchmarks/result_tables.py`, the picture to docs/images/calibration.svg.
+docs/calibration.md by `python benchmarks/result_tables.py`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from motor_classifiers.estimators.networks.severity_density import severity_reci
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.ranks import (
-    RankCheck,
     class_ranks,
     confidence_ranks,
     rank_check,
@@ -40,7 +39,6 @@ from motor_env.simulation.recipes import Recipe
 
 FOLDER = Path(__file__).resolve().parent
 PYTHON = FOLDER.parent / ".venv-bench" / "bin" / "python"
-PICTURE = FOLDER.parent / "docs" / "images" / "calibration.svg"
 SEED, FIRST = 47, 3_000_000_000
 ERROR = 0.001
 """Probability that right posteriors leave any of the bands of one run."""
@@ -174,22 +172,6 @@ def by_sbi(posteriors: list[Posterior]) -> dict[str, dict[str, float]]:
     return {one.name: row for one, row in zip(told, found, strict=True)}
 
 
-def draw_bands(checks: dict[str, RankCheck]) -> None:
-    """Distances of the ranks from the uniform distribution, each in its band."""
-    from motor_env.plotting import INK, QUIET, drawing, save, subplots
-
-    with drawing():
-        figure, axes = subplots(len(checks), width_in=6.5, height_in=1.5 * len(checks))
-        for axis, (name, check) in zip(axes, checks.items(), strict=True):
-            at = check.position
-            axis.fill_between(at, check.low - at, check.high - at, color=QUIET, alpha=0.3, linewidth=0.0)
-            axis.plot(at, check.share - at, color=INK if check.inside else "#c8442b", linewidth=1.4)
-            axis.axhline(0.0, color=QUIET, linewidth=0.8)
-            axis.set_title(name)
-        axes[-1].set(xlabel="rank of the truth in its posterior", ylabel="share less rank")
-        save(figure, PICTURE)
-
-
 def main(*, networks: tuple[str, ...] = (SHIPPED,), cases: int = 2_000, draws: int = 200) -> None:
     """Check the severities of the shipped network and the classes of these: `shipped`, or names of tasks."""
     posteriors = [
@@ -224,7 +206,6 @@ def main(*, networks: tuple[str, ...] = (SHIPPED,), cases: int = 2_000, draws: i
         for part, share in one.covered.items()
     )
     keep_table("calibration", "coverage", ("posterior", "truth", "90 % sets hold it"), covered)
-    draw_bands(checks)
 
 
 if __name__ == "__main__":

@@ -179,7 +179,7 @@ def cells_by(rows: list[dict[str, Any]], key: str) -> Iterator[list[str]]:
 def main(
     *, records: int = 100, seed: int = 0, workers: int = 1, ekf: int = 50, rows: Path | None = None
 ) -> None:
-    """Fit the records and keep the tables of docs/operation.md.
+    """Fit the records and keep the tables of docs/results/operation.md.
 
     Args:
         records: number of random motors.

@@ -6,6 +6,7 @@ after 1,000 healthy samples without an alarm. Each row is printed as soon as it 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -19,11 +20,14 @@ from tables import keep_table
 
 from motor_env import Cusum, Glr, ModelBank, MOfN, Rule, ShiryaevRoberts, Sprt
 from motor_env.detection.rules import Threshold, WindowedNis, in_a_row, nis_rule, run_lengths
+from motor_env.plotting import drawing, save
 
 ARL0 = 1e4
 HEALTHY = 1_000
 SHIFTS = (1.0, 0.5, 0.13)
 RAMPS = (100, 400, 1_600)
+DRAWN, DRAWN_AT = 0.5, (1e2, 3e2, 1e3, 3e3, 1e4)
+KEPT_CURVES = Path(__file__).parent / "results" / "rules_delay.json"
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "rules_delay.svg"
 LEAST = "CUSUM, true shift (least worst case)"  # Moustakides 1986
 BANK = "bank 1/8, 1/4, 1/2, 1"
@@ -37,6 +41,9 @@ BLIND: dict[str, Rule] = {
     "NIS": nis_rule(),
 }
 """Rules that do not know the fault's size."""
+
+Curves = dict[str, list[float]]
+"""Delay at each ARL0 of `DRAWN_AT`, by rule."""
 
 
 @cache
@@ -102,9 +109,9 @@ def growth(runs: int, calibration: int) -> Iterable[Iterable[str]]:
             yield f"{length}", name, f"{mean:.0f} ± {error:.0f}"
 
 
-def draw() -> None:
-    """Draw delay against ARL0 of every rule, from an onset at its start, for a shift of half a sigma."""
-    shift = 0.5
+def curves() -> Curves:
+    """Delay at each ARL0 of every rule, from an onset at its start, for a shift of half a sigma."""
+    shift = DRAWN
     rules: dict[str, Rule] = {
         LEAST: Cusum(shift),
         "Shiryaev-Roberts, true shift": ShiryaevRoberts(shift),
@@ -117,21 +124,29 @@ def draw() -> None:
         "3 in a row": BLIND["3 in a row"],
         "NIS": BLIND["NIS"],
     }
-    arl0 = (1e2, 3e2, 1e3, 3e3, 1e4)
-    figure = Figure(figsize=(9.0, 4.5), layout="constrained")
-    axis = figure.subplots()
-    for name, rule in rules.items():
-        delay = [rule.average_run_length(rule.threshold_for(arl0=wanted).value, shift) for wanted in arl0]
-        axis.plot(
-            arl0, delay, marker="o", markersize=3.0, linewidth=3.0 if name == LEAST else 1.5, label=name
-        )
-    asymptote = 2.0 * np.log(arl0) / shift**2  # Lorden 1971
-    axis.plot(arl0, asymptote, color="0.5", linestyle=":", label="asymptote ln(ARL0) / KL, no bound")
-    axis.set(xscale="log", yscale="log", xlabel="samples between false alarms, ARL0")
-    axis.set_ylabel(f"delay in samples, shift of {shift:g} sigma")
-    figure.legend(loc="outside right upper", frameon=False, fontsize="small")
-    figure.savefig(PICTURE, metadata={"Date": None})
-    print(f"drawn: {PICTURE}")
+    return {
+        name: [
+            round(rule.average_run_length(rule.threshold_for(arl0=wanted).value, shift), 2)
+            for wanted in DRAWN_AT
+        ]
+        for name, rule in rules.items()
+    }
+
+
+def draw(delays_of: Curves, path: Path) -> None:
+    """Draw delay against ARL0."""
+    with drawing():
+        figure = Figure(figsize=(9.0, 4.5), layout="constrained")
+        axis = figure.subplots()
+        for name, delay in delays_of.items():
+            width = 3.0 if name == LEAST else 1.5
+            axis.plot(DRAWN_AT, delay, marker="o", markersize=3.0, linewidth=width, label=name)
+        asymptote = 2.0 * np.log(DRAWN_AT) / DRAWN**2  # Lorden 1971
+        axis.plot(DRAWN_AT, asymptote, color="0.5", linestyle=":", label="asymptote ln(ARL0) / KL, no bound")
+        axis.set(xscale="log", yscale="log", xlabel="samples between false alarms, ARL0")
+        axis.set_ylabel(f"delay in samples, shift of {DRAWN:g} sigma")
+        figure.legend(loc="outside right upper", frameon=False, fontsize="small")
+        save(figure, path)
 
 
 def main(
@@ -154,7 +169,8 @@ def main(
         header_of_growth = ("samples to full size", "rule", "delay")
         keep_table("detection", "growth", header_of_growth, growth(runs, calibration))
     if only in (None, "picture"):
-        draw()
+        KEPT_CURVES.write_text(json.dumps(curves(), indent=1) + "\n", encoding="utf-8")
+        draw(json.loads(KEPT_CURVES.read_bytes()), PICTURE)
 
 
 if __name__ == "__main__":

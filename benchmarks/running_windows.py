@@ -70,7 +70,7 @@ def rows(counts: Counts) -> Iterator[list[str]]:
 
 
 def main(*, motors: int = 20, seed: int = 1, how: How = HERE) -> None:
-    """Judge motors and keep the table of docs/operation.md.
+    """Judge motors and keep the table of docs/results/operation.md.
 
     Args:
         motors: how many, of all profiles in turn.

@@ -7,7 +7,6 @@ streams are those of the task; its score weighs both by one price, the curves le
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 from cyclopts import run
@@ -21,7 +20,6 @@ from motor_env import Cusum, Glr, TolerantFilter
 from motor_env.detection.rules.base import Rule, first_above
 from motor_env.motor.parameters import FloatArray
 
-PICTURE = Path(__file__).resolve().parent.parent / "docs" / "images" / "stream-delays.svg"
 RULES: dict[str, Rule] = {"CUSUM": Cusum(0.2), "CUSUM, larger shift": Cusum(0.5), "GLR": Glr(10, 700)}
 SHARES = (0.01, 0.02, 0.05, 0.10)
 N_LEVELS = 400
@@ -72,30 +70,13 @@ def at_equal_false_alarms(task: StreamTask, curves: Curves) -> Iterable[list[str
             ]  # fmt: skip
 
 
-def draw_curves(curves: Curves) -> None:
-    """Mean delay, and misses, against false alarms."""
-    from motor_env.plotting import drawing, save, subplots
-
-    with drawing():
-        figure, (top, bottom) = subplots(2, width_in=6.5, height_in=6.0)
-        for name, (_, told) in curves.items():
-            shown = (told[:, 0] > 0.0005) & (told[:, 0] < 0.4)
-            top.plot(100.0 * told[shown, 0], 1e3 * told[shown, 1], label=name)
-            bottom.plot(100.0 * told[shown, 0], 100.0 * told[shown, 2], label=name)
-        top.set(ylabel="mean delay, ms", xscale="log", title="Delay at equal false alarms")
-        bottom.set(ylabel="faults without an alarm, %", xlabel="streams with a false alarm, %")
-        top.legend()
-        save(figure, PICTURE)
-
-
 def main() -> None:
-    """Write the table and the picture."""
+    """Write the table."""
     task = load_task("stream")
     assert isinstance(task, StreamTask)
     curves = {name: curve(task, rule) for name, rule in RULES.items()}
     header = ("false alarms", "rule", "mean delay", "no alarm in time", "score of the task")
     keep_table("calibration", "stream", header, at_equal_false_alarms(task, curves))
-    draw_curves(curves)
 
 
 if __name__ == "__main__":

@@ -28,14 +28,14 @@ def table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 
 def kept_tables(page: str) -> dict[str, dict[str, Any]]:
-    """Tables of docs/PAGE.md by the name of their place, each with header, rows, and the command that made it."""
+    """Tables of docs/results/PAGE.md, or docs/PAGE.md, by the name of their place: header, rows, command."""
     path = KEPT / f"{page}.json"
     tables: dict[str, dict[str, Any]] = json.loads(path.read_bytes()) if path.is_file() else {}
     return tables
 
 
 def keep_table(page: str, name: str, header: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
-    """Print a table and keep it; `python benchmarks/result_tables.py` writes it into docs/PAGE.md."""
+    """Print a table and keep it; `python benchmarks/result_tables.py` writes it into docs/results/PAGE.md."""
     names, seen = list(header), []
 
     def each() -> Iterable[Iterable[str]]:

@@ -19,7 +19,6 @@ from motor_classifiers.estimators.methods import METHODS, make_method
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.report.trust_page import with_charts
 from motor_classifiers.report.trust_tables import percent
-from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.trust import network_for
 from motor_classifiers.wrappers.conformal import ConformalSets
@@ -28,7 +27,6 @@ from motor_classifiers.wrappers.open_set import OpenSetClassifier
 from motor_classifiers.wrappers.outside import OutsideDetector
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
-from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, SensorParameters
 from motor_env.simulation.named_recipes import named_recipe
@@ -70,19 +68,6 @@ def trained(name: str, recipe: Recipe, count: int) -> BaseEstimator:
 def ordered(model: Any, X: Any, recipe: Recipe) -> FloatArray:
     """Probabilities in the recipe's order of classes."""
     return in_recipe_order(model, model.predict_proba(X), recipe)
-
-
-def draw_reliability(n_cases: int) -> None:
-    """A reliability diagram of each setting."""
-    for setting, recipe in SETTINGS.items():
-        test = cases(recipe, TEST, n_cases)
-        probabilities = {
-            "limit": class_probabilities(recipe, test.X),
-            "posterior network": ordered(network(recipe), test.X, recipe),
-            "residual-qda, 2,000 starts": ordered(trained("residual-qda", recipe, 2000), test.X, recipe),
-        }
-        scores = {name: calibration_scores(p, test.class_index) for name, p in probabilities.items()}
-        plot_reliability(scores, IMAGES / f"reliability-{setting.split()[0]}khz.svg")
 
 
 def out_of_range(n_cases: int) -> Iterable[Iterable[str]]:
@@ -189,8 +174,8 @@ def stand_alone(chart: str, legend: Sequence[tuple[str, str]]) -> str:
     )
 
 
-def draw_kept() -> None:
-    """Charts of the figures that the benchmark has kept."""
+def kept_charts() -> Iterable[tuple[str, str]]:
+    """File name and markup of each chart of the figures that the benchmark has kept."""
     kept = json.loads(KEPT.read_bytes())
     figures = with_charts(kept, kept)
     solid = [(style, f"{name}, distance") for style, name in figures["unknown"]["legend"]]
@@ -200,7 +185,7 @@ def draw_kept() -> None:
     for name, section, legend in (
         ("other-roc", "unknown", [*solid, *dashed]), ("early-verdicts", "race", figures["race"]["legend"]),
     ):  # fmt: skip
-        (IMAGES / f"{name}.svg").write_text(stand_alone(figures[section]["chart"], legend), encoding="utf-8")
+        yield f"{name}.svg", stand_alone(figures[section]["chart"], legend)
 
 
 OF_RANGE = ("setting", "fault", "kind right", "out of range", "outside", "severity")
@@ -211,7 +196,7 @@ OF_SHIFTS = (
 OF_POWERS = ("recipe", "conditions", "refused", "by a test trained for it", "said to be off")
 
 
-def main(*part: Literal["range", "shifts", "powers", "reliability", "kept"], cases: int = 20_000) -> None:
+def main(*part: Literal["range", "shifts", "powers", "kept"], cases: int = 20_000) -> None:
     """Make the parts asked for; all by default. The largest tables rest on so many cases."""
     if "range" in part or not part:
         keep_table("trust", "range", OF_RANGE, out_of_range(cases))
@@ -219,10 +204,9 @@ def main(*part: Literal["range", "shifts", "powers", "reliability", "kept"], cas
         keep_table("trust", "shifts", OF_SHIFTS, shifts(cases // 10))
     if "powers" in part or not part:
         keep_table("trust", "powers", OF_POWERS, powers(cases))
-    if "reliability" in part or not part:
-        draw_reliability(cases)
     if "kept" in part or not part:
-        draw_kept()
+        for name, markup in kept_charts():
+            (IMAGES / name).write_text(markup, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -3,13 +3,19 @@
 Screens of the environments' own pages are drawn at every build of the site, by site_pages.py.
 """
 
+import json
 import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 from motor_env import diagnose
 from motor_env.diagnosis.shown.page import _bars, _currents, reference_current
+from motor_env.diagnosis.verdict import Verdict
+from motor_env.fleet.picture import picture
+from motor_env.fleet.sister import Sister
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"
@@ -20,6 +26,9 @@ STYLE = """svg { font: 14px system-ui, "Segoe UI", Arial, sans-serif; } text { f
 .moved .dot { fill: #b3261e; } .moved .value { font-weight: 700; } polyline { fill: none; stroke-width: 1.6; }
 .measured { stroke: #0b6fa4; } .healthy { stroke: #12805c; stroke-width: 2.2; stroke-dasharray: 7 4; }"""
 """Colours of the page, by day."""
+FLEET = """svg { font: 13px system-ui, "Segoe UI", Arial, sans-serif; } text { fill: #1c2733; } .tick { fill: #5d6b7a; }
+.grid { stroke: #d5d3cc; } .usual { fill: #12805c; fill-opacity: .1; } .sister { fill: #0b6fa4; fill-opacity: .45; }
+.odd { fill: #b3261e; } .name { fill: #b3261e; font-size: 12px; font-weight: 600; }"""
 
 
 def verdict() -> str:
@@ -44,7 +53,27 @@ def verdict() -> str:
     return "\n".join([head, *parts, "</svg>"]) + "\n"
 
 
+def fleet() -> str:
+    """The picture of the fleet of docs/fleet.md, from what `motor-env diagnose --fleet ... --json` said of it."""
+    sisters = [
+        SimpleNamespace(
+            place=SimpleNamespace(name=one["motor"]),
+            verdict=Verdict(one["verdict"]),
+            ratios=one["ratios"],
+            off=one["standard_deviations"],
+        )
+        for one in json.loads((IMAGES / "fleet.json").read_bytes())
+    ]
+    chart = picture(("R", "K", "J", "B"), cast("list[Sister]", sisters))
+    ground = f'<style>{FLEET}</style><rect width="100%" height="100%" fill="white"/>'
+    return (
+        chart.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1).replace(">", f">{ground}", 1)
+        + "\n"
+    )
+
+
 if __name__ == "__main__":
+    (IMAGES / "fleet.svg").write_text(fleet(), encoding="utf-8")
     (IMAGES / "verdict.svg").write_text(verdict(), encoding="utf-8")
     for script in ("docs/images/make_hero.py", "docs/make_pages.py", "benchmarks/film.py"):
         subprocess.run([sys.executable, script], cwd=DOCS.parent, check=True)  # noqa: S603  # our own

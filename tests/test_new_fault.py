@@ -24,8 +24,9 @@ from motor_env import (
 )
 from motor_env.simulation.recipes import FaultClass
 
-PAGE = Path(__file__).parents[1] / "docs" / "new-fault.md"
+PAGE = Path(__file__).parents[1] / "docs" / "howto" / "own-fault.md"
 BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+(MODULE,) = [block for block in BLOCKS if block.startswith("# my_faults.py")]
 
 RECIPE = """
 base = "bench"
@@ -81,7 +82,7 @@ def run(*arguments: str, cwd: Path, status: int = 0) -> str:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a package with a fault kind of its own would install: a module, and its entry point."""
     folder = tmp_path_factory.mktemp("outside")
-    (folder / "my_faults.py").write_text(BLOCKS[0], encoding="utf-8")
+    (folder / "my_faults.py").write_text(MODULE, encoding="utf-8")
     info = folder / "my_faults-0.1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-faults\nVersion: 0.1\n", encoding="utf-8")

@@ -1,13 +1,18 @@
 """Pictures of the documentation show what the code draws today; `make pictures` draws them anew."""
 
 import importlib.util
+import json
 import re
 from pathlib import Path
 from types import ModuleType
 
 import film
 import numpy as np
+import rules
+import trust
 from PIL import Image
+
+from motor_env import Cusum, MOfN
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
@@ -48,11 +53,46 @@ def test_the_verdict_of_the_first_page_is_that_of_today() -> None:
     np.testing.assert_allclose(now, was, atol=0.3)
 
 
+def test_the_picture_of_the_fleet_is_that_of_today() -> None:
+    drawn = module(ROOT / "docs" / "make_pictures.py").fleet()
+    assert (IMAGES / "fleet.svg").read_text(encoding="utf-8") == drawn
+
+
 def test_the_picture_of_the_rooms_is_that_of_today(tmp_path: Path) -> None:
     module(ROOT / "docs" / "make_pages.py").draw_rooms(tmp_path / "rooms.svg")
     assert (tmp_path / "rooms.svg").read_text(encoding="utf-8") == (IMAGES / "rooms.svg").read_text(
         encoding="utf-8"
     )
+
+
+def test_the_delays_of_the_rules_are_those_of_today(tmp_path: Path) -> None:
+    """The picture is drawn from kept delays, and the exact ones of them hold."""
+    kept = json.loads(rules.KEPT_CURVES.read_bytes())
+    rules.draw(kept, tmp_path / "rules.svg")
+    assert (tmp_path / "rules.svg").read_text(encoding="utf-8") == rules.PICTURE.read_text(encoding="utf-8")
+    for name, rule in {rules.LEAST: Cusum(rules.DRAWN), "3 of 5": MOfN(3, 5)}.items():
+        threshold = rule.threshold_for(arl0=rules.DRAWN_AT[1]).value
+        assert abs(rule.average_run_length(threshold, rules.DRAWN) - kept[name][1]) < 0.01
+
+
+def test_the_charts_of_the_trust_page_are_those_of_the_kept_figures() -> None:
+    """`python benchmarks/trust.py kept` writes them."""
+    charts = dict(trust.kept_charts())
+    assert len(charts) == 2
+    assert {name: (IMAGES / name).read_text(encoding="utf-8") for name in charts} == charts
+
+
+def test_every_picture_is_shown_and_has_a_test() -> None:
+    """Those of the paper are held by the golden results of tests/motor_env."""
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    shown = "".join(page.read_text(encoding="utf-8") for page in pages)
+    kept = {path.name for path in IMAGES.iterdir() if path.suffix in (".svg", ".png", ".gif")}
+    assert {name for name in kept if f"images/{name}" not in shown} == set()
+    of_the_paper = {name for name in kept if name.startswith(("figure_", "error_covariance"))}
+    assert kept - of_the_paper == {
+        *("hero.png", "rooms.svg", "verdict.svg", "probe-agent.gif", "fleet.svg"),
+        *("rules_delay.svg", "other-roc.svg", "early-verdicts.svg"),
+    }
 
 
 def test_the_picture_of_the_readme_is_that_of_today(tmp_path: Path) -> None:

@@ -58,7 +58,10 @@ class FleetDiagnosis:
         """How many are odd, and how many would be by chance."""
         odd = sum(sister.verdict.is_fault for sister in self.sisters)
         chance = self.false_alarm_rate * len(self.sisters)
-        return f"{odd} of {len(self.sisters)} motors stand out; of as many healthy ones {chance:.1f} would, by chance"
+        expected = (
+            f"If all were healthy, {chance:.1f} would on average (1 in {1.0 / self.false_alarm_rate:.0f})."
+        )
+        return f"{odd} of {len(self.sisters)} motors stand out. {expected}"
 
     def text(self) -> str:
         """A table, the oddest motor first."""

@@ -40,7 +40,7 @@ def run(
     """
     if name is None and follow:
         raise InputError("--follow needs a log; standard input is waited for anyway")
-    known = _windows_of(load_motor(motor)) if lesson is None or motor.exists() else lesson
+    known = _known(motor) if lesson is None or motor.exists() else lesson
     seen = State.load(state, _digest(motor), identity(name))
     seen.header = columns or seen.header
     watcher = Watch(known, seen, false_alarms_per_year=false_alarms_per_year)
@@ -86,6 +86,17 @@ def watch(
 def _digest(motor: Path) -> str:
     """Digest of the motor file, which was read; empty where there is none, since it is to be learned."""
     return hashlib.sha256(read_file(motor, LARGEST_NOTE_BYTES)).hexdigest() if motor.exists() else ""
+
+
+def _known(motor: Path) -> Healthy:
+    """What windows have taught of the motor of a file."""
+    try:
+        return _windows_of(load_motor(motor))
+    except InputError as error:
+        if motor.exists():
+            raise
+        cure = "`motor-env commission` writes one from logs of the healthy motor, --learn 10min from its first minutes"
+        raise InputError(f"{error}; {cure}") from None
 
 
 def _windows_of(motor: Motor) -> Healthy:

@@ -143,7 +143,7 @@ class FaultKind(str, metaclass=_Registry):
 def register_fault_kind(
     name: str, powers: Mapping[str, float], verdict: str | None = None, finding: str | None = None
 ) -> FaultKind:
-    """Add a kind of fault; from then on it can stand wherever a kind stands (docs/new-fault.md).
+    """Add a kind of fault; from then on it can stand wherever a kind stands (docs/howto/own-fault.md).
 
     Args:
         name: a word of lower-case ASCII letters, digits and _, as it stands in recipes and labels.

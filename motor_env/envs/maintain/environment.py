@@ -129,7 +129,7 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
     `Box`, float32, shape (7,). `estimate`: severity by the last start or inspection; `mean` and `std`: mean and
     standard deviation of the severity, given all that was seen; `risk`: probability that the bearing fails today;
     `rate`: mean rate of wear, given all that was seen; `age`: days since the bearing was new; `days_left`. Severities
-    are shares of the limit, times of the episode, the rate of `drift_per_day`.
+    are divided by the limit, times by the episode's length, the rate by `drift_per_day`.
 
     ## Reward
     Minus the day's cost, in planned replacements: see `MaintainOptions`. A failure costs 5, a planned replacement 1, an

@@ -87,7 +87,7 @@ def test_the_sick_motor_leads_the_table(found: FleetDiagnosis) -> None:
 
 def test_table_json_and_page_say_the_same(found: FleetDiagnosis) -> None:
     first, second = found.text().splitlines()[:2]
-    assert first == "1 of 8 motors stand out; of as many healthy ones 0.1 would, by chance"
+    assert first == "1 of 8 motors stand out. If all were healthy, 0.1 would on average (1 in 100)."
     assert second.split()[:3] == ["3", "left", "bearing"]
     (worst, *rest) = found.to_json()
     json.dumps(found.to_json(), allow_nan=False)

@@ -429,6 +429,13 @@ def test_the_command_reads_keeps_and_ends_with_its_status(
         assert "was not commissioned by windows of the motor at work" in capsys.readouterr().err
 
 
+def test_a_motor_file_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["watch", "none.toml", "log.csv"]) == 2
+    said = capsys.readouterr().err
+    assert "none.toml: no such motor file" in said
+    assert "`motor-env commission` writes one from logs" in said
+
+
 @pytest.fixture
 def watching_a_log(judge: Judge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """A command that has judged one window of a log, and kept its state."""
