@@ -111,9 +111,14 @@ class FakeVigil:
     piece_s, promise = 0.025, "one an hour"
 
     def __init__(
-        self, judge: Any, healthy: Healthy, per_year: float, memory: dict[str, list[float]] | None
+        self,
+        judge: Any,
+        healthy: Healthy,
+        *,
+        false_alarms_per_year: float,
+        memory: dict[str, list[float]] | None,
     ) -> None:
-        self.of, self.remembered = (judge.windows, healthy, per_year), memory
+        self.of, self.remembered = (judge.windows, healthy, false_alarms_per_year), memory
         self.spoken: list[tuple[Recording, float]] = []
         self.cuts, self.begun, self.asked = 0, 0, list[tuple[Recording, float]]()
         self.ended = object()
