@@ -139,7 +139,8 @@ def test_it_learns_by_itself_and_goes_on_after_it_was_killed(
     early = [event.get("verdict", event["event"]) for event in told if "span_s" in event]
     windows = [*3 * ["healthy"], *3 * ["winding"], "gap", *3 * ["another_motor"]]
     assert names[names.index("gap") :] == ["gap", *windows]
-    assert early[:2] == ["winding", "winding"]  # the first pieces of a strange motor may be called anything
+    # The very first piece may be too short for the right name; the next one, and each window's end, have it.
+    assert early[1] == "winding"
     counts = json.loads((tmp_path / "state.json").read_text(encoding="utf-8"))["counts"]
     assert (counts["learned"], counts["window healthy"]) == (1, 7)
 
