@@ -157,7 +157,8 @@ def main(
     sets = list(dict.fromkeys(row["set"] for row in known))
     of_real = [row for row in known if row["set"] != "other physics"]
     shown = [[name, *cells([row for row in known if row["set"] == name])] for name in sets]
-    shown.append(["all real", *cells(of_real)])
+    if of_real:
+        shown.append(["all real", *cells(of_real)])
     if real_only:
         print_table("repeats", ["set", *HEADER], shown)
     else:

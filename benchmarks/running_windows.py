@@ -1,9 +1,12 @@
 """Verdicts on simulated motors at work: commissioned by windows in one profile, judged in the same.
 
     python benchmarks/running_windows.py --motors 60
+    python benchmarks/running_windows.py --motors 40 --other-physics
 
 Random motors and profiles from the independent simulator in operation_simulator.py, with speed and without a load. Each
 is commissioned by 10 windows of 40 mechanical time constants, and judged by records of 3, at one false alarm in 100.
+With other physics the motors have all of its SWITCHES, are commissioned in a speed loop, and are judged in it, in one of
+other gains, in a current loop, and in steps.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from functools import partial
 
 import numpy as np
 from cyclopts import run
-from operation_simulator import PROFILES, Motor, draw_motor, simulate
+from operation_simulator import PROFILES, SWITCHES, Motor, draw_motor, simulate
 from tables import keep_table
 from verdict_tables import HERE, Counts, How, Said, counted
 

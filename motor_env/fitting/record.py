@@ -44,7 +44,7 @@ class Record:
         onset_s: from the first sample to the step of a supply that is switched on once, about; None for any other.
         shunt_ohm: resistance in series with the motor.
         rectified_a: noise of a current's sensor that shows none below 0; None for any other.
-        torque_n_m: load that is known, shape (n,); of parts it is none.
+        torque_n_m: load that is known beforehand, shape (n,); parts of a record do not keep it.
     """
 
     dt_s: float

@@ -14,10 +14,8 @@ from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
 
 _NO_NUMBER = 1e60
-_BRUSHES, _BRUSH_KNEE = (
-    0.04,
-    0.1,
-)  # of the largest voltage; of the largest current, at which half of it is there
+_BRUSHES = 0.04  # of the largest voltage
+_BRUSH_KNEE = 0.1  # of the largest current, at which half of that voltage is there
 _GEAR, _TURNING = 0.07, 0.01  # of the motor's torque; of the largest speed, from which on it is lost
 _CANDIDATES = ("load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
 

@@ -18,7 +18,7 @@ from motor_env.recordings.noise import difference_noise
 _WIDEST = 1e3
 _ANYTHING_LOG_SD = 3.0
 _STEPS = (1e-3, 0.1)
-_PARTS = 20  # left out in turn
+_PARTS = 20  # of a record, whose scores are compared
 _HARDLY = 1e-3  # of what tells an unknown, beside the one part that tells it
 
 
@@ -65,9 +65,8 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
         weight, moves = odds / (1.0 + odds), test.moves[chosen]
         total += weight * (test.value**2 + test.sd**2) * np.outer(moves, moves)
     for test in lacking(best):
-        known = 1.0 / (
-            1.0 + test.sd**2
-        )  # the share of what is believed, a size of 1, that the record settles
+        # A size of 1 is believed; the record settles this share of it.
+        known = 1.0 / (1.0 + test.sd**2)
         moves = test.moves[chosen]
         total += ((known * test.value) ** 2 + 1.0 - known) * np.outer(moves, moves)
     ahead = np.exp([0.5 * (best.misfit - misfit) for _, misfit in best.rivals])
