@@ -268,6 +268,7 @@ def simulate(
     warm_k: float = 0.0,
     torque_n_m: float | None = None,
     supply_ohm: float = 0.0,
+    stiffness: float = 1.0,
 ) -> Recording:
     """One recording of a motor at work.
 
@@ -282,6 +283,7 @@ def simulate(
         warm_k: how much warmer than usual the whole motor is.
         torque_n_m: of the load, at the speed without load; 15 % of the stall torque if None.
         supply_ohm: resistance of the supply; the voltage is recorded behind it.
+        stiffness: gains of the controller, times the usual ones.
     """
     dt = dt_s or motor.mechanical_s / 10.0 ** rng.uniform(0.6, 1.6)
     if warm_k:
@@ -299,7 +301,7 @@ def simulate(
          motor.drop, motor.ripple, motor.heat, motor.cool, KNEE * motor.stall_a, SLIDING * motor.speed, supply_ohm,
          rated if load == "dry" else 0.0, *_further(motor)]
     )  # fmt: skip
-    gain = 0.5 * motor.volts / motor.speed * 6.0 if mode == 1 else 0.5 * motor.ohm
+    gain = stiffness * (0.5 * motor.volts / motor.speed * 6.0 if mode == 1 else 0.5 * motor.ohm)
     gains = np.array([gain, gain * min(dt / motor.mechanical_s, 0.3)])
     out = np.empty((samples, 4))
     _run(command, mode, open_, torque, rated / motor.speed**2 if load == "square" else 0.0, constants, fine,

@@ -5,15 +5,15 @@
 
 Random motors and profiles from the independent simulator in operation_simulator.py, with speed and without a load. Each
 is commissioned by 10 windows of 40 mechanical time constants, and judged by records of 3, at one false alarm in 100.
-With other physics the motors have all of its SWITCHES, are commissioned in a speed loop, and are judged in it, in one of
-other gains, in a current loop, and in steps.
+With other physics the motors have all of its SWITCHES, and are judged in other profiles and under other controllers, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from cyclopts import run
@@ -29,6 +29,14 @@ from motor_env.recordings.defects import UnusableError
 WINDOW, LEARNED, JUDGED, RATE = 400, 10, 3, 0.01
 DT = 0.1  # of the mechanical time constant
 WARM_K = 20.0
+UNDER: dict[str, dict[str, Any]] = {
+    "the same": {},
+    "speed loop": {"profile": "speed loop"},
+    "soft speed loop": {"profile": "speed loop", "stiffness": 0.3},
+    "current loop": {"profile": "current loop"},
+    "steps": {"profile": "steps"},
+}
+"""Drives in which motors of other physics are judged."""
 
 
 def changed(motor: Motor) -> dict[str, tuple[Motor, str]]:
@@ -46,43 +54,53 @@ def changed(motor: Motor) -> dict[str, tuple[Motor, str]]:
     }
 
 
-def judge(number: int, seed: int) -> Said:
-    """Verdicts on one motor in one profile."""
+def judge(number: int, seed: int, *, other_physics: bool) -> Said:
+    """Verdicts on one motor, commissioned in one profile."""
     rng = np.random.default_rng([seed, number])
-    motor, profile = draw_motor(rng), PROFILES[number % len(PROFILES)]
+    motor = draw_motor(rng, SWITCHES if other_physics else ())
+    learned = PROFILES[number % len(PROFILES)]
     dt_s = DT * motor.mechanical_s
-    recorded = partial(simulate, profile=profile, rng=rng, dt_s=dt_s)
+    recorded = partial(simulate, rng=rng, dt_s=dt_s)
     try:
-        healthy, _ = learn_windows([recorded(motor, samples=LEARNED * WINDOW)], WINDOW * dt_s)
+        log = recorded(motor, learned, samples=LEARNED * WINDOW)
+        healthy, _ = learn_windows([log], WINDOW * dt_s)
     except UnusableError as error:
-        return [(("commissioning", profile), str(error))]
+        return [(("commissioning", learned), str(error))]
     known, said = motor_of_windows(healthy, "this motor"), Said()
     for name, (other, _) in changed(motor).items():
-        log = recorded(other, samples=JUDGED * WINDOW, warm_k=WARM_K if "K more" in name else 0.0)
-        found = diagnose(log, known, false_alarm_rate=RATE, regime="operation")
-        said.append(((name, profile), found.verdict))
+        for under, options in UNDER.items() if other_physics else {"the same": {}}.items():
+            warm_k = WARM_K if "K more" in name else 0.0
+            drive = {"profile": learned} | options
+            log = recorded(other, samples=JUDGED * WINDOW, warm_k=warm_k, **drive)
+            found = diagnose(log, known, false_alarm_rate=RATE, regime="operation")
+            said.append(((name, under, learned), found.verdict))
     return said
 
 
-def rows(counts: Counts) -> Iterator[list[str]]:
+def rows(counts: Counts, unders: Iterable[str]) -> Iterator[list[str]]:
     """What was judged right, and what else was said."""
     for name, (_, right) in changed(draw_motor(np.random.default_rng(0))).items():
-        said = counts[(name,)]
-        others = ", ".join(f"`{verdict}` {n}" for verdict, n in said.most_common() if verdict != right)
-        yield [name, f"`{right}`", f"{said[right]} of {said.total()}", others or "-"]
+        for under in unders:
+            said = counts[(name, under)]
+            others = ", ".join(f"`{verdict}` {n}" for verdict, n in said.most_common() if verdict != right)
+            yield [name, under, f"`{right}`", f"{said[right]} of {said.total()}", others or "-"]
 
 
-def main(*, motors: int = 20, seed: int = 1, how: How = HERE) -> None:
+def main(*, motors: int = 20, seed: int = 1, other_physics: bool = False, how: How = HERE) -> None:
     """Judge motors and keep the table of docs/results/operation.md.
 
     Args:
         motors: how many, of all profiles in turn.
         seed: of them.
+        other_physics: motors with all switches, also judged under other drives than they were commissioned in.
         how: options of every table.
     """
-    counts = counted(partial(judge, seed=seed), motors, how, of={"seed": seed})
+    of = {"seed": seed} | ({"other_physics": True} if other_physics else {})
+    counts = counted(partial(judge, seed=seed, other_physics=other_physics), motors, how, of=of)
     print(*counts[("commissioning",)].elements(), sep="\n")
-    keep_table("operation", "windows", ("changed", "right verdict", "said", "else"), rows(counts))
+    header = ("changed", "judged in", "right verdict", "said", "else")
+    name = "windows_other_physics" if other_physics else "windows"
+    keep_table("operation", name, header, rows(counts, UNDER if other_physics else ["the same"]))
 
 
 if __name__ == "__main__":

@@ -46,7 +46,8 @@ def fit(record: Record) -> Solution:
     others = sorted(_behaviours(best, record), key=lambda one: one.penalised())
     if others and (other := _solved(others[0], [])).penalised() < best.penalised():
         best = _chosen(other, terms(other.problem.record, other.problem.known))
-    return _shaped(_timely(best))
+    shaped = _shaped(_timely(best))
+    return _grown(shaped, terms(shaped.problem.record, shaped.problem.known))
 
 
 def without_lines(found: Solution, record: Record) -> tuple[Record, tuple[PeriodicLine, ...]]:

@@ -35,7 +35,7 @@ _UNITS_FULL = {
     "R": "ohm", "L": "H", "K": "V s/rad", "J": "kg m2", "B": "N m s/rad", "coulomb": "N m", "brush_drop": "V",
     "load_constant": "N m", "load_square": "N m s2/rad2", "offset_current": "A", "offset_speed": "rad/s",
     "heating": "K/J", "cooling": "1/s", "sensor_lag": "s", "speed_lag": "s", "delay": "samples", "drag": "N m",
-    "brush_knee": "A", "stribeck": "of coulomb", "coulomb_knee": "rad/s",
+    "brush_knee": "A", "gear_loss": "of the torque", "stribeck": "of coulomb", "coulomb_knee": "rad/s",
 }  # fmt: skip
 _UNITS_CURRENT = _UNITS_FULL | {
     "J": "A s/V", "B": "A/V", "coulomb": "A", "load_constant": "A", "load_square": "A/V2", "drag": "A",

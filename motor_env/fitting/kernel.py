@@ -14,6 +14,7 @@ from motor_env.fitting.places import (
     AFTER,
     COOLING,
     COULOMB,
+    GEAR,
     HEATING,
     LAG_I,
     LAG_W,
@@ -170,7 +171,8 @@ def predict(
             if p[HEATING] > 0.0:
                 power = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k) * x[0] ** 2
                 warm_k += dt_s * (p[HEATING] * power - p[COOLING] * warm_k)
-            dry = p[COULOMB] * (1.0 + FRICTION_PER_KELVIN * warm_k)
+            # A gear loses a share of the torque that it carries: dry friction that grows with the current.
+            dry = p[COULOMB] * (1.0 + FRICTION_PER_KELVIN * warm_k) + p[GEAR] * p[K] * abs(x[0])
             of, slow = (tables(p, p[AFTER]), lag_of(p, p[AFTER])) if mark == SWITCH else (usual, lag)
             _advance(of, slow, warm_k, m, x, u, p, dry, mark, marks[k - 1], dt_s, f)
             if learn and not is_known:

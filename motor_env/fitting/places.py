@@ -15,4 +15,6 @@ which it sets in."""
 rises; the current below which the sensor hides it."""
 CURVE = slice(28, 32)
 """How much of the supply's rise falls on the second and every later fifth of it, times that on the first."""
-N_VALUES = 32
+GEAR = 32
+"""The share of the motor's torque that its gear loses."""
+N_VALUES = 33

@@ -10,6 +10,7 @@ import numpy as np
 
 from motor_env.fitting import places
 from motor_env.fitting.problem import Solution
+from motor_env.fitting.record import Record
 from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
 
@@ -17,7 +18,7 @@ _NO_NUMBER = 1e60
 _BRUSHES = 0.04  # of the largest voltage
 _BRUSH_KNEE = 0.1  # of the largest current, at which half of that voltage is there
 _GEAR, _TURNING = 0.07, 0.01  # of the motor's torque; of the largest speed, from which on it is lost
-_CANDIDATES = ("load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
+_CANDIDATES = ("gear_loss", "load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,8 @@ def candidates(best: Solution) -> list[str]:
         left = [name for name in left if name not in {"sensor_lag", "heating", "cooling", "load_square"}]
     if not seen[1]:
         left = [name for name in left if name != "speed_lag"]
+    if not seen.all():  # one of them alone cannot tell it from other friction
+        left = [name for name in left if name != "gear_loss"]
     return left
 
 
@@ -114,11 +117,10 @@ def lacking(best: Solution) -> list[ScoreTest]:
         return []
     volts, amps, _ = record.peaks
     fastest = max(float(np.max(np.abs(speed))), 1e-300)
-    brushes = _BRUSHES * volts * current / (np.abs(current) + _BRUSH_KNEE * amps)
     gear = _GEAR * np.abs(values[places.K] * current) * np.tanh(speed / (_TURNING * fastest))
     found = []
     for lacked in (
-        replace(record, voltage_v=record.voltage_v - brushes),
+        behind_brushes(record, current, volts, _BRUSH_KNEE * amps),
         replace(record, torque_n_m=gear),
     ):
         moved = replace(problem, record=lacked).residuals(best.theta)
@@ -126,3 +128,16 @@ def lacking(best: Solution) -> list[ScoreTest]:
         if test is not None:
             found.append(test)
     return found
+
+
+def behind_brushes(record: Record, current_a: FloatArray, volts: float, knee_a: float) -> Record:
+    """A record with the voltage behind brushes whose resistance falls with the current (Holm 1967), at a usual size.
+
+    Args:
+        record: with the voltage in front of them.
+        current_a: through them, shape (n,).
+        volts: the largest voltage.
+        knee_a: at which half of their own largest voltage is there.
+    """
+    lost = _BRUSHES * volts * current_a / (np.abs(current_a) + knee_a)
+    return replace(record, voltage_v=record.voltage_v - lost)

@@ -81,6 +81,7 @@ def terms(
         Term("brush_knee", places.KNEE, amps, 0.0, 0.05, prior_sd=_KNEE_PRIOR),
         Term("stribeck", places.STRIBECK, 1.0, 0.0, 2.0, prior_sd=_STRIBECK_PRIOR),
         Term("coulomb_knee", places.SLIDING, speed, 0.0, 0.05, prior_sd=_KNEE_PRIOR),
+        Term("gear_loss", places.GEAR, 1.0, 0.0, 0.9, usual=0.1),
         Term("load_constant", places.LOAD, torque, -2.0, 2.0, prior_sd=0.3, usual=0.3),
         Term("load_square", places.SQUARE, torque / speed**2, 0.0, 20.0, usual=0.3),
         Term("offset_current", places.OFFSET_I, amps, -0.2, 0.2, prior_sd=_OFFSET_PRIOR),

@@ -18,6 +18,7 @@ from motor_env.fitting import places
 from motor_env.fitting.fit import without_lines
 from motor_env.fitting.problem import STEP, Problem, Solution
 from motor_env.fitting.record import Record
+from motor_env.fitting.score import behind_brushes
 from motor_env.fitting.terms import NOISES, terms
 from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import capped, information_covariance, motor_places
@@ -25,8 +26,13 @@ from motor_env.motor.parameters import FloatArray
 
 _MOTOR = ("R", "K", "J", "drag")
 _LOADS = ("load_constant", "load_square", "offset_current", "offset_speed")
+BRUSHES = (0.02, 0.1)
+"""Shares of the stall current at which brushes may have half of their own voltage."""
+FITTED = frozenset((*_MOTOR, *_LOADS))
+"""Terms that are fitted in each window; the others are held."""
 _MOST_ROUNDS = 8  # of a fit, which begins near the healthy motor
 _WILD = 6.0  # standard deviations beyond which an innovation counts no more
+_HELD_STEP = 0.1  # of an error
 _UNTOLD = 10.0  # standard deviation of a logarithm of which the samples tell nothing
 
 
@@ -69,6 +75,41 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
     return WindowFit(logs, capped(slope @ spread[np.ix_(at, at)] @ slope), values, whitened, best.misfit)
 
 
+def moved_by_held(
+    record: Record,
+    known: FloatArray,
+    wanted: Sequence[str],
+    peaks: tuple[float, float, float],
+    held: Sequence[int],
+    errors: FloatArray,
+) -> FloatArray:
+    """How the fit of a window moves where what it holds is wrong.
+
+    Args:
+        record: the window.
+        known: physical values of the healthy motor, shape (places.N_VALUES,).
+        wanted: terms of its windows.
+        peaks: largest voltage, current and speed of its work.
+        held: places of what is held.
+        errors: of these, SI, and of the sizes of BRUSHES, shape (n, n_held + n_brushes).
+
+    Returns:
+        Logarithms of R, K, J and the drag for each row of errors, shape (n, 4).
+    """
+    problem, theta = _problem(record, known, [name for name in (*_LOADS, *NOISES) if name in wanted])
+    base = problem.residuals(theta)
+    inverse = np.linalg.pinv(problem.jacobian(theta, base))[: len(_MOTOR)]
+    each, current = [], record.predict(known, learn=False)[0][:, 2] - known[places.OFFSET_I]
+    for place, size in zip(held, np.sqrt(np.sum(errors[:, : len(held)] ** 2, axis=0)), strict=True):
+        off = known.copy()
+        off[place] += _HELD_STEP * size
+        each.append((replace(problem, known=off).residuals(theta) - base) / (_HELD_STEP * max(size, 1e-300)))
+    for knee in BRUSHES:
+        behind = behind_brushes(record, current, peaks[0], knee * peaks[0] / known[places.R])
+        each.append(replace(problem, record=behind).residuals(theta) - base)
+    return -(errors @ np.array(each)) @ inverse.T
+
+
 class Scores(NamedTuple):
     """What sections of a record say of small changes: of the logarithms of R, K, J and the drag, and of the loads.
 
@@ -85,10 +126,13 @@ class Scores(NamedTuple):
     def steps(self) -> tuple[FloatArray, FloatArray]:
         """The first step of a fit of each (a score test), shape (n, 4), and its covariance, shape (n, 4, 4).
 
-        It is linear, so that its error is known however little a section tells.
+        It is linear, so that its error is known however little a section tells. A load or an offset that it says
+        nothing of, as while the circuit is open, stays as it is known.
         """
+        known = self.information + np.diag(self.precision)
+        untold = np.einsum("nii->ni", known) == 0.0
         spread: FloatArray = np.asarray(
-            np.linalg.inv(self.information + np.diag(self.precision)), dtype=np.float64
+            np.linalg.inv(known + untold[:, None] * np.eye(len(self.precision))), dtype=np.float64
         )
         step: FloatArray = -np.einsum("nij,nj->ni", spread, self.gradients)
         return step[:, : len(_MOTOR)], spread[:, : len(_MOTOR), : len(_MOTOR)]

@@ -95,6 +95,29 @@ class Scale:
 
 
 @dataclass(frozen=True, slots=True)
+class Held:
+    """What all windows of one motor share, how far it may be off, and how their fits would move by it.
+
+    Attributes:
+        places: of these values, in the order of `motor_env.fitting.places`.
+        errors: independent errors of one standard deviation each, SI, shape (n, n_places + 2); the last two are sizes
+            of brushes whose resistance falls with the current, see `motor_env.fitting.window.BRUSHES`.
+        moves: mean over the healthy windows of what each does to the logarithms of R, K, J and B, shape (n, 4).
+    """
+
+    places: tuple[Annotated[int, Field(ge=0)], ...]
+    errors: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
+    moves: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
+
+    def __post_init__(self) -> None:
+        n = len(self.moves)
+        require(
+            np.shape(self.moves) == (n, 4) and np.shape(self.errors) == (n, len(self.places) + 2),
+            f"healthy.windows.held: moves has {n} rows; errors must go with them and with places",
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Windows:
     """How the healthy pieces were recorded and fitted, where they are windows of the motor at work.
 
@@ -109,6 +132,7 @@ class Windows:
         peaks: largest voltage, current and speed of the windows: the scale of what is small; 1 each unless given.
         window_excess: by which factor windows scatter more than is believed of them: what they have taught, or
             their own errors where these are larger (variance).
+        held: what the windows share, and how well it is known; None where nothing but a fault moves the motor.
         scales: what healthy pieces of windows have taught, the shortest first and whole windows last; none for
             windows that were not watched.
         most: how far the farthest healthy window is off along each of `running.scales.AXES`.
@@ -124,6 +148,7 @@ class Windows:
     rms_volts: tuple[Positive, Positive] | None = None
     peaks: tuple[Positive, Positive, Positive] | None = None
     window_excess: Positive = 1.0
+    held: Held | None = None
     scales: tuple[Scale, ...] = ()
     most: tuple[Finite, ...] = ()
     replayed: tuple[Annotated[int, Field(ge=0)], ...] = ()

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from motor_env.diagnosis.learning import WINDOW_SPREAD, next_piece
 from motor_env.diagnosis.running.pieces import Pieces, halvings_of, sections_of
@@ -27,9 +28,9 @@ from motor_env.fitting import places
 from motor_env.fitting.identify import FEWEST_STEPS, UNSEEN_STEPS, Operation, identify_operation
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
-from motor_env.fitting.uncertainty import beyond
-from motor_env.fitting.window import fit_window
-from motor_env.motor.healthy import Healthy, Scale, Windows
+from motor_env.fitting.uncertainty import beyond, motor_places
+from motor_env.fitting.window import BRUSHES, FITTED, fit_window, moved_by_held
+from motor_env.motor.healthy import Healthy, Held, Scale, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
@@ -102,11 +103,57 @@ def learn_windows(
     warm = 0.0 if steady else TEMPERATURE_K
     healthy = Healthy(len(found), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows)
     ratios = [fit.log_values - centre for fit in found]
-    believed = _squares(ratios, [covariance + beyond(covariance, fit.covariance) for fit in fits])
+    spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
+    believed = _squares(ratios, spreads)
     taught = _squares(ratios, [covariance] * len(fits))
     windows = replace(windows, window_excess=sum(believed) / sum(taught))
     healthy = replace(healthy, windows=windows)
+    if not steady:
+        held = _held(joint, records, judge_of(healthy), ratios, spreads)
+        healthy = replace(healthy, windows=replace(windows, held=held))
     return replace(healthy, windows=_with_scales(healthy, records, found)), found
+
+
+def _held(
+    joint: Operation,
+    records: Sequence[Record],
+    judge: WindowJudge,
+    ratios: Sequence[FloatArray],
+    spreads: Sequence[FloatArray],
+) -> Held:
+    """What windows hold of a joint fit, with its errors, and how these move the fits of the windows.
+
+    Windows that move differently have told these errors: by how far their fits are apart (Bayes, all normal). What
+    they tell is not corrected; it counts as an error of its size.
+
+    Args:
+        joint: fit of all windows.
+        records: the windows.
+        judge: of the next ones.
+        ratios: logarithms of the fit of each over their mean, shape (4,).
+        spreads: covariance of each, shape (4, 4).
+    """
+    problem, known, terms = joint.solution.problem, judge.physical(), judge.windows.terms
+    free = [problem.free[n] for n in motor_places(problem)]
+    rows = [n for n, term in enumerate(free) if term.name not in FITTED and known[term.place] != 0.0]
+    places = tuple(free[n].place for n in rows)
+    units = np.array([free[n].unit for n in rows])
+    errors = block_diag(_rooted(joint.covariance[np.ix_(rows, rows)]) * units, np.eye(len(BRUSHES)))
+    peaks = judge.windows.peaks or (1.0, 1.0, 1.0)
+    each = np.array([moved_by_held(record, known, terms, peaks, places, errors) for record in records])
+    apart = each - each.mean(axis=0)
+    weighed = [off @ np.linalg.inv(spread) for off, spread in zip(apart, spreads, strict=True)]
+    told = sum(weight @ off.T for weight, off in zip(weighed, apart, strict=True))
+    left = np.linalg.inv(np.eye(len(errors)) + told)
+    size = left @ sum(weight @ ratio for weight, ratio in zip(weighed, ratios, strict=True))
+    left = _rooted(left + np.outer(size, size))
+    return Held(places, left @ errors, left @ each.mean(axis=0))
+
+
+def _rooted(covariance: FloatArray) -> FloatArray:
+    """Independent errors of one standard deviation each, in rows, that together have this covariance."""
+    sizes, axes = np.linalg.eigh(covariance)
+    return np.asarray((axes * np.sqrt(np.maximum(sizes, 0.0))).T, dtype=np.float64)
 
 
 def _twentieth_s(recordings: Sequence[Recording]) -> float:

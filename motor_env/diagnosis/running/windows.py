@@ -24,7 +24,7 @@ from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import block_means, from_recordings, missing_blocks
-from motor_env.fitting.window import WindowFit, fit_window
+from motor_env.fitting.window import WindowFit, fit_window, moved_by_held
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
@@ -124,6 +124,19 @@ class WindowJudge:
         fit = fit_window(replace(record, hold=self.windows.hold), self.physical(), self.windows.terms)
         return over_speed(fit, self.windows.physical, self.windows.speed_rad_s)
 
+    def reference_for(self, record: Record) -> Reference:
+        """Distribution of R, K, J and B of a healthy window that moves like this one.
+
+        Fits move where what is held is wrong. They all do alike, unless they move the motor differently.
+        """
+        held = self.windows.held
+        if held is None:
+            return self.reference
+        record, peaks = replace(record, hold=self.windows.hold), self.windows.peaks or (1.0, 1.0, 1.0)
+        moves = moved_by_held(record, self.physical(), self.windows.terms, peaks, held.places, held.errors)
+        off = moves - held.moves
+        return replace(self.reference, log_covariance=self.reference.log_covariance + off.T @ off)
+
     def is_sampled_alike(self, recording: Recording) -> bool:
         """Whether the sampling interval is about that of the healthy windows."""
         return 1.0 / _REGIME <= recording.dt_s / self.windows.dt_s <= _REGIME
@@ -191,10 +204,13 @@ class WindowJudge:
         if failed is not None:
             return failed
         try:
-            fit = self.fitted(from_recordings([part]))
+            record = from_recordings([part])
+            fit = self.fitted(record)
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
-        return decide(fit, self.reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
+        return decide(
+            fit, self.reference_for(record), rate, alarm=None if is_alarm is None else is_alarm(fit)
+        )
 
 
 def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float | None = None) -> WindowJudge:
