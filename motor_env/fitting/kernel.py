@@ -25,6 +25,8 @@ from motor_env.fitting.places import (
     OFFSET_I,
     OFFSET_W,
     WALK,
+    B,
+    J,
     K,
     R,
 )
@@ -66,6 +68,10 @@ def _advance(
     """State after an interval, and its slopes; the interval ends at a sample of one mark, and begins at another's."""
     i, w = x[0], x[1]
     at(of[0], warm_k, m)
+    if p[GEAR] > 0.0:
+        # A gear loses a share of the torque that it carries: dry friction, by the mean torque without friction.
+        free_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * u[0] + m[1, 3] * (u[1] - u[0])
+        dry += p[GEAR] * abs(p[J] * (free_w - w) / dt_s + p[B] * w)
     parts = smooth_step(m, x, u, p, dry, f) if mark != OPEN or before != OPEN else 0
     if parts > 0:
         at(of[1 if parts == FINE else 2], warm_k, m)
@@ -171,8 +177,7 @@ def predict(
             if p[HEATING] > 0.0:
                 power = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k) * x[0] ** 2
                 warm_k += dt_s * (p[HEATING] * power - p[COOLING] * warm_k)
-            # A gear loses a share of the torque that it carries: dry friction that grows with the current.
-            dry = p[COULOMB] * (1.0 + FRICTION_PER_KELVIN * warm_k) + p[GEAR] * p[K] * abs(x[0])
+            dry = p[COULOMB] * (1.0 + FRICTION_PER_KELVIN * warm_k)
             of, slow = (tables(p, p[AFTER]), lag_of(p, p[AFTER])) if mark == SWITCH else (usual, lag)
             _advance(of, slow, warm_k, m, x, u, p, dry, mark, marks[k - 1], dt_s, f)
             if learn and not is_known:

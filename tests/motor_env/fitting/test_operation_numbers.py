@@ -217,7 +217,7 @@ def test_units_of_the_unknowns() -> None:
     torque, second = 0.03 * 3.0, 500 * DT_S
     units = {
         "R": 2.0, "L": 2.0 * DT_S, "K": 0.03, "J": 4e-6, "B": torque / 200.0, "coulomb": torque, "brush_drop": 12.0,
-        "brush_knee": 3.0, "stribeck": 1.0, "coulomb_knee": 200.0, "load_constant": torque,
+        "gear_loss": 1.0, "brush_knee": 3.0, "stribeck": 1.0, "coulomb_knee": 200.0, "load_constant": torque,
         "load_square": torque / 200.0**2, "offset_current": 3.0, "offset_speed": 200.0,
         "heating": 10.0 / (2.0 * 1.5**2 * second), "cooling": 1.0 / second, "sensor_lag": DT_S, "speed_lag": DT_S,
         "delay": 1.0, "noise_current": 0.01, "noise_speed": 0.2, "noise_voltage": 0.036,
@@ -231,11 +231,11 @@ def test_units_of_the_unknowns() -> None:
         "heating": (10.0 / (12.0**2 / 2.0)) / units["heating"],  # 10 K a second at the stall power
     })  # fmt: skip
     usual = {name: term.usual for name, term in every.items() if term.usual != 1.0}
-    assert usual == {"load_constant": 0.3, "load_square": 0.3}
+    assert usual == {"gear_loss": 0.1, "load_constant": 0.3, "load_square": 0.3}
     reach = 0.5 * second / DT_S
     bounds = {
         "R": (-5.0, 5.0), "L": (0.0, reach), "K": (-5.0, 5.0), "J": (-7.0, 7.0), "B": (0.0, 20.0),
-        "coulomb": (0.0, 0.9), "brush_drop": (0.0, 0.4), "brush_knee": (0.0, 0.05), "stribeck": (0.0, 2.0),
+        "coulomb": (0.0, 0.9), "gear_loss": (0.0, 0.9), "brush_drop": (0.0, 0.4), "brush_knee": (0.0, 0.05), "stribeck": (0.0, 2.0),
         "coulomb_knee": (0.0, 0.05), "load_constant": (-2.0, 2.0), "load_square": (0.0, 20.0),
         "offset_current": (-0.2, 0.2), "offset_speed": (-0.1, 0.1), "heating": (0.0, 20.0), "cooling": (0.0, 300.0),
         "sensor_lag": (0.0, 5.0), "speed_lag": (0.0, 50.0),  # 10 ms and 0.1 s
@@ -327,9 +327,12 @@ def test_a_score_test_is_one_step_of_the_richer_fit(small: Solution) -> None:
     base = small.problem.residuals(small.theta)
     jacobian = small.problem.jacobian(small.theta, base)
     variance = float(base @ base) / small.problem.count
-    tested = ("load_square", "heating", "sensor_lag", "speed_lag", "delay")
+    tested = ("gear_loss", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
     assert score_tests(small, every, ()) == {}
     assert set(candidates(small)) == set(tested)
+    for of in ({"current": True, "speed": False}, {"current": False, "speed": True}):
+        alone = replace(small, problem=replace(small.problem, record=small.problem.record.only(**of)))
+        assert "gear_loss" not in candidates(alone)
     found = score_tests(small, every, tested)
     assert set(found) == set(tested)
     for name, test in found.items():
