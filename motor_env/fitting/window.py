@@ -21,7 +21,14 @@ from motor_env.fitting.record import Record
 from motor_env.fitting.score import behind_brushes
 from motor_env.fitting.terms import NOISES, terms
 from motor_env.fitting.threads import on_one_thread
-from motor_env.fitting.uncertainty import capped, information_covariance, motor_places
+from motor_env.fitting.uncertainty import (
+    capped,
+    information_covariance,
+    model_error,
+    motor_places,
+    sandwich,
+    secants,
+)
 from motor_env.motor.parameters import FloatArray
 
 _MOTOR = ("R", "K", "J", "drag")
@@ -39,14 +46,16 @@ _UNTOLD = 10.0  # standard deviation of a logarithm of which the samples tell no
 class WindowFit(NamedTuple):
     """Logarithms of R, K, J and the drag of one window, their covariance, all its physical values, its innovations.
 
-    The misfit is -2 log likelihood, without a constant.
+    The misfit is -2 log likelihood, without a constant. The robust covariance holds what correlated residuals and the
+    model's error add.
     """
 
     logs: FloatArray
     covariance: FloatArray
     values: FloatArray
     whitened: FloatArray
-    misfit: float = 0.0
+    misfit: float
+    robust_covariance: FloatArray
 
 
 @on_one_thread
@@ -65,14 +74,18 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
         problem = replace(problem, record=record)
         best = Solution(problem, *problem.solve(best.theta, _MOST_ROUNDS))
     values, spread = best.values, information_covariance(problem, best.theta)
-    rows = [problem.names[n] for n in motor_places(problem)]
-    at = [rows.index(name) for name in _MOTOR]
+    chosen, jacobian = motor_places(problem), secants(problem, best.theta)
+    robust, _ = sandwich(problem, best.theta, jacobian, chosen)
+    robust += model_error(problem, best.theta, jacobian, chosen, robust)
+    rows = [problem.names[n] for n in chosen]
+    at = np.ix_(*2 * [[rows.index(name) for name in _MOTOR]])
     factor = best.theta[problem.names.index("drag")]
     way = math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
     slope = np.diag([1.0, 1.0, 1.0, way])
     logs = np.log([values[places.R], values[places.K], values[places.J], factor])
     whitened = np.where(record.told, record.predict(values)[0][:, :2], np.nan)[1:]
-    return WindowFit(logs, capped(slope @ spread[np.ix_(at, at)] @ slope), values, whitened, best.misfit)
+    covariance, robust = (capped(slope @ one[at] @ slope) for one in (spread, robust))
+    return WindowFit(logs, covariance, values, whitened, best.misfit, robust)
 
 
 def moved_by_held(

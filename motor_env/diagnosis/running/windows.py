@@ -24,6 +24,7 @@ from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import block_means, from_recordings, missing_blocks
+from motor_env.fitting.uncertainty import beyond
 from motor_env.fitting.window import WindowFit, fit_window, moved_by_held
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
@@ -45,12 +46,14 @@ WARMTH = quantities.warmth_direction(EXPONENTS)
 class FittedWindow:
     """A fitted window: logarithms of R, K, J and of the drag over the speed, shape (4,), their covariance, innovations.
 
-    The innovations of current and speed are over their standard deviations, shape (n, 2); none of a short piece.
+    The innovations of current and speed are over their standard deviations, shape (n, 2); none of a short piece. The
+    robust covariance holds what correlated residuals and the model's error add; 0 where that is not known.
     """
 
     log_values: FloatArray
     log_covariance: FloatArray
     whitened: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    robust_covariance: FloatArray = field(default_factory=lambda: np.zeros((4, 4)))
 
     @property
     def quantity_names(self) -> tuple[str, ...]:
@@ -96,7 +99,8 @@ def windows_of(recording: Recording, window_s: float) -> list[Recording]:
 def over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: float) -> FittedWindow:
     """A window's fit with the drag over the speed instead of a factor on the drag of the physical values."""
     drag = math.log(viscous(physical, speed_rad_s))
-    return FittedWindow(fit.logs + np.array([0.0, 0.0, 0.0, drag]), fit.covariance, fit.whitened)
+    logs = fit.logs + np.array([0.0, 0.0, 0.0, drag])
+    return FittedWindow(logs, fit.covariance, fit.whitened, fit.robust_covariance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,18 +128,21 @@ class WindowJudge:
         fit = fit_window(replace(record, hold=self.windows.hold), self.physical(), self.windows.terms)
         return over_speed(fit, self.windows.physical, self.windows.speed_rad_s)
 
-    def reference_for(self, record: Record) -> Reference:
+    def reference_for(self, record: Record, fit: FittedWindow) -> Reference:
         """Distribution of R, K, J and B of a healthy window that moves like this one.
 
-        Fits move where what is held is wrong. They all do alike, unless they move the motor differently.
+        Fits move where what is held is wrong. They all do alike, unless they move the motor differently. Where the
+        model explains this window worse than the healthy ones, what its error is beyond theirs counts.
         """
-        held = self.windows.held
+        held, spread = self.windows.held, self.reference.log_covariance
         if held is None:
             return self.reference
         record, peaks = replace(record, hold=self.windows.hold), self.windows.peaks or (1.0, 1.0, 1.0)
-        moves = moved_by_held(record, self.physical(), self.windows.terms, peaks, held.places, held.errors)
+        terms = self.windows.terms
+        moves = moved_by_held(record, self.physical(), terms, peaks, held.places, held.errors)
         off = moves - held.moves
-        return replace(self.reference, log_covariance=self.reference.log_covariance + off.T @ off)
+        spread = spread + off.T @ off
+        return replace(self.reference, log_covariance=spread + beyond(spread, fit.robust_covariance))
 
     def is_sampled_alike(self, recording: Recording) -> bool:
         """Whether the sampling interval is about that of the healthy windows."""
@@ -209,7 +216,7 @@ class WindowJudge:
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
         return decide(
-            fit, self.reference_for(record), rate, alarm=None if is_alarm is None else is_alarm(fit)
+            fit, self.reference_for(record, fit), rate, alarm=None if is_alarm is None else is_alarm(fit)
         )
 
 

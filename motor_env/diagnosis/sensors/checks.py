@@ -280,7 +280,10 @@ def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None
         flat = np.abs(np.abs(shown) - top) <= 1e-9 * top
         if top == 0.0 or flat.mean() > _MOSTLY or not clipped_run(shown, _quantum(shown)):
             continue
-        is_more = float(np.mean(np.abs(healthy[flat]) > _ABOVE * top)) > _MOSTLY
+        # An encoder of few edges stands at its largest value, too, but not wherever the motor shows more.
+        above = np.abs(healthy) > _ABOVE * top
+        both = np.count_nonzero(above & flat)
+        is_more = both > _MOSTLY * max(np.count_nonzero(flat), np.count_nonzero(above))
         limited = np.clip(healthy, -top, top)
         if is_more and _likeness(shown, limited) > _ALIKE and _size(shown - limited) < _MOSTLY * _size(shown):
             most = float(np.max(np.abs(healthy)))
@@ -299,15 +302,17 @@ def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
     sizes = [np.abs(each) / np.max(np.abs(each)) for each in (seen.voltage_v, speed)]
     rests = (sizes[0] < _STANDS) & (sizes[1] < _STANDS)
     backwards = float(np.mean((speed < 0.0) & (sizes[1] > _ON)))
+    known = float(physical[places.OFFSET_I])
+    by_speed = np.asarray(_by_the_others(seen, physical)[0]) - known
     if np.count_nonzero(rests) >= _FEWEST:
-        off, most = float(np.mean(current[rests])), _OFFSET_AT_REST
+        # A controller may hold a small voltage, of which a rotor that stands draws its current.
+        off, most = float(np.mean(current[rests] - by_speed[rests])), _OFFSET_AT_REST
     elif _TURNS_BACK < backwards < 1.0 - _TURNS_BACK:
-        by_speed, _ = _by_the_others(seen, physical)
-        shapes = np.stack([np.ones(len(current)), np.asarray(by_speed), speed, np.sign(speed)], axis=1)
+        shapes = np.stack([np.ones(len(current)), by_speed, speed, np.sign(speed)], axis=1)
         off, most = float(np.linalg.lstsq(shapes, current, rcond=None)[0][0]), _OFFSET
     else:
         return None
-    off -= float(physical[places.OFFSET_I])
+    off -= known
     if abs(off) < most * float(np.max(np.abs(seen.voltage_v)) / physical[places.R]):
         return None
     return Failure(

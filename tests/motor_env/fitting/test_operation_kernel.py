@@ -42,7 +42,9 @@ def solved(p: FloatArray, voltage: FloatArray) -> FloatArray:
     k = places
 
     def slope(_: float, x: FloatArray, volts: float) -> list[float]:
-        dry = (p[k.COULOMB] + p[k.GEAR] * p[k.K] * abs(x[0])) * x[1] / math.hypot(x[1], max(p[k.SLIDING], 0.01))
+        dry = (
+            (p[k.COULOMB] + p[k.GEAR] * p[k.K] * abs(x[0])) * x[1] / math.hypot(x[1], max(p[k.SLIDING], 0.01))
+        )
         friction = dry + p[k.B] * x[1] + p[k.SQUARE] * x[1] * abs(x[1]) + p[k.LOAD]
         drop = p[k.DROP] * x[0] / math.hypot(x[0], max(p[k.KNEE], 1e-4))
         return [(volts - p[k.R] * x[0] - p[k.K] * x[1] - drop) / p[k.L], (p[k.K] * x[0] - friction) / p[k.J]]

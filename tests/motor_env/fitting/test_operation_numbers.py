@@ -235,7 +235,8 @@ def test_units_of_the_unknowns() -> None:
     reach = 0.5 * second / DT_S
     bounds = {
         "R": (-5.0, 5.0), "L": (0.0, reach), "K": (-5.0, 5.0), "J": (-7.0, 7.0), "B": (0.0, 20.0),
-        "coulomb": (0.0, 0.9), "gear_loss": (0.0, 0.9), "brush_drop": (0.0, 0.4), "brush_knee": (0.0, 0.05), "stribeck": (0.0, 2.0),
+        "coulomb": (0.0, 0.9), "gear_loss": (0.0, 0.9), "brush_drop": (0.0, 0.4),
+        "brush_knee": (0.0, 0.05), "stribeck": (0.0, 2.0),
         "coulomb_knee": (0.0, 0.05), "load_constant": (-2.0, 2.0), "load_square": (0.0, 20.0),
         "offset_current": (-0.2, 0.2), "offset_speed": (-0.1, 0.1), "heating": (0.0, 20.0), "cooling": (0.0, 300.0),
         "sensor_lag": (0.0, 5.0), "speed_lag": (0.0, 50.0),  # 10 ms and 0.1 s

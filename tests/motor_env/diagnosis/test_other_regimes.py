@@ -1,0 +1,138 @@
+"""Windows that move the motor differently than the healthy ones did: what their fits hold may be wrong."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_env import diagnose
+from motor_env.diagnosis.motor_files import motor_of_windows
+from motor_env.diagnosis.running.lessons import learn_windows
+from motor_env.diagnosis.running.windows import judge_of
+
+# Reaches in: the fit of a window is made with values of which one is wrong.
+from motor_env.fitting import places
+from motor_env.fitting.identify import identify_operation
+from motor_env.fitting.record import Record
+from motor_env.fitting.recorded import from_recordings
+from motor_env.fitting.window import Scores, behind_brushes, fit_window, moved_by_held
+from motor_env.motor.data_sheet import Motor
+from motor_env.motor.healthy import Held
+from motor_env.motor.parameters import FloatArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+from operation_simulator import Motor as SimulatedMotor, draw_motor, simulate
+
+TERMS = ("noise_current", "noise_speed", "noise_voltage")
+
+
+@pytest.fixture(scope="module")
+def geared() -> SimulatedMotor:
+    """A motor with a gear that loses 11 % of the torque."""
+    return draw_motor(np.random.default_rng([3, 1]), ("gear",))
+
+
+@pytest.fixture(scope="module")
+def commissioned(geared: SimulatedMotor) -> Motor:
+    rng, dt_s = np.random.default_rng(5), 0.1 * geared.mechanical_s
+    healthy, _ = learn_windows([simulate(geared, "reversals", rng, samples=2400, dt_s=dt_s)], 400 * dt_s)
+    return motor_of_windows(healthy, "this motor")
+
+
+def recorded(motor: SimulatedMotor, profile: str, seed: int = 6) -> Record:
+    rng = np.random.default_rng(seed)
+    return from_recordings([simulate(motor, profile, rng, samples=400, dt_s=0.1 * motor.mechanical_s)])
+
+
+def test_the_loss_of_a_gear_is_found(geared: SimulatedMotor) -> None:
+    """Without it friction and inertia take its place."""
+    rng = np.random.default_rng(4)
+    log = simulate(geared, "reversals", rng, samples=2400, dt_s=0.1 * geared.mechanical_s)
+    found = identify_operation([log])
+    loss = found.quantity("gear_loss")
+    assert loss.unit == "of the torque"
+    assert loss.low < geared.further.gear < loss.high
+    assert loss.log_sd < 0.15
+    assert found.quantity("J").value == pytest.approx(geared.inertia, rel=0.01)
+    assert found.quantity("coulomb").value == pytest.approx(geared.coulomb, rel=0.1)
+
+
+@pytest.mark.parametrize("profile", ["reversals", "speed loop"])
+def test_a_fit_moves_as_said_where_what_it_holds_is_wrong(
+    geared: SimulatedMotor, commissioned: Motor, profile: str
+) -> None:
+    assert commissioned.healthy is not None
+    assert commissioned.healthy.windows is not None
+    windows, record = commissioned.healthy.windows, recorded(geared, profile)
+    known = judge_of(commissioned.healthy).physical()
+    record = replace(record, hold=windows.hold)
+    assert windows.peaks is not None
+    held, sizes = [places.GEAR, places.COULOMB], known[[places.GEAR, places.COULOMB]] * 0.05
+    errors = np.zeros((3, 4))
+    errors[0, 0], errors[1, 1], errors[2, 3] = *sizes, 0.1
+    moves = moved_by_held(record, known, TERMS, windows.peaks, held, errors)
+
+    def fitted(record: Record, **off: float) -> FloatArray:
+        values = known.copy()
+        for name, value in off.items():
+            values[getattr(places, name)] += value
+        return fit_window(record, values, TERMS).logs
+
+    current = record.predict(known, learn=False)[0][:, 2] - known[places.OFFSET_I]
+    stall = windows.peaks[0] / known[places.R]
+    lost = record.voltage_v - behind_brushes(record, current, windows.peaks[0], 0.1 * stall).voltage_v
+    behind = replace(record, voltage_v=record.voltage_v - 0.1 * lost)
+    refitted = [
+        fitted(record, GEAR=sizes[0]) - fitted(record),
+        fitted(record, COULOMB=sizes[1]) - fitted(record),
+        fitted(behind) - fitted(record),
+    ]
+    np.testing.assert_allclose(moves, refitted, rtol=0.35, atol=2e-3)  # to first order
+
+
+def test_windows_of_the_same_regime_are_compared_as_closely_as_before(
+    geared: SimulatedMotor, commissioned: Motor
+) -> None:
+    assert commissioned.healthy is not None
+    judge = judge_of(commissioned.healthy)
+    sds = {}
+    for profile in ("reversals", "speed loop"):
+        record = recorded(geared, profile)
+        fit = judge.fitted(record)
+        sds[profile] = np.sqrt(np.diag(judge.reference_for(record, fit).log_covariance))
+        unheld = replace(judge, windows=replace(judge.windows, held=None))
+        assert unheld.reference_for(record, fit) is judge.reference
+        wrong = replace(fit, robust_covariance=np.diag([1.0, 0.0, 0.0, 0.0]))
+        assert judge.reference_for(record, wrong).log_covariance[0, 0] == pytest.approx(1.0, rel=0.01)
+    learned = np.sqrt(np.diag(judge.reference.log_covariance))
+    assert np.all(sds["reversals"] < [1.3, 1.3, 1.3, 3.0] * learned)
+    assert sds["speed loop"][3] > 1.4 * sds["reversals"][3]
+
+
+def test_a_healthy_motor_is_healthy_under_another_controller(
+    geared: SimulatedMotor, commissioned: Motor
+) -> None:
+    rng, dt_s = np.random.default_rng(8), 0.1 * geared.mechanical_s
+    stuck = replace(geared, coulomb=4.0 * geared.coulomb, viscous=4.0 * geared.viscous)
+    for stiffness in (1.0, 0.3):
+        log = simulate(geared, "speed loop", rng, samples=1200, dt_s=dt_s, stiffness=stiffness)
+        assert diagnose(log, commissioned, regime="operation").verdict == "healthy"
+        log = simulate(stuck, "speed loop", rng, samples=1200, dt_s=dt_s, stiffness=stiffness)
+        assert diagnose(log, commissioned, regime="operation").verdict == "bearing"
+
+
+def test_tables_of_what_is_held_go_together() -> None:
+    Held((0, 1), np.zeros((3, 4)), np.zeros((3, 4)))
+    for errors, moves in ((np.zeros((3, 3)), np.zeros((3, 4))), (np.zeros((3, 4)), np.zeros((3, 5)))):
+        with pytest.raises(ValueError, match="errors must go with them and with places"):
+            Held((0, 1), errors, moves)
+
+
+def test_a_load_that_a_section_says_nothing_of_stays_as_it_is_known() -> None:
+    """As an offset of the current while the circuit is open: nothing is believed of it beforehand either."""
+    information = np.diag([4.0, 4.0, 4.0, 4.0, 0.0])[None]
+    steps, spread = Scores(np.array([[1.0, 2.0, 3.0, 4.0, 0.0]]), information, np.zeros(5)).steps()
+    np.testing.assert_allclose(steps, [[-0.25, -0.5, -0.75, -1.0]])
+    np.testing.assert_allclose(spread[0], 0.25 * np.eye(4))
