@@ -1,5 +1,6 @@
 """Sensors that failed: said before any fault of a motor is, and never where the motor alone is at fault."""
 
+import math
 import os
 import re
 from collections.abc import Iterator
@@ -11,17 +12,19 @@ from typing import Any
 import numpy as np
 import pytest
 from odd_recordings import at_work, scaled, started
+from scipy.signal import lfilter
 
 from motor_env import PAPER_MOTOR, Recording, commission, diagnose, read_recording
 from motor_env.diagnosis.commission import fit_starts
 from motor_env.diagnosis.learning import learn_starts
 from motor_env.diagnosis.motor_files import to_motor
-from motor_env.diagnosis.sensors.checks import Seen, failure_in
+from motor_env.diagnosis.sensors.checks import Seen, failure_in, free_run
 from motor_env.diagnosis.sensors.failed import failed_sensor, physical_of, with_signs
 from motor_env.diagnosis.shown.words import WORDS
 from motor_env.errors import InputError
 
 # Reaches in: motors that one recording teaches, and the checks by themselves.
+from motor_env.fitting import places
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import SENSOR_KINDS, FaultKind
 from motor_env.motor.parameters import FloatArray
@@ -35,6 +38,7 @@ RECORDINGS = Path(folder or "recordings")
 needs_recordings = pytest.mark.skipif(
     folder is None, reason="MOTOR_ENV_RECORDINGS does not point to the recordings of real motors"
 )
+DT_S = 2e-3
 SHEET = Motor("paper", "data_sheet", PAPER_MOTOR, 12.0)
 PHYSICAL = physical_of(SHEET)
 MOTORS_FAULTS = {"winding", "bearing", "magnet", "healthy"}
@@ -108,6 +112,44 @@ def test_a_range_and_an_offset_are_named() -> None:
     known = PHYSICAL.copy()
     known[9] = 1.0  # the healthy logs had that offset, too
     assert failure_in(seen(off, is_log=True), known) is None
+
+
+def test_an_encoder_of_few_edges_is_not_clipped() -> None:
+    """It stands at its largest value for some samples, and shows less at others where the motor is as fast."""
+    volts = np.tile(np.repeat([2.0, 6.0], 40), 10)
+    current, speed = free_run(PHYSICAL, volts, DT_S)
+    fast = np.flatnonzero(speed > 0.5 * speed.max())
+    clipped, held = np.minimum(speed, 0.8 * speed.max()), speed.copy()
+    held[fast] = np.resize([0.6, 0.7, 0.75], len(fast)) * speed.max()
+    held[fast[5:14]] = 0.8 * speed.max()
+    found = failure_in(Seen(DT_S, volts, current, clipped), PHYSICAL)
+    assert found is not None
+    assert found.kind == "speed_clipped"
+    assert failure_in(Seen(DT_S, volts, current, held), PHYSICAL) is None
+
+
+def test_a_current_that_a_rotor_at_rest_draws_is_no_offset() -> None:
+    """The current of a winding that falls slowly; more than that is an offset."""
+    slow = PHYSICAL.copy()
+    slow[places.L] = 0.02
+    volts = np.tile(np.repeat([8.0, -8.0], 30), 20)
+    current, speed = free_run(slow, volts, DT_S)
+    pulses, decay = np.tile(np.repeat([5.0, 0.0], 3), 10), math.exp(-DT_S * slow[places.R] / slow[places.L])
+    held = lfilter([0.0, 1.0 - decay], [1.0, -decay], pulses / slow[places.R])
+    log = Seen(
+        DT_S,
+        np.append(volts, pulses),
+        np.append(current, held),
+        np.append(speed, np.zeros(len(pulses))),
+    )
+    assert log.current_a is not None
+    assert failure_in(log, slow) is None
+    found = failure_in(log._replace(current_a=log.current_a + 0.4), slow)
+    assert found is not None
+    assert found.kind == "current_offset"
+    known = slow.copy()
+    known[places.OFFSET_I] = 0.4
+    assert failure_in(log._replace(current_a=log.current_a + 0.4), known) is None
 
 
 @pytest.mark.parametrize("column", ["current_a", "speed_rad_s"])
