@@ -3,12 +3,16 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from motor_env import diagnose
 from motor_env.diagnosis.motor_files import motor_of_windows
+from motor_env.diagnosis.running import lessons
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.running.windows import judge_of
 
@@ -121,6 +125,45 @@ def test_a_healthy_motor_is_healthy_under_another_controller(
         assert diagnose(log, commissioned, regime="operation").verdict == "healthy"
         log = simulate(stuck, "speed loop", rng, samples=1200, dt_s=dt_s, stiffness=stiffness)
         assert diagnose(log, commissioned, regime="operation").verdict == "bearing"
+
+
+def test_windows_that_move_differently_tell_what_they_hold(
+    commissioned: Motor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The posterior of the errors, by conditioning their joint normal distribution with all fits at once."""
+    assert commissioned.healthy is not None
+    judge, rng = judge_of(commissioned.healthy), np.random.default_rng(2)
+    spread, units = np.array([[4e-4, 1e-4], [1e-4, 9e-4]]), (2e-3, 0.5)
+    free = [
+        SimpleNamespace(name="R", place=places.R, unit=3.0),
+        SimpleNamespace(name="coulomb", place=places.COULOMB, unit=units[0]),
+        SimpleNamespace(name="gear_loss", place=places.GEAR, unit=units[1]),
+        SimpleNamespace(name="delay", place=places.DELAY, unit=1.0),  # there is none
+    ]
+    joint_covariance = np.diag([1e-6, 0.0, 0.0, 1.0])
+    joint_covariance[1:3, 1:3] = spread
+    solution = SimpleNamespace(problem=SimpleNamespace(free=free, names=[one.name for one in free]))
+    joint: Any = SimpleNamespace(solution=solution, covariance=joint_covariance)
+    slopes = [0.1 * rng.standard_normal((4, 4)) for _ in range(5)]  # of two values and two brushes
+    ratios = [0.01 * rng.standard_normal(4) for _ in range(5)]
+    noises = [np.diag(rng.uniform(1e-4, 1e-3, 4)) for _ in range(5)]
+    scale = np.diag([1.0 / units[0], 1.0 / units[1], 1.0, 1.0])
+    queue = iter(slopes)
+    monkeypatch.setattr(
+        lessons,
+        "moved_by_held",
+        lambda *given: given[-1] @ scale @ next(queue),  # errors are in SI
+    )
+    held = lessons._held(joint, cast("Any", [None] * 5), judge, ratios, noises)
+    assert held.places == (places.COULOMB, places.GEAR)
+    prior, middle = block_diag(spread, np.eye(2)), np.mean(slopes, axis=0)
+    design = np.concatenate([(slope - middle).T for slope in slopes])
+    noise = block_diag(*noises)
+    gain = prior @ design.T @ np.linalg.inv(design @ prior @ design.T + noise)
+    left, mean = prior - gain @ design @ prior, gain @ np.concatenate(ratios)
+    second = scale @ held.errors.T @ held.errors @ scale
+    np.testing.assert_allclose(second, left + np.outer(mean, mean), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(held.moves, held.errors @ scale @ middle, rtol=1e-9, atol=1e-12)
 
 
 def test_tables_of_what_is_held_go_together() -> None:

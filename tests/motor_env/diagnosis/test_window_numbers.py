@@ -62,7 +62,7 @@ from motor_env.fitting.record import Record
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
 from motor_env.fitting.window import WindowFit
-from motor_env.motor.healthy import Healthy, Starts, Windows
+from motor_env.motor.healthy import Healthy, Held, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -144,7 +144,9 @@ def test_the_drag_of_a_window_is_told_over_the_speed() -> None:
     assert viscous(PHYSICAL, 200.0) == pytest.approx(2e-6 + 1.5e-6 + 2e-6)
     assert viscous(PHYSICAL, 50.0) == pytest.approx(2e-6 + 6e-6 + 0.5e-6)
     assert viscous(np.zeros(places.N_VALUES), 200.0) == 1e-300
-    fit = over_speed(WindowFit(np.log([2.0, 0.03, 4e-6, 1.5]), spread(), PHYSICAL, WHITE), PHYSICAL, 200.0)
+    window = WindowFit(np.log([2.0, 0.03, 4e-6, 1.5]), spread(), PHYSICAL, WHITE, 0.0, 2.0 * spread())
+    fit = over_speed(window, PHYSICAL, 200.0)
+    np.testing.assert_allclose(fit.robust_covariance, 2.0 * spread())
     np.testing.assert_allclose(np.exp(fit.log_values), [2.0, 0.03, 4e-6, 1.5 * 5.5e-6])
     assert fit.log_covariance is fit.white_covariance
     np.testing.assert_allclose(fit.log_covariance, spread())
@@ -173,7 +175,7 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     def fitting(record: Record, known: FloatArray, terms: Sequence[str]) -> WindowFit:
         assert (record.hold, terms, known[places.DRAG]) == ("late", WINDOWS.terms, pytest.approx(DRAG))
         logs = np.log([*HEALTHY.values[:3], DRAG]) + 0.01
-        return WindowFit(logs, np.eye(4) * 1e-6, np.zeros(places.N_VALUES), WHITE)
+        return WindowFit(logs, np.eye(4) * 1e-6, np.zeros(places.N_VALUES), WHITE, 0.0, np.eye(4))
 
     monkeypatch.setattr(windows, "fit_window", fitting)
     monkeypatch.setattr(windows, "decide", deciding)
@@ -479,6 +481,9 @@ def test_a_measured_temperature_is_taken_off_as_if_it_were_that_of_the_healthy_w
 LOGS = np.random.default_rng(6).normal(0.0, 0.03, (6, 4))
 
 
+HELD = Held((0,), np.ones((3, 3)), np.ones((3, 4)))
+
+
 class Lesson:
     """Instead of fits: windows with these logarithms, errors and noises."""
 
@@ -500,6 +505,7 @@ class Lesson:
         monkeypatch.setattr(lessons, "identify_operation", self.identify)
         monkeypatch.setattr(lessons, "fit_window", self.fit)
         monkeypatch.setattr(lessons, "_pieces_of", self.pieces)
+        monkeypatch.setattr(lessons, "_held", self.held)
 
     def identify(self, recordings: Sequence[Recording], *, most: int) -> Any:
         self.joint.append(sum(len(one.time_s) for one in recordings))
@@ -517,7 +523,16 @@ class Lesson:
         values = self.values.copy()
         values[places.NOISE_I] = [1.0, 2.0, 3.0, 4.0, 5.0, 9.0][number % 6]
         error = self.error.copy() if len(self.wanted) <= 6 else np.diag([1e-4, 1e-4, 1e-4, 1e-4])
-        return WindowFit(self.logs[number % 6], error, values, WHITE)
+        return WindowFit(self.logs[number % 6], error, values, WHITE, 0.0, error)
+
+    def held(
+        self, joint: Any, records: Any, judge: WindowJudge, ratios: Any, spreads: Sequence[FloatArray]
+    ) -> Held:
+        assert joint.record.hold == "late"
+        assert len(records) == len(ratios) == len(spreads)
+        np.testing.assert_allclose(sum(ratios), 0.0, atol=1e-9)
+        np.testing.assert_allclose(judge.reference.log_values[:3], np.mean(self.logs, axis=0)[:3], atol=0.2)
+        return HELD
 
     def pieces(
         self, _: WindowJudge, record: Record, fit: FittedWindow, lengths: Sequence[int]
@@ -575,6 +590,7 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     assert (
         taught.window_excess < 0.99
     ) is steady  # where there is no prior some errors are larger than the spread
+    assert taught.held is (None if steady else HELD)
     (whole,) = taught.scales  # half a second is too short for shorter pieces
     assert (whole.halvings, whole.counts[0], whole.healthy_windows) == (0, 6.0, 6)
     assert (len(taught.most), len(taught.replayed)) == (8, 12)
