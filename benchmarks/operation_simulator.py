@@ -181,6 +181,7 @@ def _run(
     """Modes: 0 voltage, 1 speed loop, 2 current loop; the controller runs once a sample and holds its voltage."""
     x, k1 = np.zeros(5), np.zeros(5)
     integral, time, edge_s, held, edges = 0.0, 0.0, 0.0, 0.0, c[21] / (2.0 * math.pi)
+    last = math.nan  # where the last edge was
     for k in range(wanted.shape[0]):
         volts = wanted[k]
         shown = x[1]
@@ -213,9 +214,10 @@ def _run(
             if edges > 0.0 and math.floor(before * edges) != math.floor(x[2] * edges):
                 line = max(math.floor(before * edges), math.floor(x[2] * edges)) / edges
                 now = time - h * (x[2] - line) / (x[2] - before)
-                turned = x[2] - before
-                held = math.copysign(1.0 / (edges * max(now - edge_s, h)), turned)
-                edge_s = now
+                # The first edge tells no speed, nor does one that is passed again the other way.
+                is_next = abs(line - last) * edges > 0.5
+                held = math.copysign(1.0 / (edges * max(now - edge_s, h)), x[2] - before) if is_next else 0.0
+                edge_s, last = now, line
 
 
 def wanted(
