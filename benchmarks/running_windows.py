@@ -5,7 +5,7 @@
 
 Random motors and profiles from the independent simulator in operation_simulator.py, with speed and without a load. Each
 is commissioned by 10 windows of 40 mechanical time constants, and judged by records of 3, at one false alarm in 100.
-With other physics the motors have all of its SWITCHES, and are judged in other profiles and under other controllers, too.
+With other physics the motors have all of its SWITCHES, and are judged in other profiles, under other controllers, too.
 """
 
 from __future__ import annotations

@@ -44,7 +44,6 @@ class Record:
         onset_s: from the first sample to the step of a supply that is switched on once, about; None for any other.
         shunt_ohm: resistance in series with the motor.
         rectified_a: noise of a current's sensor that shows none below 0; None for any other.
-        torque_n_m: load that is known beforehand, shape (n,); parts of a record do not keep it.
     """
 
     dt_s: float
@@ -58,7 +57,6 @@ class Record:
     onset_s: float | None = None
     shunt_ohm: float = 0.0
     rectified_a: float | None = None
-    torque_n_m: FloatArray | None = None
 
     @property
     def is_start(self) -> bool:
@@ -139,22 +137,15 @@ class Record:
         self, values: FloatArray, *, learn: bool = True, load: FloatArray | None = None
     ) -> tuple[FloatArray, float]:
         """Run the filter; its table (see `kernel.predict`) and the sum of the innovations' log variances."""
-        out = self._loaded(1)
+        out = np.zeros((1, len(self.voltage_v), 6))
         if load is not None:
             out[0, :, 4] += load
         return out[0], float(self._run(values[None], out, learn=learn)[0])
 
     def predict_each(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What `predict` gives for several vectors of values, shape (m, N_VALUES): tables, and the sums."""
-        out = self._loaded(len(values))
+        out = np.zeros((len(values), len(self.voltage_v), 6))
         return out, self._run(values, out, learn=True)
-
-    def _loaded(self, count: int) -> FloatArray:
-        """Tables of the filter that hold the known load, shape (count, n, 6)."""
-        out = np.zeros((count, len(self.voltage_v), 6))
-        if self.torque_n_m is not None:
-            out[:, :, 4] = self.torque_n_m
-        return out
 
     def _run(self, values: FloatArray, out: FloatArray, *, learn: bool) -> FloatArray:
         p, which = values.copy(), []
@@ -207,7 +198,7 @@ class Record:
         marks, readings = self.marks[some], self.readings[some]
         marks[begins] = BEGIN
         marks = with_begins(marks, readings, self.seen)
-        return replace(self, voltage_v=self.voltage_v[some], readings=readings, marks=marks, torque_n_m=None)
+        return replace(self, voltage_v=self.voltage_v[some], readings=readings, marks=marks)
 
     def only(self, *, current: bool, speed: bool) -> Record:
         """The record with some of its channels."""

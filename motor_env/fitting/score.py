@@ -17,7 +17,7 @@ from motor_env.motor.parameters import FloatArray
 _NO_NUMBER = 1e60
 _BRUSHES = 0.04  # of the largest voltage
 _BRUSH_KNEE = 0.1  # of the largest current, at which half of that voltage is there
-_GEAR, _TURNING = 0.07, 0.01  # of the motor's torque; of the largest speed, from which on it is lost
+_GEAR = 0.07  # of the motor's torque
 _CANDIDATES = ("gear_loss", "load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
 
 
@@ -107,23 +107,21 @@ class _Direction:
 def lacking(best: Solution) -> list[ScoreTest]:
     """What real motors have and no term says, each of the size that it usually has (1), at the fitted motion.
 
-    Brushes whose resistance falls with the current (Holm 1967), and gears that lose a share of the torque. Both act
-    as a voltage and a torque that the fitted currents and speeds tell. So they are no terms of the filter.
+    Brushes whose resistance falls with the current (Holm 1967): a voltage that the fitted current tells. And a gear
+    that loses a share of the torque, where it is no term.
     """
-    problem, values, free = best.problem, best.values, best.free[0]
-    record, direction = problem.record, _Direction(best)
-    current, speed = free[:, 2], free[:, 3]
+    problem, record = best.problem, best.problem.record
     if not record.seen[0]:
         return []
     volts, amps, _ = record.peaks
-    fastest = max(float(np.max(np.abs(speed))), 1e-300)
-    gear = _GEAR * np.abs(values[places.K] * current) * np.tanh(speed / (_TURNING * fastest))
-    found = []
-    for lacked in (
-        behind_brushes(record, current, volts, _BRUSH_KNEE * amps),
-        replace(record, torque_n_m=gear),
-    ):
-        moved = replace(problem, record=lacked).residuals(best.theta)
+    lacked = [replace(problem, record=behind_brushes(record, best.free[0][:, 2], volts, _BRUSH_KNEE * amps))]
+    if "gear_loss" not in best.names:
+        geared = problem.known.copy()
+        geared[places.GEAR] = _GEAR
+        lacked.append(replace(problem, known=geared))
+    direction, found = _Direction(best), []
+    for each in lacked:
+        moved = each.residuals(best.theta)
         test = direction.test(moved[None], np.ones(1), is_positive=False)
         if test is not None:
             found.append(test)

@@ -120,7 +120,7 @@ def moved_by_held(
     for knee in BRUSHES:
         behind = behind_brushes(record, current, peaks[0], knee * peaks[0] / known[places.R])
         each.append(replace(problem, record=behind).residuals(theta) - base)
-    return -(errors @ np.array(each)) @ inverse.T
+    return np.asarray(-(errors @ np.array(each)) @ inverse.T, dtype=np.float64)
 
 
 class Scores(NamedTuple):

@@ -235,6 +235,11 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
             f"{motor}: healthy.windows.physical must have {places.N_VALUES} values,"
             f" got {len(healthy.windows.physical)}"
         )
+    if healthy.windows.held is not None and max(healthy.windows.held.places, default=0) >= places.N_VALUES:
+        raise InputError(
+            f"{motor}: healthy.windows.held.places must be below {places.N_VALUES},"
+            f" got {max(healthy.windows.held.places)}"
+        )
     return WindowJudge(healthy.windows, reference)
 
 

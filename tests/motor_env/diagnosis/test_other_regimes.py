@@ -21,7 +21,8 @@ from motor_env.fitting import places
 from motor_env.fitting.identify import identify_operation
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import from_recordings
-from motor_env.fitting.window import Scores, behind_brushes, fit_window, moved_by_held
+from motor_env.fitting.score import behind_brushes
+from motor_env.fitting.window import Scores, fit_window, moved_by_held
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Held
 from motor_env.motor.parameters import FloatArray

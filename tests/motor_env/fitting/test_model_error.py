@@ -60,33 +60,18 @@ def test_a_right_model_adds_little() -> None:
     assert np.median(shares, axis=0).max() < 0.25
 
 
-def test_a_known_load_is_a_load() -> None:
-    p = values()
-    record = worked(p)
-    loaded = replace(record, torque_n_m=np.full(len(record.voltage_v), 3e-3))
-    constant, noisy = values(LOAD=3e-3), values(WALK=1e-3)
-    for learn in (False, True):
-        table = loaded.predict(p, learn=learn)[0]
-        np.testing.assert_allclose(table[:, :4], record.predict(constant, learn=learn)[0][:, :4], atol=1e-9)
-    # A filter tells what it finds beside it.
-    walked = loaded.predict(noisy)[0]
-    assert abs(float(np.mean(walked[-100:, 4])) + 3e-3) < 1e-3
-    assert loaded.part(10, 50).torque_n_m is None
-
-
 def lossy(gear: float = 0.0, brushes: float = 0.0, noise: float = 1.0) -> Record:
     """A record of the motor whose gear takes a share of its torque, and whose brushes resist small currents more."""
     p, record = values(), worked(values(), noise=0.0)
     shown = record.readings
     rng = np.random.default_rng(3)
     for _ in range(30):
-        amps, current, speed = np.quantile(np.abs(shown[:, 0]), 0.999), shown[:, 0], shown[:, 1]
-        lost = gear * np.abs(p[places.K] * current) * np.tanh(speed / (0.01 * np.abs(speed).max()))
+        amps, current = np.quantile(np.abs(shown[:, 0]), 0.999), shown[:, 0]
         drop = (
             brushes * np.quantile(np.abs(record.voltage_v), 0.999) * current / (np.abs(current) + 0.1 * amps)
         )
         one = plain(len(shown), record.voltage_v - drop, record.hold)
-        free = one.predict(p, learn=False, load=lost)[0][:, 2:4]
+        free = one.predict(values(GEAR=gear), learn=False)[0][:, 2:4]
         shown = 0.7 * shown + 0.3 * free
     shown = shown + noise * rng.standard_normal(shown.shape) * p[[places.NOISE_I, places.NOISE_W]]
     return replace(record, readings=shown)
@@ -95,6 +80,7 @@ def lossy(gear: float = 0.0, brushes: float = 0.0, noise: float = 1.0) -> Record
 @pytest.mark.parametrize(("gear", "brushes"), [(0.0, 0.0), (0.035, 0.0), (0.0, 0.04)])
 def test_what_real_motors_have_is_found_at_its_size(gear: float, brushes: float) -> None:
     found = lacking(solution(lossy(gear, brushes), LOGS, values()))
+    assert len(lacking(solution(lossy(gear, brushes), [*LOGS, "gear_loss"], values()))) == 1  # of the brushes
     sizes = [(test.value, test.sd) for test in found]
     for (value, sd), true in zip(sizes, (brushes / 0.04, gear / 0.07), strict=True):
         assert sd < 0.2
