@@ -73,8 +73,9 @@ def speed_feedback(options: DriveOptions, motor: MotorParameters) -> FloatArray:
     a[:2, :2], b[:2, 0] = model.transition[:2, :2], model.gain[:, Input.VOLTAGE]
     a[2, 1] = options.period_s
     cost = solve_discrete_are(a, b, np.diag([0.0, SPEED_WEIGHT, INTEGRAL_WEIGHT]), np.eye(1))
-    gain: FloatArray = np.linalg.solve(np.eye(1) + b.T @ cost @ b, b.T @ cost @ a)[0]
-    return gain
+    gain = np.linalg.solve(np.eye(1) + b.T @ cost @ b, b.T @ cost @ a)[0]
+    # Linear algebra rounds otherwise on other processors, and the steps of an id shall be the same to the bit.
+    return np.array([float(f"{each:.12g}") for each in gain])
 
 
 def faulty(options: DriveOptions, label: str, severity: float) -> MotorParameters:
