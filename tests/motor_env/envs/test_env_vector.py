@@ -310,10 +310,10 @@ def test_episodes_are_the_draws_of_the_simulation(recipe: str, growth_s: float, 
             envs.step(np.zeros(200, dtype=np.int64))
         faults = tuple(Fault(f.kind, f.severity * share) for f in drawn.scenario.faults)
         model = discretize(apply_faults(drawn.scenario.parameters, faults), envs.options.dt_s)
-        state = envs._arrays[2].reshape(-1, kernel.BLOCK // kernel.LANES, kernel.LANES)
-        rows = state[:, : kernel.ROW_LENGTH].swapaxes(1, 2).reshape(-1, kernel.ROW_LENGTH)[:200]
+        state = envs._arrays[2].view(kernel.block_type(precision))
         belief = envs.setup.belief.model
         moved = (model.transition - belief.transition).reshape(-1, 4).astype(precision)
-        np.testing.assert_array_equal(rows[:, :4], moved)
+        own = [state[name].ravel()[:200] for name in ("m00", "m01", "m10", "m11", "b0", "b1")]
+        np.testing.assert_array_equal(own[:4], moved.T)
         gain = model.gain[..., 0] * drawn.factors[:, :1] - belief.gain[:, 0]
-        np.testing.assert_array_equal(rows[:, kernel.B0 : kernel.B1 + 1], gain.astype(precision))
+        np.testing.assert_array_equal(own[4:], gain.T.astype(precision))
