@@ -155,7 +155,8 @@ class MotorEnv(StreamEnv[MonitorOptions]):
             constants[kernel.FULL] = 1.0
             numbers = numbers._replace(bank=bank, constants=constants)
         lanes = empty_lanes(1, 1, options.precision)
-        state, self._words, self._marks, _, self._drawn = lanes
+        state, self._words, self._marks, _, drawn = lanes
+        self._severity = drawn.view(layout.DRAWN)["severity"]
         self._block = state.view(kernel.block_type(options.precision))[0]
         self._arrays = (*pack_task(numbers), *lanes)
         self._parts = np.empty((4, 1))
@@ -176,7 +177,7 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         which, onset = self._marks.item(layout.CLASS_INDEX), self._marks.item(layout.RUNNING_ONSET)
         self._truth = {
             "label": self.setup.labels[which],
-            "severity": self._drawn.item(layout.SEVERITY),
+            "severity": self._severity.item(),
             "class_index": which,
             "onset_sample": onset,
         }

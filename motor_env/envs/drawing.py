@@ -18,7 +18,7 @@ from numba.extending import intrinsic
 from motor_env.envs import layout
 from motor_env.envs.compiling import compiled_with_arrays, inlined
 from motor_env.envs.kernel import NEVER, ROW_LENGTH, Block
-from motor_env.envs.layout import FACTORS, SEVERITY, Lanes, TaskNumbers, WordArray, class_of, prior_of
+from motor_env.envs.layout import Lanes, TaskNumbers, WordArray, class_of, drawn_of, prior_of
 from motor_env.envs.options import MonitorOptions, Start
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.faults import HEALTHY, FaultKind
@@ -31,12 +31,12 @@ _ONSET, _SEVERITY = np.uint32(Stream.ONSET), np.uint32(Stream.SEVERITY)
 _LOW, _WORD = np.uint64(0xFFFFFFFF), np.uint64(32)
 
 
-def _fault_powers(kind: FaultKind) -> list[float]:
+def _fault_powers(kind: FaultKind) -> tuple[float, ...]:
     """Powers of a fault on the six parameters."""
     of_field = {
         field: power for quantity, power in kind.motor_powers.items() for field in QUANTITY_FIELDS[quantity]
     }
-    return [of_field.get(name, 0.0) for name in MotorParameters.__slots__]
+    return tuple(of_field.get(name, 0.0) for name in MotorParameters.__slots__)
 
 
 def make_prior(
@@ -69,7 +69,7 @@ def make_prior(
         "transition": belief.model.transition,
         "by_volt": belief.model.gain[:, Input.VOLTAGE],
         "noise": (recipe.sensor.current_noise_a, recipe.sensor.speed_noise_rad_s),
-        "spread": recipe.spread.std,
+        "spread": tuple(recipe.spread.std),
         "earliest": round(options.earliest_onset_s / options.dt_s),
         "log_stay": (math.log(mean / (1.0 + mean)) or -1e-300) if mean > 0.0 else -np.inf,
         "starts_per_motor": recipe.starts_per_motor,
@@ -111,24 +111,27 @@ def _factor(power: float, loses: float, severity: float) -> float:
 
 
 @inlined
-def motor_row(p: Any, c: Any, drawn: FloatArray, share: float, row: FloatArray) -> None:
+def motor_row(p: Any, c: Any, drawn: Any, share: float, row: FloatArray) -> None:
     """The motor of a class at a share of its fault's severity, as its difference to the belief's: the kernel's row.
 
     Args:
         p: prior of the task, a `layout.PRIOR`.
         c: the class, a `layout.CLASS`.
-        drawn: severity and factors.
+        drawn: severity and factors, a `layout.DRAWN`.
         share: of the severity, 0 to 1.
         row: written, shape (ROW_LENGTH,).
     """
-    severity, loses = drawn[SEVERITY] * share, c.loses
-    supply, constants = drawn[FACTORS], drawn[FACTORS + 2]
-    ohm = p.resistance_ohm * drawn[FACTORS + 1] * _factor(c.powers[0], loses, severity)
-    henry = p.inductance_h * _factor(c.powers[1], loses, severity)
-    back_emf = p.back_emf_constant_v_s_per_rad * constants * _factor(c.powers[2], loses, severity)
-    torque = p.torque_constant_n_m_per_a * constants * _factor(c.powers[3], loses, severity)
-    moment = p.inertia_kg_m2 * drawn[FACTORS + 3] * _factor(c.powers[4], loses, severity)
-    drag = p.viscous_friction_n_m_s_per_rad * drawn[FACTORS + 4] * _factor(c.powers[5], loses, severity)
+    severity, loses, powers = drawn.severity * share, c.loses, c.powers
+    supply, constants = drawn.supply, drawn.constants
+    ohm = p.resistance_ohm * drawn.resistance * _factor(powers.resistance_ohm, loses, severity)
+    henry = p.inductance_h * _factor(powers.inductance_h, loses, severity)
+    of_kb = _factor(powers.back_emf_constant_v_s_per_rad, loses, severity)
+    of_kt = _factor(powers.torque_constant_n_m_per_a, loses, severity)
+    back_emf = p.back_emf_constant_v_s_per_rad * constants * of_kb
+    torque = p.torque_constant_n_m_per_a * constants * of_kt
+    moment = p.inertia_kg_m2 * drawn.inertia * _factor(powers.inertia_kg_m2, loses, severity)
+    of_b = _factor(powers.viscous_friction_n_m_s_per_rad, loses, severity)
+    drag = p.viscous_friction_n_m_s_per_rad * drawn.friction * of_b
     dt = p.dt_s
     a, phi = exponential_and_phi(
         -ohm / henry * dt, -back_emf / henry * dt, torque / moment * dt, -drag / moment * dt
@@ -152,10 +155,11 @@ def motor_table(task: TaskNumbers) -> FloatArray:
     """All motors of a task whose motors are alike, as `TaskNumbers.motors` wants them; zeros where they are not."""
     n_classes, n_levels = len(task.classes), int(task.motors.shape[1]) - 1
     table = np.zeros((n_classes, n_levels + 1, ROW_LENGTH))
-    p, drawn = prior_of(task.prior, 0), np.ones(FACTORS + 5)
+    ones = np.ones(layout.DRAWN_LENGTH)
+    p, drawn = prior_of(task.prior, 0), drawn_of(ones, 0)
     for which in range(n_classes):
         c = class_of(task.classes, which)
-        drawn[SEVERITY] = c.severity_from
+        drawn.severity = c.severity_from
         for level in range(n_levels + 1):
             motor_row(p, c, drawn, level / n_levels, table[which, level])
     return table
@@ -170,7 +174,7 @@ def set_motor(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, level: 
             s.rows[f, j] = task.motors[which, level, f]
     else:
         row = s.rows[:ROW_LENGTH, j]
-        motor_row(p, class_of(task.classes, which), lanes.drawn[n], level / p.n_levels, row)
+        motor_row(p, class_of(task.classes, which), drawn_of(lanes.drawn, n), level / p.n_levels, row)
 
 
 @inlined
@@ -189,7 +193,7 @@ def _uniform(stream: np.uint32, words: WordArray, n: int, case: np.uint64, numbe
 
 @inlined
 def _draw_factors(
-    task: TaskNumbers, words: WordArray, n: int, case: np.uint64, motor: np.uint64, out: FloatArray
+    task: TaskNumbers, words: WordArray, n: int, case: np.uint64, motor: np.uint64, out: Any
 ) -> None:
     """The five nuisance factors into `drawn`, in the order of `recipes.FACTORS`: supply first."""
     p = prior_of(task.prior, 0)
@@ -200,22 +204,22 @@ def _draw_factors(
         words[layout.SEED_HIGH, n],
     )
     a, b, c, d = philox(np.uint32(0), _MOTOR, low, high, k0, k1)
-    out[FACTORS + 1] = 1.0 + p.spread[1] * float(box_muller(a, b)[1])
+    out.resistance = 1.0 + p.spread.resistance * float(box_muller(a, b)[1])
     two = box_muller(c, d)
-    out[FACTORS + 2], out[FACTORS + 3] = (
-        1.0 + p.spread[2] * float(two[0]),
-        1.0 + p.spread[3] * float(two[1]),
+    out.constants, out.inertia = (
+        1.0 + p.spread.constants * float(two[0]),
+        1.0 + p.spread.inertia * float(two[1]),
     )
     a, b, c, d = philox(np.uint32(1), _MOTOR, low, high, k0, k1)
-    out[FACTORS + 4] = 1.0 + p.spread[4] * float(box_muller(a, b)[0])
+    out.friction = 1.0 + p.spread.friction * float(box_muller(a, b)[0])
     a, b, c, d = philox(np.uint32(0), _SUPPLY, np.uint32(case & _LOW), np.uint32(case >> _WORD), k0, k1)
-    out[FACTORS] = 1.0 + p.spread[0] * float(box_muller(a, b)[0])
+    out.supply = 1.0 + p.spread.supply * float(box_muller(a, b)[0])
 
 
 @inlined
 def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
     """Draw the episode that the words of lane n name, into its marks and `drawn`; its onset, NEVER without a fault."""
-    p, words, drawn = prior_of(task.prior, 0), lanes.words, lanes.drawn[n]
+    p, words, drawn = prior_of(task.prior, 0), lanes.words, drawn_of(lanes.drawn, n)
     case = np.uint64(words[layout.CASE_LOW, n]) | (np.uint64(words[layout.CASE_HIGH, n]) << _WORD)
     starts = np.uint64(p.starts_per_motor)
     motor = case // starts if starts > np.uint64(1) else case
@@ -227,13 +231,12 @@ def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
         while u >= class_of(task.classes, which).cumulated:
             which += 1
     c = class_of(task.classes, which)
-    drawn[SEVERITY] = c.severity_from
+    drawn.severity = c.severity_from
     if c.severity_to > c.severity_from:
         u = _uniform(_SEVERITY, words, n, motor, int(c.kind))
-        drawn[SEVERITY] += (c.severity_to - c.severity_from) * u
+        drawn.severity += (c.severity_to - c.severity_from) * u
     if p.is_known > 0.0:
-        for m in range(FACTORS, layout.DRAWN_LENGTH):  # a slice would cost more than the draw
-            drawn[m] = 1.0
+        drawn.supply = drawn.resistance = drawn.constants = drawn.inertia = drawn.friction = 1.0
     else:
         _draw_factors(task, words, n, case, motor, drawn)
     onset = NEVER
@@ -249,13 +252,13 @@ def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
 @inlined
 def begin_state(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int) -> None:
     """Let lane j of a block, lane n of all, take the initial state of the episode drawn for it."""
-    p, drawn = prior_of(task.prior, 0), lanes.drawn[n]
+    p, drawn = prior_of(task.prior, 0), drawn_of(lanes.drawn, n)
     current, speed = 0.0, 0.0
     if p.is_running > 0.0:
-        volts, ohm = p.supply_v * drawn[FACTORS], p.resistance_ohm * drawn[FACTORS + 1]
-        back_emf = p.back_emf_constant_v_s_per_rad * drawn[FACTORS + 2]
-        torque = p.torque_constant_n_m_per_a * drawn[FACTORS + 2]
-        drag = p.viscous_friction_n_m_s_per_rad * drawn[FACTORS + 4]
+        volts, ohm = p.supply_v * drawn.supply, p.resistance_ohm * drawn.resistance
+        back_emf = p.back_emf_constant_v_s_per_rad * drawn.constants
+        torque = p.torque_constant_n_m_per_a * drawn.constants
+        drag = p.viscous_friction_n_m_s_per_rad * drawn.friction
         total = ohm * drag + torque * back_emf
         current = (drag * volts + back_emf * p.load_n_m) / total
         speed = (torque * volts - ohm * p.load_n_m) / total
@@ -264,4 +267,4 @@ def begin_state(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int) -> No
     s.error_current[j] = current - p.initial[0]
     s.error_speed[j] = speed - p.initial[1]
     s.kind[j] = class_of(task.classes, lanes.marks[layout.CLASS_INDEX, n]).verdict
-    s.supply[j] = drawn[FACTORS]
+    s.supply[j] = drawn.supply

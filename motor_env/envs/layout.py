@@ -17,6 +17,7 @@ from motor_env.envs import kernel
 from motor_env.envs.compiling import inlined, record_maker
 from motor_env.motor.parameters import FloatArray, MotorParameters, require
 from motor_env.simulation.random_streams import philox
+from motor_env.simulation.recipes import FACTORS
 
 _SIZES = ("n_classes", "n_observed", "n_levels")
 _SUPPLY = ("supply_v", "load_n_m", "dt_s", "is_running", "is_known")
@@ -26,21 +27,24 @@ PRIOR = np.dtype(
         *((name, float) for name in (*_SIZES, *MotorParameters.__slots__, *_SUPPLY)),
         *((name, float, 2) for name in ("rest", "initial", "by_volt", "noise")),
         ("transition", float, (2, 2)),
-        ("spread", float, 5),
+        ("spread", [(name, float) for name in FACTORS]),
         *((name, float) for name in ("earliest", "log_stay", *_STARTS)),  # of the onset, in samples
     ]
 )
 """What is drawn from: the nominal motor, the belief's model and where it begins, tolerances, onset, starts."""
 _LAW = ("kind", "loses", "noise_power")
 _CLASS = ("cumulated", "verdict", "severity_from", "severity_to", *_LAW)
-CLASS = np.dtype([*((name, float) for name in _CLASS), ("powers", float, 6)])
+CLASS = np.dtype(
+    [*((name, float) for name in _CLASS), ("powers", [(name, float) for name in MotorParameters.__slots__])]
+)
 """A class: up to which uniform number it is drawn, its verdict, severity and kind, and what that does to a motor."""
 N_PRIOR, CLASS_LENGTH = PRIOR.itemsize // 8, CLASS.itemsize // 8
 prior_of, class_of = record_maker(lambda _: PRIOR, N_PRIOR), record_maker(lambda _: CLASS, CLASS_LENGTH)
 
-# What an episode was drawn to be: severity and factors of the motor.
-SEVERITY, FACTORS = 0, 1
-DRAWN_LENGTH = 6
+DRAWN = np.dtype([(name, float) for name in ("severity", *FACTORS)])
+"""What an episode was drawn to be: severity, and the factors of its nuisances."""
+DRAWN_LENGTH = DRAWN.itemsize // 8
+drawn_of = record_maker(lambda _: DRAWN, DRAWN_LENGTH)
 
 # Rows of the words (of what the random numbers of an episode depend on), the marks, and the flags.
 CASE_LOW, CASE_HIGH, SEED_LOW, SEED_HIGH = range(4)
@@ -86,7 +90,7 @@ class Lanes(NamedTuple):
         words: see the rows above, shape (4, n_lanes).
         marks: shape (7, n_lanes).
         flags: shape (4, n_lanes).
-        drawn: float64, shape (n_lanes, DRAWN_LENGTH).
+        drawn: a `DRAWN` each, float64, shape (n_lanes, DRAWN_LENGTH).
     """
 
     state: FloatArray
