@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from motor_env.envs import kernel, layout, stepping
-from motor_env.envs.kernel import LANES, ROWS
+from motor_env.envs.kernel import ROWS
 from motor_env.envs.layout import WordArray, empty_lanes, pack_task
 from motor_env.envs.options import MonitorOptions, Options, with_changes
 from motor_env.envs.rendering import Frame, Scope, Window
@@ -155,7 +155,9 @@ class MotorEnv(StreamEnv[MonitorOptions]):
             constants[kernel.FULL] = 1.0
             numbers = numbers._replace(bank=bank, constants=constants)
         lanes = empty_lanes(1, 1, options.precision)
-        self._state, self._words, self._marks, _, self._drawn = lanes
+        state, self._words, self._marks, _, drawn = lanes
+        self._severity = drawn.view(layout.DRAWN)["severity"]
+        self._block = state.view(kernel.block_type(options.precision))[0]
         self._arrays = (*pack_task(numbers), *lanes)
         self._parts = np.empty((4, 1))
         self._truth: Info = {}
@@ -175,7 +177,7 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         which, onset = self._marks.item(layout.CLASS_INDEX), self._marks.item(layout.RUNNING_ONSET)
         self._truth = {
             "label": self.setup.labels[which],
-            "severity": self._drawn.item(layout.SEVERITY),
+            "severity": self._severity.item(),
             "class_index": which,
             "onset_sample": onset,
         }
@@ -208,31 +210,34 @@ class MotorEnv(StreamEnv[MonitorOptions]):
             info["reward_probe"], info["reward_energy"] = parts[2], parts[3]
         return observation, reward, self._over, False, info
 
+    def _now(self, field: str) -> Any:
+        """A field of the lane, see `kernel.block_type`."""
+        return self._block[field][..., 0].tolist()
+
     def _verdict(self, declared: int) -> tuple[str, bool]:
         """How the episode ended, in words, and whether well."""
-        state = self._state[::LANES]
-        onset = state[kernel.ONSET]
+        onset = self._now("onset")
         if declared == 0:
             missed = onset < self.options.n_samples
             return ("fault missed" if missed else "rightly silent"), not missed
         kind = self.setup.kinds[declared - 1]
-        if state[kernel.SAMPLE] - self._samples <= onset:
+        if self._now("time") - self._samples <= onset:
             return f"{kind}: false alarm", False
-        right = declared == int(state[kernel.KIND])
+        right = declared == self._now("kind")
         return f"{kind}: {'right' if right else 'wrong kind'}", right
 
     def _show(self) -> None:
         """Let the scope see the sample; in a window, draw it."""
         scope = self._scope
         assert scope is not None  # noqa: S101  # the caller looked
-        state, rest = self._state[::LANES].tolist(), self.setup.rest
+        rest = self.setup.rest
         scope.add(
-            state[kernel.MEASURED_CURRENT] + rest[State.CURRENT],
-            state[kernel.ESTIMATED_CURRENT] + rest[State.CURRENT],
-            state[kernel.ESTIMATED_SPEED] + rest[State.SPEED],
-            state[kernel.VOLTAGE] + float(self.options.task.supply.voltage_v),
-            state[kernel.WHITE_CURRENT] / self._samples**0.5,
-            *state[kernel.BANK + 2 : kernel.N_FIELDS : kernel.BANK_LENGTH],
+            self._now("measured_current") + rest[State.CURRENT],
+            self._now("estimated_current") + rest[State.CURRENT],
+            self._now("estimated_speed") + rest[State.SPEED],
+            self._now("voltage") + float(self.options.task.supply.voltage_v),
+            self._now("innovation_current") / self._samples**0.5,
+            *self._now("evidence"),
         )
         if self._truth["onset_sample"] >= 0:
             scope.onset_step = self._truth["onset_sample"] // self._samples

@@ -15,10 +15,10 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
-from motor_env.envs import kernel, layout
+from motor_env.envs import layout
 from motor_env.envs.compiling import compiled_with_arrays, inlined
-from motor_env.envs.kernel import LANES, NEVER, ROW_LENGTH
-from motor_env.envs.layout import FACTORS, SEVERITY, Lanes, TaskNumbers, WordArray
+from motor_env.envs.kernel import NEVER, ROW_LENGTH, Block
+from motor_env.envs.layout import Lanes, TaskNumbers, WordArray, class_of, drawn_of, prior_of
 from motor_env.envs.options import MonitorOptions, Start
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.faults import HEALTHY, FaultKind
@@ -26,28 +26,17 @@ from motor_env.motor.model import Input, exponential_and_phi
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters
 from motor_env.simulation.random_streams import Stream, box_muller, philox
 
-# The prior after its sizes: the nominal motor, the supply, the belief, the tolerances, the onset, the sensor's noise.
-R, L, KE, KT, J, B = range(3, 9)
-SUPPLY_V, LOAD, DT, RUNNING, IS_KNOWN, IS_RANGED = range(9, 15)
-REST, INITIAL, BELIEF_A, BELIEF_B, STD = 15, 17, 19, 23, 25
-SPREAD, EARLIEST, LOG_STAY = 27, 32, 33
-STARTS_PER_MOTOR, HEALTHY_STARTS, HEALTHY_CLASS = range(34, layout.N_PRIOR)
-# A class: up to which uniform number it is drawn, its verdict, its severity; `_fault_law`.
-CUMULATED, VERDICT, SEVERITY_FROM, SEVERITY_TO, KIND_INDEX, LOSES, POWERS = range(7)
-NOISE_POWER = POWERS + 6
-
 _CLASS, _MOTOR, _SUPPLY = np.uint32(Stream.CLASS), np.uint32(Stream.MOTOR), np.uint32(Stream.SUPPLY)
 _ONSET, _SEVERITY = np.uint32(Stream.ONSET), np.uint32(Stream.SEVERITY)
 _LOW, _WORD = np.uint64(0xFFFFFFFF), np.uint64(32)
 
 
-def _fault_law(kind: FaultKind) -> list[float]:
-    """Whether the severity is lost; powers on the six parameters and on the noise's variance."""
+def _fault_powers(kind: FaultKind) -> tuple[float, ...]:
+    """Powers of a fault on the six parameters."""
     of_field = {
         field: power for quantity, power in kind.motor_powers.items() for field in QUANTITY_FIELDS[quantity]
     }
-    powers = [of_field.get(name, 0.0) for name in MotorParameters.__slots__]
-    return [float(kind.loses), *powers, kind.powers.get("noise", 0.0)]
+    return tuple(of_field.get(name, 0.0) for name in MotorParameters.__slots__)
 
 
 def make_prior(
@@ -65,36 +54,40 @@ def make_prior(
     recipe, motor = options.task, options.task.motor
     mean = options.mean_onset_s / options.dt_s
     ranged = any(c.severity_to is not None for c in recipe.classes)
-    known = not (ranged or recipe.spread.std.any())
-    prior = np.array(
-        [
-            *(len(recipe.classes), n_observed, options.n_levels),
-            *(float(np.asarray(getattr(motor, name))) for name in MotorParameters.__slots__),
-            *(float(recipe.supply.voltage_v), options.load_n_m, options.dt_s),
-            *(options.start is Start.RUNNING, known, ranged),
-            *rest,
-            *belief.initial_state,
-            *belief.model.transition.ravel(),
-            *belief.model.gain[:, Input.VOLTAGE],
-            *(recipe.sensor.current_noise_a, recipe.sensor.speed_noise_rad_s),
-            *recipe.spread.std,
-            round(options.earliest_onset_s / options.dt_s),
-            (math.log(mean / (1.0 + mean)) or -1e-300) if mean > 0.0 else -np.inf,
-            *(recipe.starts_per_motor, recipe.healthy_starts),
-            recipe.class_names.index(HEALTHY) if recipe.healthy_starts else -1,
-        ],
-        dtype=np.float64,
-    )
-    classes = np.zeros((len(recipe.classes), layout.CLASS_LENGTH))
-    for row, c, cumulated, verdict in zip(
-        classes, recipe.classes, np.cumsum(recipe.class_probabilities), verdicts, strict=True
-    ):
-        row[CUMULATED], row[VERDICT] = cumulated, verdict
+    numbers = {
+        "n_classes": len(recipe.classes),
+        "n_observed": n_observed,
+        "n_levels": options.n_levels,
+        **{name: float(np.asarray(getattr(motor, name))) for name in MotorParameters.__slots__},
+        "supply_v": float(recipe.supply.voltage_v),
+        "load_n_m": options.load_n_m,
+        "dt_s": options.dt_s,
+        "is_running": options.start is Start.RUNNING,
+        "is_known": not (ranged or recipe.spread.std.any()),
+        "rest": rest,
+        "initial": belief.initial_state,
+        "transition": belief.model.transition,
+        "by_volt": belief.model.gain[:, Input.VOLTAGE],
+        "noise": (recipe.sensor.current_noise_a, recipe.sensor.speed_noise_rad_s),
+        "spread": tuple(recipe.spread.std),
+        "earliest": round(options.earliest_onset_s / options.dt_s),
+        "log_stay": (math.log(mean / (1.0 + mean)) or -1e-300) if mean > 0.0 else -np.inf,
+        "starts_per_motor": recipe.starts_per_motor,
+        "healthy_starts": recipe.healthy_starts,
+        "healthy_class": recipe.class_names.index(HEALTHY) if recipe.healthy_starts else -1,
+    }
+    prior = np.zeros(1, dtype=layout.PRIOR)
+    for name, number in numbers.items():
+        prior[name] = number
+    classes = np.zeros(len(recipe.classes), dtype=layout.CLASS)
+    classes["cumulated"], classes["verdict"] = np.cumsum(recipe.class_probabilities), verdicts
+    classes["cumulated"][-1] = np.inf
+    for row, c in zip(classes, recipe.classes, strict=True):
         if c.kind is not None:
-            row[SEVERITY_FROM], row[SEVERITY_TO] = c.severity, c.largest_severity
-            row[KIND_INDEX], row[LOSES:] = list(FaultKind).index(c.kind), _fault_law(c.kind)
-    classes[-1, CUMULATED] = np.inf
-    return prior, classes
+            row["severity_from"], row["severity_to"] = c.severity, c.largest_severity
+            row["kind"], row["loses"] = list(FaultKind).index(c.kind), c.kind.loses
+            row["powers"], row["noise_power"] = _fault_powers(c.kind), c.kind.powers.get("noise", 0.0)
+    return prior.view(np.float64), classes.view(np.float64).reshape(len(classes), -1)
 
 
 @intrinsic
@@ -118,44 +111,43 @@ def _factor(power: float, loses: float, severity: float) -> float:
 
 
 @inlined
-def motor_row(p: FloatArray, c: FloatArray, drawn: FloatArray, share: float, row: FloatArray) -> None:
+def motor_row(p: Any, c: Any, drawn: Any, share: float, row: FloatArray) -> None:
     """The motor of a class at a share of its fault's severity, as its difference to the belief's: the kernel's row.
 
     Args:
-        p: prior of the task.
-        c: row of the class.
-        drawn: severity and factors.
+        p: prior of the task, a `layout.PRIOR`.
+        c: the class, a `layout.CLASS`.
+        drawn: severity and factors, a `layout.DRAWN`.
         share: of the severity, 0 to 1.
         row: written, shape (ROW_LENGTH,).
     """
-    severity, loses, supply, constants = (
-        drawn[SEVERITY] * share,
-        c[LOSES],
-        drawn[FACTORS],
-        drawn[FACTORS + 2],
-    )
-    ohm = p[R] * drawn[FACTORS + 1] * _factor(c[POWERS], loses, severity)
-    henry = p[L] * _factor(c[POWERS + 1], loses, severity)
-    back_emf = p[KE] * constants * _factor(c[POWERS + 2], loses, severity)
-    torque = p[KT] * constants * _factor(c[POWERS + 3], loses, severity)
-    moment = p[J] * drawn[FACTORS + 3] * _factor(c[POWERS + 4], loses, severity)
-    drag = p[B] * drawn[FACTORS + 4] * _factor(c[POWERS + 5], loses, severity)
-    dt = p[DT]
+    severity, loses, powers = drawn.severity * share, c.loses, c.powers
+    supply, constants = drawn.supply, drawn.constants
+    ohm = p.resistance_ohm * drawn.resistance * _factor(powers.resistance_ohm, loses, severity)
+    henry = p.inductance_h * _factor(powers.inductance_h, loses, severity)
+    of_kb = _factor(powers.back_emf_constant_v_s_per_rad, loses, severity)
+    of_kt = _factor(powers.torque_constant_n_m_per_a, loses, severity)
+    back_emf = p.back_emf_constant_v_s_per_rad * constants * of_kb
+    torque = p.torque_constant_n_m_per_a * constants * of_kt
+    moment = p.inertia_kg_m2 * drawn.inertia * _factor(powers.inertia_kg_m2, loses, severity)
+    of_b = _factor(powers.viscous_friction_n_m_s_per_rad, loses, severity)
+    drag = p.viscous_friction_n_m_s_per_rad * drawn.friction * of_b
+    dt = p.dt_s
     a, phi = exponential_and_phi(
         -ohm / henry * dt, -back_emf / henry * dt, torque / moment * dt, -drag / moment * dt
     )
     by_volt, by_load = 1.0 / henry, -1.0 / moment
-    volts, rest_0, rest_1 = p[SUPPLY_V] * supply, p[REST], p[REST + 1]
+    volts, rest_0, rest_1 = p.supply_v * supply, p.rest[0], p.rest[1]
     for m in range(2):
-        row[2 * m] = a[2 * m] - p[BELIEF_A + 2 * m]
-        row[2 * m + 1] = a[2 * m + 1] - p[BELIEF_A + 2 * m + 1]
+        row[2 * m] = a[2 * m] - p.transition[m, 0]
+        row[2 * m + 1] = a[2 * m + 1] - p.transition[m, 1]
         gain, load_gain = dt * (phi[2 * m] * by_volt), dt * (phi[2 * m + 1] * by_load)
         # NumPy's product of a matrix and a vector rounds once here; the first data of these ids were made with it.
         moved = _fused(a[2 * m], rest_0, a[2 * m + 1] * rest_1)
-        row[4 + m] = moved + gain * volts + load_gain * p[LOAD] - p[REST + m]
-        row[6 + m] = gain * supply - p[BELIEF_B + m]
-    noise = np.sqrt(_factor(c[NOISE_POWER], loses, severity))
-    row[kernel.SIGMA_CURRENT], row[kernel.SIGMA_SPEED] = noise * p[STD], noise * p[STD + 1]
+        row[4 + m] = moved + gain * volts + load_gain * p.load_n_m - p.rest[m]
+        row[6 + m] = gain * supply - p.by_volt[m]
+    noise = np.sqrt(_factor(c.noise_power, loses, severity))
+    row[8], row[9] = noise * p.noise[0], noise * p.noise[1]
 
 
 @compiled_with_arrays
@@ -163,24 +155,26 @@ def motor_table(task: TaskNumbers) -> FloatArray:
     """All motors of a task whose motors are alike, as `TaskNumbers.motors` wants them; zeros where they are not."""
     n_classes, n_levels = len(task.classes), int(task.motors.shape[1]) - 1
     table = np.zeros((n_classes, n_levels + 1, ROW_LENGTH))
-    drawn = np.ones(FACTORS + 5)
+    ones = np.ones(layout.DRAWN_LENGTH)
+    p, drawn = prior_of(task.prior, 0), drawn_of(ones, 0)
     for which in range(n_classes):
-        drawn[SEVERITY] = task.classes[which, SEVERITY_FROM]
+        c = class_of(task.classes, which)
+        drawn.severity = c.severity_from
         for level in range(n_levels + 1):
-            motor_row(task.prior, task.classes[which], drawn, level / n_levels, table[which, level])
+            motor_row(p, c, drawn, level / n_levels, table[which, level])
     return table
 
 
 @inlined
-def set_motor(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, level: int) -> None:
+def set_motor(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, level: int) -> None:
     """Let lane j of a block, lane n of all, have the motor at a level of its fault."""
-    which = lanes.marks[layout.CLASS_INDEX, n]
-    if task.prior[IS_KNOWN] > 0.0:
+    p, which = prior_of(task.prior, 0), lanes.marks[layout.CLASS_INDEX, n]
+    if p.is_known > 0.0:
         for f in range(ROW_LENGTH):
-            s[j + f * LANES] = task.motors[which, level, f]
+            s.rows[f, j] = task.motors[which, level, f]
     else:
-        row = s[j : j + ROW_LENGTH * LANES : LANES]
-        motor_row(task.prior, task.classes[which], lanes.drawn[n], level / task.prior[layout.N_LEVELS], row)
+        row = s.rows[:ROW_LENGTH, j]
+        motor_row(p, class_of(task.classes, which), drawn_of(lanes.drawn, n), level / p.n_levels, row)
 
 
 @inlined
@@ -199,10 +193,10 @@ def _uniform(stream: np.uint32, words: WordArray, n: int, case: np.uint64, numbe
 
 @inlined
 def _draw_factors(
-    task: TaskNumbers, words: WordArray, n: int, case: np.uint64, motor: np.uint64, out: FloatArray
+    task: TaskNumbers, words: WordArray, n: int, case: np.uint64, motor: np.uint64, out: Any
 ) -> None:
     """The five nuisance factors into `drawn`, in the order of `recipes.FACTORS`: supply first."""
-    p = task.prior
+    p = prior_of(task.prior, 0)
     low, high, k0, k1 = (
         np.uint32(motor & _LOW),
         np.uint32(motor >> _WORD),
@@ -210,69 +204,67 @@ def _draw_factors(
         words[layout.SEED_HIGH, n],
     )
     a, b, c, d = philox(np.uint32(0), _MOTOR, low, high, k0, k1)
-    out[FACTORS + 1] = 1.0 + p[SPREAD + 1] * float(box_muller(a, b)[1])
+    out.resistance = 1.0 + p.spread.resistance * float(box_muller(a, b)[1])
     two = box_muller(c, d)
-    out[FACTORS + 2], out[FACTORS + 3] = (
-        1.0 + p[SPREAD + 2] * float(two[0]),
-        1.0 + p[SPREAD + 3] * float(two[1]),
+    out.constants, out.inertia = (
+        1.0 + p.spread.constants * float(two[0]),
+        1.0 + p.spread.inertia * float(two[1]),
     )
     a, b, c, d = philox(np.uint32(1), _MOTOR, low, high, k0, k1)
-    out[FACTORS + 4] = 1.0 + p[SPREAD + 4] * float(box_muller(a, b)[0])
+    out.friction = 1.0 + p.spread.friction * float(box_muller(a, b)[0])
     a, b, c, d = philox(np.uint32(0), _SUPPLY, np.uint32(case & _LOW), np.uint32(case >> _WORD), k0, k1)
-    out[FACTORS] = 1.0 + p[SPREAD] * float(box_muller(a, b)[0])
+    out.supply = 1.0 + p.spread.supply * float(box_muller(a, b)[0])
 
 
 @inlined
 def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
     """Draw the episode that the words of lane n name, into its marks and `drawn`; its onset, NEVER without a fault."""
-    p, words, drawn = task.prior, lanes.words, lanes.drawn[n]
+    p, words, drawn = prior_of(task.prior, 0), lanes.words, drawn_of(lanes.drawn, n)
     case = np.uint64(words[layout.CASE_LOW, n]) | (np.uint64(words[layout.CASE_HIGH, n]) << _WORD)
-    starts = np.uint64(p[STARTS_PER_MOTOR])
+    starts = np.uint64(p.starts_per_motor)
     motor = case // starts if starts > np.uint64(1) else case
     which = 0
-    if float(case - motor * starts) < p[HEALTHY_STARTS]:
-        which = int(p[HEALTHY_CLASS])
+    if float(case - motor * starts) < p.healthy_starts:
+        which = int(p.healthy_class)
     else:
         u = _uniform(_CLASS, words, n, motor, 0)
-        while u >= task.classes[which, CUMULATED]:
+        while u >= class_of(task.classes, which).cumulated:
             which += 1
-    c = task.classes[which]
-    drawn[SEVERITY] = c[SEVERITY_FROM]
-    if c[SEVERITY_TO] > c[SEVERITY_FROM]:
-        u = _uniform(_SEVERITY, words, n, motor, int(c[KIND_INDEX]))
-        drawn[SEVERITY] += (c[SEVERITY_TO] - c[SEVERITY_FROM]) * u
-    if p[IS_KNOWN] > 0.0:
-        for m in range(FACTORS, layout.DRAWN_LENGTH):  # a slice would cost more than the draw
-            drawn[m] = 1.0
+    c = class_of(task.classes, which)
+    drawn.severity = c.severity_from
+    if c.severity_to > c.severity_from:
+        u = _uniform(_SEVERITY, words, n, motor, int(c.kind))
+        drawn.severity += (c.severity_to - c.severity_from) * u
+    if p.is_known > 0.0:
+        drawn.supply = drawn.resistance = drawn.constants = drawn.inertia = drawn.friction = 1.0
     else:
         _draw_factors(task, words, n, case, motor, drawn)
     onset = NEVER
-    if c[VERDICT] > 0.0:
-        onset = p[EARLIEST]
-        if p[LOG_STAY] > -np.inf:
-            onset += np.floor(np.log(_uniform(_ONSET, words, n, case, 0)) / p[LOG_STAY])
+    if c.verdict > 0.0:
+        onset = p.earliest
+        if p.log_stay > -np.inf:
+            onset += np.floor(np.log(_uniform(_ONSET, words, n, case, 0)) / p.log_stay)
     lanes.marks[layout.CLASS_INDEX, n] = which
     lanes.marks[layout.RUNNING_ONSET, n] = int(min(onset, 2.0**31 - 1.0)) if onset < NEVER else -1
     return onset
 
 
 @inlined
-def begin_state(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int) -> None:
+def begin_state(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int) -> None:
     """Let lane j of a block, lane n of all, take the initial state of the episode drawn for it."""
-    p, drawn = task.prior, lanes.drawn[n]
+    p, drawn = prior_of(task.prior, 0), drawn_of(lanes.drawn, n)
     current, speed = 0.0, 0.0
-    if p[RUNNING] > 0.0:
-        volts, ohm = p[SUPPLY_V] * drawn[FACTORS], p[R] * drawn[FACTORS + 1]
-        back_emf, torque = p[KE] * drawn[FACTORS + 2], p[KT] * drawn[FACTORS + 2]
-        drag = p[B] * drawn[FACTORS + 4]
+    if p.is_running > 0.0:
+        volts, ohm = p.supply_v * drawn.supply, p.resistance_ohm * drawn.resistance
+        back_emf = p.back_emf_constant_v_s_per_rad * drawn.constants
+        torque = p.torque_constant_n_m_per_a * drawn.constants
+        drag = p.viscous_friction_n_m_s_per_rad * drawn.friction
         total = ohm * drag + torque * back_emf
-        current = (drag * volts + back_emf * p[LOAD]) / total
-        speed = (torque * volts - ohm * p[LOAD]) / total
-    s[j + kernel.CURRENT * LANES], s[j + kernel.SPEED * LANES] = current - p[REST], speed - p[REST + 1]
-    s[j + kernel.HELD * LANES] = speed - p[REST + 1]
-    s[j + kernel.ERROR_CURRENT * LANES] = current - p[INITIAL]
-    s[j + kernel.ERROR_SPEED * LANES] = speed - p[INITIAL + 1]
-    s[j + kernel.KIND * LANES], s[j + kernel.SUPPLY * LANES] = (
-        task.classes[lanes.marks[layout.CLASS_INDEX, n], VERDICT],
-        drawn[FACTORS],
-    )
+        current = (drag * volts + back_emf * p.load_n_m) / total
+        speed = (torque * volts - ohm * p.load_n_m) / total
+    s.current[j], s.speed[j] = current - p.rest[0], speed - p.rest[1]
+    s.held[j] = speed - p.rest[1]
+    s.error_current[j] = current - p.initial[0]
+    s.error_speed[j] = speed - p.initial[1]
+    s.kind[j] = class_of(task.classes, lanes.marks[layout.CLASS_INDEX, n]).verdict
+    s.supply[j] = drawn.supply

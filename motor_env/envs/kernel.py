@@ -4,42 +4,68 @@
 single environment runs it over one lane, a vector over blocks of `LANES` lanes. The matrices come from
 `motor_env.motor.model.discretize`, the gain from `motor_env.filters.kalman`; the kernel multiplies and adds.
 
-State lies in blocks, `state[block, field, lane]`, flat: all lanes of a block stand side by side at distances that the
+State lies in blocks, see `block_type`: all lanes of a block stand side by side at distances that the
 compiler knows, so that it computes several lanes with one instruction, and a block fits into the first-level cache.
 The same source serves float32 and float64: whichever the arrays are.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
-from motor_env.envs.compiling import inlined
-from motor_env.motor.parameters import FloatArray
+import numpy as np
+
+from motor_env.envs.compiling import inlined, record_maker
 
 LANES = 64
 ROWS = 4
 """Normals of a lane that are made at a time: those that one counter gives."""
 
-# Fields of a lane. The first ROW_LENGTH are the motor as it is now, as its difference to the belief's.
-M00, M01, M10, M11, D0, D1, B0, B1, SIGMA_CURRENT, SIGMA_SPEED = range(10)
-ROW_LENGTH = 10
-CURRENT, SPEED, ERROR_CURRENT, ERROR_SPEED = range(10, 14)  # the true state; what the filter's estimate lacks
-FAST_CURRENT, SLOW_CURRENT, FAST_SPEED, SLOW_SPEED, EXCESS = range(14, 19)  # running statistics
-SAMPLE, NEXT_CHANGE, DELAY, COST = range(19, 23)  # the time, and what it costs
-MEASURED_CURRENT, MEASURED_SPEED, ESTIMATED_CURRENT, ESTIMATED_SPEED = range(23, 27)  # the last sample
-WHITE_CURRENT, WHITE_SPEED, VOLTAGE = range(27, 30)  # the last step
-ONSET, LEVEL, KIND, SUPPLY = range(30, 34)  # the episode
-OLD_CURRENT, OLD_SPEED, MISMATCH_0, MISMATCH_1 = range(34, 38)  # for the bank, as the next three
-NOISE_CURRENT, NOISE_SPEED, POWER = range(38, 41)
-CARRY = 41  # what rounding took from the error of the speed
-DRIVE, HELD = 42, 43  # what a speed loop adds to the voltage, and the speed that it holds
-BANK = 44  # three fields for each filter of the bank: the errors of its current and speed, its evidence
-BANK_LENGTH = 3
 MAX_BANK = 5
-N_FIELDS = BANK + BANK_LENGTH * MAX_BANK
-NORMAL_CURRENT, NORMAL_SPEED = N_FIELDS, N_FIELDS + 1  # the normals of the sample
-NOISE, LATEST = N_FIELDS + 2, N_FIELDS + 2 + ROWS  # the normals made ahead, and those made last
-BLOCK = (LATEST + ROWS) * LANES
+Block = Any
+"""A record of `block_type`."""
+
+_MOTOR = ("m00", "m01", "m10", "m11", "d0", "d1", "b0", "b1", "sigma_current", "sigma_speed")
+"""The motor as it is now, as its difference to the belief's."""
+ROW_LENGTH = len(_MOTOR)
+_STATE = ("current", "speed", "error_current", "error_speed", "carry")
+"""The true one, what the filter's estimate lacks, and what rounding took from the error of the speed."""
+_STATISTICS = ("fast_current", "slow_current", "fast_speed", "slow_speed", "excess")  # running
+_TIMES = ("time", "next_change", "delay", "cost")  # in samples, and what a sample costs
+_MEASURED = ("measured_current", "measured_speed", "estimated_current", "estimated_speed")  # the last sample
+_STEP = ("innovation_current", "innovation_speed", "voltage")  # the last step; the innovation is white
+_EPISODE = ("onset", "level", "kind", "supply")
+_FOR_BANK = ("old_current", "old_speed", "mismatch_0", "mismatch_1", "noise_current", "noise_speed", "power")
+_LOOP = ("drive", "held")  # what a speed loop adds to the voltage, and the speed that it holds
+_FIELDS = (*_MOTOR, *_STATE, *_STATISTICS, *_TIMES, *_MEASURED, *_STEP, *_EPISODE, *_FOR_BANK, *_LOOP)
+_BANK = ("evidence", "bank_current", "bank_speed")
+EVIDENCE = len(_FIELDS)  # its first row
+N_FIELDS = EVIDENCE + len(_BANK) * MAX_BANK
+
+
+@cache
+def block_type(precision: str) -> np.dtype[np.void]:
+    """A block of lanes, whose fields are rows of `LANES` numbers; `rows` are all of them.
+
+    The bank has a row for each of its filters: its evidence, and the errors of its current and speed. With these end
+    the `N_FIELDS` rows that are 0 at the begin of an episode. Then come the normals of the sample (`normal_current`,
+    `normal_speed`), those made ahead (`noise`), and those made last (`latest`).
+    """
+    rows: dict[str, tuple[int, ...]] = dict.fromkeys(
+        (*_FIELDS, *_BANK, "normal_current", "normal_speed"), (LANES,)
+    )
+    rows |= dict.fromkeys(_BANK, (MAX_BANK, LANES)) | dict.fromkeys(("noise", "latest"), (ROWS, LANES))
+    fields: Any = dict(np.dtype([(name, precision, rows[name]) for name in rows]).fields or {})
+    fields["rows"] = np.dtype((precision, (N_FIELDS + 2 + 2 * ROWS, LANES))), 0
+    block: np.dtype[np.void] = np.dtype(fields)
+    return block
+
+
+BLOCK = block_type("float64").itemsize // 8
+"""Numbers of a block."""
+block_of = record_maker(lambda numbers: block_type(numbers.name), BLOCK)
+"""Block of that number in a flat array, by name."""
 
 FIELD, SCALE, BOUND, OFFSET = range(4)  # a row of the observed features
 FEATURE_LENGTH = 4
@@ -130,16 +156,11 @@ FEATURES = (
     "time",
 )
 """What can be observed of every task; then comes the evidence of each filter of the bank."""
-FIELD_OF_FEATURE = (
-    *range(MEASURED_CURRENT, WHITE_SPEED + 1),
-    *range(FAST_CURRENT, EXCESS + 1),
-    *(VOLTAGE, SAMPLE),
-    *range(BANK + 2, N_FIELDS, BANK_LENGTH),
-)
+FIELD_OF_FEATURE = (*map(_FIELDS.index, FEATURES), *range(EVIDENCE, EVIDENCE + MAX_BANK))
 
 
 @inlined
-def advance(s: FloatArray, j: int, p: Constants, kept: float, with_speed: bool, full: bool) -> None:
+def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full: bool) -> None:
     """One sample of lane j of the block s: plant, measurement, filter, statistics, cost of waiting.
 
     States, measurements and the voltage u stand as deviations from the point at which the belief would rest. What the
@@ -158,106 +179,100 @@ def advance(s: FloatArray, j: int, p: Constants, kept: float, with_speed: bool, 
     `with_speed` (a speed sensor is there) and `full` (the voltage may move, or a bank follows) are literals where this
     is called, so the compiler leaves out what is not needed.
     """
-    x0, x1 = s[j + CURRENT * LANES], s[j + SPEED * LANES]
-    m0 = s[j + M00 * LANES] * x0 + s[j + M01 * LANES] * x1 + s[j + D0 * LANES]
-    m1 = s[j + M10 * LANES] * x0 + s[j + M11 * LANES] * x1 + s[j + D1 * LANES]
+    x0, x1 = s.current[j], s.speed[j]
+    m0 = s.m00[j] * x0 + s.m01[j] * x1 + s.d0[j]
+    m1 = s.m10[j] * x0 + s.m11[j] * x1 + s.d1[j]
     if full:
-        u, d, b0, b1 = (
-            s[j + VOLTAGE * LANES],
-            s[j + DRIVE * LANES],
-            s[j + B0 * LANES],
-            s[j + B1 * LANES],
-        )
+        u, d, b0, b1 = (s.voltage[j], s.drive[j], s.b0[j], s.b1[j])
         m0, m1 = m0 + b0 * u + (p.g0 + b0) * d, m1 + b1 * u + (p.g1 + b1) * d
         y0 = p.f00 * x0 + p.f01 * x1 + p.g0 * u + m0
         y1 = x1 + (p.f10 * x0 + p.f11 * x1 + p.g1 * u + m1)
     else:
         y0 = p.f00 * x0 + p.f01 * x1 + m0
         y1 = x1 + (p.f10 * x0 + p.f11 * x1 + m1)
-    s[j + CURRENT * LANES], s[j + SPEED * LANES] = y0, y1
-    e0, e1 = s[j + ERROR_CURRENT * LANES], s[j + ERROR_SPEED * LANES]
+    s.current[j], s.speed[j] = y0, y1
+    e0, e1 = s.error_current[j], s.error_speed[j]
     a0 = p.f00 * e0 + p.f01 * e1 + m0
     rise = p.f10 * e0 + p.f11 * e1 + m1
-    v0 = s[j + SIGMA_CURRENT * LANES] * s[j + NORMAL_CURRENT * LANES]
+    v0 = s.sigma_current[j] * s.normal_current[j]
     d0 = p.c0 * (a0 + v0)
     r0 = p.w00 * d0
     e0, correction, power = a0 - p.k00 * d0, p.k10 * d0, r0 * r0
     fast, slow = p.memory_fast, p.memory_slow
     if with_speed:
-        v1 = s[j + SIGMA_SPEED * LANES] * s[j + NORMAL_SPEED * LANES]
+        v1 = s.sigma_speed[j] * s.normal_speed[j]
         d1 = e1 + rise + v1
         r1 = p.w10 * d0 + p.w11 * d1
         e0, correction, power = e0 - p.k01 * d1, correction + p.k11 * d1, power + r1 * r1
-        s[j + MEASURED_SPEED * LANES] = y1 + v1
-        s[j + NOISE_SPEED * LANES] = v1
-        s[j + WHITE_SPEED * LANES] = kept * s[j + WHITE_SPEED * LANES] + r1
-        s[j + FAST_SPEED * LANES] = fast * s[j + FAST_SPEED * LANES] + p.into_fast * r1
-        s[j + SLOW_SPEED * LANES] = slow * s[j + SLOW_SPEED * LANES] + p.into_slow * r1
-    rise -= correction + s[j + CARRY * LANES]
+        s.measured_speed[j] = y1 + v1
+        s.noise_speed[j] = v1
+        s.innovation_speed[j] = kept * s.innovation_speed[j] + r1
+        s.fast_speed[j] = fast * s.fast_speed[j] + p.into_fast * r1
+        s.slow_speed[j] = slow * s.slow_speed[j] + p.into_slow * r1
+    rise -= correction + s.carry[j]
     before, e1 = e1, e1 + rise
-    s[j + CARRY * LANES] = (e1 - before) - rise
-    s[j + ERROR_CURRENT * LANES], s[j + ERROR_SPEED * LANES] = e0, e1
-    s[j + MEASURED_CURRENT * LANES] = y0 + v0
-    s[j + ESTIMATED_CURRENT * LANES], s[j + ESTIMATED_SPEED * LANES] = y0 - e0, y1 - e1
-    s[j + WHITE_CURRENT * LANES] = kept * s[j + WHITE_CURRENT * LANES] + r0
-    s[j + FAST_CURRENT * LANES] = fast * s[j + FAST_CURRENT * LANES] + p.into_fast * r0
-    s[j + SLOW_CURRENT * LANES] = slow * s[j + SLOW_CURRENT * LANES] + p.into_slow * r0
-    s[j + EXCESS * LANES] = slow * s[j + EXCESS * LANES] + p.into_excess * (power - p.n_channels)
-    cost = kept * s[j + COST * LANES] + s[j + DELAY * LANES]
+    s.carry[j] = (e1 - before) - rise
+    s.error_current[j], s.error_speed[j] = e0, e1
+    s.measured_current[j] = y0 + v0
+    s.estimated_current[j], s.estimated_speed[j] = y0 - e0, y1 - e1
+    s.innovation_current[j] = kept * s.innovation_current[j] + r0
+    s.fast_current[j] = fast * s.fast_current[j] + p.into_fast * r0
+    s.slow_current[j] = slow * s.slow_current[j] + p.into_slow * r0
+    s.excess[j] = slow * s.excess[j] + p.into_excess * (power - p.n_channels)
+    cost = kept * s.cost[j] + s.delay[j]
     if full:
-        taken = (u + d + p.rest_voltage) * s[j + SUPPLY * LANES] * (y0 + p.rest_current)
+        taken = (u + d + p.rest_voltage) * s.supply[j] * (y0 + p.rest_current)
         cost += p.probe_cost * u * u + p.energy_cost * abs(taken)
-        s[j + OLD_CURRENT * LANES], s[j + OLD_SPEED * LANES] = x0, x1
-        s[j + MISMATCH_0 * LANES], s[j + MISMATCH_1 * LANES] = m0, m1
-        s[j + NOISE_CURRENT * LANES], s[j + POWER * LANES] = v0, power
-    s[j + COST * LANES] = cost
-    s[j + SAMPLE * LANES] += p.one
+        s.old_current[j], s.old_speed[j] = x0, x1
+        s.mismatch_0[j], s.mismatch_1[j] = m0, m1
+        s.noise_current[j], s.power[j] = v0, power
+    s.cost[j] = cost
+    s.time[j] += p.one
 
 
 @inlined
-def hold_speed(s: FloatArray, j: int, p: Constants) -> None:
+def hold_speed(s: Block, j: int, p: Constants) -> None:
     """The speed loop of lane j after a sample: a PI controller in its incremental form, which begins without a jump."""
-    speed = s[j + SPEED * LANES]
-    away = p.loop_p * (speed - s[j + OLD_SPEED * LANES]) + p.loop_i * (speed - s[j + HELD * LANES])
-    s[j + DRIVE * LANES] -= away
+    speed = s.speed[j]
+    away = p.loop_p * (speed - s.old_speed[j]) + p.loop_i * (speed - s.held[j])
+    s.drive[j] -= away
 
 
 @inlined
-def weigh(s: FloatArray, j: int, m: int, p: Constants, t: Model) -> None:
+def weigh(s: Block, j: int, m: int, p: Constants, t: Model) -> None:
     """Filter m of the bank after a sample of lane j: the cumulative sum of its log-likelihood ratio to the belief.
 
     Each filter believes in one fault. Where its sum falls to 0 it starts anew from the belief's estimate, as though
     the fault set in now (Page 1954, with a signal that depends on the onset: Willsky & Jones 1976).
     """
-    at0, at1, evidence = j + m * LANES, j + (m + 1) * LANES, j + (m + 2) * LANES
-    u = s[j + VOLTAGE * LANES]
-    x0, x1 = s[j + OLD_CURRENT * LANES], s[j + OLD_SPEED * LANES]
-    m0 = s[j + MISMATCH_0 * LANES] - (t.m00 * x0 + t.m01 * x1 + t.b0 * u + t.d0)
-    m1 = s[j + MISMATCH_1 * LANES] - (t.m10 * x0 + t.m11 * x1 + t.b1 * u + t.d1)
-    a0 = t.t00 * s[at0] + t.t01 * s[at1] + m0
-    a1 = s[at1] + (t.t10 * s[at0] + t.t11 * s[at1] + m1)
-    d0, d1 = p.c0 * (a0 + s[j + NOISE_CURRENT * LANES]), p.c1 * (a1 + s[j + NOISE_SPEED * LANES])
+    u = s.voltage[j]
+    x0, x1 = s.old_current[j], s.old_speed[j]
+    m0 = s.mismatch_0[j] - (t.m00 * x0 + t.m01 * x1 + t.b0 * u + t.d0)
+    m1 = s.mismatch_1[j] - (t.m10 * x0 + t.m11 * x1 + t.b1 * u + t.d1)
+    a0 = t.t00 * s.bank_current[m, j] + t.t01 * s.bank_speed[m, j] + m0
+    a1 = s.bank_speed[m, j] + (t.t10 * s.bank_current[m, j] + t.t11 * s.bank_speed[m, j] + m1)
+    d0, d1 = p.c0 * (a0 + s.noise_current[j]), p.c1 * (a1 + s.noise_speed[j])
     r0 = p.w00 * d0
     r1 = p.w10 * d0 + p.w11 * d1
-    total = s[evidence] + p.half * (s[j + POWER * LANES] - r0 * r0 - r1 * r1)
+    total = s.evidence[m, j] + p.half * (s.power[j] - r0 * r0 - r1 * r1)
     goes_on = total > p.zero
-    s[evidence] = total if goes_on else p.zero
+    s.evidence[m, j] = total if goes_on else p.zero
     a0 -= p.k00 * d0 + p.k01 * d1
     a1 -= p.k10 * d0 + p.k11 * d1
-    s[at0] = a0 if goes_on else s[j + ERROR_CURRENT * LANES]
-    s[at1] = a1 if goes_on else s[j + ERROR_SPEED * LANES]
+    s.bank_current[m, j] = a0 if goes_on else s.error_current[j]
+    s.bank_speed[m, j] = a1 if goes_on else s.error_speed[j]
 
 
 @inlined
-def settle(s: FloatArray, j: int, p: Constants, samples: int, declared: int) -> float:
+def settle(s: Block, j: int, p: Constants, samples: int, declared: int) -> float:
     """Verdict on the last step of lane j's episode, which took so many samples; at the horizon the cost comes on top.
 
     A declaration ends the episode and is judged by what had been observed before it: a fault that had acted on no
     observed sample cannot be declared rightly. The horizon ends it with a miss, or with the reward of silence.
     """
-    onset = s[j + ONSET * LANES]
+    onset = s.onset[j]
     if declared == 0:
         return -p.miss if onset < p.horizon else p.silent
-    if s[j + SAMPLE * LANES] - samples <= onset:
+    if s.time[j] - samples <= onset:
         return -p.false_alarm
-    return p.correct if declared == s[j + KIND * LANES] else -p.wrong_kind
+    return p.correct if declared == s.kind[j] else -p.wrong_kind

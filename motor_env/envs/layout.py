@@ -14,17 +14,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.envs import kernel
-from motor_env.envs.compiling import inlined
-from motor_env.motor.parameters import FloatArray, require
+from motor_env.envs.compiling import inlined, record_maker
+from motor_env.motor.parameters import FloatArray, MotorParameters, require
 from motor_env.simulation.random_streams import philox
+from motor_env.simulation.recipes import FACTORS
 
-N_CLASSES, N_OBSERVED, N_LEVELS = range(3)  # the prior begins with these sizes
-CLASS_LENGTH = 13
-N_PRIOR = 37
+_SIZES = ("n_classes", "n_observed", "n_levels")
+_SUPPLY = ("supply_v", "load_n_m", "dt_s", "is_running", "is_known")
+_STARTS = ("starts_per_motor", "healthy_starts", "healthy_class")
+PRIOR = np.dtype(
+    [
+        *((name, float) for name in (*_SIZES, *MotorParameters.__slots__, *_SUPPLY)),
+        *((name, float, 2) for name in ("rest", "initial", "by_volt", "noise")),
+        ("transition", float, (2, 2)),
+        ("spread", [(name, float) for name in FACTORS]),
+        *((name, float) for name in ("earliest", "log_stay", *_STARTS)),  # of the onset, in samples
+    ]
+)
+"""What is drawn from: the nominal motor, the belief's model and where it begins, tolerances, onset, starts."""
+_LAW = ("kind", "loses", "noise_power")
+_CLASS = ("cumulated", "verdict", "severity_from", "severity_to", *_LAW)
+CLASS = np.dtype(
+    [*((name, float) for name in _CLASS), ("powers", [(name, float) for name in MotorParameters.__slots__])]
+)
+"""A class: up to which uniform number it is drawn, its verdict, severity and kind, and what that does to a motor."""
+N_PRIOR, CLASS_LENGTH = PRIOR.itemsize // 8, CLASS.itemsize // 8
+prior_of, class_of = record_maker(lambda _: PRIOR, N_PRIOR), record_maker(lambda _: CLASS, CLASS_LENGTH)
 
-# What an episode was drawn to be: severity and factors of the motor.
-SEVERITY, FACTORS = 0, 1
-DRAWN_LENGTH = 6
+DRAWN = np.dtype([(name, float) for name in ("severity", *FACTORS)])
+"""What an episode was drawn to be: severity, and the factors of its nuisances."""
+DRAWN_LENGTH = DRAWN.itemsize // 8
+drawn_of = record_maker(lambda _: DRAWN, DRAWN_LENGTH)
 
 # Rows of the words (of what the random numbers of an episode depend on), the marks, and the flags.
 CASE_LOW, CASE_HIGH, SEED_LOW, SEED_HIGH = range(4)
@@ -50,8 +70,8 @@ class TaskNumbers(NamedTuple):
         features: field, scale, bound and offset of each observed feature, shape (n_observed, kernel.FEATURE_LENGTH).
         motors: where all motors of a class are alike, them at each level of their fault, shape (n_classes, levels + 1,
             kernel.ROW_LENGTH).
-        prior: what is drawn from, see `drawing`, float64, shape (N_PRIOR,).
-        classes: the same, float64, shape (n_classes, CLASS_LENGTH).
+        prior: a `PRIOR`, float64, shape (N_PRIOR,).
+        classes: a `CLASS` each, float64, shape (n_classes, CLASS_LENGTH).
     """
 
     constants: FloatArray
@@ -70,7 +90,7 @@ class Lanes(NamedTuple):
         words: see the rows above, shape (4, n_lanes).
         marks: shape (7, n_lanes).
         flags: shape (4, n_lanes).
-        drawn: float64, shape (n_lanes, DRAWN_LENGTH).
+        drawn: a `DRAWN` each, float64, shape (n_lanes, DRAWN_LENGTH).
     """
 
     state: FloatArray
@@ -94,7 +114,8 @@ def pack_task(task: TaskNumbers) -> TaskArrays:
 @inlined
 def unpack_task(numbers: FloatArray, prior: FloatArray) -> TaskNumbers:
     """The task of `pack_task`."""
-    n_classes, n_observed, n_motors = int(prior[N_CLASSES]), int(prior[N_OBSERVED]), int(prior[N_LEVELS]) + 1
+    p = prior_of(prior, 0)
+    n_classes, n_observed, n_motors = int(p.n_classes), int(p.n_observed), int(p.n_levels) + 1
     bank = kernel.N_CONSTANTS + kernel.MAX_BANK * kernel.MODEL_LENGTH
     view = bank + n_observed * kernel.FEATURE_LENGTH
     return TaskNumbers(
@@ -167,8 +188,8 @@ def random_words(
 def empty_lanes(blocks: int, lanes: int, precision: str) -> LaneArrays:
     """Lanes that run no episode yet."""
     state = np.zeros(blocks * kernel.BLOCK, dtype=precision)
-    by_field = state.reshape(blocks, -1, kernel.LANES)
-    by_field[:, [kernel.ONSET, kernel.NEXT_CHANGE]] = kernel.NEVER  # lanes that fill the last block
+    by_name = state.view(kernel.block_type(precision))
+    by_name["onset"] = by_name["next_change"] = kernel.NEVER  # lanes that fill the last block
     marks = np.zeros((ROW + 1, lanes), dtype=np.int32)
     marks[ROW] = kernel.ROWS
     words, flags = empty_streams(lanes)

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.envs.compiling import compiled_with_arrays, inlined
-from motor_env.envs.kernel import LANES, LATEST, NOISE, ROWS, SAMPLE
+from motor_env.envs.kernel import LANES, ROWS, Block
 from motor_env.envs.layout import CASE_HIGH, CASE_LOW, SEED_HIGH, SEED_LOW, WordArray, random_words
-from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, box_muller, philox
 
 _STREAM = np.uint32(Stream.MEASUREMENT)
@@ -39,7 +38,7 @@ def four_normals(group: int, words: WordArray, n: int) -> tuple[np.float32, ...]
 
 
 @inlined
-def begin_noise(s: FloatArray, words: WordArray, n: int, row: int, channels: int) -> tuple[np.float32, ...]:
+def begin_noise(s: Block, words: WordArray, n: int, row: int, channels: int) -> tuple[np.float32, ...]:
     """What a new episode of lane n of all finds in the rows from `row` on; the first four normals of the episode.
 
     The first normals, one a channel, belong to the measurement of the initial state.
@@ -50,14 +49,14 @@ def begin_noise(s: FloatArray, words: WordArray, n: int, row: int, channels: int
     second = four_normals(1, words, n) if beyond >= ROWS else first
     for place in range(row, ROWS):
         q = channels + place - row
-        s[j + (NOISE + place) * LANES] = first[q] if q < ROWS else second[q - ROWS]
+        s.noise[place, j] = first[q] if q < ROWS else second[q - ROWS]
     for m in range(ROWS):
-        s[j + (LATEST + m) * LANES] = second[m]
+        s.latest[m, j] = second[m]
     return first
 
 
 @compiled_with_arrays
-def refill(s: FloatArray, words: WordArray, first: int, channels: int, width: int) -> None:
+def refill(s: Block, words: WordArray, first: int, channels: int, width: int) -> None:
     """All rows of a block anew, for its lanes up to `width`; `first` is the number of its first lane among all.
 
     Arrays of its own, and rows of the words one by one: else the compiler does not see that they lie side by side.
@@ -68,7 +67,7 @@ def refill(s: FloatArray, words: WordArray, first: int, channels: int, width: in
     made = np.empty((4, LANES), dtype=np.uint32)
     new = np.empty((4, LANES), dtype=np.float32)
     for j in range(width):
-        following[j] = np.uint32((np.int32(s[j + SAMPLE * LANES]) + 1) * channels)
+        following[j] = np.uint32((np.int32(s.time[j]) + 1) * channels)
     for j in range(width):
         counter = np.uint32((following[j] >> np.uint32(2)) + np.uint32(1))
         made[0, j], made[1, j], made[2, j], made[3, j] = philox(
@@ -80,15 +79,15 @@ def refill(s: FloatArray, words: WordArray, first: int, channels: int, width: in
     for j in range(width):
         by_two = (following[j] & np.uint32(2)) != np.uint32(0)
         by_one = (following[j] & np.uint32(1)) != np.uint32(0)
-        n0 = s[j + (LATEST + 2) * LANES] if by_two else s[j + LATEST * LANES]
-        n1 = s[j + (LATEST + 3) * LANES] if by_two else s[j + (LATEST + 1) * LANES]
-        n2 = new[0, j] if by_two else s[j + (LATEST + 2) * LANES]
-        n3 = new[1, j] if by_two else s[j + (LATEST + 3) * LANES]
+        n0 = s.latest[2, j] if by_two else s.latest[0, j]
+        n1 = s.latest[3, j] if by_two else s.latest[1, j]
+        n2 = new[0, j] if by_two else s.latest[2, j]
+        n3 = new[1, j] if by_two else s.latest[3, j]
         n4 = new[2, j] if by_two else new[0, j]
-        s[j + NOISE * LANES] = n1 if by_one else n0
-        s[j + (NOISE + 1) * LANES] = n2 if by_one else n1
-        s[j + (NOISE + 2) * LANES] = n3 if by_one else n2
-        s[j + (NOISE + 3) * LANES] = n4 if by_one else n3
+        s.noise[0, j] = n1 if by_one else n0
+        s.noise[1, j] = n2 if by_one else n1
+        s.noise[2, j] = n3 if by_one else n2
+        s.noise[3, j] = n4 if by_one else n3
     for m in range(ROWS):
         for j in range(width):
-            s[j + (LATEST + m) * LANES] = new[m, j]
+            s.latest[m, j] = new[m, j]

@@ -132,11 +132,8 @@ def _numbers(
     options: MonitorOptions, belief: KalmanFilter, rest: FloatArray, view: FloatArray, right: list[int]
 ) -> TaskNumbers:
     bank, constants = make_bank(options, belief.model, rest), _constants(options, belief, float(rest[0]))
-    shown = [
-        field in view[:, kernel.FIELD]
-        for field in range(kernel.BANK + 2, kernel.N_FIELDS, kernel.BANK_LENGTH)
-    ]
-    bank[np.logical_not(shown)] = 0.0  # what nobody sees need not run
+    evidence = np.arange(kernel.EVIDENCE, kernel.EVIDENCE + kernel.MAX_BANK)
+    bank[~np.isin(evidence, view[:, kernel.FIELD])] = 0.0  # what nobody sees need not run
     constants[kernel.FULL] = options.moves_voltage or options.drive is Drive.SPEED_LOOP or bank.any()
     prior, classes = make_prior(options, belief, rest, right, len(view))
     motors = np.zeros((len(classes), options.n_levels + 1, kernel.ROW_LENGTH))

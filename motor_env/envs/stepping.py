@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from motor_env.envs import kernel, layout
 from motor_env.envs.compiling import compiled, fixed_tuple, inlined
 from motor_env.envs.drawing import begin_state, draw_episode, set_motor
-from motor_env.envs.kernel import BLOCK, LANES, MODEL_LENGTH, N_CONSTANTS, ROWS, Constants, Model
+from motor_env.envs.kernel import LANES, MODEL_LENGTH, N_CONSTANTS, ROWS, Block, Constants, Model, block_of
 from motor_env.envs.layout import BoolArray, Lanes, TaskNumbers, unpack_lanes, unpack_task
 from motor_env.envs.noise import begin_noise, refill
 from motor_env.motor.parameters import FloatArray
@@ -24,23 +24,21 @@ Float32Array = NDArray[np.float32]
 
 
 @compiled
-def _change_levels(
-    s: FloatArray, p: Constants, task: TaskNumbers, lanes: Lanes, first: int, width: int
-) -> None:
+def _change_levels(s: Block, p: Constants, task: TaskNumbers, lanes: Lanes, first: int, width: int) -> None:
     """Let the faults of a block reach the levels that are due, and see when the next one is."""
     quiet = p.horizon
     for j in range(width):
-        while s[j + kernel.NEXT_CHANGE * LANES] <= s[j + kernel.SAMPLE * LANES]:
-            level = int(s[j + kernel.LEVEL * LANES]) + 1
+        while s.next_change[j] <= s.time[j]:
+            level = int(s.level[j]) + 1
             set_motor(s, j, task, lanes, first + j, level)
-            s[j + kernel.LEVEL * LANES], s[j + kernel.DELAY * LANES] = level, p.delay_cost
-            due = s[j + kernel.ONSET * LANES] + np.floor(p.growth * level / p.n_levels)
-            s[j + kernel.NEXT_CHANGE * LANES] = due if level < p.n_levels else kernel.NEVER
+            s.level[j], s.delay[j] = level, p.delay_cost
+            due = s.onset[j] + np.floor(p.growth * level / p.n_levels)
+            s.next_change[j] = due if level < p.n_levels else kernel.NEVER
             lanes.flags[layout.FAULT_ACTIVE, first + j] = True
-        if s[j + kernel.SAMPLE * LANES] < p.horizon:
+        if s.time[j] < p.horizon:
             quiet = min(
                 quiet,
-                min(s[j + kernel.NEXT_CHANGE * LANES], p.horizon) - s[j + kernel.SAMPLE * LANES],
+                min(s.next_change[j], p.horizon) - s.time[j],
             )
     lanes.marks[layout.QUIET, first] = int(quiet)
 
@@ -49,17 +47,17 @@ T11 = Model._fields.index("t11")
 
 
 @inlined
-def _advance_all(s: FloatArray, p: Constants, row: int, kept: float, width: int) -> None:
+def _advance_all(s: Block, p: Constants, row: int, kept: float, width: int) -> None:
     """A sample of a block; four loops, each without what it does not need.
 
     The normals are copied to a place that the compiler knows: else it cannot tell them from what is written.
     """
-    n0, n1 = (kernel.NOISE + row) * LANES, (kernel.NOISE + row + int(p.n_channels) - 1) * LANES
+    speed_row = row + int(p.n_channels) - 1
     for j in range(width):
-        s[j + kernel.NORMAL_CURRENT * LANES] = s[n0 + j]
+        s.normal_current[j] = s.noise[row, j]
     if p.c1 > 0.0:
         for j in range(width):
-            s[j + kernel.NORMAL_SPEED * LANES] = s[n1 + j]
+            s.normal_speed[j] = s.noise[speed_row, j]
     if p.full > 0.0:
         if p.c1 > 0.0:
             for j in range(width):
@@ -77,7 +75,7 @@ def _advance_all(s: FloatArray, p: Constants, row: int, kept: float, width: int)
 
 @inlined
 def _step_block(
-    s: FloatArray,
+    s: Block,
     p: Constants,
     task: TaskNumbers,
     lanes: Lanes,
@@ -103,36 +101,36 @@ def _step_block(
             if task.bank[m, T11] != 0.0:
                 t = Model(*fixed_tuple(task.bank[m], MODEL_LENGTH))
                 for j in range(width):
-                    kernel.weigh(s, j, kernel.BANK + kernel.BANK_LENGTH * m, p, t)
+                    kernel.weigh(s, j, m, p, t)
         kept = p.one
         row += channels
     return row
 
 
 @inlined
-def _begin_lane(s: FloatArray, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: int) -> None:
+def _begin_lane(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: int) -> None:
     """Let lane j of a block, lane n of all, begin its next episode; its noise goes on at that row."""
     layout.begin_episode(lanes.words, lanes.flags, n)
     for f in range(kernel.N_FIELDS):
-        s[j + f * LANES] = 0.0
+        s.rows[f, j] = 0.0
     onset = draw_episode(task, lanes, n)
-    s[j + kernel.ONSET * LANES] = s[j + kernel.NEXT_CHANGE * LANES] = onset
+    s.onset[j] = s.next_change[j] = onset
     set_motor(s, j, task, lanes, n, 0)
     begin_state(s, j, task, lanes, n)
-    current, speed = s[j + kernel.CURRENT * LANES], s[j + kernel.SPEED * LANES]
-    error_current, error_speed = s[j + kernel.ERROR_CURRENT * LANES], s[j + kernel.ERROR_SPEED * LANES]
-    s[j + kernel.ESTIMATED_CURRENT * LANES] = current - error_current
-    s[j + kernel.ESTIMATED_SPEED * LANES] = speed - error_speed
-    for m in range(kernel.BANK, kernel.N_FIELDS, kernel.BANK_LENGTH):
-        s[j + m * LANES], s[j + (m + 1) * LANES] = error_current, error_speed
+    current, speed = s.current[j], s.speed[j]
+    error_current, error_speed = s.error_current[j], s.error_speed[j]
+    s.estimated_current[j] = current - error_current
+    s.estimated_speed[j] = speed - error_speed
+    for m in range(kernel.MAX_BANK):
+        s.bank_current[m, j], s.bank_speed[m, j] = error_current, error_speed
     p = Constants(*fixed_tuple(task.constants, N_CONSTANTS))
     channels = int(p.n_channels)
     four = begin_noise(s, lanes.words, n, row, channels)
-    s[j + kernel.MEASURED_CURRENT * LANES] = current + s[j + kernel.SIGMA_CURRENT * LANES] * four[0]
-    s[j + kernel.MEASURED_SPEED * LANES] = speed + s[j + kernel.SIGMA_SPEED * LANES] * four[channels - 1]
+    s.measured_current[j] = current + s.sigma_current[j] * four[0]
+    s.measured_speed[j] = speed + s.sigma_speed[j] * four[channels - 1]
     lanes.marks[layout.TIMES, n] = 0
     first = n - j
-    soon = int(min(s[j + kernel.NEXT_CHANGE * LANES], p.horizon))
+    soon = int(min(s.next_change[j], p.horizon))
     lanes.marks[layout.QUIET, first] = min(lanes.marks[layout.QUIET, first], soon)
 
 
@@ -144,19 +142,16 @@ def begin_lanes(mask: BoolArray, numbers: FloatArray, prior: FloatArray, *arrays
     for n in range(mask.shape[0]):
         if mask[n]:
             block, j = n // LANES, n % LANES
-            s = lanes.state[block * BLOCK : (block + 1) * BLOCK]
+            s = block_of(lanes.state, block)
             _begin_lane(s, j, task, lanes, n, row)
 
 
 @inlined
-def _observe_block(
-    s: FloatArray, view: FloatArray, observation: Float32Array, first: int, width: int
-) -> None:
+def _observe_block(s: Block, view: FloatArray, observation: Float32Array, first: int, width: int) -> None:
     """Write the observed features of a block, scaled and clipped, one row a feature."""
     for m in range(view.shape[0]):
         scale, bound, offset = view[m, kernel.SCALE], view[m, kernel.BOUND], view[m, kernel.OFFSET]
-        at = int(view[m, kernel.FIELD]) * LANES
-        values, row = s[at : at + LANES], observation[m, first : first + LANES]
+        values, row = s.rows[int(view[m, kernel.FIELD])], observation[m, first : first + LANES]
         for j in range(width):
             value = (values[j] + offset) * scale
             value = -bound if value < -bound else value
@@ -168,12 +163,12 @@ def observe(observation: Float32Array, numbers: FloatArray, prior: FloatArray, *
     """Write the observed features of all lanes, one row a feature."""
     task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
     for first in range(0, observation.shape[1], LANES):
-        s = lanes.state[first // LANES * BLOCK : (first // LANES + 1) * BLOCK]
+        s = block_of(lanes.state, first // LANES)
         _observe_block(s, task.features, observation, first, min(LANES, observation.shape[1] - first))
 
 
 @inlined
-def _split_cost(s: FloatArray, p: Constants, samples: int, parts: FloatArray, first: int, width: int) -> None:
+def _split_cost(s: Block, p: Constants, samples: int, parts: FloatArray, first: int, width: int) -> None:
     """What the reward of a step in the middle of an episode is made of: verdict (none), delay, probe, energy.
 
     A task that cannot move the voltage has the first two parts alone.
@@ -181,12 +176,12 @@ def _split_cost(s: FloatArray, p: Constants, samples: int, parts: FloatArray, fi
     verdict, delay = parts[0, first : first + width], parts[1, first : first + width]
     for j in range(width):
         verdict[j] = 0.0
-        delay[j] = -s[j + kernel.COST * LANES]
+        delay[j] = -s.cost[j]
     if parts.shape[0] > 2:
         probe, energy = parts[2, first : first + width], parts[3, first : first + width]
         for j in range(width):
-            u = s[j + kernel.VOLTAGE * LANES]
-            acting = s[j + kernel.SAMPLE * LANES] - s[j + kernel.ONSET * LANES]
+            u = s.voltage[j]
+            acting = s.time[j] - s.onset[j]
             cost = delay[j]
             delay[j] = -p.delay_cost * min(max(acting, p.zero), samples)
             probe[j] = -p.probe_cost * u * u * samples
@@ -195,21 +190,19 @@ def _split_cost(s: FloatArray, p: Constants, samples: int, parts: FloatArray, fi
 
 
 @inlined
-def _settle(
-    s: FloatArray, j: int, p: Constants, samples: int, declared: int, parts: FloatArray, n: int
-) -> float:
+def _settle(s: Block, j: int, p: Constants, samples: int, declared: int, parts: FloatArray, n: int) -> float:
     """The last reward of lane j of a block, lane n of all; of its parts the verdict, and no others if it declares."""
     verdict = kernel.settle(s, j, p, samples, declared)
     if declared > 0:
         for m in range(parts.shape[0]):
             parts[m, n] = 0.0
     parts[0, n] = verdict
-    return verdict if declared > 0 else float(verdict - s[j + kernel.COST * LANES])
+    return verdict if declared > 0 else float(verdict - s.cost[j])
 
 
 @inlined
 def _finish_block(
-    s: FloatArray,
+    s: Block,
     p: Constants,
     task: TaskNumbers,
     lanes: Lanes,
@@ -230,7 +223,7 @@ def _finish_block(
             reward[n] = 0.0
             for m in range(parts.shape[0]):
                 parts[m, n] = 0.0
-        elif lanes.marks[layout.DECLARED, n] > 0 or s[j + kernel.SAMPLE * LANES] >= p.horizon:
+        elif lanes.marks[layout.DECLARED, n] > 0 or s.time[j] >= p.horizon:
             reward[n] = _settle(s, j, p, samples, lanes.marks[layout.DECLARED, n], parts, n)
             lanes.flags[layout.TERMINATED, n] = True
             n_over += 1
@@ -252,7 +245,7 @@ def lay_discrete(lanes: Lanes, actions: NDArray[np.int64], offsets_v: FloatArray
         return False
     if n_offsets > 1 or offsets_v[0] != 0.0:
         for n in range(actions.shape[0]):
-            lanes.state[(n // LANES) * BLOCK + kernel.VOLTAGE * LANES + n % LANES] = offsets_v[actions[n]]
+            block_of(lanes.state, n // LANES).voltage[n % LANES] = offsets_v[actions[n]]
     return True
 
 
@@ -278,7 +271,7 @@ def _confirm(p: Constants, lanes: Lanes, samples: int, n_envs: int) -> None:
     for n in range(n_envs):
         times[n] = times[n] + 1 if declared[n] == chosen[n] else 1
         chosen[n] = declared[n]
-        sample = lanes.state[(n // LANES) * BLOCK + kernel.SAMPLE * LANES + n % LANES]
+        sample = block_of(lanes.state, n // LANES).time[n % LANES]
         if times[n] < p.confirm and sample + samples < p.horizon:
             declared[n] = 0
 
@@ -303,7 +296,7 @@ def _step_lanes(
     n_over, row = 0, lanes.marks[layout.ROW, 0]
     next_row = row
     for first in range(0, reward.shape[0], LANES):
-        s = lanes.state[first // LANES * BLOCK : (first // LANES + 1) * BLOCK]
+        s = block_of(lanes.state, first // LANES)
         next_row = _step_block(s, p, task, lanes, first, row, samples, LANES)
         rewards, something = reward[first : first + LANES], 0
         over, declared = (
@@ -311,7 +304,7 @@ def _step_lanes(
             lanes.marks[layout.DECLARED, first : first + LANES],
         )
         for j in range(LANES):
-            rewards[j] = -s[j + kernel.COST * LANES]
+            rewards[j] = -s.cost[j]
         _split_cost(s, p, samples, parts, first, LANES)
         for j in range(LANES):
             something |= declared[j] | np.int32(over[j])
@@ -350,7 +343,7 @@ def step_continuous(actions: FloatArray, reach_v: float, samples: int, next_step
     lanes = unpack_lanes(*arrays[5:])
     for n in range(actions.shape[0]):
         offset_v, declared = decode_continuous(actions[n], reach_v)
-        lanes.state[(n // LANES) * BLOCK + kernel.VOLTAGE * LANES + n % LANES] = offset_v
+        block_of(lanes.state, n // LANES).voltage[n % LANES] = offset_v
         lanes.marks[layout.DECLARED, n] = declared
     return int(_step_lanes(lanes, len(actions), samples, next_step, *arrays[:5]))
 
@@ -374,15 +367,15 @@ def step_single(
         Reward, end, whether a fault acts, and the four parts of the reward.
     """
     task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
-    p, s = Constants(*fixed_tuple(task.constants, N_CONSTANTS)), lanes.state
-    s[kernel.VOLTAGE * LANES], lanes.marks[layout.DECLARED, 0] = offset_v, declared
+    p, s = Constants(*fixed_tuple(task.constants, N_CONSTANTS)), block_of(lanes.state, 0)
+    s.voltage[0], lanes.marks[layout.DECLARED, 0] = offset_v, declared
     if p.confirm > 1.0:
         _confirm(p, lanes, samples, 1)
         declared = lanes.marks[layout.DECLARED, 0]
     lanes.marks[layout.ROW, 0] = _step_block(s, p, task, lanes, 0, lanes.marks[layout.ROW, 0], samples, 1)
     _split_cost(s, p, samples, parts, 0, 1)
-    over = declared > 0 or s[kernel.SAMPLE * LANES] >= p.horizon
-    reward = _settle(s, 0, p, samples, declared, parts, 0) if over else float(-s[kernel.COST * LANES])
+    over = declared > 0 or s.time[0] >= p.horizon
+    reward = _settle(s, 0, p, samples, declared, parts, 0) if over else float(-s.cost[0])
     _observe_block(s, task.features, observation.reshape((-1, 1)), 0, 1)
     return (
         reward,

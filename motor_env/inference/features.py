@@ -25,17 +25,17 @@ FEATURE_NAMES = (
     "residual_largest",
 )
 """Names of the columns of `physical_features`."""
+_FAULT_STD = 0.3  # of the prior on log R and log B
 
 
-def physical_features(recipe: Recipe, measurements: ArrayLike, *, fault_std: float = 0.3) -> FloatArray:
+def physical_features(recipe: Recipe, measurements: ArrayLike) -> FloatArray:
     """Most probable factors, their errors, and statistics of the residual of each transient (Isermann 1984).
 
-    R and B have a wide prior (`fault_std`); the supply, K and J have their tolerances as prior; L is nominal.
+    R and B have a prior of 30 %; the supply, K and J have their tolerances as prior; L is nominal.
 
     Args:
         recipe: nominal motor and supply, tolerances, sensor and timing.
         measurements: shape (n_cases, n_channels, n_samples).
-        fault_std: standard deviation of the wide prior on log R and log B.
 
     Returns:
         Shape (n_cases, len(FEATURE_NAMES)), columns as named there. Residuals are in units of the noise.
@@ -43,7 +43,7 @@ def physical_features(recipe: Recipe, measurements: ArrayLike, *, fault_std: flo
     observed = recipe_observed(recipe, measurements)
     tolerances = [max(getattr(recipe.spread, name), 1e-6) for name in FEATURE_FREE[2:]]
     coordinates = Coordinates.from_names(recipe.motor, FEATURE_FREE)
-    fitted = fit(observed, coordinates, Prior.from_std([fault_std, fault_std, *tolerances]))
+    fitted = fit(observed, coordinates, Prior.from_std([_FAULT_STD, _FAULT_STD, *tolerances]))
     residual = fitted_residuals(observed, coordinates, fitted.values).reshape(observed.n_cases, -1)
     late = residual[:, -max(1, residual.shape[1] // 5) :]
     lag1 = (residual[:, 1:] * residual[:, :-1]).mean(axis=1)

@@ -47,15 +47,13 @@ class Prior:
         return cls(np.zeros(size), np.zeros((size, size)))
 
     @classmethod
-    def from_std(cls, std: ArrayLike, mean: ArrayLike = 0.0) -> Prior:
-        """Independent, from standard deviations, infinite where nothing is known."""
+    def from_std(cls, std: ArrayLike) -> Prior:
+        """Independent about 0, from standard deviations, infinite where nothing is known."""
         deviations = np.asarray(std, dtype=np.float64)
         require(
             bool((deviations > 0.0).all()), f"standard deviations of a prior must be > 0, got {deviations}"
         )
-        return cls(
-            np.broadcast_to(np.asarray(mean, float), deviations.shape), np.diag(1.0 / np.square(deviations))
-        )
+        return cls(np.zeros(deviations.shape), np.diag(1.0 / np.square(deviations)))
 
     def rows(self, chosen: NDArray[np.int64] | slice) -> Prior:
         """The prior of some of the cases."""
@@ -131,7 +129,6 @@ def fit(
     observed: Observed,
     coordinates: Coordinates,
     prior: Prior | None = None,
-    start: FloatArray | None = None,
     max_iterations: int = 40,
 ) -> Fit:
     """Most likely, or most probable, coordinates of each case (Levenberg 1944; Marquardt 1963).
@@ -139,31 +136,25 @@ def fit(
     Args:
         observed: the measured transients.
         coordinates: what is free; all else is believed to be nominal.
-        prior: what is known beforehand; nothing by default.
-        start: coordinates at which to begin, shape (size,) or (n, size); the prior's mean by default.
+        prior: what is known beforehand, nothing by default; its mean is where the fit begins.
         max_iterations: of each case; a case that needs more is marked as not converged.
 
     Raises:
         ValueError: the samples and the prior together leave a direction open.
     """
-    size = coordinates.size
-    belief = Prior.flat(size) if prior is None else prior
-    begin = np.asarray(belief.mean if start is None else start, dtype=np.float64)
+    belief = Prior.flat(coordinates.size) if prior is None else prior
     parts = []
     for first in range(0, max(observed.n_cases, 1), _CHUNK):
         chosen = slice(first, first + _CHUNK)
-        own_begin = begin[chosen] if begin.ndim > 1 else begin
         part = _fit_together(
-            observed.rows(chosen), coordinates, belief.rows(chosen), own_begin, max_iterations=max_iterations
+            observed.rows(chosen), coordinates, belief.rows(chosen), max_iterations=max_iterations
         )
         parts.append(part)
     return Fit(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _fit_together(
-    observed: Observed, coordinates: Coordinates, belief: Prior, begin: FloatArray, *, max_iterations: int
-) -> Fit:
-    n = observed.n_cases
+def _fit_together(observed: Observed, coordinates: Coordinates, belief: Prior, *, max_iterations: int) -> Fit:
+    n, begin = observed.n_cases, np.asarray(belief.mean, dtype=np.float64)
     values = np.broadcast_to(begin, (n, coordinates.size)).copy()
     equations = (common_equations if begin.ndim == 1 else normal_equations)(observed, coordinates, begin)
     best = _with_prior(equations, values, belief)

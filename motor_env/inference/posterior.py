@@ -151,11 +151,6 @@ class Excess(NamedTuple):
     excess: float
     standard_error: float
 
-    @property
-    def is_suspicious(self) -> bool:
-        """Whether the excess is above three standard errors: then the classifier saw what it must not see."""
-        return self.excess > 3.0 * self.standard_error and self.excess > 0.0
-
 
 def excess_over_limit(probabilities: FloatArray, class_index: ArrayLike, predicted: ArrayLike) -> Excess:
     """Compare a classifier with the limit, case by case (McNemar 1947).

@@ -48,7 +48,9 @@ def _gather(module: ModuleType, found: dict[str, bytes]) -> None:
             text.append(f"{name} {getattr(value, '_fields', ())}")
         elif isinstance(value, np.ndarray):
             text.append(f"{name} {value.dtype.str} {value.shape} {value.tobytes().hex()}")
-        elif isinstance(value, bool | int | float | str | tuple | np.generic) and not name.startswith("__"):
+        elif isinstance(
+            value, bool | int | float | str | tuple | np.generic | np.dtype
+        ) and not name.startswith("__"):
             text.append(f"{name} {value!r}")
     found[module.__name__] = "\n".join(text).encode()
     for other in others:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from motor_env.motor.compiled import njit
 from motor_env.motor.model import load_in_kernel
 from motor_env.motor.parameters import FloatArray, MotorParameters
-from motor_env.simulation import nonlinear
-from motor_env.simulation.nonlinear import CURRENT, LANES, SPEED, Effects, Sampling
+from motor_env.simulation.nonlinear import LANES, Effects, Sampling, groups_of, step_lanes
 
 LOOP_GAIN, LOOP_INTEGRAL = 0.5, 0.05
 """Gains of the speed loop on a back-EMF in volts, and of its sum over the samples."""
@@ -38,19 +37,21 @@ class Driving(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _integrate_driven(rows: FloatArray, sampling: Sampling, driving: Driving, noise: FloatArray) -> None:
+def _integrate_driven(
+    groups: NDArray[np.void], sampling: Sampling, driving: Driving, noise: FloatArray
+) -> None:
     """Voltage and load are held over each sample, the voltage is the last channel."""
     dt_s, steps, is_current, out = sampling
     wanted, limit = driving.voltage_v, driving.limit_v
     n_cases, last, n_samples = out.shape[0], out.shape[1] - 1, out.shape[2]
     for first in range(0, n_cases, LANES):
-        p = rows[first // LANES].ravel()
+        p = groups[first // LANES]
         lanes = min(LANES, n_cases - first)
-        still, integral = p[LANES * nonlinear.DRY : LANES * (nonlinear.DRY + 1)].copy(), np.zeros(LANES)
-        p[LANES * nonlinear.STEP : LANES * (nonlinear.STEP + 1)] = dt_s / steps
+        still, integral = p.dry.copy(), np.zeros(LANES)
+        p.step[:] = dt_s / steps
         for k in range(n_samples):
             for lane in range(lanes):
-                n, current, speed = first + lane, p[lane + LANES * CURRENT], p[lane + LANES * SPEED]
+                n, current, speed = first + lane, p.current[lane], p.speed[lane]
                 volts = wanted[n if wanted.shape[0] > 1 else 0, k]
                 if driving.is_loop[n] and k > 0:
                     error = volts - (
@@ -59,15 +60,15 @@ def _integrate_driven(rows: FloatArray, sampling: Sampling, driving: Driving, no
                     integral[lane] = min(max(integral[lane] + LOOP_INTEGRAL * error, -limit[n]), limit[n])
                     volts = min(max(volts + LOOP_GAIN * error + integral[lane], -limit[n]), limit[n])
                 out[n, last, k] = volts
-                p[lane + LANES * nonlinear.VOLTAGE] = out[n, last, k]  # what is applied is what is recorded
+                p.voltage[lane] = out[n, last, k]  # what is applied is what is recorded
                 share = (k + 0.5) / n_samples
                 load = load_in_kernel(share * driving.load_rise_n_m[n], driving.fan_n_m_s2[n], abs(speed))
-                p[lane + LANES * nonlinear.DRY] = still[lane] + load
+                p.dry[lane] = still[lane] + load
             for _ in range(steps):
-                nonlinear.step_lanes(p)
+                step_lanes(p)
             for lane in range(lanes):
                 for c in range(last):
-                    out[first + lane, c, k] = p[lane + LANES * (CURRENT if is_current[c] else SPEED)]
+                    out[first + lane, c, k] = p.current[lane] if is_current[c] else p.speed[lane]
 
 
 def integrate_driven(
@@ -86,6 +87,4 @@ def integrate_driven(
         sampling: what is filled.
         noise_a: noise of the current that a speed loop sees, shape (n_cases, n_samples); no rows without a loop.
     """
-    _integrate_driven(
-        nonlinear.parameter_rows(parameters, effects, 0.0, len(sampling.out)), sampling, driving, noise_a
-    )
+    _integrate_driven(groups_of(parameters, effects, 0.0, len(sampling.out)), sampling, driving, noise_a)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,6 @@ from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import (
     COPPER_PER_KELVIN,
     MAGNET_PER_KELVIN,
-    FloatArray,
     Floats,
     MotorParameters,
     require,
@@ -96,13 +95,16 @@ class Effects:
                 require_positive(f.name, getattr(self, f.name), zero_allowed=f.name not in positive)
 
 
-(
-    _R, _INVERSE_L, _KB, _KT, _INVERSE_J, _B, DRY, _STRIBECK, _INVERSE_WS, _BRUSH, _SOURCE_R, _RAMP_RATE, _RIPPLE,
-    _RIPPLE_RAD_S, _COMMUTATION, _COMMUTATION_TURN, _BEARING, _BEARING_TURN, _DELAY, _INVERSE_C, _LEAK, VOLTAGE,
-    _NO_RAMP, CURRENT, SPEED, _ANGLE, _HEAT, _TIME, STEP,
-) = range(29)  # fmt: skip
-"""Rows of the table of a group of cases: constants of the right-hand side, then the states, the time and the step."""
-_N_CONSTANTS, _N_ROWS = CURRENT, STEP + 1
+_CONSTANTS = (
+    "resistance", "inverse_l", "kb", "kt", "inverse_j", "b", "dry", "stribeck", "inverse_ws", "brush", "source_r",
+    "ramp_rate", "ripple", "ripple_rad_s", "commutation", "commutation_turn", "bearing", "bearing_turn", "delay",
+    "inverse_c", "leak", "voltage", "no_ramp",
+)  # fmt: skip
+_STATES = ("current", "speed", "angle", "heat", "time", "step")
+_GROUP = np.dtype([(name, np.float64, LANES) for name in (*_CONSTANTS, *_STATES)])
+"""A group of cases that go side by side: constants of the right-hand side, then the states, the time and the step."""
+Group = Any
+"""A record of `_GROUP`."""
 
 _ROUND = 6755399441055744.0  # 1.5 x 2^52: adding and subtracting it rounds to the nearest integer
 _TURNS_PER_RAD, _RAD_PER_TURN = 0.5 / math.pi, 2.0 * math.pi
@@ -145,45 +147,46 @@ def substeps(nominal: MotorParameters, dt_s: float, ripple_hz: float = 0.0) -> i
     return steps
 
 
-def parameter_rows(
+def groups_of(
     parameters: MotorParameters, effects: Effects, voltage_v: Floats, n_cases: int
-) -> FloatArray:
-    """All constants of the right-hand side, shape (n_groups, n_rows, lanes): groups of cases that go side by side."""
+) -> NDArray[np.void]:
+    """The cases in groups, with all constants of the right-hand side; the last is filled up with the first case."""
     e = effects
     copper = 1.0 + COPPER_PER_KELVIN * e.temperature_rise_k
     magnet = 1.0 + MAGNET_PER_KELVIN * e.temperature_rise_k
     ramp = np.asarray(e.ramp_s, dtype=np.float64)
-    values: list[Floats] = [
-        parameters.resistance_ohm * copper,
-        1.0 / parameters.inductance_h,
-        parameters.back_emf_constant_v_s_per_rad * magnet,
-        parameters.torque_constant_n_m_per_a * magnet,
-        1.0 / parameters.inertia_kg_m2,
-        parameters.viscous_friction_n_m_s_per_rad,
-        e.coulomb_friction_n_m + e.load_torque_n_m,
-        e.stribeck_friction_n_m,
-        1.0 / e.stribeck_speed_rad_s,
-        e.brush_drop_v,
-        e.supply_resistance_ohm,
-        (ramp > 0.0) / np.where(ramp > 0.0, ramp, 1.0),
-        e.ripple_v,
-        2.0 * math.pi * e.ripple_hz,
-        e.commutation_ripple,
-        e.commutation_per_turn,
-        e.bearing_ripple_n_m,
-        e.bearing_per_turn,
-        e.delay_s,
-        1.0 / e.heat_capacity_j_per_k,
-        1.0 / e.thermal_resistance_k_per_w,
-        voltage_v,
-        (ramp == 0.0).astype(np.float64),
-    ]
-    width = LANES * -(-n_cases // LANES)
-    rows = np.zeros((_N_ROWS, width))
-    for row, value in zip(rows, values, strict=False):
+    values: dict[str, Floats] = {
+        "resistance": parameters.resistance_ohm * copper,
+        "inverse_l": 1.0 / parameters.inductance_h,
+        "kb": parameters.back_emf_constant_v_s_per_rad * magnet,
+        "kt": parameters.torque_constant_n_m_per_a * magnet,
+        "inverse_j": 1.0 / parameters.inertia_kg_m2,
+        "b": parameters.viscous_friction_n_m_s_per_rad,
+        "dry": e.coulomb_friction_n_m + e.load_torque_n_m,
+        "stribeck": e.stribeck_friction_n_m,
+        "inverse_ws": 1.0 / e.stribeck_speed_rad_s,
+        "brush": e.brush_drop_v,
+        "source_r": e.supply_resistance_ohm,
+        "ramp_rate": (ramp > 0.0) / np.where(ramp > 0.0, ramp, 1.0),
+        "ripple": e.ripple_v,
+        "ripple_rad_s": 2.0 * math.pi * e.ripple_hz,
+        "commutation": e.commutation_ripple,
+        "commutation_turn": e.commutation_per_turn,
+        "bearing": e.bearing_ripple_n_m,
+        "bearing_turn": e.bearing_per_turn,
+        "delay": e.delay_s,
+        "inverse_c": 1.0 / e.heat_capacity_j_per_k,
+        "leak": 1.0 / e.thermal_resistance_k_per_w,
+        "voltage": voltage_v,
+        "no_ramp": (ramp == 0.0).astype(np.float64),
+    }
+    groups = np.zeros(-(-n_cases // LANES), dtype=_GROUP)
+    for name, value in values.items():
+        row = np.empty(groups[name].size)
         row[:n_cases] = value
         row[n_cases:] = row[0]
-    return np.ascontiguousarray(rows.reshape(_N_ROWS, -1, LANES).swapaxes(0, 1))
+        groups[name] = row.reshape(-1, LANES)
+    return groups
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -205,38 +208,38 @@ def _cosine(x: float) -> float:
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _derivative(
-    p: FloatArray, n: int, t: float, current: float, speed: float, angle: float, heat: float
+    p: Group, n: int, t: float, current: float, speed: float, angle: float, heat: float
 ) -> tuple[float, float, float, float]:
-    """Right-hand side of lane n at time t since its step; p is one group of `parameter_rows`, flat."""
-    resistance = p[n + LANES * _R] * (1.0 + COPPER_PER_KELVIN * heat)
-    r = t * p[n + LANES * _RAMP_RATE] + p[n + LANES * _NO_RAMP]
+    """Right-hand side of lane n of a group at time t since its step."""
+    resistance = p.resistance[n] * (1.0 + COPPER_PER_KELVIN * heat)
+    r = t * p.ramp_rate[n] + p.no_ramp[n]
     r = r if r < 1.0 else 1.0
-    ripple = p[n + LANES * _RIPPLE] * _cosine(p[n + LANES * _RIPPLE_RAD_S] * t)
-    supply = (p[n + LANES * VOLTAGE] + ripple) * r * r * (3.0 - 2.0 * r)
-    brush = p[n + LANES * _BRUSH] * current / np.sqrt(current * current + _BRUSH_CURRENT_A * _BRUSH_CURRENT_A)
-    drop = (resistance + p[n + LANES * _SOURCE_R]) * current + p[n + LANES * _KB] * speed + brush
-    current_rate = (supply - drop) * p[n + LANES * _INVERSE_L]
-    ratio = speed * p[n + LANES * _INVERSE_WS]
+    ripple = p.ripple[n] * _cosine(p.ripple_rad_s[n] * t)
+    supply = (p.voltage[n] + ripple) * r * r * (3.0 - 2.0 * r)
+    brush = p.brush[n] * current / np.sqrt(current * current + _BRUSH_CURRENT_A * _BRUSH_CURRENT_A)
+    drop = (resistance + p.source_r[n]) * current + p.kb[n] * speed + brush
+    current_rate = (supply - drop) * p.inverse_l[n]
+    ratio = speed * p.inverse_ws[n]
     smooth_sign = speed / np.sqrt(speed * speed + _STICTION_SPEED_RAD_S * _STICTION_SPEED_RAD_S)
-    stribeck = p[n + LANES * _STRIBECK] / (1.0 + ratio * ratio)
-    bearing = p[n + LANES * _BEARING] * _cosine(p[n + LANES * _BEARING_TURN] * angle)
-    against = p[n + LANES * _B] * speed + (p[n + LANES * DRY] + stribeck + bearing) * smooth_sign
-    commutation = 1.0 + p[n + LANES * _COMMUTATION] * _cosine(p[n + LANES * _COMMUTATION_TURN] * angle)
-    speed_rate = (p[n + LANES * _KT] * commutation * current - against) * p[n + LANES * _INVERSE_J]
-    heat_rate = (current * current * resistance - heat * p[n + LANES * _LEAK]) * p[n + LANES * _INVERSE_C]
+    stribeck = p.stribeck[n] / (1.0 + ratio * ratio)
+    bearing = p.bearing[n] * _cosine(p.bearing_turn[n] * angle)
+    against = p.b[n] * speed + (p.dry[n] + stribeck + bearing) * smooth_sign
+    commutation = 1.0 + p.commutation[n] * _cosine(p.commutation_turn[n] * angle)
+    speed_rate = (p.kt[n] * commutation * current - against) * p.inverse_j[n]
+    heat_rate = (current * current * resistance - heat * p.leak[n]) * p.inverse_c[n]
     return current_rate, speed_rate, speed, heat_rate
 
 
 @njit(cache=True, error_model="numpy")  # a check for division by 0 would keep the loop from vectorising
-def step_lanes(p: FloatArray) -> None:
-    """One step of the classical Runge-Kutta method (Kutta 1901) for a group of cases, a flat table of `_N_ROWS` rows.
+def step_lanes(p: Group) -> None:
+    """One step of the classical Runge-Kutta method (Kutta 1901) for a group of cases.
 
-    One flat array and constant offsets: the compiler sees that nothing overlaps, and runs the lanes side by side.
+    One record and constant offsets: the compiler sees that nothing overlaps, and runs the lanes side by side.
     """
     for lane in range(LANES):
-        i, w = p[lane + LANES * CURRENT], p[lane + LANES * SPEED]
-        a, q = p[lane + LANES * _ANGLE], p[lane + LANES * _HEAT]
-        time, step = p[lane + LANES * _TIME], p[lane + LANES * STEP]
+        i, w = p.current[lane], p.speed[lane]
+        a, q = p.angle[lane], p.heat[lane]
+        time, step = p.time[lane], p.step[lane]
         half = 0.5 * step
         i1, w1, a1, q1 = _derivative(p, lane, time, i, w, a, q)
         i2, w2, a2, q2 = _derivative(
@@ -249,29 +252,29 @@ def step_lanes(p: FloatArray) -> None:
             p, lane, time + step, i + step * i3, w + step * w3, a + step * a3, q + step * q3
         )
         sixth = step / 6.0
-        p[lane + LANES * CURRENT] = i + sixth * (i1 + 2.0 * (i2 + i3) + i4)
-        p[lane + LANES * SPEED] = w + sixth * (w1 + 2.0 * (w2 + w3) + w4)
-        p[lane + LANES * _ANGLE] = a + sixth * (a1 + 2.0 * (a2 + a3) + a4)
-        p[lane + LANES * _HEAT] = q + sixth * (q1 + 2.0 * (q2 + q3) + q4)
-        p[lane + LANES * _TIME] = time + step
+        p.current[lane] = i + sixth * (i1 + 2.0 * (i2 + i3) + i4)
+        p.speed[lane] = w + sixth * (w1 + 2.0 * (w2 + w3) + w4)
+        p.angle[lane] = a + sixth * (a1 + 2.0 * (a2 + a3) + a4)
+        p.heat[lane] = q + sixth * (q1 + 2.0 * (q2 + q3) + q4)
+        p.time[lane] = time + step
 
 
 @njit(cache=True, error_model="numpy")  # a check for division by 0 would keep the loop from vectorising
-def _integrate(rows: FloatArray, sampling: Sampling, n_quiet: int) -> None:
+def _integrate(groups: NDArray[np.void], sampling: Sampling, n_quiet: int) -> None:
     dt_s, steps, is_current, out = sampling
     n_cases, n_channels, n_samples = out.shape
     for first in range(0, n_cases, LANES):
-        p = rows[first // LANES].ravel()
+        p = groups[first // LANES]
         for k in range(n_samples):
             if k >= n_quiet:
                 for lane in range(LANES):  # the first interval is shorter by the delay of the step
-                    delay = p[lane + LANES * _DELAY] if k == n_quiet else 0.0
-                    p[lane + LANES * STEP] = (dt_s - delay) / steps
+                    delay = p.delay[lane] if k == n_quiet else 0.0
+                    p.step[lane] = (dt_s - delay) / steps
                 for _ in range(steps):
                     step_lanes(p)
             for lane in range(min(LANES, n_cases - first)):
                 for c in range(n_channels):
-                    out[first + lane, c, k] = p[lane + LANES * (CURRENT if is_current[c] else SPEED)]
+                    out[first + lane, c, k] = p.current[lane] if is_current[c] else p.speed[lane]
 
 
 def integrate(
@@ -295,4 +298,4 @@ def integrate(
     """
     largest, dt_s = float(np.max(effects.delay_s)), sampling.dt_s
     require(largest < dt_s, f"delay_s must be < one sampling interval ({dt_s:g} s), got {largest:g}")
-    _integrate(parameter_rows(parameters, effects, voltage_v, len(sampling.out)), sampling, n_quiet)
+    _integrate(groups_of(parameters, effects, voltage_v, len(sampling.out)), sampling, n_quiet)

@@ -1,9 +1,14 @@
 """Small data sets in several files, for the tests of their writing."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from motor_env import Timing, load_recipe
+import pytest
+
+from motor_datasets import generate_dataset, load
+from motor_env import InputError, Timing, load_recipe
 
 SHORT = replace(load_recipe("bench"), timing=Timing(duration_s=0.01))
 SHARD_BYTES = 50_000
@@ -19,3 +24,32 @@ def files_of(folder: Path) -> dict[str, bytes]:
     return {
         path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
     }
+
+
+def interrupted(place: Path | str, cases: int, after: int) -> None:
+    """Begin a data set, and stop after so many files."""
+    seen = []
+
+    def stop(count: int) -> None:
+        seen.append(count)
+        if len(seen) == after:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        generate_dataset(SHORT, cases, 1, place, on_progress=stop)
+
+
+def assert_goes_on(place: Any, cases: int, content: Callable[[Any], object], whole: Path) -> None:
+    """What was interrupted is no data set; the same order alone makes the same bytes of it, and changes none again."""
+    with pytest.raises(InputError, match="no data set"):
+        load(place)
+    with pytest.raises(InputError, match="--resume"):
+        generate_dataset(SHORT, cases, 1, place)
+    with pytest.raises(InputError, match="something other"):
+        generate_dataset(SHORT, cases, 2, place, resume=True)
+    for _ in range(2):  # the second time it is finished already: nothing happens
+        generate_dataset(SHORT, cases, 1, place, resume=True)
+        assert content(place) == files_of(whole)
+    with pytest.raises(InputError, match="another data set"):
+        generate_dataset(SHORT, cases + 1, 1, place, resume=True)
+    assert content(place) == files_of(whole)

@@ -11,7 +11,7 @@ import fsspec
 import numpy as np
 import pytest
 from fsspec.registry import known_implementations
-from small_sets import SHARD_BYTES, SHORT, Stopped, files_of
+from small_sets import SHARD_BYTES, SHORT, Stopped, assert_goes_on, files_of, interrupted
 from upath import UPath
 
 from motor_datasets import generate_dataset, layout, load, manifest
@@ -43,31 +43,12 @@ def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("small_shards")
 def test_objects_are_the_files_also_when_interrupted(tmp_path: Path, url: str) -> None:
     generate_dataset(SHORT, 200, 1, tmp_path / "set")
-    seen = []
-
-    def stop(count: int) -> None:
-        seen.append(count)
-        if len(seen) == 4:
-            raise Stopped
-
-    with pytest.raises(Stopped):
-        generate_dataset(SHORT, 200, 1, url, on_progress=stop)
+    interrupted(url, 200, 4)
     begun = objects_of(url)
     assert sorted(begun)[-1] == "unfinished.json"
     assert len(begun) == 5
     fsspec.filesystem("memory").pipe_file(f"{url}/{min(begun)}", begun[min(begun)][:1000])  # cut short
-    with pytest.raises(InputError, match="no data set"):
-        load(url)
-    with pytest.raises(InputError, match="--resume"):
-        generate_dataset(SHORT, 200, 1, url)
-    with pytest.raises(InputError, match="something other"):
-        generate_dataset(SHORT, 200, 2, url, resume=True)
-    generate_dataset(SHORT, 200, 1, url, resume=True)
-    assert objects_of(url) == files_of(tmp_path / "set")
-    generate_dataset(SHORT, 200, 1, url, resume=True)  # finished already: nothing happens
-    with pytest.raises(InputError, match="another data set"):
-        generate_dataset(SHORT, 201, 1, url, resume=True)
-    assert objects_of(url) == files_of(tmp_path / "set")
+    assert_goes_on(url, 200, objects_of, tmp_path / "set")
     for split in (None, "test"):
         there, here = load(url, split), load(tmp_path / "set", split)
         assert np.array_equal(there.X, here.X)

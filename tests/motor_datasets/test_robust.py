@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from small_sets import SHARD_BYTES, SHORT, Stopped, files_of
+from small_sets import SHARD_BYTES, SHORT, assert_goes_on, files_of, interrupted
 
 from motor_datasets import generate_dataset, layout, load
 from motor_datasets.cli import main
@@ -30,31 +30,13 @@ def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("after", [1, 4, 9])
 def test_an_interrupted_generation_ends_byte_identical(tmp_path: Path, after: int) -> None:
     generate_dataset(SHORT, 400, 1, tmp_path / "whole")
-    seen = []
-
-    def stop(count: int) -> None:
-        seen.append(count)
-        if len(seen) == after:
-            raise Stopped
-
-    with pytest.raises(Stopped):
-        generate_dataset(SHORT, 400, 1, tmp_path / "cut", on_progress=stop)
+    interrupted(tmp_path / "cut", 400, after)
     # What a kill leaves beside whole files: a partial file, and a damaged one.
     (tmp_path / "cut/data/.test-000001.parquet.partial").write_bytes(b"half")
     first = sorted((tmp_path / "cut/data").glob("*.parquet"))[0]
     first.write_bytes(first.read_bytes()[:1000])
-    with pytest.raises(InputError, match="no data set"):
-        load(tmp_path / "cut")
-    with pytest.raises(InputError, match="--resume"):
-        generate_dataset(SHORT, 400, 1, tmp_path / "cut")
-    with pytest.raises(InputError, match="something other"):
-        generate_dataset(SHORT, 400, 2, tmp_path / "cut", resume=True)
-    generate_dataset(SHORT, 400, 1, tmp_path / "cut", resume=True)
-    assert files_of(tmp_path / "cut") == files_of(tmp_path / "whole")
+    assert_goes_on(tmp_path / "cut", 400, files_of, tmp_path / "whole")
     assert len(files_of(tmp_path / "whole")) > 12
-    generate_dataset(SHORT, 400, 1, tmp_path / "cut", resume=True)  # finished already: nothing happens
-    with pytest.raises(InputError, match="another data set"):
-        generate_dataset(SHORT, 401, 1, tmp_path / "cut", resume=True)
 
 
 @pytest.mark.usefixtures("small_shards")

@@ -80,11 +80,9 @@ def reliability(probabilities: FloatArray, truth: ArrayLike, edges: FloatArray =
     )
 
 
-def calibration_scores(
-    probabilities: FloatArray, truth: ArrayLike, edges: FloatArray = BIN_EDGES
-) -> CalibrationScores:
+def calibration_scores(probabilities: FloatArray, truth: ArrayLike) -> CalibrationScores:
     """All measures at once; arguments as of `reliability`."""
-    binned = reliability(probabilities, truth, edges)
+    binned = reliability(probabilities, truth)
     labels = np.asarray(truth)
     rows = np.arange(len(labels))
     happened = np.zeros_like(probabilities)

@@ -97,9 +97,7 @@ def network_for(recipe: Recipe, random_state: int, **parameters: Any) -> Posteri
     )
 
 
-def halves_coverage(
-    probabilities: FloatArray, truth: IntArray, motors: IntArray, coverage: float = _PROMISED
-) -> Coverage:
+def halves_coverage(probabilities: FloatArray, truth: IntArray, motors: IntArray) -> Coverage:
     """Coverage of label-conditional sets where each half of the motors calibrates the other.
 
     A half with strange starts is covered too rarely by the other's threshold, and covers the other too often: to first
@@ -109,7 +107,6 @@ def halves_coverage(
         probabilities: of starts that the model was not trained on, shape (n_cases, n_classes).
         truth: true class of each.
         motors: motor of each; all its starts stand in one half.
-        coverage: wanted in each class.
 
     Raises:
         ValueError: a half has no start of a class.
@@ -120,7 +117,7 @@ def halves_coverage(
         known = ConformalSets.calibrate(
             probabilities[calibrating], truth[calibrating], label_conditional=True
         )
-        sets[~calibrating] = known.sets(probabilities[~calibrating], coverage)
+        sets[~calibrating] = known.sets(probabilities[~calibrating], _PROMISED)
     return measured_coverage(sets, truth)
 
 

@@ -109,14 +109,12 @@ class Coverage(NamedTuple):
         by_class: the same of the cases of each class, nan where there are none, shape (n_classes,).
         mean_size: mean number of classes in a set.
         empty: share of the sets without a class: each class has a conformal p-value of at most 1 - coverage.
-        single: share of the sets with one class.
     """
 
     overall: float
     by_class: FloatArray
     mean_size: float
     empty: float
-    single: float
 
 
 def measured_coverage(sets: BoolArray, truth: ArrayLike) -> Coverage:
@@ -125,10 +123,7 @@ def measured_coverage(sets: BoolArray, truth: ArrayLike) -> Coverage:
     covered = sets[np.arange(len(labels)), labels]
     size = sets.sum(axis=1)
     by_class = [covered[labels == n].mean() if (labels == n).any() else np.nan for n in range(sets.shape[1])]
-    return Coverage(
-        float(covered.mean()), np.array(by_class), float(size.mean()), float((size == 0).mean()),
-        float((size == 1).mean()),
-    )  # fmt: skip
+    return Coverage(float(covered.mean()), np.array(by_class), float(size.mean()), float((size == 0).mean()))
 
 
 @dataclass(frozen=True, slots=True)

@@ -115,7 +115,7 @@ def test_a_process_of_its_own_gives_the_same_answer() -> None:
         assert 0.0 <= apart.train.memory_mb < 200.0
 
 
-def test_a_process_that_dies_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_dies_is_one_sentence() -> None:
     with pytest.raises(InputError, match=r"residual-qda on deadly: its process ended without an answer"):
         judge_apart("residual-qda", _Deadly("", "deadly", 200, recipe=SLOW))
 

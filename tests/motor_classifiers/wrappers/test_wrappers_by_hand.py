@@ -61,7 +61,7 @@ def test_p_values_of_three_calibration_cases() -> None:
 def test_coverage_is_counted() -> None:
     sets = np.array([[1, 0, 0], [1, 1, 0], [0, 0, 0], [0, 1, 1], [1, 0, 0]], dtype=bool)
     got = measured_coverage(sets, [0, 1, 0, 0, 0])
-    assert (got.overall, got.mean_size, got.empty, got.single) == (0.6, 1.2, 0.2, 0.4)
+    assert (got.overall, got.mean_size, got.empty) == (0.6, 1.2, 0.2)
     np.testing.assert_array_equal(got.by_class, [0.5, 1.0, np.nan])
 
 

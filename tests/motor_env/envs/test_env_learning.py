@@ -126,7 +126,7 @@ def test_decisions_that_were_learned_are_as_good_as_was_written_down(
 
 
 @pytest.mark.long
-def test_ppo_learns_in_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ppo_learns_in_one_file() -> None:
     pytest.importorskip("torch")
     ppo = example("ppo")
     learner = ppo.Learner("monitor", 0)

@@ -25,9 +25,9 @@ from motor_env import (
     run_filter,
     simulate_states,
 )
-from motor_env.envs import MonitorEnv, MonitorVectorEnv, kernel
+from motor_env.envs import MonitorEnv, MonitorVectorEnv
 from motor_env.envs.base import Info
-from motor_env.envs.kernel import BLOCK, LANES
+from motor_env.envs.kernel import LANES, block_type
 from motor_env.envs.noise import case_of
 from motor_env.envs.setup import converged_gain
 from motor_env.envs.tasks import MEDIUM
@@ -62,9 +62,9 @@ class Last:
         self.options, self.setup, self.observed = self.envs.options, self.envs.setup, self.envs.setup.observed
 
     @property
-    def _state(self) -> FloatArray:
-        state: FloatArray = self.envs._arrays[2][len(self.envs._arrays[2]) - BLOCK + self.envs.num_envs - 1 :]
-        return state
+    def _block(self) -> Any:
+        last = self.envs._arrays[2].view(block_type(self.options.precision))[-1]
+        return {name: last[name][(self.envs.num_envs - 1) % LANES :] for name in ("current", "speed")}
 
     def _info(self, info: Info) -> Info:
         mine = {name: values[-1] for name, values in info.items()}
@@ -92,7 +92,7 @@ def rollout(env: MonitorEnv | Last, seed: int, index: int = 0) -> tuple[FloatArr
         assert truncated is False
         observations.append(observation)
         infos.append(info)
-        deviation = env._state[[kernel.CURRENT * LANES, kernel.SPEED * LANES]]
+        deviation = [env._block[name][0] for name in ("current", "speed")]
         states.append(deviation + env.setup.rest)
     return np.array(observations), infos, np.array(states)
 

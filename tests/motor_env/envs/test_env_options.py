@@ -254,32 +254,20 @@ def test_wrappers_and_frames() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.timeout(900)
-def test_a_hundred_million_steps_of_uniform_random_actions() -> None:
-    envs = MonitorVectorEnv(8192, recipe="hard")
-    envs.reset(seed=0)
-    actions = np.random.default_rng(0).integers(0, 4, (500, 8192))
-    lows, highs = envs.single_observation_space.low, envs.single_observation_space.high  # type: ignore[attr-defined]
-    for step in range(10**8 // 8192 + 1):
-        observations, rewards, _, _, _ = envs.step(actions[step % 500])
-        assert (observations >= lows).all() and (observations <= highs).all()  # noqa: PT018  # also without NaN
-        assert np.isfinite(rewards).all()
-
-
-@pytest.mark.long
 @pytest.mark.timeout(3600)
-def test_a_thousand_million_random_steps() -> None:
+@pytest.mark.parametrize(("steps", "growth_s", "share"), [(10**8, 0.0, 1.0), (10**9, 0.01, 0.001)])
+def test_random_actions_stay_within_bounds_and_memory(steps: int, growth_s: float, share: float) -> None:
     import resource
 
-    envs = MonitorVectorEnv(8192, recipe="hard", growth_s=0.01)
+    envs = MonitorVectorEnv(8192, recipe="hard", growth_s=growth_s)
     rng = np.random.default_rng(0)
     envs.reset(seed=0)
     lows, highs = envs.single_observation_space.low, envs.single_observation_space.high  # type: ignore[attr-defined]
     memory = []
-    for step in range(10**9 // 8192 + 1):
+    for step in range(steps // 8192 + 1):
         if step % 500 == 0:
-            declared = rng.integers(1, envs.single_action_space.n, (500, 8192))  # type: ignore[attr-defined]
-            actions = np.where(rng.random((500, 8192)) < 0.999, 0, declared)
+            anything = rng.integers(0, envs.single_action_space.n, (500, 8192))  # type: ignore[attr-defined]
+            actions = np.where(rng.random((500, 8192)) < share, anything, 0)
             memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
         observations, rewards, _, _, _ = envs.step(actions[step % 500])
         assert (observations >= lows).all() and (observations <= highs).all()  # noqa: PT018  # also without NaN

@@ -11,6 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from single_lanes import assert_lanes_are_single, follow
 
 from motor_env import Fault, discretize, draw
 from motor_env.envs import (
@@ -60,22 +61,6 @@ def random_actions(space: gym.Space[Any], steps: int, count: int, seed: int) -> 
     return actions.astype(np.float32)
 
 
-def follow(env: Any, actions: NDArray[Any], seed: int, index: int, mode: AutoresetMode) -> list[Any]:
-    """What a vector with that autoreset mode should give for one sub-environment, made with a single environment."""
-    observation, info = env.reset(seed=seed, options={"index": index})
-    trace, over = [(observation, 0.0, False, info["onset_sample"])], False
-    for action in actions:
-        if over and mode is AutoresetMode.NEXT_STEP:
-            observation, info = env.reset()
-            reward, over = 0.0, False
-        else:
-            observation, reward, over, _, info = env.step(action)
-            if over and mode is AutoresetMode.SAME_STEP:
-                observation, info = env.reset()
-        trace.append((observation, reward, over, info["onset_sample"]))
-    return trace
-
-
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 @pytest.mark.parametrize(("single", "vector", "options"), ALL_PAIRS)
 def test_every_lane_is_the_single_environment(
@@ -84,18 +69,7 @@ def test_every_lane_is_the_single_environment(
     count, steps = 70, 300  # more lanes than a block has, and several episodes
     envs = vector(count, autoreset_mode=mode, **options)
     actions = random_actions(envs.single_action_space, steps, count, seed=1)
-    observations, infos = envs.reset(seed=7)
-    seen = [(observations, np.zeros(count), np.zeros(count, bool), infos["onset_sample"])]
-    for action in actions:
-        observations, rewards, terminated, truncated, infos = envs.step(action)
-        assert not truncated.any()
-        seen.append((observations, rewards, terminated, infos["onset_sample"]))
-    assert sum(int(over.sum()) for _, _, over, _ in seen) > 2 * count
-    found, env = [np.array(values) for values in zip(*seen, strict=True)], single(**options)
-    for index in range(count):
-        expected = zip(*follow(env, actions[:, index], 7, index, mode), strict=True)
-        for ours, theirs in zip(found, expected, strict=True):
-            np.testing.assert_array_equal(ours[:, index], theirs)
+    assert_lanes_are_single(envs, single(**options), actions, "onset_sample")
 
 
 @pytest.mark.parametrize("vector", [MonitorVectorEnv, ProbeVectorEnv, ProbeContinuousVectorEnv])
@@ -197,7 +171,7 @@ def test_a_uniform_random_policy_keeps_lanes_apart_from_each_other() -> None:
     actions = np.random.default_rng(0).integers(0, 4, (200, 130))
     seen = [envs.reset(seed=4)[0], *(envs.step(action)[0] for action in actions)]
     for index in (0, 63, 64, 129):
-        expected = follow(env, actions[:, index], 4, index, AutoresetMode.NEXT_STEP)
+        expected = follow(env, actions[:, index], 4, index, AutoresetMode.NEXT_STEP, "onset_sample")
         for mine, theirs in zip(seen, expected, strict=True):
             np.testing.assert_array_equal(mine[index], theirs[0])
 
@@ -310,10 +284,10 @@ def test_episodes_are_the_draws_of_the_simulation(recipe: str, growth_s: float, 
             envs.step(np.zeros(200, dtype=np.int64))
         faults = tuple(Fault(f.kind, f.severity * share) for f in drawn.scenario.faults)
         model = discretize(apply_faults(drawn.scenario.parameters, faults), envs.options.dt_s)
-        state = envs._arrays[2].reshape(-1, kernel.BLOCK // kernel.LANES, kernel.LANES)
-        rows = state[:, : kernel.ROW_LENGTH].swapaxes(1, 2).reshape(-1, kernel.ROW_LENGTH)[:200]
+        state = envs._arrays[2].view(kernel.block_type(precision))
         belief = envs.setup.belief.model
         moved = (model.transition - belief.transition).reshape(-1, 4).astype(precision)
-        np.testing.assert_array_equal(rows[:, :4], moved)
+        own = [state[name].ravel()[:200] for name in ("m00", "m01", "m10", "m11", "b0", "b1")]
+        np.testing.assert_array_equal(own[:4], moved.T)
         gain = model.gain[..., 0] * drawn.factors[:, :1] - belief.gain[:, 0]
-        np.testing.assert_array_equal(rows[:, kernel.B0 : kernel.B1 + 1], gain.astype(precision))
+        np.testing.assert_array_equal(own[4:], gain.T.astype(precision))

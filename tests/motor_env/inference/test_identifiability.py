@@ -14,7 +14,6 @@ from motor_env import (
     Timing,
     cramer_rao_bound,
     identifiability,
-    load_recipe,
     simulate_states,
 )
 from motor_env.inference.identifiability import Identifiability
@@ -28,7 +27,6 @@ BOTH = SensorParameters(
 )
 START = Experiment.start(TIMING, CURRENT)
 STEADY = replace(Experiment.start(Timing(10_000.0, 0.2), CURRENT), first_sample=1000)
-BENCH = load_recipe("bench")
 
 
 def test_bounds_are_those_of_cramer_and_rao() -> None:

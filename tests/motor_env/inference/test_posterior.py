@@ -24,7 +24,6 @@ from motor_env import (
 )
 from motor_env.inference.fit import Prior, fit
 from motor_env.inference.posterior import (
-    Excess,
     class_coordinates,
     class_log_evidence,
     prior_from_starts,
@@ -213,20 +212,16 @@ def test_an_excess_counts_the_cases_on_which_the_two_differ() -> None:
     found = excess_over_limit(np.eye(2)[best], truth, predicted)
     error = np.sqrt((13.0 / 100.0 - 0.05**2) / 99.0)
     assert found == pytest.approx((0.05, error))
-    assert not found.is_suspicious
-    assert Excess(0.0301, 0.01).is_suspicious
-    assert not Excess(0.0299, 0.01).is_suspicious
 
 
-def test_a_classifier_that_saw_the_labels_is_suspicious_and_an_honest_one_is_not() -> None:
+def test_a_classifier_that_saw_the_labels_is_above_the_limit_and_an_honest_one_is_not() -> None:
     drawn, measured = drawn_measurements(BENCH_1KHZ, 600)
     probabilities = class_probabilities(BENCH_1KHZ, measured)
     honest = class_probabilities(BENCH_1KHZ, measured[..., :30]).argmax(axis=1)
     below = excess_over_limit(probabilities, drawn.class_index, honest)
     assert below.excess < 0.0
-    assert not below.is_suspicious
     equal = excess_over_limit(probabilities, drawn.class_index, probabilities.argmax(axis=1))
     assert equal == (0.0, 0.0)
-    assert not equal.is_suspicious
     peeked = np.where(np.arange(600) % 4 == 0, drawn.class_index, probabilities.argmax(axis=1))
-    assert excess_over_limit(probabilities, drawn.class_index, peeked).is_suspicious
+    above = excess_over_limit(probabilities, drawn.class_index, peeked)
+    assert above.excess > 3.0 * above.standard_error

@@ -58,14 +58,15 @@ def scaled(value):
     return 2.0 * value
 """,
     "kernel.py": """
+import numpy as np
 from motor_env.motor.compiled import njit
 from helper import scaled
-from constants import OFFSET
+from constants import OFFSET, RECORD
 @njit(cache=True)
 def answer(value):
-    return scaled(value) + OFFSET
+    return scaled(value) + OFFSET + np.zeros(1, RECORD).itemsize
 """,
-    "constants.py": "OFFSET = 5.0",
+    "constants.py": "import numpy as np\nOFFSET, RECORD = 5.0, np.dtype([('speed', 'f8')])",
     "notes.py": "0",
 }
 ASK = """
@@ -83,11 +84,12 @@ for line in sys.stdin:
     os.wait()
 """
 EDITS = (
-    ("notes.py", "0", "1", "7.0 1"),  # not used by what is compiled
-    ("helper.py", "2.0 *", "3.0 *", "8.0 0"),
-    ("helper.py", "forceinline=True", "inline='always'", "8.0 0"),
-    ("constants.py", "5.0", "6.0", "9.0 0"),
-    ("kernel.py", "+ OFFSET", "- OFFSET", "-3.0 0"),
+    ("notes.py", "0", "1", "15.0 1"),  # not used by what is compiled
+    ("helper.py", "2.0 *", "3.0 *", "16.0 0"),
+    ("helper.py", "forceinline=True", "inline='always'", "16.0 0"),
+    ("constants.py", "5.0", "6.0", "17.0 0"),
+    ("constants.py", "f8", "f4", "13.0 0"),
+    ("kernel.py", "+ OFFSET", "- OFFSET", "1.0 0"),
 )
 
 
@@ -107,7 +109,7 @@ def test_an_edit_is_compiled_and_nothing_else(tmp_path: Path) -> None:
         assert asked.stdin is not None
         assert asked.stdout is not None
         asked.stdin.write("\n")
-        assert asked.stdout.readline() == "7.0 0\n"
+        assert asked.stdout.readline() == "15.0 0\n"
         for name, before, after, expected in EDITS:
             path = tmp_path / name
             stat = path.stat()

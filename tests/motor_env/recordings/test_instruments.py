@@ -17,7 +17,6 @@ from suggested_options import fits, options_of
 from motor_env import ColumnChoice, Recording, read_recording
 
 Random = np.random.Generator
-_TIMELESS = ("bare", "serial_monitor")  # a row that is missing cannot be seen in them
 
 
 @cache

@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from pi_controller import PI
 from planned_drive import PlannedDecisions, PlannedDrive
+from single_lanes import assert_lanes_are_single
 
 from motor_env import discretize
 from motor_env.envs import (
@@ -49,36 +50,11 @@ def random_actions(steps: int, count: int) -> NDArray[np.float64]:
     return actions
 
 
-def follow(env: DriveEnv, actions: NDArray[np.float64], index: int, mode: AutoresetMode) -> list[Any]:
-    """What a vector should give for one sub-environment, made with a single environment."""
-    observation, info = env.reset(seed=7, options={"index": index})
-    trace, over = [(observation, 0.0, False, info["severity"])], False
-    for action in actions:
-        if over and mode is AutoresetMode.NEXT_STEP:
-            (observation, info), reward, over = env.reset(), 0.0, False
-        else:
-            observation, reward, over, _, info = env.step(action)
-            if over and mode is AutoresetMode.SAME_STEP:
-                observation, info = env.reset()
-        trace.append((observation, reward, over, info["severity"]))
-    return trace
-
-
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_every_lane_is_the_single_environment(mode: AutoresetMode) -> None:
     count, actions = 12, random_actions(200, 12)
     envs = DriveVectorEnv(count, autoreset_mode=mode, **SHORT)
-    observations, info = envs.reset(seed=7)
-    seen = [(observations, np.zeros(count), np.zeros(count, bool), info["severity"])]
-    for action in actions:
-        observations, rewards, over, _, info = envs.step(action)
-        seen.append((observations, rewards, over, info["severity"]))
-    assert sum(int(over.sum()) for _, _, over, _ in seen) > 2 * count
-    for index in range(count):
-        expected = follow(DriveEnv(**SHORT), actions[:, index], index, mode)
-        for (o, r, t, k), (eo, er, et, ek) in zip(seen, expected, strict=True):
-            np.testing.assert_array_equal(o[index], eo)
-            assert (r[index], t[index], k[index]) == (er, et, ek)
+    assert_lanes_are_single(envs, DriveEnv(**SHORT), actions, "severity")
 
 
 def test_disabled_autoreset_waits_for_the_mask() -> None:
