@@ -281,7 +281,10 @@ def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None
         if top == 0.0 or flat.mean() > _MOSTLY or not clipped_run(shown, _quantum(shown)):
             continue
         # An encoder of few edges stands at its largest value, too, but not wherever the motor shows more.
-        above = np.abs(healthy) > _ABOVE * top
+        # A motor that shows less than expected everywhere is not clipped where a controller holds it.
+        rest, free = shown[~flat], healthy[~flat]
+        share = min(float(free @ rest) / max(float(free @ free), 1e-300), 1.0)
+        above = share * np.abs(healthy) > _ABOVE * top
         both = np.count_nonzero(above & flat)
         is_more = both > _MOSTLY * max(np.count_nonzero(flat), np.count_nonzero(above))
         limited = np.clip(healthy, -top, top)

@@ -128,6 +128,16 @@ def test_an_encoder_of_few_edges_is_not_clipped() -> None:
     assert failure_in(Seen(DT_S, volts, current, held), PHYSICAL) is None
 
 
+def test_a_speed_that_is_held_and_less_everywhere_is_not_clipped() -> None:
+    volts = np.tile(np.repeat([4.0, 6.0], 40), 10)
+    current, speed = free_run(PHYSICAL, volts, DT_S)
+    steady = np.round(speed, 1)
+    assert failure_in(Seen(DT_S, volts, current, 0.85 * steady), PHYSICAL) is None
+    found = failure_in(Seen(DT_S, volts, current, np.minimum(steady, 0.85 * steady.max())), PHYSICAL)
+    assert found is not None
+    assert found.kind == "speed_clipped"
+
+
 def test_a_current_that_a_rotor_at_rest_draws_is_no_offset() -> None:
     """The current of a winding that falls slowly; more than that is an offset."""
     slow = PHYSICAL.copy()
