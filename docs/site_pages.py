@@ -194,7 +194,7 @@ def curves(name: str, path: Path) -> bool:
         level = json.loads((kept / f"{method}.json").read_text(encoding="utf-8"))["return"]
         axes.axhline(level, color=colour, linestyle="--", linewidth=1.2, label=method)
     axes.set(xlabel="steps of training", ylabel="mean return")
-    axes.legend(frameon=False)
+    figure.legend(loc="outside right upper", frameon=False)
     figure.savefig(path, dpi=110)
     plt.close(figure)
     return True
