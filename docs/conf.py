@@ -32,6 +32,7 @@ nb_execution_mode = "force"  # the notebooks run at every build; an error ends i
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600
 nb_merge_streams = True
+nb_output_stderr = "remove"  # what is said at a first use, such as how long compiling takes
 autodoc_typehints_format = "short"
 maximum_signature_line_length = 80
 autodoc_member_order = "bysource"

@@ -15,10 +15,10 @@ WIDTH_PX = 240
 TRIALS, SEED = 64, 1
 HEAD = """# All ids at a glance
 
-In the order in which an agent should try them. Of random actions: the mean number of steps of {trials} episodes, which
-shows how soon a careless agent ends one. What scores where: [reference scores](../reference-scores.md).
+In the order in which an agent should try them. *Steps at random* is the mean length of {trials} episodes of random
+actions: it shows how soon a careless agent ends one. What scores where: [reference scores](../reference-scores.md).
 
-| id | | an episode, at most | of random actions | actions | observed | `reward_threshold` |
+| id | | an episode, at most | steps at random | actions | observed | `reward_threshold` |
 |---|---|---|---|---|---|---|
 """
 

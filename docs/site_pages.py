@@ -88,6 +88,8 @@ def options_table(options: Any) -> str:
     values = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
     if "recipe" in values:
         values["recipe"] = values["recipe"].name
+    if values.get("motor") == motor_env.PAPER_MOTOR:
+        values["motor"] = "PAPER_MOTOR"
     return table(
         ["option", "value here", "what it is"], [[f"`{n}`", f"`{v}`", said[n]] for n, v in values.items()]
     )
@@ -194,7 +196,7 @@ def curves(name: str, path: Path) -> bool:
         level = json.loads((kept / f"{method}.json").read_text(encoding="utf-8"))["return"]
         axes.axhline(level, color=colour, linestyle="--", linewidth=1.2, label=method)
     axes.set(xlabel="steps of training", ylabel="mean return")
-    axes.legend(frameon=False)
+    figure.legend(loc="outside right upper", frameon=False)
     figure.savefig(path, dpi=110)
     plt.close(figure)
     return True
@@ -242,9 +244,7 @@ def tables_of(env: Any) -> dict[str, str]:
 def variant(spec: EnvSpec, base: Any) -> list[str]:
     """What an id has that the first of its family has not."""
     env, name = gym.make(spec.id).unwrapped, spec.id.split("/")[1]
-    given = (
-        ", ".join(f"`{key}={value!r}`" for key, value in spec.kwargs.items()) or "its actions are continuous"
-    )
+    given = ", ".join(f"`{key}={value!r}`" for key, value in spec.kwargs.items()) or "continuous actions"
     watched = isinstance(env.options, MonitorOptions)
     parts = [f"## {name}", f"Differs by {given}.", screen_of(name), *(motor_parts(env) if watched else [])]
     known = tables_of(base)

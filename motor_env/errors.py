@@ -15,7 +15,7 @@ _LONGEST = 1000  # characters: a value of a stranger's file may have thousands
 
 
 class InputError(ValueError):
-    """Input that cannot be used; the message is the sentence that the user reads: one line, cut where it has no end."""
+    """Input that cannot be used; the message is the sentence that the user reads, one line of bounded length."""
 
     def __init__(self, sentence: str) -> None:
         line = " ".join(sentence.splitlines())  # a name in a stranger's file may have several

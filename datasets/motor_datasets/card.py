@@ -97,7 +97,7 @@ def _subject(manifest: Manifest) -> str:
 
 
 def _size_category(count: int) -> str:
-    """As Hugging Face names it."""
+    """Name of the size category on Hugging Face."""
     bounds = {10**3: "n<1K", 10**4: "1K<n<10K", 10**5: "10K<n<100K", 10**6: "100K<n<1M", 10**7: "1M<n<10M"}
     return next((name for bound, name in bounds.items() if count < bound), "n>10M")
 

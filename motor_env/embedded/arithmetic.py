@@ -290,7 +290,7 @@ class _Twin:
             self.lost = (self.state - before) - rest
 
     def _forward(self, growth: Values) -> Values:
-        """Whose signs the innovation is taken with, for windings and for friction."""
+        """Values by whose signs the innovation is multiplied, for windings and for friction."""
         is_fixed, predicted = self.numbers.is_fixed, self.state + growth
         predicted = clamped(predicted) if is_fixed else predicted
         shared = np.floor_divide if is_fixed else np.divide

@@ -42,4 +42,4 @@ class MonitorEnv(DiscreteMotorEnv):
 
 
 class MonitorVectorEnv(DiscreteVectorEnv):
-    """Many of `MonitorEnv` at once: sub-environment n runs the stream of episodes (seed, n)."""
+    """Vector of `MonitorEnv`: sub-environment n runs the stream of episodes (seed, n)."""

@@ -20,7 +20,7 @@ from motor_env.simulation.recipes import Recipe
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeOptions(MonitorOptions):
-    """The options of `MonitorOptions`, with other defaults, and what the voltage may do and costs.
+    """Options of `MonitorOptions` with other defaults, and those of a voltage that the agent moves.
 
     Attributes:
         recipe: see `MonitorOptions`; the default has windings worse by 0.5 to 3 %.
@@ -117,7 +117,7 @@ class ProbeEnv(DiscreteMotorEnv):
 
 
 class ProbeVectorEnv(DiscreteVectorEnv):
-    """Many of `ProbeEnv` at once: sub-environment n runs the stream of episodes (seed, n)."""
+    """Vector of `ProbeEnv`: sub-environment n runs the stream of episodes (seed, n)."""
 
     options_type = ProbeOptions
 
@@ -158,7 +158,7 @@ class ProbeContinuousEnv(MotorEnv):
 
 
 class ProbeContinuousVectorEnv(MotorVectorEnv):
-    """Many of `ProbeContinuousEnv` at once: sub-environment n runs the stream of episodes (seed, n)."""
+    """Vector of `ProbeContinuousEnv`: sub-environment n runs the stream of episodes (seed, n)."""
 
     options_type = ProbeOptions
 

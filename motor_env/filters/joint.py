@@ -30,7 +30,7 @@ _STEP = 1e-4
 
 
 class JointKind(StrEnum):
-    """Which filter."""
+    """Kind of a joint filter: extended or unscented."""
 
     EXTENDED = "extended"
     UNSCENTED = "unscented"

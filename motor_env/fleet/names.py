@@ -13,7 +13,7 @@ _GROUPS = ("machine", "motor", "repeat")
 
 
 class Place(NamedTuple):
-    """Whose record a file is.
+    """Machine, motor and repeat whose record a file is.
 
     Attributes:
         machine: that the motor is part of.

@@ -93,7 +93,7 @@ class Sister:
 
     @property
     def verdict(self) -> Verdict:
-        """Of the motor."""
+        """Verdict on the motor."""
         return self.telling.verdict
 
     @property

@@ -92,7 +92,7 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """Everything that decides a transient but the noise's random numbers; one motor, or a batch of them.
+    """Everything that decides a transient except the random numbers of its noise; one motor or a batch.
 
     Attributes:
         parameters: the motor without its faults, one or a batch.
@@ -130,7 +130,7 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True)
 class Transients:
-    """Simulated transients: what a sensor saw, and beside it the truth, which nothing that decides may read.
+    """Simulated transients: what a sensor reads, and beside it the truth, which is for scoring alone.
 
     Attributes:
         time_s: shape (n_samples,); 0 is the step.

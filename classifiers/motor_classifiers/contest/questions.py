@@ -94,7 +94,7 @@ class StrangerTask(DrawnTask):
         return ("strangeness",)
 
     def test(self) -> Cases:
-        """As many starts of the known classes as of each unknown fault, in an order of the seed's own."""
+        """Equally many starts of the known classes and of each unknown fault, shuffled by the seed."""
         per_kind = self.n_test // (1 + len(UNKNOWN_FAULTS))
         numbers = np.arange(per_kind) + TEST_FIRST_CASE
         known = judged_starts(self.recipe, self.test_seed, TEST_FIRST_CASE, per_kind).X

@@ -52,7 +52,7 @@ class Card:
 
 
 def write_submission(folder: Path | str, task: DrawnTask, answers: ArrayLike, card: dict[str, str]) -> None:
-    """Write answers and their card; both are checked as they are when they are scored.
+    """Write the answers to a task and their card; both are checked as for scoring.
 
     Args:
         folder: of the two files.

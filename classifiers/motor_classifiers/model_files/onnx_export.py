@@ -59,7 +59,7 @@ class Deployed(nn.Module):
 
 
 def export_onnx(model: PosteriorNetwork, recipe: Recipe, path: Path) -> None:
-    """Write the graph; the file appears whole or not at all. Its metadata hold classes, kinds and the recipe.
+    """Write a posterior network as an ONNX file, with classes, kinds and recipe in its metadata; whole or not at all.
 
     Args:
         model: fitted.

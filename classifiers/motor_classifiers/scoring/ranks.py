@@ -66,7 +66,7 @@ def class_ranks(probabilities: FloatArray, truth: NDArray[np.int64], uniform: Fl
 
 
 def confidence_ranks(probabilities: FloatArray, truth: NDArray[np.int64], uniform: FloatArray) -> FloatArray:
-    """The same, the classes of each case from the most to the least probable one: sensitive to its confidence."""
+    """Ranks of the truth with each case's classes in order of probability: sensitive to its confidence."""
     order = np.argsort(-probabilities, axis=1, kind="stable")
     place = np.argmax(order == truth[:, None], axis=1)
     return class_ranks(np.take_along_axis(probabilities, order, axis=1), place, uniform)

@@ -115,7 +115,7 @@ def shortened(estimator: BaseEstimator, n_samples: int) -> BaseEstimator:
 
 @dataclass(eq=False, repr=False)
 class EarlyClassifier(MetaEstimatorMixin, ProbabilityClassifier):
-    """Any classifier, once for each of some lengths of what was seen, and the rule that stops when one is sure.
+    """Any classifier, fitted for several lengths of a start, and a rule that stops once one of them is sure.
 
     Args:
         estimator: the classifier, by default a logistic regression; recipes among its parameters are cut to each

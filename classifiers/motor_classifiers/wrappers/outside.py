@@ -41,7 +41,7 @@ _LEVELS = 8  # of a noise that is not known
 
 @dataclass(eq=False, repr=False)
 class OutsideDetector(OutlierMixin, BaseEstimator):
-    """Tells starts that are not of a recipe's world, by scikit-learn's interface for outliers.
+    """Finds starts that a recipe does not explain, by scikit-learn's interface for outliers.
 
     Args:
         recipe: motors, faults, surroundings and sensor that are known; without one, the paper's motor at 10 kHz.

@@ -130,7 +130,7 @@ class World:
         return self.coordinates(family.X.reshape(count, -1).astype(np.float64)), family.class_index
 
     def coordinates(self, flat: FloatArray) -> Coordinates:
-        """Of cases, shape (n, n_values)."""
+        """Coordinates of cases, `flat` of shape (n, n_values)."""
         deviation = (flat - self.nominal) / self.noise
         along = deviation @ self.directions.T
         return Coordinates(along, np.square(deviation - along @ self.directions).sum(axis=1))

@@ -23,7 +23,7 @@ class DirectedRule(Rule):
 
     @property
     def n_channels(self) -> int | None:
-        """As many as the direction has entries; any number where the first channel is taken."""
+        """Number of channels: the entries of the direction; None, any number, if the first channel is taken."""
         return None if self.direction is None else len(self.direction)
 
     def series(self, whitened: FloatArray) -> FloatArray:

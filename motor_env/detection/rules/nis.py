@@ -58,7 +58,7 @@ class MOfN(ExactRule):
 
 
 def nis_rule() -> MOfN:
-    """The plain test of each sample's NIS (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4)."""
+    """Rule that alarms when the NIS of one sample is above a threshold (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4)."""
     return MOfN(1, 1)
 
 

@@ -125,7 +125,7 @@ class PosteriorPolicy(ThresholdPolicy):
 
 
 class BayesPolicy(PosteriorPolicy):
-    """Declares the kind whose declaration is worth a threshold in expectation under the exact posterior.
+    """Declares a kind once the reward that it expects from this, under the exact posterior, reaches a threshold.
 
     At the last step it declares whatever is worth more than silence. A fixed threshold is not the solved
     problem of optimal stopping: it gives a lower bound of the best return, `benchmarks/bounds.py` an upper one.

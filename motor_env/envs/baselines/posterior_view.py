@@ -16,7 +16,7 @@ from motor_env.motor.parameters import require
 
 
 class PosteriorView(VectorWrapper[Any, Any, Any]):
-    """A vector whose observation is the summary of `ProbeBelief`, and whose reward the one that it expects.
+    """Vector environment that shows the summary of `ProbeBelief`, and pays the reward that it expects.
 
     Both follow from what the vector observes and from the actions, so an agent can have them. The expected reward is
     the true one on average, without the noise of luck; the returns of an episode are not those of the truth.
@@ -62,7 +62,7 @@ class PosteriorView(VectorWrapper[Any, Any, Any]):
 
 
 class Summarised(Policy):
-    """What was learned in a `PosteriorView`, as a policy of the environment itself.
+    """Policy of an environment, from one that was learned in a `PosteriorView` of it.
 
     Args:
         belief: of the environment's setup.

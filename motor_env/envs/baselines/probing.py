@@ -41,7 +41,7 @@ class Bursts(NamedTuple):
 
 
 class WorthTest(ThresholdPolicy):
-    """Declares the kind whose declaration is worth a threshold in expectation under the posterior.
+    """Declares a kind once the reward that it expects from this, under the posterior, reaches a threshold.
 
     At the last step whatever is worth more than silence.
 

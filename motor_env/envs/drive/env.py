@@ -141,7 +141,7 @@ class DriveEnv(StreamEnv[DriveOptions]):
 
 
 class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
-    """Many of `DriveEnv` at once: sub-environment n runs the stream of episodes (seed, n)."""
+    """Vector of `DriveEnv`: sub-environment n runs the stream of episodes (seed, n)."""
 
     options_type = DriveOptions
 

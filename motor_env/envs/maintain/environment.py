@@ -206,7 +206,7 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
 
 
 class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
-    """Many of `MaintainEnv` at once: sub-environment n runs the stream of episodes (seed, n)."""
+    """Vector of `MaintainEnv`: sub-environment n runs the stream of episodes (seed, n)."""
 
     options_type = MaintainOptions
 

@@ -40,7 +40,7 @@ class ReplaceFrom(Policy):
 
 
 class PlannedUpkeep(Policy):
-    """The best plan by dynamic programming over mean and standard deviation of the belief (Bellman 1957).
+    """The best plan by dynamic programming over the posterior's mean and standard deviation (Bellman 1957).
 
     A bearing's rate of wear counts as known while it runs; its mean is looked up between the rates of the task.
 

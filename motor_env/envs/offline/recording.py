@@ -141,7 +141,7 @@ def record(task: str, behaviour: Behaviour, folder: Path, *, episodes: int = 300
 def _minari_below(folder: Path) -> Iterator[None]:
     """Minari writes below this folder, and does not ask for an author and a link to the code."""
     before = os.environ.get("MINARI_DATASETS_PATH")
-    os.environ["MINARI_DATASETS_PATH"] = str(folder)  # the only way to say where
+    os.environ["MINARI_DATASETS_PATH"] = str(folder.absolute())  # no other way; it fails on relative paths
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)

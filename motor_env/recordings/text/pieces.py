@@ -131,7 +131,7 @@ def _plain_numbers(block: Block, piece: bytes, rows: int) -> FloatArray:
 
 
 def _most_numbers(block: Block, piece: bytes, rows: int, *, holes: bool = False) -> FloatArray:
-    """Those of a block without quotes or blank lines; ValueError or KeyError for any other."""
+    """Numbers of a block without quotes or blank lines; ValueError or KeyError for any other."""
     import pandas as pd
 
     delimiter, missing = block.table.delimiter, ["", "nan", "NaN"]
@@ -159,7 +159,7 @@ def _most_numbers(block: Block, piece: bytes, rows: int, *, holes: bool = False)
 
 
 def _numbers_with_holes(block: Block, piece: bytes, rows: int) -> FloatArray:
-    """The same with empty cells; ValueError where a row ends before them."""
+    """Numbers of a piece with empty cells as nan; ValueError where a row ends before them."""
     mark = None if block.table.delimiter == " " else block.table.delimiter.encode()
     if min(len(line.split(mark)) for line in piece.removesuffix(b"\n").split(b"\n")) <= max(block.columns):
         raise ValueError("a row that ends too soon")

@@ -42,6 +42,15 @@ def test_a_data_set_is_read_and_its_environment_repeats_it(
             assert paid == reward
 
 
+def test_a_folder_may_be_relative_and_new(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Minari itself cannot write below a relative path."""
+    monkeypatch.chdir(tmp_path)
+    assert (
+        main(["offline", "Maintain-v0", "--behaviour", "random", "--episodes", "2", "--out", "out/new"]) == 0
+    )
+    assert (tmp_path / "out" / "new" / "motor_env" / "Maintain" / "random-v0").is_dir()
+
+
 def test_better_policies_are_paid_better() -> None:
     for task in ("Probe-v0", "Drive-v0", "Maintain-v0"):
         mean = {
