@@ -281,12 +281,11 @@ def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None
         if top == 0.0 or flat.mean() > _MOSTLY or not clipped_run(shown, _quantum(shown)):
             continue
         # An encoder of few edges stands at its largest value, too, but not wherever the motor shows more.
-        # A motor that shows less than expected everywhere is not clipped where a controller holds it.
-        rest, free = shown[~flat], healthy[~flat]
-        share = min(float(free @ rest) / max(float(free @ free), 1e-300), 1.0)
-        above = share * np.abs(healthy) > _ABOVE * top
+        above = np.abs(healthy) > _ABOVE * top
         both = np.count_nonzero(above & flat)
         is_more = both > _MOSTLY * max(np.count_nonzero(flat), np.count_nonzero(above))
+        # What a controller holds stands still in the healthy motor, too.
+        is_more = is_more and float(np.ptp(np.abs(healthy[flat]))) > (_ABOVE - 1.0) * top
         limited = np.clip(healthy, -top, top)
         if is_more and _likeness(shown, limited) > _ALIKE and _size(shown - limited) < _MOSTLY * _size(shown):
             most = float(np.max(np.abs(healthy)))
