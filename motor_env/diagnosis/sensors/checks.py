@@ -283,7 +283,7 @@ def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None
         # An encoder of few edges stands at its largest value, too, but not wherever the motor shows more.
         above = np.abs(healthy) > _ABOVE * top
         both = np.count_nonzero(above & flat)
-        is_more = both > _MOSTLY * max(np.count_nonzero(flat), np.count_nonzero(above))
+        is_more = bool(both > _MOSTLY * max(np.count_nonzero(flat), np.count_nonzero(above)))
         # What a controller holds stands still in the healthy motor, too.
         is_more = is_more and float(np.ptp(np.abs(healthy[flat]))) > (_ABOVE - 1.0) * top
         limited = np.clip(healthy, -top, top)
