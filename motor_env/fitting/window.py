@@ -92,6 +92,7 @@ def moved_by_held(
     record: Record,
     known: FloatArray,
     wanted: Sequence[str],
+    *,
     peaks: tuple[float, float, float],
     held: Sequence[int],
     errors: FloatArray,

@@ -29,7 +29,7 @@ from motor_env.fitting.identify import FEWEST_STEPS, UNSEEN_STEPS, Operation, id
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.uncertainty import beyond, motor_places
-from motor_env.fitting.window import BRUSHES, FITTED, fit_window, moved_by_held
+from motor_env.fitting.window import BRUSHES, FITTED, fit_window
 from motor_env.motor.healthy import Healthy, Held, Scale, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -133,14 +133,13 @@ def _held(
         ratios: logarithms of the fit of each over their mean, shape (4,).
         spreads: covariance of each, shape (4, 4).
     """
-    problem, known, terms = joint.solution.problem, judge.physical(), judge.windows.terms
+    problem, known = joint.solution.problem, judge.physical()
     free = [problem.free[n] for n in motor_places(problem)]
     rows = [n for n, term in enumerate(free) if term.name not in FITTED and known[term.place] != 0.0]
     places = tuple(free[n].place for n in rows)
     units = np.array([free[n].unit for n in rows])
     errors = block_diag(_rooted(joint.covariance[np.ix_(rows, rows)]) * units, np.eye(len(BRUSHES)))
-    peaks = judge.windows.peaks or (1.0, 1.0, 1.0)
-    each = np.array([moved_by_held(record, known, terms, peaks, places, errors) for record in records])
+    each = np.array([judge.moved(record, places, errors) for record in records])
     apart = each - each.mean(axis=0)
     weighed = [off @ np.linalg.inv(spread) for off, spread in zip(apart, spreads, strict=True)]
     told = sum(weight @ off.T for weight, off in zip(weighed, apart, strict=True))

@@ -128,6 +128,17 @@ class WindowJudge:
         fit = fit_window(replace(record, hold=self.windows.hold), self.physical(), self.windows.terms)
         return over_speed(fit, self.windows.physical, self.windows.speed_rad_s)
 
+    def moved(self, record: Record, held: Sequence[int], errors: FloatArray) -> FloatArray:
+        """How the fit of a window moves where what it holds is wrong, see `moved_by_held`."""
+        return moved_by_held(
+            replace(record, hold=self.windows.hold),
+            self.physical(),
+            self.windows.terms,
+            peaks=self.windows.peaks or (1.0, 1.0, 1.0),
+            held=held,
+            errors=errors,
+        )
+
     def reference_for(self, record: Record, fit: FittedWindow) -> Reference:
         """Distribution of R, K, J and B of a healthy window that moves like this one.
 
@@ -137,10 +148,7 @@ class WindowJudge:
         held, spread = self.windows.held, self.reference.log_covariance
         if held is None:
             return self.reference
-        record, peaks = replace(record, hold=self.windows.hold), self.windows.peaks or (1.0, 1.0, 1.0)
-        terms = self.windows.terms
-        moves = moved_by_held(record, self.physical(), terms, peaks, held.places, held.errors)
-        off = moves - held.moves
+        off = self.moved(record, held.places, held.errors) - held.moves
         spread = spread + off.T @ off
         return replace(self.reference, log_covariance=spread + beyond(spread, fit.robust_covariance))
 

@@ -14,7 +14,7 @@ from motor_env import diagnose
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running import lessons
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.running.windows import judge_of
+from motor_env.diagnosis.running.windows import WindowJudge, judge_of
 
 # Reaches in: the fit of a window is made with values of which one is wrong.
 from motor_env.fitting import places
@@ -77,7 +77,7 @@ def test_a_fit_moves_as_said_where_what_it_holds_is_wrong(
     held, sizes = [places.GEAR, places.COULOMB], known[[places.GEAR, places.COULOMB]] * 0.05
     errors = np.zeros((3, 4))
     errors[0, 0], errors[1, 1], errors[2, 3] = *sizes, 0.1
-    moves = moved_by_held(record, known, TERMS, windows.peaks, held, errors)
+    moves = moved_by_held(record, known, TERMS, peaks=windows.peaks, held=held, errors=errors)
 
     def fitted(record: Record, **off: float) -> FloatArray:
         values = known.copy()
@@ -149,12 +149,8 @@ def test_windows_that_move_differently_tell_what_they_hold(
     ratios = [0.01 * rng.standard_normal(4) for _ in range(5)]
     noises = [np.diag(rng.uniform(1e-4, 1e-3, 4)) for _ in range(5)]
     scale = np.diag([1.0 / units[0], 1.0 / units[1], 1.0, 1.0])
-    queue = iter(slopes)
-    monkeypatch.setattr(
-        lessons,
-        "moved_by_held",
-        lambda *given: given[-1] @ scale @ next(queue),  # errors are in SI
-    )
+    queue = iter(slopes)  # errors are in SI
+    monkeypatch.setattr(WindowJudge, "moved", lambda *given: given[-1] @ scale @ next(queue))
     held = lessons._held(joint, cast("Any", [None] * 5), judge, ratios, noises)
     assert held.places == (places.COULOMB, places.GEAR)
     prior, middle = block_diag(spread, np.eye(2)), np.mean(slopes, axis=0)
