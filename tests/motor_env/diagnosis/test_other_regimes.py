@@ -1,6 +1,7 @@
 """Windows that move the motor differently than the healthy ones did: what their fits hold may be wrong."""
 
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from motor_env import diagnose
+from motor_env import InputError, diagnose
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running import lessons
 from motor_env.diagnosis.running.lessons import learn_windows
@@ -168,6 +169,21 @@ def test_tables_of_what_is_held_go_together() -> None:
     for errors, moves in ((np.zeros((3, 3)), np.zeros((3, 4))), (np.zeros((3, 4)), np.zeros((3, 5)))):
         with pytest.raises(ValueError, match="errors must go with them and with places"):
             Held((0, 1), errors, moves)
+
+
+def test_a_motor_file_that_holds_no_value_of_the_fit_is_refused(commissioned: Motor) -> None:
+    healthy = commissioned.healthy
+    assert healthy is not None
+    assert healthy.windows is not None
+    for place, is_refused in ((places.N_VALUES - 1, False), (places.N_VALUES, True)):
+        held = Held((place,), np.zeros((1, 3)), np.zeros((1, 4)))
+        other = replace(healthy, windows=replace(healthy.windows, held=held))
+        with (
+            pytest.raises(InputError, match=r"held\.places must be below 33, got 33")
+            if is_refused
+            else nullcontext()
+        ):
+            judge_of(other)
 
 
 def test_a_load_that_a_section_says_nothing_of_stays_as_it_is_known() -> None:
