@@ -290,7 +290,7 @@ def to_toml(motor: Motor) -> str:
         whole = content["healthy"]
         parts = {name: whole.pop(name) for name in ("starts", "windows", "fleet")}
         tables["healthy"] = whole
-        scales = () if parts["windows"] is None else parts["windows"].pop("scales")
+        inner = {name: parts["windows"].pop(name) for name in ("held", "scales")} if parts["windows"] else {}
         tables |= {f"healthy.{name}": part for name, part in parts.items() if part is not None}
-        tables["healthy.windows.scales"] = scales
+        tables |= {f"healthy.windows.{name}": part for name, part in inner.items() if part is not None}
     return toml_text(top, tables)

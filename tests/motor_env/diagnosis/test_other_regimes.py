@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from motor_env import InputError, diagnose
+from motor_env import InputError, diagnose, load_motor
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running import lessons
 from motor_env.diagnosis.running.lessons import learn_windows
@@ -24,7 +24,7 @@ from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import from_recordings
 from motor_env.fitting.score import behind_brushes
 from motor_env.fitting.window import Scores, fit_window, moved_by_held
-from motor_env.motor.data_sheet import Motor
+from motor_env.motor.data_sheet import Motor, save_motor
 from motor_env.motor.healthy import Held
 from motor_env.motor.parameters import FloatArray
 
@@ -169,6 +169,19 @@ def test_tables_of_what_is_held_go_together() -> None:
     for errors, moves in ((np.zeros((3, 3)), np.zeros((3, 4))), (np.zeros((3, 4)), np.zeros((3, 5)))):
         with pytest.raises(ValueError, match="errors must go with them and with places"):
             Held((0, 1), errors, moves)
+
+
+def test_a_motor_file_keeps_what_is_held(commissioned: Motor, tmp_path: Path) -> None:
+    path = tmp_path / "motor.toml"
+    save_motor(commissioned, path)
+    read = load_motor(path)
+    assert read.healthy is not None
+    assert commissioned.healthy is not None
+    windows = [one.windows for one in (read.healthy, commissioned.healthy)]
+    held = [one.held for one in windows if one is not None and one.held is not None]
+    assert held[0].places == held[1].places
+    np.testing.assert_array_equal(held[0].errors, held[1].errors)
+    np.testing.assert_array_equal(held[0].moves, held[1].moves)
 
 
 def test_a_motor_file_that_holds_no_value_of_the_fit_is_refused(commissioned: Motor) -> None:
