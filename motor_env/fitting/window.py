@@ -101,7 +101,7 @@ def moved_by_held(
 
     Args:
         record: the window.
-        known: physical values of the healthy motor, shape (places.N_VALUES,).
+        known: physical values of the window's motor, shape (places.N_VALUES,).
         wanted: terms of its windows.
         peaks: largest voltage, current and speed of its work.
         held: places of what is held.
@@ -113,7 +113,9 @@ def moved_by_held(
     problem, theta = _problem(record, known, [name for name in (*_LOADS, *NOISES) if name in wanted])
     base = problem.residuals(theta)
     inverse = np.linalg.pinv(problem.jacobian(theta, base))[: len(_MOTOR)]
-    each, current = [], record.predict(known, learn=False)[0][:, 2] - known[places.OFFSET_I]
+    inverse[_MOTOR.index("drag")] /= known[places.DRAG]  # of its logarithm
+    free = record.predict(problem.values(theta), learn=False)[0]
+    each, current = [], free[:, 2] - known[places.OFFSET_I]
     for place, size in zip(held, np.sqrt(np.sum(errors[:, : len(held)] ** 2, axis=0)), strict=True):
         off = known.copy()
         off[place] += _HELD_STEP * size

@@ -139,7 +139,7 @@ def _held(
     places = tuple(free[n].place for n in rows)
     units = np.array([free[n].unit for n in rows])
     errors = block_diag(_rooted(joint.covariance[np.ix_(rows, rows)]) * units, np.eye(len(BRUSHES)))
-    each = np.array([judge.moved(record, places, errors) for record in records])
+    each = np.array([judge.moved(record, None, places, errors) for record in records])
     apart = each - each.mean(axis=0)
     weighed = [off @ np.linalg.inv(spread) for off, spread in zip(apart, spreads, strict=True)]
     told = sum(weight @ off.T for weight, off in zip(weighed, apart, strict=True))

@@ -128,11 +128,13 @@ class WindowJudge:
         fit = fit_window(replace(record, hold=self.windows.hold), self.physical(), self.windows.terms)
         return over_speed(fit, self.windows.physical, self.windows.speed_rad_s)
 
-    def moved(self, record: Record, held: Sequence[int], errors: FloatArray) -> FloatArray:
-        """How the fit of a window moves where what it holds is wrong, see `moved_by_held`."""
+    def moved(
+        self, record: Record, at: FloatArray | None, held: Sequence[int], errors: FloatArray
+    ) -> FloatArray:
+        """How the fit of a window moves where what it holds is wrong, see `moved_by_held`; `at` as of `physical`."""
         return moved_by_held(
             replace(record, hold=self.windows.hold),
-            self.physical(),
+            self.physical(at),
             self.windows.terms,
             peaks=self.windows.peaks or (1.0, 1.0, 1.0),
             held=held,
@@ -148,7 +150,8 @@ class WindowJudge:
         held, spread = self.windows.held, self.reference.log_covariance
         if held is None:
             return self.reference
-        off = self.moved(record, held.places, held.errors) - held.moves
+        at = fit.log_values - self.reference.log_values
+        off = self.moved(record, at, held.places, held.errors) - held.moves
         spread = spread + off.T @ off
         return replace(self.reference, log_covariance=spread + beyond(spread, fit.robust_covariance))
 

@@ -1,5 +1,6 @@
 """Windows that move the motor differently than the healthy ones did: what their fits hold may be wrong."""
 
+import math
 import sys
 from contextlib import nullcontext
 from dataclasses import replace
@@ -96,6 +97,13 @@ def test_a_fit_moves_as_said_where_what_it_holds_is_wrong(
         fitted(behind) - fitted(record),
     ]
     np.testing.assert_allclose(moves, refitted, rtol=0.35, atol=2e-3)  # to first order
+    # The same motor, whose friction is twice that of other values.
+    twice = known.copy()
+    twice[places.DRAG] *= 2.0
+    twice[[places.B, places.COULOMB]] /= 2.0
+    errors[1, 1] /= 2.0
+    same = moved_by_held(record, twice, TERMS, peaks=windows.peaks, held=held, errors=errors)
+    np.testing.assert_allclose(same, moves, rtol=0.02, atol=1e-4)
 
 
 def test_windows_of_the_same_regime_are_compared_as_closely_as_before(
@@ -169,6 +177,21 @@ def test_tables_of_what_is_held_go_together() -> None:
     for errors, moves in ((np.zeros((3, 3)), np.zeros((3, 4))), (np.zeros((3, 4)), np.zeros((3, 5)))):
         with pytest.raises(ValueError, match="errors must go with them and with places"):
             Held((0, 1), errors, moves)
+
+
+def test_a_fault_does_not_hide_behind_what_is_held(geared: SimulatedMotor, commissioned: Motor) -> None:
+    """Fits of a motor with twice the friction move as those of the healthy one."""
+    assert commissioned.healthy is not None
+    judge = judge_of(commissioned.healthy)
+    sds = []
+    for factor in (1.0, 2.0):
+        motor = replace(geared, coulomb=factor * geared.coulomb, viscous=factor * geared.viscous)
+        record = recorded(motor, "reversals")
+        fit = judge.fitted(record)
+        exact = replace(fit, robust_covariance=np.zeros((4, 4)))
+        sds.append(math.sqrt(judge.reference_for(record, exact).log_covariance[3, 3]))
+        assert fit.log_values[3] - judge.reference.log_values[3] == pytest.approx(math.log(factor), abs=0.1)
+    assert sds[1] < 1.5 * sds[0]
 
 
 def test_a_motor_file_keeps_what_is_held(commissioned: Motor, tmp_path: Path) -> None:
