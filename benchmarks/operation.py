@@ -28,7 +28,7 @@ from motor_env.fitting import places
 from motor_env.fitting.fit import begins
 from motor_env.fitting.identify import Operation, identify_operation
 from motor_env.fitting.terms import terms
-from motor_env.fitting.uncertainty import information_covariance, motor_places
+from motor_env.fitting.uncertainty import information_covariance, motor_places, secants
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, SensorParameters
 from motor_env.recordings.defects import UnusableError
 
@@ -82,7 +82,7 @@ def bound(found: Operation, true: FloatArray) -> dict[str, tuple[float, float]]:
             for t in free
         ]
     )
-    spread = np.sqrt(np.diag(information_covariance(same, at)))
+    spread = np.sqrt(np.diag(information_covariance(same, at, secants(same, at))))
     return {free[n].name: (at[n], float(spread[row])) for row, n in enumerate(motor_places(same))}
 
 

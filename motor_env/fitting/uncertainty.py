@@ -22,9 +22,8 @@ _PARTS = 20  # of a record, whose scores are compared
 _HARDLY = 1e-3  # of what tells an unknown, beside the one part that tells it
 
 
-def information_covariance(problem: Problem, theta: FloatArray) -> FloatArray:
-    """Covariance of the unknowns that are no noises (Cramer-Rao), shape (p, p), in the order of `motor_places`."""
-    jacobian = secants(problem, theta)
+def information_covariance(problem: Problem, theta: FloatArray, jacobian: FloatArray) -> FloatArray:
+    """Covariance of the unknowns that are no noises (Cramer-Rao), shape (p, p), by their `secants`."""
     base = problem.residuals(theta)
     return _inverse(jacobian.T @ jacobian) * float(base @ base) / problem.count
 

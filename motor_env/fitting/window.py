@@ -73,8 +73,8 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
     if lines:
         problem = replace(problem, record=record)
         best = Solution(problem, *problem.solve(best.theta, _MOST_ROUNDS))
-    values, spread = best.values, information_covariance(problem, best.theta)
     chosen, jacobian = motor_places(problem), secants(problem, best.theta)
+    values, spread = best.values, information_covariance(problem, best.theta, jacobian)
     robust, _ = sandwich(problem, best.theta, jacobian, chosen)
     robust += model_error(problem, best.theta, jacobian, chosen, robust)
     rows = [problem.names[n] for n in chosen]

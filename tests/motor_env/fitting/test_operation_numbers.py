@@ -33,7 +33,7 @@ from motor_env.fitting.recorded import (
 )
 from motor_env.fitting.score import ScoreTest, candidates, score_tests
 from motor_env.fitting.terms import terms
-from motor_env.fitting.uncertainty import information_covariance, motor_places
+from motor_env.fitting.uncertainty import information_covariance, motor_places, secants
 from motor_env.fitting.window import fit_window, scores
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -312,7 +312,9 @@ def test_slopes_of_the_fit_are_central_differences(small: Solution) -> None:
 def test_a_fit_finds_what_made_the_record(small: Solution) -> None:
     clean = worked(values(), seed=2)
     found = solution(clean, LOGS, values(R=2.6, K=0.027, J=5e-6))
-    sd = np.sqrt(np.diag(information_covariance(found.problem, found.theta)))
+    sd = np.sqrt(
+        np.diag(information_covariance(found.problem, found.theta, secants(found.problem, found.theta)))
+    )
     exact = np.log([2.0 / 2.6, 0.03 / 0.027, 4.0 / 5.0])
     assert np.all(np.abs(found.theta - exact) < 3.5 * sd)
     assert np.all(sd < 0.01)
@@ -429,7 +431,7 @@ def walked(rho: float, n: int = 600) -> Line:
 def test_errors_of_white_residuals_are_those_of_least_squares() -> None:
     line = walked(0.0)
     theta = least_squares(line)
-    found = information_covariance(cast("Any", line), theta)
+    found = information_covariance(cast("Any", line), theta, secants(cast("Any", line), theta))
     left = line.residuals(theta)
     expected = np.linalg.inv(line.design[:, :2].T @ line.design[:, :2]) * (left @ left) / 600
     np.testing.assert_allclose(found, expected, rtol=1e-9)
@@ -437,7 +439,8 @@ def test_errors_of_white_residuals_are_those_of_least_squares() -> None:
     line.design *= [1e6, 1e-3, 1.0]
     units, scaled = np.array([1e-6, 1e3]), theta * np.array([1e-6, 1e3, 1.0])
     np.testing.assert_allclose(
-        information_covariance(cast("Any", line), scaled), expected * np.outer(units, units)
+        information_covariance(cast("Any", line), scaled, secants(cast("Any", line), scaled)),
+        expected * np.outer(units, units),
     )
 
 
@@ -496,7 +499,7 @@ def test_a_direction_of_which_nothing_is_known_has_a_hopeless_variance() -> None
     line = walked(0.0)
     line.design[:, 1] *= 1e-6
     theta = np.zeros(3)
-    found = information_covariance(cast("Any", line), theta)
+    found = information_covariance(cast("Any", line), theta, secants(cast("Any", line), theta))
     assert found[1, 1] == pytest.approx(1e6 * float(line.target @ line.target) / 600)
 
 
@@ -608,7 +611,7 @@ def test_a_window_is_fitted_near_the_healthy_motor() -> None:
     problem = Problem(fitted.record, known, (*fitted.free, drag))
     factor = math.exp(found.logs[3])
     theta = np.array([*(found.logs[:3] - np.log([2.0, 0.03, 4e-6])), factor])
-    plain_ = information_covariance(problem, theta)
+    plain_ = information_covariance(problem, theta, secants(problem, theta))
     slope = np.array([1.0, 1.0, 1.0, math.log(factor) / (factor - 1.0)])
     np.testing.assert_allclose(found.covariance, plain_ * np.outer(slope, slope), rtol=1e-6)
 
