@@ -146,7 +146,7 @@ def commission(
         name: Name of the motor in that file.
         fleet: Each file is of another motor; learn how healthy sisters differ.
         group: For --fleet: a regular expression that reads machine, motor and repeat from a file's name, by named
-            groups, such as "(?P<machine>[0-9]+)_(?P<motor>left|right)".
+            groups, such as `(?P<machine>[0-9]+)_(?P<motor>left|right)`.
         motor: Motor file of --fleet: one healthy recording of this motor is enough beside its sisters.
         workers: Processes, for --fleet.
         scheduler: For --fleet: address of a Dask scheduler, whose workers fit instead.

@@ -56,7 +56,7 @@ def diagnose(
         json_: Print one array with one object a file, with --fleet one a motor.
         fleet: Judge each motor by its sisters. Those of its own machine do not count.
         group: For --fleet: a regular expression that reads machine, motor and repeat from a file's name, by named
-            groups, such as "(?P<machine>[0-9]+)_(?P<motor>left|right)".
+            groups, such as `(?P<machine>[0-9]+)_(?P<motor>left|right)`.
         workers: Processes, for --fleet.
         scheduler: For --fleet: address of a Dask scheduler, whose workers fit instead.
         kept: For --fleet: file that keeps the fits as they come. A fleet that was stopped goes on where it was.

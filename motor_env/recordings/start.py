@@ -95,8 +95,8 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
         circuit: what is known of the measuring circuit.
 
     Raises:
-        UnusableError: no start in it, or too few samples after it; a shunt is given and no voltage is known; samples of
-            the voltage are missing where it rises, or of the current where it begins to.
+        UnusableError: no start in it, or too few samples after it; a shunt is given and no voltage is known; the
+            voltage is on before the recording begins; samples of the voltage are missing where it rises, or of the current where it begins to.
     """
     alignment, missing = align(recording), recording.missing
     sign, after = alignment.sign, len(recording.time_s) - alignment.onset_index
@@ -118,7 +118,8 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
         speed = recording.speed_rad_s * (1.0 if mean_tail(recording.speed_rad_s) >= 0.0 else -1.0)
     from_rest = measured is None or abs(float(measured[0])) < _REST_SHARE * float(np.max(np.abs(measured)))
     alignment = replace(alignment, sign=sign, offset_a=sign * alignment.offset_a)
-    if not from_rest:
+    if measured is not None and not from_rest:
+        _refuse_begun(sign * recording.current_a, measured)
         alignment = replace(alignment, offset_a=0.0, n_quiet=0)
     current = sign * recording.current_a
     return Start(
@@ -155,6 +156,21 @@ def _supply(
     if missing is not None and missing.any():
         _refuse_lost_rise(voltage, missing, largest)
     return abs(tail) if abs(tail) > _REST_SHARE * largest else largest, voltage, 1.0
+
+
+def _refuse_begun(current: FloatArray, voltage: FloatArray) -> None:
+    """Refuse a start that began before its recording: a running motor's current moves as its voltage does.
+
+    Raises:
+        UnusableError: the voltage is on in the first sample, and does not go where the current goes.
+    """
+    peak = int(np.argmax(np.abs(current - current[0])))
+    moved = np.sign(current[peak] - current[0]) * (voltage[: peak + 1] - voltage[0])
+    if moved.max() < _REST_SHARE * np.max(np.abs(voltage)):
+        raise UnusableError(
+            f"the voltage is {voltage[0]:.3g} V in the first sample already: record from at least 1 ms before the motor "
+            "is switched on"
+        )
 
 
 def _holes(missing: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

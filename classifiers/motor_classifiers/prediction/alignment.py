@@ -106,8 +106,8 @@ def _check_comparable(recording: Recording, recipe: Recipe, start: Alignment) ->
     ratio = recording.dt_s / timing.dt_s
     if abs(ratio - 1.0) >= 1e-3 and ratio > _COARSEST_TO_INTERPOLATE:
         raise UnusableError(
-            f"sampled at {1.0 / recording.dt_s:.4g} Hz, "
-            f"the model wants {timing.sampling_rate_hz:g} Hz, or four times that and more"
+            f"sampled at {1.0 / recording.dt_s:.6g} Hz, the model wants {timing.sampling_rate_hz:g} Hz, or four times "
+            f"that and more; train it with --sampling-rate-hz {1.0 / recording.dt_s:.6g}"
         )
     left = float(recording.time_s[-1]) - start.onset_s
     if left < timing.duration_s - 0.5 * timing.dt_s:

@@ -655,6 +655,13 @@ def test_the_supply_of_a_start() -> None:
         start = prepare(replace(given, voltage_v=running))
         assert start.from_rest is from_rest
         assert (start.alignment.n_quiet > 0) is from_rest
+    for change in (0.03, 0.3):  # of a voltage that is on before the recording begins
+        going = 9.0 + change * step + 0.01 * rng.standard_normal(n)
+        if change < 0.05:
+            with pytest.raises(UnusableError, match=r"the voltage is \S+ V in the first sample already"):
+                prepare(replace(given, voltage_v=going))
+        else:
+            assert not prepare(replace(given, voltage_v=going)).from_rest
     duty = prepare(replace(given, duty=step / 9.0 * 0.5), 24.0)
     assert (duty.level_v, duty.voltage_known) == (12.0, True)
     unknown = prepare(given)
