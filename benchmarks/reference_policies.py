@@ -24,6 +24,7 @@ from motor_env.envs import (
     BankPolicy,
     BayesPolicy,
     Lqg,
+    MonitorOptions,
     OnDemand,
     PlannedUpkeep,
     ReplaceFrom,
@@ -126,7 +127,12 @@ _SMALL_PROBE = Reference(_ON_DEMAND, ("look ahead", _look(0.0006, 0.961)), upper
 
 REFERENCES = {
     "Monitor-v0": _MEDIUM,
-    "MonitorConfirm-v0": _MEDIUM,
+    "MonitorConfirm-v0": Reference(
+        ("CUSUM", _rule(Cusum(0.3, two_sided=True), 16.0)),
+        ("Bayes posterior", lambda envs: WorthTest(envs.setup, 0.8)),
+        lambda _: upper_bound(MonitorOptions()),  # all that it lets an agent do, Monitor-v0 does, too
+        {"observe": baseline_features("medium")},
+    ),
     "MonitorEasy-v0": _monitor(
         "easy",
         ("CUSUM", _rule(Cusum(0.48, two_sided=True), 24.57)),
@@ -148,7 +154,9 @@ REFERENCES = {
         {"observe": baseline_features("medium")},
     ),
     "Probe-v0": _SMALL_PROBE,
-    "ProbeConfirm-v0": _SMALL_PROBE,
+    "ProbeConfirm-v0": Reference(
+        ("on demand", _ask(0.08, 0.93)), ("look ahead", _look(0.0006, 0.95)), upper_bound
+    ),
     "ProbeMedium-v0": Reference(
         ("on demand", _ask(0.03, 0.9609)), ("look ahead", _look(0.0015, 0.9329)), upper_bound
     ),

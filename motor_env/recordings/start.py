@@ -96,7 +96,8 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
 
     Raises:
         UnusableError: no start in it, or too few samples after it; a shunt is given and no voltage is known; the
-            voltage is on before the recording begins; samples of the voltage are missing where it rises, or of the current where it begins to.
+            voltage is on before the recording begins; samples of the voltage are missing where it rises, or of the
+            current where it begins to.
     """
     alignment, missing = align(recording), recording.missing
     sign, after = alignment.sign, len(recording.time_s) - alignment.onset_index
@@ -168,8 +169,8 @@ def _refuse_begun(current: FloatArray, voltage: FloatArray) -> None:
     moved = np.sign(current[peak] - current[0]) * (voltage[: peak + 1] - voltage[0])
     if moved.max() < _REST_SHARE * np.max(np.abs(voltage)):
         raise UnusableError(
-            f"the voltage is {voltage[0]:.3g} V in the first sample already: record from at least 1 ms before the motor "
-            "is switched on"
+            f"the voltage is {voltage[0]:.3g} V in the first sample already: record from at least 1 ms before the"
+            " motor is switched on"
         )
 
 

@@ -34,7 +34,8 @@ class DriveScreen:
     def add(self, lanes: np.void) -> None:
         """The block after a step, whose first lane is shown."""
         row = [lanes[name].item(0) for name in SHOWN]
-        self._rows += [row] * self.setup.options.steps_per_decision  # what a decision shows is its last period
+        # What a decision shows is its last period.
+        self._rows += [row] * self.setup.options.steps_per_decision
         self._kind, self._onset = int(lanes["kind"].item(0)), int(lanes["onset"].item(0))
 
     def draw(self) -> Frame:

@@ -73,9 +73,13 @@ def speed_feedback(options: DriveOptions, motor: MotorParameters) -> FloatArray:
     a[:2, :2], b[:2, 0] = model.transition[:2, :2], model.gain[:, Input.VOLTAGE]
     a[2, 1] = options.period_s
     cost = solve_discrete_are(a, b, np.diag([0.0, SPEED_WEIGHT, INTEGRAL_WEIGHT]), np.eye(1))
-    gain = np.linalg.solve(np.eye(1) + b.T @ cost @ b, b.T @ cost @ a)[0]
-    # Linear algebra rounds otherwise on other processors, and the steps of an id shall be the same to the bit.
-    return np.array([float(f"{each:.12g}") for each in gain])
+    gain: FloatArray = np.linalg.solve(np.eye(1) + b.T @ cost @ b, b.T @ cost @ a)[0]
+    return gain
+
+
+def _rounded(*values: float) -> list[float]:
+    """Twelve digits: linear algebra rounds otherwise on other processors, and an id's steps are the same to the bit."""
+    return [float(f"{value:.12g}") for value in values]
 
 
 def faulty(options: DriveOptions, label: str, severity: float) -> MotorParameters:
@@ -134,8 +138,10 @@ def _task(options: DriveOptions) -> Task:
         *(o.stop_cost_per_s, o.limp_cost_per_s * dt / (1.0 - o.limp_share)),
         *model.transition.ravel(),
         *(*model.gain[:, Input.VOLTAGE], *model.gain[:, Input.LOAD_TORQUE]),
-        *(*gain.ravel(), whitening[0, 0], *whitening[1], math.exp(-dt / SLOW_MEMORY_S)),
+        *_rounded(*gain.ravel(), whitening[0, 0], *whitening[1]),
+        math.exp(-dt / SLOW_MEMORY_S),
         *(o.tracking_limit_per_s * dt, float(o.control is Control.DECISION)),
-        *(*speed_feedback(o, motor), o.steps_per_decision),
+        *_rounded(*speed_feedback(o, motor)),
+        o.steps_per_decision,
     ]
     return Task._make(numbers)

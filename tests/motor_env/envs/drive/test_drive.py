@@ -29,7 +29,7 @@ from motor_env.envs.drive.evaluation import joined_drives
 from motor_env.envs.drive.lanes import LANES
 from motor_env.envs.drive.options import LABELS
 from motor_env.envs.drive.policies import make_bank
-from motor_env.envs.drive.setup import drive_filter, faulty
+from motor_env.envs.drive.setup import drive_filter, faulty, make_setup
 from motor_env.envs.setup import converged_gain
 
 # Reaches in: the filter, noise and growth of the drive by hand, from the same streams and columns.
@@ -508,3 +508,13 @@ def test_a_picture_changes_nothing() -> None:
     frame = shown.render()
     assert frame.shape == (448, 640, 3)
     assert frame.std() > 10.0
+
+
+@pytest.mark.parametrize("control", ["voltage_and_decision", "decision"])
+def test_what_linear_algebra_gives_has_twelve_digits(control: str) -> None:
+    """Its last digits differ from processor to processor, and an id's steps are the same to the bit."""
+    task = make_setup(DriveOptions(control=control)).task  # type: ignore[arg-type]
+    names = [name for name in task._fields if re.fullmatch(r"[kw]\d\d|by_\w+", name)]
+    assert len(names) == 12
+    for name in names:
+        assert getattr(task, name) == float(f"{getattr(task, name):.12g}")
