@@ -107,8 +107,9 @@ def default_table() -> str:
                 "" if is_limit else _quantity(row["train_memory_mb"]),
             ]
         )
-    head = "method, accuracy, below the limit, winding, bearing, level, log-loss, ECE, µs a start, MB, training s, MB"
-    return table(head.split(", "), rows)
+    head = "method, accuracy, below the limit, winding, bearing, level, log-loss, ECE"
+    costs = "µs a start, MB to judge, training s, MB to train"
+    return table(f"{head}, {costs}".split(", "), rows)
 
 
 def _sweep(wanted: str) -> Iterable[tuple[Any, Any]]:

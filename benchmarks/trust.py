@@ -188,7 +188,7 @@ def kept_charts() -> Iterable[tuple[str, str]]:
         yield f"{name}.svg", stand_alone(figures[section]["chart"], legend)
 
 
-OF_RANGE = ("setting", "fault", "kind right", "out of range", "outside", "severity")
+OF_RANGE = ("setting", "fault", "kind right", "out of range", "refused", "severity")
 OF_SHIFTS = (
     "recipe", "method", "conditions", "accuracy", "limit", "ECE", "coverage", "set size", "accuracy of the answered",
     "their ECE",

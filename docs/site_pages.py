@@ -22,6 +22,7 @@ from matplotlib import pyplot as plt
 
 import motor_env
 from motor_env.envs import Lqg, MonitorOptions
+from motor_env.envs.stepping import DECLARE_ABOVE
 
 DOCS = Path(__file__).parent
 RESULTS = DOCS.parent / "benchmarks" / "results" / "reference"
@@ -36,7 +37,7 @@ FEATURES = {
     "excess": "how much the power of the innovation exceeds that of noise, over 10 ms",
     "voltage": "the supply's voltage during the last step",
     "time": "share of the horizon that has passed",
-    "evidence": "evidence for this kind of fault: its log-likelihood ratio since it was last zero, a tenth of it",
+    "evidence": "a CUSUM of the log-likelihood ratio of the smallest fault of this kind, divided by 10; never below 0",
 }
 WORDS = {
     "DriveEnv": FEATURES
@@ -49,6 +50,12 @@ WORDS = {
     }
 }
 """Where the numbers of an environment mean something else."""
+LEVELS = (
+    ("trivial", "always", "tab:red"),
+    ("textbook", "textbook", "tab:orange"),
+    ("best", "best known", "tab:green"),
+)
+"""Scores beside the learning curves: file, column of the table of reference scores, colour."""
 
 
 API_HEAD = """# All public names
@@ -110,9 +117,12 @@ def observation_table(env: Any) -> str:
 
 
 def action_table(env: Any) -> str:
-    """Every action of a list of actions; empty where actions are continuous."""
+    """Every action of a list of actions, or every number of a continuous one."""
     if not isinstance(env.action_space, gym.spaces.Discrete):
-        return ""
+        offset = f"offset of the voltage from -1 to 1, in units of {env.options.max_offset_v:g} V"
+        declaring = "above {:g} and the largest of the declaring numbers: declares {}; the episode ends"
+        kinds = [declaring.format(DECLARE_ABOVE, kind) for kind in env.setup.kinds]
+        return table(["number", "meaning"], [[n, meaning] for n, meaning in enumerate([offset, *kinds])])
     rows = []
     for n, (offset, declared) in enumerate(zip(env.setup.offsets_v, env.setup.declarations, strict=True)):
         if declared:
@@ -192,9 +202,9 @@ def curves(name: str, path: Path) -> bool:
     for run in runs:
         steps, returns = ([point[key] for point in run] for key in ("steps", "return"))
         axes.plot(steps, returns, color="tab:blue", alpha=0.7, marker=".")
-    for method, colour in (("trivial", "tab:red"), ("textbook", "tab:orange"), ("best", "tab:green")):
+    for method, word, colour in LEVELS:
         level = json.loads((kept / f"{method}.json").read_text(encoding="utf-8"))["return"]
-        axes.axhline(level, color=colour, linestyle="--", linewidth=1.2, label=method)
+        axes.axhline(level, color=colour, linestyle="--", linewidth=1.2, label=word)
     axes.set(xlabel="steps of training", ylabel="mean return")
     figure.legend(loc="outside right upper", frameon=False)
     figure.savefig(path, dpi=110)
@@ -241,12 +251,21 @@ def tables_of(env: Any) -> dict[str, str]:
     return tables
 
 
+def differences(spec: EnvSpec) -> str:
+    """What an id has that the first of its family has not, in words or as options."""
+    return ", ".join(f"`{key}={value!r}`" for key, value in spec.kwargs.items()) or "continuous actions"
+
+
 def variant(spec: EnvSpec, base: Any) -> list[str]:
     """What an id has that the first of its family has not."""
     env, name = gym.make(spec.id).unwrapped, spec.id.split("/")[1]
-    given = ", ".join(f"`{key}={value!r}`" for key, value in spec.kwargs.items()) or "continuous actions"
     watched = isinstance(env.options, MonitorOptions)
-    parts = [f"## {name}", f"Differs by {given}.", screen_of(name), *(motor_parts(env) if watched else [])]
+    parts = [
+        f"## {name}",
+        f"Differs by {differences(spec)}.",
+        screen_of(name),
+        *(motor_parts(env) if watched else []),
+    ]
     known = tables_of(base)
     for heading, made in tables_of(env).items():
         parts += [f"**{heading}**", made] if made and made != known.get(heading) else []
@@ -267,7 +286,7 @@ def family_page(name: str, specs: list[EnvSpec]) -> str:
     parts = [
         f"# {name} and its variants",
         said.pop(""),
-        f'```python\nenv = gym.make("motor_env:{first.id}")\n```',
+        f'```python\nimport gymnasium as gym\n\nenv = gym.make("motor_env:{first.id}")\n```',
         screen_of(name),
         *(motor_parts(env) if isinstance(env.options, MonitorOptions) else []),
         table(
@@ -275,7 +294,7 @@ def family_page(name: str, specs: list[EnvSpec]) -> str:
             [
                 [
                     f"`{spec.id}`",
-                    ", ".join(f"`{key}={value!r}`" for key, value in spec.kwargs.items()),
+                    "" if spec is first else differences(spec),
                     f"{spec.reward_threshold:+.3f}",
                 ]
                 for spec in [first, *others]

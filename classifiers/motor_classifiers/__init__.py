@@ -8,8 +8,8 @@ Example:
     >>> from motor_env import load_recipe
     >>> starts = generate_arrays(load_recipe("bench"), seed=1, cases=range(600))
     >>> model = make_method("residual-qda", load_recipe("bench"), 0).fit(starts.X[:400], starts.class_name[:400])
-    >>> print(f"{model.score(starts.X[400:], starts.class_name[400:]):.0%} of 200 other motors are right")
-    92% of 200 other motors are right
+    >>> print(f"right on {model.score(starts.X[400:], starts.class_name[400:]):.0%} of 200 other motors")
+    right on 92% of 200 other motors
 """
 
 from typing import Any

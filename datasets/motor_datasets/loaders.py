@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 def load(folder: str | Folder, split: str | None = None) -> Dataset:
     """Load a data set, or one split of it, ordered by case, from a folder or a URL such as `s3://bucket/prefix`.
 
+    Args:
+        folder: made by `motor-datasets generate`, or its URL.
+        split: train, validation, test or shift_NAME; None: all but the shifts.
+
     Raises:
         InputError: no data set there, a file missing or damaged, an unknown or empty split.
     """

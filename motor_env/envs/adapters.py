@@ -21,9 +21,9 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv  # noqa: E402  
 class StableBaselinesVecEnv(VecEnv):
     """One of our vectors as a VecEnv of Stable-Baselines3 (extra `rl`): compiled step, episodes that follow at once.
 
-    The info of each sub-environment is a dictionary of its own: empty in the middle of an episode (thousands of them a
-    step would cost more than the step); at its end it has `terminal_observation`, `TimeLimit.truncated`, the truth,
-    and `episode` with return and length, as Monitor of Stable-Baselines3 gives it.
+    The info of each sub-environment is a dictionary of its own: empty within an episode, to save time; at its end it
+    has `terminal_observation`, `TimeLimit.truncated`, the truth, and `episode` with return and length, as Monitor of
+    Stable-Baselines3 gives it.
 
     Args:
         envs: a vector with the autoreset mode SameStep, or a view of one.

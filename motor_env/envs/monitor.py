@@ -31,8 +31,8 @@ class MonitorEnv(DiscreteMotorEnv):
     environment owns its horizon, because a miss has to be charged.
 
     ## Info
-    The truth, for those who score: `label`, `severity`, `onset_sample` (-1: no fault), `fault_active`. And what the
-    reward is made of: `reward_verdict`, `reward_delay` (Probe: also `reward_probe`, `reward_energy`).
+    The truth, for those who score: `label`, `class_index` (of the recipe's classes), `severity`, `onset_sample`
+    (-1: no fault), `fault_active`. And what the reward is made of: `reward_verdict`, `reward_delay`.
 
     Args:
         options: the task; `MonitorOptions()` unless given.

@@ -65,8 +65,7 @@ class MonitorOptions:
         samples_per_step: sensor samples between two decisions.
         start: `running` at the operating point, or from `standstill`.
         load_torque_n_m: load on the shaft, known to the filter. Without load a winding fault of a running motor is all
-            but invisible. None: half the rated torque of the default motor, for others the same share of what they
-            hold at standstill (11 %).
+            but invisible. None: 11 % of the stall torque, which is 0.0147 N m for the default motor.
         drive: `open_loop` is a voltage; `speed_loop` a PI controller that holds the speed at which the motor begins.
             It has a tachometer of its own. What it adds to the voltage, neither filter nor agent is told.
         loop_time_s: time constant of the speed loop, at least twice a sample and L / R, else it would not be stable.

@@ -94,9 +94,9 @@ class ProbeEnv(DiscreteMotorEnv):
     declares a bearing, 4 a winding.
 
     ## Observation space
-    As in `MonitorEnv`, and for each kind of fault the evidence: the cumulative log-likelihood ratio, since it was last
-    zero, of a filter that believes in the smallest fault of that kind, a tenth of it, from 0 to 10. The voltage is
-    the one of the last step. The innovation is the sum over the step, over the root of its number of samples.
+    As in `MonitorEnv`, and for each kind of fault the evidence: a CUSUM of the log-likelihood ratio of the smallest
+    fault of that kind, divided by 10. It is never below 0; the bounds of the space are -10 and 10. The voltage is the
+    one of the last step. The innovation is the sum over the step, over the root of its number of samples.
 
     ## Reward
     As in `MonitorEnv` with a delay cost of 2 a second; and an offset of 1 V costs 2 a second, growing with its square.
@@ -105,7 +105,7 @@ class ProbeEnv(DiscreteMotorEnv):
     A declaration, or the horizon (200 steps of 2 ms), both as `terminated`.
 
     ## Info
-    As in `MonitorEnv`.
+    As in `MonitorEnv`, with `reward_probe` and `reward_energy`.
 
     Args:
         options: the task; `ProbeOptions()` unless given.

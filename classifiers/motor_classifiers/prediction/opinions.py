@@ -42,7 +42,7 @@ class Opinion(NamedTuple):
     Attributes:
         verdict: healthy, bearing, winding, noise, `outside what I know`, or unusable.
         class_name: most probable class; empty where unusable.
-        probability: of the verdict; of a fault out of range, one minus the rate of false alarms.
+        probability: of the verdict; for a fault out of range: 1 minus the false-alarm rate, not a class probability.
         severity: its mean, for the most probable kind of the verdict; 0 for healthy.
         probabilities: of each class by name.
         reason: why there is no opinion, and what to do; else empty.

@@ -46,9 +46,7 @@ def _unknown(figures: Figures, setting: Mapping[str, Any]) -> dict[str, Any]:
             Line(f"{fault['fault']}, confidence", f"{style} dashed", rates, fault["roc"]["limit"]),
         ]
         keys.append((style, fault["fault"]))
-    axes = [
-        Axis(f"{what} called other", 0.0, 1.0, _TICKS, percent) for what in ("known motors", "foreign faults")
-    ]
+    axes = [Axis(f"{what} refused", 0.0, 1.0, _TICKS, percent) for what in ("known motors", "foreign faults")]
     return {
         "chart": line_chart(lines, *axes, named=False, marked=False),
         "legend": keys,

@@ -77,7 +77,7 @@ def _unknown(figures: Figures) -> dict[str, Table]:
         for setting in figures["settings"]
         for fault in setting["faults"]
     ]
-    return {"other": (["rate", "fault", *(titles[by] for by in told), "called other", "false alarms"], rows)}
+    return {"other": (["rate", "fault", *(titles[by] for by in told), "refused", "false alarms"], rows)}
 
 
 def _early(figures: Figures) -> dict[str, Table]:

@@ -66,7 +66,7 @@ class Score:
 
 
 def run_episodes(envs: MotorVectorEnv, policy: Policy, seed: int) -> Runs:
-    """Play one episode of a policy in each sub-environment."""
+    """Monitors and probes: play one episode of a policy in each sub-environment."""
     count = envs.num_envs
     observations, info = envs.reset(seed=seed)
     right, onset = envs.right_declaration[info["class_index"]], info["onset_sample"]

@@ -28,7 +28,7 @@ class Drives(NamedTuple):
 
 
 def drive_episodes(envs: DriveVectorEnv, policy: DrivePolicy, seed: int) -> Drives:
-    """Play one episode of a policy in each sub-environment."""
+    """Drive: play one episode of a policy in each sub-environment."""
     observations, info = envs.reset(seed=seed)
     policy.start(envs.num_envs)
     class_index, alive = info["class_index"], np.ones(envs.num_envs, dtype=np.bool_)

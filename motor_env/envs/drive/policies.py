@@ -114,10 +114,10 @@ def make_bank(options: DriveOptions, levels: int) -> Bank:
 
 
 class Lqg:
-    """LQG with integral action on the motors of a bank: each has its filter, and all share in the voltage.
+    """LQG with integral action: each motor of a bank has a filter and a voltage; the weighted mean is applied.
 
     With the healthy motor alone it is the fixed LQG, which never limps or stops. With a bank the probability of each
-    motor follows from its filter's innovations; the voltage is the mean of theirs, and the decision goes by the
+    motor follows from its filter's innovations; these probabilities are the weights, and the decision goes by the
     posterior: limp where a bad bearing is probable or the winding is hot, stop just before a failure.
 
     Args:

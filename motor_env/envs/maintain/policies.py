@@ -28,7 +28,7 @@ class ReplaceFrom(Policy):
 
     Attributes:
         feature: `age` (a calendar), `mean` (the severity), or `risk` (the remaining life is likely below a day).
-        threshold: infinite: runs to failure.
+        threshold: level; infinity never replaces.
     """
 
     feature: str
@@ -149,7 +149,7 @@ def _plan(options: MaintainOptions, tables: Tables) -> FloatArray:
 
 
 def returns_of(envs: MaintainVectorEnv, policy: Policy, seed: int) -> FloatArray:
-    """Return of one episode of each sub-environment."""
+    """Maintain: return of one episode of a policy in each sub-environment."""
     observations, _ = envs.reset(seed=seed)
     policy.start(envs.num_envs)
     returns = np.zeros(envs.num_envs)

@@ -444,8 +444,8 @@ def test_trust_is_drawn_from_its_figures(made: tuple[Any, Results], monkeypatch:
     ]  # fmt: skip
     assert unknown[0].x == FALSE_ALARM_RATES.tolist()
     assert [axis.title for axis in unknown_axes] == [
-        "known motors called other",
-        "foreign faults called other",
+        "known motors refused",
+        "foreign faults refused",
     ]
     assert (told["unknown"]["chart_rate_khz"], told["unknown"]["has_network"]) == (2.5, False)
     assert [line.x for line in early] == [pytest.approx([10.0, 50.0, 100.0])] * 2
@@ -458,7 +458,7 @@ def test_trust_is_drawn_from_its_figures(made: tuple[Any, Results], monkeypatch:
     assert race_y.ticks == (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
     tables = told["tables"]
     assert list(tables) == ["other", "seen", "stopping", "race"]
-    head = ["rate", "fault", "AUROC of distance", "of the limit's confidence", "called other", "false alarms"]
+    head = ["rate", "fault", "AUROC of distance", "of the limit's confidence", "refused", "false alarms"]
     assert tables["other"] == (head, [["2.5 kHz", "weak", "0.9000", "0.5000", "75.0 %", "1.25 %"]])
     assert tables["stopping"][1] == [["5 %", "own", "–", "0.0 %", "100.0 ms", "0.6000"]]
     assert trust_page.trust_section(replace(made[1], trust=None)) is None
