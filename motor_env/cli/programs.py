@@ -7,6 +7,7 @@ from typing import Literal
 
 from motor_env import console
 from motor_env.cli.options import show
+from motor_env.errors import require_extra
 
 
 def reproduce(
@@ -104,6 +105,7 @@ def offline(
         episodes: How many.
         seed: Of the episodes.
     """
+    require_extra("minari", "minari")  # before anything is compiled
     from motor_env.envs.offline.behaviours import Behaviour
     from motor_env.envs.offline.recording import record
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
+from motor_classifiers.cli import contest
 from motor_env import __version__, console
 from motor_env.errors import InputError, require_extra
 
@@ -321,8 +322,8 @@ def benchmark(
     return 1 if leaks else 0
 
 
-for name in ("task", "submit", "score", "score-recordings"):
-    app.command(f"motor_classifiers.cli.contest:{name.replace('-', '_')}", name=name)
+for command in (contest.task, contest.submit, contest.score, contest.score_recordings):
+    app.command(command)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
