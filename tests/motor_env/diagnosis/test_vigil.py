@@ -337,7 +337,7 @@ def test_a_watch_says_what_it_can_promise() -> None:
     healthy = commissioned(steady=False)
     said = vigil(healthy, 1.0).promise
     assert said.startswith(
-        "12 healthy windows of 600 s: one false alarm in 1 year by fitted tails, which hold"
+        "12 healthy windows of 600 s: one false alarm in 1 year if the fitted tails hold, as they do"
     )
     needed = fewest_in_a_row(12, YEAR_S / 600.0, len(AXES))
     assert f"by counting alone: {needed} windows in a row" in said
