@@ -349,7 +349,7 @@ def test_a_watch_says_what_it_can_promise() -> None:
     assert "2 windows in a row beyond all healthy ones, at most one false alarm in 1.9 hours" in said
     assert "at most one false alarm in 1.9 hours" in said
     assert "one false alarm in 20 minutes if the fitted" in vigil(healthy, 3.0 * HOUR).promise
-    assert "in 2 days by fitted" in vigil(healthy, HOUR / 48.0).promise
+    assert "in 2 days if the fitted" in vigil(healthy, HOUR / 48.0).promise
     assert healthy.windows is not None
     untaught = replace(healthy, windows=replace(healthy.windows, scales=(), most=(), replayed=()))
     assert "commission the motor anew" in vigil(untaught).promise
