@@ -77,7 +77,7 @@ def watch_delays() -> str:
             "-" if row["hour_s"] is None else f"{row['hour_s'] / row['best_s']:.1f}",
             f"{row['named']:.0%}",
         ]
-        for row in _read("watch_delays.json")
+        for row in sorted(_read("watch_delays.json"), key=lambda row: (row["fault"], row["severity"]))
     ]
     header = ["fault", "the best CUSUM, one an hour (s)", "`watch`, one an hour (s)", "one a year (s)"]
     return table([*header, "ratio at one an hour", "called by its name at once"], rows)

@@ -16,11 +16,11 @@ author = "The motor-env contributors"
 copyright = f"2026, {author}"
 release = version = installed_version("motor-env")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
 exclude_patterns = ["_build"]
 
-myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "substitution"]
+myst_enable_extensions = ["colon_fence", "deflist", "substitution"]
 # Where the project lies: [project.urls] of pyproject.toml, which has them from the first release on.
 settings = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
 urls = settings["project"].get("urls", {})

@@ -75,7 +75,7 @@ class Settings:
         return SensorParameters(current_noise_a=1e-3 * self.noise_ma)
 
     def __post_init__(self) -> None:
-        choices = {"motor": tuple(CATALOGUE), "kind": (HEALTHY, *map(str, FaultKind)), "rule": tuple(RULES)}
+        choices = {"motor": tuple(CATALOGUE), "kind": fault_names(), "rule": tuple(RULES)}
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
                 raise InputError(f"{name} must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
@@ -94,6 +94,12 @@ RANGES: dict[str, tuple[float, float]] = {
     "seed": (0, 1_000_000),
 }
 """Smallest and largest value of every slider."""
+
+
+def fault_names() -> tuple[str, ...]:
+    """Healthy and the kinds of faults to choose from: of the sensors, those of the current, the only one here."""
+    kinds = (kind for kind in FaultKind if not kind.is_sensor or kind.startswith("current_"))
+    return (HEALTHY, *map(str, kinds))
 
 
 def start_of(settings: Settings) -> Transients:
@@ -253,7 +259,7 @@ def options() -> dict[str, Any]:
     """What the page offers."""
     return {
         "motors": list(CATALOGUE),
-        "kinds": [HEALTHY, *map(str, FaultKind)],
+        "kinds": list(fault_names()),
         "rules": [{"name": key, "label": label} for key, (label, _) in RULES.items()],
         "ranges": RANGES,
         "defaults": {field.name: field.default for field in fields(Settings)},

@@ -251,8 +251,8 @@ def _slips_of_the_model() -> list[Slip]:
         ),
         Slip(
             "The rotor inertia is in kg/m².",
-            "It is in kg m²: with 1.07e-6 kg m² the mechanical time constant is "
-            f"{1e3 * float(healthy.mechanical_time_constant_s):.2f} ms.",
+            "It is in kg m²: with 1.07e-6 kg m² the mechanical time constant "
+            f"R J / (Kt Kb + R B) is {1e3 * float(healthy.mechanical_time_constant_s):.2f} ms.",
         ),
     ]
 
@@ -277,14 +277,14 @@ def _slips_of_the_faults() -> list[Slip]:
         ),
         Slip(
             "An armature winding fault is a decrease of the resistance.",
-            "Its two resistances are increases, and the peak current tells the two apart: "
+            "The paper raises the resistance twice. The peak current tells an increase from a decrease: "
             f"{raised.peak_a:.3f} A at +25 %, {healthy.peak_a:.3f} A healthy, {lowered.peak_a:.3f} A at -25 % "
             "(here a bad contact raises R; shorted turns lower R, L and both constants).",
         ),
         Slip(
             "A bearing fault changes the current's settling time.",
-            f"It moves by {moved:.2f} %, from {1e3 * healthy.settling_time_s:.2f} to "
-            f"{1e3 * quarter.settling_time_s:.2f} ms at +25 %; what moves is the final current, "
+            f"It moves by {moved:.2f} %, from {1e3 * healthy.settling_time_s:.3f} to "
+            f"{1e3 * quarter.settling_time_s:.3f} ms at +25 %; what moves is the final current, "
             f"{levels[0]:.1f}, {levels[1]:.1f} and {levels[2]:.1f} mA at 0, +10 and +25 %.",
         ),
         Slip(

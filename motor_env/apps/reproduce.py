@@ -48,10 +48,10 @@ def _choices() -> str:
     span = f"{TIMING.sampling_rate_hz / 1e3:g} kHz for {1e3 * TIMING.duration_s:g} ms"
     return (
         "The paper prints no Q, no R and no variance of its noise. Taken here: a sensor noise of "
-        f"{1e3 * noise:g} mA, so R = {noise**2:.1e} A²; Q = diag({current**2:.0e} A², {speed**2:.0e} rad²/s²) an "
-        f"interval; {span}; an incipient noise fault that starts {1e3 * fault.onset_s:g} ms after the step and "
-        f"raises the variance by {100 * float(fault.severity):g} % over {1e3 * fault.growth_s:g} ms; seed {SEED}; "
-        f"{N_RUNS} runs for the error covariance. Q is small on purpose: process noise absorbs a fault."
+        f"{1e3 * noise:g} mA, so R = {noise**2:.1e} A²; Q = diag({current**2:.0e} A², {speed**2:.0e} rad²/s²) "
+        f"per sampling interval; {span}; an incipient noise fault that starts {1e3 * fault.onset_s:g} ms after the "
+        f"step and raises the variance by {100 * float(fault.severity):g} % over {1e3 * fault.growth_s:g} ms; seed "
+        f"{SEED}; {N_RUNS} runs for the error covariance. Q is small on purpose: process noise absorbs a fault."
     )
 
 

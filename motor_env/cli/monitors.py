@@ -28,7 +28,8 @@ def watch(
     Example: motor-env watch out/motor.toml log.csv --follow --state out/watch.json
 
     On a terminal a screen is kept up to date; otherwise each event is a line of JSON. Exit status when the lines end or
-    with Ctrl-C: 0 all healthy, 1 any fault, 3 no fault but a window that cannot be judged, or none that was.
+    with Ctrl-C: 0 all healthy, 1 any fault, 2 input that cannot be used, 3 no fault but a window that cannot be judged,
+    or none that was.
 
     Args:
         motor: Motor file that `commission` wrote from logs, or that --learn writes.
@@ -37,8 +38,8 @@ def watch(
         state: File that keeps what was seen of this motor and source, so that a new start goes on where the last
             window ended.
         follow: Wait for lines that are appended to the file, or to the one that takes its place.
-        learn: Where there is no motor file yet: so long the motor is healthy, and is learned from, such as 10min.
-        window: Length of a window for --learn, such as 20s; a twentieth of it by default.
+        learn: Where there is no motor file yet: so long the motor is healthy, and is learned from; seconds, or 10min.
+        window: Length of a window for --learn, in seconds, or 20s; a twentieth of it by default.
         steady: For --learn: only a fault moves this motor. Load, temperature and offsets stay, as on a test bench.
         columns: Names of the columns, such as time_s,voltage_v,current_a,speed_rad_s, where no line says them.
         baud: Of the serial port.

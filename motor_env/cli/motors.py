@@ -88,7 +88,7 @@ def _beside_sisters(
     if output is not None:
         save_motor(found, output)
     lines = [
-        f"{len(files)} recordings beside the sisters of {motor}; 95 % intervals",
+        f"{_recordings(files, '')} beside the sisters of {motor}; 95 % intervals",
         *(
             f"  {quantity:<12} {row['value']:11.4g} {row['unit']:<12}"
             f" {row['interval'][0]:.4g} to {row['interval'][1]:.4g}"
@@ -102,6 +102,10 @@ def _beside_sisters(
     )
     measurement.keep()
     return 0
+
+
+def _recordings(files: list[Path], word: str) -> str:
+    return f"{len(files)} {word}recording{'s' * (len(files) != 1)}"
 
 
 def commission(
@@ -196,7 +200,7 @@ def commission(
     save_motor(result.motor, output)
     if out is not None:
         result.plot(out / f"{output.stem}.png")
-    print(result.text())
+    print(printable(result.text()))
     print(printable(f"written: {output}"))
     measurement.keep()
     return 0
@@ -221,11 +225,13 @@ def _sisters(
     from motor_env.fleet.mapping import processes
     from motor_env.fleet.own import learn_own
     from motor_env.motor.data_sheet import load_motor, save_motor
+    from motor_env.recordings.recording import read_recording, understood
 
     reading = Reading(regime=regime, **options.for_files(measurement))
     if motor is not None:
         learned = learn_own(files, load_motor(motor), name, reading=reading)
-        text = f"{len(files)} own recordings beside the sisters of {motor}"
+        read = [(path, read_recording(path, reading.columns).columns) for path in files]
+        text = "\n".join([f"{_recordings(files, 'own ')} beside the sisters of {motor}", *understood(read)])
     else:
         with console.progress_bar(2 * len(files), "fitting") as advance, processes(*spread) as each:
             fleet = learn_fleet(

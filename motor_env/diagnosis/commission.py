@@ -30,7 +30,7 @@ from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import steady_state
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
-from motor_env.recordings.recording import Recording, recording_of
+from motor_env.recordings.recording import Recording, recording_of, understood
 from motor_env.recordings.regime import Taken, taken_for
 from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit
@@ -54,6 +54,7 @@ class Commissioned:
         undecided: of so many healthy pieces, judged by the others, each quantity was undecided; by its name.
         false_alarm_rate: of the intervals and smallest changes.
         taken: what the recordings were taken for, and why.
+        read: how their columns were understood, in words.
     """
 
     motor: Motor
@@ -62,6 +63,7 @@ class Commissioned:
     undecided: dict[str, int]
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE
     taken: tuple[Taken, ...] = ()
+    read: tuple[str, ...] = ()
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
@@ -105,6 +107,7 @@ class Commissioned:
                 for name, row in self.parameters.items()
             ),
             *(f"  taken for {one}" for one in self.taken),
+            *self.read,
             *quality,
             f"  smallest change that is found in 95 of 100 cases: {smallest} ({of_the_drag(healthy.own_friction)})",
             *(
@@ -218,7 +221,8 @@ def commission(
         motor = with_signs(motor, [part for one in read for part in chosen_starts(one, start)], voltage_v)
         fits = tuple(starts)
     promise = _promise(motor, fits, temperature_c, false_alarm_rate)
-    return Commissioned(motor, fits, *promise, false_alarm_rate, taken)
+    told = tuple(understood((one.path, one.columns) for one in read))
+    return Commissioned(motor, fits, *promise, false_alarm_rate, taken, told)
 
 
 def _promise(

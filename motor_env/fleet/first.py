@@ -82,12 +82,13 @@ class First(NamedTuple):
     peaks: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
-def regime_of(reading: Reading, path: Path) -> str:
-    """What a file is: start or operation."""
+def first_look(reading: Reading, path: Path) -> tuple[str, tuple[str, ...]]:
+    """What a file is, start or operation, and how its columns were understood."""
     try:
-        return taken_for(recording_of(path, reading.columns), reading.regime).regime
+        recording = recording_of(path, reading.columns)
+        return taken_for(recording, reading.regime).regime, recording.columns
     except InputError:
-        return "start"  # the first fit says why it cannot be read
+        return "start", ()  # the first fit says why it cannot be read
 
 
 def first_fit(reading: Reading, path: Path) -> First:

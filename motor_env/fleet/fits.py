@@ -26,11 +26,12 @@ from motor_env.fitting.starts.choice import NUISANCES
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
 from motor_env.fitting.window import fit_window
-from motor_env.fleet.first import REASONS, First, Reading, first_fit, regime_of
+from motor_env.fleet.first import REASONS, First, Reading, first_fit, first_look
 from motor_env.fleet.kept import Kept
 from motor_env.fleet.mapping import Map
 from motor_env.motor.healthy import Windows
 from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.recording import understood
 
 _LOADS = ("load_constant", "load_square", "load_walk")
 _DRY = (0.0, 0.35, 0.7, 1.0)  # shares of dry friction that are tried
@@ -65,6 +66,7 @@ class FleetFits:
         windows: how they were fitted, of motors at work; None for starts.
         troubles: why each other record is not among them, by its file.
         reading: how they were read; its regime is start or operation.
+        read: how their columns were understood, in words.
     """
 
     files: tuple[Path, ...]
@@ -73,6 +75,7 @@ class FleetFits:
     windows: Windows | None
     troubles: dict[Path, str]
     reading: Reading
+    read: tuple[str, ...] = ()
 
 
 def fit_fleet(
@@ -95,7 +98,8 @@ def fit_fleet(
     Raises:
         InputError: no record can be used, or the file of kept fits is another's.
     """
-    kinds = set(each(partial(regime_of, reading), files))
+    looks = list(each(partial(first_look, reading), files))
+    kinds = {kind for kind, _ in looks}
     # A start is a short log, too; a log is no start.
     reading = replace(reading, regime="operation" if "operation" in kinds else "start")
     with Kept(kept, reading) as known:
@@ -121,7 +125,8 @@ def fit_fleet(
     again = dict(zip(good, _told(each(job, list(good)), list(good), progress), strict=True))
     troubles |= {path: one for path, one in again.items() if isinstance(one, str)}
     seconds = {path: one for path, one in again.items() if not isinstance(one, str)}
-    return FleetFits(tuple(seconds), tuple(seconds.values()), quantities, windows, troubles, reading)
+    read = tuple(understood((path, notes) for path, (_, notes) in zip(files, looks, strict=True)))
+    return FleetFits(tuple(seconds), tuple(seconds.values()), quantities, windows, troubles, reading, read)
 
 
 def _told(found: Iterable[Any], files: Sequence[Path], progress: Callable[[Path], None]) -> list[Any]:

@@ -58,10 +58,11 @@ class FleetDiagnosis:
         """How many are odd, and how many would be by chance."""
         odd = sum(sister.verdict.is_fault for sister in self.sisters)
         chance = self.false_alarm_rate * len(self.sisters)
-        expected = (
-            f"If all were healthy, {chance:.1f} would on average (1 in {1.0 / self.false_alarm_rate:.0f})."
+        stand, share = "stands" if odd == 1 else "stand", 1.0 / self.false_alarm_rate
+        return (
+            f"{odd} of {len(self.sisters)} motors {stand} out."
+            f" If all were healthy, about {chance:.1f} motors would stand out by chance (1 in {share:.0f})."
         )
-        return f"{odd} of {len(self.sisters)} motors stand out. {expected}"
 
     def text(self) -> str:
         """A table, the oddest motor first."""

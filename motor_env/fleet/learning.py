@@ -148,8 +148,9 @@ class LearnedFleet:
         centre, covariance = self._next(core, None)
         half = -float(stdtrit(core.degrees_of_freedom, rate / 2.0)) * np.sqrt(np.diag(covariance))
         sick = int(np.sum(core.probability < _LOST))
+        seem = "seems sick, and teaches" if sick == 1 else "seem sick, and teach"
         lines = [
-            f"{len(self.motors)} motors with {len(self.of)} records; {sick} of them seem sick, and teach nothing",
+            f"{len(self.motors)} motors with {len(self.of)} records; {sick} of them {seem} nothing",
             f"interval of the next healthy motor ({1.0 - rate:.0%}, Student t, {core.degrees_of_freedom:.0f} degrees)",
             *(
                 f"  {name:<12} {math.exp(at):11.4g} {UNITS[name]:<12}"
@@ -157,6 +158,7 @@ class LearnedFleet:
                 for name, at, width in zip(self.fits.quantities, centre.tolist(), half.tolist(), strict=True)
             ),
             *self._positions(),
+            *self.fits.read,
             *(f"  not used: {path} ({reason})" for path, reason in self.fits.troubles.items()),
         ]
         return "\n".join(lines)

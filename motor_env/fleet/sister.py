@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,12 @@ from scipy.special import fdtrc
 from motor_env.diagnosis.diagnose import Diagnosis
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.fleet.names import Place
+from motor_env.motor import identifiable
 from motor_env.motor.parameters import FloatArray
 
 _CLEAR = 2.0  # standard deviations
 _MOST_ODD = 3
+_ALONE = re.compile(",? and nothing else moved")
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,11 +102,14 @@ class Sister:
     @property
     def odd(self) -> str:
         """What is odd: the quantities that lie farthest from the core's."""
-        off, ratios = self.off, self.ratios
-        far = sorted(off, key=lambda name: -abs(off[name]))
-        return ", ".join(
-            f"{name} {ratios[name] - 1.0:+.0%}" for name in far[:_MOST_ODD] if abs(off[name]) > _CLEAR
-        )
+        ratios = self.ratios
+        return ", ".join(f"{name} {ratios[name] - 1.0:+.0%}" for name in self._far)
+
+    @property
+    def _far(self) -> list[str]:
+        off = self.off
+        far = sorted(off, key=lambda name: -abs(off[name]))[:_MOST_ODD]
+        return [name for name in far if abs(off[name]) > _CLEAR]
 
     def to_json(self) -> dict[str, Any]:
         """One object for programs."""
@@ -133,9 +139,19 @@ class Sister:
     @property
     def why(self) -> str:
         """The first reason of a verdict that is not healthy, and what the machine's motors show together."""
-        own = "" if self.verdict is Verdict.HEALTHY else self.telling.reasons[0]
+        own = "" if self.verdict is Verdict.HEALTHY else self._own
         both = f"all motors of {self.place.machine} together: {self.together}" if self.together else ""
         return "; ".join(filter(None, (own, both)))
+
+    @property
+    def _own(self) -> str:
+        """The verdict's first reason; where the table names other quantities beside those of the fault, it says so."""
+        reason, kind, far = self.telling.reasons[0], self.telling.telling.fault_kind, self._far
+        if kind is None or not far:
+            return reason
+        moved = identifiable.visible_direction(kind, identifiable.matrix(tuple(far)))
+        alone = _ALONE.sub("", reason)
+        return f"mostly, {alone}" if alone != reason and not moved.all() else reason
 
     @property
     def shown(self) -> str:

@@ -37,6 +37,7 @@ _SAME_STEP = 0.2
 _MOST_COLUMNS = 1000
 _LONGEST_NAME = 100
 _QUANTITIES = ("time", "voltage", "current", "speed")
+_NAME_THEM = 'name all columns in their order, such as --columns "t [s],I [mA],U [V],n [rpm]"'
 
 
 @dataclass
@@ -141,7 +142,7 @@ class Watch:
             yield from self._seldom.told(self._counted(line), self._streamed_s)
         yield from self._seldom.rest()
         if not self._columns and self.state.counts["malformed"]:
-            raise InputError("no line names the columns time, voltage, current and speed")
+            raise InputError(f"no line names the columns time, voltage, current and speed; {_NAME_THEM}")
 
     def _counted(self, line: Piece) -> Iterator[Event]:
         if isinstance(line, Notice):
@@ -299,6 +300,6 @@ class Watch:
             self.state.header = text
         elif len(missing) < len(_QUANTITIES) and not self._columns:
             raise InputError(
-                f"the first line must name the columns; {missing[0]} is missing in {text[:80]!r}"
+                f"the first line must name the columns; {missing[0]} is missing in {text[:80]!r}; {_NAME_THEM}"
             )
         return not missing

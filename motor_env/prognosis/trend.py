@@ -216,7 +216,8 @@ def describe(forecast: Forecast, unit: str) -> str:
             f"not before {life.low:.3g} {unit} (lower end of the {share} interval; no upper end, "
             f"it is reached at all with {100.0 * life.probability_ever:.0f} %)"
         )
-    return f"reached in {life.median:.3g} {unit} ({share} interval {life.low:.3g} to {life.high:.3g})"
+    interval = f"{share} interval {life.low:.3g} to {life.high:.3g}"
+    return f"reached in {life.median:.3g} {unit} from the last estimate ({interval})"
 
 
 def _percent(value: float, digits: int = 0) -> str:

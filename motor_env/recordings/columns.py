@@ -184,8 +184,12 @@ def _place(path: Path, table: Table, meanings: Sequence[Meaning], choice: Column
                 return spelling.index(name)
     if choice.column.isdecimal() and int(choice.column) in table.numbers:
         return table.numbers.index(int(choice.column))
-    names = ", ".join(filter(None, table.names)) or f"{len(table.numbers)} without a name"
-    raise InputError(f"{path}: there is no column {choice.column}; there are {names}")
+    if names := ", ".join(filter(None, table.names)):
+        raise InputError(f"{path}: there is no column {choice.column}; there are {names}")
+    raise InputError(
+        f"{path}: there is no column {choice.column}; the {len(table.numbers)} columns have no names, and numbers are"
+        f" none: use the column's number, such as --column {choice.quantity}={table.numbers[0]}"
+    )
 
 
 def _chosen(suggested: Suggestions, k: int, choice: ColumnChoice) -> Column:

@@ -49,8 +49,8 @@ _WORDS = {
 _SAID = {
     kind: re.compile(pattern)
     for kind, pattern in {
-        "time": r"time|zeit|temps$|tiempo|tempo$|clock",
-        "current": r"current|curr$|strom|courant|corrent|corrient|amp(s|eres?)?$",
+        "time": r"time|stamp$|zeit|temps$|tiempo|tempo$|clock",
+        "current": r"current|curr$|strom|courant|corrent|corrient|(?<!st)amp(s|eres?)?$",
         "voltage": r"volt|spannung|tension|tens[aã]o|supply|batter|vbat",
         "speed": r"speed|velo|drehzahl|vitesse|geschwindig|rpm$|tacho|vel$|omega|frequen",
         "duty": r"duty|pwm|tastgrad|throttle",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -32,6 +32,7 @@ _AS_LONG, _ALIKE = 0.2, 0.05  # of the median step: usual ones; standard deviati
 _MOSTLY = 0.8  # of the steps: where fewer are usual, times near even ones were rounded
 _HOLE = 1.75  # median steps of a clock that is not even: nearly all of its own steps are shorter
 _MOST_PLACES = 4_000_000
+_MOST_READINGS = 3  # that are told apart in a list
 _CHANNELS = {"voltage_v": 0, "duty": 0, "current_a": 1, "speed_rad_s": 2}
 
 
@@ -116,6 +117,26 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
 def recording_of(recording: Recording | str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
     """A recording, or that of a file."""
     return recording if isinstance(recording, Recording) else read_recording(recording, choices)
+
+
+def understood(readings: Iterable[tuple[Path, tuple[str, ...]]]) -> list[str]:
+    """How files were read, for the user: each reading once, without the numbers and ranges of their samples.
+
+    Args:
+        readings: files, with the `columns` of their recordings.
+    """
+    files: dict[str, list[Path]] = {}
+    for path, notes in readings:
+        if notes:
+            files.setdefault("; ".join(notes[:-1]), []).append(path)
+    if len(files) < 2:
+        return [f"  read: {words}" for words in files]
+    lines = [
+        f"  read: {paths[0]}{f' and {len(paths) - 1} more' if len(paths) > 1 else ''}: {words}"
+        for words, paths in files.items()
+    ]
+    left = len(lines) - _MOST_READINGS
+    return [*lines[:_MOST_READINGS], *([f"  read: in {left} more ways"] * (left > 0))]
 
 
 def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: tuple[str, ...]) -> Recording:

@@ -28,6 +28,7 @@ from motor_env.recordings.text.settings import Table
 
 _SCALE = "SCALE is how many A a volt is, 10 for a probe of 100 mV/A"
 _OFFSET = "SCALE and OFFSET are those of the converter's counts, such as *0.0132-6.76"
+_OR_COUNTS = "UNIT is A or mA; a converter's counts need"
 _READING = "SCALE is how many A a reading of 1 is, 10 for a probe of 100 mV/A"
 _UNIT = "UNIT is A or mA"
 _MOST_NAMED = 8
@@ -107,9 +108,11 @@ class Suggestions:
             hint = f"if {self.name(fitting[0])} is the current, say --column {_quoted(form)} ({words})"
         else:
             forms = [self._form(k, is_said=False) for k in fitting[:_MOST_NAMED]]
-            one = forms[0][0].removeprefix(f"current={self.name(fitting[0])}")
+            form, words = (
+                one.replace(f"current={self.name(fitting[0])}", "current=COLUMN") for one in forms[0]
+            )
             names = ", ".join(map(self.name, fitting[:_MOST_NAMED]))
-            hint = f'say --column "current=COLUMN{one}", where COLUMN is one of {names}, and {forms[0][1]}'
+            hint = f'say --column "{form}", where COLUMN is one of {names}, and {words}'
         return self.missing("current_a", hint)
 
     def missing(self, column: str, hint: str) -> str:
@@ -142,7 +145,10 @@ class Suggestions:
         if has_unit == "current":
             return name, ""
         if has_counts(self.table.values[:, k], self.table.averaged):
-            return f"{name}*SCALE+OFFSET", _OFFSET
+            scaled = f"{name}*SCALE+OFFSET"
+            if is_channel(self.meanings[k].name):
+                return scaled, _OFFSET
+            return f"{name}:UNIT", f'{_OR_COUNTS} --column "{scaled}", such as *0.0132-6.76'
         if is_said:
             is_large = float(np.max(np.abs(self.table.values[:, k]))) > LARGEST_CURRENT_A
             return (f"{name}:mA", "") if is_large else (f"{name}:A", "or :mA")

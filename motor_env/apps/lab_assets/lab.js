@@ -3,7 +3,9 @@ const $ = (id) => document.getElementById(id);
 const CHOICES = ["motor", "kind", "rule"];
 const SLIDERS = ["severity_percent", "noise_ma", "resistance_percent", "friction_percent", "false_alarm_percent"];
 const NAMES = { healthy: "healthy", bearing: "bearing: friction up", winding_contact: "winding: resistance up",
-  winding_short: "winding: shorted turns", noise: "sensor noise: variance up", magnet: "magnet: less flux" };
+  winding_short: "winding: shorted turns", noise: "sensor noise: variance up", magnet: "magnet: less flux",
+  current_dead: "current sensor: dead", current_gain: "current sensor: wrong scale", current_offset: "current sensor: offset",
+  current_polarity: "current sensor: reversed", current_stuck: "current sensor: stuck", current_clipped: "current sensor: clipped" };
 let seed = 1, round = 0, timer = 0, largest = 0;
 
 function node(tag, attributes, text) {
@@ -102,7 +104,16 @@ async function show() {
     $("alarm-detail").textContent = `largest statistic ${Math.max(...seen.statistic).toPrecision(3)}, threshold ${seen.threshold.toPrecision(3)}`;
     document.body.dataset.shown = String(mine);
     timer = setTimeout(() => judge(mine, body), 250);
-  } catch (error) { say("alarm", error.message, "unsure"); }
+  } catch (error) {
+    empty(["verdict", "verdict-detail", "alarm-detail", "statistic-name", "roc-name"], ["current", "residual", "averaged", "statistic", "roc"]);
+    say("alarm", error.message, "unsure");
+  }
+}
+
+// What was shown of other settings must not stand beside an error.
+function empty(texts, pictures) {
+  for (const id of texts) $(id).textContent = "";
+  for (const id of pictures) $(id).replaceChildren();
 }
 
 async function judge(mine, body) {
@@ -119,7 +130,10 @@ async function judge(mine, body) {
     draw($("roc"), roc.false_alarms.map((x) => 100 * x), [{ name: "roc", values: roc.found.map((y) => 100 * y) }], { unit: " %", across: " %", dot: roc.at.map((x) => 100 * x) });
     $("roc-name").textContent = `share of ${roc.starts} starts with this fault that ${$("rule").selectedOptions[0].text} finds; the dot is the slider's`;
     document.body.dataset.compared = String(mine);
-  } catch (error) { say("verdict", error.message, "unsure"); }
+  } catch (error) {
+    empty(["verdict-detail", "roc-name"], ["roc"]);
+    say("verdict", error.message, "unsure");
+  }
 }
 
 function words(told) {

@@ -111,7 +111,7 @@ class Vigil:
         by_count = f"{in_a_row} windows in a row beyond all healthy ones, at most one false alarm in {_time(counted)}"
         if self.adds_up:
             asked = _time(self.windows * hours)
-            tails = f"one false alarm in {asked} by fitted tails, which hold on these windows"
+            tails = f"one false alarm in {asked} if the fitted tails hold, as they do on these windows"
             return f"{words}: {tails}; by counting alone: {by_count}"
         return f"{words} do not follow the fitted tails, so that alarms are by counting alone: {by_count}"
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,7 @@ from motor_env.apps import lab, lab_shelf
 from motor_env.apps.lab_server import _Handler, make_server  # its reading is tested without a connection
 from motor_env.apps.lab_shelf import LARGEST_UPLOAD_BYTES
 from motor_env.cli import main
+from motor_env.motor.faults import BUILT_IN_KINDS, SENSOR_KINDS
 from motor_env.motor.parameters import CATALOGUE
 
 # Reaches in: settings come from a page through the reader of documents, which no public name shows.
@@ -196,6 +198,24 @@ def test_sliders_end_where_they_say(name: str, low: float, high: float) -> None:
     offered = lab.options()
     assert offered["ranges"][name] == (low, high)
     assert low <= offered["defaults"][name] <= high
+
+
+@pytest.mark.parametrize("kind", lab.options()["kinds"])
+def test_every_fault_that_is_offered_can_be_simulated(kind: str) -> None:
+    lab.simulated(lab.Settings(kind=kind, severity_percent=60.0))
+
+
+def test_faults_of_sensors_that_are_not_there_are_not_offered() -> None:
+    assert {"bearing", "current_dead"} <= set(lab.options()["kinds"])
+    for kind in ("speed_dead", "voltage_polarity", "swapped"):
+        with pytest.raises(ValueError, match="kind must be one of"):
+            lab.Settings(kind=kind)
+
+
+def test_every_fault_has_words_on_the_page() -> None:
+    script = (resources.files("motor_env.apps") / "lab_assets" / "lab.js").read_text(encoding="utf-8")
+    own = [str(kind) for kind in (*BUILT_IN_KINDS, *SENSOR_KINDS)]  # other tests register kinds
+    assert all(f'{kind}: "' in script for kind in lab.fault_names() if kind in own)
 
 
 def test_curves_are_those_of_the_start() -> None:

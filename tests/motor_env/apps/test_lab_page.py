@@ -188,6 +188,15 @@ def test_page_in_a_browser(server: str, tmp_path: Path) -> None:
         browser.wait("document.body.dataset.judged === document.body.dataset.shown")
         assert browser.value("document.getElementById('verdict').textContent").startswith("winding")
 
+        browser.value(
+            "document.getElementById('kind').add(new Option('no such', 'no_such'));"
+            "document.getElementById('kind').value = 'no_such';"
+            "document.getElementById('kind').dispatchEvent(new Event('change'))"
+        )
+        browser.wait("document.getElementById('alarm').textContent.includes('kind must be one of')")
+        assert browser.value("document.querySelectorAll('#current path, #roc path').length") == 0
+        assert not browser.value("document.getElementById('verdict').textContent")
+
         browser.drop("#drop", write_start(tmp_path / "capture.csv", "bearing"))
         browser.wait("document.body.dataset.taken === 'capture.csv'")
         assert browser.value("document.getElementById('recording-verdict').textContent").startswith("bearing")

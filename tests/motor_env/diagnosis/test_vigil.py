@@ -337,7 +337,7 @@ def test_a_watch_says_what_it_can_promise() -> None:
     healthy = commissioned(steady=False)
     said = vigil(healthy, 1.0).promise
     assert said.startswith(
-        "12 healthy windows of 600 s: one false alarm in 1 year by fitted tails, which hold"
+        "12 healthy windows of 600 s: one false alarm in 1 year if the fitted tails hold, as they do"
     )
     needed = fewest_in_a_row(12, YEAR_S / 600.0, len(AXES))
     assert f"by counting alone: {needed} windows in a row" in said
@@ -348,8 +348,8 @@ def test_a_watch_says_what_it_can_promise() -> None:
     )
     assert "2 windows in a row beyond all healthy ones, at most one false alarm in 1.9 hours" in said
     assert "at most one false alarm in 1.9 hours" in said
-    assert "one false alarm in 20 minutes by fitted" in vigil(healthy, 3.0 * HOUR).promise
-    assert "in 2 days by fitted" in vigil(healthy, HOUR / 48.0).promise
+    assert "one false alarm in 20 minutes if the fitted" in vigil(healthy, 3.0 * HOUR).promise
+    assert "in 2 days if the fitted" in vigil(healthy, HOUR / 48.0).promise
     assert healthy.windows is not None
     untaught = replace(healthy, windows=replace(healthy.windows, scales=(), most=(), replayed=()))
     assert "commission the motor anew" in vigil(untaught).promise

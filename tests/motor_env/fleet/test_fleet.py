@@ -19,6 +19,7 @@ from motor_env.fleet.learning import learn_fleet
 from motor_env.fleet.mapping import processes
 from motor_env.fleet.population import Core
 from motor_env.fleet.sister import Apart
+from motor_env.motor.data_sheet import save_motor
 from motor_env.motor.parameters import FloatArray
 
 STEPS_V = np.repeat([0.0, 4.0, 10.0, -10.0, -4.0, 8.0], 45)
@@ -87,7 +88,8 @@ def test_the_sick_motor_leads_the_table(found: FleetDiagnosis) -> None:
 
 def test_table_json_and_page_say_the_same(found: FleetDiagnosis) -> None:
     first, second = found.text().splitlines()[:2]
-    assert first == "1 of 8 motors stand out. If all were healthy, 0.1 would on average (1 in 100)."
+    expected = "If all were healthy, about 0.1 motors would stand out by chance (1 in 100)."
+    assert first == f"1 of 8 motors stands out. {expected}"
     assert second.split()[:3] == ["3", "left", "bearing"]
     (worst, *rest) = found.to_json()
     json.dumps(found.to_json(), allow_nan=False)
@@ -97,6 +99,28 @@ def test_table_json_and_page_say_the_same(found: FleetDiagnosis) -> None:
     assert page.count('class="odd"') == len(found.quantities)
     assert page.count('class="sister"') == 7 * len(found.quantities)
     assert "http" not in page.replace("http://www.w3.org", "")
+    assert f"<p>{first}</p>" in page
+
+
+def test_other_changes_beside_the_fault_are_not_denied(found: FleetDiagnosis) -> None:
+    worst = found.sisters[0]
+    assert worst.apart is not None
+    names = worst.apart.names
+    off = np.zeros(len(names))
+    off[names.index("B")] = 9.0
+    alone = replace(worst, apart=replace(worst.apart, off=off, spread=np.eye(len(names))))
+    assert alone.odd.startswith("B +")
+    assert alone.why == FaultKind.BEARING.finding
+    off = off.copy()
+    off[names.index("R")] = 3.0
+    both = replace(alone, apart=replace(worst.apart, off=off, spread=np.eye(len(names))))
+    assert "R +" in both.odd
+    assert both.why == "mostly, friction is up: look at the bearings, the lubricant and the load"
+
+
+def test_a_fleet_says_once_how_it_was_read(starts: list[Path]) -> None:
+    (read,) = (line for line in learn_fleet(starts, group=GROUP).text(0.01).splitlines() if "read: " in line)
+    assert read.startswith("  read: time is column 1 (time_s); ")
 
 
 def test_motors_of_one_machine_do_not_count_for_each_other(starts: list[Path]) -> None:
@@ -197,6 +221,20 @@ def test_options_that_do_not_go_together(
 ) -> None:
     assert main(arguments) == 2
     assert words in capsys.readouterr().err
+
+
+def test_one_own_record_is_one_recording(
+    starts: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sisters = tmp_path / "sisters.toml"
+    save_motor(learn_fleet(starts, group=GROUP).motor("sisters"), sisters)
+    own = str(starts[0])
+    assert main(["identify", own, "--motor", str(sisters)]) == 0
+    assert main(["commission", own, "--motor", str(sisters), "-o", str(tmp_path / "own.toml")]) == 0
+    said = capsys.readouterr().out
+    assert "1 recording beside the sisters" in said
+    assert "1 own recording beside the sisters" in said
+    assert said.count("  read: time is column 1 (time_s); ") == 1
 
 
 def test_own_records_need_the_file_of_a_fleet(starts: list[Path], capsys: pytest.CaptureFixture[str]) -> None:

@@ -389,7 +389,7 @@ def test_a_limit_counts_as_reached_with_a_probability_of_one_half() -> None:
 def test_a_life_in_words() -> None:
     life = RemainingLife(4.0, 12.0, 31.0, 0.8, 0.0, 1.0)
     one = Forecast(1.5, reached=False, close=False, trends=True, wear=wear(), life=life)
-    assert describe(one, "days") == "reached in 12 days (80 % interval 4 to 31)"
+    assert describe(one, "days") == "reached in 12 days from the last estimate (80 % interval 4 to 31)"
     said = describe(replace(one, life=life._replace(high=math.inf, probability_ever=0.45)), "days")
     assert "not before 4 days (lower end of the 80 % interval; no upper end" in said
     assert "with 45 %)" in said

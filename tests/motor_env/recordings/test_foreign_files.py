@@ -80,6 +80,29 @@ def test_what_a_user_names_against_its_name_or_size_is_warned_of(tmp_path: Path)
     assert chosen(path, "current=IA:A", "speed=Velo:rpm").warnings == ()
 
 
+def test_a_stamp_is_no_current(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "a.csv", {"stamp": TIME, "clamp (mA)": 1e3 * CURRENT}, form=".6f")
+    assert "name it: --column time=stamp:UNIT" in refused(lambda: read_recording(path), path)
+    assert chosen(path, "time=stamp:s").warnings == ()
+
+
+def test_whole_numbers_may_be_milliampere(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "a.csv", {"time_s": TIME, "clamp": np.rint(1e3 * CURRENT)}, form=".6g")
+    sentence = refused(lambda: read_recording(path), path)
+    assert "--column current=clamp:UNIT (UNIT is A or mA; " in sentence
+    assert '--column "current=clamp*SCALE+OFFSET"' in sentence
+    check = np.rint(1e3 * CURRENT) / 1e3
+    np.testing.assert_allclose(chosen(path, "current=clamp:mA").current_a, check, atol=1e-9)
+
+
+def test_numbers_are_no_names(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = "\n".join(f"{1e3 * t:.6g},{i:.6g}" for t, i in zip(TIME, CURRENT, strict=True))
+    path.write_text(f"x-axis,1\n{rows}\n", encoding="utf-8")
+    sentence = refused(lambda: chosen(path, "time=x-axis:ms"), path)
+    assert "numbers are none: use the column's number, such as --column time=1" in sentence
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_a_current_follows_others_only_without_noise(noise: float) -> None:
     rng = np.random.default_rng(3)

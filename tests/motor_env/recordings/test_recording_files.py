@@ -11,6 +11,7 @@ from scipy.io import savemat
 
 from motor_env import ColumnChoice, InputError, Recording, cli, load_motor, read_recording
 from motor_env.recordings.headers import understand
+from motor_env.recordings.recording import understood
 
 TIME = np.linspace(0.0, 0.049, 50)
 CURRENT = np.sin(50.0 * TIME) + 1.0
@@ -213,6 +214,18 @@ def test_identify_writes_a_motor_file(tmp_path: Path, capsys: pytest.CaptureFixt
     assert motor.parameters.resistance_ohm == pytest.approx(2.18, rel=0.01)
 
 
+def test_files_that_were_read_in_different_ways_are_told_apart() -> None:
+    files = [(Path(f"{n}.csv"), (f"current is column {n // 2}", f"{n} samples")) for n in range(9)]
+    assert understood(files[:2]) == ["  read: current is column 0"]
+    assert understood(files) == [
+        "  read: 0.csv and 1 more: current is column 0",
+        "  read: 2.csv and 1 more: current is column 1",
+        "  read: 4.csv and 1 more: current is column 2",
+        "  read: in 2 more ways",
+    ]
+    assert understood([(Path("a.csv"), ())]) == []
+
+
 def test_commission_needs_three_starts(tmp_path: Path) -> None:
     words = ["commission", str(START), "-o", str(tmp_path / "m.toml")]
     assert "at least 3 healthy starts, got 1" in refused(
@@ -220,7 +233,7 @@ def test_commission_needs_three_starts(tmp_path: Path) -> None:
     )
 
 
-def test_commissioned_motor_judges_its_own_starts(tmp_path: Path) -> None:
+def test_commissioned_motor_judges_its_own_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(8)
     time_s, volts, current = np.loadtxt(START, delimiter=",", skiprows=1).T
     columns = {"time_s": time_s, "voltage_v": volts}
@@ -231,6 +244,10 @@ def test_commissioned_motor_judges_its_own_starts(tmp_path: Path) -> None:
     )
     target = str(tmp_path / "m.toml")
     assert cli.main(["commission", *healthy, "-o", target]) == 0
+    understood = "time is column 1 (time_s); current is column 3 (current_a); voltage is column 2 (voltage_v)"
+    assert [line for line in capsys.readouterr().out.splitlines() if "read: " in line] == [
+        f"  read: {understood}"
+    ]
     assert cli.main(["diagnose", judged, "--motor", target]) == 0
     write_csv(Path(judged), columns | {"current_a": 0.8 * noisy[3]})
     assert cli.main(["diagnose", judged, "--motor", target]) == 1
