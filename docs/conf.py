@@ -49,6 +49,13 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 
 
+def plain_aliases(app, what, name, obj, options, signature, returned):  # noqa: ANN001, ANN201
+    """Aliases of types by their names: Sphinx shows the objects that stand for them."""
+    return tuple(
+        part and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", part) for part in (signature, returned)
+    )
+
+
 def as_rst(app, what, name, obj, options, lines):  # noqa: ANN001, ANN201
     """Docstrings have headings of Markdown, names like `classes_` and |x| for a size."""
     for n, line in enumerate(lines):
@@ -69,6 +76,7 @@ def left_out(app, what, name, obj, skip, options):  # noqa: ANN001, ANN201, D103
 
 
 def setup(app):  # noqa: ANN001, ANN201, D103
+    app.connect("autodoc-process-signature", plain_aliases)
     app.connect("autodoc-process-docstring", as_rst, priority=400)  # before napoleon
     app.connect("autodoc-process-docstring", whole_sentence, priority=600)  # after it
     app.connect("autodoc-skip-member", left_out)

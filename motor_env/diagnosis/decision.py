@@ -163,10 +163,12 @@ def _with_alarm(
         best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
         if best is not None and probability[best.kind] >= probability["other"]:
             (as_fitted,) = explain(replace(difference, log_ratios=log_ratios), (best.kind,))
-            found = _with_fault(healthy, reference, as_fitted, probability, view.drag.load)
             if gain is not None:
-                shares = probabilities(difference, [*faults, gain])
-                also[0] += f" (probability {shares[gain.kind]:.0%}, of {best.kind} {shares[best.kind]:.0%})"
+                probability = probabilities(difference, [*faults, gain])
+                also[0] += (
+                    f" (probability {probability[gain.kind]:.0%}, of {best.kind} {probability[best.kind]:.0%})"
+                )
+            found = _with_fault(healthy, reference, as_fitted, probability, view.drag.load)
             return replace(found, reasons=(*found.reasons, *also))
     if gain is not None:
         probability = probabilities(first.difference, [*first.faults, gain])

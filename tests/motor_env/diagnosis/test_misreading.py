@@ -130,5 +130,6 @@ def test_a_gain_that_explains_as_much_as_a_fault_does_is_told_beside_it() -> Non
     gain, bearing = map(int, share.groups())
     assert 5 < gain < bearing
     assert gain + bearing <= 100
+    assert found.confidence == pytest.approx(bearing / 100.0, abs=0.006)  # the gain counts in it, too
     sheet = decide(window, replace(taught, is_taught=False), 0.01)
     assert "probability" not in sheet.reasons[-1]
