@@ -232,6 +232,23 @@ def test_a_gain_is_the_sensors_where_the_same_sensor_taught_the_motor(
         assert "all of it is explained if the" in found.reasons[0]
 
 
+def test_without_a_speed_current_and_voltage_may_both_be_it() -> None:
+    """More than shorted turns, which lower R, L and K^2/J in other shares."""
+    starts = [
+        replace(started(np.random.default_rng(n)), speed_rad_s=None, path=Path(f"{n}")) for n in range(4)
+    ]
+    motor = commission(starts[:3]).motor
+    found = diagnose(scaled(starts[3], current_a=1.25), motor)
+    assert found.verdict == "sensor"
+    assert "if the current is 1.25 times too large" in found.reasons[0]
+    assert "or if the voltage is 1.25 times too small" in found.reasons[0]
+    assert re.search(r"\(probability \d+%, of winding_short \d%\)$", found.reasons[0])
+    assert found.confidence is not None
+    assert found.confidence > 0.9
+    short = scaled(starts[3], current_a=1.02)
+    assert diagnose(short, motor).verdict == "healthy"
+
+
 def commanded(seed: int) -> Recording:
     """A healthy start whose voltage is a command."""
     start = started(np.random.default_rng(seed))

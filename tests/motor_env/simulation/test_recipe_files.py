@@ -79,5 +79,6 @@ def test_a_wrong_file_is_one_sentence(tmp_path: Path, text: str, said: str) -> N
     assert said in refused(lambda: load_recipe(path), path)
 
 
-def test_a_missing_file_is_said() -> None:
-    assert "no such recipe file" in refused(lambda: load_recipe("none.toml"), Path("none.toml"))
+def test_a_missing_file_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "none.toml"
+    assert "no such recipe file" in refused(lambda: load_recipe(path), path)
