@@ -314,7 +314,7 @@ def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
         off, most = float(np.linalg.lstsq(shapes, current, rcond=None)[0][0]), _OFFSET
     else:
         return None
-    off -= known
+    off = (off - known) / max(_size(current) / _size(by_speed), 1.0)  # of a current in mA, in A
     if abs(off) < most * float(np.max(np.abs(seen.voltage_v)) / physical[places.R]):
         return None
     return Failure(
